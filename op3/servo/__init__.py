@@ -1,0 +1,31 @@
+"""What a servo does in one millisecond, and the catalogue of effects it is made of."""
+
+from op3.servo.effect import (
+    Effect,
+    ModelEdit,
+    Parameter,
+    Signals,
+    Stage,
+    catalogue,
+    effect_class,
+    parameter,
+    register,
+)
+from op3.servo.effects import *  # noqa: F403  (registers the effects)
+from op3.servo.robot_model import Estimate, RobotModel
+from op3.servo.servo_law import ServoLaw
+
+__all__ = [
+    "Effect",
+    "Estimate",
+    "ModelEdit",
+    "Parameter",
+    "RobotModel",
+    "ServoLaw",
+    "Signals",
+    "Stage",
+    "catalogue",
+    "effect_class",
+    "parameter",
+    "register",
+]

@@ -1,0 +1,229 @@
+"""What an effect is: one physical thing a servo, body, sensor or floor does, as a small class.
+
+A robot model is a list of effects with parameter values. The same class serves simulation, identification,
+diagnosis and training; adding an effect is one class here, one file in ``conf/effect/`` and one test.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from enum import IntEnum
+from typing import ClassVar, Literal
+
+import torch
+from torch import Tensor
+
+
+class Stage(IntEnum):
+    """Where in a simulation step an effect acts; effects run in this order."""
+
+    SENSING = 0
+    COMMAND = 1
+    TRANSPORT = 2
+    CONTROLLER = 3
+    MOTOR = 4
+    GEAR = 5
+    FRICTION = 6
+    BODY = 7
+    GROUND = 8
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of an effect.
+
+    Attributes:
+        name: unique over the whole catalogue.
+        unit: SI unit, ``-`` for a ratio.
+        low: smallest plausible value.
+        high: largest plausible value.
+        nominal: a sensible first guess.
+        neutral: value at which the effect changes nothing; None where there is no such value.
+        per_joint: whether joints may differ; False for a quantity of the whole robot.
+        text: what it is, in a sentence.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    nominal: float
+    neutral: float | None
+    text: str
+    per_joint: bool = True
+
+
+@dataclass(frozen=True)
+class ModelEdit:
+    """A change to a MuJoCo model, declared as data and carried out by the simulation.
+
+    Attributes:
+        field: name of the ``mjModel`` array, for example ``dof_armature``.
+        target: which rows: the servo joints' degrees of freedom, or the robot's base body.
+        operation: whether the parameter replaces the compiled value or adds to it.
+        parameter: name of the parameter whose value is written.
+        column: second index of the field, for example 0 for x of ``body_ipos``.
+    """
+
+    field: str
+    target: Literal["joint_dof", "base_body"]
+    operation: Literal["set", "add"]
+    parameter: str
+    column: int | None = None
+
+
+@dataclass
+class Signals:
+    """What flows through the servo law in one step. Every tensor is ``[sim, joint]`` unless stated.
+
+    The simulation fills the inputs, the effects fill the rest in the order of their stages, and the
+    simulation hands the last three to MuJoCo.
+    """
+
+    # inputs: the true state of the joint, and what the output transmitted to its link in the last step
+    position: Tensor  # [rad]
+    velocity: Tensor  # [rad/s]
+    speed: Tensor  # |velocity| [rad/s]
+    load_torque: Tensor  # tau_a [N m]
+    # commands, held until the next tick
+    position_target: Tensor  # [rad]
+    p_gain: Tensor  # [A/rad]
+    d_gain: Tensor  # [A s/rad]
+    firmware_gain: Tensor  # kp of the servo's own position loop [firmware units]
+    torque_enable: Tensor  # 1 or 0
+    bus_voltage: Tensor  # [V]
+    phase: int  # simulation steps since the last tick
+    # sensing stage: what the servo's encoder says
+    measured_position: Tensor  # [rad]
+    measured_velocity: Tensor  # [rad/s]
+    # what reaches the servo, and what its driver applies
+    target_current: Tensor  # [A]
+    goal: Tensor  # of the servo's own position loop [rad]
+    voltage: Tensor  # [V]
+    # motor stage
+    current: Tensor  # [A]
+    motor_torque: Tensor  # tau_m at the old velocity [N m]
+    # to MuJoCo
+    applied_torque: Tensor  # at the old velocity [N m]
+    damping: Tensor  # minus its derivative by velocity, to be integrated implicitly [N m s/rad]
+    friction_bound: Tensor  # [N m]
+    # memory of effects that have one, by effect name
+    state: dict[str, Tensor]
+
+    @classmethod
+    def zeros(cls, num_sims: int, num_joints: int, device: torch.device | str = "cpu") -> "Signals":
+        """Signals of a servo at rest without command; tensors are float64."""
+        made = {
+            field.name: torch.zeros(num_sims, num_joints, dtype=torch.float64, device=device)
+            for field in fields(cls)
+            if field.name not in ("phase", "state")
+        }
+        return cls(**made, phase=0, state={})
+
+
+Prepared = Mapping[str, Tensor]
+
+
+class Effect:
+    """Base class of everything in the catalogue; subclasses are frozen dataclasses of their options.
+
+    Class attributes:
+        name: identifier in ``model.yaml`` and ``conf/effect/``.
+        stage: when it acts.
+        equation: the law in one line.
+        source: where the law comes from.
+        parameters: its numbers.
+        edits: what it changes in the MuJoCo model.
+    """
+
+    name: ClassVar[str]
+    stage: ClassVar[Stage]
+    equation: ClassVar[str]
+    source: ClassVar[str]
+    parameters: ClassVar[tuple[Parameter, ...]] = ()
+    edits: ClassVar[tuple[ModelEdit, ...]] = ()
+
+    def prepare(self, values: Mapping[str, Tensor], timestep: float) -> Prepared:
+        """Constants of a step, computed once whenever parameters change.
+
+        Args:
+            values: this effect's parameters, each ``[sim, joint]``.
+            timestep: simulation step [s].
+        """
+        del timestep
+        return values
+
+    def reset(self, signals: Signals, prepared: Prepared) -> None:
+        """Create the effect's memory in ``signals.state``, given the commands and state at the start."""
+
+    def tick(self, signals: Signals, prepared: Prepared) -> None:
+        """Act once per control period, right after new commands arrived."""
+
+    def apply(self, signals: Signals, prepared: Prepared) -> None:
+        """Act once per simulation step."""
+
+    @classmethod
+    def options(cls) -> tuple[str, ...]:
+        """Names of the constructor's keywords: constants that are not identified."""
+        return tuple(field.name for field in fields(cls))  # type: ignore[arg-type]
+
+
+_CATALOGUE: dict[str, type[Effect]] = {}
+
+
+def register(effect: type[Effect]) -> type[Effect]:
+    """Class decorator that puts an effect into the catalogue.
+
+    Raises:
+        ValueError: if its name, or the name of one of its parameters, is taken.
+    """
+    if effect.name in _CATALOGUE:
+        raise ValueError(f"effect name {effect.name!r} is taken by {_CATALOGUE[effect.name].__name__}")
+    taken = {parameter.name for other in _CATALOGUE.values() for parameter in other.parameters}
+    clash = taken & {parameter.name for parameter in effect.parameters}
+    if clash:
+        raise ValueError(
+            f"effect {effect.name!r}: parameter names {sorted(clash)} are taken by other effects"
+        )
+    _CATALOGUE[effect.name] = effect
+    return effect
+
+
+def catalogue() -> dict[str, type[Effect]]:
+    """All effects by name, in the order of their stages."""
+    return dict(sorted(_CATALOGUE.items(), key=lambda item: (item[1].stage, item[0])))
+
+
+def effect_class(name: str) -> type[Effect]:
+    """The effect of this name.
+
+    Raises:
+        ValueError: if the catalogue has none.
+    """
+    if name not in _CATALOGUE:
+        raise ValueError(f"unknown effect {name!r}; the catalogue has {', '.join(catalogue())}")
+    return _CATALOGUE[name]
+
+
+def parameter(name: str) -> Parameter:
+    """The catalogue's parameter of this name.
+
+    Raises:
+        ValueError: if no effect has it.
+    """
+    known = {p.name: p for effect in catalogue().values() for p in effect.parameters}
+    if name not in known:
+        raise ValueError(f"unknown parameter {name!r}; the catalogue has {', '.join(sorted(known))}")
+    return known[name]
+
+
+def in_stage_order(effects: Sequence[Effect]) -> list[Effect]:
+    """Effects sorted by stage; those of one stage keep their order.
+
+    Raises:
+        ValueError: if an effect appears twice.
+    """
+    names = [effect.name for effect in effects]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ValueError(f"effects listed twice: {', '.join(twice)}; list each once")
+    return sorted(effects, key=lambda effect: effect.stage)

@@ -1,0 +1,141 @@
+"""Who closes the position loop, and how late its commands arrive."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import ceil
+from typing import ClassVar, Literal
+
+import torch
+from torch import Tensor
+
+from op3.servo import law
+from op3.servo.effect import Effect, Parameter, Prepared, Signals, Stage, register
+
+
+@register
+@dataclass(frozen=True)
+class CurrentPD(Effect):
+    """Variable-gain PD on the robot's computer, commanding current, held between control ticks.
+
+    Attributes:
+        current_limit: the servo clips target currents at this value [A].
+    """
+
+    name: ClassVar[str] = "current_pd"
+    stage: ClassVar[Stage] = Stage.COMMAND
+    equation: ClassVar[str] = "I* = clip(Kp (q* - q) - Kd w, -I_max, I_max)"
+    source: ClassVar[str] = "paper, section 'Variable Gain PD'; stall current 2.3 A at 12 V, ROBOTIS e-Manual"
+
+    current_limit: float = 2.3
+
+    def tick(self, signals: Signals, prepared: Prepared) -> None:
+        """Compute the current command from the sensors of this tick."""
+        current = law.pd_current(
+            signals.position_target,
+            signals.measured_position,
+            signals.measured_velocity,
+            signals.p_gain,
+            signals.d_gain,
+        )
+        signals.target_current = (
+            current.clamp(-self.current_limit, self.current_limit) * signals.torque_enable
+        )
+
+
+@register
+@dataclass(frozen=True)
+class Latency(Effect):
+    """Commands act late by a constant time, which need not be a whole number of steps.
+
+    Attributes:
+        period: time between commands [s].
+        longest: largest latency the memory is made for [s].
+        signal: what is late: the current of a current-driven servo, or the goal of a position servo.
+    """
+
+    name: ClassVar[str] = "latency"
+    stage: ClassVar[Stage] = Stage.TRANSPORT
+    equation: ClassVar[str] = "u(t) -> u(t - d)"
+    source: ClassVar[str] = "sensor to torque on a 2 Mbit/s bus: about 6 ms sequential, 10 ms pipelined"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("command_latency", "s", 0.0, 0.016, 0.006, 0.0, "time from reading sensors to torque"),
+    )
+
+    period: float = 0.008
+    longest: float = 0.024
+    signal: Literal["target_current", "goal"] = "target_current"
+
+    def prepare(self, values: Mapping[str, Tensor], timestep: float) -> Prepared:
+        """Weights of past commands for each step of the period.
+
+        Raises:
+            ValueError: if a latency is negative or longer than the memory.
+        """
+        latency = values["command_latency"]
+        if latency.min() < 0 or latency.max() > self.longest:
+            raise ValueError(
+                f"command_latency must lie in [0, {self.longest}] s, got {latency.min():g} to {latency.max():g};"
+                " raise the option `longest` of the effect `latency` for slower buses"
+            )
+        depth = ceil(self.longest / self.period - 1e-9) + 1
+        return {"weights": law.delay_weights(latency, timestep, self.period, depth)}
+
+    def reset(self, signals: Signals, prepared: Prepared) -> None:
+        """Before the start, the first command was already held."""
+        first = getattr(signals, self.signal)
+        signals.state[self.name] = first.expand(prepared["weights"].shape[1], *first.shape).clone()
+
+    def tick(self, signals: Signals, prepared: Prepared) -> None:
+        """Put the new command in front of the older ones."""
+        history = torch.roll(signals.state[self.name], 1, 0)
+        history[0] = getattr(signals, self.signal)
+        signals.state[self.name] = history
+
+    def apply(self, signals: Signals, prepared: Prepared) -> None:
+        """Let through what has arrived by now."""
+        arrived = (prepared["weights"][signals.phase] * signals.state[self.name]).sum(0)
+        setattr(signals, self.signal, arrived)
+
+
+@register
+@dataclass(frozen=True)
+class PositionServo(Effect):
+    """A servo's own position loop, which sets the duty cycle of its driver once per simulation step.
+
+    Attributes:
+        error_gain: duty per radian of error and unit of the firmware's kp.
+        max_duty: largest duty cycle.
+        goal_speed: the goal is followed at no more than this speed [rad/s].
+    """
+
+    name: ClassVar[str] = "position_servo"
+    stage: ClassVar[Stage] = Stage.CONTROLLER
+    equation: ClassVar[str] = "V = V_bus clip(c kp g (goal - q), -d_max, d_max)"
+    source: ClassVar[str] = "Feetech STS3032 and Dynamixel XL330 as recorded on Rhoban's servo bench"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("controller_gain", "-", 0.8, 1.2, 1.0, 1.0, "factor c on the firmware's nominal gain"),
+    )
+
+    error_gain: float = 0.166
+    max_duty: float = 0.97
+    goal_speed: float = 34.0
+
+    def prepare(self, values: Mapping[str, Tensor], timestep: float) -> Prepared:
+        """Duty per radian and unit of kp, and how far the followed goal moves in a step."""
+        gain = values["controller_gain"] * self.error_gain
+        return {"gain": gain, "stride": torch.tensor(self.goal_speed * timestep, dtype=gain.dtype)}
+
+    def reset(self, signals: Signals, prepared: Prepared) -> None:
+        """The goal followed so far is the first one commanded."""
+        signals.state[self.name] = signals.position_target.clone()
+
+    def apply(self, signals: Signals, prepared: Prepared) -> None:
+        """Follow the goal and set the voltage."""
+        followed = signals.state[self.name]
+        stride = prepared["stride"]
+        followed = followed + torch.clamp(signals.goal - followed, -stride, stride)
+        signals.state[self.name] = followed
+        duty = law.position_duty(
+            followed, signals.measured_position, signals.firmware_gain * prepared["gain"], self.max_duty
+        )
+        signals.voltage = duty * signals.bus_voltage

@@ -1,0 +1,68 @@
+"""Friction that does not depend on load: the three terms of paper eq. (4), each an effect of its own.
+
+Each adds to one bound, ``tau_fric = fc + s (fs - fc) + kv |w|``, which MuJoCo receives as ``dof_frictionloss``
+in every step: a friction that can hold the joint still and always opposes its motion.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from op3.servo import law
+from op3.servo.effect import Effect, Parameter, Prepared, Signals, Stage, register
+
+
+@register
+@dataclass(frozen=True)
+class Coulomb(Effect):
+    """Friction that is the same at every speed."""
+
+    name: ClassVar[str] = "coulomb"
+    stage: ClassVar[Stage] = Stage.FRICTION
+    equation: ClassVar[str] = "tau_fric += fc"
+    source: ClassVar[str] = "paper eq. (4); range from Table I"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("coulomb_friction", "N m", 0.01, 0.25, 0.1, 0.0, "fc"),
+    )
+
+    def apply(self, signals: Signals, prepared: Prepared) -> None:
+        """Raise the bound by fc."""
+        signals.friction_bound = signals.friction_bound + prepared["coulomb_friction"]
+
+
+@register
+@dataclass(frozen=True)
+class Stribeck(Effect):
+    """Friction that is higher near rest and fades with speed."""
+
+    name: ClassVar[str] = "stribeck"
+    stage: ClassVar[Stage] = Stage.FRICTION
+    equation: ClassVar[str] = "tau_fric += (fs - fc) exp(-|w| / w_static)"
+    source: ClassVar[str] = "paper eq. (4), the exponential corrected; range of fs - fc from Table I"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("static_friction_excess", "N m", 0.0, 0.25, 0.05, 0.0, "fs - fc"),
+        Parameter("stribeck_velocity", "rad/s", 0.02, 3.0, 0.1, None, "w_static; the paper gives no value"),
+    )
+
+    def apply(self, signals: Signals, prepared: Prepared) -> None:
+        """Raise the bound near rest."""
+        signals.friction_bound = signals.friction_bound + law.stribeck_friction(
+            signals.speed, prepared["static_friction_excess"], prepared["stribeck_velocity"]
+        )
+
+
+@register
+@dataclass(frozen=True)
+class Viscous(Effect):
+    """Friction in proportion to speed, as a term of the bound like the others."""
+
+    name: ClassVar[str] = "viscous"
+    stage: ClassVar[Stage] = Stage.FRICTION
+    equation: ClassVar[str] = "tau_fric += kv |w|"
+    source: ClassVar[str] = "paper eq. (4); range from Table I"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("viscous_friction", "N m s/rad", 0.0025, 0.15, 0.03, 0.0, "kv"),
+    )
+
+    def apply(self, signals: Signals, prepared: Prepared) -> None:
+        """Raise the bound in proportion to speed."""
+        signals.friction_bound = signals.friction_bound + prepared["viscous_friction"] * signals.speed

@@ -1,0 +1,59 @@
+"""Losses of the gear train that depend on load."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+from torch import Tensor
+
+from op3.servo import law
+from op3.servo.effect import Effect, Parameter, Prepared, Signals, Stage, register
+
+
+@register
+@dataclass(frozen=True)
+class DirectionalEfficiency(Effect):
+    """Directional transmission efficiency (DTE): a gear is harder to drive from its output.
+
+    The passive form is the default: it loses the same torque as the printed rule while the joint moves, holds
+    the same range of loads at rest, and never adds energy.
+
+    Attributes:
+        form: ``passive``, a friction bound; or ``printed``, the brake torque of paper eq. (3).
+    """
+
+    name: ClassVar[str] = "dte"
+    stage: ClassVar[Stage] = Stage.GEAR
+    equation: ClassVar[str] = (
+        "tau_loss = (1 - eta_fw) |tau_m| where the motor leads, (1 - eta_bw) |tau_a| where the load leads"
+    )
+    source: ClassVar[str] = "paper eq. (3), its second condition corrected; ranges from Table I"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("forward_efficiency", "-", 0.6, 1.0, 1.0, 1.0, "torque that arrives when the motor drives"),
+        Parameter("backward_efficiency", "-", 0.6, 1.0, 0.8, 1.0, "torque that arrives when the load drives"),
+    )
+
+    form: Literal["passive", "printed"] = "passive"
+
+    def prepare(self, values: Mapping[str, Tensor], timestep: float) -> Prepared:
+        """Efficiencies and losses."""
+        return {
+            "forward_efficiency": values["forward_efficiency"],
+            "backward_efficiency": values["backward_efficiency"],
+            "forward_loss": 1.0 - values["forward_efficiency"],
+            "backward_loss": 1.0 - values["backward_efficiency"],
+        }
+
+    def apply(self, signals: Signals, prepared: Prepared) -> None:
+        """Lose torque, as friction or as a brake."""
+        if self.form == "passive":
+            signals.friction_bound = signals.friction_bound + law.dte_passive_loss(
+                signals.motor_torque, signals.load_torque, prepared["forward_loss"], prepared["backward_loss"]
+            )
+        else:
+            signals.applied_torque = signals.applied_torque + law.dte_brake(
+                signals.motor_torque,
+                signals.load_torque,
+                prepared["forward_efficiency"],
+                prepared["backward_efficiency"],
+            )

@@ -1,0 +1,141 @@
+"""The servo law as pure functions: what a geared servo does in one simulation step.
+
+Every function maps tensors to tensors, broadcast over ``[sim, joint]``, in SI units, without a Python branch
+on data, so that one row (a composer hook), many rows (the batched simulation) and a differentiated evaluation
+run the same code. Equation numbers are those of Masuda & Takahashi, "Sim-to-Real Transfer of Compliant Bipedal
+Locomotion on Torque Sensor-Less Gear-Driven Humanoid" (2023). Torques are on the joint side of the gear.
+"""
+
+import torch
+from torch import Tensor
+
+
+def pd_current(
+    position_target: Tensor, position: Tensor, velocity: Tensor, p_gain: Tensor, d_gain: Tensor
+) -> Tensor:
+    """Target current [A] of the variable-gain PD: ``Kp (q* - q) - Kd w``.
+
+    Args:
+        position_target: commanded angle [rad], ``[sim, joint]``.
+        position: measured angle [rad].
+        velocity: measured velocity [rad/s].
+        p_gain: [A/rad]. The paper commands 0.1 to 6.
+        d_gain: [A s/rad]. The paper fixes 0.1.
+    """
+    return p_gain * (position_target - position) - d_gain * velocity
+
+
+def current_control(
+    target_current: Tensor,
+    back_emf: Tensor,
+    terminal_resistance: Tensor,
+    bus_voltage: Tensor,
+) -> Tensor:
+    """Voltage [V] of the current controller, paper eq. (2): ``clip(R I* + Kt w, -V_bus, V_bus)``.
+
+    Args:
+        target_current: I* [A], ``[sim, joint]``.
+        back_emf: joint torque constant times joint velocity [V].
+        terminal_resistance: [ohm].
+        bus_voltage: [V].
+    """
+    wanted = torch.addcmul(back_emf, terminal_resistance, target_current)
+    return torch.clamp(wanted, -bus_voltage, bus_voltage)
+
+
+def dte_brake(
+    motor_torque: Tensor, load_torque: Tensor, forward_efficiency: Tensor, backward_efficiency: Tensor
+) -> Tensor:
+    """Brake torque [N m] of directional transmission efficiency as printed, paper eq. (3).
+
+    The printed second condition reads ``sign(tau_m + eta_bw tau_m) = sign(tau_a)``, which does not depend on
+    the load; it is implemented as ``sign(tau_m + eta_bw tau_a) = sign(tau_a)``. The rule looks at torques
+    alone, so it adds energy where the velocity opposes the dominating torque.
+
+    Args:
+        motor_torque: tau_m, joint side [N m], ``[sim, joint]``.
+        load_torque: tau_a, minus the moment that the output transmits to its child link [N m].
+        forward_efficiency: eta_fw in (0, 1].
+        backward_efficiency: eta_bw in (0, 1].
+    """
+    forward = torch.sign(forward_efficiency * motor_torque + load_torque) == torch.sign(motor_torque)
+    backward = torch.sign(motor_torque + backward_efficiency * load_torque) == torch.sign(load_torque)
+    return torch.where(
+        forward,
+        (forward_efficiency - 1.0) * motor_torque,
+        torch.where(backward, (backward_efficiency - 1.0) * load_torque, -(motor_torque + load_torque)),
+    )
+
+
+def dte_passive_loss(
+    motor_torque: Tensor, load_torque: Tensor, forward_loss: Tensor, backward_loss: Tensor
+) -> Tensor:
+    """Bound [N m] on a friction that loses what eq. (3) loses but always opposes motion.
+
+    ``(1 - eta_fw) |tau_m|`` where the motor leads or both torques point the same way, otherwise
+    ``(1 - eta_bw) |tau_a|``. As a friction it can stop the joint and never push it; the antagonistic zone of
+    eq. (3) is reproduced exactly: a hold slips at ``|tau_m| = eta_bw |tau_a|``.
+
+    Args:
+        motor_torque: tau_m, joint side [N m], ``[sim, joint]``.
+        load_torque: tau_a [N m].
+        forward_loss: ``1 - eta_fw``.
+        backward_loss: ``1 - eta_bw``.
+    """
+    motor, load = motor_torque.abs(), load_torque.abs()
+    motor_leads = (motor_torque * load_torque >= 0) | (motor >= load)
+    return torch.where(motor_leads, forward_loss * motor, backward_loss * load)
+
+
+def stribeck_friction(speed: Tensor, static_excess: Tensor, stribeck_velocity: Tensor) -> Tensor:
+    """The part of the friction bound [N m] that fades with speed, paper eq. (4): ``(fs - fc) exp(-|w| / w_s)``.
+
+    The paper prints ``s = exp(|w|) / w_static``, which grows without bound; the decaying exponential of the
+    Stribeck function is meant.
+
+    Args:
+        speed: ``|w|`` [rad/s], ``[sim, joint]``.
+        static_excess: ``fs - fc`` [N m].
+        stribeck_velocity: w_static [rad/s].
+    """
+    return static_excess * torch.exp(-speed / stribeck_velocity)
+
+
+def position_duty(goal: Tensor, position: Tensor, duty_gain: Tensor, max_duty: float) -> Tensor:
+    """Duty cycle of a servo's own position loop: ``clip(kp g (goal - q), -d_max, d_max)``.
+
+    Args:
+        goal: goal position [rad], ``[sim, joint]``.
+        position: measured angle [rad].
+        duty_gain: ``kp g``, duty per radian.
+        max_duty: largest duty the firmware uses.
+    """
+    return torch.clamp(duty_gain * (goal - position), -max_duty, max_duty)
+
+
+def delay_weights(latency: Tensor, timestep: float, period: float, depth: int) -> Tensor:
+    """How much each held command contributes to each simulation step when commands arrive late.
+
+    A command issued at tick k acts from ``k * period + latency`` for one period. A step that straddles an
+    arrival sees both commands in proportion to time, which is linear interpolation on the time grid: latency
+    is a continuous parameter, not a whole number of steps.
+
+    Args:
+        latency: [s], ``[sim, joint]``; at most ``(depth - 1) * period``.
+        timestep: simulation step [s].
+        period: control period [s], a multiple of the timestep.
+        depth: number of past commands kept, newest first.
+
+    Returns:
+        Weights ``[phase, command, sim, joint]``; phase counts the steps since the last tick, and the weights
+        of one phase sum to one.
+    """
+    phases = round(period / timestep)
+    start = torch.arange(phases, dtype=latency.dtype, device=latency.device) * timestep
+    age = torch.arange(depth, dtype=latency.dtype, device=latency.device)
+    start = start.view(-1, 1, *([1] * latency.ndim))
+    arrival = latency - age.view(1, -1, *([1] * latency.ndim)) * period
+    # time of the step [start, start + timestep] that lies after this command's arrival
+    after = ((start + timestep - arrival) / timestep).clamp(0.0, 1.0)
+    superseded = torch.cat([torch.zeros_like(after[:, :1]), after[:, :-1]], dim=1)
+    return after - superseded

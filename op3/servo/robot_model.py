@@ -1,0 +1,131 @@
+"""A simulated robot, completely: the effects that are on, and what their parameters are worth."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from op3.servo.effect import Effect, Parameter, in_stage_order, parameter
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter's value with its 90 % interval, and the joints in which it differs.
+
+    Attributes:
+        value: shared by all joints that `joints` does not name, in the parameter's unit.
+        low: lower end of the interval; None where no data has bounded it.
+        high: upper end of the interval.
+        joints: value per joint name, where it differs.
+    """
+
+    value: float
+    low: float | None = None
+    high: float | None = None
+    joints: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class RobotModel:
+    """The list of effects that are on, with their parameter values.
+
+    Attributes:
+        effects: each at most once.
+        estimates: by parameter name; parameters without an entry have their nominal value.
+        bus_voltage: battery or supply voltage [V], where a log does not carry it.
+        provenance: where the values come from: data, seed, date, loss.
+    """
+
+    effects: tuple[Effect, ...]
+    estimates: Mapping[str, Estimate] = field(default_factory=dict)
+    bus_voltage: float = 11.1
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self):
+        object.__setattr__(self, "effects", tuple(in_stage_order(self.effects)))
+        known = self.parameters()
+        for name in self.estimates:
+            if name not in known:
+                parameter(name)  # a name that no effect has gets its own message
+                raise ValueError(
+                    f"a value for {name!r} is given, but the effect that has it is off;"
+                    f" effects on: {', '.join(self.effect_names)}"
+                )
+
+    @property
+    def effect_names(self) -> tuple[str, ...]:
+        """Names of the effects that are on, in the order of their stages."""
+        return tuple(effect.name for effect in self.effects)
+
+    def parameters(self) -> dict[str, Parameter]:
+        """The parameters of the effects that are on, by name."""
+        return {p.name: p for effect in self.effects for p in effect.parameters}
+
+    def effect(self, name: str) -> Effect:
+        """The effect of this name.
+
+        Raises:
+            ValueError: if it is off.
+        """
+        for candidate in self.effects:
+            if candidate.name == name:
+                return candidate
+        raise ValueError(f"effect {name!r} is not on; effects on: {', '.join(self.effect_names)}")
+
+    def value(self, name: str) -> float:
+        """A parameter's shared value, in its unit.
+
+        Raises:
+            ValueError: if no effect that is on has this parameter.
+        """
+        known = self.parameters()
+        if name not in known:
+            raise ValueError(f"no parameter {name!r} in this model; it has {', '.join(known)}")
+        return self.estimates[name].value if name in self.estimates else known[name].nominal
+
+    def tensors(self, joints: Sequence[str]) -> dict[str, Tensor]:
+        """All parameter values, each ``[1, joint]`` (``[1, 1]`` for one of the whole robot), float64.
+
+        Raises:
+            ValueError: if an estimate names a joint that is not in `joints`.
+        """
+        values = {}
+        for name, known in self.parameters().items():
+            row = torch.full(
+                (1, len(joints) if known.per_joint else 1), self.value(name), dtype=torch.float64
+            )
+            for joint, value in self.estimates[name].joints.items() if name in self.estimates else ():
+                if joint not in joints:
+                    raise ValueError(f"{name}: unknown joint {joint!r}; the robot has {', '.join(joints)}")
+                row[0, list(joints).index(joint)] = value
+            values[name] = row
+        return values
+
+    def with_values(self, values: Mapping[str, float | Estimate]) -> "RobotModel":
+        """This model with other parameter values; a plain number replaces a shared value."""
+        estimates = dict(self.estimates)
+        for name, value in values.items():
+            estimates[name] = value if isinstance(value, Estimate) else Estimate(float(value))
+        return replace(self, estimates=estimates)
+
+    def with_effect(
+        self, effect: Effect, values: Mapping[str, float | Estimate] | None = None
+    ) -> "RobotModel":
+        """This model with one more effect, or with this one in place of its namesake."""
+        others = tuple(e for e in self.effects if e.name != effect.name)
+        return replace(self, effects=(*others, effect)).with_values(values or {})
+
+    def without(self, *names: str) -> "RobotModel":
+        """This model with effects off, their parameters forgotten.
+
+        Raises:
+            ValueError: if one of them is not on.
+        """
+        gone = {p.name for name in names for p in self.effect(name).parameters}
+        return replace(
+            self,
+            effects=tuple(e for e in self.effects if e.name not in names),
+            estimates={k: v for k, v in self.estimates.items() if k not in gone},
+        )

@@ -1,0 +1,81 @@
+"""The servo law of one robot model: its effects in the order of their stages, one simulation step at a time."""
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor
+
+from op3.servo.effect import Effect, Prepared, Signals, Stage, in_stage_order
+
+
+class ServoLaw:
+    """Runs the effects of a model over ``[sim, joint]``.
+
+    The caller fills the inputs of the signals, calls ``tick`` once per control period and ``step`` once per
+    simulation step, and hands ``applied_torque``, ``damping`` and ``friction_bound`` to the physics.
+
+    Args:
+        effects: what is on; their order does not matter.
+        timestep: simulation step [s].
+
+    Raises:
+        ValueError: if an effect is listed twice.
+    """
+
+    def __init__(self, effects: Sequence[Effect], timestep: float):
+        self.effects = in_stage_order(effects)
+        self.timestep = timestep
+        self._ticking = [e for e in self.effects if type(e).tick is not Effect.tick]
+        acting = [e for e in self.effects if type(e).apply is not Effect.apply]
+        self._sensing = [e for e in acting if e.stage == Stage.SENSING]
+        self._acting = [e for e in acting if e.stage != Stage.SENSING]
+        self._prepared: dict[str, Prepared] = {}
+
+    def set_parameters(self, values: Mapping[str, Tensor]) -> None:
+        """Take parameter values, each broadcastable to ``[sim, joint]``, by name.
+
+        Raises:
+            ValueError: if a value is missing.
+        """
+        for effect in self.effects:
+            missing = [p.name for p in effect.parameters if p.name not in values]
+            if missing:
+                raise ValueError(f"effect {effect.name!r} needs values for {', '.join(missing)}")
+            own = {p.name: values[p.name] for p in effect.parameters}
+            self._prepared[effect.name] = effect.prepare(own, self.timestep)
+
+    def reset(self, signals: Signals) -> None:
+        """Start from the joint state and commands in the signals, as if they had been held for long."""
+        signals.state.clear()
+        self.sense(signals)
+        signals.goal = signals.position_target
+        for effect in self._ticking:
+            if effect.stage == Stage.COMMAND:
+                effect.tick(signals, self._prepared[effect.name])
+        for effect in self.effects:
+            effect.reset(signals, self._prepared[effect.name])
+
+    def tick(self, signals: Signals) -> None:
+        """A control period begins: read the sensors, compute and send commands."""
+        signals.phase = 0
+        self.sense(signals)
+        signals.goal = signals.position_target
+        for effect in self._ticking:
+            effect.tick(signals, self._prepared[effect.name])
+
+    def step(self, signals: Signals) -> None:
+        """One simulation step, from the joint state to torque, damping and friction bound."""
+        if signals.phase > 0:
+            self.sense(signals)
+        signals.speed = signals.velocity.abs()
+        signals.friction_bound = torch.zeros_like(signals.speed)
+        for effect in self._acting:
+            effect.apply(signals, self._prepared[effect.name])
+        signals.phase += 1
+
+    def sense(self, signals: Signals) -> None:
+        """Fill in what the servo's sensors say of the joint state in the signals."""
+        signals.measured_position = signals.position
+        signals.measured_velocity = signals.velocity
+        for effect in self._sensing:
+            effect.apply(signals, self._prepared[effect.name])

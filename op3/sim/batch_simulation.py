@@ -1,0 +1,251 @@
+"""Many simulations of one robot, each with parameters of its own, stepped together."""
+
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+from mujoco.batch import Batch
+from torch import Tensor
+
+from op3.servo import RobotModel, ServoLaw, Signals
+from op3.sim.edits import edited_fields
+from op3.sim.ports import ServoPorts
+
+COMMANDS = ("position_target", "p_gain", "d_gain", "firmware_gain", "torque_enable", "bus_voltage")
+
+
+class BatchSimulation:
+    """``num_sims`` copies of a scene, with the servo law between steps of ``mujoco.Batch``.
+
+    Commands are held from one tick to the next; ``advance`` moves one control period. Parameters may differ
+    between simulations and between joints. A simulation that diverges is reported in ``failed`` and does not
+    disturb the others.
+
+    Damping ``D`` of the servo law is integrated implicitly: ``(M + h D) a = f - D v`` for a step ``h``. It is
+    handed over as armature ``h D`` of that step, not as ``dof_damping``, because MuJoCo solves constraints with
+    ``M`` alone: friction would act against a reversal that the damping then prevents.
+
+    Args:
+        mj_model: compiled scene with servos attached to `joints`.
+        joints: full joint names, in the order of every ``[sim, joint]`` tensor.
+        model: effects and parameter values.
+        num_sims: number of simulations.
+        control_period: time between ticks [s], a multiple of the model's time step.
+        base_body: full name of the robot's base body; None for a scene without one.
+        joint_names: names by which the model's per-joint values address the joints; by default the last part
+            of each full name.
+        num_threads: threads that step the physics; 0 for all processors.
+        fields: MuJoCo model fields that differ between simulations, ``[sim, ...]``, before the model's edits.
+
+    Raises:
+        ValueError: if the control period is not a multiple of the time step, or a name is unknown.
+    """
+
+    def __init__(
+        self,
+        mj_model: mujoco.MjModel,
+        joints: Sequence[str],
+        model: RobotModel,
+        num_sims: int,
+        *,
+        control_period: float = 0.008,
+        base_body: str | None = None,
+        joint_names: Sequence[str] | None = None,
+        num_threads: int = 0,
+        fields: Mapping[str, np.ndarray] | None = None,
+    ):
+        self.timestep = float(mj_model.opt.timestep)
+        self.substeps = round(control_period / self.timestep)
+        if self.substeps < 1 or abs(self.substeps * self.timestep - control_period) > 1e-9:
+            raise ValueError(
+                f"control_period {control_period} s must be a multiple of the time step {self.timestep} s"
+            )
+        self.model = model
+        self.num_sims = num_sims
+        self.joint_names = tuple(joint_names or (name.rsplit("/", 1)[-1] for name in joints))
+        self.ports = ServoPorts.find(mj_model, joints)
+        self.batch = Batch(mj_model, num_sims, num_threads)
+        self._base = -1 if base_body is None else mj_model.body(base_body).id
+        self._fields = {name: np.array(value, dtype=np.float64) for name, value in (fields or {}).items()}
+        self.law = ServoLaw(model.effects, self.timestep)
+        self.signals = Signals.zeros(num_sims, len(joints))
+        self.signals.bus_voltage.fill_(model.bus_voltage)
+        self.signals.torque_enable.fill_(1.0)
+        self.failed = torch.zeros(num_sims, dtype=torch.bool)
+        self._bind()
+        self.set_parameters({})
+
+    def _bind(self) -> None:
+        batch = self.batch
+        self._qpos, self._qvel = _torch_view(batch.bind("qpos")), _torch_view(batch.bind("qvel"))
+        self._ctrl = _torch_view(batch.bind("ctrl"))
+        self._sensors = _torch_view(batch.bind("sensordata"))
+        self._friction = _torch_view(batch.expand("dof_frictionloss"))
+        self._armature = _torch_view(batch.expand("dof_armature"))
+        self._free = None
+        if self._base >= 0:
+            root = batch.model.body_rootid[self._base]
+            if batch.model.body_dofnum[root] == 6:
+                joint = batch.model.body_jntadr[root]
+                self._free = (int(batch.model.jnt_qposadr[joint]), int(batch.model.jnt_dofadr[joint]))
+            self._base_quaternion = _torch_view(batch.bind("xquat"))[:, self._base]
+
+    def set_parameters(self, values: Mapping[str, Tensor | float]) -> None:
+        """Give parameters per simulation; those not named take the model's values.
+
+        Args:
+            values: by parameter name, ``[sim]`` or ``[sim, joint]`` or a number.
+
+        Raises:
+            ValueError: if the model has no such parameter, or a shape does not fit.
+        """
+        known = self.model.parameters()
+        full = self.model.tensors(self.joint_names)
+        for name, value in values.items():
+            if name not in known:
+                raise ValueError(f"the model has no parameter {name!r}; it has {', '.join(known)}")
+            value = torch.as_tensor(value, dtype=torch.float64)
+            full[name] = (
+                value.view(-1, 1) if value.ndim == 1 else value.view(1, 1) if value.ndim == 0 else value
+            )
+        shape = (self.num_sims, len(self.joint_names))
+        try:
+            expanded = {
+                name: value.expand(shape if known[name].per_joint else (self.num_sims, 1)).contiguous()
+                for name, value in full.items()
+            }
+        except RuntimeError as error:
+            raise ValueError(
+                f"parameter values must be [sim] or [sim, joint] with {shape}: {error}"
+            ) from error
+        self.parameters = expanded
+        self.law.set_parameters(expanded)
+        edits = edited_fields(
+            self.batch.model,
+            self.model.effects,
+            expanded,
+            self.ports,
+            self._base,
+            self._fields,
+            self.num_sims,
+        )
+        for field, array in edits.items():
+            self.batch.expand(field)[...] = array
+        if edits:
+            self.batch.set_const()
+        self._rotor = self._armature[:, self.ports.dof].clone()
+
+    def reset(
+        self, qpos: np.ndarray | Tensor, commands: Mapping[str, Tensor] | None = None, qvel: Any = 0.0
+    ) -> None:
+        """Start all simulations anew.
+
+        Args:
+            qpos: full MuJoCo position, ``[nq]`` or ``[sim, nq]``.
+            commands: first commands, as for `command`; by default the joints' own positions.
+            qvel: full MuJoCo velocity, ``[nv]`` or ``[sim, nv]``.
+        """
+        self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+        self._qpos[...] = torch.as_tensor(qpos, dtype=torch.float64)
+        self._qvel[...] = torch.as_tensor(qvel, dtype=torch.float64)
+        self._friction[:, self.ports.dof] = 0.0
+        self._armature[:, self.ports.dof] = self._rotor
+        self.batch.forward()
+        self.batch.warning[...] = 0
+        self.failed = torch.zeros(self.num_sims, dtype=torch.bool)
+        self._read()
+        self.signals.position_target = self.signals.position.clone()
+        self.command(**(commands or {}))
+        self.signals.current = torch.zeros_like(self.signals.position)
+        self.law.reset(self.signals)
+
+    def command(self, **commands: Tensor) -> None:
+        """Set commands for the ticks to come; those not named are held.
+
+        Args:
+            commands: any of ``position_target`` [rad], ``p_gain`` [A/rad], ``d_gain`` [A s/rad],
+                ``firmware_gain``, ``torque_enable`` (0 or 1) and ``bus_voltage`` [V], each broadcastable to
+                ``[sim, joint]``.
+
+        Raises:
+            ValueError: if a command is unknown.
+        """
+        shape = self.signals.position.shape
+        for name, value in commands.items():
+            if name not in COMMANDS:
+                raise ValueError(f"unknown command {name!r}; commands are {', '.join(COMMANDS)}")
+            setattr(self.signals, name, torch.as_tensor(value, dtype=torch.float64).expand(shape))
+
+    def advance(self) -> None:
+        """One control period: a tick of the law, then its simulation steps."""
+        signals, law, ports = self.signals, self.law, self.ports
+        self._read()
+        law.tick(signals)
+        for _ in range(self.substeps):
+            self._read()
+            law.step(signals)
+            self._ctrl[:, ports.ctrl] = signals.applied_torque
+            self._armature[:, ports.dof] = self._rotor + self.timestep * signals.damping
+            self._friction[:, ports.dof] = signals.friction_bound
+            self.batch.step()
+        self._note_failures()
+
+    def measure(self) -> dict[tuple[str, str], Tensor]:
+        """What the servos' and the trunk's sensors say now: channels of the log, ``[sim, joint | 3]``."""
+        self._read()
+        self.law.sense(self.signals)
+        signals = self.signals
+        channels = {
+            ("joint", "position"): signals.measured_position.clone(),
+            ("joint", "velocity"): signals.measured_velocity.clone(),
+            ("joint", "current"): signals.current.clone(),
+        }
+        if self._base >= 0:
+            channels[("imu", "orientation")] = self._orientation()
+            channels[("imu", "angular_velocity")] = self._body_rates()
+        return channels
+
+    def _orientation(self) -> Tensor:
+        """Roll, pitch, yaw [rad] of the base, R = Rz(yaw) Ry(pitch) Rx(roll), ``[sim, 3]``."""
+        if self._free is not None:
+            return roll_pitch_yaw(self._qpos[:, self._free[0] + 3 : self._free[0] + 7])
+        return roll_pitch_yaw(self._base_quaternion)
+
+    def _body_rates(self) -> Tensor:
+        """Angular velocity of the base in its own frame [rad/s], ``[sim, 3]``."""
+        if self._free is not None:
+            return self._qvel[:, self._free[1] + 3 : self._free[1] + 6].clone()
+        return torch.zeros(self.num_sims, 3, dtype=torch.float64)
+
+    def _read(self) -> None:
+        self.signals.position = self._qpos[:, self.ports.qpos]
+        self.signals.velocity = self._qvel[:, self.ports.dof]
+        self.signals.load_torque = -self._sensors[:, self.ports.transmitted]
+
+    def _note_failures(self) -> None:
+        # MuJoCo resets a diverging state and zeroes NaN controls without an exception; only its warning
+        # counters, and non-finite values on our side, tell.
+        signals = self.signals
+        handed_over = signals.applied_torque + signals.damping + signals.friction_bound
+        finite = torch.isfinite(handed_over).all(1)
+        warned = torch.from_numpy(self.batch.warning.any((1, 2)))
+        self.failed |= warned | ~finite
+
+
+def roll_pitch_yaw(quaternion: Tensor) -> Tensor:
+    """Euler angles [rad] of ``R = Rz(yaw) Ry(pitch) Rx(roll)`` from unit quaternions ``[..., 4]``, w first."""
+    w, x, y, z = quaternion.unbind(-1)
+    roll = torch.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = torch.asin((2 * (w * y - x * z)).clamp(-1.0, 1.0))
+    yaw = torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return torch.stack([roll, pitch, yaw], -1)
+
+
+def _torch_view(array: np.ndarray) -> Tensor:
+    """A tensor over the same memory; outputs of the batch are read-only for numpy and stay unwritten here."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*not writable.*")
+        return torch.from_numpy(array)

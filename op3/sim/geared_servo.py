@@ -1,0 +1,116 @@
+"""The servo law as an actuator of dm_control composer tasks."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+from torch import Tensor
+
+from op3.servo import RobotModel, ServoLaw, Signals
+from op3.sim.edits import edited_fields
+from op3.sim.ports import ServoPorts, attach_servos
+
+
+class GearedServo:
+    """Geared servos on any hinges of a composer scene, with the hook names of composer.
+
+    Call the hooks of the same name from a task. Use ``legacy_step=False`` in ``composer.Environment``: only
+    then is the order of steps that of ``mj_step``, and the trajectory that of the batched simulation.
+
+    Args:
+        joints: dm_control MJCF elements of hinge joints; each gets a motor and a torque sensor.
+        model: effects and parameter values.
+        base_body: MJCF element of the robot's base body, where there is one.
+    """
+
+    def __init__(self, joints: Sequence[Any], model: RobotModel, base_body: Any = None):
+        attach_servos(joints)
+        self._joints = list(joints)
+        self._base_element = base_body
+        self.model = model
+        self.joint_names = tuple(joint.name for joint in joints)
+        self.signals = Signals.zeros(1, len(joints))
+        self._rotor: np.ndarray = np.zeros(len(joints))
+
+    def after_compile(self, physics: Any, random_state: Any = None) -> None:
+        """Find the servos in the compiled model and carry out the effects' model edits."""
+        del random_state
+        names = [joint.full_identifier for joint in self._joints]
+        self.ports = ServoPorts.find(physics.model.ptr, names)
+        base = -1 if self._base_element is None else physics.bind(self._base_element).element_id
+        values = self.model.tensors(self.joint_names)
+        shape = self.signals.position.shape
+        known = self.model.parameters()
+        values = {
+            k: v.expand(shape if known[k].per_joint else (1, 1)).contiguous() for k, v in values.items()
+        }
+        self.law = ServoLaw(self.model.effects, float(physics.model.opt.timestep))
+        self.law.set_parameters(values)
+        edits = edited_fields(physics.model.ptr, self.model.effects, values, self.ports, int(base), {}, 1)
+        for field, array in edits.items():
+            getattr(physics.model.ptr, field)[...] = array[0]
+        if edits:
+            mujoco.mj_setConst(physics.model.ptr, physics.data.ptr)
+        self._rotor = physics.model.ptr.dof_armature[self.ports.dof].copy()
+
+    def initialize_episode(self, physics: Any, random_state: Any = None, **commands: Tensor) -> None:
+        """Start with these commands (see `before_step`) as if they had been held for long."""
+        del random_state
+        physics.model.ptr.dof_frictionloss[self.ports.dof] = 0.0
+        physics.model.ptr.dof_armature[self.ports.dof] = self._rotor
+        mujoco.mj_forward(physics.model.ptr, physics.data.ptr)
+        self._read(physics)
+        self.signals.bus_voltage.fill_(self.model.bus_voltage)
+        self.signals.torque_enable.fill_(1.0)
+        self.signals.position_target = self.signals.position.clone()
+        self.signals.current = torch.zeros_like(self.signals.position)
+        self._command(commands)
+        self.law.reset(self.signals)
+
+    def before_step(self, physics: Any, random_state: Any = None, **commands: Tensor) -> None:
+        """A control period begins: take commands and let the PD look at the sensors.
+
+        Args:
+            physics: composer physics.
+            random_state: unused; part of the hook.
+            **commands: ``position_target`` [rad], ``p_gain`` [A/rad], ``d_gain`` [A s/rad] and the others of
+                `op3.servo.Signals`, each ``[joint]``; those not named are held.
+        """
+        del random_state
+        self._command(commands)
+        self._read(physics)
+        self.law.tick(self.signals)
+
+    def before_substep(self, physics: Any, random_state: Any = None) -> None:
+        """Set torque, damping and friction of the coming physics step."""
+        del random_state
+        self._read(physics)
+        self.law.step(self.signals)
+        physics.data.ptr.ctrl[self.ports.ctrl] = self.signals.applied_torque[0].numpy()
+        physics.model.ptr.dof_armature[self.ports.dof] = (
+            self._rotor + self.law.timestep * self.signals.damping[0].numpy()
+        )
+        physics.model.ptr.dof_frictionloss[self.ports.dof] = self.signals.friction_bound[0].numpy()
+
+    def measure(self, physics: Any) -> dict[tuple[str, str], Tensor]:
+        """What the servos' sensors say now: channels of the log, ``[joint]``."""
+        self._read(physics)
+        self.law.sense(self.signals)
+        return {
+            ("joint", "position"): self.signals.measured_position[0].clone(),
+            ("joint", "velocity"): self.signals.measured_velocity[0].clone(),
+            ("joint", "current"): self.signals.current[0].clone(),
+        }
+
+    def _command(self, commands: Mapping[str, Any]) -> None:
+        for name, value in commands.items():
+            row = torch.as_tensor(value, dtype=torch.float64)
+            setattr(self.signals, name, row.expand(self.signals.position.shape))
+
+    def _read(self, physics: Any) -> None:
+        data = physics.data.ptr
+        self.signals.position = torch.from_numpy(data.qpos[self.ports.qpos])[None]
+        self.signals.velocity = torch.from_numpy(data.qvel[self.ports.dof])[None]
+        self.signals.load_torque = -torch.from_numpy(data.sensordata[self.ports.transmitted])[None]

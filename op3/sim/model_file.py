@@ -1,0 +1,163 @@
+"""``model.yaml``: one file that describes a simulated robot completely."""
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from op3.servo import Estimate, RobotModel, effect_class
+
+FORMAT = "op3-model/1"
+
+
+def save_model(model: RobotModel, path: str | Path) -> Path:
+    """Write a model; the file appears whole or not at all.
+
+    Args:
+        model: what to write.
+        path: of the file to write.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(path.suffix + ".partial")
+    partial.write_text(yaml.safe_dump(to_dict(model), sort_keys=False))
+    partial.replace(path)
+    return path
+
+
+def load_model(path: str | Path) -> RobotModel:
+    """Read a model.
+
+    Raises:
+        ValueError: if the file is not a model; the message names file, field and remedy.
+        FileNotFoundError: if there is no such file.
+    """
+    path = Path(path)
+    try:
+        content = yaml.safe_load(path.read_text())
+    except yaml.YAMLError as error:
+        raise ValueError(
+            f"{path}: not valid YAML ({' '.join(str(error).split())}); fix or rewrite it"
+        ) from error
+    try:
+        return from_dict(content)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def model_hash(model: RobotModel) -> str:
+    """Twelve hex digits that name a model's effects and values, whatever its provenance."""
+    content = to_dict(model)
+    content.pop("provenance", None)
+    return hashlib.sha256(yaml.safe_dump(content, sort_keys=True).encode()).hexdigest()[:12]
+
+
+def to_dict(model: RobotModel) -> dict[str, Any]:
+    """The content of ``model.yaml``: plain dictionaries, lists, strings and numbers."""
+    effects = []
+    for effect in model.effects:
+        body: dict[str, Any] = {name: getattr(effect, name) for name in effect.options()}
+        for known in effect.parameters:
+            estimate = model.estimates.get(known.name, Estimate(known.nominal))
+            body[known.name] = _estimate_to_plain(estimate)
+        effects.append({effect.name: body})
+    content: dict[str, Any] = {
+        "format": FORMAT,
+        "bus_voltage": model.bus_voltage,
+        "effects": effects,
+    }
+    if model.provenance:
+        content["provenance"] = dict(model.provenance)
+    return content
+
+
+def from_dict(content: Any) -> RobotModel:
+    """The inverse of `to_dict`.
+
+    Raises:
+        ValueError: if a field is missing, unknown or of the wrong type; the message names it.
+    """
+    if not isinstance(content, Mapping) or content.get("format") != FORMAT:
+        raise ValueError(f"field `format` must be {FORMAT!r}; this is not a model file of this version")
+    listed = content.get("effects")
+    if not isinstance(listed, list) or not listed:
+        raise ValueError("field `effects` must be a list with one `- <effect>: {...}` each")
+    unknown = set(content) - {"format", "bus_voltage", "effects", "provenance"}
+    if unknown:
+        raise ValueError(f"unknown field `{sorted(unknown)[0]}`; remove it")
+    effects, estimates = [], {}
+    for entry in listed:
+        name, body = _single(entry)
+        made, values = _effect_from_plain(name, body)
+        effects.append(made)
+        estimates.update(values)
+    return RobotModel(
+        effects=tuple(effects),
+        estimates=estimates,
+        bus_voltage=_number("bus_voltage", content.get("bus_voltage", 11.1)),
+        provenance=content.get("provenance") or {},
+    )
+
+
+def _single(entry: Any) -> tuple[str, Mapping[str, Any]]:
+    if isinstance(entry, str):
+        return entry, {}
+    if not isinstance(entry, Mapping) or len(entry) != 1:
+        raise ValueError(f"an entry of `effects` must be one `<effect>: {{...}}`, got {entry!r}")
+    name, body = next(iter(entry.items()))
+    if body is not None and not isinstance(body, Mapping):
+        raise ValueError(f"effect `{name}` must hold options and parameters by name, got {body!r}")
+    return str(name), body or {}
+
+
+def _effect_from_plain(name: str, body: Mapping[str, Any]) -> tuple[Any, dict[str, Estimate]]:
+    cls = effect_class(name)
+    parameters = {p.name for p in cls.parameters}
+    options = {}
+    estimates = {}
+    for key, value in body.items():
+        if key in parameters:
+            estimates[key] = _estimate_from_plain(f"{name}.{key}", value)
+        elif key in cls.options():
+            options[key] = value
+        else:
+            raise ValueError(
+                f"effect `{name}` has no field `{key}`; it has {', '.join([*cls.options(), *sorted(parameters)])}"
+            )
+    return cls(**options), estimates
+
+
+def _estimate_to_plain(estimate: Estimate) -> Any:
+    if estimate.low is None and estimate.high is None and not estimate.joints:
+        return estimate.value
+    plain: dict[str, Any] = {"value": estimate.value}
+    if estimate.low is not None:
+        plain["low"] = estimate.low
+    if estimate.high is not None:
+        plain["high"] = estimate.high
+    if estimate.joints:
+        plain["joints"] = dict(estimate.joints)
+    return plain
+
+
+def _estimate_from_plain(where: str, value: Any) -> Estimate:
+    if not isinstance(value, Mapping):
+        return Estimate(_number(where, value))
+    unknown = set(value) - {"value", "low", "high", "joints"}
+    if unknown or "value" not in value:
+        raise ValueError(f"`{where}` must be a number or hold value, low, high, joints; got {dict(value)!r}")
+    joints = value.get("joints") or {}
+    return Estimate(
+        value=_number(where, value["value"]),
+        low=None if value.get("low") is None else _number(f"{where}.low", value["low"]),
+        high=None if value.get("high") is None else _number(f"{where}.high", value["high"]),
+        joints={str(j): _number(f"{where}.joints.{j}", v) for j, v in joints.items()},
+    )
+
+
+def _number(where: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or value != value:
+        raise ValueError(f"`{where}` must be a finite number, got {value!r}")
+    return float(value)

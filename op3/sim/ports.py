@@ -1,0 +1,96 @@
+"""Where servos plug into a MuJoCo model: actuators and sensors added to hinges, and their addresses."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+# Friction as a constraint creeps and can push along the motion with MuJoCo's defaults; a stiff, nearly hard
+# constraint does neither at 1 ms (tests/sim/test_friction.py measures both).
+SOLREF_FRICTION = (0.002, 1.0)
+SOLIMP_FRICTION = (0.99, 0.99, 0.001)
+
+
+def attach_servos(joints: Sequence[Any]) -> None:
+    """Give every hinge a motor and a sensor of the moment it transmits to its child link.
+
+    Adds to each joint a motor actuator ``<joint>_servo`` (its control is the torque [N m]), and to the child
+    body a site whose z axis is the joint axis with a torque sensor ``<joint>_transmitted``; sets the solver
+    parameters of the joint's friction. Attach before compiling, once.
+
+    Args:
+        joints: dm_control MJCF elements of hinge joints.
+
+    Raises:
+        ValueError: if a joint is not a hinge.
+    """
+    for joint in joints:
+        kind = joint.type or "hinge"
+        if kind != "hinge":
+            raise ValueError(f"a servo attaches to a hinge, but joint {joint.name!r} is of type {kind!r}")
+        axis = (0.0, 0.0, 1.0) if joint.axis is None else joint.axis
+        joint.solreffriction = SOLREF_FRICTION
+        joint.solimpfriction = SOLIMP_FRICTION
+        joint.root.actuator.add("motor", name=f"{joint.name}_servo", joint=joint)
+        position = (0.0, 0.0, 0.0) if joint.pos is None else joint.pos
+        site = joint.parent.add("site", name=f"{joint.name}_output", pos=position, zaxis=axis, group=4)
+        joint.root.sensor.add("torque", name=f"{joint.name}_transmitted", site=site)
+
+
+@dataclass(frozen=True)
+class ServoPorts:
+    """Addresses of servos in a compiled model, in the order of the joints; slices where they are contiguous.
+
+    Attributes:
+        joints: full names of the joints.
+        qpos: positions in ``qpos``.
+        dof: positions in ``qvel`` and in the dof fields of the model.
+        ctrl: positions in ``ctrl``.
+        transmitted: positions in ``sensordata`` of the moment about the joint axis that the servo's output
+            transmits to the child link; it equals motor torque plus the joint's own friction minus armature
+            times acceleration.
+    """
+
+    joints: tuple[str, ...]
+    qpos: slice | np.ndarray
+    dof: slice | np.ndarray
+    ctrl: slice | np.ndarray
+    transmitted: slice | np.ndarray
+
+    @classmethod
+    def find(cls, model: mujoco.MjModel, joints: Sequence[str]) -> "ServoPorts":
+        """Look up joints with servos attached, by their full names.
+
+        Raises:
+            ValueError: if a joint or its servo is missing.
+        """
+        ids = [_id(model, mujoco.mjtObj.mjOBJ_JOINT, name) for name in joints]
+        actuators = [_id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, f"{name}_servo") for name in joints]
+        sensors = [_id(model, mujoco.mjtObj.mjOBJ_SENSOR, f"{name}_transmitted") for name in joints]
+        return cls(
+            joints=tuple(joints),
+            qpos=_compact(model.jnt_qposadr[ids]),
+            dof=_compact(model.jnt_dofadr[ids]),
+            ctrl=_compact(np.asarray(actuators)),
+            transmitted=_compact(model.sensor_adr[sensors] + 2),
+        )
+
+
+def _id(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
+    found = mujoco.mj_name2id(model, kind, name)
+    if found < 0:
+        what = kind.name.removeprefix("mjOBJ_").lower()
+        raise ValueError(f"the model has no {what} {name!r}; attach servos before compiling")
+    return found
+
+
+def _compact(indices: np.ndarray) -> slice | np.ndarray:
+    """The same indices as a slice where they are evenly spaced, so that indexing gives a view."""
+    if len(indices) == 1:
+        return slice(int(indices[0]), int(indices[0]) + 1)
+    steps = np.diff(indices)
+    if (steps == steps[0]).all() and steps[0] > 0:
+        return slice(int(indices[0]), int(indices[-1]) + 1, int(steps[0]))
+    return indices

@@ -1,0 +1,126 @@
+"""The servo law as functions: closed forms and invariants."""
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from op3.servo import law
+
+torque = st.floats(-5.0, 5.0, allow_nan=False)
+efficiency = st.floats(0.3, 1.0)
+
+
+def scalar(value: float) -> torch.Tensor:
+    return torch.tensor([[value]], dtype=torch.float64)
+
+
+@pytest.mark.parametrize(
+    ("motor", "load", "forward", "backward", "brake"),
+    [
+        (1.0, 0.5, 0.8, 0.7, -0.2),  # same direction: the motor drives, -(1 - 0.8) * 1.0
+        (1.0, -0.5, 0.8, 0.7, -0.2),  # motor dominates: 0.8 - 0.5 > 0, still driving
+        (0.5, -1.0, 0.8, 0.7, 0.3),  # load dominates: 0.5 - 0.7 < 0, back-driven, -(1 - 0.7) * -1.0
+        (0.9, -1.0, 0.8, 0.7, 0.1),  # antagonistic: neither wins, -(0.9 - 1.0)
+        (-0.9, 1.0, 0.8, 0.7, -0.1),  # the same mirrored
+        (0.0, 1.0, 0.8, 0.7, -0.3),  # no motor torque: the load drives
+    ],
+)
+def test_printed_dte_matches_cases_solved_by_hand(motor, load, forward, backward, brake):
+    """Drive, back-drive and antagonistic hold give the brake torques of eq. (3)."""
+    result = law.dte_brake(scalar(motor), scalar(load), scalar(forward), scalar(backward))
+    assert result.item() == pytest.approx(brake, abs=1e-12)
+
+
+@given(torque, torque, efficiency, efficiency)
+def test_passive_dte_holds_exactly_where_the_printed_rule_does(motor, load, forward, backward):
+    """A joint at rest stays at rest under the passive bound iff eq. (3) is antagonistic."""
+    net = motor + load
+    bound = law.dte_passive_loss(
+        scalar(motor), scalar(load), scalar(1 - forward), scalar(1 - backward)
+    ).item()
+    printed_net = net + law.dte_brake(scalar(motor), scalar(load), scalar(forward), scalar(backward)).item()
+    margin = abs(abs(net) - bound)
+    if motor * load < 0 and margin > 1e-9:
+        assert (abs(net) < bound) == (abs(printed_net) < 1e-12)
+
+
+@given(torque, torque, efficiency, efficiency)
+def test_passive_dte_loses_what_the_printed_rule_loses_in_motion(motor, load, forward, backward):
+    """Where a joint moves with the winning torque, both forms leave the same net torque."""
+    net = motor + load
+    bound = law.dte_passive_loss(
+        scalar(motor), scalar(load), scalar(1 - forward), scalar(1 - backward)
+    ).item()
+    printed_net = net + law.dte_brake(scalar(motor), scalar(load), scalar(forward), scalar(backward)).item()
+    if abs(net) > bound + 1e-9 and motor * load != 0:
+        passive_net = net - bound * (1 if net > 0 else -1)
+        assert passive_net == pytest.approx(printed_net, abs=1e-9)
+
+
+def test_printed_rule_can_add_energy():
+    """Falling with the load while the motor wins on paper: the brake pushes along the motion."""
+    motor, load, velocity = 1.0, -0.9, -2.0
+    brake = law.dte_brake(scalar(motor), scalar(load), scalar(0.95), scalar(0.7)).item()
+    assert brake * velocity > 0
+
+
+def test_slip_of_a_hold_happens_at_the_backward_efficiency():
+    """With eta_fw = 1, a load of 1 N m is held down to a motor torque of eta_bw and no lower."""
+    for motor, holds in ((0.701, True), (0.699, False)):
+        bound = law.dte_passive_loss(scalar(motor), scalar(-1.0), scalar(0.0), scalar(0.3)).item()
+        assert (abs(motor - 1.0) <= bound) == holds
+
+
+@given(st.floats(-3, 3), st.floats(-20, 20), st.floats(1, 10), st.floats(5, 15))
+def test_current_controller_never_exceeds_the_bus(current, back_emf, resistance, bus):
+    """The applied voltage lies within the bus voltage, and equals R I* + emf where that fits."""
+    voltage = law.current_control(scalar(current), scalar(back_emf), scalar(resistance), scalar(bus)).item()
+    assert abs(voltage) <= bus
+    wanted = resistance * current + back_emf
+    if abs(wanted) <= bus:
+        assert voltage == pytest.approx(wanted, abs=1e-12)
+
+
+@given(st.floats(0, 50))
+def test_stribeck_friction_fades_from_its_static_value(speed):
+    """At rest the whole excess acts; it never grows with speed, as the printed formula would."""
+    value = law.stribeck_friction(scalar(speed), scalar(0.2), scalar(0.1)).item()
+    at_rest = law.stribeck_friction(scalar(0.0), scalar(0.2), scalar(0.1)).item()
+    assert at_rest == pytest.approx(0.2)
+    assert 0.0 <= value <= at_rest
+
+
+@given(st.floats(0.0, 0.024), st.sampled_from([0.001, 0.00025]))
+def test_delayed_commands_are_shares_of_time(latency, timestep):
+    """In every step the weights of past commands are non-negative and sum to one."""
+    weights = law.delay_weights(scalar(latency), timestep, 0.008, 4)
+    assert weights.shape == (round(0.008 / timestep), 4, 1, 1)
+    assert (weights >= 0).all()
+    torch.testing.assert_close(weights.sum(1), torch.ones_like(weights[:, 0]))
+
+
+def test_latency_is_the_centroid_of_the_delayed_signal():
+    """The average age of the commands in force is the latency plus half the hold, for any latency."""
+    period, timestep = 0.008, 0.001
+    for latency in (0.0, 0.0034, 0.006, 0.0171):
+        weights = law.delay_weights(scalar(latency), timestep, period, 4)[:, :, 0, 0]
+        middle = (torch.arange(8, dtype=torch.float64) + 0.5) * timestep
+        issued = -torch.arange(4, dtype=torch.float64) * period
+        age = (weights * (middle[:, None] - issued[None])).sum() / 8
+        assert age.item() == pytest.approx(latency + period / 2, abs=timestep / 2)
+
+
+def test_position_loop_saturates():
+    """A position servo's duty is proportional to the error up to its limit."""
+    duty = law.position_duty(scalar(1.0), scalar(0.0), scalar(0.5), 0.97)
+    assert duty.item() == pytest.approx(0.5)
+    assert law.position_duty(scalar(10.0), scalar(0.0), scalar(0.5), 0.97).item() == pytest.approx(0.97)
+
+
+def test_law_is_differentiable():
+    """Gradients flow from the losses to the efficiencies."""
+    loss = scalar(0.3).requires_grad_()
+    law.dte_passive_loss(scalar(0.2), scalar(-1.0), scalar(0.0), loss).sum().backward()
+    assert loss.grad is not None
+    assert loss.grad.item() == pytest.approx(1.0)

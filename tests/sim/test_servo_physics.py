@@ -1,0 +1,281 @@
+"""The law between MuJoCo's steps, against closed forms and against MuJoCo's own DC motor."""
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from op3.servo import RobotModel
+from op3.servo.effects import (
+    Coulomb,
+    CurrentPD,
+    DirectionalEfficiency,
+    EncoderOffset,
+    Latency,
+    Motor,
+    PositionServo,
+    Stribeck,
+    Viscous,
+)
+from op3.sim import BatchSimulation, attach_servos
+from op3.sim.ports import SOLIMP_FRICTION, SOLREF_FRICTION
+
+IDEAL = {"torque_constant": 0.006, "terminal_resistance": 5.0, "armature": 0.005}
+
+
+def compiled(hinge, **kwargs) -> mujoco.MjModel:
+    root, joint = hinge(**kwargs)
+    attach_servos([joint])
+    return mujoco.MjModel.from_xml_string(root.to_xml_string())
+
+
+def simulation(mj_model, effects, values, num_sims=1, **kwargs) -> BatchSimulation:
+    model = RobotModel(tuple(effects)).with_values(values)
+    return BatchSimulation(mj_model, ["hinge"], model, num_sims, **kwargs)
+
+
+def dcmotor_trajectory(voltages, substeps, timestep=0.001):
+    """The pendulum of `conftest` driven by MuJoCo's dcmotor with a voltage per tick."""
+    spec = mujoco.MjSpec.from_string(
+        f"""<mujoco><option timestep="{timestep}" integrator="implicitfast"/><worldbody><body>
+        <inertial pos="0 0 -0.1" mass="0.3" diaginertia="1e-4 1e-4 1e-4"/>
+        <joint name="hinge" type="hinge" axis="0 1 0" armature="0.005"/></body></worldbody>
+        <actuator><motor name="m" joint="hinge"/></actuator></mujoco>"""
+    )
+    constant = 0.006 * 353.5
+    spec.actuators[0].set_to_dcmotor(
+        motorconst=[constant, constant], resistance=5.0, ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_VOLTAGE)
+    )
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    positions = []
+    for voltage in voltages:
+        data.ctrl[0] = voltage
+        for _ in range(substeps):
+            mujoco.mj_step(model, data)
+        positions.append(data.qpos[0])
+    return np.array(positions)
+
+
+def test_saturated_current_drive_is_mujocos_dcmotor(hinge):
+    """A current that the bus cannot drive makes the servo a DC motor at bus voltage."""
+    sim = simulation(compiled(hinge), [CurrentPD(current_limit=1e3), Motor()], IDEAL)
+    ticks = 60
+    sim.reset([0.0], {"p_gain": 1e4, "position_target": 1e3})
+    ours = []
+    for _ in range(ticks):
+        sim.advance()
+        ours.append(sim.signals.position.item())
+    np.testing.assert_allclose(ours, dcmotor_trajectory([11.1] * ticks, 8), atol=1e-6)
+
+
+def test_voltage_drive_below_saturation_is_mujocos_dcmotor(hinge):
+    """A voltage-driven servo equals MuJoCo's dcmotor fed with the same voltages."""
+    effects = [PositionServo(error_gain=1.0, max_duty=1.0, goal_speed=1e9), Motor(drive="voltage")]
+    sim = simulation(compiled(hinge), effects, IDEAL, control_period=0.001)
+    sim.reset([0.0], {"firmware_gain": 0.4, "position_target": 0.5})
+    ours, voltages = [], []
+    for tick in range(500):
+        sim.command(position_target=np.sin(0.01 * tick))
+        sim.advance()
+        ours.append(sim.signals.position.item())
+        voltages.append(sim.signals.voltage.item())
+    assert max(map(abs, voltages)) < 11.1
+    np.testing.assert_allclose(ours, dcmotor_trajectory(voltages, 1), atol=1e-6)
+
+
+def test_current_drive_below_saturation_is_a_torque_source(hinge):
+    """Unsaturated, ideal gear, no friction: the joint feels K I* and nothing else, as a plain motor gives it."""
+    sim = simulation(compiled(hinge), [CurrentPD(), Motor()], IDEAL)
+    plain_model = compiled(hinge)
+    plain = mujoco.MjData(plain_model)
+    sim.reset([0.0], {"p_gain": 1.0, "d_gain": 0.1})
+    for _ in range(250):
+        current = 1.0 * (0.4 - plain.qpos[0]) - 0.1 * plain.qvel[0]
+        sim.command(position_target=0.4)
+        sim.advance()
+        plain.ctrl[0] = 0.006 * 353.5 * current
+        for _ in range(8):
+            mujoco.mj_step(plain_model, plain)
+    assert sim.signals.position.item() == pytest.approx(plain.qpos[0], abs=1e-9)
+
+
+def test_resistance_is_recovered_from_saturated_motion(hinge):
+    """R identified at 1 ms from voltage-saturated motion made at 0.05 ms is right within 1 %."""
+
+    def run(timestep, resistance):
+        effects = [CurrentPD(current_limit=1e3), Motor(), Coulomb()]
+        values = {**IDEAL, "coulomb_friction": 0.05}
+        sim = simulation(compiled(hinge, timestep=timestep), effects, values, num_sims=len(resistance))
+        sim.set_parameters({"terminal_resistance": torch.as_tensor(resistance)})
+        sim.reset([0.0], {"p_gain": 1e3})
+        positions = []
+        for tick in range(100):
+            sim.command(position_target=torch.tensor(3.0 if tick < 50 else -3.0))
+            sim.advance()
+            positions.append(sim.signals.position[:, 0].clone())
+        return torch.stack(positions, 1)
+
+    truth = run(0.00005, [5.0])
+    candidates = np.linspace(4.8, 5.2, 41)
+    error = ((run(0.001, candidates) - truth) ** 2).mean(1)
+    assert candidates[error.argmin()] == pytest.approx(5.0, rel=0.01)
+
+
+def test_load_torque_of_two_links_solved_by_hand(hinge):
+    """At rest the servo transmits what holds the link: m g l sin(q), plus the second link's share."""
+    xml = """<mujoco><worldbody><body name="a"><inertial pos="0 0 -0.1" mass="0.3" diaginertia="1e-4 1e-4 1e-4"/>
+      <joint name="upper" axis="0 1 0"/><body name="b" pos="0 0 -0.2">
+      <inertial pos="0 0 -0.1" mass="0.2" diaginertia="1e-4 1e-4 1e-4"/><joint name="lower" axis="0 -1 0"/>
+      </body></body></worldbody></mujoco>"""
+    from dm_control import mjcf
+
+    root = mjcf.from_xml_string(xml)
+    attach_servos([root.find("joint", "upper"), root.find("joint", "lower")])
+    mj_model = mujoco.MjModel.from_xml_string(root.to_xml_string())
+    data = mujoco.MjData(mj_model)
+    upper, lower = 0.5, -0.3
+    data.qpos[:] = [upper, lower]
+    # gravity about the lower joint: 0.2 kg at 0.1 m, absolute angle upper - lower (its axis points back)
+    gravity_lower = 0.2 * 9.81 * 0.1 * np.sin(upper - lower)
+    gravity_upper = 0.3 * 9.81 * 0.1 * np.sin(upper) + 0.2 * 9.81 * 0.2 * np.sin(upper) + gravity_lower
+    data.ctrl[:] = [gravity_upper, -gravity_lower]
+    mujoco.mj_forward(mj_model, data)
+    np.testing.assert_allclose(data.qacc, 0, atol=1e-9)
+    np.testing.assert_allclose(data.sensordata[[2, 5]], [gravity_upper, -gravity_lower], atol=1e-9)
+
+
+def friction_effects():
+    return [CurrentPD(), Motor(), DirectionalEfficiency(), Coulomb(), Stribeck(), Viscous()]
+
+
+def test_friction_and_passive_gear_loss_never_add_energy(hinge):
+    """10,000 random states: the power of friction is not positive unless the velocity reverses in that step."""
+    num = 10_000
+    rng = np.random.default_rng(0)
+    mj_model = compiled(hinge)
+    sim = simulation(mj_model, friction_effects(), {}, num_sims=num, control_period=0.001)
+    sim.set_parameters(
+        {
+            "backward_efficiency": torch.from_numpy(rng.uniform(0.6, 1.0, num)),
+            "coulomb_friction": torch.from_numpy(rng.uniform(0.01, 0.25, num)),
+            "static_friction_excess": torch.from_numpy(rng.uniform(0.0, 0.25, num)),
+            "viscous_friction": torch.from_numpy(rng.uniform(0.0025, 0.15, num)),
+        }
+    )
+    friction = sim.batch.bind("qfrc_constraint")
+    qpos = rng.uniform(-np.pi, np.pi, (num, 1))
+    target = torch.from_numpy(qpos + rng.uniform(-1, 1, (num, 1)))
+    sim.reset(qpos, {"position_target": target, "p_gain": 6.0}, rng.normal(0, 3, (num, 1)))
+    for _ in range(3):
+        before = sim.signals.velocity.clone()[:, 0].numpy()
+        sim.advance()
+        after = sim.signals.velocity[:, 0].numpy()
+        power = friction[:, 0] * before
+        kept_direction = np.sign(before) == np.sign(after)
+        assert (power[kept_direction] <= 1e-9).all()
+        assert kept_direction.mean() > 0.5
+
+
+def test_a_joint_at_93_percent_of_its_bound_does_not_creep(hinge):
+    """Held just inside its friction bound, a joint moves at most 5 mrad in 5 s; outside it, it slips."""
+    torque = 0.3 * 9.81 * 0.1 * np.sin(1.0)
+    sim = simulation(compiled(hinge), [CurrentPD(), Motor(), Coulomb()], IDEAL, num_sims=2)
+    sim.set_parameters({"coulomb_friction": torch.tensor([torque / 0.93, torque / 1.07])})
+    sim.reset([1.0], {"p_gain": 0.0, "d_gain": 0.0})
+    for _ in range(625):
+        sim.advance()
+    moved = (sim.signals.position[:, 0] - 1.0).abs()
+    assert moved[0] < 0.005
+    assert moved[1] > 0.05
+
+
+def test_defaults_of_mujoco_would_creep(hinge):
+    """The reason for our solver parameters: with MuJoCo's own the same hold creeps far."""
+    root, joint = hinge()
+    attach_servos([joint])
+    assert tuple(joint.solreffriction) == SOLREF_FRICTION
+    assert tuple(joint.solimpfriction) == SOLIMP_FRICTION
+    del joint.solreffriction, joint.solimpfriction
+    mj_model = mujoco.MjModel.from_xml_string(root.to_xml_string())
+    torque = 0.3 * 9.81 * 0.1 * np.sin(1.0)
+    sim = simulation(mj_model, [CurrentPD(), Motor(), Coulomb()], IDEAL)
+    sim.set_parameters({"coulomb_friction": torch.tensor([torque / 0.93])})
+    sim.reset([1.0], {"p_gain": 0.0, "d_gain": 0.0})
+    for _ in range(625):
+        sim.advance()
+    assert (sim.signals.position[0, 0] - 1.0).abs() > 0.02
+
+
+NEUTRAL = [
+    (DirectionalEfficiency(), {"forward_efficiency": 1.0, "backward_efficiency": 1.0}),
+    (DirectionalEfficiency(form="printed"), {"forward_efficiency": 1.0, "backward_efficiency": 1.0}),
+    (Coulomb(), {"coulomb_friction": 0.0}),
+    (Stribeck(), {"static_friction_excess": 0.0}),
+    (Viscous(), {"viscous_friction": 0.0}),
+    (Latency(), {"command_latency": 0.0}),
+    (EncoderOffset(), {"encoder_offset": 0.0}),
+]
+
+
+@pytest.mark.parametrize(("effect", "values"), NEUTRAL, ids=lambda x: getattr(x, "name", ""))
+def test_neutral_effects_change_nothing_bit_for_bit(hinge, effect, values):
+    """An effect at its neutral value leaves the trajectory identical to the last bit."""
+    base = [e for e in friction_effects() if e.name != effect.name]
+
+    def run(effects, extra):
+        sim = simulation(compiled(hinge), effects, extra)
+        sim.reset([0.3], {"p_gain": 3.0, "d_gain": 0.1})
+        trace = []
+        for tick in range(100):
+            sim.command(position_target=np.sin(0.1 * tick))
+            sim.advance()
+            trace.append(torch.cat([sim.signals.position, sim.signals.velocity, sim.signals.current]))
+        return torch.stack(trace)
+
+    assert torch.equal(run(base, {}), run([*base, effect], values))
+
+
+def test_latency_delays_the_current_by_its_amount(hinge):
+    """After a step of the target the current rises in the step that contains the latency, in proportion."""
+    sim = simulation(compiled(hinge, gravity=False), [CurrentPD(), Latency(), Motor()], IDEAL)
+    sim.set_parameters({"command_latency": 0.0034})
+    sim.reset([0.0], {"p_gain": 1.0, "d_gain": 0.0})
+    sim.command(position_target=1.0)
+    seen = []
+    sim.law.tick(sim.signals)
+    for _ in range(8):
+        sim.law.step(sim.signals)
+        seen.append(sim.signals.current.item())
+    np.testing.assert_allclose(seen, [0, 0, 0, 0.6, 1, 1, 1, 1], atol=1e-9)
+
+
+def test_a_diverging_simulation_is_reported_and_alone(hinge):
+    """A non-finite command or an absurd gain fails its own simulation and no other."""
+    sim = simulation(compiled(hinge), friction_effects(), {}, num_sims=3)
+    sim.reset([0.3], {"p_gain": 3.0})
+    sim.command(position_target=torch.tensor([[0.1], [float("nan")], [0.2]], dtype=torch.float64))
+    for _ in range(20):
+        sim.advance()
+    assert sim.failed.tolist() == [False, True, False]
+    assert torch.isfinite(sim.signals.position[[0, 2]]).all()
+    alone = simulation(compiled(hinge), friction_effects(), {}, num_sims=1)
+    alone.reset([0.3], {"p_gain": 3.0})
+    alone.command(position_target=0.1)
+    for _ in range(20):
+        alone.advance()
+    assert torch.equal(alone.signals.position[0], sim.signals.position[0])
+
+
+def test_bad_arguments_are_named(hinge):
+    """Unknown parameters, unknown commands and odd periods are refused with what would be right."""
+    mj_model = compiled(hinge)
+    sim = simulation(mj_model, friction_effects(), {})
+    with pytest.raises(ValueError, match="coulomb_friction"):
+        sim.set_parameters({"coulomb": 1.0})
+    with pytest.raises(ValueError, match="position_target"):
+        sim.command(target=0.0)
+    with pytest.raises(ValueError, match="multiple"):
+        simulation(mj_model, friction_effects(), {}, control_period=0.0015)
+    with pytest.raises(ValueError, match="no joint 'knee'"):
+        BatchSimulation(mj_model, ["knee"], RobotModel((Motor(),)), 1)
