@@ -181,9 +181,7 @@ def register(effect: type[Effect]) -> type[Effect]:
     taken = {parameter.name for other in _CATALOGUE.values() for parameter in other.parameters}
     clash = taken & {parameter.name for parameter in effect.parameters}
     if clash:
-        raise ValueError(
-            f"effect {effect.name!r}: parameter names {sorted(clash)} are taken by other effects"
-        )
+        raise ValueError(f"effect {effect.name!r}: parameter names {sorted(clash)} are taken by other effects")
     _CATALOGUE[effect.name] = effect
     return effect
 

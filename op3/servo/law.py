@@ -10,9 +10,7 @@ import torch
 from torch import Tensor
 
 
-def pd_current(
-    position_target: Tensor, position: Tensor, velocity: Tensor, p_gain: Tensor, d_gain: Tensor
-) -> Tensor:
+def pd_current(position_target: Tensor, position: Tensor, velocity: Tensor, p_gain: Tensor, d_gain: Tensor) -> Tensor:
     """Target current [A] of the variable-gain PD: ``Kp (q* - q) - Kd w``.
 
     Args:
@@ -67,9 +65,7 @@ def dte_brake(
     )
 
 
-def dte_passive_loss(
-    motor_torque: Tensor, load_torque: Tensor, forward_loss: Tensor, backward_loss: Tensor
-) -> Tensor:
+def dte_passive_loss(motor_torque: Tensor, load_torque: Tensor, forward_loss: Tensor, backward_loss: Tensor) -> Tensor:
     """Bound [N m] on a friction that loses what eq. (3) loses but always opposes motion.
 
     ``(1 - eta_fw) |tau_m|`` where the motor leads or both torques point the same way, otherwise

@@ -93,9 +93,7 @@ class RobotModel:
         """
         values = {}
         for name, known in self.parameters().items():
-            row = torch.full(
-                (1, len(joints) if known.per_joint else 1), self.value(name), dtype=torch.float64
-            )
+            row = torch.full((1, len(joints) if known.per_joint else 1), self.value(name), dtype=torch.float64)
             for joint, value in self.estimates[name].joints.items() if name in self.estimates else ():
                 if joint not in joints:
                     raise ValueError(f"{name}: unknown joint {joint!r}; the robot has {', '.join(joints)}")
@@ -110,9 +108,7 @@ class RobotModel:
             estimates[name] = value if isinstance(value, Estimate) else Estimate(float(value))
         return replace(self, estimates=estimates)
 
-    def with_effect(
-        self, effect: Effect, values: Mapping[str, float | Estimate] | None = None
-    ) -> "RobotModel":
+    def with_effect(self, effect: Effect, values: Mapping[str, float | Estimate] | None = None) -> "RobotModel":
         """This model with one more effect, or with this one in place of its namesake."""
         others = tuple(e for e in self.effects if e.name != effect.name)
         return replace(self, effects=(*others, effect)).with_values(values or {})

@@ -60,9 +60,7 @@ class BatchSimulation:
         self.timestep = float(mj_model.opt.timestep)
         self.substeps = round(control_period / self.timestep)
         if self.substeps < 1 or abs(self.substeps * self.timestep - control_period) > 1e-9:
-            raise ValueError(
-                f"control_period {control_period} s must be a multiple of the time step {self.timestep} s"
-            )
+            raise ValueError(f"control_period {control_period} s must be a multiple of the time step {self.timestep} s")
         self.model = model
         self.num_sims = num_sims
         self.joint_names = tuple(joint_names or (name.rsplit("/", 1)[-1] for name in joints))
@@ -108,9 +106,7 @@ class BatchSimulation:
             if name not in known:
                 raise ValueError(f"the model has no parameter {name!r}; it has {', '.join(known)}")
             value = torch.as_tensor(value, dtype=torch.float64)
-            full[name] = (
-                value.view(-1, 1) if value.ndim == 1 else value.view(1, 1) if value.ndim == 0 else value
-            )
+            full[name] = value.view(-1, 1) if value.ndim == 1 else value.view(1, 1) if value.ndim == 0 else value
         shape = (self.num_sims, len(self.joint_names))
         try:
             expanded = {
@@ -118,9 +114,7 @@ class BatchSimulation:
                 for name, value in full.items()
             }
         except RuntimeError as error:
-            raise ValueError(
-                f"parameter values must be [sim] or [sim, joint] with {shape}: {error}"
-            ) from error
+            raise ValueError(f"parameter values must be [sim] or [sim, joint] with {shape}: {error}") from error
         self.parameters = expanded
         self.law.set_parameters(expanded)
         edits = edited_fields(
@@ -138,9 +132,7 @@ class BatchSimulation:
             self.batch.set_const()
         self._rotor = self._armature[:, self.ports.dof].clone()
 
-    def reset(
-        self, qpos: np.ndarray | Tensor, commands: Mapping[str, Tensor] | None = None, qvel: Any = 0.0
-    ) -> None:
+    def reset(self, qpos: np.ndarray | Tensor, commands: Mapping[str, Tensor] | None = None, qvel: Any = 0.0) -> None:
         """Start all simulations anew.
 
         Args:

@@ -50,7 +50,5 @@ def edited_fields(
             else:
                 rows, value = (slice(None), base_body), value[:, 0]
             where = rows if edit.column is None else (*rows, edit.column)
-            edited[edit.field][where] = (
-                value if edit.operation == "set" else edited[edit.field][where] + value
-            )
+            edited[edit.field][where] = value if edit.operation == "set" else edited[edit.field][where] + value
     return edited

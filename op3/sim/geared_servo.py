@@ -43,9 +43,7 @@ class GearedServo:
         values = self.model.tensors(self.joint_names)
         shape = self.signals.position.shape
         known = self.model.parameters()
-        values = {
-            k: v.expand(shape if known[k].per_joint else (1, 1)).contiguous() for k, v in values.items()
-        }
+        values = {k: v.expand(shape if known[k].per_joint else (1, 1)).contiguous() for k, v in values.items()}
         self.law = ServoLaw(self.model.effects, float(physics.model.opt.timestep))
         self.law.set_parameters(values)
         edits = edited_fields(physics.model.ptr, self.model.effects, values, self.ports, int(base), {}, 1)

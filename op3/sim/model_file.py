@@ -38,9 +38,7 @@ def load_model(path: str | Path) -> RobotModel:
     try:
         content = yaml.safe_load(path.read_text())
     except yaml.YAMLError as error:
-        raise ValueError(
-            f"{path}: not valid YAML ({' '.join(str(error).split())}); fix or rewrite it"
-        ) from error
+        raise ValueError(f"{path}: not valid YAML ({' '.join(str(error).split())}); fix or rewrite it") from error
     try:
         return from_dict(content)
     except ValueError as error:

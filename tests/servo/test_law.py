@@ -36,9 +36,7 @@ def test_printed_dte_matches_cases_solved_by_hand(motor, load, forward, backward
 def test_passive_dte_holds_exactly_where_the_printed_rule_does(motor, load, forward, backward):
     """A joint at rest stays at rest under the passive bound iff eq. (3) is antagonistic."""
     net = motor + load
-    bound = law.dte_passive_loss(
-        scalar(motor), scalar(load), scalar(1 - forward), scalar(1 - backward)
-    ).item()
+    bound = law.dte_passive_loss(scalar(motor), scalar(load), scalar(1 - forward), scalar(1 - backward)).item()
     printed_net = net + law.dte_brake(scalar(motor), scalar(load), scalar(forward), scalar(backward)).item()
     margin = abs(abs(net) - bound)
     if motor * load < 0 and margin > 1e-9:
@@ -49,9 +47,7 @@ def test_passive_dte_holds_exactly_where_the_printed_rule_does(motor, load, forw
 def test_passive_dte_loses_what_the_printed_rule_loses_in_motion(motor, load, forward, backward):
     """Where a joint moves with the winning torque, both forms leave the same net torque."""
     net = motor + load
-    bound = law.dte_passive_loss(
-        scalar(motor), scalar(load), scalar(1 - forward), scalar(1 - backward)
-    ).item()
+    bound = law.dte_passive_loss(scalar(motor), scalar(load), scalar(1 - forward), scalar(1 - backward)).item()
     printed_net = net + law.dte_brake(scalar(motor), scalar(load), scalar(forward), scalar(backward)).item()
     if abs(net) > bound + 1e-9 and motor * load != 0:
         passive_net = net - bound * (1 if net > 0 else -1)

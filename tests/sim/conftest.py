@@ -20,9 +20,7 @@ def hinge():
     """Factory of a pendulum's MJCF and its joint element."""
 
     def make(timestep: float = 0.001, gravity: bool = True):
-        root = mjcf.from_xml_string(
-            HINGE.format(timestep=timestep, gravity="enable" if gravity else "disable")
-        )
+        root = mjcf.from_xml_string(HINGE.format(timestep=timestep, gravity="enable" if gravity else "disable"))
         return root, root.find("joint", "hinge")
 
     return make

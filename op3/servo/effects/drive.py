@@ -37,9 +37,7 @@ class CurrentPD(Effect):
             signals.p_gain,
             signals.d_gain,
         )
-        signals.target_current = (
-            current.clamp(-self.current_limit, self.current_limit) * signals.torque_enable
-        )
+        signals.target_current = current.clamp(-self.current_limit, self.current_limit) * signals.torque_enable
 
 
 @register

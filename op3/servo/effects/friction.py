@@ -20,9 +20,7 @@ class Coulomb(Effect):
     stage: ClassVar[Stage] = Stage.FRICTION
     equation: ClassVar[str] = "tau_fric += fc"
     source: ClassVar[str] = "paper eq. (4); range from Table I"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("coulomb_friction", "N m", 0.01, 0.25, 0.1, 0.0, "fc"),
-    )
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("coulomb_friction", "N m", 0.01, 0.25, 0.1, 0.0, "fc"),)
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Raise the bound by fc."""

@@ -1,0 +1,50 @@
+"""The OP3 itself: joints, model, poses, scenes and motions."""
+
+from op3.robot.assets import asset_path
+from op3.robot.joints import (
+    CONTROLLED_JOINTS,
+    GEAR_RATIO,
+    HELD_JOINTS,
+    JOINT_AXES,
+    JOINTS,
+    MIRROR,
+    SERVO_IDS,
+    SOFT_LIMITS,
+    indices,
+    mirror,
+)
+from op3.robot.kinematics import KEY_POINTS, center_of_mass, key_points, quaternion, sole_corners
+from op3.robot.motions import Motion, hold, squat
+from op3.robot.op3_entity import OP3
+from op3.robot.poses import POSES, pose, standing_height
+from op3.robot.scenes import SCENES, Scene, build_bench, build_scene
+
+__all__ = [
+    "CONTROLLED_JOINTS",
+    "GEAR_RATIO",
+    "HELD_JOINTS",
+    "JOINTS",
+    "JOINT_AXES",
+    "KEY_POINTS",
+    "MIRROR",
+    "OP3",
+    "POSES",
+    "SCENES",
+    "SERVO_IDS",
+    "SOFT_LIMITS",
+    "Motion",
+    "Scene",
+    "asset_path",
+    "build_bench",
+    "build_scene",
+    "center_of_mass",
+    "hold",
+    "indices",
+    "key_points",
+    "mirror",
+    "pose",
+    "quaternion",
+    "sole_corners",
+    "squat",
+    "standing_height",
+]

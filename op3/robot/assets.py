@@ -1,0 +1,26 @@
+"""Where the data files of the package are: the folder `assets/`, in a checkout and in an installed wheel."""
+
+from pathlib import Path
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+_CANDIDATES = (_PACKAGE / "_assets", _PACKAGE.parent / "assets")
+"""An installed wheel carries `op3/_assets`; a checkout has `assets/` beside `op3/`."""
+
+
+def asset_path(name: str) -> Path:
+    """Absolute path of a data file.
+
+    Args:
+        name: path relative to `assets/`, such as "op3/op3.xml".
+
+    Raises:
+        FileNotFoundError: naming the folders that were searched.
+    """
+    for folder in _CANDIDATES:
+        path = folder / name
+        if path.is_file():
+            return path
+    searched = " or ".join(str(folder) for folder in _CANDIDATES)
+    raise FileNotFoundError(
+        f"no asset {name!r} in {searched}; run from a checkout or install the wheel, which carries them"
+    )

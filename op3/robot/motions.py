@@ -1,0 +1,128 @@
+"""Motions as arrays: what the joints are asked to do over time, and the files they are shared in."""
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from op3.robot.joints import JOINTS, indices
+from op3.robot.kinematics import check_joint_position
+from op3.robot.poses import SQUAT_KNEE_HIGH, SQUAT_KNEE_LOW, SQUAT_LEAN, squat_position
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Target joint angles over time.
+
+    Attributes:
+        time: [time] in s, increasing.
+        position: [time, joint] in rad, in the order of `joints`.
+        joints: joint names.
+        name: what the motion is called in logs and figures.
+    """
+
+    time: NDArray[np.float64]
+    position: NDArray[np.float64]
+    joints: tuple[str, ...] = JOINTS
+    name: str = "motion"
+
+    def __post_init__(self):
+        """Refuse arrays that do not fit together."""
+        indices(self.joints)
+        if self.position.shape != (len(self.time), len(self.joints)):
+            raise ValueError(
+                f"motion {self.name!r}: position must be [time, joint] = "
+                f"({len(self.time)}, {len(self.joints)}), got {self.position.shape}"
+            )
+        if not (np.isfinite(self.time).all() and np.isfinite(self.position).all()):
+            raise ValueError(f"motion {self.name!r} holds numbers that are not finite")
+        if (np.diff(self.time) <= 0).any():
+            row = int(np.argmax(np.diff(self.time) <= 0)) + 1
+            raise ValueError(f"motion {self.name!r}: time does not increase at row {row}")
+
+    def save(self, path: str | Path) -> Path:
+        """Write the motion to `path`: exact binary for .npz, a table for .csv (rounded to 1e-9 s and rad)."""
+        path = Path(path)
+        if path.suffix == ".npz":
+            np.savez(path, time=self.time, position=self.position, joints=self.joints, name=self.name)
+        elif path.suffix == ".csv":
+            table = np.column_stack([self.time, self.position])
+            header = ",".join(("time", *self.joints))
+            np.savetxt(path, table, fmt="%.9f", delimiter=",", header=header, comments="")
+        else:
+            raise ValueError(f"a motion is saved as .npz or .csv, got {path.name!r}")
+        return path
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Motion":
+        """Read a motion that `save` wrote. A .csv takes its name from the file."""
+        path = Path(path)
+        if path.suffix == ".npz":
+            with np.load(path) as file:
+                joints = tuple(str(name) for name in file["joints"])
+                return cls(file["time"], file["position"], joints, str(file["name"]))
+        if path.suffix == ".csv":
+            return _load_csv(path)
+        raise ValueError(f"a motion is read from .npz or .csv, got {path.name!r}")
+
+
+def _load_csv(path: Path) -> Motion:
+    with path.open(newline="") as file:
+        rows = list(csv.reader(file))
+    if not rows:
+        raise ValueError(f"{path} is empty: it holds no header")
+    header = rows.pop(0)
+    if header[:1] != ["time"]:
+        raise ValueError(f"{path}: the first column must be 'time', got {header[:1]}")
+    for number, row in enumerate(rows, start=2):
+        if len(row) != len(header):
+            raise ValueError(f"{path}, line {number}: expected {len(header)} columns, got {len(row)}")
+    try:
+        table = np.array(rows, dtype=float).reshape(len(rows), len(header))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    return Motion(table[:, 0], table[:, 1:], tuple(header[1:]), path.stem)
+
+
+def _sample_times(duration: float, rate: float) -> NDArray[np.float64]:
+    """Times 0, 1/rate, ... below `duration` [time] in s."""
+    if not (duration > 0 and rate > 0):
+        raise ValueError(f"duration and rate must be positive, got {duration} s and {rate} Hz")
+    return np.arange(round(duration * rate)) / rate
+
+
+def squat(
+    knee_low: float = SQUAT_KNEE_LOW,
+    knee_high: float = SQUAT_KNEE_HIGH,
+    frequency: float = 0.5,
+    lean: float = SQUAT_LEAN,
+    duration: float = 5.0,
+    rate: float = 125.0,
+) -> Motion:
+    """The squat that excites the robot for identification.
+
+    The paper: keeping a forward-leaning posture, the knee goes between 1.47 and 0.6 rad at about 0.5 Hz. Here
+    it follows a raised cosine from the low position, so both ends are passed at rest; hip and ankle keep the
+    soles level and the hips above the ankles; arms and head stay as in the pose "stand".
+
+    Args:
+        knee_low: knee angle at the start and at every lowest point, rad.
+        knee_high: knee angle at every highest point, rad.
+        frequency: full cycles per second.
+        lean: pitch of the trunk, rad, positive forward.
+        duration: length in s.
+        rate: rows per second; the default is the rate of the robot's PD loop.
+    """
+    time = _sample_times(duration, rate)
+    crouch = (1 + np.cos(2 * np.pi * frequency * time)) / 2
+    knee = knee_high + (knee_low - knee_high) * crouch
+    return Motion(time, squat_position(knee, lean), JOINTS, "squat")
+
+
+def hold(joint_position: ArrayLike, duration: float, rate: float = 125.0) -> Motion:
+    """Stay at the angles `joint_position` [joint] in rad for `duration` [s], with `rate` rows per second."""
+    time = _sample_times(duration, rate)
+    position = check_joint_position(joint_position)
+    return Motion(time, np.tile(position, (len(time), 1)), JOINTS, "hold")

@@ -1,0 +1,167 @@
+"""Scenes: the robot on a floor, the robot in a stand, one servo on a bench.
+
+A scene is an MJCF tree that stays open: servos, sensors and weights are added to `joints` or `mjcf_model`,
+then `compile` makes a MuJoCo model of whatever the tree holds at that moment.
+"""
+
+# MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
+# pyright: reportAttributeAccessIssue=false
+
+from dataclasses import dataclass
+from typing import Any, cast
+
+import mujoco
+import numpy as np
+from dm_control import composer, mjcf
+from numpy.typing import ArrayLike, NDArray
+
+from op3.robot.assets import asset_path
+from op3.robot.kinematics import check_joint_position, quaternion, rotation_matrix
+from op3.robot.op3_entity import OP3
+from op3.robot.poses import level_soles, pose, standing_height
+
+SCENES: tuple[str, ...] = ("floor", "stand", "bench")
+"""Names that `build_scene` knows."""
+
+BENCH_MASS = 0.5
+"""Mass of the default pendulum [kg]."""
+
+BENCH_LENGTH = 0.15
+"""Length of the default pendulum [m]; with the default mass it hangs on the servo with at most 0.74 Nm."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One world, ready to be added to and compiled.
+
+    Attributes:
+        arena: the composer arena that holds everything.
+        robot: the robot in it, None on the bench.
+        joints: hinge elements [joint]: in `JOINTS` order, or the one servo of the bench.
+        name: "floor", "stand" or "bench".
+        mount: how the robot is held, as logs call it: "floor", "stand" or "pendulum".
+        tilt_roll: roll of a fixed base in rad.
+        tilt_pitch: pitch of a fixed base in rad, positive forward.
+    """
+
+    arena: composer.Arena
+    robot: OP3 | None
+    joints: tuple[mjcf.Element, ...]
+    name: str
+    mount: str
+    tilt_roll: float = 0.0
+    tilt_pitch: float = 0.0
+
+    @property
+    def mjcf_model(self) -> mjcf.RootElement:
+        """The root of the MJCF tree."""
+        return cast(mjcf.RootElement, self.arena.mjcf_model)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of `joints` in the compiled model, such as "op3/l_knee"."""
+        return tuple(str(joint.full_identifier) for joint in self.joints)
+
+    @property
+    def floating(self) -> bool:
+        """Whether the trunk is free to move: qpos then starts with 7 and qvel with 6 numbers of the base."""
+        return self.mount == "floor"
+
+    @property
+    def mounted_specific_force(self) -> NDArray[np.float64]:
+        """What an accelerometer on a fixed base reads [xyz] in m/s^2, in the base's frame.
+
+        MuJoCo's own accelerometer reads zero on a body that cannot move, where a real one reads gravity, so a
+        log of the stand takes this instead of the sensor.
+        """
+        if self.floating:
+            raise ValueError(f"the base of scene {self.name!r} moves: read the sensor imu_accelerometer instead")
+        gravity = np.asarray(cast(Any, self.mjcf_model).option.gravity)
+        return -rotation_matrix(self.tilt_roll, self.tilt_pitch).T @ gravity
+
+    def compile(self) -> mujoco.MjModel:
+        """A MuJoCo model of the tree as it is now. Every call compiles anew."""
+        return mujoco.MjModel.from_xml_string(self.mjcf_model.to_xml_string(), self.mjcf_model.get_assets())
+
+    def initial_qpos(
+        self, joint_position: ArrayLike, roll: float | None = None, pitch: float | None = None
+    ) -> NDArray[np.float64]:
+        """Full qpos of a pose; if the base is free, the lowest sole corner touches the floor.
+
+        Args:
+            joint_position: [joint] in rad, in the order of `joints`.
+            roll: roll of a free trunk in rad; None: the soles are level.
+            pitch: pitch of a free trunk in rad, positive forward; None: the soles are level.
+
+        Returns:
+            [qpos]: with a free base the trunk's x, y, z in m, its quaternion (w, x, y, z) and the joints;
+            otherwise the joints alone.
+        """
+        position = check_joint_position(joint_position, len(self.joints))
+        if self.floating:
+            level_roll, level_pitch = level_soles(position)
+            roll = level_roll if roll is None else roll
+            pitch = level_pitch if pitch is None else pitch
+            height = standing_height(position, roll, pitch)
+            return np.concatenate([[0.0, 0.0, height], quaternion(roll, pitch), position])
+        if roll or pitch:
+            raise ValueError(
+                f"the base of scene {self.name!r} is fixed, so it has no roll and pitch to start from; "
+                "tilt the stand with build_scene('stand', tilt_roll=..., tilt_pitch=...)"
+            )
+        return position.copy()
+
+
+def build_scene(name: str, *, tilt_roll: float = 0.0, tilt_pitch: float = 0.0) -> Scene:
+    """A new scene.
+
+    Args:
+        name: "floor": level floor, free robot. "stand": the trunk is fixed 0.5 m up, no foot reaches the
+            ground. "bench": one servo with the default pendulum (see `build_bench`).
+        tilt_roll: roll of the stand in rad.
+        tilt_pitch: pitch of the stand in rad, positive forward.
+    """
+    if name not in SCENES:
+        raise ValueError(f"unknown scene {name!r}; the scenes are {', '.join(SCENES)}")
+    if name != "stand" and (tilt_roll or tilt_pitch):
+        raise ValueError(f"only the scene 'stand' can be tilted, got tilt_roll and tilt_pitch for {name!r}")
+    if name == "bench":
+        return build_bench()
+    arena = composer.Arena(xml_path=str(asset_path(f"scenes/{name}.xml")))
+    root: Any = arena.mjcf_model
+    robot = OP3()
+    if name == "floor":
+        # The model's reference pose stands on the floor, legs straight: tracking cameras measure from it.
+        frame: Any = arena.add_free_entity(robot)
+        frame.pos = [0.0, 0.0, standing_height(pose("zero"))]
+    else:
+        mount = root.find("site", "mount")
+        mount.quat = quaternion(tilt_roll, tilt_pitch)
+        arena.attach(robot, mount)
+    return Scene(arena, robot, tuple(robot.joints), name, name, tilt_roll, tilt_pitch)
+
+
+def build_bench(mass: float = BENCH_MASS, length: float = BENCH_LENGTH) -> Scene:
+    """One servo whose horizontal shaft carries a pendulum: a point mass on a massless arm.
+
+    About the shaft the inertia is mass * length^2 and gravity's torque -mass * 9.81 * length * sin(position);
+    position 0 hangs down.
+
+    Args:
+        mass: mass of the weight in kg.
+        length: distance of the weight from the shaft in m.
+    """
+    if not (mass > 0 and length > 0):
+        raise ValueError(f"mass and length must be positive, got {mass} kg and {length} m")
+    arena = composer.Arena(xml_path=str(asset_path("scenes/bench.xml")))
+    root: Any = arena.mjcf_model
+    pendulum = root.find("body", "pendulum")
+    pendulum.inertial.mass = mass
+    pendulum.inertial.pos = [0.0, 0.0, -length]
+    root.find("body", "rig").pos = [0.0, 0.0, max(0.4, length + 0.1)]
+    # The looks follow: the weight is a brass disc of the right mass, 20 mm thick.
+    radius = float(np.sqrt(mass / (8500.0 * np.pi * 0.02)))
+    root.find("geom", "arm").fromto = [0.0, 0.0, 0.0, 0.0, 0.0, -length]
+    root.find("geom", "weight").fromto = [-0.01, 0.0, -length, 0.01, 0.0, -length]
+    root.find("geom", "weight").size = [radius]
+    return Scene(arena, None, (root.find("joint", "servo"),), "bench", "pendulum")

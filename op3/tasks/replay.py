@@ -1,0 +1,203 @@
+"""Open-loop replay: the commands of logs through the simulation, for many parameter sets at once."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from op3.rollout import Rollout
+from op3.servo import RobotModel
+from op3.tasks.setups import Setup
+
+COMMAND_CHANNELS = {
+    ("command", "position"): "position_target",
+    ("command", "p_gain"): "p_gain",
+    ("command", "d_gain"): "d_gain",
+    ("command", "firmware_gain"): "firmware_gain",
+    ("command", "torque_enable"): "torque_enable",
+    ("joint", "voltage"): "bus_voltage",
+}
+"""Channels of a log that drive the simulation, and the command each becomes. Measured voltage is one of them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What the simulation says a log would contain.
+
+    Attributes:
+        log: the log that was replayed.
+        channels: by channel, ``[candidate, time, joint | 3]`` at the log's own times.
+        failed: candidates whose simulation diverged, ``[candidate]``.
+        simulated_seconds: simulated time spent on this log, over all candidates [s].
+    """
+
+    log: Rollout
+    channels: Mapping[tuple[str, str], Tensor]
+    failed: Tensor
+    simulated_seconds: float
+
+
+class Replay:
+    """Replays a fixed set of logs for any model and any parameters.
+
+    The simulation starts from the log's first row at rest, holds the first command for ``settle`` seconds, and
+    then receives each command at the control tick at which it was in force. Nothing measured after the first
+    row reaches the simulation, except the bus voltage where the log has it.
+
+    Args:
+        logs: what to replay; mounts may differ.
+        settle: time before the first row in which the first command is held [s].
+        record_period: time between recorded samples [s], a multiple of the control period; by default 8 ms on
+            the robot and 5 ms on the bench. Predictions are interpolated to the logs' times.
+        duration: replay no more than this [s].
+    """
+
+    def __init__(
+        self,
+        logs: Sequence[Rollout],
+        *,
+        settle: float = 0.2,
+        record_period: float | None = None,
+        duration: float | None = None,
+    ):
+        if not logs:
+            raise ValueError("there is nothing to replay: give at least one log")
+        self.logs = list(logs)
+        self._groups: list[_Group] = []
+        order = sorted(range(len(logs)), key=lambda i: logs[i].metadata.mount)
+        for mount, members in groupby(order, key=lambda i: logs[i].metadata.mount):
+            self._groups.append(_Group(list(members), logs, mount, settle, record_period, duration))
+
+    @property
+    def seconds(self) -> float:
+        """Simulated time of one parameter set [s]."""
+        return sum(group.seconds for group in self._groups)
+
+    def run(
+        self,
+        model: RobotModel,
+        parameters: Mapping[str, Tensor] | None = None,
+        candidates: int = 1,
+        progress: Callable[[float], None] | None = None,
+    ) -> list[Prediction]:
+        """Simulate every log for every candidate.
+
+        Args:
+            model: effects, and values for parameters that are not given.
+            parameters: by name, ``[candidate]`` or ``[candidate, joint]``.
+            candidates: number of parameter sets.
+            progress: called with the share done, 0 to 1.
+
+        Returns:
+            One prediction per log, in the order of the logs.
+        """
+        predictions: dict[int, Prediction] = {}
+        for group in self._groups:
+            predictions.update(group.run(model, parameters or {}, candidates, progress))
+        return [predictions[i] for i in range(len(self.logs))]
+
+
+class _Group:
+    """Logs of one mount, padded to one length."""
+
+    def __init__(self, members, logs, mount, settle, record_period, duration):
+        self.members = members
+        self.logs = [logs[i] for i in members]
+        self.setup = Setup.of_mount(mount)
+        self.period = self.setup.control_period
+        default = self.period if self.setup.base_body else 0.005
+        self.every = max(1, round((record_period or default) / self.period))
+        self.settle = round(settle / self.period)
+        times = [log.array("time")[:, 0] - log.array("time")[0, 0] for log in self.logs]
+        if duration is not None:
+            times = [time[time <= duration + 1e-9] for time in times]
+        self.times = times
+        longest = max(time[-1] for time in times)
+        self.ticks = self.every * int(np.ceil(longest / (self.every * self.period) - 1e-6))
+        self.commands = self._commands()
+        self.qpos = np.stack([self.setup.initial_qpos(log) for log in self.logs])
+
+    @property
+    def seconds(self) -> float:
+        return (self.ticks + self.settle) * self.period * len(self.logs)
+
+    def _commands(self) -> dict[str, Tensor]:
+        """Commands in force at every tick, ``[tick, log, joint]``; constant ones as ``[1, log, joint]``."""
+        at = np.arange(self.ticks) * self.period
+        commands = {}
+        for channel, name in COMMAND_CHANNELS.items():
+            if not all(channel in log for log in self.logs):
+                continue
+            held = []
+            for log, time in zip(self.logs, self.times, strict=True):
+                # the row at or before the tick; half a step of tolerance absorbs rounding of time stamps
+                row = np.clip(np.searchsorted(time, at + 0.5e-3 * self.period, side="right") - 1, 0, len(time) - 1)
+                held.append(log.array(channel)[row])
+            tensor = torch.from_numpy(np.stack(held, axis=1))
+            commands[name] = tensor[:1] if (tensor == tensor[:1]).all() else tensor
+        return commands
+
+    def _held(self, tick: int, candidates: int, constants: bool) -> dict[str, Tensor]:
+        result = {}
+        for name, values in self.commands.items():
+            if constants or len(values) > 1:
+                row = values[min(tick, len(values) - 1)]
+                result[name] = row.expand(candidates, *row.shape).reshape(-1, row.shape[-1])
+        return result
+
+    def run(self, model, parameters, candidates, progress) -> dict[int, Prediction]:
+        simulation = self.setup.simulation(model, self.logs, candidates)
+        simulation.set_parameters(
+            {name: _per_log(value, candidates, len(self.logs)) for name, value in parameters.items()}
+        )
+        simulation.reset(np.tile(self.qpos, (candidates, 1)), self._held(0, candidates, constants=True))
+        for _ in range(self.settle):
+            simulation.advance()
+        samples: list[dict] = []
+        for tick in range(self.ticks):
+            if tick % self.every == 0:
+                samples.append(simulation.measure())
+                if progress is not None and len(samples) % 25 == 0:
+                    progress(tick / self.ticks)
+            simulation.command(**self._held(tick, candidates, constants=False))
+            simulation.advance()
+        samples.append(simulation.measure())
+        return self._predictions(simulation, samples, candidates)
+
+    def _predictions(self, simulation, samples, candidates) -> dict[int, Prediction]:
+        recorded = np.arange(len(samples)) * self.every * self.period
+        failed = simulation.failed.view(candidates, len(self.logs))
+        keys = samples[0].keys()
+        stacked = {key: torch.stack([sample[key] for sample in samples], 1) for key in keys}
+        predictions = {}
+        for i, (log, time) in enumerate(zip(self.logs, self.times, strict=True)):
+            channels = {
+                key: _interpolate(value.view(candidates, len(self.logs), *value.shape[1:])[:, i], recorded, time)
+                for key, value in stacked.items()
+            }
+            seconds = (self.ticks + self.settle) * self.period * candidates
+            predictions[self.members[i]] = Prediction(log, channels, failed[:, i], seconds)
+        return predictions
+
+
+def _per_log(value: Tensor, candidates: int, logs: int) -> Tensor:
+    """``[candidate, ...]`` repeated so that each candidate's logs have its value, ``[candidate * log, ...]``."""
+    value = torch.as_tensor(value, dtype=torch.float64)
+    if value.ndim == 0:
+        return value
+    if len(value) != candidates:
+        raise ValueError(f"a parameter must have one value per candidate ({candidates}), got {len(value)}")
+    return value.repeat_interleave(logs, dim=0)
+
+
+def _interpolate(values: Tensor, recorded: np.ndarray, time: np.ndarray) -> Tensor:
+    """Linear interpolation of ``[candidate, sample, ...]`` to other times, ``[candidate, time, ...]``."""
+    if len(recorded) >= len(time) and np.allclose(recorded[: len(time)], time, atol=2e-4):
+        return values[:, : len(time)]
+    step = recorded[1] - recorded[0]
+    left = np.clip((time / step).astype(int), 0, len(recorded) - 2)
+    weight = torch.from_numpy(time / step - left).view(1, -1, *([1] * (values.ndim - 2)))
+    return values[:, left] * (1 - weight) + values[:, left + 1] * weight

@@ -1,0 +1,94 @@
+"""What stands behind a log: the scene its mount names, ready to be simulated many times at once."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from op3.robot import build_bench, build_scene
+from op3.robot.scenes import Scene
+from op3.rollout import LogError, Rollout
+from op3.servo import RobotModel
+from op3.sim import BatchSimulation, attach_servos
+
+OP3_CONTROL_PERIOD = 0.008
+"""Time between ticks of the PD on the robot's computer [s]; paper, 125 Hz."""
+
+BENCH_CONTROL_PERIOD = 0.001
+"""Time between cycles of a servo's own position loop in simulation [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """A scene with servos, compiled.
+
+    Attributes:
+        scene: the scene.
+        mj_model: its compiled model.
+        joints: joint names as logs spell them.
+        base_body: full name of the trunk; None on the bench.
+        control_period: time between commands [s].
+    """
+
+    scene: Scene
+    mj_model: mujoco.MjModel
+    joints: tuple[str, ...]
+    base_body: str | None
+    control_period: float
+
+    @classmethod
+    def of_mount(cls, mount: str) -> "Setup":
+        """The setup for logs of this mount: ``floor``, ``stand`` or ``pendulum``."""
+        scene = build_bench() if mount == "pendulum" else build_scene(mount)
+        attach_servos(scene.joints)
+        robot = scene.robot
+        return cls(
+            scene=scene,
+            mj_model=scene.compile(),
+            joints=tuple(joint.name for joint in scene.joints),
+            base_body=None if robot is None else robot.trunk.full_identifier,
+            control_period=BENCH_CONTROL_PERIOD if robot is None else OP3_CONTROL_PERIOD,
+        )
+
+    def simulation(self, model: RobotModel, logs: Sequence[Rollout], candidates: int) -> BatchSimulation:
+        """A simulation for every candidate and log; simulation ``c * len(logs) + l`` is candidate c on log l.
+
+        Raises:
+            LogError: if a log has other joints than the scene.
+        """
+        for log in logs:
+            if log.joints != self.joints:
+                raise LogError(
+                    f"the log's joints are {', '.join(log.joints)}, the scene's {', '.join(self.joints)}",
+                    "write the joints in the scene's order",
+                    source=log.metadata.recording,
+                    column="joints",
+                )
+        return BatchSimulation(
+            self.mj_model,
+            self.scene.joint_names,
+            model,
+            candidates * len(logs),
+            control_period=self.control_period,
+            base_body=self.base_body,
+            joint_names=self.joints,
+            fields=self._pendulums(logs, candidates) if self.base_body is None else None,
+        )
+
+    def _pendulums(self, logs: Sequence[Rollout], candidates: int) -> dict[str, np.ndarray]:
+        """Masses and lengths of the logs' pendulums as model fields ``[sim, ...]``."""
+        body = self.mj_model.body("pendulum").id
+        mass = np.tile(self.mj_model.body_mass, (candidates * len(logs), 1))
+        position = np.tile(self.mj_model.body_ipos, (candidates * len(logs), 1, 1))
+        mass[:, body] = np.tile([log.metadata.mass for log in logs], candidates)
+        position[:, body, 2] = -np.tile([log.metadata.length for log in logs], candidates)
+        return {"body_mass": mass, "body_ipos": position}
+
+    def initial_qpos(self, log: Rollout) -> np.ndarray:
+        """Full position at the log's first row, the soles of a free robot on the floor."""
+        position = log.array("joint/position")[0]
+        if not self.scene.floating:
+            return self.scene.initial_qpos(position)
+        roll, pitch = log.array("imu/orientation")[0, :2] if "imu/orientation" in log else (0.0, 0.0)
+        return self.scene.initial_qpos(position, roll, pitch)

@@ -1,0 +1,145 @@
+"""Motions and their files."""
+
+import numpy as np
+import pytest
+
+from op3.robot import (
+    JOINTS,
+    SOFT_LIMITS,
+    Motion,
+    asset_path,
+    center_of_mass,
+    hold,
+    indices,
+    mirror,
+    pose,
+    sole_corners,
+    squat,
+)
+from op3.robot.kinematics import rotation_matrix, sole_normals
+from op3.robot.poses import SQUAT_LEAN
+
+LIMITS = np.array([SOFT_LIMITS[name] for name in JOINTS])
+
+
+@pytest.fixture(scope="module")
+def motion() -> Motion:
+    """The default squat."""
+    return squat()
+
+
+def test_squat_follows_the_paper(motion):
+    """Five seconds at 125 Hz; the knee starts at 1.47 rad, is at 0.6 rad after 1 s and back after 2 s."""
+    knee = motion.position[:, indices(["l_knee"])[0]]
+    assert motion.time.shape == (625,)
+    np.testing.assert_allclose(np.diff(motion.time), 0.008)
+    assert knee[[0, 125, 250]] == pytest.approx([1.47, 0.6, 1.47])
+    assert knee.max() == pytest.approx(1.47)
+    assert knee.min() == pytest.approx(0.6)
+
+
+def test_squat_turns_at_rest(motion):
+    """At the ends of the stroke the knee's velocity is zero, to the second order of the sampling."""
+    knee = motion.position[:, indices(["l_knee"])[0]]
+    # A cosine of amplitude 0.435 rad and 0.5 Hz moves 0.435 (pi 0.008)^2 / 2 rad in one sample from rest.
+    one_sample = 0.435 * (np.pi * 0.008) ** 2 / 2
+    assert knee[0] - knee[1] == pytest.approx(one_sample, rel=1e-3)
+    assert knee[126] - knee[125] == pytest.approx(one_sample, rel=1e-3)
+
+
+def test_squat_is_symmetric_and_within_limits(motion):
+    """Both legs do the same and every angle keeps to the soft limits."""
+    np.testing.assert_array_equal(mirror(motion.position), motion.position)
+    assert (motion.position >= LIMITS[:, 0]).all()
+    assert (motion.position <= LIMITS[:, 1]).all()
+
+
+def test_squat_keeps_arms_and_head(motion):
+    """Arms and head stay as in the pose "stand"."""
+    upper_body = indices(JOINTS[:8])
+    np.testing.assert_allclose(motion.position[:, upper_body], np.tile(pose("stand")[upper_body], (625, 1)))
+
+
+def test_squat_is_flat_and_balanced(motion):
+    """The soles are level within 1e-6 rad and the centre of mass stays within 2 cm of the soles' middle."""
+    world = rotation_matrix(0.0, SQUAT_LEAN)
+    for position in motion.position[:126:5]:
+        normals = sole_normals(position) @ world.T
+        tilt = np.arctan2(np.linalg.norm(normals[:, :2], axis=1), normals[:, 2])
+        assert tilt.max() < 1e-6
+        corners = sole_corners(position) @ world.T
+        com = world @ center_of_mass(position)
+        assert np.ptp(corners[..., 2].min(axis=1)) < 1e-9
+        assert abs(com[0] - corners[..., 0].mean()) < 0.02
+        assert abs(com[1]) < 1e-3
+
+
+def test_squat_arguments():
+    """Frequency, stroke, lean, duration and rate are what they say."""
+    motion = squat(knee_low=1.2, knee_high=0.8, frequency=1.0, lean=0.1, duration=2.0, rate=250.0)
+    knee, hip, ankle = motion.position[:, indices(["l_knee", "l_hip_pitch", "l_ank_pitch"])].T
+    assert len(motion.time) == 500
+    assert knee[[0, 125, 250]] == pytest.approx([1.2, 0.8, 1.2])
+    # A level sole: lean + hip + knee - ankle = 0.
+    np.testing.assert_allclose(0.1 + hip + knee - ankle, 0.0, atol=1e-12)
+
+
+def test_squat_file(motion):
+    """The squat that is shipped as a table is the one the function makes."""
+    shipped = Motion.load(asset_path("motions/squat.csv"))
+    assert shipped.joints == JOINTS
+    np.testing.assert_allclose(shipped.time, motion.time, atol=1e-9)
+    np.testing.assert_allclose(shipped.position, motion.position, atol=1e-9)
+
+
+def test_hold():
+    """A hold repeats its pose at the rate asked for."""
+    motion = hold(pose("stand"), duration=1.0, rate=50.0)
+    assert motion.position.shape == (50, 20)
+    np.testing.assert_array_equal(motion.position, np.tile(pose("stand"), (50, 1)))
+
+
+def test_npz_is_exact(motion, tmp_path):
+    """A saved and loaded motion is the same to the last bit."""
+    loaded = Motion.load(motion.save(tmp_path / "motion.npz"))
+    np.testing.assert_array_equal(loaded.time, motion.time)
+    np.testing.assert_array_equal(loaded.position, motion.position)
+    assert (loaded.joints, loaded.name) == (JOINTS, "squat")
+
+
+def test_csv_of_some_joints(tmp_path):
+    """A table of two joints comes back with these two, named after its file."""
+    motion = Motion(np.array([0.0, 0.5]), np.array([[0.1, 0.2], [0.3, 0.4]]), ("l_knee", "r_knee"), "knees")
+    loaded = Motion.load(motion.save(tmp_path / "knees.csv"))
+    np.testing.assert_allclose(loaded.position, motion.position)
+    assert (loaded.joints, loaded.name) == (("l_knee", "r_knee"), "knees")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("t,l_knee\n0,0\n", "first column must be 'time'"),
+        ("time,l_knee\n0\n", "line 2: expected 2 columns, got 1"),
+        ("time,l_knee\n0,high\n", "could not convert"),
+        ("time,l_knie\n0,0\n", "unknown joint 'l_knie'"),
+        ("time,l_knee\n0,0\n0,0\n", "time does not increase at row 1"),
+        ("time,l_knee\n0,nan\n", "not finite"),
+        ("", "holds no header"),
+    ],
+)
+def test_bad_tables(tmp_path, text, message):
+    """A table that cannot be a motion is refused with the reason."""
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=message):
+        Motion.load(path)
+
+
+def test_bad_arguments(tmp_path, motion):
+    """Wrong shapes, durations and file types are refused with the offending value."""
+    with pytest.raises(ValueError, match=r"\(2, 20\), got \(3, 20\)"):
+        Motion(np.arange(2.0), np.zeros((3, 20)))
+    with pytest.raises(ValueError, match="must be positive"):
+        hold(pose("stand"), duration=0.0)
+    with pytest.raises(ValueError, match=r"saved as .npz or .csv, got 'motion.txt'"):
+        motion.save(tmp_path / "motion.txt")

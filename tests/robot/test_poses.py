@@ -1,0 +1,89 @@
+"""Named poses."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from op3.robot import (
+    JOINTS,
+    POSES,
+    SOFT_LIMITS,
+    center_of_mass,
+    indices,
+    mirror,
+    pose,
+    sole_corners,
+    standing_height,
+)
+from op3.robot.kinematics import rotation_matrix, sole_normals
+from op3.robot.poses import leg_pitches, level_soles, squat_position
+
+LIMITS = np.array([SOFT_LIMITS[name] for name in JOINTS])
+
+
+@pytest.mark.parametrize("name", POSES)
+def test_poses_are_symmetric_and_within_limits(name):
+    """Every pose is its own mirror image and keeps to the soft limits."""
+    position = pose(name)
+    np.testing.assert_array_equal(mirror(position), position)
+    assert (position >= LIMITS[:, 0]).all()
+    assert (position <= LIMITS[:, 1]).all()
+
+
+def test_pose_is_a_fresh_array():
+    """Changing a pose does not change the next one."""
+    pose("stand")[:] = 7.0
+    assert np.abs(pose("stand")).max() < 2.0
+
+
+def test_unknown_pose():
+    """An unknown pose is named, with the ones that exist."""
+    with pytest.raises(ValueError, match=r"unknown pose 'sit'; the poses are zero, stand, squat_low, squat_high"):
+        pose("sit")
+
+
+def test_stand_is_flat_and_balanced():
+    """In the pose "stand" with an upright trunk the soles are level and the centre of mass is above them."""
+    corners = sole_corners(pose("stand"))
+    np.testing.assert_allclose(sole_normals(pose("stand"))[:, 2], 1.0, atol=1e-5)
+    assert corners[..., 0].min() < center_of_mass(pose("stand"))[0] < corners[..., 0].max()
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.floats(0.2, 2.1), st.floats(-0.3, 0.5))
+def test_leg_geometry(knee, lean):
+    """For any knee and lean the soles are level and the hip axis is above the ankle axis."""
+    position = squat_position(knee, lean)
+    world = rotation_matrix(0.0, lean)
+    np.testing.assert_allclose(sole_normals(position) @ world.T, [[0, 0, 1], [0, 0, 1]], atol=1e-9)
+    pitches = leg_pitches(knee, lean)
+    thigh = pitches["l_hip_pitch"] + lean
+    shin = thigh + pitches["l_knee"]
+    # The hip axis is 0.1 mm in front of the trunk's origin, the ankle axis 24.1 mm in front of the foot's.
+    ankle = (sole_corners(position) @ world.T)[:2, :, 0].mean() - 0.024 + 0.0241
+    hip = (world @ [0.0001, 0.0, -0.0285])[0]
+    assert 0.11015 * np.sin(thigh) + 0.11 * np.sin(shin) == pytest.approx(0.0, abs=1e-12)
+    assert ankle == pytest.approx(hip, abs=1e-9)
+
+
+def test_height_depends_on_tilt():
+    """Straight legs tilted forward about the hips stand on the toe: height = 0.27915 cos a + toe sin a."""
+    toe = 0.0001 - 0.0241 + 0.0875
+    tilt = 0.2
+    expected = 0.27915 * np.cos(tilt) + toe * np.sin(tilt)
+    assert standing_height(pose("zero"), pitch=tilt) == pytest.approx(expected, abs=1e-9)
+
+
+def test_squat_pose_is_the_papers():
+    """The squat's ends have the paper's knee angles."""
+    knee = indices(["l_knee", "r_knee"])
+    np.testing.assert_allclose(pose("squat_low")[knee], [1.47, -1.47])
+    np.testing.assert_allclose(pose("squat_high")[knee], [0.6, -0.6])
+
+
+@pytest.mark.parametrize("name", ["zero", "stand", "squat_low", "squat_high"])
+def test_level_soles_levels_them(name):
+    """With the trunk tilted as told, both soles of every pose point straight up."""
+    up = sole_normals(pose(name)) @ rotation_matrix(*level_soles(pose(name))).T
+    np.testing.assert_allclose(up, [[0, 0, 1], [0, 0, 1]], atol=1e-5)
