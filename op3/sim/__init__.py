@@ -1,8 +1,9 @@
 """Robots stepped at 1 ms with the servo law between steps, many at once or one inside a composer task."""
 
-from op3.sim.batch_simulation import BatchSimulation, roll_pitch_yaw
+from op3.sim.base import roll_pitch_yaw
+from op3.sim.batch_simulation import BatchSimulation
 from op3.sim.geared_servo import GearedServo
-from op3.sim.model_file import load_model, model_hash, save_model
+from op3.sim.model_file import find_model, load_model, model_hash, model_names, save_model
 from op3.sim.ports import ServoPorts, attach_servos
 
 __all__ = [
@@ -10,8 +11,10 @@ __all__ = [
     "GearedServo",
     "ServoPorts",
     "attach_servos",
+    "find_model",
     "load_model",
     "model_hash",
+    "model_names",
     "roll_pitch_yaw",
     "save_model",
 ]

@@ -11,6 +11,7 @@ from mujoco.batch import Batch
 from torch import Tensor
 
 from op3.servo import RobotModel, ServoLaw, Signals
+from op3.sim.base import Base, roll_pitch_yaw
 from op3.sim.edits import edited_fields
 from op3.sim.ports import ServoPorts
 
@@ -66,7 +67,7 @@ class BatchSimulation:
         self.joint_names = tuple(joint_names or (name.rsplit("/", 1)[-1] for name in joints))
         self.ports = ServoPorts.find(mj_model, joints)
         self.batch = Batch(mj_model, num_sims, num_threads)
-        self._base = -1 if base_body is None else mj_model.body(base_body).id
+        self._base = None if base_body is None else Base.find(mj_model, mj_model.body(base_body).id)
         self._fields = {name: np.array(value, dtype=np.float64) for name, value in (fields or {}).items()}
         self.law = ServoLaw(model.effects, self.timestep)
         self.signals = Signals.zeros(num_sims, len(joints))
@@ -83,13 +84,8 @@ class BatchSimulation:
         self._sensors = _torch_view(batch.bind("sensordata"))
         self._friction = _torch_view(batch.expand("dof_frictionloss"))
         self._armature = _torch_view(batch.expand("dof_armature"))
-        self._free = None
-        if self._base >= 0:
-            root = batch.model.body_rootid[self._base]
-            if batch.model.body_dofnum[root] == 6:
-                joint = batch.model.body_jntadr[root]
-                self._free = (int(batch.model.jnt_qposadr[joint]), int(batch.model.jnt_dofadr[joint]))
-            self._base_quaternion = _torch_view(batch.bind("xquat"))[:, self._base]
+        if self._base is not None:
+            self._base_quaternion = _torch_view(batch.bind("xquat"))[:, self._base.body]
 
     def set_parameters(self, values: Mapping[str, Tensor | float]) -> None:
         """Give parameters per simulation; those not named take the model's values.
@@ -117,12 +113,13 @@ class BatchSimulation:
             raise ValueError(f"parameter values must be [sim] or [sim, joint] with {shape}: {error}") from error
         self.parameters = expanded
         self.law.set_parameters(expanded)
+        base = -1 if self._base is None else self._base.body
         edits = edited_fields(
             self.batch.model,
             self.model.effects,
             expanded,
             self.ports,
-            self._base,
+            base,
             self._fields,
             self.num_sims,
         )
@@ -195,22 +192,14 @@ class BatchSimulation:
             ("joint", "velocity"): signals.measured_velocity.clone(),
             ("joint", "current"): signals.current.clone(),
         }
-        if self._base >= 0:
-            channels[("imu", "orientation")] = self._orientation()
-            channels[("imu", "angular_velocity")] = self._body_rates()
+        if self._base is not None:
+            free, rates = self._base.qpos, torch.zeros(self.num_sims, 3, dtype=torch.float64)
+            quaternion = self._base_quaternion if free is None else self._qpos[:, free + 3 : free + 7]
+            if self._base.dof is not None:
+                rates = self._qvel[:, self._base.dof + 3 : self._base.dof + 6].clone()
+            channels[("imu", "orientation")] = roll_pitch_yaw(quaternion)
+            channels[("imu", "angular_velocity")] = rates
         return channels
-
-    def _orientation(self) -> Tensor:
-        """Roll, pitch, yaw [rad] of the base, R = Rz(yaw) Ry(pitch) Rx(roll), ``[sim, 3]``."""
-        if self._free is not None:
-            return roll_pitch_yaw(self._qpos[:, self._free[0] + 3 : self._free[0] + 7])
-        return roll_pitch_yaw(self._base_quaternion)
-
-    def _body_rates(self) -> Tensor:
-        """Angular velocity of the base in its own frame [rad/s], ``[sim, 3]``."""
-        if self._free is not None:
-            return self._qvel[:, self._free[1] + 3 : self._free[1] + 6].clone()
-        return torch.zeros(self.num_sims, 3, dtype=torch.float64)
 
     def _read(self) -> None:
         self.signals.position = self._qpos[:, self.ports.qpos]
@@ -225,15 +214,6 @@ class BatchSimulation:
         finite = torch.isfinite(handed_over).all(1)
         warned = torch.from_numpy(self.batch.warning.any((1, 2)))
         self.failed |= warned | ~finite
-
-
-def roll_pitch_yaw(quaternion: Tensor) -> Tensor:
-    """Euler angles [rad] of ``R = Rz(yaw) Ry(pitch) Rx(roll)`` from unit quaternions ``[..., 4]``, w first."""
-    w, x, y, z = quaternion.unbind(-1)
-    roll = torch.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = torch.asin((2 * (w * y - x * z)).clamp(-1.0, 1.0))
-    yaw = torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return torch.stack([roll, pitch, yaw], -1)
 
 
 def _torch_view(array: np.ndarray) -> Tensor:

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from op3.servo import RobotModel, ServoLaw, Signals
+from op3.sim.base import Base, roll_pitch_yaw
 from op3.sim.edits import edited_fields
 from op3.sim.ports import ServoPorts, attach_servos
 
@@ -32,6 +33,7 @@ class GearedServo:
         self.model = model
         self.joint_names = tuple(joint.name for joint in joints)
         self.signals = Signals.zeros(1, len(joints))
+        self._base: Base | None = None
         self._rotor: np.ndarray = np.zeros(len(joints))
 
     def after_compile(self, physics: Any, random_state: Any = None) -> None:
@@ -39,14 +41,15 @@ class GearedServo:
         del random_state
         names = [joint.full_identifier for joint in self._joints]
         self.ports = ServoPorts.find(physics.model.ptr, names)
-        base = -1 if self._base_element is None else physics.bind(self._base_element).element_id
+        base = -1 if self._base_element is None else int(physics.bind(self._base_element).element_id)
+        self._base = None if base < 0 else Base.find(physics.model.ptr, base)
         values = self.model.tensors(self.joint_names)
         shape = self.signals.position.shape
         known = self.model.parameters()
         values = {k: v.expand(shape if known[k].per_joint else (1, 1)).contiguous() for k, v in values.items()}
         self.law = ServoLaw(self.model.effects, float(physics.model.opt.timestep))
         self.law.set_parameters(values)
-        edits = edited_fields(physics.model.ptr, self.model.effects, values, self.ports, int(base), {}, 1)
+        edits = edited_fields(physics.model.ptr, self.model.effects, values, self.ports, base, {}, 1)
         for field, array in edits.items():
             getattr(physics.model.ptr, field)[...] = array[0]
         if edits:
@@ -93,14 +96,19 @@ class GearedServo:
         physics.model.ptr.dof_frictionloss[self.ports.dof] = self.signals.friction_bound[0].numpy()
 
     def measure(self, physics: Any) -> dict[tuple[str, str], Tensor]:
-        """What the servos' sensors say now: channels of the log, ``[joint]``."""
+        """What the servos' and the trunk's sensors say now: channels of the log, ``[joint]`` and ``[3]``."""
         self._read(physics)
         self.law.sense(self.signals)
-        return {
+        channels = {
             ("joint", "position"): self.signals.measured_position[0].clone(),
             ("joint", "velocity"): self.signals.measured_velocity[0].clone(),
             ("joint", "current"): self.signals.current[0].clone(),
         }
+        if self._base is not None:
+            quaternion, rates = self._base.pose(physics.data.ptr)
+            channels[("imu", "orientation")] = roll_pitch_yaw(torch.from_numpy(quaternion.copy()))
+            channels[("imu", "angular_velocity")] = torch.from_numpy(rates.copy())
+        return channels
 
     def _command(self, commands: Mapping[str, Any]) -> None:
         for name, value in commands.items():

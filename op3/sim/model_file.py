@@ -27,14 +27,45 @@ def save_model(model: RobotModel, path: str | Path) -> Path:
     return path
 
 
-def load_model(path: str | Path) -> RobotModel:
-    """Read a model.
+def model_names() -> tuple[str, ...]:
+    """Names of the models that come with the project, in ``conf/servo/``."""
+    return tuple(sorted(path.stem for path in _named_models().glob("*.yaml")))
+
+
+def _named_models() -> Path:
+    package = Path(__file__).resolve().parents[1]
+    installed = package / "_conf" / "servo"
+    return installed if installed.is_dir() else package.parent / "conf" / "servo"
+
+
+def find_model(name_or_path: str | Path) -> Path:
+    """The file of a model: a path, or a name from `model_names`.
+
+    Raises:
+        FileNotFoundError: if there is neither.
+    """
+    path = Path(name_or_path)
+    if path.is_file():
+        return path
+    if path.is_dir() and (path / "model.yaml").is_file():
+        return path / "model.yaml"
+    named = _named_models() / f"{name_or_path}.yaml"
+    if str(name_or_path) in model_names():
+        return named
+    raise FileNotFoundError(
+        f"there is no model file {str(name_or_path)!r}; give the path of a model.yaml or one of the names "
+        + ", ".join(model_names())
+    )
+
+
+def load_model(name_or_path: str | Path) -> RobotModel:
+    """Read a model from its file, or by a name from `model_names`.
 
     Raises:
         ValueError: if the file is not a model; the message names file, field and remedy.
         FileNotFoundError: if there is no such file.
     """
-    path = Path(path)
+    path = find_model(name_or_path)
     try:
         content = yaml.safe_load(path.read_text())
     except yaml.YAMLError as error:

@@ -86,9 +86,9 @@ class Setup:
         return {"body_mass": mass, "body_ipos": position}
 
     def initial_qpos(self, log: Rollout) -> np.ndarray:
-        """Full position at the log's first row, the soles of a free robot on the floor."""
+        """Full position at the first row; a free robot stands on its soles, level if the log has no orientation."""
         position = log.array("joint/position")[0]
         if not self.scene.floating:
             return self.scene.initial_qpos(position)
-        roll, pitch = log.array("imu/orientation")[0, :2] if "imu/orientation" in log else (0.0, 0.0)
+        roll, pitch = log.array("imu/orientation")[0, :2] if "imu/orientation" in log else (None, None)
         return self.scene.initial_qpos(position, roll, pitch)

@@ -1,0 +1,28 @@
+"""The one log format: a TensorDict schema, recorder, files, importers and the comparison of two logs."""
+
+from op3.rollout.compare import ChannelError, Comparison, compare
+from op3.rollout.errors import LogError
+from op3.rollout.metadata import MOUNTS, ROBOTS, Metadata
+from op3.rollout.read import read_log, read_logs
+from op3.rollout.recorder import Recorder
+from op3.rollout.rollout import Rollout
+from op3.rollout.schema import CHANNELS, Channel, Key, column_names, schema_table
+
+__all__ = [
+    "CHANNELS",
+    "MOUNTS",
+    "ROBOTS",
+    "Channel",
+    "ChannelError",
+    "Comparison",
+    "Key",
+    "LogError",
+    "Metadata",
+    "Recorder",
+    "Rollout",
+    "column_names",
+    "compare",
+    "read_log",
+    "read_logs",
+    "schema_table",
+]

@@ -1,0 +1,270 @@
+"""The recorder: one cheap call per control tick, and at most a second lost when the process dies.
+
+`append` only copies numbers into a buffer. A thread writes the buffer to `rows.bin` and forces it to the disk
+twice a second, so a slow disk never holds up the control loop. The file is one JSON line (the channels and
+their widths) followed by chunks, each with its length and checksum; what a crash leaves behind is read up to
+the last whole chunk.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import struct
+import threading
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tensordict import TensorDictBase
+
+from op3.rollout import files
+from op3.rollout.errors import LogError
+from op3.rollout.metadata import Metadata
+from op3.rollout.rollout import DATA_FOLDER, METADATA_FILE, ROWS_FILE, Rollout
+from op3.rollout.schema import CHANNELS, Key, column_names, key_name, normal_key
+
+_CHUNK = struct.Struct("<4sIII")  # mark, rows, bytes, CRC-32 of the bytes
+_MARK = b"rows"
+_WIDEST = {"scalar": 1, "imu3": 3}
+
+
+class Recorder:
+    """Writes a rollout row by row, safe against crashes.
+
+    Use it as a context manager: leaving it normally closes the log; an exception leaves an incomplete log
+    that `Rollout.load` reads. The first row fixes the channels.
+
+    Args:
+        folder: New folder of the rollout.
+        metadata: What is known at the start; `complete` is handled here.
+        flush_interval: Seconds between writes to the disk, at most 1.
+        overwrite: Whether a rollout already in the folder is replaced.
+    """
+
+    def __init__(self, folder: str | Path, metadata: Metadata, *, flush_interval: float = 0.5, overwrite: bool = False):
+        if not 0 < flush_interval <= 1:
+            remedy = "choose an interval above 0 and of at most 1 s"
+            raise LogError(f"flush_interval is {flush_interval!r}", remedy, source=folder)
+        self.folder = Path(folder)
+        self.metadata = metadata.replace(complete=False)
+        self.rows = 0
+        self._layout: list[tuple[Key, int, int]] = []
+        self._buffer = np.empty((0, 0))
+        self._count = 0
+        self._last_time = -np.inf
+        self._lock = threading.Lock()
+        self._stop = threading.Event()
+        self._failure: OSError | None = None
+        self._make_folder(overwrite)
+        self._stream = (self.folder / ROWS_FILE).open("wb", buffering=0)
+        self._thread = threading.Thread(target=self._keep_flushing, args=(flush_interval,), daemon=True)
+        self._thread.start()
+
+    def _make_folder(self, overwrite: bool) -> None:
+        folder = self.folder
+        if folder.exists() and not (folder / METADATA_FILE).is_file():
+            raise LogError("something other than a rollout is there", "choose another folder", source=folder)
+        text = self.metadata.to_yaml()
+        files.write_folder(folder, lambda f: files.write_text(f / METADATA_FILE, text), overwrite)
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
+        if kind is None and not self._stop.is_set():
+            self.close()
+        else:
+            self.abandon()
+
+    def append(self, row: Mapping[Any, Any] | TensorDictBase) -> None:
+        """Add one row; raises `LogError`, and adds nothing, if the row cannot belong to the log.
+
+        Args:
+            row: Every channel of the log by key, each with its last axis ([joint], [3], scalar as a number);
+                numbers, arrays or tensors, or a TensorDict without batch axes.
+        """
+        if self._stop.is_set():
+            raise LogError("the recorder is closed", "open another one", source=self.folder)
+        if self._failure is not None:
+            problem = f"rows can no longer be written ({self._failure.strerror})"
+            raise LogError(problem, "free disk space and record again", source=self.folder)
+        values = row.items(True, True) if isinstance(row, TensorDictBase) else row.items()
+        values = dict(values)
+        if not self._layout:
+            self._set_layout(values)
+        with self._lock:
+            if self._count == len(self._buffer):
+                self._buffer = np.concatenate([self._buffer, np.empty_like(self._buffer)])
+            out = self._buffer[self._count]
+            self._fill(out, values)
+            if not (((out >= self._low) & (out <= self._high)).all() and out[0] > self._last_time):
+                raise self._refusal(out)
+            self._last_time = out[0]
+            self._count += 1
+            self.rows += 1
+
+    def _set_layout(self, row: dict[Any, Any]) -> None:
+        """Fix the channels from the first row; time comes first in the packed row."""
+        given = {normal_key(key): value for key, value in row.items()}
+        for key in given:
+            if key not in CHANNELS:
+                known = ", ".join(key_name(k) for k in CHANNELS)
+                raise LogError(f"unknown channel {key_name(key)!r}", f"the channels are {known}", source=self.folder)
+        layout, start = [], 0
+        for key, channel in CHANNELS.items():
+            if key not in given:
+                if channel.required:
+                    remedy = "give it in every row"
+                    raise LogError("the channel is missing", remedy, source=self.folder, column=key_name(key))
+                continue
+            joints = len(self.metadata.joints)
+            width = {**_WIDEST, "joint": joints}.get(channel.axes) or np.asarray(given[key]).size
+            layout.append((key, start, start + width))
+            start += width
+        low, high = np.full(start, -np.finfo(float).max), np.full(start, np.finfo(float).max)
+        for key, first, last in layout:
+            if CHANNELS[key].nonnegative or CHANNELS[key].binary:
+                low[first:last] = 0
+            if CHANNELS[key].binary:
+                high[first:last] = 1
+        binary = [np.arange(first, last) for key, first, last in layout if CHANNELS[key].binary]
+        self._low, self._high, self._binary = low, high, np.concatenate(binary) if binary else None
+        self._buffer = np.empty((max(64, int(self.metadata.rate)), start))
+        self._layout = layout
+
+    def _fill(self, out: np.ndarray, row: dict[Any, Any]) -> None:
+        if len(row) != len(self._layout):
+            raise self._other_channels(row)
+        for key, first, last in self._layout:
+            value = row.get(key)
+            if value is None:
+                value = self._spelt_otherwise(key, row)
+            value = np.asarray(value, dtype=np.float64)
+            if value.size != last - first:
+                problem = f"{value.size} numbers where {last - first} belong"
+                remedy = "give one number per name on the channel's last axis"
+                column = key_name(key)
+                raise LogError(problem, remedy, source=self.folder, column=column, row=self.rows + 1)
+            out[first:last] = value.reshape(-1)
+        if self._binary is not None:
+            switches = out[self._binary]
+            if (switches * (1 - switches) != 0).any():
+                raise self._refusal(out)
+
+    def _spelt_otherwise(self, key: Key, row: dict[Any, Any]) -> Any:
+        for spelling, value in row.items():
+            if normal_key(spelling) == key:
+                return value
+        raise self._other_channels(row)
+
+    def _other_channels(self, row: dict[Any, Any]) -> LogError:
+        first, now = {key for key, _, _ in self._layout}, {normal_key(key) for key in row}
+        names = ", ".join(sorted(key_name(key) for key in first ^ now)) or "a channel given twice"
+        remedy = "give the same channels in every row"
+        problem = f"the row and the first row differ in {names}"
+        return LogError(problem, remedy, source=self.folder, row=self.rows + 1)
+
+    def _refusal(self, out: np.ndarray) -> LogError:
+        """Name the first number of a refused row that is at fault."""
+        where: dict[str, Any] = dict(source=self.folder, row=self.rows + 1)
+        for key, first, last in self._layout:
+            channel = CHANNELS[key]
+            for index, value in enumerate(out[first:last]):
+                column = column_names(channel, self.metadata.joints, last - first)[index]
+                if not np.isfinite(value):
+                    remedy = "leave out the row, or repeat the last good reading"
+                    return LogError(f"{value} is not a finite number", remedy, column=column, **where)
+                if channel.binary and value not in (0, 1):
+                    return LogError(f"{value:g} {channel.mistake}", channel.remedy, column=column, **where)
+                if channel.nonnegative and value < 0:
+                    return LogError(f"{value:g} is negative", "give at least 0", column=column, **where)
+        problem = f"time {out[0]:.10g} s does not come after {self._last_time:.10g} s"
+        return LogError(problem, "give each row a later time", column="time", **where)
+
+    def _keep_flushing(self, interval: float) -> None:
+        while not self._stop.wait(interval):
+            self._flush()
+
+    def _flush(self) -> None:
+        with self._lock:
+            count, rows = self._count, self._buffer
+            if count == 0:
+                return
+            self._buffer, self._count = np.empty_like(rows), 0
+        payload = rows[:count].tobytes()
+        header = b""
+        if self._stream.tell() == 0:
+            widths = [[key_name(key), last - first] for key, first, last in self._layout]
+            header = json.dumps(widths).encode() + b"\n"
+        try:
+            chunk = header + _CHUNK.pack(_MARK, count, len(payload), zlib.crc32(payload)) + payload
+            while chunk:
+                chunk = chunk[self._stream.write(chunk) or 0 :]
+            os.fsync(self._stream.fileno())
+        except OSError as error:
+            self._failure = error
+
+    def _finish_writing(self) -> None:
+        self._stop.set()
+        self._thread.join()
+        if not self._stream.closed:
+            self._flush()
+            self._stream.close()
+
+    def abandon(self) -> None:
+        """Stop and keep what is there as an incomplete log."""
+        self._finish_writing()
+
+    def close(self, **changes: Any) -> Rollout:
+        """Finish the log and load it.
+
+        Args:
+            changes: Metadata known only now, such as `fallen=True` or `travelled_distance=1.2`.
+        """
+        if self._stop.is_set():
+            raise LogError("the recorder is closed", "load the rollout from its folder", source=self.folder)
+        self._finish_writing()
+        if self._failure is not None:
+            problem = f"rows could not be written ({self._failure.strerror})"
+            raise LogError(problem, "load the folder for what was saved", source=self.folder)
+        if self.rows == 0:
+            shutil.rmtree(self.folder)
+            raise LogError("no row was recorded", "append rows before closing", source=self.folder)
+        partial = Rollout.from_arrays(read_rows(self.folder / ROWS_FILE), self.metadata, self.folder)
+        metadata = self.metadata.replace(**{**changes, "complete": True})
+        files.write_folder(self.folder / DATA_FOLDER, lambda f: files.save_tensordict(partial.data, f))
+        files.write_text(self.folder / METADATA_FILE, metadata.to_yaml())
+        (self.folder / ROWS_FILE).unlink()
+        return Rollout.load(self.folder)
+
+
+def read_rows(path: str | Path) -> dict[Key, np.ndarray]:
+    """Every whole chunk of a recording's `rows.bin`, by channel [time, last axis]."""
+    raw = Path(path).read_bytes()
+    line, _, body = raw.partition(b"\n")
+    rows: list[np.ndarray] = []
+    try:
+        layout = [(normal_key(name), int(width)) for name, width in json.loads(line)]
+        width = sum(w for _, w in layout)
+        offset = 0
+        while offset + _CHUNK.size <= len(body):
+            mark, count, size, check = _CHUNK.unpack_from(body, offset)
+            payload = body[offset + _CHUNK.size : offset + _CHUNK.size + size]
+            if mark != _MARK or zlib.crc32(payload) != check:
+                break
+            rows.append(np.frombuffer(payload).reshape(count, width))
+            offset += _CHUNK.size + size
+    except (ValueError, TypeError, struct.error):
+        rows = rows or []
+    if not rows:
+        remedy = "nothing reached the disk, record again"
+        raise LogError("the interrupted recording holds no rows", remedy, source=path)
+    table, columns, start = np.concatenate(rows), {}, 0
+    for key, entries in layout:
+        columns[key] = table[:, start : start + entries]
+        start += entries
+    return columns

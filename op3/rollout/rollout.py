@@ -1,0 +1,209 @@
+"""The rollout: samples in a TensorDict and what is known about them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+
+from op3.rollout import files
+from op3.rollout.errors import LogError
+from op3.rollout.metadata import Metadata
+from op3.rollout.schema import CHANNELS, Key, column_names, key_name, normal_key, vector_column
+from op3.rollout.validate import check_schema, check_units, check_values
+
+METADATA_FILE = "metadata.yaml"
+DATA_FOLDER = "data"
+ROWS_FILE = "rows.bin"
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """One log, or a batch of logs of equal length.
+
+    Attributes:
+        data: TensorDict of batch size [time] or [episode, time] with the channels of `CHANNELS`, float64
+            (`done` is bool), on the CPU.
+        metadata: What is known besides the samples.
+
+    Construction checks shapes, dtypes, finite values and increasing time, and raises `LogError` otherwise.
+    """
+
+    data: TensorDictBase
+    metadata: Metadata
+
+    def __post_init__(self):
+        check_schema(self.data, self.metadata, self.metadata.recording)
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[Any, Any], metadata: Metadata, source: str | Path | None = None) -> Rollout:
+        """Build from arrays or tensors by key.
+
+        Args:
+            arrays: Keys as in `CHANNELS` (also `"joint/position"`); values [time, ...] or
+                [episode, time, ...] of any number type. Scalar channels may leave out the last axis.
+            metadata: What is known besides the samples.
+            source: Named in errors.
+        """
+        tensors = {normal_key(key): _tensor(value) for key, value in arrays.items()}
+        if "time" not in tensors:
+            remedy = "give the time of each row in seconds"
+            raise LogError("this required channel is missing", remedy, source=source, column="time")
+        reference = tensors.get(("joint", "position"), tensors["time"][..., None])
+        batch = list(reference.shape[:-1])
+        data = TensorDict({}, batch_size=batch, device="cpu")
+        for key, tensor in tensors.items():
+            channel = CHANNELS.get(key)
+            if channel is not None and channel.axes == "scalar" and list(tensor.shape) == batch:
+                tensor = tensor[..., None]
+            if list(tensor.shape[: len(batch)]) != batch or tensor.ndim != len(batch) + 1:
+                problem = f"the shape is {list(tensor.shape)} where {batch} rows and one more axis belong"
+                remedy = "give every channel one row per time"
+                raise LogError(problem, remedy, source=source, column=key_name(key))
+            if key == "done" and tensor.dtype != torch.bool:
+                values = tensor.double().numpy().reshape(-1, *tensor.shape[-2:])
+                check_values(CHANNELS["done"], values, metadata, source)
+            data[key] = tensor.bool() if key == "done" else tensor.double()
+        check_schema(data, metadata, source)
+        return cls(data, metadata)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Joint names, in the order of every [joint] axis."""
+        return self.metadata.joints
+
+    @property
+    def channels(self) -> tuple[Key, ...]:
+        """Keys of the channels that are present, in the order of `CHANNELS`."""
+        present = set(self.data.keys(True, True))
+        return tuple(key for key in CHANNELS if key in present)
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last row [s]; the longest, for a batch."""
+        time = self.data["time"][..., 0]
+        return float((time[..., -1] - time[..., 0]).max())
+
+    @property
+    def rows(self) -> int:
+        """Rows per episode."""
+        return self.data.batch_size[-1]
+
+    @property
+    def batched(self) -> bool:
+        """Whether there is an episode axis."""
+        return len(self.data.batch_size) == 2
+
+    def __len__(self) -> int:
+        return self.rows
+
+    def __contains__(self, key: object) -> bool:
+        return isinstance(key, str | tuple) and normal_key(key) in self.channels
+
+    def array(self, key: str | tuple[str, ...]) -> np.ndarray:
+        """A channel as numpy, [time, last axis] or [episode, time, last axis], without copying."""
+        name = normal_key(key)
+        if name not in self.channels:
+            there = ", ".join(key_name(k) for k in self.channels)
+            raise LogError(
+                f"the log has no {key_name(name)}",
+                f"it has {there}",
+                source=self.metadata.recording,
+            )
+        return self.data[name].detach().numpy()
+
+    def column(self, name: str) -> np.ndarray:
+        """One column by its CSV name (`l_knee.position`, `imu.roll`), [time] or [episode, time]."""
+        for key in self.channels:
+            columns = column_names(CHANNELS[key], self.joints, self.data[key].shape[-1])
+            if name in columns:
+                return self.array(key)[..., columns.index(name)]
+        if vector_column(name):
+            raise LogError("the log has no such entry", "use a smaller index", column=name)
+        remedy = "names are <joint>.position, imu.roll, time and so on"
+        raise LogError("the log has no such column", remedy, source=self.metadata.recording, column=name)
+
+    def episodes(self) -> tuple[Rollout, ...]:
+        """The single logs of a batch; a log without an episode axis gives itself."""
+        return tuple(self.episode(i) for i in range(self.data.batch_size[0])) if self.batched else (self,)
+
+    def episode(self, index: int) -> Rollout:
+        """One log of a batch, with its own outcome (distance, duration, fall) in the metadata."""
+        if not self.batched:
+            raise LogError("the log has no episode axis", "use it as it is", source=self.metadata.recording)
+        names = ("travelled_distance", "episode_duration", "fallen")
+        values = {name: getattr(self.metadata, name) for name in names}
+        picked = {name: v[index] if isinstance(v, tuple) else v for name, v in values.items()}
+        return Rollout(self.data[index], self.metadata.replace(**picked))
+
+    def between(self, start: float, end: float) -> Rollout:
+        """The rows with start <= time < end [s] of a log without an episode axis; shares its memory."""
+        if self.batched:
+            raise LogError("the log has an episode axis", "take one episode first", source=self.metadata.recording)
+        first, last = np.searchsorted(self.array("time")[:, 0], [start, end])
+        if last <= first:
+            time = self.array("time")[:, 0]
+            problem = f"no row lies between {start:g} s and {end:g} s"
+            remedy = f"the log runs from {time[0]:g} s to {time[-1]:g} s"
+            raise LogError(problem, remedy, source=self.metadata.recording, column="time")
+        return Rollout(self.data[int(first) : int(last)], self.metadata)
+
+    def check(self, source: str | Path | None = None) -> Rollout:
+        """Raise `LogError` where units or the rate cannot be right, as importers do; returns itself."""
+        check_units(self.data, self.metadata, source or self.metadata.recording)
+        return self
+
+    def save(self, folder: str | Path, overwrite: bool = False) -> Path:
+        """Write `metadata.yaml` and the memory-mapped TensorDict `data/`; whole or not at all.
+
+        Args:
+            folder: New folder. One that holds a rollout is replaced only with `overwrite`; any other folder
+                is never touched.
+            overwrite: Whether a rollout already there is replaced.
+        """
+        folder = Path(folder)
+        if folder.exists() and not (folder / METADATA_FILE).is_file():
+            raise LogError("something other than a rollout is there", "choose another folder", source=folder)
+
+        def fill(temporary: Path) -> None:
+            files.save_tensordict(self.data, temporary / DATA_FOLDER)
+            files.write_text(temporary / METADATA_FILE, self.metadata.to_yaml())
+
+        files.write_folder(folder, fill, overwrite)
+        return folder
+
+    @classmethod
+    def load(cls, folder: str | Path) -> Rollout:
+        """Map a saved rollout into memory, copy-on-write.
+
+        A recording that a crash interrupted loads with every row that reached the disk; its metadata says
+        `complete: false`.
+        """
+        folder = Path(folder)
+        if not (folder / METADATA_FILE).is_file():
+            raise LogError(f"no {METADATA_FILE} in this folder", "name a rollout folder", source=folder)
+        metadata = Metadata.read(folder / METADATA_FILE)
+        if (folder / DATA_FOLDER).is_dir() or not (folder / ROWS_FILE).is_file():
+            data = files.map_tensordict(folder / DATA_FOLDER)
+            check_schema(data, metadata, folder)
+            return cls(data, metadata)
+        from op3.rollout.recorder import read_rows  # the recorder builds rollouts, so it imports this module
+
+        return cls.from_arrays(read_rows(folder / ROWS_FILE), metadata.replace(complete=False), folder)
+
+    def to_csv(self, path: str | Path, overwrite: bool = False) -> Path:
+        """Write a wide CSV and its sidecar `<name>.yaml`; `read_log` gives back the same numbers."""
+        from op3.rollout.csv_log import write_csv  # the importer builds rollouts, so it imports this module
+
+        return write_csv(self, Path(path), overwrite)
+
+
+def _tensor(value: Any) -> torch.Tensor:
+    if isinstance(value, torch.Tensor):
+        return value.detach().cpu()
+    return torch.as_tensor(np.ascontiguousarray(value))

@@ -1,0 +1,288 @@
+"""The CSV importer: what it accepts, and one clear sentence for everything else."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+from rollout_logs import assert_same, rollout
+
+from op3.rollout import LogError, read_log
+
+Lines = list[list[str]]
+
+CONVERT = r"; .*(convert|divide|subtract|write|remove|add|correct|give|keep|complete|sort|rename|repair|move)"
+
+
+def written(folder: Path) -> Path:
+    """A good CSV of 30 rows and 2 joints with its sidecar."""
+    return rollout().to_csv(folder / "run.csv", overwrite=True)
+
+
+def read_lines(path: Path) -> Lines:
+    """Cells of the file."""
+    return [line.split(",") for line in path.read_text().splitlines()]
+
+
+def write_lines(path: Path, lines: Lines) -> None:
+    """Cells back into the file."""
+    path.write_text("".join(",".join(cells) + "\n" for cells in lines))
+
+
+def cell(column: str, row: int, value: str) -> Callable[[Lines], None]:
+    """Put a text into one cell."""
+
+    def change(lines: Lines) -> None:
+        lines[row][lines[0].index(column)] = value
+
+    return change
+
+
+def scaled(pattern: str, factor: float, offset: float = 0.0) -> Callable[[Lines], None]:
+    """Convert all columns that match to another unit."""
+
+    def change(lines: Lines) -> None:
+        for index, name in enumerate(lines[0]):
+            if re.fullmatch(pattern, name):
+                for cells in lines[1:]:
+                    cells[index] = repr(float(cells[index]) * factor + offset)
+
+    return change
+
+
+def without(pattern: str) -> Callable[[Lines], None]:
+    """Remove all columns that match."""
+
+    def change(lines: Lines) -> None:
+        keep = [i for i, name in enumerate(lines[0]) if not re.fullmatch(pattern, name)]
+        lines[:] = [[cells[i] for i in keep] for cells in lines]
+
+    return change
+
+
+def renamed(old: str, new: str) -> Callable[[Lines], None]:
+    """Rename a column."""
+    return cell(old, 0, new)
+
+
+def copied_time(lines: Lines) -> None:
+    """Row 5 gets the time of row 4."""
+    lines[5][0] = lines[4][0]
+
+
+def doubled_column(lines: Lines) -> None:
+    """The position of the left knee comes twice."""
+    index = lines[0].index("l_knee.position")
+    for cells in lines:
+        cells.append(cells[index])
+
+
+# change of a good file: (column, row, what is wrong)
+OFFENCES: dict[str, tuple[Callable[[Lines], object], str, str, str]] = {
+    "unknown joint": (renamed("l_knee.duty", "l_kne.duty"), "l_kne.duty", "header", "unknown joint.*l_knee"),
+    "unknown channel": (renamed("l_knee.duty", "l_knee.pwm"), "l_knee.pwm", "header", "unknown column"),
+    "unnamed column": (renamed("l_knee.duty", ""), "('')", "header", "unknown column"),
+    "no time": (without("time"), "time", "header", "required column is missing"),
+    "no target": (without(".*target"), "l_knee.target", "header", "required column is missing"),
+    "no position": (without(".*position"), "l_knee.position", "header", "required column is missing"),
+    "one joint without current": (
+        without("r_knee.current"),
+        "r_knee.current",
+        "header",
+        "missing while l_knee.current is there",
+    ),
+    "one axis of the gyroscope": (without("imu.gyro_y"), "imu.gyro_y", "header", "missing while imu.gyro_x"),
+    "gap in a vector": (without("policy.action_0"), "policy.action_0", "header", "missing while"),
+    "doubled column": (doubled_column, "l_knee.position", "header", "twice"),
+    "nan": (cell("imu.acc_z", 7, "nan"), "imu.acc_z", "row 7", "nan is not a finite"),
+    "overflow": (cell("imu.acc_z", 7, "1e999"), "imu.acc_z", "row 7", "inf is not a finite"),
+    "text": (cell("r_knee.velocity", 3, "fast"), "r_knee.velocity", "row 3", "'fast' is not a number"),
+    "empty cell": (cell("r_knee.velocity", 3, ""), "r_knee.velocity", "row 3", "empty"),
+    "digit groups": (cell("r_knee.velocity", 3, "1_0"), "r_knee.velocity", "row 3", "'1_0' is not a number"),
+    "time goes back": (cell("time", 9, "0.001"), "time", "row 9", "goes back"),
+    "time twice": (copied_time, "time", "row 5", "repeats the time of row 4"),
+    "milliseconds": (scaled("time", 1e3), "time", "row 2", "125 Hz.*milliseconds"),
+    "another rate": (scaled("time", 2.0), "time", "row 2", "62.5 Hz, but the metadata says rate: 125"),
+    "degrees": (scaled(".*(position|target)", 57.3), "r_knee.target", "row 1", "looks like degrees"),
+    "position in degrees": (scaled(".*position", 57.3), "r_knee.position", "row 1", "looks like degrees"),
+    "roll in degrees": (scaled("imu.(roll|pitch|yaw)", 57.3), "imu.", "row", "looks like degrees"),
+    "degrees per second": (scaled(".*velocity", 57.3), "l_knee.velocity", "row 1", "degrees per second"),
+    "rpm": (scaled(".*velocity", 60 / 6.2832), "l_knee.velocity", "row 1", "rpm"),
+    "slow rpm": (
+        lambda lines: (scaled(".*velocity", 0.955)(lines), scaled(".*(target|position)", 0.1)(lines)),
+        "l_knee.velocity",
+        "row",
+        "9.5[0-9]* times the change of position",
+    ),
+    "reversed velocity": (scaled(".*velocity", -1), "l_knee.velocity", "row", "-1 times the change"),
+    "gyroscope in degrees per second": (scaled("imu.gyro_.", 57.3), "imu.gyro_", "row", "degrees per second"),
+    "g": (scaled("imu.acc_.", 1 / 9.81), "imu.acc_x", "row 1", "looks like g"),
+    "mg": (scaled("imu.acc_.", 1e3 / 9.81), "imu.acc_x", "row 1", "looks like mg"),
+    "milliampere": (scaled(".*current", 1e3), "_knee.current", "row 1", "looks like mA"),
+    "PWM register": (scaled(".*duty", 885), "l_knee.duty", "row 1", "PWM register"),
+    "tenths of a volt": (scaled(".*voltage", 10), "l_knee.voltage", "row 1", "0.1 V"),
+    "negative voltage": (scaled(".*voltage", -1), "l_knee.voltage", "row 1", "negative"),
+    "kelvin": (scaled(".*temperature", 1, 273.15), "l_knee.temperature", "row 1", "313.15.*kelvin"),
+    "negative gain": (cell("r_knee.d_gain", 2, "-0.1"), "r_knee.d_gain", "row 2", "-0.1.*negative"),
+    "register gain": (scaled(".*p_gain", 133), "l_knee.p_gain", "row 1", "firmware units"),
+    "half a switch": (cell("l_knee.torque_enable", 4, "0.5"), "l_knee.torque_enable", "row 4", "not 0 or 1"),
+    "done twice over": (cell("done", 30, "2"), "done", "row 30", "not 0 or 1"),
+    "ragged row": (lambda lines: lines[6].pop(), "done", "row 6", "line 7 has .* cells where"),
+    "too many cells": (lambda lines: lines[6].append("0"), "done", "row 6", "line 7 has .* cells where"),
+    "cut short": (lambda lines: lines[-1].__delitem__(slice(3, None)), "l_knee.p_gain", "row 30", "3 cells"),
+    "no rows": (lambda lines: lines.__delitem__(slice(1, None)), "", "row 1", "no row"),
+}
+
+
+@pytest.mark.parametrize("offence", OFFENCES)
+def test_a_bad_table_gets_one_sentence(tmp_path, offence):
+    """The sentence names file, column, row, what is wrong and what to do."""
+    change, column, row, problem = OFFENCES[offence]
+    path = written(tmp_path)
+    lines = read_lines(path)
+    change(lines)
+    write_lines(path, lines)
+    with pytest.raises(LogError) as caught:
+        read_log(path)
+    message = str(caught.value)
+    assert message.startswith(str(path))
+    assert message.endswith(".")
+    assert "\n" not in message
+    assert column in message
+    assert re.search(rf"\b{row}\b", message)
+    assert re.search(problem, message), message
+    assert re.search(CONVERT, message), message
+
+
+SIDECARS = {
+    "missing": (None, "sidecar is missing; write the metadata"),
+    "not YAML": ("joints: [l_knee\nrate: 1", "invalid YAML at line 2"),
+    "empty": ("", "the metadata is empty"),
+    "a list": ("- 1", "a list and not a mapping"),
+    "no rate": ("joints: [l_knee, r_knee]\nrobot: real\nmount: floor", "field rate: the field is missing; add"),
+    "rate is text": ("joints: [a]\nrobot: real\nmount: floor\nrate: fast", "field rate: 'fast' is not a positive"),
+    "misspelt": ("joints: [a]\nrobots: real", "field 'robots': no such field; rename it `robot`"),
+    "unknown": ("joints: [a]\nweather: fine", "field 'weather': no such field; move it under `extra:`"),
+    "wrong mount": ("joints: [a]\nrobot: real\nmount: wall\nrate: 125", "'wall' is not one of floor, stand"),
+    "pendulum without mass": ("joints: [a]\nrobot: rig\nmount: pendulum\nrate: 125\nlength: 0.1", "add `mass:"),
+    "impossible date": ("date: 2026-99-99", "invalid YAML"),
+    "other joints": ("joints: [l_knee]\nrobot: real\nmount: floor\nrate: 125", "column r_knee.target: unknown joint"),
+}
+
+
+@pytest.mark.parametrize("offence", SIDECARS)
+def test_a_bad_sidecar_gets_one_sentence(tmp_path, offence):
+    """The sentence names the sidecar, the field or line, and what to do."""
+    text, expected = SIDECARS[offence]
+    path = written(tmp_path)
+    sidecar = path.with_suffix(".yaml")
+    sidecar.unlink() if text is None else sidecar.write_text(text)
+    with pytest.raises(LogError) as caught:
+        read_log(path)
+    message = str(caught.value)
+    assert expected in message
+    assert "run.yaml" in message
+    assert re.search(CONVERT, message), message
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (b"", "the file is empty"),
+        (b"\xff\xfe\x00", "byte 0 is not UTF-8"),
+        (b"time;l_knee.position\n0;1\n", "separated by ;"),
+        (b'time,"l_knee.posi\n', "not CSV"),
+        (b"time\x00\n1\n", "time"),
+    ],
+)
+def test_a_file_that_is_no_csv_gets_one_sentence(tmp_path, content, expected):
+    """Empty, binary and foreign files are refused as such."""
+    path = written(tmp_path)
+    path.write_bytes(content)
+    with pytest.raises(LogError, match=re.escape(expected)):
+        read_log(path)
+
+
+def test_column_order_quotes_and_blank_lines_do_not_matter(tmp_path):
+    """Columns may come in any order, quoted, with spaces, a byte order mark and a blank last line."""
+    path = written(tmp_path)
+    lines = [list(reversed(cells)) for cells in read_lines(path)]
+    lines[0] = [f'"{name} "' for name in lines[0]]
+    text = "\r\n".join(",".join(cells) for cells in lines) + "\r\n\r\n"
+    path.write_text("\ufeff" + text, encoding="utf-8", newline="")
+    assert_same(read_log(path), rollout())
+
+
+def test_more_than_ten_vector_entries_keep_their_order(tmp_path):
+    """Entry 10 of an observation comes after entry 9, not after entry 1."""
+    log = rollout()
+    observation = np.arange(30.0 * 12).reshape(30, 12)
+    arrays = {key: log.array(key) for key in log.channels}
+    wide = type(log).from_arrays({**arrays, ("policy", "observation"): observation}, log.metadata)
+    assert_same(read_log(wide.to_csv(tmp_path / "run.csv")), wide)
+
+
+def test_csv_is_not_overwritten_unasked(tmp_path):
+    """An existing CSV, or a foreign file in the sidecar's place, is left alone."""
+    path = written(tmp_path)
+    with pytest.raises(LogError, match="overwrite=True"):
+        rollout().to_csv(path)
+    (tmp_path / "other.yaml").write_text("mine")
+    with pytest.raises(LogError, match=r"other\.yaml"):
+        rollout().to_csv(tmp_path / "other.csv")
+    assert not (tmp_path / "other.csv").exists()
+
+
+HEADER = "time,l_knee.target,r_knee.target,l_knee.position,r_knee.position"
+snippets = st.sampled_from(["time", "l_knee", ".", "position", ",", "\n", '"', "0", "1e5", "nan", "-", "_", ";", "é"])
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(text=st.text() | st.lists(snippets).map("".join) | st.lists(snippets).map(lambda s: f"{HEADER}\n" + "".join(s)))
+@example(text=HEADER + "\n0,0,0,0,0\n")
+@example(text="\x00")
+def test_any_text_is_read_or_refused(tmp_path, text):
+    """Whatever a CSV holds, reading gives a rollout or a LogError of one line, and nothing else."""
+    path = written(tmp_path)
+    path.write_text(text, encoding="utf-8", errors="replace", newline="")
+    assert "\n" not in refuse_or_read(path)
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_any_damage_is_read_or_refused(tmp_path, data):
+    """A good CSV with a part replaced by anything is read or refused with a LogError."""
+    path = written(tmp_path)
+    raw = path.read_bytes()
+    start = data.draw(st.integers(0, len(raw)))
+    end = data.draw(st.integers(start, min(len(raw), start + 50)))
+    path.write_bytes(raw[:start] + data.draw(st.binary(max_size=8)) + raw[end:])
+    assert "\n" not in refuse_or_read(path)
+
+
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    text=st.text()
+    | st.lists(
+        st.sampled_from(["joints", "rate", ": ", "\n", "- ", "[", "]", "{", "&a", "*a", "1", "!!", "2026-13-40"])
+    ).map("".join)
+)
+def test_any_sidecar_is_read_or_refused(tmp_path, text):
+    """Whatever a sidecar holds, reading gives a rollout or a LogError."""
+    path = written(tmp_path)
+    path.with_suffix(".yaml").write_text(text, encoding="utf-8", errors="replace")
+    assert "\n" not in refuse_or_read(path)
+
+
+def refuse_or_read(path: Path) -> str:
+    """Read the file; the sentence of the LogError, or nothing where the file is good."""
+    try:
+        read_log(path)
+    except LogError as error:
+        return str(error)
+    return ""

@@ -1,0 +1,162 @@
+"""The servo-bench importer, on real recordings and on damaged ones."""
+
+from __future__ import annotations
+
+import json
+import lzma
+from typing import Any
+
+import numpy as np
+import pytest
+from rollout_logs import SERVO_BENCH
+
+from op3.rollout import LogError, read_log, read_logs
+
+needs_recordings = pytest.mark.skipif(not SERVO_BENCH.is_dir(), reason=f"no servo recordings in {SERVO_BENCH}")
+
+
+def recording(motor: str = "xl330", **changes: Any) -> dict[str, Any]:
+    """Three samples of a pendulum, as the recorders write them."""
+    volts = {"xl330": 7.3, "sts3032": 60.0}.get(motor, 7.3)
+    entry = dict(position=0.1, speed=0.0, load=0, input_volts=volts, temp=39, goal_position=0.2, torque_enable=True)
+    entries = [dict(entry, timestamp=t) for t in (0.004, 0.0095, 0.0146)]
+    header = dict(mass=0.49, length=0.1, kp=200, vin=7.4, motor=motor, trajectory="sin_sin", entries=entries)
+    return {**header, **changes}
+
+
+def read(folder, content: dict[str, Any]):
+    """Write the recording and import it."""
+    path = folder / "2026-01-15_10h28m10.json"
+    path.write_text(json.dumps(content))
+    return read_log(path)
+
+
+def test_every_quantity_finds_its_channel(tmp_path):
+    """A recording of the XL330 becomes SI channels and metadata, time stamps untouched."""
+    content = recording()
+    content["entries"][0]["load"] = 65536 - 885
+    content["entries"][1]["load"] = 177
+    content["entries"][2]["torque_enable"] = False
+    log = read(tmp_path, content)
+    assert log.column("time").tolist() == [0.004, 0.0095, 0.0146]
+    assert log.column("servo.target").tolist() == [0.2] * 3
+    assert log.column("servo.torque_enable").tolist() == [1, 1, 0]
+    assert log.column("servo.firmware_gain").tolist() == [200] * 3
+    assert log.column("servo.duty").tolist() == [-1.0, 0.2, 0.0]  # 177 / 885 = 0.2
+    assert log.column("servo.voltage").tolist() == [7.3] * 3
+    assert log.column("servo.temperature").tolist() == [39] * 3
+    about = log.metadata
+    assert (about.robot, about.mount, about.mass, about.length) == ("rig", "pendulum", 0.49, 0.1)
+    assert (about.servo, about.firmware_gain, about.battery, about.motion) == ("xl330", 200, 7.4, "sin_sin")
+    assert about.date == "2026-01-15T10:28:10"
+    assert about.rate == pytest.approx(2 / 0.0106)
+
+
+def test_tenths_of_a_volt_become_volts(tmp_path):
+    """The STS3032 reports 0.1 V; its unread load and temperature are absent."""
+    log = read(tmp_path, recording("sts3032", vin=6.0))
+    assert log.column("servo.voltage").tolist() == [6.0] * 3
+    assert ("joint", "duty") not in log
+    assert ("joint", "temperature") not in log
+
+
+def test_voltage_is_decided_by_the_supply(tmp_path):
+    """A servo whose driver already reports volts is not divided by ten."""
+    content = recording("sts3032", vin=6.0)
+    for entry in content["entries"]:
+        entry["input_volts"] = 6.1
+    assert read(tmp_path, content).column("servo.voltage").tolist() == [6.1] * 3
+
+
+def entry(row: int, **changes: Any):
+    """A change of one sample; None removes the key."""
+
+    def change(content: dict[str, Any]) -> None:
+        sample = content["entries"][row - 1]
+        sample.update(changes)
+        for name in [name for name, value in sample.items() if value is None]:
+            del sample[name]
+
+    return change
+
+
+BENCH_OFFENCES = {
+    "no mass": (lambda c: c.pop("mass"), "field mass: the key is missing"),
+    "no entries": (lambda c: c.update(entries=[]), "row 1, field entries"),
+    "unknown motor": (lambda c: c.update(motor="mx28"), "field motor: unknown motor 'mx28'"),
+    "text for mass": (lambda c: c.update(mass="heavy"), "field mass: 'heavy'"),
+    "null supply": (lambda c: c.update(vin=None), "field vin"),
+    "missing value": (entry(2, speed=None), "row 2, column speed: the value is missing"),
+    "text": (entry(2, position="left"), "row 2, column position: 'left' is not a finite number"),
+    "nan": (entry(3, goal_position=float("nan")), "row 3, column goal_position"),
+    "truth value": (entry(3, speed=True), "row 3, column speed"),
+    "huge": (entry(3, speed=10**400), "row 3, column speed"),
+    "time twice": (entry(2, timestamp=0.004), "row 2, column time"),
+    "millivolts": (lambda c: [e.update(input_volts=7300) for e in c["entries"]], "column input_volts"),
+    "load": (entry(1, load=70000), "row 1, column load: 70000 is not a 16-bit register value"),
+    "torque_enable": (entry(1, torque_enable=2), "row 1, column servo.torque_enable: 2 is not 0 or 1"),
+    "degrees": (entry(1, position=57.0), "row 1, column servo.position: 57 is beyond 7 rad and looks like degrees"),
+    "a sample that is no mapping": (lambda c: c["entries"].append(3), "row 4, column timestamp"),
+}
+
+
+@pytest.mark.parametrize("offence", BENCH_OFFENCES)
+def test_a_bad_recording_gets_one_sentence(tmp_path, offence):
+    """The sentence names file, key and sample, and says what to do."""
+    change, expected = BENCH_OFFENCES[offence]
+    content = recording()
+    change(content)
+    with pytest.raises(LogError) as caught:
+        read(tmp_path, content)
+    message = str(caught.value)
+    assert expected in message
+    assert "2026-01-15_10h28m10.json" in message
+    assert "; " in message
+
+
+def test_broken_files_are_refused(tmp_path):
+    """Cut-off xz data, cut-off JSON and JSON of something else are told apart."""
+    whole = json.dumps(recording()).encode()
+    for name, content, expected in [
+        ("a.json.xz", lzma.compress(whole)[:-20], "xz data is broken"),
+        ("b.json.xz", b"not xz", "xz data is broken"),
+        ("c.json", whole[:200], "JSON is broken or cut short at line 1"),
+        ("d.json", b"[1, 2]", "not a mapping"),
+        ("e.json", b"\xff\xff\xff\xff", "not JSON"),
+        ("f.json", b"[" * 100_000, "not JSON"),
+    ]:
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(LogError, match=expected) as caught:
+            read_log(tmp_path / name)
+        assert name in str(caught.value)
+
+
+@needs_recordings
+@pytest.mark.parametrize(("folder", "runs", "rate"), [("sts3032", 96, (130, 195)), ("xl330", 12, (180, 255))])
+def test_all_recordings_import(folder, runs, rate):
+    """Every real recording imports, with its rate, its length of 6 s and a supply near nominal."""
+    logs = read_logs(SERVO_BENCH / folder)
+    assert len(logs) == runs
+    for log in logs:
+        assert log.metadata.servo == folder
+        assert rate[0] < log.metadata.rate < rate[1]
+        assert 5.9 < log.duration < 6.1
+        assert np.median(log.column("servo.voltage")) == pytest.approx(log.metadata.battery, rel=0.1)
+    motions = [log.metadata.motion for log in logs]
+    assert {motions.count(name) for name in set(motions)} == {runs // 4}
+
+
+@needs_recordings
+def test_measured_duty_follows_the_servos_own_law():
+    """On the XL330, duty = kp (4096 / 2 pi) / (256 * 885) * (target - position), up to one sample late.
+
+    Duty in register counts is kp / 256 times the position error in register counts; agreement fixes sign,
+    scale and two's complement of the imported duty.
+    """
+    for log in read_logs(SERVO_BENCH / "xl330"):
+        gain = log.metadata.firmware_gain * (4096 / (2 * np.pi)) / (256 * 885)
+        expected = np.clip(gain * (log.column("servo.target") - log.column("servo.position")), -1, 1)
+        driven = log.column("servo.torque_enable") == 1
+        duty, expected = log.column("servo.duty")[driven][1:], expected[driven]
+        slopes = [duty @ e / (e @ e) for e in (expected[1:], expected[:-1])]
+        assert min(abs(slope - 1) for slope in slopes) < 0.05
