@@ -1,0 +1,108 @@
+"""Identify a robot's or a servo's parameters from logs.
+
+python experiments/identify.py data=<log> [heldout=<log>] [groups=[motor,gear,friction,body]] [method=tpe]
+python experiments/identify.py -m data=<log> seed=0,1,2 hydra.sweeper.n_trials=2000
+python experiments/identify.py experiment=servo_bench data=<folder of bench logs>
+"""
+
+import dataclasses
+import time
+from pathlib import Path
+from typing import Any
+
+import hydra
+import optuna
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+from op3.report.identification import report_identification
+from support import one_sentence
+
+from op3.identify.identification import PREFIX, Fit, Identification
+from op3.identify.settings import read_settings
+from op3.identify.sweeper import sweep_or_report
+from op3.robot import CONTROLLED_JOINTS
+from op3.rollout import Rollout, read_logs
+from op3.servo import RobotModel
+from op3.sim import load_model, save_model
+
+
+def split_logs(cfg: DictConfig) -> tuple[list[Rollout], list[Rollout]]:
+    """Logs to fit and logs held out, by files or by a metadata field."""
+    logs = read_logs(_plain(cfg.data))
+    heldout = [] if cfg.heldout is None else read_logs(_plain(cfg.heldout))
+    where = _plain(cfg.heldout_where) or {}
+    chosen = [log for log in logs if where and all(getattr(log.metadata, k) == v for k, v in where.items())]
+    if where and not chosen:
+        raise ValueError(f"heldout_where={where} matches none of the {len(logs)} logs; null holds none out")
+    return [log for log in logs if not any(log is held for held in chosen)], [*heldout, *chosen]
+
+
+def build(cfg: DictConfig, model: RobotModel, label: str) -> Identification:
+    """The identification that the config describes, for this model."""
+    fit_logs, heldout_logs = split_logs(cfg)
+    names = [name for name in cfg.parameters if name in model.parameters() or name not in _ablated(cfg)]
+    joints = _plain(cfg.joints)
+    if joints is None:
+        joints = CONTROLLED_JOINTS if set(CONTROLLED_JOINTS) <= set(fit_logs[0].joints) else ()
+    return Identification(model, fit_logs, heldout_logs, names, joints=joints, label=label)
+
+
+def _ablated(cfg: DictConfig) -> set[str]:
+    model = load_model(cfg.model)
+    on = [name for name in cfg.ablate if name in model.effect_names]
+    return {p.name for name in on for p in model.effect(name).parameters}
+
+
+def _plain(node: Any) -> Any:
+    return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
+
+
+def without_effects(cfg: DictConfig, folder: Path) -> Fit | None:
+    """The same identification with the effects of `ablate` switched off."""
+    model = load_model(cfg.model)
+    effects = [name for name in cfg.ablate if name in model.effect_names]
+    if not effects:
+        return None
+    name = "_".join(effects)
+    identification = build(cfg, model.without(*effects), f"without {', '.join(effects).upper()}")
+    settings = read_settings(cfg, HydraConfig.get().sweeper, folder)
+    keys = [PREFIX + parameter for parameter in identification.names]
+    settings = dataclasses.replace(
+        settings,
+        search_space={key: settings.search_space[key] for key in keys},
+        nominal=None if settings.nominal is None else {key: settings.nominal[key] for key in keys},
+        storage=str(folder / f"study_without_{name}.journal"),
+        study_name=f"without_{name}",
+    )
+    return identification.finish(settings.run(identification.evaluate), **cfg.refine)
+
+
+@hydra.main(config_path="../conf", config_name="identify", version_base="1.3")
+def main(cfg: DictConfig) -> Any:
+    """Evaluate a population for the sweeper, or run the study and report it."""
+    with one_sentence():
+        torch.set_num_threads(1)
+        started = time.monotonic()
+        model = load_model(cfg.model)
+        identification = build(cfg, model, f"with {', '.join(cfg.ablate).upper()}" if cfg.ablate else "model")
+        folder = Path(HydraConfig.get().runtime.output_dir)
+
+        def report(study: optuna.Study) -> dict[str, Any]:
+            fit = identification.finish(study, **cfg.refine)
+            ablated = without_effects(cfg, folder)
+            save_model(fit.model, folder / "model.yaml")
+            return report_identification(
+                fit,
+                ablated,
+                folder,
+                wall_seconds=time.monotonic() - started,
+                config=_plain(cfg),
+                job=HydraConfig.get(),
+            )
+
+        return sweep_or_report(cfg, identification.evaluate, report)
+
+
+if __name__ == "__main__":
+    main()

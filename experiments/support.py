@@ -1,0 +1,15 @@
+"""What the experiment scripts share."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from hydra.errors import CompactHydraException
+
+
+@contextmanager
+def one_sentence() -> Iterator[None]:
+    """Let wrong input end a script with its one sentence and a non-zero exit, without a stack trace."""
+    try:
+        yield
+    except (ValueError, FileNotFoundError) as error:
+        raise CompactHydraException(str(error)) from error

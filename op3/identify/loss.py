@@ -1,0 +1,111 @@
+"""How far a prediction is from a log: the paper's loss, its terms, and residuals for least squares."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from op3.rollout import LogError
+from op3.tasks import Prediction
+
+UNIT_WEIGHTS: Mapping[tuple[str, str], float] = {
+    ("imu", "orientation"): 1.0,
+    ("imu", "angular_velocity"): 1.0,
+    ("joint", "position"): 1.0,
+    ("joint", "velocity"): 1.0,
+    ("joint", "current"): 1.0,
+}
+"""Weights of paper eq. (7): one for every channel, in rad, rad/s and A."""
+
+FAILED_RESIDUAL = 10.0
+"""Residual of every sample of a simulation that diverged; far beyond any real one."""
+
+
+@dataclass(frozen=True)
+class TrajectoryLoss:
+    """Paper eq. (7), with a weight per channel.
+
+    ``1/T sum_t (|r|^2 + |dr|^2) + 1/(N T) sum_t sum_i (q^2 + w^2 + I^2)`` of simulated minus measured values:
+    orientation r as roll and pitch [rad], body rates dr [rad/s], joint angles q [rad], velocities w [rad/s] and
+    currents I [A] over N focusing joints and T rows. Channels that a log does not have do not count.
+
+    Attributes:
+        joints: focusing joints; all joints of a log where empty.
+        weights: by channel. The paper's are one.
+    """
+
+    joints: Sequence[str] = ()
+    weights: Mapping[tuple[str, str], float] = field(default_factory=lambda: UNIT_WEIGHTS)
+
+    def differences(self, prediction: Prediction) -> dict[tuple[str, str], Tensor]:
+        """Simulated minus measured, by channel, ``[candidate, time, joint | axis]``.
+
+        Raises:
+            LogError: if the log has none of the weighted channels.
+        """
+        log = prediction.log
+        columns = [log.joints.index(joint) for joint in self.joints if joint in log.joints]
+        result = {}
+        for key in self.weights:
+            if key not in log or key not in prediction.channels:
+                continue
+            simulated = prediction.channels[key]
+            measured = torch.from_numpy(log.array(key)[: simulated.shape[1]])
+            difference = simulated - measured
+            if key[0] == "joint":
+                difference = difference[..., columns] if columns else difference
+            elif key == ("imu", "orientation"):
+                difference = _wrap(difference[..., :2])
+            result[key] = difference
+        if not result:
+            names = ", ".join("/".join(key) for key in self.weights)
+            raise LogError(
+                "the log has no channel to compare",
+                f"record at least one of {names}",
+                source=log.metadata.recording,
+            )
+        return result
+
+    def terms(self, prediction: Prediction) -> dict[tuple[str, str], Tensor]:
+        """The unweighted terms of eq. (7) by channel, ``[candidate]``; NaN where the simulation failed."""
+        result = {}
+        for key, difference in self.differences(prediction).items():
+            squares = difference.square()
+            value = squares.mean((1, 2)) if key[0] == "joint" else squares.sum(2).mean(1)
+            result[key] = torch.where(prediction.failed, torch.nan, value)
+        return result
+
+    def __call__(self, predictions: Sequence[Prediction]) -> Tensor:
+        """Weighted loss, averaged over logs, ``[candidate]``; NaN where a simulation failed."""
+        losses = []
+        for prediction in predictions:
+            terms = self.terms(prediction)
+            losses.append(torch.stack([self.weights[key] * term for key, term in terms.items()]).sum(0))
+        return torch.stack(losses).mean(0)
+
+    def residuals(self, predictions: Sequence[Prediction]) -> Tensor:
+        """Vectors whose squared length is the loss, ``[candidate, residual]``."""
+        parts = []
+        for prediction in predictions:
+            for key, difference in self.differences(prediction).items():
+                count = difference.shape[1] * (difference.shape[2] if key[0] == "joint" else 1)
+                scale = (self.weights[key] / (count * len(predictions))) ** 0.5
+                bad = prediction.failed.view(-1, 1, 1) | ~torch.isfinite(difference)
+                parts.append(torch.where(bad, FAILED_RESIDUAL, difference).flatten(1) * scale)
+        return torch.cat(parts, 1)
+
+
+def position_error(predictions: Sequence[Prediction]) -> Tensor:
+    """Mean absolute joint position error [rad] per log, ``[candidate, log]``; NaN where a simulation failed."""
+    errors = []
+    for prediction in predictions:
+        simulated = prediction.channels[("joint", "position")]
+        measured = torch.from_numpy(prediction.log.array("joint/position")[: simulated.shape[1]])
+        error = (simulated - measured).abs().mean((1, 2))
+        errors.append(torch.where(prediction.failed, torch.nan, error))
+    return torch.stack(errors, 1)
+
+
+def _wrap(angle: Tensor) -> Tensor:
+    return torch.remainder(angle + torch.pi, 2 * torch.pi) - torch.pi

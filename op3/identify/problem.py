@@ -1,0 +1,84 @@
+"""An identification problem: logs, a model to start from, and the parameters to find."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from op3.identify.loss import TrajectoryLoss
+from op3.rollout import Rollout
+from op3.servo import RobotModel, parameter
+from op3.tasks import Prediction, Replay
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What one parameter set is worth.
+
+    Attributes:
+        loss: what the optimiser minimises; None where the simulation failed.
+        terms: unweighted loss by channel.
+    """
+
+    loss: float | None
+    terms: Mapping[str, float]
+
+
+class Problem:
+    """Evaluates parameter sets on logs, many at once.
+
+    Args:
+        model: effects that are on, and values of parameters that are not searched.
+        logs: what to reproduce.
+        loss: what to minimise.
+        replay: options of `op3.tasks.Replay`.
+    """
+
+    def __init__(self, model: RobotModel, logs: Sequence[Rollout], loss: TrajectoryLoss, **replay: float):
+        self.model = model
+        self.loss = loss
+        self.replay = Replay(logs, **replay)
+        self.simulated_seconds = 0.0
+
+    def predict(self, parameters: Mapping[str, Tensor] | None = None, candidates: int = 1) -> list[Prediction]:
+        """Simulate the logs; parameters as ``[candidate]`` or ``[candidate, joint]``."""
+        self.simulated_seconds += self.replay.seconds * candidates
+        return self.replay.run(self.model, parameters, candidates)
+
+    def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[Evaluation]:
+        """The loss of every parameter set.
+
+        Args:
+            population: parameter sets, all with the same names.
+        """
+        values = {
+            name: torch.tensor([float(member[name]) for member in population], dtype=torch.float64)
+            for name in population[0]
+        }
+        predictions = self.predict(values, len(population))
+        losses = self.loss(predictions)
+        terms = [self.loss.terms(prediction) for prediction in predictions]
+        keys = {key for term in terms for key in term}
+        evaluations = []
+        for i, loss in enumerate(losses.tolist()):
+            failed = loss != loss
+            means = {
+                "/".join(key): float(torch.stack([t[key][i] for t in terms if key in t]).mean()) for key in sorted(keys)
+            }
+            evaluations.append(Evaluation(None if failed else loss, {} if failed else means))
+        return evaluations
+
+    def residual_function(self, names: Sequence[str], low: Tensor, high: Tensor) -> Callable[[Tensor], Tensor]:
+        """Residuals of points in the unit box, ``[candidate, parameter] -> [candidate, residual]``."""
+
+        def residuals(unit: Tensor) -> Tensor:
+            values = {name: low[i] + unit[:, i] * (high[i] - low[i]) for i, name in enumerate(names)}
+            return self.loss.residuals(self.predict(values, len(unit)))
+
+        return residuals
+
+
+def catalogue_bounds(names: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Lowest and highest plausible value by parameter name."""
+    return {name: (parameter(name).low, parameter(name).high) for name in names}

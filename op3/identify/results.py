@@ -1,0 +1,58 @@
+"""The outcome of a study as a YAML file, in the form that hydra-optuna-sweeper users know."""
+
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import optuna
+import yaml
+from optuna.trial import TrialState
+
+RESULTS_FILE = "optimization_results.yaml"
+
+
+def summarize(study: optuna.Study) -> dict[str, Any]:
+    """Summarise a study as plain data.
+
+    Returns:
+        `name`, `study_name`, `n_trials`, `n_failed`; with one objective `best_value`, `best_params`,
+        `best_trial`, and `nominal_value`; with several `solutions`, the Pareto front in the order of the
+        trials, each with `trial`, `params` and `values`. What no complete trial gives is None.
+    """
+    complete = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+    failed = study.get_trials(deepcopy=False, states=(TrialState.FAIL,))
+    summary: dict[str, Any] = {
+        "name": "optuna",
+        "study_name": study.study_name,
+        "n_trials": len(complete) + len(failed),
+        "n_failed": len(failed),
+    }
+    if len(study.directions) > 1:
+        front = sorted(study.best_trials, key=lambda trial: trial.number) if complete else []
+        summary["solutions"] = [
+            {"trial": trial.number, "params": dict(trial.params), "values": list(trial.values)} for trial in front
+        ]
+        return summary
+    best = study.best_trial if complete else None
+    nominal = next((trial for trial in complete if trial.user_attrs.get("nominal")), None)
+    summary["best_value"] = None if best is None else best.value
+    summary["best_params"] = None if best is None else dict(best.params)
+    summary["best_trial"] = None if best is None else best.number
+    summary["nominal_value"] = None if nominal is None else nominal.value
+    return summary
+
+
+def write_yaml(path: Path, data: Mapping[str, Any]) -> None:
+    """Write a YAML file such that a reader never sees half of it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, yaml.safe_dump(dict(data), sort_keys=False, allow_unicode=True))
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Write a file beside its place and move it there."""
+    with tempfile.NamedTemporaryFile("w", dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+        file.write(text)
+    os.chmod(file.name, 0o644)
+    os.replace(file.name, path)

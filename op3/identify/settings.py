@@ -1,0 +1,148 @@
+"""The settings of a study: Hydra's config under `hydra.sweeper`, and what is read from it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import optuna
+from hydra.utils import to_absolute_path
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from op3.identify.samplers import make_sampler_factory
+from op3.identify.search_space import SearchSpace, SearchSpaceError, check_nominal, parse_search_space
+from op3.identify.storage import open_storage
+from op3.identify.study import Evaluate, StudyError, run_study
+
+STORAGE_FILE = "study.journal"
+# Hydra takes plugin classes from the module tree `hydra_plugins` only, see `op3.identify.sweeper.register`.
+PLUGIN_MODULE = "hydra_plugins.op3_population_sweeper"
+
+
+@dataclass
+class PopulationSweeperConf:
+    """Settings of the sweeper, in Hydra's config under `hydra.sweeper`."""
+
+    _target_: str = f"{PLUGIN_MODULE}.PopulationSweeper"
+    # The sampler is built by us, once for every population.
+    _recursive_: bool = False
+    # tpe, cmaes, nsga2, gp, random; {name: tpe, **options}; {_target_: optuna.samplers.TPESampler, **options}
+    sampler: Any = "tpe"
+    # minimize or maximize; a list for several objectives
+    direction: Any = "minimize"
+    # a path ending in .journal, or a database URL; null: study.journal in the folder of the run or cell
+    storage: str | None = None
+    # null: "study"; cells of a grid that share a storage get their overrides appended
+    study_name: str | None = None
+    # finished trials of each study, over all its workers
+    n_trials: int = 256
+    # trials asked together and evaluated by one job
+    population: int = 64
+    # jobs launched together, for launchers that run jobs side by side
+    parallel_populations: int = 1
+    # whether the config's own values are the first trial
+    nominal: bool = True
+    # null: drawn anew for each new study
+    seed: int | None = None
+    # config key -> range, such as interval(0.003, 0.009)
+    params: dict[str, Any] | None = None
+
+
+@dataclass(frozen=True)
+class StudySettings:
+    """What one study needs, read from a composed config."""
+
+    search_space: SearchSpace
+    nominal: dict[str, Any] | None
+    sampler: Any
+    directions: tuple[str, ...]
+    storage: str
+    study_name: str
+    n_trials: int
+    population: int
+    parallel_populations: int
+    seed: int | None
+
+    def check(self) -> None:
+        """Find out before the first trial whether the sampler and the storage can be used."""
+        make_sampler_factory(
+            self.sampler,
+            population=self.population * self.parallel_populations,
+            directions=len(self.directions),
+            nominal=self.nominal,
+        )
+        open_storage(self.storage)
+
+    def run(self, evaluate: Evaluate) -> optuna.Study:
+        """Run the study, or go on with it."""
+        return run_study(
+            evaluate,
+            self.search_space,
+            sampler=self.sampler,
+            directions=self.directions,
+            storage=self.storage,
+            study_name=self.study_name,
+            n_trials=self.n_trials,
+            population=self.population * self.parallel_populations,
+            nominal=self.nominal,
+            seed=self.seed,
+        )
+
+    def split(self, population: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
+        """Cut what was asked into the populations of single jobs."""
+        return [population[i : i + self.population] for i in range(0, len(population), self.population)]
+
+
+def read_settings(config: DictConfig, sweeper: DictConfig, folder: Path, cell: str = "") -> StudySettings:
+    """Read the settings of a study.
+
+    Args:
+        config: the composed config, whose values are the nominal parameters.
+        sweeper: its node `hydra.sweeper`.
+        folder: folder of the run or cell, for the default storage.
+        cell: overrides of the cell in an outer grid, which tell its study from its neighbours'.
+    """
+    if OmegaConf.select(sweeper, "_target_") != PopulationSweeperConf._target_:
+        raise StudyError(
+            "The config does not choose this sweeper: add `- override hydra/sweeper: population` to its defaults."
+        )
+    plain = OmegaConf.to_container(sweeper, resolve=True)
+    assert isinstance(plain, dict)
+    search_space = parse_search_space(plain["params"])
+    values = {key: _config_value(config, key) for key in search_space}
+    direction = plain["direction"]
+    storage, name = plain["storage"], plain["study_name"] or "study"
+    if plain["parallel_populations"] < 1 or plain["population"] < 1 or plain["n_trials"] < 1:
+        raise StudyError("hydra.sweeper: population, parallel_populations and n_trials must be at least 1.")
+    return StudySettings(
+        search_space=search_space,
+        nominal=check_nominal(search_space, values) if plain["nominal"] else None,
+        sampler=plain["sampler"],
+        directions=(direction,) if isinstance(direction, str) else tuple(direction),
+        storage=_storage_address(storage, folder),
+        study_name=f"{name}/{cell}" if storage and cell else name,
+        n_trials=plain["n_trials"],
+        population=plain["population"],
+        parallel_populations=plain["parallel_populations"],
+        seed=plain["seed"],
+    )
+
+
+def _config_value(config: DictConfig, key: str) -> Any:
+    missing = object()
+    try:
+        value = OmegaConf.select(config, key, default=missing, throw_on_missing=False)
+    except OmegaConfBaseException as error:
+        raise SearchSpaceError(f"{key}: cannot be read from the config ({error}).") from error
+    if value is missing:
+        raise SearchSpaceError(
+            f"{key}: hydra.sweeper.params names a key that the config does not have: "
+            "correct the name, or add the key with its nominal value."
+        )
+    return value
+
+
+def _storage_address(storage: str | None, folder: Path) -> str:
+    if storage is None:
+        return str(folder.absolute() / STORAGE_FILE)
+    return storage if "://" in storage else to_absolute_path(storage)

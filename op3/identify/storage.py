@@ -1,0 +1,128 @@
+"""Where a study is kept: a journal file, a database, or memory."""
+
+import fcntl
+import os
+from pathlib import Path
+
+import optuna
+from optuna.storages import BaseStorage, InMemoryStorage, JournalStorage
+from optuna.storages.journal import JournalFileBackend
+from optuna.storages.journal._file import BaseJournalFileLock
+
+JOURNAL_SUFFIXES = (".journal", ".log")
+_FIRST_BYTES = b'{"op_code"'
+
+
+class StorageError(ValueError):
+    """A storage that cannot be used; the message says why and what to write instead."""
+
+
+def open_storage(storage: str | os.PathLike[str] | BaseStorage | None) -> BaseStorage:
+    """Open the storage of a study, ready for several workers at once.
+
+    Args:
+        storage: a path ending in `.journal` or `.log` (a file that all workers see), a database URL such
+            as `sqlite:///study.db` or `mysql://...`, an open Optuna storage, or None for memory only.
+
+    Raises:
+        StorageError: if it is neither, or cannot be opened or written.
+    """
+    if storage is None:
+        return InMemoryStorage()
+    if isinstance(storage, BaseStorage):
+        return storage
+    name = os.fspath(storage)
+    if "://" in name:
+        return _open_database(name)
+    if not name.endswith(JOURNAL_SUFFIXES):
+        raise StorageError(
+            f"The storage {name!r} is neither a journal nor a database: write a path ending in "
+            f"{' or '.join(JOURNAL_SUFFIXES)}, or a URL such as sqlite:///study.db."
+        )
+    path = Path(name).absolute()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(path.with_name(path.name + ".flock"))
+        with lock, open(path, "ab"):
+            _cut_torn_record(path)
+        return JournalStorage(JournalFileBackend(str(path), lock_obj=lock))
+    except OSError as error:
+        raise StorageError(
+            f"The storage {path} cannot be written ({error.strerror or error}): "
+            "choose a folder you may write to, by storage=<path>.journal."
+        ) from error
+    except (ValueError, KeyError) as error:
+        raise StorageError(
+            f"The storage {path} is not an Optuna journal ({error}): move it away or name another."
+        ) from error
+
+
+class FileLock(BaseJournalFileLock):
+    """A lock on a file that the kernel gives back when its holder dies.
+
+    Optuna's own locks are files that outlive a killed process and block every other worker until
+    they are found to be old. It has a name of its own, so that a program which opens the journal with
+    plain Optuna is not blocked; such a program should only read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._descriptor: int | None = None
+
+    def acquire(self) -> bool:
+        """Wait for the lock."""
+        descriptor = os.open(self._path, os.O_CREAT | os.O_RDWR, 0o666)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        except BaseException:
+            os.close(descriptor)
+            raise
+        self._descriptor = descriptor
+        return True
+
+    def release(self) -> None:
+        """Give the lock back."""
+        descriptor, self._descriptor = self._descriptor, None
+        if descriptor is not None:
+            os.close(descriptor)
+
+    def __enter__(self) -> "FileLock":
+        self.acquire()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
+
+
+def _open_database(url: str) -> BaseStorage:
+    # Any driver may raise its own class of error here, so the net is wide; the cause is kept.
+    try:
+        return optuna.storages.get_storage(url)
+    except Exception as error:
+        reason = str(error).strip().splitlines()[0]
+        raise StorageError(
+            f"The storage {url!r} cannot be opened ({reason}): check the URL, its driver and the folder's rights."
+        ) from error
+
+
+def _cut_torn_record(path: Path) -> None:
+    """Remove an unfinished last line, which a full disk or a power cut leaves behind.
+
+    The next record would be written onto the same line and make the journal unreadable. A file that does
+    not begin as a journal does is left alone.
+    """
+    with open(path, "r+b") as file:
+        if file.read(len(_FIRST_BYTES)) != _FIRST_BYTES:
+            return
+        end = file.seek(0, os.SEEK_END)
+        keep = end
+        while keep > 0:
+            start = max(0, keep - 65536)
+            file.seek(start)
+            newline = file.read(keep - start).rfind(b"\n")
+            if newline >= 0:
+                keep = start + newline + 1
+                break
+            keep = start
+        if keep < end:
+            file.truncate(keep)

@@ -1,0 +1,295 @@
+"""The Hydra sweeper `hydra/sweeper: population`: a study evaluated in populations, one Hydra job each.
+
+An experiment imports this module before `@hydra.main` and hands its work to `sweep_or_report`:
+
+    import op3.identify.sweeper
+
+    @hydra.main(config_path="../conf", config_name="identify", version_base="1.3")
+    def main(cfg):
+        problem = hydra.utils.instantiate(cfg.problem)
+        return op3.identify.sweeper.sweep_or_report(cfg, problem.evaluate, problem.report)
+
+Run without `-m`, the study runs in this process, in Hydra's run folder. With `-m`, the sweeper asks a
+population, writes it to a file, and launches one job through the configured launcher with
+`population=<file>`; in that job `sweep_or_report` evaluates the file and returns the results. Either way
+the study asks the same trials.
+
+Comma sweeps on the command line (`seed=0,1,2 groups=motor,gear`) are an outer grid: one study, and one
+folder, for each cell. The search space comes from `hydra.sweeper.params` alone, read anew in every cell,
+so a config group may bring its own parameters:
+
+    # groups/motor.yaml
+    # @package _global_
+    hydra:
+      sweeper:
+        params:
+          servo.torque_constant: interval(0.003, 0.009)
+
+Folders:
+
+    <sweep folder>/optimization_results.yaml   best of every cell
+    <sweep folder>/0/                          first cell, the same as a run folder without -m:
+        study.journal, optimization_results.yaml, and what the report writes
+        populations/0/, 1/, ...                one folder per population job, with its population.json
+"""
+
+import importlib
+import importlib.machinery
+import itertools
+import json
+import logging
+import sys
+import types
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import optuna
+from hydra.core.config_store import ConfigStore
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override, Quote, QuotedString
+from hydra.core.plugins import Plugins
+from hydra.core.utils import JobReturn, JobStatus
+from hydra.errors import CompactHydraException
+from hydra.plugins.launcher import Launcher
+from hydra.plugins.sweeper import Sweeper
+from hydra.types import HydraContext, TaskFunction
+from omegaconf import DictConfig, OmegaConf
+
+from op3.identify.results import RESULTS_FILE, summarize, write_atomically, write_yaml
+from op3.identify.samplers import SamplerError
+from op3.identify.search_space import SearchSpaceError
+from op3.identify.settings import PLUGIN_MODULE, PopulationSweeperConf, StudySettings, read_settings
+from op3.identify.storage import StorageError
+from op3.identify.study import Evaluate, Outcome, StudyError, as_outcome, evaluate_population
+
+log = logging.getLogger(__name__)
+
+POPULATION_FILE = "population.json"
+
+
+def sweep_or_report(
+    cfg: DictConfig,
+    evaluate: Evaluate,
+    report: Callable[[optuna.Study], Any] | None = None,
+) -> Any:
+    """Do an experiment's part of a study: evaluate a population, or run the study and report it.
+
+    Args:
+        cfg: the config that `@hydra.main` passes.
+        evaluate: evaluates a population, see `op3.identify.study.Evaluate`.
+        report: makes the report of a finished study.
+
+    Returns:
+        In a population job, the list of its results; else what `report` returns, or the study's summary.
+    """
+    path = OmegaConf.select(cfg, "population")
+    if path is not None:
+        return evaluate_population(evaluate, json.loads(Path(path).read_text()))
+    hydra_config = HydraConfig.get()
+    folder = Path(hydra_config.runtime.output_dir)
+    with _one_sentence():
+        settings = read_settings(cfg, hydra_config.sweeper, folder)
+
+        def evaluate_chunks(population: list[dict[str, Any]]) -> list[Outcome]:
+            chunks = settings.split(population)
+            return [outcome for chunk in chunks for outcome in evaluate_population(evaluate, chunk)]
+
+        study = settings.run(evaluate_chunks)
+    summary = summarize(study)
+    write_yaml(folder / RESULTS_FILE, summary)
+    return summary if report is None else report(study)
+
+
+class PopulationSweeper(Sweeper):
+    """Runs one study for each cell of the command line's grid."""
+
+    __module__ = PLUGIN_MODULE
+
+    def __init__(self, **settings: Any) -> None:
+        # The settings are read from every cell's own config, where groups may change them.
+        self.hydra_context: HydraContext | None = None
+        self.config: DictConfig | None = None
+        self.launcher: Launcher | None = None
+
+    def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
+        """Take over Hydra's objects and make the launcher."""
+        self.hydra_context = hydra_context
+        self.config = config
+        self.launcher = Plugins.instance().instantiate_launcher(
+            hydra_context=hydra_context, task_function=task_function, config=config
+        )
+
+    def sweep(self, arguments: list[str]) -> list[Sequence[JobReturn]]:
+        """Run all cells.
+
+        Returns:
+            The job that reported each cell.
+        """
+        assert self.config is not None
+        assert self.hydra_context is not None
+        sweep_dir = Path(str(self.config.hydra.sweep.dir)).absolute()
+        sweep_dir.mkdir(parents=True, exist_ok=True)
+        OmegaConf.save(self.config, sweep_dir / "multirun.yaml")
+        with _one_sentence():
+            parser = OverridesParser.create(config_loader=self.hydra_context.config_loader)
+            grid = expand_grid(parser.parse_overrides(arguments))
+            # All cells are read before the first one runs: an error shows at once, not after hours.
+            cells = [self._cell(sweep_dir / str(i), overrides, grid) for i, overrides in enumerate(grid)]
+            summaries: list[dict[str, Any]] = []
+            returns: list[Sequence[JobReturn]] = []
+            for number, (overrides, (folder, settings)) in enumerate(zip(grid, cells, strict=True)):
+                log.info("Study %d of %d: %s", number + 1, len(grid), " ".join(overrides) or "(no overrides)")
+                study = settings.run(lambda p, o=overrides, f=folder, s=settings: self._launch(p, o, f, s))
+                summaries.append({"folder": folder.name, "overrides": list(overrides), **summarize(study)})
+                write_yaml(sweep_dir / RESULTS_FILE, _sweep_summary(summaries, len(grid)))
+                returns.append(self._report(overrides, folder, settings, number))
+        for jobs in returns:
+            for job in jobs:
+                _ = job.return_value  # raises what the report has raised
+        return returns
+
+    def _cell(self, folder: Path, overrides: list[str], grid: list[list[str]]) -> tuple[Path, StudySettings]:
+        assert self.config is not None
+        assert self.hydra_context is not None
+        config = self.hydra_context.config_loader.load_sweep_config(self.config, overrides)
+        common = set.intersection(*(set(cell) for cell in grid))
+        name = ",".join(override for override in overrides if override not in common)
+        settings = read_settings(config, config.hydra.sweeper, folder, name)
+        settings.check()
+        return folder, settings
+
+    def _launch(
+        self,
+        population: list[dict[str, Any]],
+        overrides: list[str],
+        folder: Path,
+        settings: StudySettings,
+    ) -> list[Outcome]:
+        """Evaluate what was asked: one job per population, all launched together."""
+        assert self.launcher is not None
+        chunks = settings.split(population)
+        first = _reserve_folders(folder / "populations", len(chunks))
+        jobs = []
+        for number, chunk in enumerate(chunks, start=first):
+            path = folder / "populations" / str(number) / POPULATION_FILE
+            write_atomically(path, json.dumps(chunk, indent=1))
+            place = _place_overrides(folder / "populations", "${hydra.job.num}")
+            jobs.append([*overrides, *place, f"++population={_quoted(path)}"])
+        try:
+            returns = self.launcher.launch(jobs, initial_job_idx=first)
+        except Exception as error:
+            # A job may die with its machine; its trials fail, the study goes on.
+            log.exception("The launcher failed.")
+            return [Outcome(None, error=f"launcher: {type(error).__name__}: {error}") for _ in population]
+        return [o for chunk, job in zip(chunks, returns, strict=True) for o in _job_outcomes(chunk, job)]
+
+    def _report(self, overrides: list[str], folder: Path, settings: StudySettings, number: int) -> Sequence[JobReturn]:
+        """Run the experiment once more, in the cell's own folder, where it finds its study finished."""
+        assert self.launcher is not None
+        place = _place_overrides(folder.parent, folder.name)
+        finished = [
+            f"hydra.sweeper.storage={_quoted(settings.storage)}",
+            f"hydra.sweeper.study_name={_quoted(settings.study_name)}",
+        ]
+        job = [*overrides, *place, *finished, "++population=null"]
+        return self.launcher.launch([job], initial_job_idx=number)
+
+
+def expand_grid(overrides: Sequence[Override]) -> list[list[str]]:
+    """Expand comma sweeps, choices and integer ranges to the overrides of every cell."""
+    axes: dict[str, list[str]] = {}
+    for override in overrides:
+        key = override.get_key_element()
+        if not override.is_sweep_override():
+            axes[key] = [override.input_line or f"{key}={override.get_value_element_as_str()}"]
+        elif override.is_discrete_sweep():
+            axes[key] = [f"{key}={value}" for value in override.sweep_string_iterator()]
+        else:
+            raise StudyError(
+                f"{override.input_line}: the search space comes from the config alone: "
+                f'write `{key}: "{(override.input_line or "").partition("=")[2]}"` in hydra.sweeper.params.'
+            )
+    return [list(cell) for cell in itertools.product(*axes.values())]
+
+
+def _reserve_folders(parent: Path, count: int) -> int:
+    """Make `count` new folders with consecutive numbers, also against other processes; return the first."""
+    parent.mkdir(parents=True, exist_ok=True)
+    while True:
+        taken = [int(entry.name) for entry in parent.iterdir() if entry.name.isdigit()]
+        first = max(taken, default=-1) + 1
+        made: list[Path] = []
+        try:
+            for number in range(first, first + count):
+                (parent / str(number)).mkdir()
+                made.append(parent / str(number))
+            return first
+        except FileExistsError:
+            for folder in made:
+                folder.rmdir()
+
+
+def _place_overrides(sweep_dir: Path, subdir: str) -> list[str]:
+    return [f"hydra.sweep.dir={_quoted(sweep_dir)}", f"hydra.sweep.subdir={subdir}"]
+
+
+def _quoted(text: str | Path) -> str:
+    """Quote a text for Hydra's grammar; `$` would start an interpolation."""
+    return QuotedString(str(text).replace("${", "\\${"), Quote.single).with_quotes()
+
+
+def _job_outcomes(chunk: list[dict[str, Any]], job: JobReturn) -> list[Outcome]:
+    if job.status != JobStatus.COMPLETED:
+        error = job._return_value
+        if isinstance(error, StudyError):
+            raise error
+        return [Outcome(None, error=f"job: {type(error).__name__}: {error}") for _ in chunk]
+    results = job.return_value
+    if not isinstance(results, Sequence) or len(results) != len(chunk):
+        raise StudyError(
+            f"The job for a population of {len(chunk)} returned {type(results).__name__}: "
+            "the experiment must return what sweep_or_report returns."
+        )
+    return [as_outcome(result) for result in results]
+
+
+def _sweep_summary(summaries: list[dict[str, Any]], cells: int) -> Mapping[str, Any]:
+    if cells > 1:
+        return {"name": "optuna", "studies": summaries}
+    return {key: value for key, value in summaries[0].items() if key not in ("folder", "overrides")}
+
+
+@contextmanager
+def _one_sentence() -> Iterator[None]:
+    """Let Hydra print a wrong setting as its sentence, without a stack trace."""
+    try:
+        yield
+    except (SamplerError, SearchSpaceError, StorageError, StudyError) as error:
+        raise CompactHydraException(str(error)) from error
+
+
+def register() -> None:
+    """Make `hydra/sweeper: population` known to Hydra.
+
+    Hydra finds a plugin by its name under `hydra_plugins`, a package that every plugin extends. We add
+    our module to it at run time, so that importing this file is all an experiment needs: no second
+    top-level package is installed, and a checkout works as it is.
+    """
+    try:
+        importlib.import_module("hydra_plugins")
+    except ModuleNotFoundError:
+        package = types.ModuleType("hydra_plugins")
+        package.__spec__ = importlib.machinery.ModuleSpec("hydra_plugins", None, is_package=True)
+        package.__path__ = []
+        sys.modules["hydra_plugins"] = package
+    module = types.ModuleType(PLUGIN_MODULE)
+    module.PopulationSweeper = PopulationSweeper  # pyright: ignore[reportAttributeAccessIssue]
+    sys.modules[PLUGIN_MODULE] = module
+    Plugins.instance().register(PopulationSweeper)
+    ConfigStore.instance().store(group="hydra/sweeper", name="population", node=PopulationSweeperConf, provider="op3")
+
+
+register()

@@ -1,0 +1,135 @@
+"""The search space: ranges in Hydra's grammar become Optuna distributions, or one clear sentence."""
+
+import contextlib
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
+
+from op3.identify.search_space import (
+    SearchSpaceError,
+    check_nominal,
+    describe,
+    parse_range,
+    parse_search_space,
+    search_space_to_json,
+)
+
+finite = st.floats(min_value=-1e12, max_value=1e12, allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("interval(0.003, 0.009)", FloatDistribution(0.003, 0.009)),
+        ("interval(0, 1)", FloatDistribution(0.0, 1.0)),
+        ("tag(log, interval(1e-3, 1))", FloatDistribution(1e-3, 1.0, log=True)),
+        ("int(interval(1, 8))", IntDistribution(1, 8)),
+        ("int(tag(log, interval(1, 8)))", IntDistribution(1, 8, log=True)),
+        ("range(1, 5)", IntDistribution(1, 4)),
+        ("range(0, 10, step=4)", IntDistribution(0, 8, step=4)),
+        ("range(0.0, 1.0, step=0.25)", FloatDistribution(0.0, 0.75, step=0.25)),
+        ("choice(dte, 'dte passive', 2, true)", CategoricalDistribution(["dte", "dte passive", 2, True])),
+        ("dte, dte_passive", CategoricalDistribution(["dte", "dte_passive"])),
+    ],
+)
+def test_a_range_is_read_as_hydra_writes_it(text, expected):
+    """Every documented form gives its distribution; the end of a range is left out."""
+    assert parse_range("servo.kt", text) == expected
+
+
+@given(low=finite, high=finite)
+def test_an_interval_keeps_its_ends_exactly_or_is_refused(low, high):
+    """Two numbers in order give those very ends; otherwise the message names the key."""
+    text = f"interval({low!r}, {high!r})"
+    if low < high:
+        distribution = parse_range("servo.kt", text)
+        assert (distribution.low, distribution.high) == (low, high)
+    else:
+        with pytest.raises(SearchSpaceError, match=r"servo\.kt.*not below"):
+            parse_range("servo.kt", text)
+
+
+@given(low=st.floats(1e-6, 1e3, allow_subnormal=False), ratio=st.floats(1.01, 1e3), log=st.booleans())
+def test_describe_writes_a_range_that_reads_back(low, ratio, log):
+    """The text in messages is the grammar itself, to six digits."""
+    first = FloatDistribution(low, low * ratio, log=log)
+    second = parse_range("kt", describe(first))
+    assert second.log == log
+    assert second.low == pytest.approx(first.low, rel=1e-5)
+    assert second.high == pytest.approx(first.high, rel=1e-5)
+
+
+@given(st.text(max_size=40))
+def test_any_text_is_a_range_or_one_sentence(text):
+    """No text escapes as another kind of exception."""
+    with contextlib.suppress(SearchSpaceError):
+        parse_range("servo.kt", text)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("interval(2, 1)", "not below"),
+        ("interval(1, 1)", "not below"),
+        ("tag(log, interval(0, 1))", "above 0"),
+        ("interval(nan, 1)", "finite"),
+        ("interval(0, inf)", "finite"),
+        ("tag(cubic, interval(0, 1))", "cubic"),
+        ("range(0, 1)", "two"),
+        ("range(5, 0, step=-1)", "upwards"),
+        ("choice([1, 2], [3])", "sweep over them"),
+        ("glob(*)", "interval"),
+        ("interval(1", "not a range"),
+        ("between(0, 1)", "not a range"),
+        ("0.5", "a value, not a range"),
+        (0.5, "a value, not a range"),
+        (None, "a value, not a range"),
+    ],
+)
+def test_a_wrong_range_says_which_key_and_what_to_write(text, reason):
+    """The message names the key and the reason."""
+    with pytest.raises(SearchSpaceError, match=reason) as caught:
+        parse_range("servo.kt", text)
+    assert "servo.kt" in str(caught.value)
+
+
+def test_nested_params_mean_dotted_keys():
+    """`hydra.sweeper.params.servo.kt=...` on a command line makes a nested mapping."""
+    nested = parse_search_space({"servo": {"motor": {"kt": "interval(0, 1)"}}, "kp": "interval(0, 6)"})
+    assert nested == {"servo.motor.kt": FloatDistribution(0, 1), "kp": FloatDistribution(0, 6)}
+
+
+@pytest.mark.parametrize("params", [None, {}, {"servo": {}}])
+def test_an_empty_search_space_is_refused(params):
+    """A study without parameters is a mistake in the config."""
+    with pytest.raises(SearchSpaceError, match=r"hydra\.sweeper\.params"):
+        parse_search_space(params)
+
+
+@pytest.mark.parametrize(
+    ("nominal", "reason"),
+    [({"kt": 2.0}, "outside"), ({}, "no nominal"), ({"kt": None}, "no nominal"), ({"kt": "big"}, "outside")],
+)
+def test_a_nominal_value_outside_its_range_is_refused(nominal, reason):
+    """The baseline must be a point of the search space."""
+    with pytest.raises(SearchSpaceError, match=reason):
+        check_nominal({"kt": FloatDistribution(0, 1)}, nominal)
+
+
+def test_a_nominal_integer_in_a_real_range_becomes_real():
+    """`kt: 1` in a config is the same point as `kt: 1.0`."""
+    checked = check_nominal(
+        {"kt": FloatDistribution(0, 1), "gear": CategoricalDistribution(["a", "b"])},
+        {"kt": 1, "gear": "b", "other": 3},
+    )
+    assert checked == {"kt": 1.0, "gear": "b"}
+    assert isinstance(checked["kt"], float)
+
+
+def test_the_text_of_a_search_space_ignores_the_order_of_keys():
+    """Reordered config files must still resume their study."""
+    one, two = FloatDistribution(0, 1), IntDistribution(1, 3)
+    assert search_space_to_json({"a": one, "b": two}) == search_space_to_json({"b": two, "a": one})
+    assert search_space_to_json({"a": one}) != search_space_to_json({"a": two})

@@ -1,0 +1,394 @@
+"""The study engine: the same trials from the same seed, nothing lost, failures recorded."""
+
+import json
+import math
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import optuna
+import pytest
+from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
+from optuna.trial import TrialState
+
+from op3.identify.results import summarize
+from op3.identify.samplers import SamplerError
+from op3.identify.search_space import SearchSpaceError
+from op3.identify.storage import StorageError, open_storage
+from op3.identify.study import Outcome, StudyError, run_study
+from op3.identify.workers import STALE_SECONDS, Worker, is_alive
+
+SPACE = {"a.x": FloatDistribution(0, 1), "a.y": FloatDistribution(0.1, 10, log=True)}
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+def bowl(population):
+    """Return (x - 0.3)^2 + log10(y)^2 of each trial."""
+    return [(p["a.x"] - 0.3) ** 2 + math.log10(p["a.y"]) ** 2 for p in population]
+
+
+def points(study):
+    """Return parameters and values of all trials, in order."""
+    return [(trial.params, trial.values, trial.state) for trial in study.trials]
+
+
+def quick_study(evaluate=bowl, space=SPACE, **settings):
+    """Run a small study in memory."""
+    settings = {"n_trials": 12, "population": 4, "seed": 0, "sampler": "random", "progress": False, **settings}
+    return run_study(evaluate, space, **settings)
+
+
+@pytest.mark.parametrize("sampler", ["random", "tpe", "cmaes", "nsga2"])
+def test_a_resumed_study_asks_what_an_uninterrupted_one_asks(sampler, tmp_path):
+    """Stopped after three populations and continued from its file, the study has the same 40 trials."""
+    whole = quick_study(sampler=sampler, n_trials=40, population=8, storage=tmp_path / "whole.journal")
+    parts = tmp_path / "parts.journal"
+    quick_study(sampler=sampler, n_trials=24, population=8, storage=parts)
+    resumed = quick_study(sampler=sampler, n_trials=40, population=8, storage=parts)
+    assert points(resumed) == points(whole)
+    assert len({trial.params["a.x"] for trial in resumed.trials}) == 40
+
+
+def test_the_seed_decides_the_trials():
+    """The same seed gives the same trials, another seed others."""
+    assert points(quick_study(seed=3)) == points(quick_study(seed=3))
+    assert points(quick_study(seed=3)) != points(quick_study(seed=4))
+
+
+def test_a_study_without_a_seed_keeps_the_one_it_drew(tmp_path):
+    """Resumed without a seed, a study goes on with its own."""
+    path = tmp_path / "study.journal"
+    first = quick_study(seed=None, n_trials=4, storage=path).user_attrs["seed"]
+    assert quick_study(seed=None, n_trials=8, storage=path).user_attrs["seed"] == first
+
+
+@pytest.mark.parametrize("sampler", ["tpe", "cmaes", "nsga2"])
+def test_samplers_learn_from_the_stored_trials(sampler):
+    """After 160 trials of the bowl each sampler beats the best of as many random ones."""
+    learned = quick_study(sampler=sampler, n_trials=160, population=16).best_value
+    drawn = quick_study(sampler="random", n_trials=160, population=16).best_value
+    assert learned < drawn
+
+
+def test_integers_and_choices_are_asked_too(tmp_path):
+    """A mixed space survives the file and its resumption."""
+    space = {"n": IntDistribution(1, 5), "gear": CategoricalDistribution(["dte", "dte_passive"]), **SPACE}
+
+    def evaluate(population):
+        return [bowl([p])[0] + p["n"] + (p["gear"] == "dte") for p in population]
+
+    path = tmp_path / "study.journal"
+    quick_study(evaluate, space, sampler="tpe", n_trials=8, storage=path)
+    study = quick_study(evaluate, space, sampler="tpe", n_trials=24, storage=path)
+    assert all(isinstance(t.params["n"], int) and t.params["gear"] in ("dte", "dte_passive") for t in study.trials)
+
+
+def test_the_nominal_trial_is_the_first_and_comes_once(tmp_path):
+    """The baseline is trial 0, marked, and a resumed study does not repeat it."""
+    path, nominal = tmp_path / "study.journal", {"a.x": 0.25, "a.y": 2.0}
+    quick_study(nominal=nominal, n_trials=4, storage=path)
+    study = quick_study(nominal=nominal, n_trials=12, storage=path)
+    assert study.trials[0].params == nominal
+    assert [t.number for t in study.trials if t.user_attrs.get("nominal")] == [0]
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, None, (math.nan,)])
+def test_a_trial_without_a_finite_value_fails_alone(bad):
+    """One bad objective is one failed trial with its parameters; the study goes on to its end."""
+    study = quick_study(lambda population: [bad, *bowl(population[1:])])
+    states = [trial.state for trial in study.trials]
+    assert states == ([TrialState.FAIL] + [TrialState.COMPLETE] * 3) * 3
+    assert set(study.trials[0].params) == set(SPACE)
+    if bad is not None:
+        number = bad[0] if isinstance(bad, tuple) else bad
+        assert study.trials[0].user_attrs["failed_values"] == [str(number)]
+
+
+def test_an_exception_fails_only_the_trial_that_raises():
+    """The population is halved until the guilty trial is alone; its error is kept."""
+
+    def evaluate(population):
+        if any(p["a.x"] > 0.8 for p in population):
+            raise FloatingPointError("diverged")
+        return bowl(population)
+
+    study = quick_study(evaluate, n_trials=64, population=16)
+    for trial in study.trials:
+        raises = trial.params["a.x"] > 0.8
+        assert trial.state == (TrialState.FAIL if raises else TrialState.COMPLETE)
+        error = trial.user_attrs.get("error", "")
+        assert error.startswith("FloatingPointError: diverged (test_study.py:") == raises
+    assert 0 < summarize(study)["n_failed"] < 64
+
+
+def test_a_study_in_which_everything_raises_stops_with_the_error():
+    """A mistake in the experiment does not cost the whole budget."""
+
+    def evaluate(population):
+        raise KeyError("torque_constant")
+
+    with pytest.raises(StudyError, match="torque_constant"):
+        quick_study(evaluate, n_trials=1000)
+
+
+def test_attributes_of_an_outcome_are_stored_as_plain_data(tmp_path):
+    """Losses before weighting travel with the trial, numpy or not."""
+    path = tmp_path / "study.journal"
+
+    def evaluate(population):
+        extra = {"loss": np.float64(2.0), "per_joint": np.array([1.0, 2.0]), "parts": {"q": 1}}
+        return [Outcome((1.0,), extra) for _ in population]
+
+    quick_study(evaluate, storage=path)
+    stored = optuna.load_study(study_name="study", storage=open_storage(path)).trials[5].user_attrs
+    assert stored["loss"] == 2.0
+    assert stored["per_joint"] == [1.0, 2.0]
+    assert stored["parts"] == {"q": 1}
+
+
+def test_two_objectives_give_a_pareto_front():
+    """NSGA-II minimises x and 1 - x at once: no trial of the front beats another in both."""
+    study = quick_study(
+        lambda population: [(p["a.x"], 1 - p["a.x"] + p["a.y"]) for p in population],
+        sampler="nsga2",
+        directions=("minimize", "minimize"),
+        n_trials=96,
+        population=32,
+    )
+    front = [solution["values"] for solution in summarize(study)["solutions"]]
+    assert len(front) > 3
+    assert not any(a[0] < b[0] and a[1] < b[1] for a in front for b in front)
+
+
+def test_a_database_holds_the_same_study(tmp_path):
+    """SQLite instead of a journal changes nothing in the trials, also when resumed."""
+    url = f"sqlite:///{tmp_path}/study.db"
+    quick_study(storage=url, n_trials=8)
+    assert points(quick_study(storage=url)) == points(quick_study())
+
+
+def test_a_torn_last_record_is_cut_off(tmp_path):
+    """Half a line at the end of the journal, as a power cut leaves it, costs nothing that was stored."""
+    path = tmp_path / "study.journal"
+    before = points(quick_study(storage=path, n_trials=8))
+    with open(path, "ab") as file:
+        file.write(b'{"op_code":4,"worker_id":"')
+    after = points(quick_study(storage=path, n_trials=12))
+    assert after[:8] == before
+    assert after == points(quick_study(n_trials=12))
+
+
+def test_an_interrupt_stores_what_is_finished_and_nothing_else(tmp_path):
+    """Ctrl-C in the third population leaves two whole populations and no worker's record."""
+    path, calls = tmp_path / "study.journal", []
+
+    def evaluate(population):
+        calls.append(len(population))
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return bowl(population)
+
+    with pytest.raises(KeyboardInterrupt):
+        quick_study(evaluate, storage=path)
+    study = optuna.load_study(study_name="study", storage=open_storage(path))
+    assert [trial.state for trial in study.trials] == [TrialState.COMPLETE] * 8
+    assert not any(value for key, value in study.user_attrs.items() if key.startswith("worker:"))
+    assert points(quick_study(storage=path)) == points(quick_study())
+
+
+WORKER = """
+import json, sys, time
+from optuna.distributions import FloatDistribution
+from op3.identify.study import run_study
+
+storage, log, n_trials, seconds = sys.argv[1], sys.argv[2], int(sys.argv[3]), float(sys.argv[4])
+
+def evaluate(population):
+    with open(log, "a") as file:
+        file.write(json.dumps([p["x"] for p in population]) + "\\n")
+    time.sleep(seconds)
+    return [p["x"] for p in population]
+
+run_study(evaluate, {"x": FloatDistribution(0, 1)}, storage=storage, n_trials=n_trials, population=8,
+          nominal={"x": 0.5}, sampler="random", seed=1, progress=False)
+"""
+
+
+def start_worker(storage, log, n_trials, seconds):
+    """Start a process that works on a study and writes down what it evaluates."""
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    return subprocess.Popen([sys.executable, "-c", WORKER, storage, log, str(n_trials), str(seconds)], env=environment)
+
+
+def load(storage):
+    """Open the study of the workers."""
+    return optuna.load_study(study_name="study", storage=open_storage(storage))
+
+
+def evaluated(log):
+    """Return the populations that were evaluated."""
+    return [json.loads(line) for line in Path(log).read_text().splitlines()]
+
+
+@pytest.mark.parametrize("delay_seed", [0, 1])
+def test_killing_a_worker_loses_and_repeats_only_what_is_in_flight(delay_seed, tmp_path):
+    """After kill -9 at a random moment every stored trial stays, and only one population runs again."""
+    storage, log = tmp_path / "study.journal", tmp_path / "log"
+    process = start_worker(storage, log, 400, 0.02)
+    while not log.exists():
+        time.sleep(0.01)
+    time.sleep(random.Random(delay_seed).uniform(0.05, 0.4))
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    before, asked_before = points(load(storage)), evaluated(log)
+    assert 0 <= len(asked_before) * 8 - len(before) <= 8
+    assert len(before) < 400
+
+    assert start_worker(storage, log, len(before) + 16, 0.0).wait() == 0
+    after = points(load(storage))
+    assert after[: len(before)] == before
+    assert len(after) == len(before) + 16
+    xs = [params["x"] for params, _, _ in after]
+    assert len(set(xs)) == len(xs)
+    asked = [x for population in evaluated(log) for x in population]
+    assert len(asked) - len(set(asked)) <= 8
+
+
+def test_two_workers_share_a_study(tmp_path):
+    """Two processes on one journal reach n_trials together: one baseline, no point twice, both at work."""
+    storage, log = tmp_path / "study.journal", tmp_path / "log"
+    workers = [start_worker(storage, log, 120, 0.05) for _ in range(2)]
+    assert [worker.wait() for worker in workers] == [0, 0]
+    trials = load(storage).trials
+    assert 120 <= len(trials) <= 128
+    xs = [trial.params["x"] for trial in trials]
+    assert len(set(xs)) == len(xs)
+    assert sum(trial.user_attrs.get("nominal", False) for trial in trials) == 1
+    assert len({trial.user_attrs["worker"] for trial in trials}) == 2
+
+
+def test_trials_of_a_dead_worker_are_taken_over(tmp_path):
+    """A record that claims all trials, left by a process that is gone, holds nobody up."""
+    path = tmp_path / "study.journal"
+    study = quick_study(storage=path, n_trials=4)
+    gone = {"trials": 8, "nominal": False, "host": socket.gethostname(), "pid": 2**22 + 1, "started": 5}
+    study.set_user_attr("worker:gone", {**gone, "seen": time.time()})
+    assert len(quick_study(storage=path).trials) == 12
+
+
+def test_the_last_trials_are_awaited_from_a_living_worker(tmp_path):
+    """A worker with nothing left to ask returns when the study is whole, not before."""
+    path = tmp_path / "study.journal"
+    study = quick_study(storage=path, n_trials=8)
+    other = Worker(study)
+    other.start()
+    other.claim(4, nominal=False)
+
+    def finish():
+        time.sleep(0.5)
+        for trial in quick_study(n_trials=12).trials[8:]:
+            study.add_trial(trial)
+
+    thread = threading.Thread(target=finish)
+    thread.start()
+    asked = []
+    assert len(quick_study(lambda population: asked.append(population), storage=path).trials) == 12
+    thread.join()
+    other.stop()
+    assert asked == []
+
+
+def test_a_record_from_another_machine_ages():
+    """Elsewhere's process table cannot be read, so the record's age decides."""
+    record = {"host": "elsewhere.example", "pid": 1, "started": 5, "seen": time.time()}
+    assert is_alive(record)
+    assert not is_alive({**record, "seen": time.time() - STALE_SECONDS - 1})
+
+
+def test_a_reused_process_id_is_not_the_old_worker():
+    """The start time tells this process from an older one with the same id."""
+    record = {"host": socket.gethostname(), "pid": os.getpid(), "started": 5, "seen": time.time()}
+    assert not is_alive(record)
+
+
+@pytest.mark.parametrize(
+    ("settings", "reason"),
+    [
+        ({"sampler": "simplex"}, "simplex.*unknown.*tpe"),
+        ({"sampler": {"name": "tpe", "temperature": 3}}, "temperature"),
+        ({"sampler": {"_target_": "optuna.samplers.QMCSampler"}}, "repeat"),
+        ({"sampler": {"_target_": "os.remove"}}, "not a class of"),
+        ({"sampler": "cmaes", "directions": ("minimize", "minimize")}, "one objective"),
+        ({"directions": ("downwards",)}, "minimize or maximize"),
+        ({"population": 0}, "at least 1"),
+        ({"evaluate": lambda population: [0.0]}, "1 results for a population of 4"),
+        ({"evaluate": lambda population: [(0.0, 1.0)] * len(population)}, "2 values"),
+        ({"evaluate": lambda population: ["good"] * len(population)}, "'good'"),
+        ({"evaluate": lambda population: [Outcome((0.0,), {"f": print})] * 4}, "'f'"),
+    ],
+)
+def test_wrong_settings_get_a_sentence(settings, reason):
+    """Each mistake is refused with its reason."""
+    with pytest.raises((SamplerError, StudyError), match=reason):
+        quick_study(**settings)
+
+
+def test_a_nominal_point_outside_the_ranges_is_refused():
+    """The baseline must be a point of the search space."""
+    with pytest.raises(SearchSpaceError, match=r"a\.x.*outside"):
+        quick_study(nominal={"a.x": 2.0, "a.y": 1.0})
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"space": {**SPACE, "a.x": FloatDistribution(0, 2)}},
+        {"space": {"a.x": FloatDistribution(0, 1)}},
+        {"directions": ("maximize",)},
+    ],
+)
+def test_another_study_is_not_mixed_into_a_stored_one(change, tmp_path):
+    """Other ranges, parameters or directions need another name."""
+    path = tmp_path / "study.journal"
+    quick_study(storage=path, n_trials=4)
+    with pytest.raises(StudyError, match="another study_name or storage"):
+        quick_study(storage=path, **change)
+
+
+def test_unusable_storages_get_a_sentence(tmp_path):
+    """A file in the place of the folder, a foreign file, an unknown form, an unknown database."""
+    blocker = tmp_path / "file"
+    blocker.write_text("in the way")
+    with pytest.raises(StorageError, match="cannot be written"):
+        open_storage(blocker / "study.journal")
+    with pytest.raises(StorageError, match=r"\.journal"):
+        open_storage(tmp_path / "study.txt")
+    with pytest.raises(StorageError, match="cannot be opened"):
+        open_storage(f"sqlite:///{tmp_path}/missing/study.db")
+    foreign = tmp_path / "app.log"
+    foreign.write_text("started\nstopped\nhalf a li")
+    with pytest.raises(StorageError, match="not an Optuna journal"):
+        open_storage(foreign)
+    assert foreign.read_text().endswith("half a li")
+
+
+@pytest.mark.slow
+def test_keeping_the_study_costs_little_beside_the_evaluation(tmp_path):
+    """Storing 1280 trials of 11 parameters costs under 5 % of 5 s per population of 64."""
+    space = {f"p{i}": FloatDistribution(0, 1) for i in range(11)}
+    start = time.monotonic()
+    quick_study(
+        lambda population: [sum(p.values()) for p in population],
+        space,
+        n_trials=1280,
+        population=64,
+        storage=tmp_path / "study.journal",
+    )
+    assert (time.monotonic() - start) / 20 < 0.05 * 5.0

@@ -1,0 +1,275 @@
+"""The Hydra sweeper, run as its users run it: a program started from the command line."""
+
+import importlib.util
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import optuna
+import pytest
+import yaml
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from optuna.trial import TrialState
+
+from op3.identify.storage import open_storage
+from op3.identify.study import StudyError
+from op3.identify.sweeper import expand_grid
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+APP = Path(__file__).resolve().parent / "toy_app" / "app.py"
+
+
+def start(folder, *arguments):
+    """Start the toy experiment in a folder."""
+    path = os.pathsep.join([str(REPOSITORY), os.environ.get("PYTHONPATH", "")])
+    return subprocess.Popen(
+        [sys.executable, str(APP), *arguments],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": path},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+
+def run(folder, *arguments):
+    """Run the toy experiment; it must succeed. Returns what it printed."""
+    process = start(folder, *arguments)
+    output, _ = process.communicate(timeout=120)
+    assert process.returncode == 0, output
+    return output
+
+
+def load(folder, name="study"):
+    """Open the study that a run has left in its folder."""
+    return optuna.load_study(study_name=name, storage=open_storage(folder / "study.journal"))
+
+
+def points(study):
+    """Return parameters and values of all trials, in order."""
+    return [(trial.params, trial.values) for trial in study.trials]
+
+
+def results(folder):
+    """Read the results of a run."""
+    return yaml.safe_load((folder / "optimization_results.yaml").read_text())
+
+
+@pytest.mark.parametrize("sampler", ["tpe", "{name: nsga2, population_size: 6}"])
+def test_the_same_trials_with_and_without_multirun(sampler, tmp_path):
+    """In process or as jobs, the same seed gives the same study, report and results."""
+    arguments = ["groups=deep", f"hydra.sweeper.sampler={sampler}", "seed=7"]
+    run(tmp_path, *arguments, "hydra.run.dir=single")
+    run(tmp_path, "-m", *arguments, "hydra.sweep.dir=multi")
+    single, multi = tmp_path / "single", tmp_path / "multi" / "0"
+    assert points(load(multi)) == points(load(single))
+    assert len(points(load(single))) == 20
+    assert results(multi) == results(single) == results(tmp_path / "multi")
+    assert (multi / "report.txt").read_text() == (single / "report.txt").read_text() == "study 20\n"
+
+
+def test_the_folders_of_jobs_are_numbers_and_hold_their_population(tmp_path):
+    """20 trials in populations of 8 are three jobs; the first trial is the config's own values."""
+    run(tmp_path, "-m", "groups=deep")
+    jobs = tmp_path / "out" / "0" / "populations"
+    assert sorted(folder.name for folder in jobs.iterdir()) == ["0", "1", "2"]
+    populations = [json.loads((jobs / str(i) / "population.json").read_text()) for i in range(3)]
+    assert [len(population) for population in populations] == [8, 8, 4]
+    assert populations[0][0] == {"bowl.x": 0.2, "bowl.y": 0.4}
+    assert [p for population in populations for p in population] == [
+        t.params for t in load(tmp_path / "out" / "0").trials
+    ]
+
+
+def test_comma_sweeps_are_a_grid_of_studies(tmp_path):
+    """Two seeds by two groups are four studies, each with the parameters of its group."""
+    run(tmp_path, "-m", "seed=0,1", "groups=flat,deep")
+    studies = results(tmp_path / "out")["studies"]
+    assert [study["overrides"] for study in studies] == [
+        [f"seed={seed}", f"groups={group}"] for seed in (0, 1) for group in ("flat", "deep")
+    ]
+    for number, (study, keys) in enumerate(zip(studies, [1, 2, 1, 2], strict=True)):
+        folder = tmp_path / "out" / str(number)
+        assert study["folder"] == folder.name
+        assert len(study["best_params"]) == keys
+        assert study["best_value"] == load(folder).best_value
+        assert study["best_value"] <= study["nominal_value"]
+        assert (folder / "report.txt").exists()
+    assert studies[0]["best_params"] != studies[2]["best_params"]
+
+
+def test_cells_that_share_a_storage_have_studies_of_their_own(tmp_path):
+    """One database for the whole grid: what tells the cells apart is in the name."""
+    url = f"sqlite:///{tmp_path}/all.db"
+    run(
+        tmp_path,
+        "-m",
+        "seed=0,1",
+        "groups=flat",
+        f"hydra.sweeper.storage='{url}'",
+        "hydra.sweeper.study_name=bowl",
+        "hydra.sweeper.n_trials=4",
+    )
+    assert sorted(optuna.get_all_study_names(url)) == ["bowl/seed=0", "bowl/seed=1"]
+    assert (tmp_path / "out" / "1" / "report.txt").read_text() == "bowl/seed=1 4\n"
+
+
+@pytest.mark.parametrize("mode", [["hydra.run.dir=out/0"], ["-m"]])
+def test_a_killed_sweep_goes_on_where_it_was(mode, tmp_path):
+    """After kill -9, the same command in the same folder keeps all stored trials and ends like any other."""
+    process = start(tmp_path, *mode, "seconds=0.05", "hydra.sweeper.n_trials=400")
+    journal = tmp_path / "out" / "0" / "study.journal"
+    while not (journal.exists() and journal.read_text().count('"op_code":4') > 20):
+        assert process.poll() is None, process.communicate()[0]
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    before = points(load(journal.parent))
+    assert 16 < len(before) < 400
+    total = len(before) + 12
+    run(tmp_path, *mode, f"hydra.sweeper.n_trials={total}")
+    after = points(load(journal.parent))
+    assert after[: len(before)] == before
+    assert len(after) == total
+    assert len({params["bowl.x"] for params, _ in after}) == total
+    assert (journal.parent / "report.txt").read_text() == f"study {total}\n"
+
+
+def test_an_interrupted_sweep_leaves_whole_trials_only(tmp_path):
+    """Ctrl-C ends the sweep; what is stored is finished."""
+    process = start(tmp_path, "-m", "seconds=0.05", "hydra.sweeper.n_trials=400")
+    journal = tmp_path / "out" / "0" / "study.journal"
+    while not (journal.exists() and journal.read_text().count('"op_code":4') > 20):
+        assert process.poll() is None, process.communicate()[0]
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    process.communicate()
+    assert process.returncode != 0
+    study = load(journal.parent)
+    assert {trial.state for trial in study.trials} == {TrialState.COMPLETE}
+    assert not any(value for key, value in study.user_attrs.items() if key.startswith("worker:"))
+
+
+@pytest.mark.parametrize("fail", ["value", "raise"])
+def test_failed_trials_are_recorded_and_the_study_goes_on(fail, tmp_path):
+    """Trials beyond x = 0.5 fail, as NaN or by exception; all others complete."""
+    run(tmp_path, "-m", f"fail={fail}", "hydra.sweeper.n_trials=32")
+    trials = load(tmp_path / "out" / "0").trials
+    assert len(trials) == 32
+    for trial in trials:
+        expected = TrialState.FAIL if trial.params["bowl.x"] > 0.5 else TrialState.COMPLETE
+        assert trial.state == expected
+    failed = next(trial for trial in trials if trial.state == TrialState.FAIL)
+    record = failed.user_attrs
+    assert record.get("failed_values") == (["nan"] if fail == "value" else None)
+    broke = record.get("error", "").startswith("FloatingPointError: the bowl broke (app.py:")
+    assert broke == (fail == "raise")
+
+
+def test_jobs_that_die_do_not_end_the_sweep_silently(tmp_path):
+    """Where every job fails before its first trial, the sweep stops and says why."""
+    process = start(tmp_path, "-m", "fail=start")
+    output, _ = process.communicate()
+    assert process.returncode != 0
+    assert re.search(r"No trial has completed.*the last error is: job: RuntimeError: there is no bowl", output)
+
+
+def test_a_report_that_raises_does_not_cost_the_other_studies(tmp_path):
+    """Both cells run to their end; then the program fails with the report's error."""
+    process = start(tmp_path, "-m", "fail=report", "seed=0,1", "hydra.sweeper.n_trials=4")
+    output, _ = process.communicate()
+    assert process.returncode != 0
+    assert "no paper" in output
+    assert [study["n_trials"] for study in results(tmp_path / "out")["studies"]] == [4, 4]
+
+
+def test_two_objectives_give_a_front(tmp_path):
+    """NSGA-II over two objectives: the results file holds the Pareto front."""
+    run(
+        tmp_path,
+        "-m",
+        "objectives=2",
+        "groups=deep",
+        "hydra.sweeper.sampler=nsga2",
+        "hydra.sweeper.direction=[minimize,maximize]",
+    )
+    solutions = results(tmp_path / "out")["solutions"]
+    assert len(solutions) > 1
+    assert all(len(solution["values"]) == 2 for solution in solutions)
+
+
+def test_two_sweepers_share_one_study(tmp_path):
+    """Two programs in one folder on one storage: 48 trials together, no job folder used twice."""
+    arguments = ["-m", "seconds=0.2", "hydra.sweeper.n_trials=48"]
+    both = [start(tmp_path, *arguments) for _ in range(2)]
+    for process in both:
+        output, _ = process.communicate(timeout=120)
+        assert process.returncode == 0, output
+    study = load(tmp_path / "out" / "0")
+    assert 48 <= len(study.trials) <= 56
+    assert len({trial.user_attrs["worker"] for trial in study.trials}) == 2
+    assert len({trial.params["bowl.x"] for trial in study.trials}) == len(study.trials)
+    folders = (tmp_path / "out" / "0" / "populations").iterdir()
+    asked = [p for folder in folders for p in json.loads((folder / "population.json").read_text())]
+    assert len(asked) == len(study.trials)
+
+
+@pytest.mark.skipif(
+    importlib.util.find_spec("hydra_plugins") is None
+    or importlib.util.find_spec("hydra_plugins.hydra_joblib_launcher") is None,
+    reason="hydra-joblib-launcher is not installed",
+)
+def test_populations_run_side_by_side_through_joblib(tmp_path):
+    """Two populations at once in two processes, and the trials are those of one process asking 16."""
+    arguments = ["hydra.sweeper.parallel_populations=2", "hydra.sweeper.n_trials=32", "seconds=0.5"]
+    run(tmp_path, "-m", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", *arguments)
+    run(tmp_path, *arguments, "hydra.run.dir=single")
+    study = load(tmp_path / "out" / "0")
+    assert points(study) == points(load(tmp_path / "single"))
+    assert len({trial.user_attrs["pid"] for trial in study.trials}) > 1
+    jobs = {folder.name for folder in (tmp_path / "out" / "0" / "populations").iterdir()}
+    assert jobs == {"0", "1", "2", "3"}
+
+
+@pytest.mark.parametrize("mode", [[], ["-m"]])
+@pytest.mark.parametrize(
+    ("argument", "sentence"),
+    [
+        ("hydra.sweeper.sampler=simplex", "The sampler 'simplex' is unknown"),
+        ("+hydra.sweeper.params.bowl.z='interval(0,1)'", "bowl.z: hydra.sweeper.params names a key"),
+        ("+hydra.sweeper.params.bowl.y='interval(1,0)'", "bowl.y: the lower end 1"),
+        ("bowl.x=3", "bowl.x: the nominal value 3 lies outside interval(0, 1)"),
+        ("hydra.sweeper.storage=/dev/null/study.journal", "/dev/null/study.journal cannot be written"),
+    ],
+)
+def test_a_wrong_setting_gets_one_sentence(mode, argument, sentence, tmp_path):
+    """The program ends with an error and a sentence, not with a stack trace."""
+    process = start(tmp_path, *mode, argument)
+    output, _ = process.communicate(timeout=60)
+    assert process.returncode != 0
+    assert sentence in output
+    assert "Traceback" not in output
+    assert not list(tmp_path.rglob("population.json"))
+
+
+def test_an_interval_on_the_command_line_is_sent_to_the_config():
+    """The search space has one place; the message says which line to write there."""
+    parsed = OverridesParser.create().parse_overrides(["bowl.x=interval(0,1)"])
+    with pytest.raises(StudyError, match=r'`bowl\.x: "interval\(0,1\)"` in hydra\.sweeper\.params'):
+        expand_grid(parsed)
+
+
+def test_a_grid_keeps_lists_quotes_and_additions():
+    """What a cell's job gets is what the user wrote."""
+    line = ["groups=[motor],[motor,gear]", "+note='a, b'", "~extra", "n=range(0,2)"]
+    cells = expand_grid(OverridesParser.create().parse_overrides(line))
+    assert cells == [
+        [f"groups={groups}", "+note='a, b'", "~extra", f"n={n}"]
+        for groups in ("[motor]", "[motor,gear]")
+        for n in (0, 1)
+    ]
