@@ -23,7 +23,7 @@ from op3.identify.settings import read_settings
 from op3.identify.sweeper import sweep_or_report
 from op3.robot import CONTROLLED_JOINTS
 from op3.rollout import Rollout, read_logs
-from op3.servo import RobotModel
+from op3.servo import RobotModel, effect_class
 from op3.sim import load_model, save_model
 
 
@@ -48,8 +48,17 @@ def build(cfg: DictConfig, model: RobotModel, label: str) -> Identification:
     return Identification(model, fit_logs, heldout_logs, names, joints=joints, label=label)
 
 
-def _ablated(cfg: DictConfig) -> set[str]:
+def base_model(cfg: DictConfig) -> RobotModel:
+    """The model that the config starts from: a model file, and the effects switched on beside it."""
     model = load_model(cfg.model)
+    for name, options in _plain(cfg.effects).items():
+        if name not in model.effect_names:
+            model = model.with_effect(effect_class(name)(**(options or {})))
+    return model
+
+
+def _ablated(cfg: DictConfig) -> set[str]:
+    model = base_model(cfg)
     on = [name for name in cfg.ablate if name in model.effect_names]
     return {p.name for name in on for p in model.effect(name).parameters}
 
@@ -60,7 +69,7 @@ def _plain(node: Any) -> Any:
 
 def without_effects(cfg: DictConfig, folder: Path) -> Fit | None:
     """The same identification with the effects of `ablate` switched off."""
-    model = load_model(cfg.model)
+    model = base_model(cfg)
     effects = [name for name in cfg.ablate if name in model.effect_names]
     if not effects:
         return None
@@ -84,7 +93,7 @@ def main(cfg: DictConfig) -> Any:
     with one_sentence():
         torch.set_num_threads(1)
         started = time.monotonic()
-        model = load_model(cfg.model)
+        model = base_model(cfg)
         identification = build(cfg, model, f"with {', '.join(cfg.ablate).upper()}" if cfg.ablate else "model")
         folder = Path(HydraConfig.get().runtime.output_dir)
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from op3.identify.intervals import sandwich_intervals
 from op3.identify.loss import TrajectoryLoss, position_error
-from op3.identify.problem import Problem, catalogue_bounds
+from op3.identify.problem import Problem
 from op3.identify.refine import refine
 from op3.identify.study import Outcome
 from op3.rollout import Rollout
@@ -55,6 +55,7 @@ class Fit:
         found: names of the parameters that were searched.
         fit: score on the logs that were fitted.
         heldout: score on the held-out logs; None where there are none.
+        bounds: the range searched, by parameter name.
         trials: loss of every trial of the study, in order; NaN where it failed.
         refined: loss after every iteration of least squares; empty without.
         simulated_seconds: simulated time spent [s].
@@ -65,6 +66,7 @@ class Fit:
     found: Sequence[str]
     fit: Score
     heldout: Score | None
+    bounds: Mapping[str, tuple[float, float]]
     trials: Sequence[float]
     refined: Sequence[float] = field(default_factory=tuple)
     simulated_seconds: float = 0.0
@@ -107,7 +109,6 @@ class Identification:
         self.loss = loss or TrajectoryLoss(self.joints)
         self.problem = Problem(model, logs, self.loss)
         self.heldout = Problem(model, heldout, self.loss) if heldout else None
-        self.bounds = catalogue_bounds(self.names)
 
     def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[Outcome]:
         """Losses of trials whose parameters are config keys, as the study asks them."""
@@ -142,12 +143,14 @@ class Identification:
         if not complete:
             raise ValueError("no trial of the study completed: every simulation failed; check the log and the model")
         values = self._values(complete[0])
+        ranges = {key.removeprefix(PREFIX): d for key, d in complete[0].distributions.items()}
+        bounds = {name: (float(ranges[name].low), float(ranges[name].high)) for name in self.names}
         refined: Sequence[float] = ()
-        residuals = self._residuals()
+        residuals = self._residuals(bounds)
         if starts:
             result = refine(
                 residuals,
-                self.bounds,
+                bounds,
                 [self._values(trial) for trial in complete[:starts]],
                 max_iterations=max_iterations,
                 progress=progress,
@@ -155,7 +158,7 @@ class Identification:
             refined = result.history
             if result.loss < (complete[0].value or 0.0):
                 values = result.values
-        intervals = sandwich_intervals(residuals, self.bounds, values, self._blocks())
+        intervals = sandwich_intervals(residuals, bounds, values, self._blocks())
         model = self.problem.model.with_values(
             {name: Estimate(values[name], *intervals[name]) for name in self.names}
         )
@@ -166,6 +169,7 @@ class Identification:
             found=self.names,
             fit=self.score(self.problem, values),
             heldout=None if self.heldout is None else self.score(self.heldout, values),
+            bounds=bounds,
             trials=trials,
             refined=refined,
             simulated_seconds=self.problem.replay.seconds * len(trials) + self.problem.simulated_seconds,
@@ -190,9 +194,9 @@ class Identification:
     def _values(self, trial: optuna.trial.FrozenTrial) -> dict[str, float]:
         return {key.removeprefix(PREFIX): float(value) for key, value in trial.params.items()}
 
-    def _residuals(self) -> Callable[[Tensor], Tensor]:
-        low = torch.tensor([self.bounds[name][0] for name in self.names], dtype=torch.float64)
-        high = torch.tensor([self.bounds[name][1] for name in self.names], dtype=torch.float64)
+    def _residuals(self, bounds: Mapping[str, tuple[float, float]]) -> Callable[[Tensor], Tensor]:
+        low = torch.tensor([bounds[name][0] for name in self.names], dtype=torch.float64)
+        high = torch.tensor([bounds[name][1] for name in self.names], dtype=torch.float64)
         return self.problem.residual_function(self.names, low, high)
 
     def _blocks(self) -> list[np.ndarray]:

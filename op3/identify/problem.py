@@ -8,7 +8,7 @@ from torch import Tensor
 
 from op3.identify.loss import TrajectoryLoss
 from op3.rollout import Rollout
-from op3.servo import RobotModel, parameter
+from op3.servo import RobotModel
 from op3.tasks import Prediction, Replay
 
 
@@ -77,8 +77,3 @@ class Problem:
             return self.loss.residuals(self.predict(values, len(unit)))
 
         return residuals
-
-
-def catalogue_bounds(names: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Lowest and highest plausible value by parameter name."""
-    return {name: (parameter(name).low, parameter(name).high) for name in names}

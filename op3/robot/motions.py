@@ -12,6 +12,10 @@ from op3.robot.kinematics import check_joint_position
 from op3.robot.poses import SQUAT_KNEE_HIGH, SQUAT_KNEE_LOW, SQUAT_LEAN, squat_position
 
 
+BENCH_JOINTS = ("servo",)
+"""Joints of the bench."""
+
+
 @dataclass(frozen=True, eq=False)
 class Motion:
     """Target joint angles over time.
@@ -19,7 +23,7 @@ class Motion:
     Attributes:
         time: [time] in s, increasing.
         position: [time, joint] in rad, in the order of `joints`.
-        joints: joint names.
+        joints: joint names, of the OP3 or `BENCH_JOINTS`.
         name: what the motion is called in logs and figures.
     """
 
@@ -30,7 +34,8 @@ class Motion:
 
     def __post_init__(self):
         """Refuse arrays that do not fit together."""
-        indices(self.joints)
+        if self.joints != BENCH_JOINTS:
+            indices(self.joints)
         if self.position.shape != (len(self.time), len(self.joints)):
             raise ValueError(
                 f"motion {self.name!r}: position must be [time, joint] = "

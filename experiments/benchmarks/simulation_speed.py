@@ -1,0 +1,95 @@
+"""How much the servo law costs: ratios measured in one run, on 64 OP3s that stand.
+
+python experiments/benchmarks/simulation_speed.py
+"""
+
+import statistics
+import time
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from mujoco.batch import Batch
+
+from op3.report import machine
+from op3.robot import hold, pose
+from op3.sim import BatchSimulation, load_model
+from op3.tasks import Setup, playback_environment, squat_task
+
+SIMS = 64
+ROUNDS = 7
+TICKS = 60
+
+
+def standing() -> BatchSimulation:
+    """64 OP3s that have sunk into their stand pose, with the paper's full law."""
+    setup = Setup.of_mount("floor")
+    simulation = BatchSimulation(
+        setup.mj_model, setup.scene.joint_names, load_model("paper"), SIMS, base_body=setup.base_body
+    )
+    stand = pose("stand")
+    commands = {"position_target": torch.from_numpy(stand), "p_gain": torch.tensor(6.0), "d_gain": torch.tensor(0.1)}
+    simulation.reset(setup.scene.initial_qpos(stand), commands)
+    for _ in range(125):
+        simulation.advance()
+    return simulation
+
+
+def seconds_per_step(work: Callable[[], None], steps: int) -> float:
+    """Wall time of one physics step of one robot [s]."""
+    started = time.perf_counter()
+    work()
+    return (time.perf_counter() - started) / steps
+
+
+def law(simulation: BatchSimulation) -> float:
+    """A step with the law."""
+
+    def work() -> None:
+        for _ in range(TICKS):
+            simulation.advance()
+
+    return seconds_per_step(work, TICKS * simulation.substeps * SIMS)
+
+
+def bare(batch: Batch, steps: int) -> float:
+    """A step of the same batch, state and threads without the law: torques and friction as last written."""
+
+    def work() -> None:
+        for _ in range(steps):
+            batch.step()
+
+    return seconds_per_step(work, steps * SIMS)
+
+
+def composer() -> Callable[[], float]:
+    """A step through dm_control composer, one robot."""
+    motion = hold(pose("stand"), 1000.0)
+    environment = playback_environment(squat_task(load_model("paper"), motion))
+    environment.reset()
+    for _ in range(125):
+        environment.step(np.zeros(0))
+
+    def work() -> None:
+        for _ in range(TICKS):
+            environment.step(np.zeros(0))
+
+    return lambda: seconds_per_step(work, TICKS * 8)
+
+
+def main() -> None:
+    """Measure in turn, so that a drift of the machine's speed meets all three, and print medians of ratios."""
+    torch.set_num_threads(1)
+    simulation, one = standing(), composer()
+    rows = [(law(simulation), bare(simulation.batch, TICKS * simulation.substeps), one()) for _ in range(ROUNDS)]
+    print(f"machine: {machine()}")
+    for name, values in zip(("law", "bare Batch.step", "composer"), zip(*rows, strict=True), strict=True):
+        print(f"{name:16s} {1e6 * statistics.median(values):8.1f} us per step and robot")
+    to_bare = [b / w for w, b, _ in rows]
+    to_composer = [c / w for w, _, c in rows]
+    for name, ratios in (("full law against bare Batch.step", to_bare), ("full law against composer", to_composer)):
+        print(f"{name}: {statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f}, {ROUNDS} rounds)")
+
+
+if __name__ == "__main__":
+    main()
