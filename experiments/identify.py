@@ -6,6 +6,7 @@ python experiments/identify.py experiment=servo_bench data=<folder of bench logs
 """
 
 import dataclasses
+import os
 import time
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ import optuna
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
+from op3.report import run_provenance
 from op3.report.identification import report_identification
 from support import one_sentence
 
@@ -106,8 +108,10 @@ def main(cfg: DictConfig) -> Any:
                 ablated,
                 folder,
                 wall_seconds=time.monotonic() - started,
+                provenance=run_provenance(seed=cfg.seed, data=_plain(cfg.data)),
+                joints=identification.joints,
                 config=_plain(cfg),
-                job=HydraConfig.get(),
+                wandb_mode=os.environ.get("WANDB_MODE", cfg.wandb),
             )
 
         return sweep_or_report(cfg, identification.evaluate, report)

@@ -159,9 +159,7 @@ class Identification:
             if result.loss < (complete[0].value or 0.0):
                 values = result.values
         intervals = sandwich_intervals(residuals, bounds, values, self._blocks())
-        model = self.problem.model.with_values(
-            {name: Estimate(values[name], *intervals[name]) for name in self.names}
-        )
+        model = self.problem.model.with_values({name: Estimate(values[name], *intervals[name]) for name in self.names})
         trials = [np.nan if t.value is None else float(t.value) for t in study.trials]
         return Fit(
             label=self.label,

@@ -18,6 +18,9 @@ DIFFERENCE_STEP = 2e-3
 DAMPING_LADDER = (1e-2, 1e-1, 1.0, 1e1, 1e2)
 """Dampings tried in every iteration, as multiples of the last one that worked."""
 
+RESIGNED = 1e1
+"""Damping beyond which a start that cannot improve is given up."""
+
 
 @dataclass(frozen=True)
 class Refinement:
@@ -44,7 +47,7 @@ def refine(
     starts: Sequence[Mapping[str, float]],
     *,
     max_iterations: int = 25,
-    tolerance: float = 1e-3,
+    tolerance: float = 2e-3,
     progress: Callable[[int, float], None] | None = None,
 ) -> Refinement:
     """Least squares from several starts at once.
@@ -116,8 +119,9 @@ class _Search:
                 self.damping[i] = max(1e-9, self.damping[i] * DAMPING_LADDER[best])
                 self.active[i] = gained > tolerance
             else:
+                # the whole ladder failed: try one far more careful step, then take the kinks for the floor
+                self.active[i] = self.damping[i] < RESIGNED
                 self.damping[i] *= 1e3
-                self.active[i] = self.damping[i] < 1e6
 
     def _jacobians(self, active: np.ndarray) -> list[np.ndarray]:
         """Finite differences ``[residual, parameter]`` of each active start, inwards at the bounds."""

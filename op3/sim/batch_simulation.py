@@ -129,16 +129,27 @@ class BatchSimulation:
             self.batch.set_const()
         self._rotor = self._armature[:, self.ports.dof].clone()
 
-    def reset(self, qpos: np.ndarray | Tensor, commands: Mapping[str, Tensor] | None = None, qvel: Any = 0.0) -> None:
+    def reset(
+        self,
+        qpos: np.ndarray | Tensor,
+        commands: Mapping[str, Tensor] | None = None,
+        qvel: Any = 0.0,
+        *,
+        measured: bool = False,
+    ) -> None:
         """Start all simulations anew.
 
         Args:
             qpos: full MuJoCo position, ``[nq]`` or ``[sim, nq]``.
             commands: first commands, as for `command`; by default the joints' own positions.
             qvel: full MuJoCo velocity, ``[nv]`` or ``[sim, nv]``.
+            measured: whether the joints' positions are readings of the sensors, which an encoder offset shifts;
+                each simulation then starts where its own sensors read them.
         """
         self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
         self._qpos[...] = torch.as_tensor(qpos, dtype=torch.float64)
+        if measured:
+            self._undo_sensing()
         self._qvel[...] = torch.as_tensor(qvel, dtype=torch.float64)
         self._friction[:, self.ports.dof] = 0.0
         self._armature[:, self.ports.dof] = self._rotor
@@ -150,6 +161,15 @@ class BatchSimulation:
         self.command(**(commands or {}))
         self.signals.current = torch.zeros_like(self.signals.position)
         self.law.reset(self.signals)
+
+    def _undo_sensing(self) -> None:
+        """Move the joints until their sensors read what the joints' positions were."""
+        reading = self._qpos[:, self.ports.qpos].clone()
+        for _ in range(3):  # exact after one round for an offset; more for a reading that bends with the angle
+            self.signals.position = self._qpos[:, self.ports.qpos]
+            self.signals.velocity = torch.zeros_like(reading)
+            self.law.sense(self.signals)
+            self._qpos[:, self.ports.qpos] += reading - self.signals.measured_position
 
     def command(self, **commands: Tensor) -> None:
         """Set commands for the ticks to come; those not named are held.

@@ -153,7 +153,8 @@ class _Group:
         simulation.set_parameters(
             {name: _per_log(value, candidates, len(self.logs)) for name, value in parameters.items()}
         )
-        simulation.reset(np.tile(self.qpos, (candidates, 1)), self._held(0, candidates, constants=True))
+        qpos = np.tile(self.qpos, (candidates, 1))
+        simulation.reset(qpos, self._held(0, candidates, constants=True), measured=True)
         for _ in range(self.settle):
             simulation.advance()
         samples: list[dict] = []

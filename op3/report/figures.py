@@ -1,0 +1,243 @@
+"""Figures of an identification: how the loss fell, where the parameters lie, and what each run is worth."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from op3.report.style import INK, MUTED, colours, dress, faded, plain, unit_text, words
+from op3.report.tables import number
+from op3.rollout import Rollout
+from op3.servo import Estimate, Parameter, RobotModel
+
+MOST_DOTS = 3000
+"""Single trials drawn per label; of more, every n-th is."""
+
+
+def history_figure(
+    trials: Mapping[str, Sequence[float | None]],
+    refined: Mapping[str, Sequence[float]] | None = None,
+    loss: str = "loss [-]",
+) -> go.Figure:
+    """Loss over trials: the best so far as a line, single trials as faint dots, failed ones left out.
+
+    Args:
+        trials: loss of every trial by label, in order; None or NaN where the simulation failed.
+        refined: loss after every iteration of least squares by label, drawn beside.
+        loss: title of the loss axis.
+    """
+    refined = {label: values for label, values in (refined or {}).items() if len(values)}
+    wide = [0.7, 0.3] if refined else [1.0]
+    figure = make_subplots(rows=1, cols=len(wide), column_widths=wide, shared_yaxes=True, horizontal_spacing=0.03)
+    colour = colours(list(dict.fromkeys([*trials, *refined])))
+    for label, losses in trials.items():
+        values = np.array([np.nan if value is None else value for value in losses], dtype=float)
+        values[~np.isfinite(values)] = np.nan
+        number_of = np.arange(1, len(values) + 1)
+        some = np.flatnonzero(np.isfinite(values))[:: max(1, len(values) // MOST_DOTS)]
+        figure.add_scatter(
+            x=number_of[some], y=values[some], mode="markers", name=plain(label), legendgroup=label, showlegend=False,
+            marker=dict(color=faded(colour[label], 0.22), size=4), hoverinfo="skip", row=1, col=1,
+        )  # fmt: skip
+        best = np.fmin.accumulate(values) if len(values) else values
+        figure.add_scatter(
+            x=number_of, y=best, mode="lines", name=plain(label), legendgroup=label,
+            line=dict(color=colour[label], width=2.4, shape="hv"), hovertemplate="best %{y:.4g}", row=1, col=1,
+        )  # fmt: skip
+    for label, losses in refined.items():
+        figure.add_scatter(
+            x=np.arange(len(losses)), y=np.array(losses, dtype=float), mode="lines+markers", name=plain(label),
+            legendgroup=label, showlegend=label not in trials, line=dict(color=colour[label], width=2.4),
+            marker=dict(size=5), hovertemplate="%{y:.4g}", row=1, col=2,
+        )  # fmt: skip
+    dress(figure, 360, hovermode="x unified")
+    ticks = _log_ticks([*trials.values(), *refined.values()])
+    figure.update_yaxes(type="log", tickvals=ticks, ticktext=[number(tick) for tick in ticks])
+    figure.update_xaxes(rangemode="tozero", col=1)
+    figure.update_yaxes(title_text=loss, col=1)
+    figure.update_xaxes(title_text="trial [-]", col=1)
+    if refined:
+        figure.update_xaxes(title_text="iteration of least squares [-]", col=2)
+    return figure
+
+
+def _log_ticks(losses: Sequence[Sequence[float | None]]) -> list[float]:
+    """Round numbers over the range of the losses: 1, 2, 5 of each decade, of many decades only the powers of ten."""
+    values = [value for series in losses for value in series if value is not None and 0 < value < np.inf]
+    if not values:
+        return [1.0]
+    first, last = int(np.floor(np.log10(min(values)))), int(np.ceil(np.log10(max(values))))
+    steps = (1, 2, 5) if last - first < 4 else (1,)
+    return [float(f"{step}e{power}") for power in range(first, last + 1) for step in steps]
+
+
+def ranges_figure(models: Mapping[str, RobotModel], names: Sequence[str] = ()) -> go.Figure:
+    """Parameters within their ranges: value, 90 % interval, nominal value, and the labels side by side.
+
+    Every bar is a parameter's range (paper Table I), scaled to the same length. Values of single joints are open
+    circles. A model whose effects do not have a parameter has no marker there.
+
+    Args:
+        models: by label.
+        names: parameters to show; those that a model has an estimate of where empty.
+
+    Raises:
+        ValueError: if there is no parameter to show, or no model has one that is named.
+    """
+    known: dict[str, Parameter] = {}
+    for model in models.values():
+        known.update(model.parameters())
+    shown = list(names) or [name for name in known if any(name in m.estimates for m in models.values())]
+    if not shown:
+        raise ValueError("no model has an estimate of a parameter; name the parameters to show")
+    for name in shown:
+        if name not in known:
+            raise ValueError(f"no model has the parameter {name!r}; they have {', '.join(known)}")
+    figure = go.Figure()
+    colour = colours(list(models))
+    lanes = np.linspace(-0.2, 0.2, len(models)) if len(models) > 1 else [0.0]
+    for row, name in enumerate(shown):
+        _range_bar(figure, known[name], row)
+        for lane, (label, model) in zip(lanes, models.items(), strict=True):
+            if name in model.parameters():
+                estimate = model.estimates.get(name, Estimate(model.value(name)))
+                _estimate(figure, known[name], estimate, row + lane, label, colour[label])
+    for label in models:
+        figure.add_scatter(
+            x=[None], y=[None], mode="markers", name=plain(label), marker=dict(color=colour[label], size=10)
+        )
+    figure.add_scatter(
+        x=[None], y=[None], mode="markers", name="nominal",
+        marker=dict(symbol="line-ns", size=13, line=dict(color=INK, width=2)),
+    )  # fmt: skip
+    dress(figure, 110 + 52 * len(shown), margin=dict(l=270, r=250, t=48, b=48), hovermode="closest")
+    titles = [f"{words(name)} [{unit_text(known[name].unit)}]" for name in shown]
+    figure.update_yaxes(
+        tickvals=list(range(len(shown))), ticktext=titles, range=[len(shown) - 0.45, -0.55], showgrid=False,
+        showline=False, ticks="", tickfont=dict(size=13, color=INK), ticklabelstandoff=58,
+    )  # fmt: skip
+    figure.update_xaxes(
+        range=[-0.005, 1.005], tickvals=[0, 0.25, 0.5, 0.75, 1], tickformat=".0%", showgrid=False, showline=False,
+        title_text="place in the parameter's range [%]",
+    )  # fmt: skip
+    return figure
+
+
+def _range_bar(figure: go.Figure, known: Parameter, row: int) -> None:
+    figure.add_shape(
+        type="rect", x0=0, x1=1, y0=row - 0.34, y1=row + 0.34, fillcolor="#f1f3f6", line_width=0, layer="below"
+    )
+    nominal = (known.nominal - known.low) / (known.high - known.low)
+    figure.add_shape(type="line", x0=nominal, x1=nominal, y0=row - 0.34, y1=row + 0.34, line=dict(color=INK, width=2))
+    for x, value, anchor in ((0, known.low, "right"), (1, known.high, "left")):
+        figure.add_annotation(
+            x=x, y=row, text=number(value, 3), xanchor=anchor, showarrow=False, font=dict(size=11, color=MUTED)
+        )
+
+
+def _estimate(figure: go.Figure, known: Parameter, estimate: Estimate, y: float, label: str, colour: str) -> None:
+    def place(value: float) -> float:
+        return (value - known.low) / (known.high - known.low)
+
+    text = number(estimate.value, 4)
+    if estimate.low is not None and estimate.high is not None:
+        text += f"  ({number(estimate.low, 3)} to {number(estimate.high, 3)})"
+        figure.add_scatter(
+            x=[place(estimate.low), place(estimate.high)], y=[y, y], mode="lines", showlegend=False,
+            line=dict(color=faded(colour, 0.4), width=7), hoverinfo="skip",
+        )  # fmt: skip
+    if estimate.joints:
+        figure.add_scatter(
+            x=[place(value) for value in estimate.joints.values()], y=[y] * len(estimate.joints), mode="markers",
+            marker=dict(color="white", size=7, line=dict(color=colour, width=1.4)), showlegend=False,
+            customdata=[[words(joint), value] for joint, value in estimate.joints.items()],
+            hovertemplate="%{customdata[0]}: %{customdata[1]:.4g}<extra></extra>",
+        )  # fmt: skip
+    figure.add_scatter(
+        x=[place(estimate.value)], y=[y], mode="markers", showlegend=False, marker=dict(color=colour, size=10),
+        cliponaxis=False, hovertemplate=f"{plain(label)}: {text} {unit_text(known.unit)}<extra></extra>",
+    )  # fmt: skip
+    figure.add_annotation(
+        x=1, xshift=60, y=y, text=text, xanchor="left", showarrow=False, font=dict(size=11.5, color=colour)
+    )
+
+
+def errors_figure(
+    logs: Sequence[Rollout], errors_mrad: Mapping[str, Sequence[float | None]], heldout: Sequence[bool]
+) -> go.Figure:
+    """Position error of every bench run: a panel per trajectory, bars by mass, length and gain, held out hatched.
+
+    Args:
+        logs: the runs.
+        errors_mrad: by label, mean absolute position error of each run [mrad]; None where the simulation failed.
+        heldout: whether each run was kept from the fit.
+
+    Raises:
+        ValueError: if the numbers of runs differ.
+    """
+    for what, values in (*errors_mrad.items(), ("heldout", heldout)):
+        if len(values) != len(logs):
+            raise ValueError(f"{what!r} has {len(values)} entries for {len(logs)} runs; give one per run")
+    motions = list(dict.fromkeys(log.metadata.motion or "runs" for log in logs))
+    columns = min(2, len(motions))
+    rows = -(-len(motions) // columns)
+    inner = 200 * rows + 100 * (rows - 1)
+    height = inner + 72 + 84
+    figure = make_subplots(
+        rows=rows, cols=columns, subplot_titles=[f"<b>{plain(words(m))}</b>" for m in motions], shared_yaxes="all",  # type: ignore[arg-type]
+        horizontal_spacing=0.04, vertical_spacing=100 / inner if rows > 1 else 0,
+    )  # fmt: skip
+    colour = colours(list(errors_mrad))
+    order = sorted(range(len(logs)), key=lambda i: _sort_key(logs[i]))
+    for m, motion in enumerate(motions):
+        members = [i for i in order if (logs[i].metadata.motion or "runs") == motion]
+        place = dict(row=m // columns + 1, col=m % columns + 1)
+        for label, errors in errors_mrad.items():
+            figure.add_bar(
+                x=_categories([logs[i] for i in members]),
+                y=[errors[i] for i in members],
+                name=plain(label),
+                legendgroup=label,
+                showlegend=m == 0,
+                marker=dict(
+                    color=colour[label],
+                    line_width=0,
+                    pattern=dict(
+                        shape=["/" if heldout[i] else "" for i in members], fillmode="overlay", size=5, solidity=0.5,
+                        fgcolor="white",
+                    ),
+                ),
+                customdata=["held out" if heldout[i] else "fitted" for i in members],
+                hovertemplate="%{y:.1f} mrad, %{customdata}<extra>" + plain(label) + "</extra>",
+                **place,
+            )  # fmt: skip
+    if any(heldout):
+        pattern = dict(shape="/", fgcolor="white", fillmode="overlay", size=5, solidity=0.5)
+        figure.add_bar(x=[None], y=[None], name="hatched: held out", marker=dict(color=MUTED, pattern=pattern))
+    dress(figure, height, barmode="group", bargap=0.25, margin=dict(l=70, r=16, t=72, b=84))
+    figure.update_layout(legend_y=1 + 34 / inner)
+    figure.update_yaxes(title_text="position error [mrad]", col=1)
+    figure.update_xaxes(tickfont=dict(size=10), tickangle=0, showgrid=False, dividercolor="#d5d8dd")
+    figure.update_xaxes(title_text="gain kp [firmware units], by mass [kg] and length [m]", row=rows)
+    for annotation in figure.layout.annotations:
+        annotation.font = dict(size=13)
+    return figure
+
+
+def _sort_key(log: Rollout) -> tuple[float, float, float, str]:
+    known = log.metadata
+    return known.mass or 0.0, known.length or 0.0, known.firmware_gain or 0.0, known.recording or ""
+
+
+def _categories(logs: Sequence[Rollout]) -> list[list[str]]:
+    """Two levels of an axis: the pendulum, and within it the gain; recordings with the same gain are numbered."""
+    outer, inner, seen = [], [], {}
+    for log in logs:
+        known = log.metadata
+        pendulum = "" if known.mass is None else f"{known.mass:g} kg<br>{known.length:g} m"
+        gain = "-" if known.firmware_gain is None else f"{known.firmware_gain:g}"
+        count = seen[pendulum, gain] = seen.get((pendulum, gain), 0) + 1
+        outer.append(pendulum)
+        inner.append(gain if count == 1 else f"{gain} #{count}")
+    return [outer, inner]

@@ -1,0 +1,164 @@
+"""A grid of small panels over one time axis, the form of all figures that show traces."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from op3.report.style import COMMAND, INK, MEASURED, MUTED, colours, dress, plain
+
+MOST_POINTS = 1000
+"""Points per trace. Longer traces keep the smallest and largest value of each stretch, so that peaks survive."""
+
+_TOP, _BOTTOM, _GAP = 48, 48, 22
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """One trace: label, time ``[time]`` in s and values ``[time]`` in the panel's unit."""
+
+    label: str
+    time: np.ndarray
+    values: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """One plot of the grid.
+
+    Attributes:
+        axis: what is plotted, with its unit.
+        lines: traces; labels repeat from panel to panel and share a colour and a legend entry.
+        name: what the whole row is about, or the panel where `titled`.
+        least_span: the y axis shows at least this much, so that noise about a constant stays small.
+        titled: whether the name stands above the panel instead of beside its axis.
+    """
+
+    axis: str
+    lines: Sequence[Line]
+    name: str = ""
+    least_span: float = 0.0
+    titled: bool = False
+
+
+def thin(time: np.ndarray, values: np.ndarray, most: int = MOST_POINTS) -> tuple[np.ndarray, np.ndarray]:
+    """At most about `most` points of a trace, with the extremes of every stretch among them.
+
+    Args:
+        time: ``[time]``.
+        values: ``[time]``; NaN leaves a gap.
+        most: points to keep.
+    """
+    if len(time) <= most:
+        return time, values
+    keep = [0, len(time) - 1]
+    for stretch in np.array_split(np.arange(len(time)), most // 2):
+        inside = values[stretch]
+        if np.isnan(inside).all():
+            keep.append(int(stretch[0]))
+            continue
+        keep += [int(stretch[np.nanargmin(inside)]), int(stretch[np.nanargmax(inside)])]
+    index = np.unique(keep)
+    return time[index], values[index]
+
+
+def panels_figure(grid: Sequence[Sequence[Panel | None]], row_height: int = 126) -> go.Figure:
+    """Draw a grid of panels that zoom together in time.
+
+    Args:
+        grid: rows of panels; None leaves a place empty.
+        row_height: of the plots [pixels].
+    """
+    rows, columns = len(grid), max(len(row) for row in grid)
+    titled = any(panel is not None and panel.titled for row in grid for panel in row)
+    gap = _GAP + (18 if titled else 0)
+    inner = rows * row_height + (rows - 1) * gap
+    figure = make_subplots(
+        rows=rows,
+        cols=columns,
+        vertical_spacing=gap / inner if rows > 1 else 0,
+        horizontal_spacing=0.07 if columns > 1 else 0,
+    )
+    labels = list(dict.fromkeys(line.label for row in grid for panel in row if panel for line in panel.lines))
+    looks = _looks(labels)
+    for i, row in enumerate(grid, start=1):
+        for j in range(1, columns + 1):
+            panel = row[j - 1] if j <= len(row) else None
+            if panel is None:
+                figure.update_xaxes(visible=False, row=i, col=j)
+                figure.update_yaxes(visible=False, row=i, col=j)
+                continue
+            _draw(figure, panel, i, j, looks)
+            below = grid[i][j - 1] if i < rows and j <= len(grid[i]) else None
+            figure.update_xaxes(
+                showticklabels=below is None, title_text="time [s]" if below is None else "", row=i, col=j
+            )
+    for label in sorted(labels, key=lambda label: (label == COMMAND, label != MEASURED, labels.index(label))):
+        # an entry of its own, in reading order, because the traces are ordered by depth
+        figure.add_scatter(x=[None], y=[None], name=plain(label), legendgroup=label, mode="lines", line=looks[label])
+    for axis in list(figure.select_xaxes())[1:]:
+        axis.matches = "x"
+    top = _TOP + (18 if titled else 0)
+    height = inner + top + _BOTTOM
+    dress(figure, height, margin=dict(l=92, r=16, t=top, b=_BOTTOM), hovermode="x unified")
+    figure.update_layout(legend_y=1 + (8 + (18 if titled else 0)) / inner)
+    return figure
+
+
+def _looks(labels: Sequence[str]) -> Mapping[str, dict[str, Any]]:
+    """Line styles by label: black for measured, dotted grey for commands, colours for the others."""
+    coloured = colours([label for label in labels if label not in (MEASURED, COMMAND)])
+    looks: dict[str, dict[str, Any]] = {label: dict(color=colour, width=1.5) for label, colour in coloured.items()}
+    # the measured trace lies beneath, so it is the wider one
+    looks[MEASURED] = dict(color=INK, width=2.0)
+    looks[COMMAND] = dict(color=MUTED, width=1.2, dash="dot")
+    return looks
+
+
+def _draw(figure: go.Figure, panel: Panel, row: int, column: int, looks: Mapping[str, dict[str, Any]]) -> None:
+    # the first label is the page's subject and lies on top; commands and measurements lie beneath
+    beneath = [line for line in panel.lines if line.label in (COMMAND, MEASURED)]
+    above = [line for line in panel.lines if line not in beneath]
+    for line in (*beneath, *reversed(above)):
+        time, values = thin(line.time, np.where(np.isfinite(line.values), line.values, np.nan))
+        figure.add_trace(
+            go.Scatter(
+                **_abscissa(time),
+                y=values.astype(np.float32),
+                name=plain(line.label),
+                legendgroup=line.label,
+                showlegend=False,
+                mode="lines",
+                line=looks[line.label],
+                hovertemplate="%{y:.4g}",
+            ),
+            row=row,
+            col=column,
+        )
+    name = dict(text=f"<b>{plain(panel.name)}</b>", xref="x domain", yref="y domain", showarrow=False, x=0)
+    if panel.name and panel.titled:
+        figure.add_annotation(name, y=1, xanchor="left", yanchor="bottom", row=row, col=column)
+    elif panel.name:
+        figure.add_annotation(name, y=0.5, xanchor="right", xshift=-70, textangle=-90, row=row, col=column)
+    figure.update_yaxes(title_text=panel.axis, range=_range(panel), nticks=5, row=row, col=column)
+
+
+def _abscissa(time: np.ndarray) -> dict[str, Any]:
+    """Times as start and step where they are even, which halves the page."""
+    steps = np.diff(time)
+    if len(steps) and np.allclose(steps, steps.mean(), rtol=1e-4, atol=0):
+        return dict(x0=float(time[0]), dx=float(steps.mean()))
+    return dict(x=time.astype(np.float32))
+
+
+def _range(panel: Panel) -> list[float] | None:
+    """The panel's y range where its data span less than `least_span`; None leaves it to the data."""
+    finite = [line.values[np.isfinite(line.values)] for line in panel.lines]
+    values = np.concatenate(finite) if finite else np.zeros(0)
+    if not values.size or np.ptp(values) >= panel.least_span:
+        return None
+    middle = (float(values.min()) + float(values.max())) / 2
+    return [middle - panel.least_span / 2, middle + panel.least_span / 2]

@@ -1,0 +1,80 @@
+"""Where a result comes from: code, command, versions and machine."""
+
+import os
+import platform
+import shlex
+import subprocess
+import sys
+from collections.abc import Sequence
+from datetime import datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+PACKAGES = ("torch", "torchrl", "tensordict", "mujoco", "dm-control", "hydra-core", "optuna", "numpy", "scipy")
+"""Packages whose versions can change a result."""
+
+
+def run_provenance(
+    *, seed: int | None = None, data: str | Sequence[str] | None = None, command: str | None = None
+) -> dict[str, Any]:
+    """Everything about a run that its numbers do not say, as plain data for page and result.
+
+    No path appears but those that the caller or the command line gave.
+
+    Args:
+        seed: of the run; left out where None.
+        data: names of the logs used, as the user gave them; left out where None.
+        command: by default this process's command line.
+    """
+    facts: dict[str, Any] = {"command": command or command_line(), **git_state()}
+    facts["date"] = datetime.now().astimezone().isoformat(timespec="seconds")
+    if seed is not None:
+        facts["seed"] = seed
+    if data is not None:
+        facts["data"] = data if isinstance(data, str) else ", ".join(map(str, data))
+    facts["versions"] = versions()
+    facts["machine"] = {
+        "platform": platform.platform(terse=True),
+        "architecture": platform.machine(),
+        "cpu_count": os.cpu_count(),
+    }
+    return facts
+
+
+def command_line() -> str:
+    """The command as one could type it again, the script relative to where one stands."""
+    script = Path(sys.argv[0] or "-")
+    if script.is_absolute():
+        here = Path.cwd()
+        script = script.relative_to(here) if script.is_relative_to(here) else Path(script.name)
+    return shlex.join(["python", str(script), *sys.argv[1:]])
+
+
+def git_state() -> dict[str, Any]:
+    """Commit of the code, and whether files differ from it; ``unknown`` where it is not in its own repository."""
+    folder = Path(__file__).resolve().parents[1]
+    try:
+        # a package installed inside another project's repository must not take that project's commit
+        _git(folder, "ls-files", "--error-unmatch", "__init__.py")
+        commit = _git(folder, "rev-parse", "HEAD")
+        changed = bool(_git(folder, "status", "--porcelain", "--untracked-files=no"))
+    except (OSError, subprocess.SubprocessError):
+        return {"git_hash": "unknown"}
+    return {"git_hash": commit, "git_changes": changed}
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python, this package and `PACKAGES`, where installed."""
+    found = {"python": platform.python_version()}
+    for package in ("op3", *PACKAGES):
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def _git(folder: Path, *arguments: str) -> str:
+    command = ["git", "-C", str(folder), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()

@@ -1,0 +1,134 @@
+"""``result.yaml``: the numbers of a run, flat, documented, and finite."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from op3.rollout.files import write_text
+from op3.servo import Estimate, catalogue
+
+HEADER = """\
+# The numbers of one run. Keys are dotted paths; units are SI unless a key names another.
+# null: there is no such number, for example without held-out logs.
+"""
+
+MEANINGS: Mapping[str, str] = {
+    "loss": "loss on the logs named; paper_eq7 has unit weights in rad, rad/s and A",
+    "error_mrad": "mean absolute joint position error [mrad]",
+    "wall_seconds": "duration of the run [s]",
+    "simulated_seconds": "simulated time over all candidates [s]",
+    "parameters": "value with its 90 % interval, in the unit given behind it",
+    "provenance": "where the numbers come from",
+}
+"""What the first part of a key stands for; written above the first such key."""
+
+
+def write_result(path: str | Path, values: Mapping[str, Any], meanings: Mapping[str, str] | None = None) -> Path:
+    """Write results; the file appears whole or not at all.
+
+    Args:
+        path: of the file, usually ``result.yaml`` in the run's folder.
+        values: numbers, texts, None, lists of them, nested mappings or dotted keys. A mapping with ``value`` (and
+            ``low``, ``high``) and an `Estimate` stay one entry.
+        meanings: what further first parts of keys stand for, written as comments.
+
+    Raises:
+        ValueError: if a number is not finite, a key appears twice, or a value is no plain data; names the key.
+    """
+    path = Path(path)
+    known = {**MEANINGS, **(meanings or {})}
+    units = {p.name: f"[{p.unit}] {p.text}" for effect in catalogue().values() for p in effect.parameters}
+    lines, group = [HEADER], None
+    for key, value in flatten(values).items():
+        first, last = key.split(".")[0], key.split(".")[-1]
+        if first != group and first in known:
+            lines.append(f"\n# {first}: {known[first]}\n")
+        group = first
+        note = f"  # {units[last]}" if first == "parameters" and last in units else ""
+        lines.append(f"{_yaml(key)}: {_yaml(value)}{note}\n")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, "".join(lines))
+    return path
+
+
+def read_result(path: str | Path) -> dict[str, Any]:
+    """Read results back, by dotted key.
+
+    Raises:
+        ValueError: if the file is no mapping.
+    """
+    content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    if not isinstance(content, dict):
+        raise ValueError(f"{path}: not a mapping of results; write it with write_result")
+    return content
+
+
+def finish(page: str | Path, result: str | Path) -> None:
+    """Print where page and results are; an experiment's last two lines."""
+    print(page, result, sep="\n", flush=True)
+
+
+def flatten(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Results by dotted key, as plain data.
+
+    Raises:
+        ValueError: as `write_result`.
+    """
+    flat: dict[str, Any] = {}
+    _flatten(values, "", flat)
+    return flat
+
+
+def _flatten(values: Mapping[str, Any], prefix: str, flat: dict[str, Any]) -> None:
+    for name, value in values.items():
+        if not isinstance(name, str) or not name.strip(".") or "\n" in name:
+            raise ValueError(f"result key {prefix}{name!r}: give a text such as loss.fit")
+        key = prefix + name
+        if isinstance(value, Estimate):
+            value = {"value": value.value, "low": value.low, "high": value.high} | (
+                {"joints": dict(value.joints)} if value.joints else {}
+            )
+        if isinstance(value, Mapping) and "value" not in value:
+            _flatten(value, key + ".", flat)
+            continue
+        if key in flat:
+            raise ValueError(f"result key {key} is given twice, nested and dotted; leave one out")
+        flat[key] = _plain(key, value)
+
+
+def _plain(key: str, value: Any) -> Any:
+    """Numbers of numpy and torch as Python's own; refuses what YAML readers would not understand."""
+    if isinstance(value, Mapping):
+        return {str(name): _plain(f"{key}.{name}", item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(f"{key}[{i}]", item) for i, item in enumerate(value)]
+    if hasattr(value, "tolist") and not isinstance(value, str):
+        return _plain(key, value.tolist())
+    if isinstance(value, Path):
+        return str(value)
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            raise ValueError(f"result {key} is {value}: write a finite number, or None where there is none")
+        return value
+    raise ValueError(f"result {key} is a {type(value).__name__}: write numbers, texts, None or lists of them")
+
+
+class _Dumper(yaml.SafeDumper):
+    """Writes texts that plain YAML would change, such as line breaks, in double quotes with escapes."""
+
+    def represent_text(self, text: str) -> yaml.ScalarNode:
+        return self.represent_scalar("tag:yaml.org,2002:str", text, style=None if text.isprintable() else '"')
+
+
+_Dumper.add_representer(str, _Dumper.represent_text)
+
+
+def _yaml(value: Any) -> str:
+    """One key or value on one line."""
+    options: dict[str, Any] = dict(default_flow_style=True, width=10**9, allow_unicode=True, sort_keys=False)
+    return yaml.dump(value, Dumper=_Dumper, **options).strip().removesuffix("...").strip()

@@ -1,0 +1,96 @@
+"""Tables as plain headers and rows, and how numbers are written."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from op3.report.style import unit_text, words
+from op3.rollout import CHANNELS
+from op3.rollout.schema import normal_key
+from op3.servo import Estimate, RobotModel
+
+Cell = str | int | float | bool | None
+TableRows = tuple[list[str], list[list[Cell]]]
+"""Header and rows, as `Page.table` takes them."""
+
+
+def number(value: float, digits: int = 4) -> str:
+    """A number with so many significant digits, a true minus sign, and a power of ten only where it must be.
+
+    Integers are written whole, and numbers that fewer digits say exactly (a range's 0.25) with no more.
+    """
+    if isinstance(value, int) or value == 0:
+        text = f"{value:.0f}" if value == 0 else f"{value:d}"
+    elif not math.isfinite(value):
+        text = str(value)
+    elif 1e-4 <= abs(value) < 1e6:
+        # the power of ten is that of the rounded number: 9.9996 has one digit more before the point once rounded
+        power = int(f"{value:.{digits - 1}e}".split("e")[1])
+        text = f"{value:.{max(0, digits - 1 - power)}f}"
+        short = text.rstrip("0").rstrip(".") if "." in text else text
+        text = short if float(short) == value else text
+    else:
+        text = f"{value:.{digits - 1}e}"
+    return text.replace("-", "−", 1) if text.startswith("-") else text
+
+
+def parameter_table(models: Mapping[str, RobotModel], names: Sequence[str] = ()) -> TableRows:
+    """Parameters with unit, range and nominal value, and per model the value with its 90 % interval.
+
+    Args:
+        models: by label.
+        names: parameters to list; all of the models where empty.
+    """
+    known = {name: p for model in models.values() for name, p in model.parameters().items()}
+    intervals = {label: any(e.low is not None for e in model.estimates.values()) for label, model in models.items()}
+    header = ["parameter", "unit", "range from", "to", "nominal"]
+    for label in models:
+        header += [label, "90 % from", "to"] if intervals[label] else [label]
+    rows: list[list[Cell]] = []
+    for name in names or known:
+        p = known[name]
+        row: list[Cell] = [words(name), unit_text(p.unit), p.low, p.high, p.nominal]
+        for label, model in models.items():
+            has = name in model.parameters()
+            estimate = model.estimates.get(name, Estimate(model.value(name))) if has else None
+            row.append(None if estimate is None else estimate.value)
+            if intervals[label]:
+                row += [None, None] if estimate is None else [estimate.low, estimate.high]
+        rows.append(row)
+    return header, rows
+
+
+def loss_table(terms: Mapping[str, Mapping[str, Mapping[Any, float]]], total: str | None = None) -> TableRows:
+    """Loss terms: a row per channel with its unit, a column per set of logs and label.
+
+    Args:
+        terms: by set of logs (``fit``, ``held out``), then label, then channel (``"joint/position"``). A channel
+            that a log does not have is absent; further entries, such as the loss itself, follow the channels.
+        total: name of the entry that stands last.
+    """
+    names = dict.fromkeys(_name(key) for labels in terms.values() for by_key in labels.values() for key in by_key)
+    ordered = sorted(names, key=lambda name: (name == total, normal_key(name) not in CHANNELS))
+    header = ["mean square of", "unit"]
+    header += [f"{logs}, {label}" for logs, labels in terms.items() for label in labels]
+    rows: list[list[Cell]] = []
+    for name in ordered:
+        row: list[Cell] = [*_channel(name)]
+        for labels in terms.values():
+            for by_key in labels.values():
+                row.append({_name(key): value for key, value in by_key.items()}.get(name))
+        rows.append(row)
+    return header, rows
+
+
+def _name(key: Any) -> str:
+    return key if isinstance(key, str) else "/".join(key)
+
+
+def _channel(name: str) -> tuple[str, str]:
+    """A channel in words and the unit of its square."""
+    channel = CHANNELS.get(normal_key(name))
+    if channel is None:
+        return name, ""
+    text = {"imu/orientation": "body roll and pitch", "imu/angular_velocity": "body rates"}.get(name)
+    unit = f"({channel.unit})²" if "/" in channel.unit else f"{channel.unit}²"
+    return text or name.replace("/", " ").replace("_", " "), unit

@@ -1,0 +1,184 @@
+"""Measured against simulated: joints, body and runs of the servo bench (paper, figure of the identification)."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from op3.report.panels import Line, Panel, panels_figure
+from op3.report.style import COMMAND, MEASURED, words
+from op3.rollout import CHANNELS, Rollout
+from op3.rollout.schema import Key, key_name, normal_key
+from op3.tasks import Prediction
+
+Channels = Prediction | Mapping[Any, Any]
+"""A prediction of one candidate, or arrays ``[time, joint | 3]`` by channel, such as ``("joint", "position")``."""
+
+JOINT_QUANTITIES: tuple[Key, ...] = (("joint", "position"), ("joint", "velocity"), ("joint", "current"))
+
+# what is drawn in degrees, and how little a y axis may show, in the unit drawn
+_DEGREES: set[Key] = {("joint", "position"), ("command", "position"), ("imu", "orientation")}
+_LEAST_SPAN: dict[Key, float] = {
+    ("joint", "position"): 4.0,
+    ("joint", "velocity"): 0.5,
+    ("joint", "current"): 0.1,
+    ("imu", "orientation"): 4.0,
+    ("imu", "angular_velocity"): 0.5,
+}
+
+
+def traces_figure(
+    log: Rollout,
+    predictions: Mapping[str, Channels],
+    joints: Sequence[str] = (),
+    quantities: Sequence[str | tuple[str, str]] = JOINT_QUANTITIES,
+) -> go.Figure:
+    """Measured and simulated traces: a row per joint, left beside right partner, and a column per quantity.
+
+    Angles are drawn in degrees, with the command dotted. A quantity that the log does not have has no column; one
+    that a prediction does not have has no trace of it.
+
+    Args:
+        log: what was measured, without an episode axis.
+        predictions: by label; they may end before the log.
+        joints: joints to show; all of the log where empty.
+        quantities: channels of joints.
+
+    Raises:
+        ValueError: if the log has none of the quantities, or a joint or a shape does not belong to the log.
+    """
+    keys = [key for key in map(normal_key, quantities) if key in log]
+    if not keys:
+        asked = ", ".join(key_name(normal_key(q)) for q in quantities)
+        there = ", ".join(map(key_name, log.channels))
+        raise ValueError(f"the log has no {asked} to draw; it has {there}")
+    grid = []
+    for joint in _paired(joints or log.joints):
+        if joint not in log.joints:
+            raise ValueError(f"the log has no joint {joint!r}; its joints are {', '.join(log.joints)}")
+        column = log.joints.index(joint)
+        row = [_panel(log, predictions, key, column, words(joint) if i == 0 else "") for i, key in enumerate(keys)]
+        grid.append(row)
+    return panels_figure(grid)
+
+
+def body_figure(log: Rollout, predictions: Mapping[str, Channels]) -> go.Figure | None:
+    """Roll, pitch and body rates; None for a log without them, such as one of the servo bench."""
+    grid: list[list[Panel | None]] = []
+    if ("imu", "orientation") in log:
+        names = ("roll", "pitch")
+        grid.append([_panel(log, predictions, ("imu", "orientation"), i, "", name) for i, name in enumerate(names)])
+    if ("imu", "angular_velocity") in log:
+        names = ("roll rate x", "pitch rate y", "yaw rate z")
+        key = ("imu", "angular_velocity")
+        grid.append([_panel(log, predictions, key, i, "", name) for i, name in enumerate(names)])
+    return panels_figure(grid, row_height=170) if grid else None
+
+
+def runs_figure(
+    logs: Sequence[Rollout],
+    predictions: Mapping[str, Sequence[Channels]],
+    quantity: str | tuple[str, str] = ("joint", "position"),
+    joint: str | None = None,
+    columns: int = 2,
+) -> go.Figure:
+    """One quantity of one joint in several logs, a panel per log.
+
+    Args:
+        logs: what was measured.
+        predictions: by label, one per log.
+        quantity: a channel of joints.
+        joint: which joint; the first of each log by default.
+        columns: panels side by side.
+
+    Raises:
+        ValueError: if a label has not one prediction per log, or a log lacks the quantity.
+    """
+    key = normal_key(quantity)
+    for label, members in predictions.items():
+        if len(members) != len(logs):
+            raise ValueError(f"{label!r} has {len(members)} predictions for {len(logs)} logs; give one per log")
+    panels = []
+    for i, log in enumerate(logs):
+        if key not in log:
+            raise ValueError(f"log {i} ({log.metadata.recording}) has no {key_name(key)}; leave it out")
+        column = 0 if joint is None else log.joints.index(joint)
+        mine = {label: members[i] for label, members in predictions.items()}
+        panels.append(_panel(log, mine, key, column, run_name(log), titled=True))
+    grid = [panels[start : start + columns] for start in range(0, len(panels), columns)]
+    return panels_figure(grid, row_height=180)
+
+
+def run_name(log: Rollout) -> str:
+    """A log in a few words: motion, mass, length and gain of a bench log, else its recording's name."""
+    known = log.metadata
+    parts = [words(known.motion or known.recording or known.mount)]
+    if known.mass is not None:
+        parts.append(f"{known.mass:g} kg")
+    if known.length is not None:
+        parts.append(f"{known.length:g} m")
+    if known.firmware_gain is not None:
+        parts.append(f"kp {known.firmware_gain:g}")
+    return ", ".join(parts)
+
+
+def _paired(joints: Sequence[str]) -> list[str]:
+    """The joints with the right ones straight after their left partners."""
+    order = list(dict.fromkeys(joint[2:] if joint[:2] in ("l_", "r_") else joint for joint in joints))
+    return sorted(joints, key=lambda joint: (order.index(joint[2:] if joint[:2] in ("l_", "r_") else joint), joint))
+
+
+def _panel(
+    log: Rollout,
+    predictions: Mapping[str, Channels],
+    key: Key,
+    column: int,
+    name: str,
+    what: str = "",
+    titled: bool = False,
+) -> Panel:
+    if log.batched:
+        raise ValueError("the log has an episode axis: draw one episode, log.episode(0), at a time")
+    time = log.array("time")[:, 0]
+    time = time - time[0]
+    lines = [Line(MEASURED, time, _drawn(key, log.array(key)[:, column]))]
+    if key == ("joint", "position") and ("command", "position") in log:
+        command = _drawn(key, log.array("command/position")[:, column])
+        lines.insert(0, Line(COMMAND, time, command))
+    for label, channels in predictions.items():
+        values = _simulated(label, channels, key)
+        if values is None:
+            continue
+        if len(values) > len(time) or column >= values.shape[1]:
+            shape, there = list(values.shape), [len(time), log.array(key).shape[1]]
+            raise ValueError(f"{key_name(key)} of {label!r} has the shape {shape}, the log has {there}")
+        lines.append(Line(label, time[: len(values)], _drawn(key, values[:, column])))
+    unit = "deg" if key in _DEGREES else CHANNELS[key].unit
+    what = what or key_name(key).split("/")[-1].replace("_", " ")
+    axis = f"{what} [{unit}]" if unit else what
+    return Panel(axis, lines, name, _LEAST_SPAN.get(key, 0.0), titled)
+
+
+def _simulated(label: str, channels: Channels, key: Key) -> np.ndarray | None:
+    """A channel ``[time, joint | 3]`` of the only candidate, or None where the prediction lacks it."""
+    found = channels.channels if isinstance(channels, Prediction) else channels
+    by_key = {normal_key(name): value for name, value in found.items()}
+    if key not in by_key:
+        return None
+    values = np.asarray(by_key[key], dtype=float)
+    if values.ndim == 3 and len(values) == 1:
+        values = values[0]
+    if values.ndim != 2:
+        problem = f"{key_name(key)} of {label!r} has the shape {list(values.shape)}"
+        raise ValueError(f"{problem}; pick one candidate, so that it is [time, joint]")
+    return values
+
+
+def _drawn(key: Key, values: np.ndarray) -> np.ndarray:
+    """Values in the unit drawn; angles of the body without jumps of a full turn."""
+    if key == ("imu", "orientation"):
+        finite = np.isfinite(values)
+        values = np.where(finite, values, np.nan)
+        values[finite] = np.unwrap(values[finite])
+    return np.rad2deg(values) if key in _DEGREES else values

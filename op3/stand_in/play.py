@@ -1,0 +1,141 @@
+"""Recording a motion on a stand-in robot, as the computer on the robot does it.
+
+Variable-gain PD in current at 125 Hz with zero-order hold (paper, section "Variable Gain PD"). A row holds the
+sensors at its time and then the command issued at that time.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from op3.robot import JOINTS, SOFT_LIMITS, Motion, indices, pose
+from op3.rollout import Metadata, Rollout
+from op3.stand_in.sensors import CURRENT_UNIT, Sensors
+
+if TYPE_CHECKING:
+    from op3.stand_in.robot import StandIn
+
+CONTROL_PERIOD = 0.008
+"""Period of the PD [s]; paper, 125 Hz."""
+
+NOMINAL_BATTERY = 11.1
+"""What is printed on the battery [V]."""
+
+FALL_ANGLE = np.deg2rad(45)
+"""A trunk that rolls or pitches further has fallen [rad]."""
+
+REST_TIME = 0.2
+"""How long a robot stands still before a recording starts [s]."""
+
+PATIENCE = 3.0
+"""How long that is waited for [s]; a servo may hunt for ever around a reading."""
+
+Array = NDArray[np.float64]
+
+
+def play(
+    robot: StandIn,
+    motion: Motion,
+    p_gain: ArrayLike,
+    d_gain: ArrayLike,
+    *,
+    recording: str | None = None,
+    settle: float = 1.5,
+) -> Rollout:
+    """Follow a motion and record it; see `StandIn.play`."""
+    if robot.scene.robot is None:
+        raise ValueError("a motion is played by the whole robot; on the bench use write_current and read_sensors")
+    if not 0 <= settle < np.inf:
+        raise ValueError(f"settle must be at least 0 s and finite, got {settle}")
+    targets = sample(motion, CONTROL_PERIOD)
+    _check_limits(motion, targets)
+    gains = {name: _gain(name, value, targets.shape) for name, value in (("p_gain", p_gain), ("d_gain", d_gain))}
+    robot.reset(targets[0], by_hand=True)
+    _settle(robot, targets[0], gains["p_gain"][0], gains["d_gain"][0], settle)
+    readings = [
+        _tick(robot, target, p, d) for target, p, d in zip(targets, gains["p_gain"], gains["d_gain"], strict=True)
+    ]
+    return _rollout(robot, motion, recording, readings, targets, gains)
+
+
+def _settle(robot: StandIn, target: Array, p_gain: Array, d_gain: Array, settle: float) -> None:
+    """Hold the first pose for `settle` [s], and on until all joints have read zero speed for `REST_TIME`."""
+    quiet = 0.0
+    while robot.time < settle - 0.5 * CONTROL_PERIOD or (quiet < REST_TIME and robot.time < settle + PATIENCE):
+        sensors = _tick(robot, target, p_gain, d_gain)
+        quiet = 0.0 if sensors.velocity.any() else quiet + CONTROL_PERIOD
+
+
+def sample(motion: Motion, period: float) -> Array:
+    """Targets of all joints at ticks of `period` [s], [tick, joint]: held between a motion's own rows."""
+    ticks = np.arange(round((motion.time[-1] - motion.time[0]) / period) + 1) * period
+    # Half a percent of the period absorbs rounding of written times.
+    rows = np.searchsorted(motion.time - motion.time[0], ticks + 0.005 * period, side="right") - 1
+    targets = np.tile(pose("stand"), (len(ticks), 1))
+    targets[:, indices(motion.joints)] = motion.position[rows]
+    return targets
+
+
+def _gain(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    try:
+        gain = np.broadcast_to(np.asarray(value, dtype=float), shape).copy()
+    except ValueError:
+        wanted = f"one number, one per joint ({shape[1]}) or one per row and joint ({shape[0]}, {shape[1]})"
+        raise ValueError(f"{name} must be {wanted}, got {value!r}") from None
+    if not (np.isfinite(gain).all() and (gain >= 0).all()):
+        raise ValueError(f"{name} must be finite and at least 0, got {value}")
+    return gain
+
+
+def _check_limits(motion: Motion, targets: Array) -> None:
+    """Refuse what a robot must not be told: servos in current mode enforce no limit themselves."""
+    low, high = np.array([SOFT_LIMITS[name] for name in JOINTS]).T
+    outside = (targets < low) | (targets > high)
+    if outside.any():
+        row, joint = np.argwhere(outside)[0]
+        raise ValueError(
+            f"motion {motion.name!r} asks {JOINTS[joint]} for {targets[row, joint]:.3f} rad at"
+            f" {row * CONTROL_PERIOD:.3f} s; it may go from {low[joint]:.3f} to {high[joint]:.3f} rad"
+        )
+
+
+def _tick(robot: StandIn, target: Array, p_gain: Array, d_gain: Array) -> Sensors:
+    """Read, command, wait for the next tick."""
+    sensors = robot.read_sensors()
+    current = p_gain * (target - sensors.position) - d_gain * sensors.velocity
+    robot.write_current(np.round(current / CURRENT_UNIT) * CURRENT_UNIT, robot.draw_latency())
+    robot.advance(CONTROL_PERIOD)
+    return sensors
+
+
+def _rollout(
+    robot: StandIn,
+    motion: Motion,
+    recording: str | None,
+    readings: list[Sensors],
+    targets: Array,
+    gains: dict[str, Array],
+) -> Rollout:
+    names = ("position", "velocity", "current", "voltage", "temperature")
+    arrays = {("joint", name): np.stack([getattr(reading, name) for reading in readings]) for name in names}
+    for name in ("orientation", "angular_velocity", "linear_acceleration"):
+        arrays["imu", name] = np.stack([getattr(reading, name) for reading in readings])
+    arrays["command", "position"] = targets
+    arrays.update({("command", name): gain for name, gain in gains.items()})
+    metadata = Metadata(
+        joints=robot.joints,
+        robot="simulated",
+        mount=robot.scene.mount,
+        rate=1 / CONTROL_PERIOD,
+        battery=NOMINAL_BATTERY,
+        servo="xm430-w350",
+        motion=motion.name,
+        recording=recording,
+        seed=robot.seed,
+        fallen=bool((np.abs(arrays["imu", "orientation"][:, :2]) > FALL_ANGLE).any()),
+        extra={"world": robot.world_id},
+    )
+    return Rollout.from_arrays({"time": np.arange(len(readings)) * CONTROL_PERIOD, **arrays}, metadata)

@@ -1,0 +1,131 @@
+"""What a stand-in robot's sensors say: filtered, noisy and in whole units of the registers.
+
+Units: XM430-W350 control table and OpenCR's IMU registers (ROBOTIS e-Manual).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from op3.stand_in.servos import SLOW_PERIOD
+from op3.stand_in.world import World
+
+POSITION_UNIT = 2 * np.pi / 4096
+"""One count of the encoder [rad]."""
+VELOCITY_UNIT = 0.229 * 2 * np.pi / 60
+"""One unit of present velocity, 0.229 rpm [rad/s]."""
+CURRENT_UNIT = 0.00269
+"""One unit of present and goal current [A]."""
+VOLTAGE_UNIT = 0.1
+"""One unit of input voltage [V]."""
+TEMPERATURE_UNIT = 1.0
+"""One unit of temperature [C]."""
+ANGLE_UNIT = np.deg2rad(0.1)
+"""One unit of roll, pitch and yaw [rad]."""
+GYRO_UNIT = np.deg2rad(2000 / 32800)
+"""One unit of the gyro [rad/s]."""
+ACCELERATION_UNIT = 2 * 9.80665 / 32768
+"""One unit of the accelerometer, which clips at 2 g [m/s^2]."""
+
+IMU_EVERY = 5
+"""The IMU's registers change every 5 ms, its loop running at 200 Hz [slow steps]."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Sensors:
+    """One reading of all registers, in SI units but on the registers' grids.
+
+    Attributes:
+        position: [joint] in rad.
+        velocity: [joint] in rad/s.
+        current: [joint] in A.
+        voltage: [joint] in V.
+        temperature: [joint] in C.
+        orientation: [3] roll, pitch, yaw in rad, R = Rz(yaw) Ry(pitch) Rx(roll); None without an IMU.
+        angular_velocity: [3] in rad/s in the trunk's frame; None without an IMU.
+        linear_acceleration: [3] specific force in m/s^2 in the trunk's frame; None without an IMU.
+    """
+
+    position: Array
+    velocity: Array
+    current: Array
+    voltage: Array
+    temperature: Array
+    orientation: Array | None = None
+    angular_velocity: Array | None = None
+    linear_acceleration: Array | None = None
+
+
+def quantise(value: Array, unit: float) -> Array:
+    """The nearest whole number of units."""
+    return np.round(value / unit) * unit
+
+
+def roll_pitch_yaw(quaternion: Array) -> Array:
+    """Roll, pitch and yaw [rad] of R = Rz(yaw) Ry(pitch) Rx(roll) from a unit quaternion (w, x, y, z)."""
+    w, x, y, z = quaternion
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
+    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return np.array([roll, pitch, yaw])
+
+
+class VelocityFilter:
+    """The servos' own velocity estimate: a first-order low-pass at 1 kHz."""
+
+    def __init__(self, world: World, count: int):
+        self.value = np.zeros(count)
+        self._blend = 1 - np.exp(-SLOW_PERIOD / world.velocity_lag)
+
+    def reset(self) -> None:
+        """At rest."""
+        self.value[:] = 0
+
+    def step(self, velocity: Array) -> None:
+        """Take the true velocity [joint] in rad/s after `SLOW_PERIOD`."""
+        self.value += self._blend * (velocity - self.value)
+
+
+class Imu:
+    """Gyro and accelerometer with bias, noise and low-pass, attitude from a settled filter."""
+
+    def __init__(self, world: World):
+        self._blend = 1 - np.exp(-2 * np.pi * world.imu_bandwidth * SLOW_PERIOD)
+        self._noise = np.repeat([world.gyro_noise, world.accelerometer_noise], 3)
+        bias = world.gyro_bias * np.random.default_rng([world.spread_seed, 4]).standard_normal(3)
+        self._bias = np.concatenate([bias, np.zeros(3)])
+        self._filtered = np.zeros(6)
+        self._age = 0
+        self.orientation = np.zeros(3)
+        self.rates_and_force = np.zeros(6)
+
+    def reset(self, quaternion: Array, specific_force: Array) -> None:
+        """At rest for long."""
+        self._filtered[:] = self._bias
+        self._filtered[3:] += specific_force
+        self._age = 0
+        self._latch(quaternion)
+
+    def step(self, quaternion: Array, rates: Array, specific_force: Array, rng: np.random.Generator) -> None:
+        """Take the true motion after `SLOW_PERIOD`; the registers follow every `IMU_EVERY` calls."""
+        raw = self._noise * rng.standard_normal(6)
+        raw += self._bias
+        raw[:3] += rates
+        raw[3:] += specific_force
+        raw -= self._filtered
+        raw *= self._blend
+        self._filtered += raw
+        self._age += 1
+        if self._age % IMU_EVERY == 0:
+            self._latch(quaternion)
+
+    def _latch(self, quaternion: Array) -> None:
+        self.orientation = quantise(roll_pitch_yaw(quaternion), ANGLE_UNIT)
+        gyro = quantise(self._filtered[:3], GYRO_UNIT)
+        counts = np.clip(np.round(self._filtered[3:] / ACCELERATION_UNIT), -32768, 32767)
+        self.rates_and_force = np.concatenate([gyro, counts * ACCELERATION_UNIT])

@@ -1,0 +1,216 @@
+"""Figures: units on axes, one trace per label, missing channels, honest marks."""
+
+import re
+from itertools import pairwise
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from report_logs import bench_log, squat_log
+
+from op3.report import body_figure, errors_figure, history_figure, ranges_figure, runs_figure, traces_figure
+from op3.report.panels import thin
+from op3.servo import Estimate, RobotModel
+from op3.servo.effects import DirectionalEfficiency, Motor
+from op3.tasks import Prediction
+
+JOINT = [("joint", "position"), ("joint", "velocity"), ("joint", "current")]
+
+
+def simulated(log, factor):
+    return {key: factor * log.array(key) for key in log.channels if key[0] in ("joint", "imu")}
+
+
+def y_titles(figure: go.Figure) -> list[str]:
+    return [axis.title.text for axis in figure.select_yaxes() if axis.title.text]
+
+
+def named(figure: go.Figure, label: str) -> list:
+    """Traces with data of this label."""
+    return [trace for trace in figure.data if trace.legendgroup == label and trace.y[0] is not None]
+
+
+def models() -> dict[str, RobotModel]:
+    with_dte = RobotModel((Motor(), DirectionalEfficiency()), {"backward_efficiency": Estimate(0.7, 0.65, 0.75)})
+    return {"with DTE": with_dte, "without DTE": RobotModel((Motor(),))}
+
+
+def every_figure() -> list[go.Figure | None]:
+    log = squat_log()
+    bench = [bench_log("sin_sin", 0.2, 8.0), bench_log("lift_and_drop", 0.2, 16.0)]
+    both = {"with DTE": simulated(log, 1.1), "without DTE": simulated(log, 0.8)}
+    return [
+        traces_figure(log, both),
+        body_figure(log, both),
+        runs_figure(bench, {"M1": [simulated(run, 1.1) for run in bench]}),
+        history_figure({"with DTE": [2.0, 1.0]}, {"with DTE": [1.0, 0.9]}),
+        ranges_figure(models(), ["backward_efficiency"]),
+        errors_figure(bench, {"M1": [20.0, 30.0]}, [False, True]),
+    ]
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_axes_have_titles_with_units(number):
+    """Every axis title of every figure, and every tick that names a parameter, carries a unit."""
+    figure = every_figure()[number]
+    assert figure is not None
+    titles = [a.title.text for a in (*figure.select_xaxes(), *figure.select_yaxes()) if a.title.text]
+    titles += [text for axis in figure.select_yaxes() for text in axis.ticktext or () if re.search("[a-z]", text)]
+    assert len(titles) >= 2
+    assert all(re.search(r"\[[^]]+\]", title) for title in titles), titles
+
+
+def test_each_panel_has_one_trace_per_label():
+    """Two joints by three quantities give six panels with measured, and each prediction, once each."""
+    log = squat_log()
+    figure = traces_figure(log, {"with DTE": simulated(log, 1.1), "without DTE": simulated(log, 0.8)})
+    for label in ("measured", "with DTE", "without DTE"):
+        assert len({trace.yaxis for trace in named(figure, label)}) == len(named(figure, label)) == 6
+    assert [t.name for t in figure.data if t.showlegend is not False] == [
+        "measured",
+        "with DTE",
+        "without DTE",
+        "command",
+    ]
+
+
+def test_traces_are_the_numbers_in_degrees():
+    """The measured knee angle is drawn in degrees, the simulated one likewise."""
+    log = squat_log()
+    figure = traces_figure(log, {"with DTE": simulated(log, 1.5)}, joints=["r_knee"], quantities=["joint/position"])
+    knee = np.rad2deg(log.column("r_knee.position"))
+    np.testing.assert_allclose(named(figure, "measured")[0].y, knee, rtol=1e-6)
+    np.testing.assert_allclose(named(figure, "with DTE")[0].y, 1.5 * knee, rtol=1e-6)
+
+
+def test_measured_is_black_and_predictions_keep_their_colours():
+    """Measured is near black, the first label blue and the second orange in every figure."""
+    log = squat_log()
+    figure = traces_figure(log, {"with DTE": simulated(log, 1.1), "without DTE": simulated(log, 0.8)})
+    colour = {label: named(figure, label)[0].line.color for label in ("measured", "with DTE", "without DTE")}
+    assert colour == {"measured": "#16181d", "with DTE": "#0072b2", "without DTE": "#e07b00"}
+    history = history_figure({"with DTE": [1.0], "without DTE": [2.0]})
+    assert {t.name: t.line.color for t in history.data if t.mode == "lines"}["without DTE"] == "#e07b00"
+
+
+def test_right_joints_follow_their_left_partners():
+    """Rows run left knee, right knee, left ankle, right ankle whatever the log's order."""
+    log = squat_log(joints=("l_knee", "l_ank_pitch", "r_knee", "r_ank_pitch"))
+    rows = [annotation.text for annotation in traces_figure(log, {}).layout.annotations]
+    sides = ["left knee", "right knee", "left ankle pitch", "right ankle pitch"]
+    assert rows == [f"<b>{name}</b>" for name in sides]
+
+
+def test_a_missing_channel_has_no_column():
+    """Without measured current there is no current column; the others stay."""
+    log = squat_log(leave_out=("joint/current",))
+    figure = traces_figure(log, {"with DTE": simulated(squat_log(), 1.0)})
+    assert set(y_titles(figure)) == {"position [deg]", "velocity [rad/s]"}
+
+
+def test_a_channel_missing_in_a_prediction_has_no_trace():
+    """A prediction without current leaves the measured current alone."""
+    log = squat_log()
+    figure = traces_figure(log, {"with DTE": {("joint", "position"): log.array("joint/position")}})
+    assert len(named(figure, "with DTE")) == 2
+    assert len(named(figure, "measured")) == 6
+
+
+def test_a_log_without_body_has_no_body_figure():
+    """A bench log gives None, and one with roll and pitch alone gives those two."""
+    assert body_figure(bench_log("sin_sin", 0.2, 8.0), {}) is None
+    only = body_figure(squat_log(leave_out=("imu/angular_velocity",)), {})
+    assert only is not None
+    assert y_titles(only) == ["roll [deg]", "pitch [deg]"]
+
+
+def test_predictions_of_the_simulator_are_taken_as_they_are():
+    """A `Prediction` of one candidate that ends early is drawn up to its end."""
+    log = squat_log(rows=60)
+    half = {key: torch.as_tensor(value[None, :30]) for key, value in simulated(log, 1.1).items()}
+    prediction = Prediction(log, half, torch.zeros(1, dtype=torch.bool), 0.24)
+    assert {len(t.y) for t in named(traces_figure(log, {"with DTE": prediction}), "with DTE")} == {30}
+
+
+def test_several_candidates_are_refused():
+    """Two candidates under one label are ambiguous, and the error says what to do."""
+    log = squat_log()
+    two = {("joint", "position"): np.stack([log.array("joint/position")] * 2)}
+    with pytest.raises(ValueError, match="pick one candidate"):
+        traces_figure(log, {"with DTE": two})
+
+
+def test_an_unknown_joint_or_quantity_is_named():
+    """Errors name what was asked and what there is."""
+    with pytest.raises(ValueError, match="no joint 'tail'; its joints are l_knee, r_knee"):
+        traces_figure(squat_log(), {}, joints=["tail"])
+    with pytest.raises(ValueError, match="no joint/duty to draw; it has time, command/position"):
+        traces_figure(squat_log(), {}, quantities=["joint/duty"])
+
+
+def test_body_angles_do_not_jump_by_a_turn():
+    """A roll that passes 180 degrees is drawn on, not folded back."""
+    log = squat_log()
+    roll = np.linspace(3.0, 3.4, len(log))
+    folded = np.stack([np.where(roll > np.pi, roll - 2 * np.pi, roll)] * 3, axis=1)
+    figure = body_figure(log, {"with DTE": {("imu", "orientation"): folded}})
+    assert figure is not None
+    np.testing.assert_allclose(named(figure, "with DTE")[0].y, np.rad2deg(roll), rtol=1e-5)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(10, 5000), st.sampled_from([20, 100, 1000]))
+def test_thinning_keeps_extremes_ends_and_order(seed, rows, most):
+    """A thinned trace is a subset in order, with both ends and the global extremes."""
+    values = np.random.default_rng(seed).normal(size=rows)
+    time, kept = thin(np.arange(rows, dtype=float), values, most)
+    assert len(kept) <= most + 2
+    assert (values[time.astype(int)] == kept).all()
+    assert all(a < b for a, b in pairwise(time))
+    assert (time[0], time[-1]) == (0, rows - 1)
+    assert (kept.min(), kept.max()) == (values.min(), values.max())
+
+
+def test_best_so_far_never_rises_and_skips_failures():
+    """Failed trials, None or NaN, leave the best where it was and have no dot."""
+    figure = history_figure({"with DTE": [3.0, None, 4.0, float("nan"), 1.0, 2.0]})
+    dots, best = figure.data
+    assert list(best.y) == [3.0, 3.0, 3.0, 3.0, 1.0, 1.0]
+    assert list(dots.x) == [1, 3, 5, 6]
+    assert figure.layout.yaxis.type == "log"
+
+
+def test_ranges_place_values_intervals_and_nominals():
+    """0.7 in [0.6, 1.0] lies at a quarter; its interval, its nominal and its text are there, the other model is not."""
+    figure = ranges_figure(models(), ["backward_efficiency"])
+    marks = [t for t in figure.data if t.mode == "markers" and t.x[0] is not None]
+    assert [t.x[0] for t in marks] == [pytest.approx(0.25)]
+    interval = next(t for t in figure.data if t.mode == "lines")
+    assert list(interval.x) == pytest.approx([0.125, 0.375])
+    assert [s.x0 for s in figure.layout.shapes if s.type == "line"] == [pytest.approx(0.5)]
+    assert "0.7  (0.65 to 0.75)" in [a.text for a in figure.layout.annotations]
+
+
+def test_ranges_refuse_a_parameter_of_no_model():
+    """An unknown parameter is named with those there are."""
+    with pytest.raises(ValueError, match="no model has the parameter 'payload'; they have torque_constant"):
+        ranges_figure(models(), ["payload"])
+
+
+def test_bench_errors_are_grouped_and_held_out_runs_hatched():
+    """Runs of one trajectory share a panel, ordered by mass and gain; held-out bars have a pattern."""
+    logs = [bench_log("sin_sin", 0.4, 8.0), bench_log("sin_sin", 0.2, 16.0), bench_log("lift_and_drop", 0.2, 8.0)]
+    figure = errors_figure(logs, {"M1": [30.0, 20.0, 10.0]}, [True, False, False])
+    first, second = named(figure, "M1")
+    assert list(first.y) == [20.0, 30.0]
+    assert [list(level) for level in first.x] == [["0.2 kg<br>0.1 m", "0.4 kg<br>0.1 m"], ["16", "8"]]
+    assert list(first.marker.pattern.shape) == ["", "/"]
+    assert list(second.y) == [10.0]
+
+
+def test_bench_errors_need_one_number_per_run():
+    """A list of the wrong length is named."""
+    with pytest.raises(ValueError, match="'M1' has 1 entries for 2 runs"):
+        errors_figure([bench_log("a", 0.2, 8.0)] * 2, {"M1": [1.0]}, [False, False])

@@ -1,0 +1,56 @@
+"""Provenance: the facts are there, and no path that nobody gave."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import op3.report.provenance as module
+from op3.report import read_result, run_provenance, write_result
+
+
+def test_facts_go_into_a_result(tmp_path):
+    """Provenance is plain data, with seed, versions and machine."""
+    facts = run_provenance(seed=3, data=["a.csv", "b.csv"])
+    found = read_result(write_result(tmp_path / "result.yaml", {"provenance": facts}))
+    assert found["provenance.seed"] == 3
+    assert found["provenance.data"] == "a.csv, b.csv"
+    assert found["provenance.versions.mujoco"].startswith("3.")
+    assert found["provenance.machine.cpu_count"] >= 1
+
+
+def test_the_script_is_named_without_the_folders_above_it(monkeypatch, tmp_path):
+    """An absolute script path is shown from where one stands, arguments as they were typed."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", [str(tmp_path / "experiments" / "identify.py"), "data=my logs/a"])
+    assert run_provenance()["command"] == "python experiments/identify.py 'data=my logs/a'"
+    monkeypatch.setattr(sys, "argv", ["/somewhere/else/identify.py"])
+    assert run_provenance()["command"] == "python identify.py"
+
+
+def test_no_path_of_this_machine_appears(monkeypatch):
+    """Neither the checkout nor the interpreter's folder is mentioned."""
+    monkeypatch.setattr(sys, "argv", ["experiments/identify.py"])
+    text = str(run_provenance())
+    assert str(Path(module.__file__).parents[2]) not in text
+    assert sys.prefix not in text
+
+
+def test_the_commit_is_the_repositorys(monkeypatch, tmp_path):
+    """In a repository of its own the commit is found, changes are seen, and elsewhere it is unknown."""
+    package = tmp_path / "checkout" / "op3"
+    (package / "report").mkdir(parents=True)
+    (package / "__init__.py").write_text("")
+    monkeypatch.setattr(module, "__file__", str(package / "report" / "provenance.py"))
+    assert module.git_state() == {"git_hash": "unknown"}
+
+    def git(*arguments: str) -> str:
+        identity = ["-c", "user.name=t", "-c", "user.email=t@t", "-c", "commit.gpgsign=false"]
+        command = ["git", "-C", str(package), *identity, *arguments]
+        return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+
+    git("init", "-q")
+    git("add", ".")
+    git("commit", "-qm", "first", "--no-verify")
+    assert module.git_state() == {"git_hash": git("rev-parse", "HEAD"), "git_changes": False}
+    (package / "__init__.py").write_text("1\n")
+    assert module.git_state()["git_changes"] is True

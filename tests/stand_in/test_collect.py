@@ -1,0 +1,67 @@
+"""The script that records, from the command line to the files."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from op3.rollout import Rollout
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def collect(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-W", "ignore", str(ROOT / "experiments" / "collect.py"), *arguments]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment, check=False, timeout=120)
+
+
+def test_two_recordings(tmp_path):
+    """Repeats land in the run's folder, their paths are printed, and they are logs of the asked motion."""
+    result = collect(
+        *("robot=stand_in", "motion=squat", "world=eta_070", "repeats=2", "seed=3"),
+        *("motion.duration=0.4", "motion.frequency=0.6", f"hydra.run.dir={tmp_path}"),
+    )
+    assert result.returncode == 0, result.stderr
+    logs = [Rollout.load(tmp_path / f"squat-{number}") for number in range(2)]
+    for number, log in enumerate(logs):
+        assert f"{tmp_path}/squat-{number}: 50 rows" in result.stdout
+        assert log.metadata.recording == f"squat-{number}"
+        assert log.metadata.seed == 3
+        assert log.metadata.date is not None
+        knee = log.column("l_knee.target")
+        assert knee[-1] == pytest.approx(0.6 + 0.87 * (1 + np.cos(2 * np.pi * 0.6 * 49 / 125)) / 2)
+    assert (logs[0].array("joint/position") != logs[1].array("joint/position")).any()
+    assert "eta_070" not in (tmp_path / "squat-0" / "metadata.yaml").read_text()
+
+
+def test_several_worlds(tmp_path):
+    """Hydra's multirun collects from several worlds, one folder each."""
+    result = collect(
+        *("-m", "world=eta_060,random", "world_seed=7", "motion=squat_heldout", "mount=stand"),
+        *("motion.duration=0.1", f"hydra.sweep.dir={tmp_path}"),
+    )
+    assert result.returncode == 0, result.stderr
+    logs = [Rollout.load(tmp_path / job / "squat_heldout-0") for job in "01"]
+    assert [log.metadata.mount for log in logs] == ["stand", "stand"]
+    assert logs[0].metadata.extra["world"] != logs[1].metadata.extra["world"]
+    assert logs[0].column("l_knee.target")[0] == pytest.approx(1.3)
+
+
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ("world=utopia", "there is no world 'utopia'; choose random, default, eta_060"),
+        ("mount=bench", "mount must be floor or stand, got 'bench'"),
+    ],
+)
+def test_bad_arguments(tmp_path, argument, message):
+    """One sentence, a non-zero exit, no stack trace, no files."""
+    result = collect("motion.duration=0.1", argument, f"hydra.run.dir={tmp_path}")
+    assert result.returncode != 0
+    assert message in result.stderr
+    assert "Traceback" not in result.stderr
+    assert not list(tmp_path.glob("squat*"))

@@ -1,0 +1,205 @@
+"""Recordings: what `play` writes down, and how well it repeats."""
+
+import time
+
+import numpy as np
+import pytest
+import yaml
+
+from op3.robot import CONTROLLED_JOINTS, Motion, build_bench, hold, indices, pose, squat
+from op3.rollout import Rollout
+from op3.stand_in import StandIn, World
+from op3.stand_in.play import sample
+
+LEGS = indices(CONTROLLED_JOINTS)
+SHORT = squat(frequency=2.0, knee_high=1.2, duration=0.5)
+
+
+@pytest.fixture(scope="module")
+def squats():
+    """The same squat twice on one robot, and the time the first took [s]."""
+    robot = StandIn(World(), seed=5)
+    begin = time.perf_counter()
+    first = robot.play(squat(), recording="squat-0")
+    duration = time.perf_counter() - begin
+    return first, robot.play(squat(), recording="squat-1"), duration
+
+
+def paper_loss(a: Rollout, b: Rollout) -> float:
+    """Paper eq. (7) over the ten leg joints, with unit weights."""
+
+    def difference(key: str) -> np.ndarray:
+        return a.array(key) - b.array(key)
+
+    body = (difference("imu/orientation")[:, :2] ** 2).sum(1) + (difference("imu/angular_velocity") ** 2).sum(1)
+    joints = sum((difference(f"joint/{name}")[:, LEGS] ** 2).mean(1) for name in ("position", "velocity", "current"))
+    return float((body + joints).mean())
+
+
+def test_the_squat_is_a_squat(squats):
+    """The knee follows from 1.47 to 0.6 rad, currents are a servo's, the robot neither rolls nor falls."""
+    log = squats[0]
+    knee = log.column("l_knee.position")
+    assert np.abs(knee - log.column("l_knee.target")).max() < 0.15
+    assert knee.max() - knee.min() > 0.8
+    assert 0.2 < np.abs(log.array("joint/current")).max() < 1.0
+    assert np.abs(log.array("imu/orientation")[:, 0]).max() < 0.02
+    assert log.metadata.fallen is False
+    log.check()
+
+
+def test_the_first_rows_are_at_rest(squats):
+    """The recording begins with a robot that stands still, at the first target but for its sag."""
+    for log in squats[:2]:
+        assert not log.array("joint/velocity")[:5].any()
+        assert np.ptp(log.array("joint/position")[:3], axis=0).max() < 0.002
+        assert np.abs(log.array("joint/position")[0] - log.array("command/position")[0]).max() < 0.15
+
+
+def test_a_row_holds_sensors_and_then_the_command(squats):
+    """Row k has the k-th target and the time k / 125 s; the gains are logged in every row."""
+    log = squats[0]
+    assert log.array("command/position").tolist() == squat().position.tolist()
+    assert log.array("time")[:, 0] == pytest.approx(np.arange(625) / 125)
+    assert (log.array("command/p_gain") == 6.0).all()
+    assert (log.array("command/d_gain") == 0.1).all()
+
+
+def test_repeats_agree_to_the_noise_floor(squats):
+    """The same command twice differs, but by less than 0.002 in the paper's loss."""
+    assert 0 < paper_loss(*squats[:2]) < 0.002
+
+
+def test_faster_than_real_time(squats):
+    """A 5 s squat with 1.5 s of settling takes less wall time than it lasts."""
+    assert squats[2] < 6.5
+
+
+def test_equal_seeds_give_equal_bytes():
+    """Two robots of one world and one seed record the same bytes, recording after recording."""
+    a, b = StandIn(World(), seed=4), StandIn(World(), seed=4)
+    for _ in range(2):
+        first, second = a.play(SHORT, settle=0.2), b.play(SHORT, settle=0.2)
+        for key in first.channels:
+            assert first.array(key).tobytes() == second.array(key).tobytes()
+
+
+@pytest.mark.parametrize("change", ["seed", "world", "repeat"])
+def test_another_seed_world_or_repeat_differs(change):
+    """Noise differs with the seed and the repeat, the robot with the world."""
+    robot = StandIn(World(), seed=4)
+    log = robot.play(SHORT, settle=0.2)
+    if change == "repeat":
+        other = robot.play(SHORT, settle=0.2)
+    else:
+        world = World.random(1) if change == "world" else World()
+        other = StandIn(world, seed=5 if change == "seed" else 4).play(SHORT, settle=0.2)
+    for key in ("joint/position", "joint/current", "imu/angular_velocity"):
+        assert (log.array(key) != other.array(key)).any()
+
+
+def test_metadata_holds_no_truth():
+    """Nothing in the metadata is a number of the world, nor names it; the identity and the seed are there."""
+    world = World.random(11)
+    log = StandIn(world, "stand", seed=3).play(SHORT, settle=0.1, recording="squat-0")
+    metadata = yaml.safe_load(log.metadata.to_yaml())
+    assert metadata["extra"] == {"world": world.identity}
+    assert metadata["seed"] == 3
+    assert metadata["mount"] == "stand"
+    assert metadata["robot"] == "simulated"
+    hidden = {value for value in vars(world).values() if value not in (0, 1)}
+    assert not hidden & {value for value in metadata.values() if isinstance(value, int | float)}
+    assert set(metadata) <= {
+        *("joints", "robot", "mount", "rate", "battery", "servo", "motion", "recording"),
+        *("seed", "fallen", "complete", "extra"),
+    }
+    # The nominal battery says nothing about the real one.
+    assert metadata["battery"] == StandIn(World(bus_voltage=12.6), "stand").play(SHORT, settle=0.1).metadata.battery
+
+
+def test_saved_and_loaded(tmp_path):
+    """A recording survives the disk."""
+    log = StandIn(World(), "stand").play(SHORT, settle=0.1)
+    loaded = Rollout.load(log.save(tmp_path / "log"))
+    assert loaded.metadata == log.metadata
+    assert loaded.array("joint/position").tobytes() == log.array("joint/position").tobytes()
+
+
+def test_a_fall_is_written_down():
+    """A robot without gains collapses, and the metadata says so."""
+    straight = Motion(np.arange(250) / 125, np.tile(pose("stand"), (250, 1)), name="collapse")
+    log = StandIn(World(foot_friction=0.7)).play(straight, p_gain=0.0, d_gain=0.0, settle=0.0)
+    assert log.metadata.fallen is True
+
+
+def test_low_gains_sag_more():
+    """A quarter of the gain in one knee, asked per joint, lets that knee sink further."""
+    gains = np.full(20, 6.0)
+    gains[indices(["l_knee"])] = 1.5
+    soft = StandIn(World(), "stand").play(hold(pose("stand"), 0.2), p_gain=gains, settle=0.5)
+    stiff = StandIn(World(), "stand").play(hold(pose("stand"), 0.2), settle=0.5)
+    error = [np.abs(log.column("l_knee.position") - log.column("l_knee.target")).max() for log in (soft, stiff)]
+    assert error[0] > 1.5 * error[1]
+    assert (soft.column("l_knee.p_gain") == 1.5).all()
+
+
+def test_gains_by_row():
+    """Gains may change from row to row."""
+    motion = hold(pose("stand"), 0.08)
+    gains = np.linspace(1, 6, 10)[:, None] * np.ones(20)
+    log = StandIn(World(), "stand").play(motion, p_gain=gains, settle=0.1)
+    assert log.array("command/p_gain").tolist() == gains.tolist()
+
+
+def test_slow_and_partial_motions():
+    """A motion at another rate is held between its rows; joints it does not name stay in the pose "stand"."""
+    motion = Motion(np.array([0.0, 0.016, 0.048]), np.array([[0.1], [0.2], [0.3]]), ("head_pan",))
+    targets = sample(motion, 0.008)
+    assert targets[:, 0].tolist() == [0.1, 0.1, 0.2, 0.2, 0.2, 0.2, 0.3]
+    assert (targets[:, 1:] == pose("stand")[1:]).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"p_gain": -1.0}, "p_gain must be finite and at least 0"),
+        ({"d_gain": np.ones(3)}, r"d_gain must be one number, one per joint \(20\)"),
+        ({"p_gain": "stiff"}, "p_gain must be one number"),
+        ({"settle": -1.0}, "settle must be at least 0 s"),
+        ({"settle": float("inf")}, "settle must be at least 0 s"),
+    ],
+)
+def test_bad_arguments(arguments, message):
+    """They are refused before anything moves."""
+    with pytest.raises(ValueError, match=message):
+        StandIn(World(), "stand").play(SHORT, **arguments)
+
+
+def test_targets_beyond_the_soft_limits_are_refused():
+    """No robot is told to go where software must keep it from; the message names joint, angle and limit."""
+    with pytest.raises(ValueError, match=r"asks head_pan for 2\.000 rad at 0\.000 s; it may go from -1\.571 to 1\.571"):
+        StandIn(World(), "stand").play(Motion(np.array([0.0, 1.0]), np.full((2, 1), 2.0), ("head_pan",)))
+
+
+def test_the_bench_plays_no_motion():
+    """A motion is the whole robot's."""
+    with pytest.raises(ValueError, match="on the bench use write_current"):
+        StandIn(World(), build_bench()).play(SHORT)
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, "a", True])
+def test_bad_seeds(seed):
+    """A seed is a whole number of at least 0."""
+    with pytest.raises(ValueError, match="seed must be a whole number"):
+        StandIn(World(), "stand", seed=seed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(20))
+def test_random_worlds_can_squat(seed):
+    """No robot of a random world falls over, and its squat repeats."""
+    robot = StandIn(World.random(seed))
+    first, second = robot.play(squat()), robot.play(squat())
+    assert not first.metadata.fallen
+    assert not second.metadata.fallen
+    assert paper_loss(first, second) < 0.004

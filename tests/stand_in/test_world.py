@@ -1,0 +1,129 @@
+"""Worlds: files, random draws, identities."""
+
+import dataclasses
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from op3.stand_in import RANDOM_RANGES, World, world_names
+
+TABLE_1 = {
+    "torque_constant": (0.003, 0.009),
+    "terminal_resistance": (4.0, 9.0),
+    "armature": (0.0025, 0.011),
+    "backward_efficiency": (0.6, 1.0),
+    "coulomb_friction": (0.01, 0.25),
+    "viscous_friction": (0.0025, 0.15),
+    "static_friction_excess": (0.0, 0.25),
+    "base_mass_offset": (0.0, 0.5),
+    "base_com_offset_x": (-0.02, 0.02),
+    "base_com_offset_z": (-0.02, 0.02),
+}
+
+
+@given(st.integers(0, 2**32))
+def test_random_worlds_lie_in_table_1(seed):
+    """A random world can be identified: the paper's ranges contain it, and its gear loses 20 to 40 %."""
+    world = World.random(seed)
+    for name, (low, high) in TABLE_1.items():
+        assert low <= getattr(world, name) <= high
+    assert 0.6 <= world.backward_efficiency <= 0.8
+    assert world.forward_efficiency == 1.0
+
+
+def test_every_range_is_used():
+    """A random world differs from another in every quantity that is drawn."""
+    a, b = World.random(1), World.random(2)
+    assert all(getattr(a, name) != getattr(b, name) for name in RANDOM_RANGES)
+    assert World.random(1) == a
+
+
+@given(st.integers(0, 1000))
+def test_a_file_gives_back_the_world(tmp_path_factory, seed):
+    """Saving and loading loses nothing."""
+    path = tmp_path_factory.mktemp("world") / "world.yaml"
+    world = World.random(seed)
+    assert World.load(world.save(path)) == world
+
+
+@pytest.mark.parametrize("name", world_names())
+def test_worlds_that_come_with_the_project(name):
+    """Each loads, and lies in the paper's ranges."""
+    world = World.find(name)
+    assert all(low <= getattr(world, key) <= high for key, (low, high) in TABLE_1.items())
+
+
+def test_graded_worlds():
+    """Three worlds are graded by their backward efficiency, and differ in more than that."""
+    worlds = [World.find(f"eta_0{grade}0") for grade in (6, 7, 8)]
+    assert [world.backward_efficiency for world in worlds] == [0.6, 0.7, 0.8]
+    assert len({world.torque_constant for world in worlds}) == 3
+
+
+def test_identity():
+    """Equal worlds have one identity, whatever the type of their numbers; the smallest change gives another."""
+    assert World(bus_voltage=12).identity == World(bus_voltage=12.0).identity
+    identities = {
+        World()
+        .replace(**{field.name: getattr(World(), field.name) + (1 if field.name == "spread_seed" else 1e-9)})
+        .identity
+        for field in dataclasses.fields(World)
+        if "efficiency" not in field.name
+    }
+    assert len(identities) == len(dataclasses.fields(World)) - 2
+    assert World().identity not in identities
+
+
+def test_spread():
+    """Servos differ by no more than the spread, and are the same servos each time."""
+    world = World(joint_spread=0.03)
+    values = world.per_joint(20)
+    for name, row in values.items():
+        ratio = row / getattr(world, name)
+        assert ratio.std() > 0.005
+        assert abs(ratio - 1).max() <= 0.03
+        assert (world.per_joint(20)[name] == row).all()
+    assert (world.replace(spread_seed=1).per_joint(20)["torque_constant"] != values["torque_constant"]).all()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ({"torque_konstant": 0.005}, "torque_konstant.*did you mean torque_constant"),
+        ({"wings": 2}, "no 'wings'; it has torque_constant"),
+        ({"armature": 0.0}, "armature must be positive, got 0.0"),
+        ({"coulomb_friction": -0.1}, "coulomb_friction must be at least 0"),
+        ({"backward_efficiency": 1.2}, "backward_efficiency must be at most 1"),
+        ({"armature": "heavy"}, "armature must be a number, got 'heavy'"),
+        ({"armature": float("nan")}, "armature must be finite"),
+        ({"spread_seed": 1.5}, "spread_seed must be a whole number"),
+        ([1, 2], "lines `name: value`"),
+    ],
+)
+def test_a_bad_file_is_refused_in_one_sentence(tmp_path, content, message):
+    """The message names the file, the entry and what is wrong."""
+    path = tmp_path / "world.yaml"
+    path.write_text(yaml.safe_dump(content))
+    with pytest.raises(ValueError, match=message) as error:
+        World.load(path)
+    assert str(path) in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_invalid_yaml(tmp_path):
+    """A file that is no YAML is refused in one line."""
+    path = tmp_path / "world.yaml"
+    path.write_text("armature: [")
+    with pytest.raises(ValueError, match="not valid YAML") as error:
+        World.load(path)
+    assert "\n" not in str(error.value)
+
+
+def test_unknown_world():
+    """A name that nothing has is refused with the names there are."""
+    with pytest.raises(ValueError, match="no world 'utopia'; choose random, default, eta_060"):
+        World.find("utopia")
+    with pytest.raises(ValueError, match="seed of a random world"):
+        World.find("random", -1)
