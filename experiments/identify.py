@@ -16,17 +16,20 @@ import optuna
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
-from op3.report import run_provenance
-from op3.report.identification import report_identification
 from support import one_sentence
 
 from op3.identify.identification import PREFIX, Fit, Identification
+from op3.identify.resolvers import register as register_interpolations
 from op3.identify.settings import read_settings
 from op3.identify.sweeper import sweep_or_report
+from op3.report import run_provenance
+from op3.report.identification import report_identification
 from op3.robot import CONTROLLED_JOINTS
 from op3.rollout import Rollout, read_logs
 from op3.servo import RobotModel, effect_class
 from op3.sim import load_model, save_model
+
+register_interpolations()
 
 
 def split_logs(cfg: DictConfig) -> tuple[list[Rollout], list[Rollout]]:
@@ -92,6 +95,7 @@ def without_effects(cfg: DictConfig, folder: Path) -> Fit | None:
 @hydra.main(config_path="../conf", config_name="identify", version_base="1.3")
 def main(cfg: DictConfig) -> Any:
     """Evaluate a population for the sweeper, or run the study and report it."""
+    register_interpolations()  # a launcher's worker process has not run this file from the top
     with one_sentence():
         torch.set_num_threads(1)
         started = time.monotonic()

@@ -1,7 +1,7 @@
 """Interpolations for configs, so that ranges and values are written once: in the catalogue and in model files.
 
 ``${range:torque_constant}`` is the catalogue's range as ``interval(0.003, 0.009)``; ``${value:torque_constant}`` is
-the value in the model that the config's key ``model`` names. Importing this module registers both.
+the value in the model that the config's key ``model`` names. `register` makes both known.
 """
 
 from omegaconf import DictConfig, OmegaConf
@@ -27,6 +27,3 @@ def register() -> None:
     """Register the interpolations; again is harmless."""
     OmegaConf.register_new_resolver("range", _range, replace=True)
     OmegaConf.register_new_resolver("value", _value, replace=True, use_cache=False)
-
-
-register()

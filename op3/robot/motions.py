@@ -11,7 +11,6 @@ from op3.robot.joints import JOINTS, indices
 from op3.robot.kinematics import check_joint_position
 from op3.robot.poses import SQUAT_KNEE_HIGH, SQUAT_KNEE_LOW, SQUAT_LEAN, squat_position
 
-
 BENCH_JOINTS = ("servo",)
 """Joints of the bench."""
 

@@ -62,7 +62,7 @@ def test_effects_run_in_stage_order_whatever_the_list():
 
 def test_values_of_effects_that_are_off_are_refused():
     """A value without its effect is a mistake, and the message says which effects are on."""
-    with pytest.raises(ValueError, match="viscous_friction.*off.*coulomb"):
+    with pytest.raises(ValueError, match=r"viscous_friction.*off.*coulomb"):
         model().with_values({"viscous_friction": 0.1})
 
 
