@@ -19,6 +19,7 @@ from omegaconf import DictConfig, OmegaConf
 from support import one_sentence
 
 from op3.identify.identification import PREFIX, Fit, Identification
+from op3.identify.loss import UNIT_WEIGHTS, TrajectoryLoss
 from op3.identify.resolvers import register as register_interpolations
 from op3.identify.settings import read_settings
 from op3.identify.sweeper import sweep_or_report
@@ -50,7 +51,9 @@ def build(cfg: DictConfig, model: RobotModel, label: str) -> Identification:
     joints = _plain(cfg.joints)
     if joints is None:
         joints = CONTROLLED_JOINTS if set(CONTROLLED_JOINTS) <= set(fit_logs[0].joints) else ()
-    return Identification(model, fit_logs, heldout_logs, names, joints=joints, label=label)
+    weights = UNIT_WEIGHTS if cfg.weights is None else {tuple(k.split("/")): v for k, v in cfg.weights.items()}
+    loss = TrajectoryLoss(tuple(joints), weights, cfg.robust_scale)
+    return Identification(model, fit_logs, heldout_logs, names, joints=joints, loss=loss, label=label)
 
 
 def base_model(cfg: DictConfig) -> RobotModel:

@@ -30,13 +30,19 @@ class TrajectoryLoss:
     orientation r as roll and pitch [rad], body rates dr [rad/s], joint angles q [rad], velocities w [rad/s] and
     currents I [A] over N focusing joints and T rows. Channels that a log does not have do not count.
 
+    With a `robust_scale` c, a square d^2 is replaced by ``2 c (sqrt(d^2 + c^2) - c)``: it stays d^2 for small
+    differences and grows like ``2 c |d|`` for large ones, so that a few runs in which something else happened do not
+    decide (pseudo-Huber).
+
     Attributes:
         joints: focusing joints; all joints of a log where empty.
         weights: by channel. The paper's are one.
+        robust_scale: c, in the unit of the channels; None for squares.
     """
 
     joints: Sequence[str] = ()
     weights: Mapping[tuple[str, str], float] = field(default_factory=lambda: UNIT_WEIGHTS)
+    robust_scale: float | None = None
 
     def differences(self, prediction: Prediction) -> dict[tuple[str, str], Tensor]:
         """Simulated minus measured, by channel, ``[candidate, time, joint | axis]``.
@@ -68,10 +74,10 @@ class TrajectoryLoss:
         return result
 
     def terms(self, prediction: Prediction) -> dict[tuple[str, str], Tensor]:
-        """The unweighted terms of eq. (7) by channel, ``[candidate]``; NaN where the simulation failed."""
+        """The unweighted terms by channel, ``[candidate]``; NaN where the simulation failed."""
         result = {}
         for key, difference in self.differences(prediction).items():
-            squares = difference.square()
+            squares = self._tamed(difference).square()
             value = squares.mean((1, 2)) if key[0] == "joint" else squares.sum(2).mean(1)
             result[key] = torch.where(prediction.failed, torch.nan, value)
         return result
@@ -92,8 +98,16 @@ class TrajectoryLoss:
                 count = difference.shape[1] * (difference.shape[2] if key[0] == "joint" else 1)
                 scale = (self.weights[key] / (count * len(predictions))) ** 0.5
                 bad = prediction.failed.view(-1, 1, 1) | ~torch.isfinite(difference)
-                parts.append(torch.where(bad, FAILED_RESIDUAL, difference).flatten(1) * scale)
+                parts.append(torch.where(bad, FAILED_RESIDUAL, self._tamed(difference)).flatten(1) * scale)
         return torch.cat(parts, 1)
+
+    def _tamed(self, difference: Tensor) -> Tensor:
+        """Differences whose squares are the loss: themselves, or their pseudo-Huber roots."""
+        if self.robust_scale is None:
+            return difference
+        c = self.robust_scale
+        # d^2 / (sqrt(d^2 + c^2) + c) equals sqrt(d^2 + c^2) - c without cancellation near zero
+        return difference * torch.sqrt(2 * c / (torch.sqrt(difference.square() + c * c) + c))
 
 
 def position_error(predictions: Sequence[Prediction]) -> Tensor:

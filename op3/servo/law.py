@@ -97,16 +97,19 @@ def stribeck_friction(speed: Tensor, static_excess: Tensor, stribeck_velocity: T
     return static_excess * torch.exp(-speed / stribeck_velocity)
 
 
-def position_duty(goal: Tensor, position: Tensor, duty_gain: Tensor, max_duty: float) -> Tensor:
-    """Duty cycle of a servo's own position loop: ``clip(kp g (goal - q), -d_max, d_max)``.
+def position_duty(
+    error: Tensor, error_rate: Tensor, duty_gain: Tensor, derivative_gain: Tensor, max_duty: float
+) -> Tensor:
+    """Duty cycle of a servo's own position loop: ``clip(kp g e + kd de/dt, -d_max, d_max)``.
 
     Args:
-        goal: goal position [rad], ``[sim, joint]``.
-        position: measured angle [rad].
+        error: goal minus measured angle [rad], ``[sim, joint]``.
+        error_rate: its derivative [rad/s].
         duty_gain: ``kp g``, duty per radian.
+        derivative_gain: kd, duty per rad/s.
         max_duty: largest duty the firmware uses.
     """
-    return torch.clamp(duty_gain * (goal - position), -max_duty, max_duty)
+    return torch.clamp(duty_gain * error + derivative_gain * error_rate, -max_duty, max_duty)
 
 
 def delay_weights(latency: Tensor, timestep: float, period: float, depth: int) -> Tensor:

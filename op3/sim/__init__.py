@@ -4,11 +4,13 @@ from op3.sim.base import roll_pitch_yaw
 from op3.sim.batch_simulation import BatchSimulation
 from op3.sim.geared_servo import GearedServo
 from op3.sim.model_file import find_model, load_model, model_hash, model_names, save_model
+from op3.sim.pendulum_simulation import PendulumSimulation
 from op3.sim.ports import ServoPorts, attach_servos
 
 __all__ = [
     "BatchSimulation",
     "GearedServo",
+    "PendulumSimulation",
     "ServoPorts",
     "attach_servos",
     "find_model",

@@ -13,9 +13,8 @@ from torch import Tensor
 from op3.servo import RobotModel, ServoLaw, Signals
 from op3.sim.base import Base, roll_pitch_yaw
 from op3.sim.edits import edited_fields
+from op3.sim.inputs import expand_parameters, set_commands
 from op3.sim.ports import ServoPorts
-
-COMMANDS = ("position_target", "p_gain", "d_gain", "firmware_gain", "torque_enable", "bus_voltage")
 
 
 class BatchSimulation:
@@ -96,21 +95,7 @@ class BatchSimulation:
         Raises:
             ValueError: if the model has no such parameter, or a shape does not fit.
         """
-        known = self.model.parameters()
-        full = self.model.tensors(self.joint_names)
-        for name, value in values.items():
-            if name not in known:
-                raise ValueError(f"the model has no parameter {name!r}; it has {', '.join(known)}")
-            value = torch.as_tensor(value, dtype=torch.float64)
-            full[name] = value.view(-1, 1) if value.ndim == 1 else value.view(1, 1) if value.ndim == 0 else value
-        shape = (self.num_sims, len(self.joint_names))
-        try:
-            expanded = {
-                name: value.expand(shape if known[name].per_joint else (self.num_sims, 1)).contiguous()
-                for name, value in full.items()
-            }
-        except RuntimeError as error:
-            raise ValueError(f"parameter values must be [sim] or [sim, joint] with {shape}: {error}") from error
+        expanded = expand_parameters(self.model, self.joint_names, values, self.num_sims)
         self.parameters = expanded
         self.law.set_parameters(expanded)
         base = -1 if self._base is None else self._base.body
@@ -182,11 +167,7 @@ class BatchSimulation:
         Raises:
             ValueError: if a command is unknown.
         """
-        shape = self.signals.position.shape
-        for name, value in commands.items():
-            if name not in COMMANDS:
-                raise ValueError(f"unknown command {name!r}; commands are {', '.join(COMMANDS)}")
-            setattr(self.signals, name, torch.as_tensor(value, dtype=torch.float64).expand(shape))
+        set_commands(self.signals, commands)
 
     def advance(self) -> None:
         """One control period: a tick of the law, then its simulation steps."""

@@ -1,6 +1,6 @@
 """The servo law as an actuator of dm_control composer tasks."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -11,6 +11,7 @@ from torch import Tensor
 from op3.servo import RobotModel, ServoLaw, Signals
 from op3.sim.base import Base, roll_pitch_yaw
 from op3.sim.edits import edited_fields
+from op3.sim.inputs import expand_parameters, set_commands
 from op3.sim.ports import ServoPorts, attach_servos
 
 
@@ -43,10 +44,7 @@ class GearedServo:
         self.ports = ServoPorts.find(physics.model.ptr, names)
         base = -1 if self._base_element is None else int(physics.bind(self._base_element).element_id)
         self._base = None if base < 0 else Base.find(physics.model.ptr, base)
-        values = self.model.tensors(self.joint_names)
-        shape = self.signals.position.shape
-        known = self.model.parameters()
-        values = {k: v.expand(shape if known[k].per_joint else (1, 1)).contiguous() for k, v in values.items()}
+        values = expand_parameters(self.model, self.joint_names, {}, 1)
         self.law = ServoLaw(self.model.effects, float(physics.model.opt.timestep))
         self.law.set_parameters(values)
         edits = edited_fields(physics.model.ptr, self.model.effects, values, self.ports, base, {}, 1)
@@ -67,7 +65,7 @@ class GearedServo:
         self.signals.torque_enable.fill_(1.0)
         self.signals.position_target = self.signals.position.clone()
         self.signals.current = torch.zeros_like(self.signals.position)
-        self._command(commands)
+        set_commands(self.signals, commands)
         self.law.reset(self.signals)
 
     def before_step(self, physics: Any, random_state: Any = None, **commands: Tensor) -> None:
@@ -80,7 +78,7 @@ class GearedServo:
                 `op3.servo.Signals`, each ``[joint]``; those not named are held.
         """
         del random_state
-        self._command(commands)
+        set_commands(self.signals, commands)
         self._read(physics)
         self.law.tick(self.signals)
 
@@ -109,11 +107,6 @@ class GearedServo:
             channels[("imu", "orientation")] = roll_pitch_yaw(torch.from_numpy(quaternion.copy()))
             channels[("imu", "angular_velocity")] = torch.from_numpy(rates.copy())
         return channels
-
-    def _command(self, commands: Mapping[str, Any]) -> None:
-        for name, value in commands.items():
-            row = torch.as_tensor(value, dtype=torch.float64)
-            setattr(self.signals, name, row.expand(self.signals.position.shape))
 
     def _read(self, physics: Any) -> None:
         data = physics.data.ptr

@@ -5,12 +5,13 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+import torch
 
 from op3.robot import build_bench, build_scene
 from op3.robot.scenes import Scene
 from op3.rollout import LogError, Rollout
 from op3.servo import RobotModel
-from op3.sim import BatchSimulation, attach_servos
+from op3.sim import BatchSimulation, PendulumSimulation, attach_servos
 
 OP3_CONTROL_PERIOD = 0.008
 """Time between ticks of the PD on the robot's computer [s]; paper, 125 Hz."""
@@ -51,7 +52,9 @@ class Setup:
             control_period=BENCH_CONTROL_PERIOD if robot is None else OP3_CONTROL_PERIOD,
         )
 
-    def simulation(self, model: RobotModel, logs: Sequence[Rollout], candidates: int) -> BatchSimulation:
+    def simulation(
+        self, model: RobotModel, logs: Sequence[Rollout], candidates: int
+    ) -> BatchSimulation | PendulumSimulation:
         """A simulation for every candidate and log; simulation ``c * len(logs) + l`` is candidate c on log l.
 
         Raises:
@@ -65,6 +68,14 @@ class Setup:
                     source=log.metadata.recording,
                     column="joints",
                 )
+        if self.base_body is None:
+            mass, length = zip(*((log.metadata.mass, log.metadata.length) for log in logs), strict=True)
+            return PendulumSimulation(
+                model,
+                torch.tensor(mass, dtype=torch.float64).repeat(candidates),
+                torch.tensor(length, dtype=torch.float64).repeat(candidates),
+                timestep=self.control_period,
+            )
         return BatchSimulation(
             self.mj_model,
             self.scene.joint_names,
@@ -73,17 +84,7 @@ class Setup:
             control_period=self.control_period,
             base_body=self.base_body,
             joint_names=self.joints,
-            fields=self._pendulums(logs, candidates) if self.base_body is None else None,
         )
-
-    def _pendulums(self, logs: Sequence[Rollout], candidates: int) -> dict[str, np.ndarray]:
-        """Masses and lengths of the logs' pendulums as model fields ``[sim, ...]``."""
-        body = self.mj_model.body("pendulum").id
-        mass = np.tile(self.mj_model.body_mass, (candidates * len(logs), 1))
-        position = np.tile(self.mj_model.body_ipos, (candidates * len(logs), 1, 1))
-        mass[:, body] = np.tile([log.metadata.mass for log in logs], candidates)
-        position[:, body, 2] = -np.tile([log.metadata.length for log in logs], candidates)
-        return {"body_mass": mass, "body_ipos": position}
 
     def initial_qpos(self, log: Rollout) -> np.ndarray:
         """Full position at the first row; a free robot stands on its soles, level if the log has no orientation."""

@@ -108,10 +108,10 @@ def test_latency_is_the_centroid_of_the_delayed_signal():
 
 
 def test_position_loop_saturates():
-    """A position servo's duty is proportional to the error up to its limit."""
-    duty = law.position_duty(scalar(1.0), scalar(0.0), scalar(0.5), 0.97)
-    assert duty.item() == pytest.approx(0.5)
-    assert law.position_duty(scalar(10.0), scalar(0.0), scalar(0.5), 0.97).item() == pytest.approx(0.97)
+    """A position servo's duty is proportional to the error and its rate, up to its limit."""
+    duty = law.position_duty(scalar(1.0), scalar(2.0), scalar(0.5), scalar(0.01), 0.97)
+    assert duty.item() == pytest.approx(0.52)  # 0.5 * 1 + 0.01 * 2
+    assert law.position_duty(scalar(10.0), scalar(0.0), scalar(0.5), scalar(0.0), 0.97).item() == pytest.approx(0.97)
 
 
 def test_law_is_differentiable():

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import ceil
+from math import ceil, exp
 from typing import ClassVar, Literal
 
 import torch
@@ -104,36 +104,51 @@ class PositionServo(Effect):
         error_gain: duty per radian of error and unit of the firmware's kp.
         max_duty: largest duty cycle.
         goal_speed: the goal is followed at no more than this speed [rad/s].
+        goal_filter: time constant of the filter on the goal's derivative [s].
     """
 
     name: ClassVar[str] = "position_servo"
     stage: ClassVar[Stage] = Stage.CONTROLLER
-    equation: ClassVar[str] = "V = V_bus clip(c kp g (goal - q), -d_max, d_max)"
+    equation: ClassVar[str] = "V = V_bus clip(c kp g (goal - q) + kd (d goal/dt - w), -d_max, d_max)"
     source: ClassVar[str] = "Feetech STS3032 and Dynamixel XL330 as recorded on Rhoban's servo bench"
     parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("controller_gain", "-", 0.8, 1.2, 1.0, 1.0, "factor c on the firmware's nominal gain"),
+        Parameter("controller_gain", "-", 0.6, 1.4, 1.0, 1.0, "factor c on the firmware's nominal gain"),
+        Parameter("derivative_gain", "s/rad", 0.0, 0.06, 0.0, 0.0, "duty per rad/s of the error's rate, kd"),
     )
 
     error_gain: float = 0.166
     max_duty: float = 0.97
     goal_speed: float = 34.0
+    goal_filter: float = 0.006
 
     def prepare(self, values: Mapping[str, Tensor], timestep: float) -> Prepared:
-        """Duty per radian and unit of kp, and how far the followed goal moves in a step."""
+        """Gains, and how far the followed goal moves and its filter forgets in a step."""
         gain = values["controller_gain"] * self.error_gain
-        return {"gain": gain, "stride": torch.tensor(self.goal_speed * timestep, dtype=gain.dtype)}
+        return {
+            "gain": gain,
+            "derivative_gain": values["derivative_gain"],
+            "stride": torch.tensor(self.goal_speed * timestep, dtype=gain.dtype),
+            "forget": torch.tensor(1.0 - exp(-timestep / self.goal_filter), dtype=gain.dtype),
+            "timestep": torch.tensor(timestep, dtype=gain.dtype),
+        }
 
     def reset(self, signals: Signals, prepared: Prepared) -> None:
-        """The goal followed so far is the first one commanded."""
-        signals.state[self.name] = signals.position_target.clone()
+        """The goal followed so far is the first one commanded, and it rests."""
+        signals.state["followed_goal"] = signals.position_target.clone()
+        signals.state["goal_rate"] = torch.zeros_like(signals.position_target)
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Follow the goal and set the voltage."""
-        followed = signals.state[self.name]
-        stride = prepared["stride"]
-        followed = followed + torch.clamp(signals.goal - followed, -stride, stride)
-        signals.state[self.name] = followed
+        move = torch.clamp(signals.goal - signals.state["followed_goal"], -prepared["stride"], prepared["stride"])
+        followed = signals.state["followed_goal"] + move
+        rate = signals.state["goal_rate"]
+        rate = rate + prepared["forget"] * (move / prepared["timestep"] - rate)
+        signals.state["followed_goal"], signals.state["goal_rate"] = followed, rate
         duty = law.position_duty(
-            followed, signals.measured_position, signals.firmware_gain * prepared["gain"], self.max_duty
+            followed - signals.measured_position,
+            rate - signals.measured_velocity,
+            signals.firmware_gain * prepared["gain"],
+            prepared["derivative_gain"],
+            self.max_duty,
         )
         signals.voltage = duty * signals.bus_voltage

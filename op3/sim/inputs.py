@@ -1,0 +1,56 @@
+"""What callers hand to a simulation: commands, and parameter values per simulation and joint."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from op3.servo import RobotModel, Signals
+
+COMMANDS = ("position_target", "p_gain", "d_gain", "firmware_gain", "torque_enable", "bus_voltage")
+"""Inputs of the servo law that are held from tick to tick."""
+
+
+def set_commands(signals: Signals, commands: Mapping[str, Any]) -> None:
+    """Write commands, each broadcastable to ``[sim, joint]``, into the signals.
+
+    Raises:
+        ValueError: if a command is unknown.
+    """
+    shape = signals.position.shape
+    for name, value in commands.items():
+        if name not in COMMANDS:
+            raise ValueError(f"unknown command {name!r}; commands are {', '.join(COMMANDS)}")
+        setattr(signals, name, torch.as_tensor(value, dtype=torch.float64).expand(shape))
+
+
+def expand_parameters(
+    model: RobotModel, joints: Sequence[str], values: Mapping[str, Tensor | float], num_sims: int
+) -> dict[str, Tensor]:
+    """All parameters of a model, ``[sim, joint]``, or ``[sim, 1]`` for those of the whole robot.
+
+    Args:
+        model: gives the values that are not named.
+        joints: joint names.
+        values: by parameter name, ``[sim]`` or ``[sim, joint]`` or a number.
+        num_sims: number of simulations.
+
+    Raises:
+        ValueError: if the model has no such parameter, or a shape does not fit.
+    """
+    known = model.parameters()
+    full = model.tensors(joints)
+    for name, value in values.items():
+        if name not in known:
+            raise ValueError(f"the model has no parameter {name!r}; it has {', '.join(known)}")
+        value = torch.as_tensor(value, dtype=torch.float64)
+        full[name] = value.view(-1, 1) if value.ndim < 2 else value
+    shape = (num_sims, len(joints))
+    try:
+        return {
+            name: value.expand(shape if known[name].per_joint else (num_sims, 1)).contiguous()
+            for name, value in full.items()
+        }
+    except RuntimeError as error:
+        raise ValueError(f"parameter values must be [sim] or [sim, joint] with {shape}: {error}") from error
