@@ -2,7 +2,7 @@
 
 from op3.report.figures import errors_figure, history_figure, ranges_figure
 from op3.report.page import Page
-from op3.report.provenance import run_provenance
+from op3.report.provenance import machine, run_provenance
 from op3.report.result import finish, read_result, write_result
 from op3.report.run_logger import RunLogger, sweep_group
 from op3.report.tables import loss_table, number, parameter_table
@@ -16,6 +16,7 @@ __all__ = [
     "finish",
     "history_figure",
     "loss_table",
+    "machine",
     "number",
     "parameter_table",
     "ranges_figure",

@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from op3.report.style import INK, MUTED, colours, dress, faded, plain, unit_text, words
-from op3.report.tables import number
+from op3.report.tables import Bounds, bounded_parameters, number
 from op3.rollout import Rollout
 from op3.servo import Estimate, Parameter, RobotModel
 
@@ -72,7 +72,9 @@ def _log_ticks(losses: Sequence[Sequence[float | None]]) -> list[float]:
     return [float(f"{step}e{power}") for power in range(first, last + 1) for step in steps]
 
 
-def ranges_figure(models: Mapping[str, RobotModel], names: Sequence[str] = ()) -> go.Figure:
+def ranges_figure(
+    models: Mapping[str, RobotModel], names: Sequence[str] = (), bounds: Bounds | None = None
+) -> go.Figure:
     """Parameters within their ranges: value, 90 % interval, nominal value, and the labels side by side.
 
     Every bar is a parameter's range (paper Table I), scaled to the same length. Values of single joints are open
@@ -81,13 +83,12 @@ def ranges_figure(models: Mapping[str, RobotModel], names: Sequence[str] = ()) -
     Args:
         models: by label.
         names: parameters to show; those that a model has an estimate of where empty.
+        bounds: ranges to draw, by name, where they are not the catalogue's.
 
     Raises:
         ValueError: if there is no parameter to show, or no model has one that is named.
     """
-    known: dict[str, Parameter] = {}
-    for model in models.values():
-        known.update(model.parameters())
+    known = bounded_parameters(models, bounds)
     shown = list(names) or [name for name in known if any(name in m.estimates for m in models.values())]
     if not shown:
         raise ValueError("no model has an estimate of a parameter; name the parameters to show")
@@ -129,7 +130,9 @@ def _range_bar(figure: go.Figure, known: Parameter, row: int) -> None:
         type="rect", x0=0, x1=1, y0=row - 0.34, y1=row + 0.34, fillcolor="#f1f3f6", line_width=0, layer="below"
     )
     nominal = (known.nominal - known.low) / (known.high - known.low)
-    figure.add_shape(type="line", x0=nominal, x1=nominal, y0=row - 0.34, y1=row + 0.34, line=dict(color=INK, width=2))
+    if 0.0 <= nominal <= 1.0:
+        tick = dict(x0=nominal, x1=nominal, y0=row - 0.34, y1=row + 0.34)
+        figure.add_shape(type="line", line=dict(color=INK, width=2), **tick)
     for x, value, anchor in ((0, known.low, "right"), (1, known.high, "left")):
         figure.add_annotation(
             x=x, y=row, text=number(value, 3), xanchor=anchor, showarrow=False, font=dict(size=11, color=MUTED)

@@ -137,10 +137,15 @@ def _page(fits: Sequence[Fit], joints: Sequence[str], values: Mapping[str, Any],
     page.section("Parameters")
     models = {f.label: f.model for f in fits}
     page.figure(
-        ranges_figure(models, fit.found),
-        "Parameters in the ranges of the catalogue, with 90 % intervals from the data.",
+        ranges_figure(models, fit.found, fit.bounds),
+        "Parameters in the ranges searched, with 90 % intervals from the data.",
     )
-    page.table(*parameter_table(models), caption="All parameters; those without an interval were not searched.")
+    page.table(
+        *parameter_table(models, bounds=fit.bounds), caption="All parameters; those without an interval were not searched."
+    )
+        *parameter_table(models, bounds=fit.bounds),
+        caption="All parameters; those without an interval were not searched.",
+    )
     page.section("Files")
     page.files({"result.yaml": "all numbers of this page", "model.yaml": "the identified model"})
     page.provenance(provenance)

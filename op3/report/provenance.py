@@ -34,12 +34,18 @@ def run_provenance(
     if data is not None:
         facts["data"] = data if isinstance(data, str) else ", ".join(map(str, data))
     facts["versions"] = versions()
-    facts["machine"] = {
-        "platform": platform.platform(terse=True),
-        "architecture": platform.machine(),
-        "cpu_count": os.cpu_count(),
-    }
+    facts["machine"] = machine()
     return facts
+
+
+def machine() -> dict[str, Any]:
+    """The computer: operating system, processor and number of cores."""
+    model = platform.machine()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.is_file():
+        names = [line for line in cpuinfo.read_text().splitlines() if line.startswith("model name")]
+        model = f"{names[0].partition(':')[2].strip()} ({model})" if names else model
+    return {"platform": platform.platform(terse=True), "processor": model, "cpu_count": os.cpu_count()}
 
 
 def command_line() -> str:

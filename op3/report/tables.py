@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from op3.report.style import unit_text, words
 from op3.rollout import CHANNELS
 from op3.rollout.schema import normal_key
-from op3.servo import Estimate, RobotModel
+from op3.servo import Estimate, Parameter, RobotModel
 
 Cell = str | int | float | bool | None
 TableRows = tuple[list[str], list[list[Cell]]]
@@ -34,14 +35,30 @@ def number(value: float, digits: int = 4) -> str:
     return text.replace("-", "−", 1) if text.startswith("-") else text
 
 
-def parameter_table(models: Mapping[str, RobotModel], names: Sequence[str] = ()) -> TableRows:
+Bounds = Mapping[str, tuple[float, float]]
+"""Lowest and highest value by parameter name."""
+
+
+def bounded_parameters(models: Mapping[str, RobotModel], bounds: Bounds | None = None) -> dict[str, Parameter]:
+    """The parameters of all models by name, with the ranges that were searched where they are not the catalogue's."""
+    known = {name: p for model in models.values() for name, p in model.parameters().items()}
+    for name, (low, high) in (bounds or {}).items():
+        if name in known:
+            known[name] = replace(known[name], low=low, high=high)
+    return known
+
+
+def parameter_table(
+    models: Mapping[str, RobotModel], names: Sequence[str] = (), bounds: Bounds | None = None
+) -> TableRows:
     """Parameters with unit, range and nominal value, and per model the value with its 90 % interval.
 
     Args:
         models: by label.
         names: parameters to list; all of the models where empty.
+        bounds: ranges to list, by name, where they are not the catalogue's.
     """
-    known = {name: p for model in models.values() for name, p in model.parameters().items()}
+    known = bounded_parameters(models, bounds)
     intervals = {label: any(e.low is not None for e in model.estimates.values()) for label, model in models.items()}
     header = ["parameter", "unit", "range from", "to", "nominal"]
     for label in models:
