@@ -141,8 +141,6 @@ def _page(fits: Sequence[Fit], joints: Sequence[str], values: Mapping[str, Any],
         "Parameters in the ranges searched, with 90 % intervals from the data.",
     )
     page.table(
-        *parameter_table(models, bounds=fit.bounds), caption="All parameters; those without an interval were not searched."
-    )
         *parameter_table(models, bounds=fit.bounds),
         caption="All parameters; those without an interval were not searched.",
     )
