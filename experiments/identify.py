@@ -7,7 +7,7 @@ python experiments/identify.py experiment=servo_bench data=<folder of bench logs
 
 import dataclasses
 import os
-import time
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -95,13 +95,23 @@ def without_effects(cfg: DictConfig, folder: Path) -> Fit | None:
     return identification.finish(settings.run(identification.evaluate), **cfg.refine)
 
 
+def duration(started: datetime, study: optuna.Study) -> float:
+    """Wall time of the run [s]: this process, and the study where the sweeper ran it in jobs before this one."""
+    seconds = (datetime.now() - started).total_seconds()
+    begun = [t.datetime_start for t in study.trials if t.datetime_start]
+    ended = [t.datetime_complete for t in study.trials if t.datetime_complete]
+    if begun and ended and min(begun) < started:
+        seconds += (max(ended) - min(begun)).total_seconds()
+    return seconds
+
+
 @hydra.main(config_path="../conf", config_name="identify", version_base="1.3")
 def main(cfg: DictConfig) -> Any:
     """Evaluate a population for the sweeper, or run the study and report it."""
     register_interpolations()  # a launcher's worker process has not run this file from the top
     with one_sentence():
         torch.set_num_threads(1)
-        started = time.monotonic()
+        started = datetime.now()
         model = base_model(cfg)
         identification = build(cfg, model, f"with {', '.join(cfg.ablate).upper()}" if cfg.ablate else "model")
         folder = Path(HydraConfig.get().runtime.output_dir)
@@ -114,7 +124,7 @@ def main(cfg: DictConfig) -> Any:
                 fit,
                 ablated,
                 folder,
-                wall_seconds=time.monotonic() - started,
+                wall_seconds=duration(started, study),
                 provenance=run_provenance(seed=cfg.seed, data=_plain(cfg.data)),
                 joints=identification.joints,
                 config=_plain(cfg),

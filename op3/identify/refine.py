@@ -131,7 +131,7 @@ class _Search:
         residual = self._evaluate(moved).reshape(len(active), size, -1)
         return [((residual[row] - self.residual[i]) / steps[row][:, None]).T for row, i in enumerate(active)]
 
-    def _ladder(self, start: int, jacobian: np.ndarray) -> np.ndarray:
+    def _ladder(self, start: int | np.intp, jacobian: np.ndarray) -> np.ndarray:
         """Points after bounded steps of growing damping, ``[damping, parameter]``."""
         size = jacobian.shape[1]
         gradient = jacobian.T @ self.residual[start]

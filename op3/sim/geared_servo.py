@@ -54,7 +54,7 @@ class GearedServo:
             mujoco.mj_setConst(physics.model.ptr, physics.data.ptr)
         self._rotor = physics.model.ptr.dof_armature[self.ports.dof].copy()
 
-    def initialize_episode(self, physics: Any, random_state: Any = None, **commands: Tensor) -> None:
+    def initialize_episode(self, physics: Any, random_state: Any = None, **commands: Any) -> None:
         """Start with these commands (see `before_step`) as if they had been held for long."""
         del random_state
         physics.model.ptr.dof_frictionloss[self.ports.dof] = 0.0
@@ -68,7 +68,7 @@ class GearedServo:
         set_commands(self.signals, commands)
         self.law.reset(self.signals)
 
-    def before_step(self, physics: Any, random_state: Any = None, **commands: Tensor) -> None:
+    def before_step(self, physics: Any, random_state: Any = None, **commands: Any) -> None:
         """A control period begins: take commands and let the PD look at the sensors.
 
         Args:

@@ -31,6 +31,7 @@ class Playback(composer.Task):
         motion: targets; its joints are the scene's, in order.
         control_period: time between ticks [s].
         settle: time before the log starts in which the first target is held [s].
+        pendulum: mass [kg] and length [m], for the log of a bench.
         commands: gains and other held commands, as `op3.servo.Signals` names them.
     """
 
@@ -42,11 +43,13 @@ class Playback(composer.Task):
         control_period: float,
         *,
         settle: float = 1.0,
+        pendulum: tuple[float, float] | tuple[None, None] = (None, None),
         **commands: float,
     ):
         self._scene = scene
         self._motion = motion
         self._held = commands
+        self._pendulum = pendulum
         trunk = None if scene.robot is None else scene.robot.trunk
         self.servo = GearedServo(scene.joints, model, base_body=trunk)
         self._settle = round(settle / control_period)
@@ -122,8 +125,8 @@ class Playback(composer.Task):
             motion=self._motion.name,
             model_hash=model_hash(self.servo.model),
             battery=self.servo.model.bus_voltage,
-            mass=None if scene.robot else float(scene.mjcf_model.find("body", "pendulum").inertial.mass),
-            length=None if scene.robot else float(-scene.mjcf_model.find("body", "pendulum").inertial.pos[2]),
+            mass=self._pendulum[0],
+            length=self._pendulum[1],
         )
         return Rollout.from_arrays(arrays, metadata)
 
@@ -154,7 +157,15 @@ def bench_task(
         settle: time before the log starts in which the first target is held [s].
         **commands: held commands.
     """
-    return Playback(build_bench(mass, length), model, motion, BENCH_CONTROL_PERIOD, settle=settle, **commands)
+    return Playback(
+        build_bench(mass, length),
+        model,
+        motion,
+        BENCH_CONTROL_PERIOD,
+        settle=settle,
+        pendulum=(mass, length),
+        **commands,
+    )
 
 
 def playback_environment(task: Playback, seed: int = 0) -> composer.Environment:

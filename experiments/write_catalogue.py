@@ -1,0 +1,93 @@
+"""Write the catalogue of effects as a page, from the classes themselves.
+
+python experiments/write_catalogue.py [--out docs/catalogue.md]
+"""
+
+import argparse
+import dataclasses
+import inspect
+from pathlib import Path
+
+from op3.servo import Effect, Parameter, catalogue
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "catalogue.md"
+
+INTRODUCTION = """\
+# The catalogue of effects
+
+Written by `python experiments/write_catalogue.py` from the classes in `op3/servo/effects/`; change those, then write it
+again.
+
+A robot model is a list of these effects with values for their parameters (see [servo_model.md](servo_model.md)).
+Effects run in the order of their stages. *Range* is what identification searches unless told otherwise, *start* the
+value of a model that names none, and at *neutral* the effect changes nothing; a dash says that there is no such value.
+A parameter may differ from joint to joint unless it belongs to the whole robot. *Options* are constants of an effect,
+chosen in `model.yaml` and never searched.
+"""
+
+
+def page() -> str:
+    """The whole page as Markdown."""
+    effects = list(catalogue().values())
+    rows = [
+        (
+            f"[{e.name}](#{e.name})",
+            e.stage.name.lower(),
+            f"`{e.equation}`",
+            ", ".join(f"`{p.name}`" for p in e.parameters),
+        )
+        for e in effects
+    ]
+    parts = [INTRODUCTION, table(("effect", "stage", "equation", "parameters"), rows), *map(section, effects)]
+    return "\n".join(parts)
+
+
+def section(effect: type[Effect]) -> str:
+    """One effect: what it is, its law, where that comes from, its options and parameters."""
+    facts = [f"- stage: {effect.stage.name.lower()}", f"- equation: `{effect.equation}`", f"- source: {effect.source}"]
+    if options(effect):
+        facts.append(f"- options: {', '.join(options(effect))}")
+    if effect.edits:
+        facts.append(f"- changes in the MuJoCo model: {', '.join(dict.fromkeys(f'`{e.field}`' for e in effect.edits))}")
+    summary = inspect.cleandoc(effect.__doc__ or "").split("\n\n")[0]
+    parts = [f"## {effect.name}", "", " ".join(summary.split()), "", *facts, ""]
+    if effect.parameters:
+        head = ("parameter", "unit", "range", "start", "neutral", "meaning")
+        parts.append(table(head, [parameter_row(p) for p in effect.parameters]))
+    return "\n".join(parts)
+
+
+def options(effect: type[Effect]) -> list[str]:
+    """The constructor's keywords with their defaults."""
+    return [f"`{field.name} = {field.default}`" for field in dataclasses.fields(effect)]  # type: ignore[arg-type]
+
+
+def parameter_row(parameter: Parameter) -> tuple[str, ...]:
+    """A parameter's cells."""
+    return (
+        f"`{parameter.name}`",
+        "" if parameter.unit == "-" else parameter.unit,
+        f"{parameter.low:g} to {parameter.high:g}",
+        f"{parameter.nominal:g}",
+        "-" if parameter.neutral is None else f"{parameter.neutral:g}",
+        parameter.text if parameter.per_joint else f"{parameter.text} (whole robot)",
+    )
+
+
+def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    """A Markdown table; bars inside cells are escaped."""
+    lines = [head, ("---",) * len(head), *(tuple(cell.replace("|", "\\|") for cell in row) for row in rows)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def main() -> None:
+    """Write the page."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--out", type=Path, default=PAGE, help="the file to write")
+    out = parser.parse_args().out
+    out.write_text(page(), encoding="utf-8")
+    print(out)
+
+
+if __name__ == "__main__":
+    main()

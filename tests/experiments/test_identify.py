@@ -1,0 +1,107 @@
+"""The experiment scripts as a user runs them, at a tiny budget."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from op3.report import read_result
+from op3.robot import squat
+from op3.sim import load_model
+from op3.tasks import play, squat_task
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+BENCH = REPOSITORY / ".." / "shared" / "data" / "servo_bench" / "sts3032"
+SMALL = ["hydra.sweeper.n_trials=6", "hydra.sweeper.population=6", "wandb=disabled"]
+
+
+def identify(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(REPOSITORY / "experiments" / "identify.py"), *arguments]
+    return subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("logs") / "squat"
+    play(squat_task(load_model("paper"), squat(duration=0.5))).save(folder)
+    return folder
+
+
+def test_one_process(log, tmp_path):
+    """A run writes model, page and numbers, and prints the paths of page and numbers last."""
+    folder = tmp_path / "run"
+    done = identify(f"data={log}", f"heldout={log}", f"hydra.run.dir={folder}", *SMALL)
+    assert done.returncode == 0, done.stderr
+    page, result = map(Path, done.stdout.strip().splitlines()[-2:])
+    assert page == folder / "index.html"
+    assert result == folder / "result.yaml"
+    numbers = read_result(result)
+    assert numbers["trials"] == 6
+    assert numbers["loss.fit"] <= numbers["loss.fit_without_dte"] * 2
+    assert set(numbers["parameters.backward_efficiency"]) == {"value", "low", "high"}
+    assert load_model(folder / "model.yaml").value("torque_constant") == numbers["parameters.torque_constant"]["value"]
+
+
+def test_multirun_is_one_study_per_cell(log, tmp_path):
+    """With -m and a comma sweep, each cell has its own study, model and numbers."""
+    done = identify(
+        "-m", f"data={log}", "seed=0,1", "groups=[gear]", "ablate=[]", f"hydra.sweep.dir={tmp_path}", *SMALL
+    )
+    assert done.returncode == 0, done.stderr
+    cells = [read_result(tmp_path / cell / "result.yaml") for cell in "01"]
+    assert [cell["provenance.seed"] for cell in cells] == [0, 1]
+    assert all(
+        list(k for k in cell if k.startswith("parameters.")) == ["parameters.backward_efficiency"] for cell in cells
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["data=nowhere"], "nowhere"),
+        (["data={log}", "model=papr"], "paper_without_dte"),
+        (["data={log}", "heldout_where={{firmware_gain: 8}}"], "matches none"),
+        (["data={log}", "model=paper_without_stribeck"], "static_friction_excess"),
+    ],
+)
+def test_wrong_input_is_one_sentence(log, tmp_path, arguments, message):
+    """A wrong argument ends the run with a non-zero exit, its reason, and nothing written but Hydra's own log."""
+    folder = tmp_path / "run"
+    done = identify(*(a.format(log=log) for a in arguments), f"hydra.run.dir={folder}", *SMALL)
+    assert done.returncode != 0
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (folder / "result.yaml").exists()
+    assert not (folder / "model.yaml").exists()
+
+
+@pytest.mark.slow
+def test_servo_bench(tmp_path):
+    """On the recorded STS3032 runs the held-out error is at most 20 mrad, and far larger without DTE."""
+    if not BENCH.is_dir():
+        pytest.skip(f"the servo-bench logs are not at {BENCH}")
+    done = identify("experiment=servo_bench", f"data={BENCH}", f"hydra.run.dir={tmp_path}", "wandb=disabled")
+    assert done.returncode == 0, done.stderr
+    numbers = read_result(tmp_path / "result.yaml")
+    assert numbers["error_mrad.heldout"] <= 20
+    assert numbers["error_mrad.heldout_without_dte"] > 1.3 * numbers["error_mrad.heldout"]
+
+
+@pytest.mark.slow
+def test_stand_in(tmp_path):
+    """On a stand-in with another law of gear loss, DTE lowers the loss by a factor of at least 2.5."""
+    for motion in ("squat", "squat_heldout"):
+        command = [sys.executable, "experiments/collect.py", f"motion={motion}", f"hydra.run.dir={tmp_path / motion}"]
+        subprocess.run(command, cwd=REPOSITORY, check=True)
+    done = identify(
+        f"data={tmp_path / 'squat' / 'squat-0'}",
+        f"heldout={tmp_path / 'squat_heldout' / 'squat_heldout-0'}",
+        "method=lsq",
+        f"hydra.run.dir={tmp_path / 'run'}",
+        "wandb=disabled",
+    )
+    assert done.returncode == 0, done.stderr
+    numbers = read_result(tmp_path / "run" / "result.yaml")
+    assert numbers["loss.fit_without_dte"] >= 2.5 * numbers["loss.fit"]
+    assert numbers["loss.heldout"] < numbers["loss.heldout_without_dte"]

@@ -1,0 +1,80 @@
+"""Identification end to end: a model that made the log is found again."""
+
+import optuna
+import pytest
+
+from op3.identify.identification import PREFIX, Identification
+from op3.identify.search_space import parse_search_space
+from op3.identify.study import run_study
+from op3.robot import CONTROLLED_JOINTS, squat
+from op3.rollout import Rollout
+from op3.servo import RobotModel
+from op3.sim import load_model
+from op3.tasks import play, squat_task
+
+TRUTH = {"torque_constant": 0.0072, "backward_efficiency": 0.7}
+SPACE = parse_search_space(
+    {
+        PREFIX + "torque_constant": "interval(0.003, 0.009)",
+        PREFIX + "backward_efficiency": "interval(0.6, 1.0)",
+    }
+)
+
+
+@pytest.fixture(scope="module")
+def model() -> RobotModel:
+    return load_model("paper")
+
+
+@pytest.fixture(scope="module")
+def logs(model) -> list[Rollout]:
+    truth = model.with_values(TRUTH)
+    return [play(squat_task(truth, squat(frequency=f, duration=1.0))) for f in (1.0, 0.8)]
+
+
+@pytest.fixture(scope="module")
+def identification(model, logs) -> Identification:
+    return Identification(model, logs[:1], logs[1:], list(TRUTH), joints=CONTROLLED_JOINTS, label="with DTE")
+
+
+@pytest.fixture(scope="module")
+def study(identification) -> optuna.Study:
+    return run_study(
+        identification.evaluate, SPACE, sampler="random", n_trials=12, population=12, seed=0, progress=False
+    )
+
+
+def test_least_squares_finds_the_parameters_that_made_the_log(identification, study):
+    """From the best of twelve random trials the truth is found within one percent, and its interval is narrow."""
+    fit = identification.finish(study, starts=2, max_iterations=8)
+    for name, value in TRUTH.items():
+        estimate = fit.model.estimates[name]
+        assert estimate.value == pytest.approx(value, rel=0.01)
+        assert estimate.low <= estimate.value <= estimate.high
+        assert estimate.high - estimate.low < 0.2 * value
+    assert fit.fit.loss < 1e-5
+    assert fit.heldout is not None
+    assert fit.heldout.loss < 1e-4
+
+
+def test_the_study_alone_gives_its_best_trial(identification, study):
+    """Without refinement the model holds the best trial's values, and every trial's loss is kept."""
+    fit = identification.finish(study)
+    best = {key.removeprefix(PREFIX): value for key, value in study.best_params.items()}
+    assert {name: fit.model.estimates[name].value for name in TRUTH} == best
+    assert len(fit.trials) == 12
+    assert fit.fit.loss == pytest.approx(study.best_value, rel=1e-6)
+    assert fit.simulated_seconds >= 12
+
+
+def test_unit_weights_are_the_papers_loss(identification, study):
+    """With the default loss, the reported eq. (7) is what was minimised: the sum of its terms."""
+    fit = identification.finish(study)
+    assert fit.fit.paper_eq7 == pytest.approx(fit.fit.loss)
+    assert sum(fit.fit.terms.values()) == pytest.approx(fit.fit.loss)
+
+
+def test_parameters_of_effects_that_are_off_are_refused(model, logs):
+    """A group without its effect is named, with what to do."""
+    with pytest.raises(ValueError, match=r"backward_efficiency.*leave the group out"):
+        Identification(model.without("dte"), logs, [], list(TRUTH))
