@@ -87,3 +87,14 @@ def test_the_bench_replays_position_servos_of_any_pendulum():
         assert error.abs().max() < 1e-3
     moved = np.ptp(logs[1].array("joint/position"))
     assert moved > 0.5
+
+
+@pytest.mark.parametrize("effect", ["payload", "com_offset", "stribeck", "dte", "latency"])
+def test_neutral_effects_leave_the_whole_robot_bit_identical(logs, effect):
+    """On the floor too, an effect at its neutral value changes no bit of any channel."""
+    full = load_model("paper")
+    neutral = {p.name: p.neutral for p in full.effect(effect).parameters if p.neutral is not None}
+    with_effect = Replay(logs[1:], duration=0.3).run(full.with_values(neutral))[0]
+    without = Replay(logs[1:], duration=0.3).run(full.without(effect))[0]
+    for key, values in without.channels.items():
+        assert torch.equal(values, with_effect.channels[key]), key
