@@ -21,6 +21,7 @@ from support import one_sentence
 from op3.identify.identification import PREFIX, Fit, Identification
 from op3.identify.loss import UNIT_WEIGHTS, TrajectoryLoss
 from op3.identify.resolvers import register as register_interpolations
+from op3.identify.search_space import parse_search_space
 from op3.identify.settings import read_settings
 from op3.identify.sweeper import sweep_or_report
 from op3.report import run_provenance
@@ -28,6 +29,7 @@ from op3.report.identification import report_identification
 from op3.robot import CONTROLLED_JOINTS
 from op3.rollout import Rollout, read_logs
 from op3.servo import RobotModel, effect_class
+from op3.servo.conditions import split_name
 from op3.sim import load_model, save_model
 
 register_interpolations()
@@ -47,13 +49,15 @@ def split_logs(cfg: DictConfig) -> tuple[list[Rollout], list[Rollout]]:
 def build(cfg: DictConfig, model: RobotModel, label: str) -> Identification:
     """The identification that the config describes, for this model."""
     fit_logs, heldout_logs = split_logs(cfg)
-    names = [name for name in cfg.parameters if name in model.parameters() or name not in _ablated(cfg)]
+    # a parameter whose range is null is not searched, nor is one of an effect that was switched off for comparison
+    space = parse_search_space(_plain(HydraConfig.get().sweeper.params))
+    names = [name for name in cfg.parameters if PREFIX + name in space and split_name(name)[0] not in gone(cfg, model)]
     joints = _plain(cfg.joints)
     if joints is None:
         joints = CONTROLLED_JOINTS if set(CONTROLLED_JOINTS) <= set(fit_logs[0].joints) else ()
     weights = UNIT_WEIGHTS if cfg.weights is None else {tuple(k.split("/")): v for k, v in cfg.weights.items()}
     loss = TrajectoryLoss(tuple(joints), weights, cfg.robust_scale)
-    return Identification(model, fit_logs, heldout_logs, names, joints=joints, loss=loss, label=label)
+    return Identification(model, fit_logs, heldout_logs, names, joints=joints, loss=loss, label=label, bench_timestep=cfg.bench_timestep)
 
 
 def base_model(cfg: DictConfig) -> RobotModel:
@@ -65,10 +69,9 @@ def base_model(cfg: DictConfig) -> RobotModel:
     return model
 
 
-def _ablated(cfg: DictConfig) -> set[str]:
-    model = base_model(cfg)
-    on = [name for name in cfg.ablate if name in model.effect_names]
-    return {p.name for name in on for p in model.effect(name).parameters}
+def gone(cfg: DictConfig, model: RobotModel) -> set[str]:
+    """Parameters of the effects of `ablate` that this model does not have any more."""
+    return set(base_model(cfg).parameters()) - set(model.parameters())
 
 
 def _plain(node: Any) -> Any:
