@@ -27,7 +27,7 @@ from op3.identify.sweeper import sweep_or_report
 from op3.report import run_provenance
 from op3.report.identification import report_identification
 from op3.robot import CONTROLLED_JOINTS
-from op3.rollout import Rollout, read_logs
+from op3.rollout import Metadata, Rollout, read_logs
 from op3.servo import RobotModel, effect_class
 from op3.servo.conditions import split_name
 from op3.sim import load_model, save_model
@@ -40,10 +40,17 @@ def split_logs(cfg: DictConfig) -> tuple[list[Rollout], list[Rollout]]:
     logs = read_logs(_plain(cfg.data))
     heldout = [] if cfg.heldout is None else read_logs(_plain(cfg.heldout))
     where = _plain(cfg.heldout_where) or {}
+    known = [field.name for field in dataclasses.fields(Metadata)]
+    unknown = [name for name in where if name not in known]
+    if unknown:
+        raise ValueError(f"heldout_where: logs have no metadata field {unknown[0]!r}; they have {', '.join(known)}")
     chosen = [log for log in logs if where and all(getattr(log.metadata, k) == v for k, v in where.items())]
     if where and not chosen:
         raise ValueError(f"heldout_where={where} matches none of the {len(logs)} logs; null holds none out")
-    return [log for log in logs if not any(log is held for held in chosen)], [*heldout, *chosen]
+    fitted = [log for log in logs if not any(log is held for held in chosen)]
+    if not fitted:
+        raise ValueError(f"heldout_where={where} matches all {len(logs)} logs; nothing is left to fit")
+    return fitted, [*heldout, *chosen]
 
 
 def build(cfg: DictConfig, model: RobotModel, label: str) -> Identification:
@@ -57,7 +64,9 @@ def build(cfg: DictConfig, model: RobotModel, label: str) -> Identification:
         joints = CONTROLLED_JOINTS if set(CONTROLLED_JOINTS) <= set(fit_logs[0].joints) else ()
     weights = UNIT_WEIGHTS if cfg.weights is None else {tuple(k.split("/")): v for k, v in cfg.weights.items()}
     loss = TrajectoryLoss(tuple(joints), weights, cfg.robust_scale)
-    return Identification(model, fit_logs, heldout_logs, names, joints=joints, loss=loss, label=label, bench_timestep=cfg.bench_timestep)
+    return Identification(
+        model, fit_logs, heldout_logs, names, joints=joints, loss=loss, label=label, bench_timestep=cfg.bench_timestep
+    )
 
 
 def base_model(cfg: DictConfig) -> RobotModel:
@@ -66,6 +75,8 @@ def base_model(cfg: DictConfig) -> RobotModel:
     for name, options in _plain(cfg.effects).items():
         if name not in model.effect_names:
             model = model.with_effect(effect_class(name)(**(options or {})))
+        elif options:
+            model = model.with_effect(dataclasses.replace(model.effect(name), **options))  # type: ignore[type-var]
     return model
 
 

@@ -1,27 +1,29 @@
 """From logs to a model: evaluate parameter sets, choose the best, refine it, test it on logs not used."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import optuna
 import torch
 from torch import Tensor
 
-from op3.identify.intervals import sandwich_intervals
+from op3.identify.intervals import jackknife_intervals
 from op3.identify.loss import TrajectoryLoss, position_error
 from op3.identify.problem import Problem
 from op3.identify.refine import refine
 from op3.identify.study import Outcome
-from op3.rollout import Rollout
+from op3.rollout import LogError, Rollout
 from op3.servo import Estimate, RobotModel
+from op3.servo.conditions import split_name
 from op3.tasks import Prediction
+from op3.tasks.setups import BENCH_CONTROL_PERIOD
 
 PREFIX = "parameters."
 """Search-space keys are config keys below this one."""
 
-BLOCK_SECONDS = 0.5
-"""Length of the blocks of samples that intervals take as independent [s]."""
+BLOCKS_PER_LOG = 10
+"""Stretches of equal length of each log that intervals take as independent; half a second of a squat."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +74,23 @@ class Fit:
     simulated_seconds: float = 0.0
 
 
+def check_unseen(logs: Sequence[Rollout], heldout: Sequence[Rollout]) -> None:
+    """Make sure that no held-out log is among the fitted ones, whatever the files are called.
+
+    Raises:
+        LogError: if one is.
+    """
+    for held in heldout:
+        for log in logs:
+            same = log.data.batch_size == held.data.batch_size and log.metadata.mount == held.metadata.mount
+            if same and all(np.array_equal(log.array(key), held.array(key)) for key in ("time", "joint/position")):
+                raise LogError(
+                    "the log is both fitted and held out",
+                    "take it out of `data` or out of `heldout`",
+                    source=held.metadata.recording,
+                )
+
+
 class Identification:
     """Identifies the parameters of one model from logs.
 
@@ -79,10 +98,12 @@ class Identification:
         model: effects that are on, and values of parameters that are not searched.
         logs: what to fit.
         heldout: logs for testing only.
-        names: parameters to search.
+        names: parameters to search; one with a condition, such as ``encoder_offset@length=7e-2``, counts for the logs
+            that meet it.
         joints: joints whose traces count; all of a log where empty.
         loss: what to minimise; by default paper eq. (7) with unit weights.
         label: what the model is called.
+        bench_timestep: simulation step of bench logs [s].
     """
 
     def __init__(
@@ -95,23 +116,34 @@ class Identification:
         joints: Sequence[str] = (),
         loss: TrajectoryLoss | None = None,
         label: str = "model",
+        bench_timestep: float = BENCH_CONTROL_PERIOD,
     ):
         known = model.parameters()
         for name in names:
-            if name not in known:
+            if split_name(name)[0] not in known:
                 raise ValueError(
                     f"group asks for {name!r}, but no effect of the model has it; effects on: "
                     f"{', '.join(model.effect_names)}. Switch its effect on in the model, or leave the group out"
                 )
+        for name in names:
+            differing = model.estimates.get(split_name(name)[0])
+            if differing is not None and differing.joints:
+                raise ValueError(
+                    f"{name!r} has values of its own for {', '.join(differing.joints)}, which a search over one shared"
+                    " value would discard; remove them from the model file or leave the parameter out of the search"
+                )
+        check_unseen(logs, heldout)
         self.names = tuple(names)
         self.label = label
         self.joints = tuple(joints)
         self.loss = loss or TrajectoryLoss(self.joints)
-        self.problem = Problem(model, logs, self.loss)
-        self.heldout = Problem(model, heldout, self.loss) if heldout else None
+        self.problem = Problem(model, logs, self.loss, bench_timestep=bench_timestep)
+        self._evaluated = 0
+        self.heldout = Problem(model, heldout, self.loss, bench_timestep=bench_timestep) if heldout else None
 
     def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[Outcome]:
         """Losses of trials whose parameters are config keys, as the study asks them."""
+        self._evaluated += len(population)
         stripped = [{key.removeprefix(PREFIX): value for key, value in trial.items()} for trial in population]
         return [
             Outcome(None if e.loss is None else (e.loss,), dict(e.terms), None if e.loss is not None else "diverged")
@@ -137,6 +169,8 @@ class Identification:
         Raises:
             ValueError: if no trial of the study completed.
         """
+        if starts < 0 or max_iterations < 1:
+            raise ValueError(f"refine: starts must be at least 0 and max_iterations 1, got {starts}, {max_iterations}")
         complete = sorted(
             (t for t in study.trials if t.state == optuna.trial.TrialState.COMPLETE), key=lambda t: t.value or 0.0
         )
@@ -158,8 +192,11 @@ class Identification:
             refined = result.history
             if result.loss < (complete[0].value or 0.0):
                 values = result.values
-        intervals = sandwich_intervals(residuals, bounds, values, self._blocks())
+        intervals = jackknife_intervals(
+            residuals, bounds, values, self._blocks(), failed_loss=self.loss.failed_loss(len(self.problem.replay.logs))
+        )
         model = self.problem.model.with_values({name: Estimate(values[name], *intervals[name]) for name in self.names})
+        model = model.with_values(_for_other_conditions(model, self.names))
         trials = [np.nan if t.value is None else float(t.value) for t in study.trials]
         return Fit(
             label=self.label,
@@ -170,7 +207,9 @@ class Identification:
             bounds=bounds,
             trials=trials,
             refined=refined,
-            simulated_seconds=self.problem.replay.seconds * len(trials) + self.problem.simulated_seconds,
+            # trials that other processes evaluated count as well
+            simulated_seconds=self.problem.simulated_seconds
+            + self.problem.replay.seconds * max(0, len(trials) - self._evaluated),
         )
 
     def score(self, problem: Problem, values: Mapping[str, float]) -> Score:
@@ -179,7 +218,7 @@ class Identification:
         paper = TrajectoryLoss(self.joints)
         terms = [paper.terms(prediction) for prediction in predictions]
         keys = sorted({key for term in terms for key in term})
-        errors = 1e3 * position_error(predictions)[0]
+        errors = 1e3 * position_error(predictions, self.joints)[0]
         return Score(
             loss=float(self.loss(predictions)[0]),
             paper_eq7=float(paper(predictions)[0]),
@@ -198,13 +237,15 @@ class Identification:
         return self.problem.residual_function(self.names, low, high)
 
     def _blocks(self) -> list[np.ndarray]:
-        """Indices of the residual that belong to one stretch of time of one log, over all channels."""
+        """Indices of the residual that belong together: a whole log where there are many, else a stretch of one."""
+        stretches = 1 if len(self.problem.replay.logs) >= BLOCKS_PER_LOG else BLOCKS_PER_LOG
         blocks: list[list[np.ndarray]] = []
         offset = 0
         for prediction in self.problem.predict({}, 1):
             time = prediction.log.array("time")[:, 0]
-            number = ((time - time[0]) / BLOCK_SECONDS).astype(int)
-            members: list[list[np.ndarray]] = [[] for _ in range(number.max() + 1)]
+            share = (time - time[0]) / (time[-1] - time[0])
+            number = np.minimum((share * stretches).astype(int), stretches - 1)
+            members: list[list[np.ndarray]] = [[] for _ in range(stretches)]
             for difference in self.loss.differences(prediction).values():
                 rows, columns = difference.shape[1:]
                 index = offset + np.arange(rows * columns).reshape(rows, columns)
@@ -213,3 +254,18 @@ class Identification:
                 offset += rows * columns
             blocks.extend(members)
         return [np.concatenate(block) for block in blocks]
+
+
+def _for_other_conditions(model: RobotModel, names: Sequence[str]) -> dict[str, Estimate]:
+    """Shared values of parameters that were searched under conditions only: the middle of what was found."""
+    result = {}
+    for base in {split_name(name)[0] for name in names} - set(names):
+        estimate = model.estimates[base]
+        found = list(estimate.by.values())
+        result[base] = replace(
+            estimate,
+            value=sum(special.value for special in found) / len(found),
+            low=min(special.value if special.low is None else special.low for special in found),
+            high=max(special.value if special.high is None else special.high for special in found),
+        )
+    return result

@@ -1,4 +1,4 @@
-"""How well the data determine parameters: 90 % intervals from the curvature and the residual's blocks."""
+"""How well the data determine parameters: 90 % intervals by leaving out blocks of the residual."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -10,18 +10,21 @@ from torch import Tensor
 from op3.identify.refine import DIFFERENCE_STEP
 
 
-def sandwich_intervals(
+def jackknife_intervals(
     residuals: Callable[[Tensor], Tensor],
     bounds: Mapping[str, tuple[float, float]],
     values: Mapping[str, float],
     blocks: Sequence[np.ndarray],
     level: float = 0.9,
+    failed_loss: float = np.inf,
 ) -> dict[str, tuple[float, float]]:
-    """Intervals from the cluster-robust covariance of a least-squares estimate.
+    """Intervals from the spread of the estimate when one block of samples after another is left out.
 
-    ``cov = H^-1 (sum_b s_b s_b') H^-1`` with ``H = J'J`` and ``s_b = J_b' r_b`` over blocks b of samples: residuals
-    of one block may be correlated in any way, those of different blocks are taken as independent (White 1980,
-    Liang & Zeger 1986). Student's t with one degree of freedom less than there are blocks; clipped to the bounds.
+    ``d_b = (H - H_b)^-1 s_b`` with ``H = J'J``, ``H_b = J_b'J_b`` and ``s_b = J_b' r_b`` is how far a Gauss-Newton
+    step without block b moves; ``cov = (B - 1)/B sum_b d_b d_b'`` is the cluster jackknife (CR3, Bell & McCaffrey
+    2002), which stays honest with few blocks where the plain sandwich is too narrow. Residuals of one block may be
+    correlated in any way, those of different blocks are taken as independent. Student's t with one degree of freedom
+    less than there are blocks; clipped to the bounds.
 
     Args:
         residuals: points of the unit box ``[candidate, parameter]`` to ``[candidate, residual]``.
@@ -29,6 +32,7 @@ def sandwich_intervals(
         values: the estimate.
         blocks: indices into the residual, one array per block.
         level: coverage.
+        failed_loss: a squared length of the residual that only a diverged simulation has.
 
     Returns:
         Low and high by parameter name. A parameter that the data do not determine gets its whole range.
@@ -45,14 +49,19 @@ def sandwich_intervals(
     result = residuals(torch.from_numpy(points)).numpy()
     size = len(names)
     jacobian = ((result[1 : size + 1] - result[size + 1 :]) / (forward - backward)[:, None]).T
-    scores = np.array([jacobian[block].T @ result[0][block] for block in blocks])
     hessian = jacobian.T @ jacobian
-    # directions that the data do not see at all get a standard deviation of the whole range
-    inverse = np.linalg.pinv(hessian + np.eye(size) * 1e-9 * max(1e-12, np.diag(hessian).max()))
-    covariance = inverse @ (scores.T @ scores) @ inverse
+    ridge = np.eye(size) * 1e-9 * max(1e-12, np.diag(hessian).max())
+    moves = []
+    for block in blocks:
+        part = jacobian[block]
+        moves.append(np.linalg.lstsq(hessian - part.T @ part + ridge, part.T @ result[0][block], rcond=None)[0])
+    covariance = (len(blocks) - 1) / len(blocks) * np.array(moves).T @ np.array(moves)
     quantile = stats.t.ppf(0.5 + level / 2, max(1, len(blocks) - 1))
     half = quantile * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    # a parameter that moves nothing, or whose neighbourhood diverges, is not determined: its interval is the range
     unseen = np.diag(hessian) <= 1e-9 * max(1e-12, np.diag(hessian).max())
+    diverged = np.square(result).sum(1) >= failed_loss
+    unseen |= diverged[0] | diverged[1 : size + 1] | diverged[size + 1 :]
     half = np.where(unseen, 1.0, half)
     lower, upper = np.clip(unit - half, 0.0, 1.0), np.clip(unit + half, 0.0, 1.0)
     return {

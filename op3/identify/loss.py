@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from op3.rollout import LogError
+from op3.rollout import CHANNELS, LogError, Rollout
 from op3.tasks import Prediction
 
 UNIT_WEIGHTS: Mapping[tuple[str, str], float] = {
@@ -44,6 +44,33 @@ class TrajectoryLoss:
     weights: Mapping[tuple[str, str], float] = field(default_factory=lambda: UNIT_WEIGHTS)
     robust_scale: float | None = None
 
+    def __post_init__(self):
+        unknown = [key for key in self.weights if key not in CHANNELS]
+        if unknown or not self.weights:
+            names = ", ".join("/".join(key) for key in UNIT_WEIGHTS)
+            raise ValueError(f"weights: unknown channel {unknown or 'list (empty)'}; weigh channels such as {names}")
+        wrong = {"/".join(key): weight for key, weight in self.weights.items() if not weight >= 0}
+        if wrong:
+            raise ValueError(f"weights must not be negative, got {wrong}")
+        if self.robust_scale is not None and not self.robust_scale > 0:
+            raise ValueError(f"robust_scale must be positive, got {self.robust_scale}; null for squares")
+
+    def columns(self, log: Rollout) -> list[int]:
+        """Places of the focusing joints in a log's joint axis.
+
+        Raises:
+            LogError: if the log does not have one of them.
+        """
+        missing = [joint for joint in self.joints if joint not in log.joints]
+        if missing:
+            raise LogError(
+                f"the log has no joint {', '.join(missing)}",
+                f"focus on some of {', '.join(log.joints)}",
+                source=log.metadata.recording,
+                column="joints",
+            )
+        return [log.joints.index(joint) for joint in self.joints] or list(range(len(log.joints)))
+
     def differences(self, prediction: Prediction) -> dict[tuple[str, str], Tensor]:
         """Simulated minus measured, by channel, ``[candidate, time, joint | axis]``.
 
@@ -51,7 +78,7 @@ class TrajectoryLoss:
             LogError: if the log has none of the weighted channels.
         """
         log = prediction.log
-        columns = [log.joints.index(joint) for joint in self.joints if joint in log.joints]
+        columns = self.columns(log)
         result = {}
         for key in self.weights:
             if key not in log or key not in prediction.channels:
@@ -60,7 +87,7 @@ class TrajectoryLoss:
             measured = torch.from_numpy(log.array(key)[: simulated.shape[1]])
             difference = simulated - measured
             if key[0] == "joint":
-                difference = difference[..., columns] if columns else difference
+                difference = difference[..., columns]
             elif key == ("imu", "orientation"):
                 difference = _wrap(difference[..., :2])
             result[key] = difference
@@ -101,6 +128,10 @@ class TrajectoryLoss:
                 parts.append(torch.where(bad, FAILED_RESIDUAL, self._tamed(difference)).flatten(1) * scale)
         return torch.cat(parts, 1)
 
+    def failed_loss(self, logs: int) -> float:
+        """A loss over so many logs that is reached only if at least one simulation diverged."""
+        return 0.5 * FAILED_RESIDUAL**2 * min(weight for weight in self.weights.values() if weight > 0) / logs
+
     def _tamed(self, difference: Tensor) -> Tensor:
         """Differences whose squares are the loss: themselves, or their pseudo-Huber roots."""
         if self.robust_scale is None:
@@ -110,13 +141,14 @@ class TrajectoryLoss:
         return difference * torch.sqrt(2 * c / (torch.sqrt(difference.square() + c * c) + c))
 
 
-def position_error(predictions: Sequence[Prediction]) -> Tensor:
-    """Mean absolute joint position error [rad] per log, ``[candidate, log]``; NaN where a simulation failed."""
+def position_error(predictions: Sequence[Prediction], joints: Sequence[str] = ()) -> Tensor:
+    """Mean absolute position error [rad] per log over some joints or all, ``[candidate, log]``; NaN where failed."""
+    focus = TrajectoryLoss(joints)
     errors = []
     for prediction in predictions:
         simulated = prediction.channels[("joint", "position")]
         measured = torch.from_numpy(prediction.log.array("joint/position")[: simulated.shape[1]])
-        error = (simulated - measured).abs().mean((1, 2))
+        error = (simulated - measured)[..., focus.columns(prediction.log)].abs().mean((1, 2))
         errors.append(torch.where(prediction.failed, torch.nan, error))
     return torch.stack(errors, 1)
 

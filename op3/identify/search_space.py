@@ -47,7 +47,8 @@ def parse_search_space(params: Mapping[str, Any] | None) -> SearchSpace:
 
     Args:
         params: config key -> range in Hydra's grammar. A nested mapping `{"motor": {"kt": ...}}`
-            means the dotted key `motor.kt`, because that is what a command line override makes.
+            means the dotted key `motor.kt`, because that is what a command line override makes. A range of
+            null takes the key out of the search.
 
     Returns:
         The Optuna distribution of every key, in the order given.
@@ -55,7 +56,7 @@ def parse_search_space(params: Mapping[str, Any] | None) -> SearchSpace:
     Raises:
         SearchSpaceError: if there is no parameter, or a range is not one.
     """
-    flat = _flatten(params or {})
+    flat = {key: text for key, text in _flatten(params or {}).items() if text is not None}
     if not flat:
         raise SearchSpaceError(
             "There is nothing to search: add at least one `<config key>: interval(low, high)` to hydra.sweeper.params."

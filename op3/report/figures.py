@@ -10,6 +10,7 @@ from op3.report.style import INK, MUTED, colours, dress, faded, plain, unit_text
 from op3.report.tables import Bounds, bounded_parameters, number
 from op3.rollout import Rollout
 from op3.servo import Estimate, Parameter, RobotModel
+from op3.servo.conditions import split_name
 
 MOST_DOTS = 3000
 """Single trials drawn per label; of more, every n-th is."""
@@ -101,8 +102,8 @@ def ranges_figure(
     for row, name in enumerate(shown):
         _range_bar(figure, known[name], row)
         for lane, (label, model) in zip(lanes, models.items(), strict=True):
-            if name in model.parameters():
-                estimate = model.estimates.get(name, Estimate(model.value(name)))
+            if split_name(name)[0] in model.parameters():
+                estimate = model.estimate(name)
                 _estimate(figure, known[name], estimate, row + lane, label, colour[label])
     for label in models:
         figure.add_scatter(

@@ -61,33 +61,46 @@ def report_identification(
 
 def _numbers(fit: Fit, ablated: Fit | None, wall_seconds: float, provenance: Mapping[str, Any]) -> dict[str, Any]:
     numbers: dict[str, Any] = {
-        "loss.fit": fit.fit.loss,
+        "loss.fit": _finite(fit.fit.loss),
         "loss.heldout": _loss(fit.heldout),
-        "loss.paper_eq7": fit.fit.paper_eq7,
-        "loss.paper_eq7_heldout": None if fit.heldout is None else fit.heldout.paper_eq7,
-        "error_mrad.train": fit.fit.error_mrad,
-        "error_mrad.heldout": None if fit.heldout is None else fit.heldout.error_mrad,
+        "loss.paper_eq7": _finite(fit.fit.paper_eq7),
+        "loss.paper_eq7_heldout": None if fit.heldout is None else _finite(fit.heldout.paper_eq7),
+        "error_mrad.train": _finite(fit.fit.error_mrad),
+        "error_mrad.heldout": None if fit.heldout is None else _finite(fit.heldout.error_mrad),
         "wall_seconds": wall_seconds,
         "simulated_seconds": fit.simulated_seconds,
+        "diverged_logs": _diverged(fit),
         "trials": len(fit.trials),
         "trials_failed": int(np.isnan(np.asarray(fit.trials, dtype=float)).sum()),
     }
     if ablated is not None:
         suffix = ablated.label.replace(" ", "_").replace(",", "").lower()
         numbers |= {
-            f"loss.fit_{suffix}": ablated.fit.loss,
+            f"loss.fit_{suffix}": _finite(ablated.fit.loss),
             f"loss.heldout_{suffix}": _loss(ablated.heldout),
-            f"loss.paper_eq7_{suffix}": ablated.fit.paper_eq7,
-            f"error_mrad.train_{suffix}": ablated.fit.error_mrad,
-            f"error_mrad.heldout_{suffix}": None if ablated.heldout is None else ablated.heldout.error_mrad,
+            f"loss.paper_eq7_{suffix}": _finite(ablated.fit.paper_eq7),
+            f"error_mrad.train_{suffix}": _finite(ablated.fit.error_mrad),
+            f"error_mrad.heldout_{suffix}": None if ablated.heldout is None else _finite(ablated.heldout.error_mrad),
+            f"simulated_seconds_{suffix}": ablated.simulated_seconds,
         }
-    numbers["parameters"] = {name: fit.model.estimates[name] for name in fit.found}
+    numbers["parameters"] = {name: fit.model.estimate(name) for name in fit.found}
     numbers["provenance"] = provenance
     return numbers
 
 
 def _loss(score: Score | None) -> float | None:
-    return None if score is None else score.loss
+    return None if score is None else _finite(score.loss)
+
+
+def _finite(value: float) -> float | None:
+    """A number of ``result.yaml``: None where a simulation diverged, which `diverged_logs` then names."""
+    return value if np.isfinite(value) else None
+
+
+def _diverged(fit: Fit) -> list[str]:
+    scores = [fit.fit] + ([fit.heldout] if fit.heldout else [])
+    logs = [p.log for score in scores for p in score.predictions if bool(p.failed.any())]
+    return [log.metadata.recording or log.metadata.motion or "log" for log in logs]
 
 
 def _lead(fit: Fit, ablated: Fit | None) -> str:

@@ -29,7 +29,7 @@ def colours(labels: Sequence[str]) -> dict[str, str]:
 
 def words(name: str) -> str:
     """A name as people say it: ``l_ank_pitch`` becomes ``left ankle pitch``."""
-    parts = name.split("_")
+    parts = name.replace("@", " at ").split("_")
     return " ".join(_WORDS.get(part, part) for part in parts)
 
 

@@ -8,7 +8,8 @@ from typing import Any
 from op3.report.style import unit_text, words
 from op3.rollout import CHANNELS
 from op3.rollout.schema import normal_key
-from op3.servo import Estimate, Parameter, RobotModel
+from op3.servo import Parameter, RobotModel
+from op3.servo.conditions import split_name
 
 Cell = str | int | float | bool | None
 TableRows = tuple[list[str], list[list[Cell]]]
@@ -43,8 +44,9 @@ def bounded_parameters(models: Mapping[str, RobotModel], bounds: Bounds | None =
     """The parameters of all models by name, with the ranges that were searched where they are not the catalogue's."""
     known = {name: p for model in models.values() for name, p in model.parameters().items()}
     for name, (low, high) in (bounds or {}).items():
-        if name in known:
-            known[name] = replace(known[name], low=low, high=high)
+        base, _ = split_name(name)
+        if base in known:
+            known[name] = replace(known[base], name=name, low=low, high=high)
     return known
 
 
@@ -68,8 +70,7 @@ def parameter_table(
         p = known[name]
         row: list[Cell] = [words(name), unit_text(p.unit), p.low, p.high, p.nominal]
         for label, model in models.items():
-            has = name in model.parameters()
-            estimate = model.estimates.get(name, Estimate(model.value(name))) if has else None
+            estimate = model.estimate(name) if split_name(name)[0] in model.parameters() else None
             row.append(None if estimate is None else estimate.value)
             if intervals[label]:
                 row += [None, None] if estimate is None else [estimate.low, estimate.high]

@@ -20,11 +20,13 @@ class Stage(IntEnum):
     COMMAND = 1
     TRANSPORT = 2
     CONTROLLER = 3
-    MOTOR = 4
-    GEAR = 5
-    FRICTION = 6
-    BODY = 7
-    GROUND = 8
+    DRIVER = 4
+    MOTOR = 5
+    GEAR = 6
+    FRICTION = 7
+    LOAD = 8
+    BODY = 9
+    GROUND = 10
 
 
 @dataclass(frozen=True)
@@ -58,17 +60,19 @@ class ModelEdit:
 
     Attributes:
         field: name of the ``mjModel`` array, for example ``dof_armature``.
-        target: which rows: the servo joints' degrees of freedom, or the robot's base body.
+        target: which rows: the servo joints' degrees of freedom, the bodies that they move, or the robot's base body.
         operation: whether the parameter replaces the compiled value or adds to it.
         parameter: name of the parameter whose value is written.
-        column: second index of the field, for example 0 for x of ``body_ipos``.
+        column: second index of the field, for example 0 for x of ``body_ipos``; None writes all columns.
+        per: name of a second array, whose rows multiply the value, for example ``body_mass``.
     """
 
     field: str
-    target: Literal["joint_dof", "base_body"]
+    target: Literal["joint_dof", "joint_body", "base_body"]
     operation: Literal["set", "add"]
     parameter: str
     column: int | None = None
+    per: str | None = None
 
 
 @dataclass
@@ -84,6 +88,7 @@ class Signals:
     velocity: Tensor  # [rad/s]
     speed: Tensor  # |velocity| [rad/s]
     load_torque: Tensor  # tau_a [N m]
+    radial_force: Tensor  # across the output shaft [N]; filled only where an effect reads it
     # commands, held until the next tick
     position_target: Tensor  # [rad]
     p_gain: Tensor  # [A/rad]
@@ -98,10 +103,13 @@ class Signals:
     # what reaches the servo, and what its driver applies
     target_current: Tensor  # [A]
     goal: Tensor  # of the servo's own position loop [rad]
+    duty: Tensor  # what the PWM register says, -1 to 1
     voltage: Tensor  # [V]
     # motor stage
     current: Tensor  # [A]
     motor_torque: Tensor  # tau_m at the old velocity [N m]
+    # friction stage
+    fade: Tensor  # share of the friction near rest that is left at this speed; 1 without a Stribeck effect
     # to MuJoCo
     applied_torque: Tensor  # at the old velocity [N m]
     damping: Tensor  # minus its derivative by velocity, to be integrated implicitly [N m s/rad]
@@ -133,6 +141,8 @@ class Effect:
         source: where the law comes from.
         parameters: its numbers.
         edits: what it changes in the MuJoCo model.
+        reads: signals that simulations fill only where an effect asks for them.
+        commands: inputs of `Signals` without which it cannot act.
     """
 
     name: ClassVar[str]
@@ -141,6 +151,8 @@ class Effect:
     source: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     edits: ClassVar[tuple[ModelEdit, ...]] = ()
+    reads: ClassVar[tuple[str, ...]] = ()
+    commands: ClassVar[tuple[str, ...]] = ()
 
     def prepare(self, values: Mapping[str, Tensor], timestep: float) -> Prepared:
         """Constants of a step, computed once whenever parameters change.

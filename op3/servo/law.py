@@ -83,18 +83,17 @@ def dte_passive_loss(motor_torque: Tensor, load_torque: Tensor, forward_loss: Te
     return torch.where(motor_leads, forward_loss * motor, backward_loss * load)
 
 
-def stribeck_friction(speed: Tensor, static_excess: Tensor, stribeck_velocity: Tensor) -> Tensor:
-    """The part of the friction bound [N m] that fades with speed, paper eq. (4): ``(fs - fc) exp(-|w| / w_s)``.
+def stribeck_fade(speed: Tensor, stribeck_velocity: Tensor) -> Tensor:
+    """Share of the friction near rest that is left at a speed, paper eq. (4): ``exp(-|w| / w_s)``.
 
     The paper prints ``s = exp(|w|) / w_static``, which grows without bound; the decaying exponential of the
     Stribeck function is meant.
 
     Args:
         speed: ``|w|`` [rad/s], ``[sim, joint]``.
-        static_excess: ``fs - fc`` [N m].
         stribeck_velocity: w_static [rad/s].
     """
-    return static_excess * torch.exp(-speed / stribeck_velocity)
+    return torch.exp(-speed / stribeck_velocity)
 
 
 def position_duty(
@@ -110,6 +109,55 @@ def position_duty(
         max_duty: largest duty the firmware uses.
     """
     return torch.clamp(duty_gain * error + derivative_gain * error_rate, -max_duty, max_duty)
+
+
+def lifted_voltage(voltage: Tensor, bus_voltage: Tensor, lift: Tensor, fade: Tensor) -> Tensor:
+    """Voltage [V] of a driver that adds to small duties: ``V + V_bus d0 sign(V) (1 - exp(-|V| / (V_bus d1)))``.
+
+    Zero stays zero, duties far above d1 are raised by d0, and the bus voltage bounds the whole.
+
+    Args:
+        voltage: as the controller asks [V], ``[sim, joint]``.
+        bus_voltage: [V].
+        lift: d0, as a duty.
+        fade: duty d1 over which the lift sets in.
+    """
+    raised = voltage + torch.sign(voltage) * bus_voltage * lift * -torch.expm1(-voltage.abs() / (bus_voltage * fade))
+    return torch.clamp(raised, -bus_voltage, bus_voltage)
+
+
+def load_friction(motor_torque: Tensor, load_torque: Tensor, motor_share: Tensor, load_share: Tensor) -> Tensor:
+    """Friction bound [N m] in proportion to the torque that the gear passes on: ``|lm tau_m - le tau_a|``.
+
+    Equal shares give the load-dependent friction of a gear box, ``l |tau_m - tau_a|``: torques that oppose each
+    other press the teeth together. Duclusaud et al. (2024), models M3 to M5.
+
+    Args:
+        motor_torque: tau_m, joint side [N m], ``[sim, joint]``.
+        load_torque: tau_a [N m].
+        motor_share: lm.
+        load_share: le.
+    """
+    return (motor_share * motor_torque - load_share * load_torque).abs()
+
+
+def antagonistic_friction(
+    motor_torque: Tensor, load_torque: Tensor, motor_square: Tensor, load_square: Tensor
+) -> Tensor:
+    """Friction bound [N m] that grows with the square of the weaker torque where motor and load oppose each other.
+
+    ``qe tau_a^2`` where the motor is the stronger, ``qm tau_m^2`` where the load is; zero where both torques point
+    the same way. Duclusaud et al. (2024), model M6.
+
+    Args:
+        motor_torque: tau_m, joint side [N m], ``[sim, joint]``.
+        load_torque: tau_a [N m].
+        motor_square: qm [1/(N m)].
+        load_square: qe [1/(N m)].
+    """
+    motor_leads = motor_torque.abs() > load_torque.abs()
+    square = torch.where(motor_leads, load_square * load_torque.square(), motor_square * motor_torque.square())
+    return torch.where(motor_torque * load_torque < 0, square, 0.0)
 
 
 def delay_weights(latency: Tensor, timestep: float, period: float, depth: int) -> Tensor:

@@ -7,24 +7,27 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from op3.servo.conditions import Condition, split_name
 from op3.servo.effect import Effect, Parameter, in_stage_order, parameter
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter's value with its 90 % interval, and the joints in which it differs.
+    """A parameter's value with its 90 % interval, and the joints and conditions in which it differs.
 
     Attributes:
         value: shared by all joints that `joints` does not name, in the parameter's unit.
         low: lower end of the interval; None where no data has bounded it.
         high: upper end of the interval.
         joints: value per joint name, where it differs.
+        by: estimates that hold for logs of one condition only, see `op3.servo.conditions`.
     """
 
     value: float
     low: float | None = None
     high: float | None = None
     joints: Mapping[str, float] = field(default_factory=dict)
+    by: Mapping[Condition, "Estimate"] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,30 @@ class RobotModel:
             raise ValueError(f"no parameter {name!r} in this model; it has {', '.join(known)}")
         return self.estimates[name].value if name in self.estimates else known[name].nominal
 
+    def estimate(self, name: str) -> Estimate:
+        """A parameter's estimate, its nominal value where it has none; `name` may carry a condition.
+
+        Raises:
+            ValueError: if no effect that is on has this parameter.
+        """
+        base, condition = split_name(name)
+        shared = self.estimates.get(base, Estimate(self.value(base)))
+        return shared if condition is None else shared.by.get(condition, shared)
+
+    def under(self, metadata: Mapping[str, Any]) -> "RobotModel":
+        """This model as it is for a log with these metadata, by field: conditional values that hold become shared.
+
+        Raises:
+            ValueError: if a condition names a field that there is not.
+        """
+        held = {
+            name: special
+            for name, estimate in self.estimates.items()
+            for condition, special in estimate.by.items()
+            if condition.holds(metadata)
+        }
+        return self.with_values(held) if held else self
+
     def tensors(self, joints: Sequence[str]) -> dict[str, Tensor]:
         """All parameter values, each ``[1, joint]`` (``[1, 1]`` for one of the whole robot), float64.
 
@@ -102,10 +129,15 @@ class RobotModel:
         return values
 
     def with_values(self, values: Mapping[str, float | Estimate]) -> "RobotModel":
-        """This model with other parameter values; a plain number replaces a shared value."""
+        """This model with other parameter values; a plain number replaces a shared value, or that of a condition."""
         estimates = dict(self.estimates)
         for name, value in values.items():
-            estimates[name] = value if isinstance(value, Estimate) else Estimate(float(value))
+            base, condition = split_name(name)
+            made = value if isinstance(value, Estimate) else Estimate(float(value))
+            if condition is not None:
+                shared = estimates.get(base, Estimate(self.value(base)))
+                made = replace(shared, by={**shared.by, condition: made})
+            estimates[base] = made
         return replace(self, estimates=estimates)
 
     def with_effect(self, effect: Effect, values: Mapping[str, float | Estimate] | None = None) -> "RobotModel":

@@ -30,6 +30,11 @@ class ServoLaw:
         self._sensing = [e for e in acting if e.stage == Stage.SENSING]
         self._acting = [e for e in acting if e.stage != Stage.SENSING]
         self._prepared: dict[str, Prepared] = {}
+        self._reads_fade = self.reads("fade")
+
+    def reads(self, signal: str) -> bool:
+        """Whether an effect reads this signal, so that the simulation must fill it."""
+        return any(signal in effect.reads for effect in self.effects)
 
     def set_parameters(self, values: Mapping[str, Tensor]) -> None:
         """Take parameter values, each broadcastable to ``[sim, joint]``, by name.
@@ -69,6 +74,8 @@ class ServoLaw:
             self.sense(signals)
         signals.speed = signals.velocity.abs()
         signals.friction_bound = torch.zeros_like(signals.speed)
+        if self._reads_fade:
+            signals.fade = torch.ones_like(signals.speed)
         for effect in self._acting:
             effect.apply(signals, self._prepared[effect.name])
         signals.phase += 1

@@ -70,6 +70,7 @@ class BatchSimulation:
         self._fields = {name: np.array(value, dtype=np.float64) for name, value in (fields or {}).items()}
         self.law = ServoLaw(model.effects, self.timestep)
         self.signals = Signals.zeros(num_sims, len(joints))
+        self._reads_force = self.law.reads("radial_force")
         self.signals.bus_voltage.fill_(model.bus_voltage)
         self.signals.torque_enable.fill_(1.0)
         self.failed = torch.zeros(num_sims, dtype=torch.bool)
@@ -206,6 +207,9 @@ class BatchSimulation:
         self.signals.position = self._qpos[:, self.ports.qpos]
         self.signals.velocity = self._qvel[:, self.ports.dof]
         self.signals.load_torque = -self._sensors[:, self.ports.transmitted]
+        if self._reads_force:
+            force = self.ports.force
+            self.signals.radial_force = torch.hypot(self._sensors[:, force], self._sensors[:, force + 1])
 
     def _note_failures(self) -> None:
         # MuJoCo resets a diverging state and zeroes NaN controls without an exception; only its warning

@@ -44,11 +44,17 @@ def edited_fields(
                 edited[edit.field] = np.repeat(compiled[None], num_sims, axis=0)
             value = values[edit.parameter].numpy()
             if edit.target == "joint_dof":
-                rows = (slice(None), ports.dof)
+                rows = ports.dof
+            elif edit.target == "joint_body":
+                rows = ports.body
             elif base_body < 0:
                 raise ValueError(f"effect {effect.name!r} changes the base body, but this scene has none")
             else:
-                rows, value = (slice(None), base_body), value[:, 0]
-            where = rows if edit.column is None else (*rows, edit.column)
+                rows, value = base_body, value[:, 0]
+            if edit.per is not None:
+                value = value * edited.get(edit.per, np.asarray(getattr(model, edit.per))[None])[:, rows]
+            if edit.column is None and edited[edit.field].ndim > 2:
+                value = value[..., None]
+            where = (slice(None), rows) if edit.column is None else (slice(None), rows, edit.column)
             edited[edit.field][where] = value if edit.operation == "set" else edited[edit.field][where] + value
     return edited

@@ -113,3 +113,7 @@ class GearedServo:
         self.signals.position = torch.from_numpy(data.qpos[self.ports.qpos])[None]
         self.signals.velocity = torch.from_numpy(data.qvel[self.ports.dof])[None]
         self.signals.load_torque = -torch.from_numpy(data.sensordata[self.ports.transmitted])[None]
+        if self.law.reads("radial_force"):
+            force = self.ports.force
+            across = np.hypot(data.sensordata[force], data.sensordata[force + 1])
+            self.signals.radial_force = torch.from_numpy(across)[None]

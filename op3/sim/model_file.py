@@ -8,6 +8,7 @@ from typing import Any
 import yaml
 
 from op3.servo import Estimate, RobotModel, effect_class
+from op3.servo.conditions import split_name
 
 FORMAT = "op3-model/1"
 
@@ -159,7 +160,7 @@ def _effect_from_plain(name: str, body: Mapping[str, Any]) -> tuple[Any, dict[st
 
 
 def _estimate_to_plain(estimate: Estimate) -> Any:
-    if estimate.low is None and estimate.high is None and not estimate.joints:
+    if estimate.low is None and estimate.high is None and not estimate.joints and not estimate.by:
         return estimate.value
     plain: dict[str, Any] = {"value": estimate.value}
     if estimate.low is not None:
@@ -168,21 +169,25 @@ def _estimate_to_plain(estimate: Estimate) -> Any:
         plain["high"] = estimate.high
     if estimate.joints:
         plain["joints"] = dict(estimate.joints)
+    if estimate.by:
+        plain["by"] = {str(condition): _estimate_to_plain(special) for condition, special in estimate.by.items()}
     return plain
 
 
 def _estimate_from_plain(where: str, value: Any) -> Estimate:
     if not isinstance(value, Mapping):
         return Estimate(_number(where, value))
-    unknown = set(value) - {"value", "low", "high", "joints"}
+    unknown = set(value) - {"value", "low", "high", "joints", "by"}
     if unknown or "value" not in value:
-        raise ValueError(f"`{where}` must be a number or hold value, low, high, joints; got {dict(value)!r}")
+        raise ValueError(f"`{where}` must be a number or hold value, low, high, joints, by; got {dict(value)!r}")
     joints = value.get("joints") or {}
+    special = {f"{where}@{condition}": v for condition, v in (value.get("by") or {}).items()}
     return Estimate(
         value=_number(where, value["value"]),
         low=None if value.get("low") is None else _number(f"{where}.low", value["low"]),
         high=None if value.get("high") is None else _number(f"{where}.high", value["high"]),
         joints={str(j): _number(f"{where}.joints.{j}", v) for j, v in joints.items()},
+        by={c: _estimate_from_plain(name, v) for name, v in special.items() if (c := split_name(name)[1])},
     )
 
 

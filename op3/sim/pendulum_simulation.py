@@ -13,17 +13,21 @@ import torch
 from torch import Tensor
 
 from op3.servo import RobotModel, ServoLaw, Signals
+from op3.servo.effects import LinkInertia, Motor
 from op3.sim.inputs import expand_parameters, set_commands
 
 GRAVITY = 9.81
 """[m/s2], as in the scenes."""
 
+ROTOR, LINK = Motor.edits[0], LinkInertia.edits[0]
+"""The changes to a MuJoCo model that mean something here: of the rotor's inertia and of the link's."""
+
 
 class PendulumSimulation:
     """Pendulums with the interface of `op3.sim.BatchSimulation`; all tensors are ``[sim, 1]``.
 
-    ``(m l^2 + J_r + h D) dw = h (tau - m g l sin q - friction)`` per step ``h``, with rotor inertia ``J_r`` and the
-    motor's implicit damping ``D``; then ``q += h w``.
+    ``(J_l + J_r + h D) dw = h (tau - m g l sin q - friction)`` per step ``h``, with the link's inertia
+    ``J_l = m l^2 + m k^2``, the rotor's ``J_r`` and the motor's implicit damping ``D``; then ``q += h w``.
 
     Args:
         model: effects and parameter values; effects of trunk or floor have no meaning here.
@@ -32,21 +36,26 @@ class PendulumSimulation:
         timestep: simulation step [s]; the control period is the same.
 
     Raises:
-        ValueError: if the model has an effect that edits a robot's base.
+        ValueError: if the model has an effect that changes what a bench does not have.
     """
 
     joint_names = ("servo",)
 
     def __init__(self, model: RobotModel, mass: Tensor, length: Tensor, *, timestep: float = 0.001):
         for effect in model.effects:
-            if any(edit.target == "base_body" for edit in effect.edits):
-                raise ValueError(f"effect {effect.name!r} changes the base body, but a bench has none")
+            for edit in effect.edits:
+                if edit not in (ROTOR, LINK):
+                    raise ValueError(
+                        f"effect {effect.name!r} changes {edit.field} of {edit.target}, but a bench has no such thing;"
+                        " leave the effect out"
+                    )
         self.model = model
         self.timestep = timestep
         self.num_sims = len(mass)
-        self._inertia = (mass * length**2).view(-1, 1)
-        self._moment = (mass * GRAVITY * length).view(-1, 1)
+        self._mass, self._length = mass.view(-1, 1), length.view(-1, 1)
+        self._moment = self._mass * GRAVITY * self._length
         self.law = ServoLaw(model.effects, timestep)
+        self._reads_force = self.law.reads("radial_force")
         self.signals = Signals.zeros(self.num_sims, 1)
         self.signals.bus_voltage.fill_(model.bus_voltage)
         self.signals.torque_enable.fill_(1.0)
@@ -57,8 +66,10 @@ class PendulumSimulation:
         """Give parameters per simulation, as `op3.sim.BatchSimulation.set_parameters` does."""
         self.parameters = expand_parameters(self.model, self.joint_names, values, self.num_sims)
         self.law.set_parameters(self.parameters)
-        rotor = self.parameters.get("armature", torch.zeros(self.num_sims, 1, dtype=torch.float64))
-        self._total = self._inertia + rotor
+        none = torch.zeros(self.num_sims, 1, dtype=torch.float64)
+        gyration_squared = self.parameters.get(LINK.parameter, none)
+        self._inertia = self._mass * self._length**2 + self._mass * gyration_squared
+        self._total = self._inertia + self.parameters.get(ROTOR.parameter, none)
 
     def reset(
         self, position: Any, commands: Mapping[str, Any] | None = None, velocity: Any = 0.0, *, measured: bool = False
@@ -74,6 +85,7 @@ class PendulumSimulation:
                 self.law.sense(signals)
                 signals.position = signals.position + reading - signals.measured_position
         signals.load_torque = -self._moment * torch.sin(signals.position)
+        signals.radial_force = (self._mass * GRAVITY).expand_as(zeros)
         signals.position_target = signals.position.clone()
         set_commands(signals, commands or {})
         signals.current = zeros
@@ -96,9 +108,19 @@ class PendulumSimulation:
         speed = (free.abs() - step * signals.friction_bound / inertia).clamp(min=0.0)
         velocity = torch.copysign(speed, free)
         # what the output transmits moves the link against gravity; the load on the servo is its reaction
-        signals.load_torque = gravity - self._inertia * (velocity - signals.velocity) / step
+        acceleration = (velocity - signals.velocity) / step
+        signals.load_torque = gravity - self._inertia * acceleration
+        if self._reads_force:
+            signals.radial_force = self._force(acceleration)
         signals.velocity = velocity
         signals.position = signals.position + step * velocity
+
+    def _force(self, acceleration: Tensor) -> Tensor:
+        """What the shaft bears [N]: the weight's acceleration along the arm and across it, less gravity's."""
+        signals = self.signals
+        along = GRAVITY * torch.cos(signals.position) + self._length * signals.velocity.square()
+        across = GRAVITY * torch.sin(signals.position) + self._length * acceleration
+        return self._mass * torch.hypot(along, across)
 
     def measure(self) -> dict[tuple[str, str], Tensor]:
         """What the servo's sensors say now: channels of the log, ``[sim, 1]``."""
@@ -109,5 +131,5 @@ class PendulumSimulation:
             ("joint", "position"): signals.measured_position.clone(),
             ("joint", "velocity"): signals.measured_velocity.clone(),
             ("joint", "current"): signals.current.clone(),
-            ("joint", "duty"): signals.voltage / signals.bus_voltage,
+            ("joint", "duty"): signals.duty * signals.torque_enable,
         }

@@ -8,17 +8,17 @@ import mujoco
 import numpy as np
 
 # Friction as a constraint creeps and can push along the motion with MuJoCo's defaults; a stiff, nearly hard
-# constraint does neither at 1 ms (tests/sim/test_friction.py measures both).
+# constraint does neither at 1 ms (tests/sim/test_servo_physics.py measures both).
 SOLREF_FRICTION = (0.002, 1.0)
 SOLIMP_FRICTION = (0.99, 0.99, 0.001)
 
 
 def attach_servos(joints: Sequence[Any]) -> None:
-    """Give every hinge a motor and a sensor of the moment it transmits to its child link.
+    """Give every hinge a motor, and sensors of the moment and the force it transmits to its child link.
 
     Adds to each joint a motor actuator ``<joint>_servo`` (its control is the torque [N m]), and to the child
-    body a site whose z axis is the joint axis with a torque sensor ``<joint>_transmitted``; sets the solver
-    parameters of the joint's friction. Attach before compiling, once.
+    body a site whose z axis is the joint axis with a torque sensor ``<joint>_transmitted`` and a force sensor
+    ``<joint>_force``; sets the solver parameters of the joint's friction. Attach before compiling, once.
 
     Args:
         joints: dm_control MJCF elements of hinge joints.
@@ -26,6 +26,7 @@ def attach_servos(joints: Sequence[Any]) -> None:
     Raises:
         ValueError: if a joint is not a hinge.
     """
+    sites = []
     for joint in joints:
         kind = joint.type or "hinge"
         if kind != "hinge":
@@ -36,7 +37,11 @@ def attach_servos(joints: Sequence[Any]) -> None:
         joint.root.actuator.add("motor", name=f"{joint.name}_servo", joint=joint)
         position = (0.0, 0.0, 0.0) if joint.pos is None else joint.pos
         site = joint.parent.add("site", name=f"{joint.name}_output", pos=position, zaxis=axis, group=4)
+        sites.append(site)
         joint.root.sensor.add("torque", name=f"{joint.name}_transmitted", site=site)
+    # behind all torque sensors, so that those stay one block
+    for joint, site in zip(joints, sites, strict=True):
+        joint.root.sensor.add("force", name=f"{joint.name}_force", site=site)
 
 
 @dataclass(frozen=True)
@@ -51,6 +56,9 @@ class ServoPorts:
         transmitted: positions in ``sensordata`` of the moment about the joint axis that the servo's output
             transmits to the child link; it equals motor torque plus the joint's own friction minus armature
             times acceleration.
+        body: ids of the bodies that the joints move.
+        force: positions in ``sensordata`` of the first component across the axis of the force on the child link; the
+            second follows it.
     """
 
     joints: tuple[str, ...]
@@ -58,6 +66,8 @@ class ServoPorts:
     dof: slice | np.ndarray
     ctrl: slice | np.ndarray
     transmitted: slice | np.ndarray
+    body: np.ndarray
+    force: np.ndarray
 
     @classmethod
     def find(cls, model: mujoco.MjModel, joints: Sequence[str]) -> "ServoPorts":
@@ -69,12 +79,15 @@ class ServoPorts:
         ids = [_id(model, mujoco.mjtObj.mjOBJ_JOINT, name) for name in joints]
         actuators = [_id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, f"{name}_servo") for name in joints]
         sensors = [_id(model, mujoco.mjtObj.mjOBJ_SENSOR, f"{name}_transmitted") for name in joints]
+        forces = [_id(model, mujoco.mjtObj.mjOBJ_SENSOR, f"{name}_force") for name in joints]
         return cls(
             joints=tuple(joints),
             qpos=_compact(model.jnt_qposadr[ids]),
             dof=_compact(model.jnt_dofadr[ids]),
             ctrl=_compact(np.asarray(actuators)),
             transmitted=_compact(model.sensor_adr[sensors] + 2),
+            body=model.jnt_bodyid[ids],
+            force=model.sensor_adr[forces],
         )
 
 

@@ -8,9 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from op3.rollout import Rollout
+from op3.rollout import LogError, Rollout
 from op3.servo import RobotModel
-from op3.tasks.setups import Setup
+from op3.tasks.conditions import parameters_per_log
+from op3.tasks.setups import BENCH_CONTROL_PERIOD, Setup
 
 COMMAND_CHANNELS = {
     ("command", "position"): "position_target",
@@ -53,6 +54,7 @@ class Replay:
         record_period: time between recorded samples [s], a multiple of the control period; by default 8 ms on
             the robot and 5 ms on the bench. Predictions are interpolated to the logs' times.
         duration: replay no more than this [s].
+        bench_timestep: simulation step of bench logs [s].
     """
 
     def __init__(
@@ -62,6 +64,7 @@ class Replay:
         settle: float = 0.2,
         record_period: float | None = None,
         duration: float | None = None,
+        bench_timestep: float = BENCH_CONTROL_PERIOD,
     ):
         if not logs:
             raise ValueError("there is nothing to replay: give at least one log")
@@ -69,7 +72,7 @@ class Replay:
         self._groups: list[_Group] = []
         order = sorted(range(len(logs)), key=lambda i: logs[i].metadata.mount)
         for mount, members in groupby(order, key=lambda i: logs[i].metadata.mount):
-            self._groups.append(_Group(list(members), logs, mount, settle, record_period, duration))
+            self._groups.append(_Group(list(members), logs, mount, settle, record_period, duration, bench_timestep))
 
     @property
     def seconds(self) -> float:
@@ -87,7 +90,7 @@ class Replay:
 
         Args:
             model: effects, and values for parameters that are not given.
-            parameters: by name, ``[candidate]`` or ``[candidate, joint]``.
+            parameters: by name, which may carry a condition: ``[candidate]`` or ``[candidate, joint]``.
             candidates: number of parameter sets.
             progress: called with the share done, 0 to 1.
 
@@ -103,10 +106,10 @@ class Replay:
 class _Group:
     """Logs of one mount, padded to one length."""
 
-    def __init__(self, members, logs, mount, settle, record_period, duration):
+    def __init__(self, members, logs, mount, settle, record_period, duration, bench_timestep):
         self.members = members
         self.logs = [logs[i] for i in members]
-        self.setup = Setup.of_mount(mount)
+        self.setup = Setup.of_mount(mount, bench_timestep)
         self.period = self.setup.control_period
         default = self.period if self.setup.base_body else 0.005
         self.every = max(1, round((record_period or default) / self.period))
@@ -125,24 +128,55 @@ class _Group:
         return (self.ticks + self.settle) * self.period * len(self.logs)
 
     def _commands(self) -> dict[str, Tensor]:
-        """Commands in force at every tick, ``[tick, log, joint]``; constant ones as ``[1, log, joint]``."""
+        """Commands in force at every tick, ``[tick, log, joint]``; constant ones as ``[1, log, joint]``.
+
+        What a log does not have is NaN here: the model's own value takes its place, or the replay is refused.
+        """
         at = np.arange(self.ticks) * self.period
         commands = {}
         for channel, name in COMMAND_CHANNELS.items():
-            if not all(channel in log for log in self.logs):
-                continue
             held = []
             for log, time in zip(self.logs, self.times, strict=True):
-                # the row at or before the tick; half a step of tolerance absorbs rounding of time stamps
-                row = np.clip(np.searchsorted(time, at + 0.5e-3 * self.period, side="right") - 1, 0, len(time) - 1)
-                held.append(log.array(channel)[row])
+                if channel in log:
+                    # a command counts from the tick nearest to its stamp: a jittering clock does not cost a tick
+                    near = at + 0.5 * min(self.period, float(np.median(np.diff(time))))
+                    row = np.clip(np.searchsorted(time, near, side="right") - 1, 0, len(time) - 1)
+                    held.append(log.array(channel)[row])
+                else:
+                    held.append(np.full((self.ticks, len(log.joints)), _fallback(name, log)))
             tensor = torch.from_numpy(np.stack(held, axis=1))
-            commands[name] = tensor[:1] if (tensor == tensor[:1]).all() else tensor
+            constant = ((tensor == tensor[:1]) | tensor.isnan()).all()
+            commands[name] = tensor[:1] if constant else tensor
         return commands
 
-    def _held(self, tick: int, candidates: int, constants: bool) -> dict[str, Tensor]:
-        result = {}
+    def _complete(self, model: RobotModel) -> dict[str, Tensor]:
+        """The commands with the model's values where logs have none.
+
+        Raises:
+            LogError: if a log lacks a command that the model's servos need.
+        """
+        needed = {name for effect in model.effects for name in effect.commands}
+        complete = {}
         for name, values in self.commands.items():
+            absent = values[0].isnan().any(-1)
+            if name in needed and absent.any():
+                log = self.logs[int(absent.nonzero()[0, 0])]
+                channel = next("/".join(key) for key, command in COMMAND_CHANNELS.items() if command == name)
+                raise LogError(
+                    f"the log has no {channel}, which the model's servos need",
+                    "record it, or choose a model of the servo that was recorded",
+                    source=log.metadata.recording,
+                    column=channel,
+                )
+            if name == "bus_voltage":
+                values = torch.where(values.isnan(), model.bus_voltage, values)
+            if not values.isnan().any():
+                complete[name] = values
+        return complete
+
+    def _held(self, commands: Mapping[str, Tensor], tick: int, candidates: int, constants: bool) -> dict[str, Tensor]:
+        result = {}
+        for name, values in commands.items():
             if constants or len(values) > 1:
                 row = values[min(tick, len(values) - 1)]
                 result[name] = row.expand(candidates, *row.shape).reshape(-1, row.shape[-1])
@@ -150,11 +184,10 @@ class _Group:
 
     def run(self, model, parameters, candidates, progress) -> dict[int, Prediction]:
         simulation = self.setup.simulation(model, self.logs, candidates)
-        simulation.set_parameters(
-            {name: _per_log(value, candidates, len(self.logs)) for name, value in parameters.items()}
-        )
+        simulation.set_parameters(parameters_per_log(model, parameters, self.logs, candidates))
         qpos = np.tile(self.qpos, (candidates, 1))
-        simulation.reset(qpos, self._held(0, candidates, constants=True), measured=True)
+        commands = self._complete(model)
+        simulation.reset(qpos, self._held(commands, 0, candidates, constants=True), measured=True)
         for _ in range(self.settle):
             simulation.advance()
         samples: list[dict] = []
@@ -163,7 +196,7 @@ class _Group:
                 samples.append(simulation.measure())
                 if progress is not None and len(samples) % 25 == 0:
                     progress(tick / self.ticks)
-            simulation.command(**self._held(tick, candidates, constants=False))
+            simulation.command(**self._held(commands, tick, candidates, constants=False))
             simulation.advance()
         samples.append(simulation.measure())
         return self._predictions(simulation, samples, candidates)
@@ -184,14 +217,13 @@ class _Group:
         return predictions
 
 
-def _per_log(value: Tensor, candidates: int, logs: int) -> Tensor:
-    """``[candidate, ...]`` repeated so that each candidate's logs have its value, ``[candidate * log, ...]``."""
-    value = torch.as_tensor(value, dtype=torch.float64)
-    if value.ndim == 0:
-        return value
-    if len(value) != candidates:
-        raise ValueError(f"a parameter must have one value per candidate ({candidates}), got {len(value)}")
-    return value.repeat_interleave(logs, dim=0)
+def _fallback(command: str, log: Rollout) -> float:
+    """What a command was where the log has no channel for it; NaN where only the model can tell."""
+    if command == "torque_enable":
+        return 1.0
+    if command == "bus_voltage" and log.metadata.battery is not None:
+        return log.metadata.battery
+    return float("nan")
 
 
 def _interpolate(values: Tensor, recorded: np.ndarray, time: np.ndarray) -> Tensor:

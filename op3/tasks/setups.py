@@ -39,8 +39,13 @@ class Setup:
     control_period: float
 
     @classmethod
-    def of_mount(cls, mount: str) -> "Setup":
-        """The setup for logs of this mount: ``floor``, ``stand`` or ``pendulum``."""
+    def of_mount(cls, mount: str, bench_timestep: float = BENCH_CONTROL_PERIOD) -> "Setup":
+        """The setup for logs of this mount.
+
+        Args:
+            mount: ``floor``, ``stand`` or ``pendulum``.
+            bench_timestep: simulation step of a pendulum, and cycle of its servo's position loop [s].
+        """
         scene = build_bench() if mount == "pendulum" else build_scene(mount)
         attach_servos(scene.joints)
         robot = scene.robot
@@ -49,7 +54,7 @@ class Setup:
             mj_model=scene.compile(),
             joints=tuple(joint.name for joint in scene.joints),
             base_body=None if robot is None else robot.trunk.full_identifier,
-            control_period=BENCH_CONTROL_PERIOD if robot is None else OP3_CONTROL_PERIOD,
+            control_period=bench_timestep if robot is None else OP3_CONTROL_PERIOD,
         )
 
     def simulation(

@@ -101,7 +101,12 @@ def test_nested_params_mean_dotted_keys():
     assert nested == {"servo.motor.kt": FloatDistribution(0, 1), "kp": FloatDistribution(0, 6)}
 
 
-@pytest.mark.parametrize("params", [None, {}, {"servo": {}}])
+def test_a_range_of_null_is_not_searched():
+    """A config takes a parameter out of the search of the config it builds on."""
+    assert list(parse_search_space({"kp": "interval(0, 6)", "kd": None})) == ["kp"]
+
+
+@pytest.mark.parametrize("params", [None, {}, {"servo": {}}, {"kp": None}])
 def test_an_empty_search_space_is_refused(params):
     """A study without parameters is a mistake in the config."""
     with pytest.raises(SearchSpaceError, match=r"hydra\.sweeper\.params"):

@@ -81,10 +81,49 @@ def test_current_controller_never_exceeds_the_bus(current, back_emf, resistance,
 @given(st.floats(0, 50))
 def test_stribeck_friction_fades_from_its_static_value(speed):
     """At rest the whole excess acts; it never grows with speed, as the printed formula would."""
-    value = law.stribeck_friction(scalar(speed), scalar(0.2), scalar(0.1)).item()
-    at_rest = law.stribeck_friction(scalar(0.0), scalar(0.2), scalar(0.1)).item()
-    assert at_rest == pytest.approx(0.2)
-    assert 0.0 <= value <= at_rest
+    value = law.stribeck_fade(scalar(speed), scalar(0.1)).item()
+    assert law.stribeck_fade(scalar(0.0), scalar(0.1)).item() == 1.0
+    assert 0.0 <= value <= 1.0
+
+
+@given(st.floats(-8, 8), st.floats(0.0, 0.15), st.floats(0.01, 0.3))
+def test_a_lifted_voltage_keeps_its_sign_and_the_bus(voltage, lift, fade):
+    """The driver never lowers a voltage, never turns it round, adds at most its lift, and cannot exceed the bus."""
+    bus = 8.0
+    lifted = law.lifted_voltage(scalar(voltage), scalar(bus), scalar(lift), scalar(fade)).item()
+    assert lifted * voltage >= 0
+    assert abs(voltage) - 1e-12 <= abs(lifted) <= min(bus, abs(voltage) + bus * lift) + 1e-12
+
+
+def test_the_lift_is_whole_far_above_its_fade_and_nothing_at_zero():
+    """At zero nothing is added; at ten fades the whole lift."""
+    raised = law.lifted_voltage(scalar(4.0), scalar(8.0), scalar(0.05), scalar(0.05)).item()
+    assert raised == pytest.approx(4.0 + 8.0 * 0.05, rel=1e-4)
+    assert law.lifted_voltage(scalar(0.0), scalar(8.0), scalar(0.05), scalar(0.05)).item() == 0.0
+
+
+@given(torque, torque, st.floats(0.0, 0.9))
+def test_load_friction_is_that_of_torques_pressed_together(motor, load, share):
+    """Equal shares lose in proportion to the torque passed on: the sum where both oppose, the difference otherwise."""
+    bound = law.load_friction(scalar(motor), scalar(load), scalar(share), scalar(share)).item()
+    expected = abs(motor) + abs(load) if motor * load < 0 else abs(abs(motor) - abs(load))
+    assert bound == pytest.approx(share * expected, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("motor", "load", "bound"),
+    [
+        (0.3, -0.2, 2.0 * 0.2**2),  # the motor leads: the load's square counts
+        (-0.3, 0.2, 2.0 * 0.2**2),
+        (0.1, -0.2, 3.0 * 0.1**2),  # the load leads: the motor's square counts
+        (0.3, 0.2, 0.0),  # the same direction
+        (0.0, 0.2, 0.0),
+    ],
+)
+def test_antagonistic_friction_counts_the_weaker_torque(motor, load, bound):
+    """The square of the weaker torque where both oppose each other, nothing otherwise."""
+    result = law.antagonistic_friction(scalar(motor), scalar(load), scalar(3.0), scalar(2.0)).item()
+    assert result == pytest.approx(bound, abs=1e-12)
 
 
 @given(st.floats(0.0, 0.024), st.sampled_from([0.001, 0.00025]))

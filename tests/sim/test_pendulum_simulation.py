@@ -10,11 +10,17 @@ from hypothesis import strategies as st
 from op3.robot import build_bench
 from op3.servo import RobotModel
 from op3.servo.effects import (
+    AntagonisticFriction,
+    BearingFriction,
     Coulomb,
     CurrentPD,
     DirectionalEfficiency,
+    DirectionalFriction,
     EncoderOffset,
     Latency,
+    LinkInertia,
+    LoadFriction,
+    MinimumDuty,
     Motor,
     Payload,
     PositionServo,
@@ -35,6 +41,20 @@ VALUES = {
     "encoder_offset": -0.1,
     "derivative_gain": 0.02,
 }
+MORE = {
+    MinimumDuty(): {"minimum_duty": 0.05, "minimum_duty_fade": 0.1},
+    LinkInertia(): {"gyration_squared": 3e-4},
+    BearingFriction(): {"bearing_friction": 3e-4},
+    LoadFriction(): {"load_friction": 0.1, "load_friction_excess": 0.1},
+    DirectionalFriction(): {
+        "motor_friction": 0.2,
+        "external_friction": 0.1,
+        "motor_friction_excess": 0.1,
+        "external_friction_excess": 0.05,
+    },
+    AntagonisticFriction(): {"motor_square": 5.0, "external_square": 5.0},
+}
+"""Further effects of a bench, with values that matter."""
 
 
 def bench_model() -> RobotModel:
@@ -48,6 +68,16 @@ def bench_model() -> RobotModel:
         EncoderOffset(),
     )
     return RobotModel(effects, bus_voltage=6.0).with_values(VALUES)
+
+
+def with_more(*effects, neutral: bool = False) -> RobotModel:
+    """The bench model with further effects, at their neutral values or at those of `MORE`."""
+    model = bench_model()
+    for effect in effects:
+        model = model.with_effect(effect, MORE[effect])
+        if neutral:
+            model = model.with_values({p.name: p.neutral for p in effect.parameters if p.neutral is not None})
+    return model
 
 
 def trajectory(simulation, start) -> np.ndarray:
@@ -66,15 +96,68 @@ def trajectory(simulation, start) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("mass", "length"), [(0.26, 0.05), (0.46, 0.1)])
-def test_agrees_with_mujoco(mass, length):
-    """Three seconds of driving and free swing, all bench effects on, agree within 3 mrad on average."""
+@pytest.mark.parametrize("more", [(), (MinimumDuty(), LinkInertia(), BearingFriction()), tuple(MORE)[3:]], ids=len)
+def test_agrees_with_mujoco(mass, length, more):
+    """Three seconds of driving and free swing, with the effects of a bench on, agree within 3 mrad on average."""
     scene = build_bench(mass, length)
     attach_servos(scene.joints)
     mj_model: mujoco.MjModel = scene.compile()
-    engine = BatchSimulation(mj_model, scene.joint_names, bench_model(), 1, control_period=0.001)
-    closed = PendulumSimulation(bench_model(), torch.tensor([mass]), torch.tensor([length]))
+    model = with_more(*more)
+    engine = BatchSimulation(mj_model, scene.joint_names, model, 1, control_period=0.001)
+    closed = PendulumSimulation(model, torch.tensor([mass]), torch.tensor([length]))
     difference = trajectory(engine, torch.tensor([[0.0]])) - trajectory(closed, torch.tensor([[0.0]]))
     assert np.abs(difference).mean() < 3e-3
+
+
+@pytest.mark.parametrize("effect", MORE, ids=lambda effect: effect.name)
+def test_effects_matter_and_are_nothing_at_their_neutral_values(effect):
+    """At its neutral values an effect leaves every bit of the motion as it was; otherwise it moves the pendulum."""
+
+    def run(model) -> np.ndarray:
+        return trajectory(PendulumSimulation(model, torch.tensor([0.3]), torch.tensor([0.07])), torch.tensor([[0.0]]))
+
+    plain = run(bench_model())
+    np.testing.assert_array_equal(run(with_more(effect, neutral=True)), plain)
+    assert np.abs(run(with_more(effect)) - plain).mean() > 1e-4
+
+
+def test_the_register_does_not_see_the_lift():
+    """The duty that is measured is the controller's; the motor gets more."""
+    model = with_more(MinimumDuty())
+    simulation = PendulumSimulation(model, torch.tensor([0.3]), torch.tensor([0.07]))
+    simulation.reset([[0.0]], {"firmware_gain": 8.0, "position_target": 0.05})
+    simulation.advance()
+    duty = simulation.measure()[("joint", "duty")].item()
+    # the goal of the sensor's frame, with the offset of the bench model; the goal's rate is zero at the start
+    assert duty == pytest.approx(8.0 * 0.166 * (0.05 + 0.1), rel=1e-6)
+    assert simulation.signals.voltage.item() / 6.0 > duty + 0.03
+
+
+@pytest.mark.parametrize("length", [0.05, 0.1])
+def test_the_weights_own_inertia_slows_the_swing(length):
+    """A free pendulum swings with the period of ``l + k^2 / l``, small angles."""
+    effects = (CurrentPD(), Motor(), LinkInertia())
+    values = {"torque_constant": 1e-6, "armature": 0.0025, "gyration_squared": 8e-4}
+    model = RobotModel(effects).with_values(values)
+    simulation = PendulumSimulation(model, torch.tensor([0.4]), torch.tensor([length]), timestep=1e-4)
+    simulation.reset([[0.05]], {"p_gain": 0.0, "d_gain": 0.0})
+    steps = 0
+    while simulation.signals.position.item() > 0:
+        simulation.advance()
+        steps += 1
+    inertia = 0.4 * (length**2 + 8e-4) + 0.0025
+    assert 4 * steps * 1e-4 == pytest.approx(2 * np.pi * np.sqrt(inertia / (0.4 * 9.81 * length)), rel=5e-3)
+
+
+def test_the_shaft_bears_gravity_and_the_centripetal_force():
+    """At rest the weight; passing the bottom at speed w, ``m (g + l w^2)``."""
+    model = RobotModel((CurrentPD(), Motor(), BearingFriction())).with_values({"torque_constant": 1e-6})
+    simulation = PendulumSimulation(model, torch.tensor([0.4]), torch.tensor([0.1]))
+    simulation.reset([[0.0]], {"p_gain": 0.0, "d_gain": 0.0}, [[5.0]])
+    assert simulation.signals.radial_force.item() == pytest.approx(0.4 * 9.81)
+    simulation.advance()
+    velocity = simulation.signals.velocity.item()
+    assert simulation.signals.radial_force.item() == pytest.approx(0.4 * (9.81 + 0.1 * velocity**2), rel=1e-3)
 
 
 @settings(max_examples=40, deadline=None)

@@ -18,7 +18,7 @@ from op3.servo.effects import (
     Viscous,
 )
 from op3.sim import BatchSimulation, attach_servos
-from op3.sim.ports import SOLIMP_FRICTION, SOLREF_FRICTION
+from op3.sim.ports import SOLIMP_FRICTION, SOLREF_FRICTION, ServoPorts
 
 IDEAL = {"torque_constant": 0.006, "terminal_resistance": 5.0, "armature": 0.005}
 
@@ -123,7 +123,7 @@ def test_resistance_is_recovered_from_saturated_motion(hinge):
 
 
 def test_load_torque_of_two_links_solved_by_hand(hinge):
-    """At rest the servo transmits what holds the link: m g l sin(q), plus the second link's share."""
+    """At rest the servo transmits what holds the link, m g l sin(q) plus the second link's, and bears the weight."""
     xml = """<mujoco><worldbody><body name="a"><inertial pos="0 0 -0.1" mass="0.3" diaginertia="1e-4 1e-4 1e-4"/>
       <joint name="upper" axis="0 1 0"/><body name="b" pos="0 0 -0.2">
       <inertial pos="0 0 -0.1" mass="0.2" diaginertia="1e-4 1e-4 1e-4"/><joint name="lower" axis="0 -1 0"/>
@@ -142,7 +142,10 @@ def test_load_torque_of_two_links_solved_by_hand(hinge):
     data.ctrl[:] = [gravity_upper, -gravity_lower]
     mujoco.mj_forward(mj_model, data)
     np.testing.assert_allclose(data.qacc, 0, atol=1e-9)
-    np.testing.assert_allclose(data.sensordata[[2, 5]], [gravity_upper, -gravity_lower], atol=1e-9)
+    ports = ServoPorts.find(mj_model, ["upper", "lower"])
+    np.testing.assert_allclose(data.sensordata[ports.transmitted], [gravity_upper, -gravity_lower], atol=1e-9)
+    radial = np.hypot(data.sensordata[ports.force], data.sensordata[ports.force + 1])
+    np.testing.assert_allclose(radial, [0.5 * 9.81, 0.2 * 9.81], atol=1e-9)
 
 
 def friction_effects():

@@ -53,6 +53,42 @@ def test_foreign_joints_are_refused(logs):
         Replay([stranger]).run(load_model("paper"))
 
 
+def changed(log: Rollout, **arrays) -> Rollout:
+    """A log with other channels by name (`time`, `p_gain`); None takes one away."""
+    keys = {"time": "time", "p_gain": ("command", "p_gain")}
+    data = {key: log.data[key] for key in log.channels}
+    for name, values in arrays.items():
+        data.pop(keys[name])
+        if values is not None:
+            data[keys[name]] = values
+    return Rollout.from_arrays(data, log.metadata)
+
+
+def test_a_jittering_clock_costs_no_latency(logs):
+    """Stamps that are up to 2 ms off leave every command on its tick."""
+    time = logs[0].array("time")[:, 0]
+    jitter = np.random.default_rng(0).uniform(0, 0.002, len(time))
+    jitter[0] = 0.0
+    exact = Replay(logs[:1]).run(load_model("paper"))[0].channels[("joint", "velocity")]
+    jittered = Replay([changed(logs[0], time=time + jitter)]).run(load_model("paper"))[0]
+    moved = np.abs(logs[0].array("joint/velocity")).max()
+    # the prediction is read at the jittered times, so it differs by what the joints move in 2 ms, and no more
+    assert (jittered.channels[("joint", "velocity")] - exact).abs().max() < 0.2 * moved
+
+
+def test_a_log_without_gains_is_refused_by_name(logs):
+    """One log that lacks what the servos need is named, and does not change how the others are replayed."""
+    with pytest.raises(LogError, match="command/p_gain"):
+        Replay([logs[0], changed(logs[0], p_gain=None)]).run(load_model("paper"))
+
+
+def test_the_battery_of_the_metadata_reaches_the_servos(logs):
+    """Without a voltage channel the battery of the log counts, then the model's."""
+    low = Rollout(logs[1].data, logs[1].metadata.replace(battery=3.0))
+    full, starved = (Replay([log]).run(load_model("paper"))[0].channels[("joint", "current")] for log in (logs[1], low))
+    assert starved.abs().max() < full.abs().max()
+
+
 def test_nothing_to_replay_is_refused():
     """An empty list is a mistake."""
     with pytest.raises(ValueError, match="at least one log"):
@@ -98,3 +134,33 @@ def test_neutral_effects_leave_the_whole_robot_bit_identical(logs, effect):
     without = Replay(logs[1:], duration=0.3).run(full.without(effect))[0]
     for key, values in without.channels.items():
         assert torch.equal(values, with_effect.channels[key]), key
+
+
+def test_values_under_a_condition_reach_their_logs():
+    """Each log has the value of its own length, whether the model holds it or a candidate brings it."""
+    model, name = bench_model(), "encoder_offset@length=1e-1"
+    logs = [play(bench_task(model, swing(), 0.3, length, firmware_gain=16.0)) for length in (0.05, 0.1)]
+    replay = Replay(logs, settle=0.0, duration=0.3)
+
+    def positions(model, parameters=None):
+        predictions = replay.run(model, parameters, 1 if parameters is None else 2)
+        return [prediction.channels[("joint", "position")] for prediction in predictions]
+
+    shared, moved = positions(model), positions(model.with_values({"encoder_offset": -0.05}))
+    held = positions(model.with_values({name: -0.05}))
+    torch.testing.assert_close(held[0], shared[0], atol=0, rtol=0)
+    torch.testing.assert_close(held[1], moved[1], atol=0, rtol=0)
+    assert not torch.allclose(moved[1], shared[1], atol=1e-3)
+    given = positions(model, {name: torch.tensor([-0.05, -0.1], dtype=torch.float64)})
+    torch.testing.assert_close(given[1], torch.cat([moved[1], shared[1]]), atol=0, rtol=0)
+    torch.testing.assert_close(given[0], torch.cat([shared[0], shared[0]]), atol=0, rtol=0)
+
+
+def test_longer_steps_of_a_bench_agree():
+    """With 2 ms steps the replay differs by less than a milliradian on average."""
+    log = play(bench_task(bench_model(), swing(), 0.3, 0.07, firmware_gain=16.0))
+    fine, coarse = (
+        Replay([log], settle=0.0, bench_timestep=step).run(bench_model())[0].channels[("joint", "position")]
+        for step in (0.001, 0.002)
+    )
+    assert 0 < (fine - coarse).abs().mean() < 1e-3

@@ -1,4 +1,4 @@
-"""What the robot's trunk carries beyond its model."""
+"""What bodies carry beyond their models."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -40,4 +40,24 @@ class CentreOfMassOffset(Effect):
     edits: ClassVar[tuple[ModelEdit, ...]] = (
         ModelEdit("body_ipos", "base_body", "add", "base_com_offset_x", column=0),
         ModelEdit("body_ipos", "base_body", "add", "base_com_offset_z", column=2),
+    )
+
+
+@register
+@dataclass(frozen=True)
+class LinkInertia(Effect):
+    """Inertia of the moved link about its own centre of mass, beyond its model.
+
+    On a bench whose weight is modelled as a point, this is the weight's own: ``m k^2`` with its radius of gyration k.
+    """
+
+    name: ClassVar[str] = "link_inertia"
+    stage: ClassVar[Stage] = Stage.BODY
+    equation: ClassVar[str] = "J_link += m_link k^2"
+    source: ClassVar[str] = "rigid body; a disc of radius r about its axis has k^2 = r^2 / 2"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("gyration_squared", "m^2", 0.0, 0.001, 0.0, 0.0, "squared radius of gyration added, k^2"),
+    )
+    edits: ClassVar[tuple[ModelEdit, ...]] = (
+        ModelEdit("body_inertia", "joint_body", "add", "gyration_squared", per="body_mass"),
     )

@@ -25,6 +25,7 @@ class CurrentPD(Effect):
     stage: ClassVar[Stage] = Stage.COMMAND
     equation: ClassVar[str] = "I* = clip(Kp (q* - q) - Kd w, -I_max, I_max)"
     source: ClassVar[str] = "paper, section 'Variable Gain PD'; stall current 2.3 A at 12 V, ROBOTIS e-Manual"
+    commands: ClassVar[tuple[str, ...]] = ("p_gain", "d_gain")
 
     current_limit: float = 2.3
 
@@ -111,6 +112,7 @@ class PositionServo(Effect):
     stage: ClassVar[Stage] = Stage.CONTROLLER
     equation: ClassVar[str] = "V = V_bus clip(c kp g (goal - q) + kd (d goal/dt - w), -d_max, d_max)"
     source: ClassVar[str] = "Feetech STS3032 and Dynamixel XL330 as recorded on Rhoban's servo bench"
+    commands: ClassVar[tuple[str, ...]] = ("firmware_gain",)
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("controller_gain", "-", 0.6, 1.4, 1.0, 1.0, "factor c on the firmware's nominal gain"),
         Parameter("derivative_gain", "s/rad", 0.0, 0.06, 0.0, 0.0, "duty per rad/s of the error's rate, kd"),
@@ -151,4 +153,32 @@ class PositionServo(Effect):
             prepared["derivative_gain"],
             self.max_duty,
         )
+        signals.duty = duty
         signals.voltage = duty * signals.bus_voltage
+
+
+@register
+@dataclass(frozen=True)
+class MinimumDuty(Effect):
+    """Firmware or driver that raises small duties, so that the motor starts in spite of its friction.
+
+    It acts behind the PWM register: the duty that the servo reports is the one before. It has no meaning for a servo
+    that regulates current.
+    """
+
+    name: ClassVar[str] = "minimum_duty"
+    stage: ClassVar[Stage] = Stage.DRIVER
+    equation: ClassVar[str] = "V += V_bus d0 sign(V) (1 - exp(-|V| / (V_bus d1))), |V| <= V_bus"
+    source: ClassVar[str] = (
+        "start-up duty of the Feetech STS3032 (its registers have one); seen on Rhoban's servo bench"
+    )
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("minimum_duty", "-", 0.0, 0.15, 0.03, 0.0, "duty added, d0"),
+        Parameter("minimum_duty_fade", "-", 0.01, 0.3, 0.08, None, "duty over which the lift sets in, d1"),
+    )
+
+    def apply(self, signals: Signals, prepared: Prepared) -> None:
+        """Raise the voltage."""
+        signals.voltage = law.lifted_voltage(
+            signals.voltage, signals.bus_voltage, prepared["minimum_duty"], prepared["minimum_duty_fade"]
+        )

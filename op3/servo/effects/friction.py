@@ -1,4 +1,4 @@
-"""Friction that does not depend on load: the three terms of paper eq. (4), each an effect of its own.
+"""Friction of the joint: the three terms of paper eq. (4), and that of the bearing, each an effect of its own.
 
 Each adds to one bound, ``tau_fric = fc + s (fs - fc) + kv |w|``, which MuJoCo receives as ``dof_frictionloss``
 in every step: a friction that can hold the joint still and always opposes its motion.
@@ -42,10 +42,9 @@ class Stribeck(Effect):
     )
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
-        """Raise the bound near rest."""
-        signals.friction_bound = signals.friction_bound + law.stribeck_friction(
-            signals.speed, prepared["static_friction_excess"], prepared["stribeck_velocity"]
-        )
+        """Raise the bound near rest, and tell other friction how much of it is left at this speed."""
+        signals.fade = law.stribeck_fade(signals.speed, prepared["stribeck_velocity"])
+        signals.friction_bound = signals.friction_bound + prepared["static_friction_excess"] * signals.fade
 
 
 @register
@@ -64,3 +63,23 @@ class Viscous(Effect):
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Raise the bound in proportion to speed."""
         signals.friction_bound = signals.friction_bound + prepared["viscous_friction"] * signals.speed
+
+
+@register
+@dataclass(frozen=True)
+class BearingFriction(Effect):
+    """Viscous friction of the output's bearing, in proportion to the radial force that the shaft carries."""
+
+    name: ClassVar[str] = "bearing_friction"
+    stage: ClassVar[Stage] = Stage.FRICTION
+    equation: ClassVar[str] = "tau_fric += kb F_r |w|"
+    source: ClassVar[str] = "plain bearing under load; on Rhoban's servo bench, damping grows with the weight carried"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("bearing_friction", "m s/rad", 0.0, 0.001, 0.0001, 0.0, "kb, viscous friction per radial force"),
+    )
+    reads: ClassVar[tuple[str, ...]] = ("radial_force",)
+
+    def apply(self, signals: Signals, prepared: Prepared) -> None:
+        """Raise the bound in proportion to radial force and speed."""
+        bearing = prepared["bearing_friction"] * signals.radial_force * signals.speed
+        signals.friction_bound = signals.friction_bound + bearing

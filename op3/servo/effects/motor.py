@@ -56,6 +56,7 @@ class Motor(Effect):
             signals.voltage = law.current_control(
                 signals.target_current, back_emf, prepared["resistance"], signals.bus_voltage
             )
+            signals.duty = signals.voltage / signals.bus_voltage
             implicit = signals.voltage.abs() >= signals.bus_voltage
         else:
             signals.voltage = signals.voltage * signals.torque_enable

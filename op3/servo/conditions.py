@@ -1,0 +1,63 @@
+"""Parameters that differ by a condition of the recording, such as the arm of a bench that was mounted anew.
+
+Their names say when they hold: ``encoder_offset@length=7e-2`` is the encoder offset of logs whose metadata field
+``length`` is 0.07. (Config keys are split at dots, hence ``7e-2``.)
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from decimal import Decimal
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What a log's metadata must say.
+
+    Attributes:
+        field: of the metadata.
+        value: number or text that it must equal.
+    """
+
+    field: str
+    value: float | str
+
+    def holds(self, metadata: Mapping[str, Any]) -> bool:
+        """Whether these metadata, by field, meet the condition.
+
+        Raises:
+            ValueError: if there is no such field.
+        """
+        if self.field not in metadata:
+            raise ValueError(f"condition {self}: no field {self.field!r}; there are {', '.join(metadata)}")
+        return metadata[self.field] == self.value
+
+    def __str__(self) -> str:
+        value = self.value if isinstance(self.value, str) else _without_dot(self.value)
+        return f"{self.field}={value}"
+
+
+def split_name(name: str) -> tuple[str, Condition | None]:
+    """The parameter of a name, and the condition under which it holds, if any.
+
+    Raises:
+        ValueError: if the part behind ``@`` is not ``field=value``.
+    """
+    parameter, at, condition = name.partition("@")
+    if not at:
+        return parameter, None
+    field, equals, text = condition.partition("=")
+    if not (parameter and field and equals and text):
+        raise ValueError(f"{name!r}: write <parameter>@<field of the metadata>=<value>, such as offset@length=7e-2")
+    try:
+        return parameter, Condition(field, float(text))
+    except ValueError:
+        return parameter, Condition(field, text)
+
+
+def _without_dot(value: float) -> str:
+    """A number as text without a dot: 0.07 is 7e-2."""
+    if value == int(value):
+        return str(int(value))
+    sign, digits, exponent = Decimal(repr(value)).normalize().as_tuple()
+    return f"{'-' * sign}{''.join(map(str, digits))}e{exponent}"

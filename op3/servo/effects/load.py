@@ -1,0 +1,88 @@
+"""Friction that grows with load: the terms of the published ladder of friction models M3 to M6, each an effect.
+
+The ladder is that of Duclusaud et al., "Extended Friction Models for the Physics Simulation of Servo Actuators" (2024):
+M1 is `coulomb` and `viscous`, M2 adds `stribeck`, M3 `load_friction` without excess, M4 with it; M5 has
+`directional_friction` in its place, and M6 adds `antagonistic_friction`. There the load is gravity's torque; here it is
+what the output transmits to its link, as for every effect. Friction near rest fades as the effect `stribeck` says.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from op3.servo import law
+from op3.servo.effect import Effect, Parameter, Prepared, Signals, Stage, register
+
+SOURCE = "Duclusaud et al. (2024), Extended Friction Models for the Physics Simulation of Servo Actuators"
+
+
+@register
+@dataclass(frozen=True)
+class LoadFriction(Effect):
+    """Friction in proportion to the torque that the gear passes on between motor and load."""
+
+    name: ClassVar[str] = "load_friction"
+    stage: ClassVar[Stage] = Stage.LOAD
+    equation: ClassVar[str] = "tau_fric += (l + s ls) |tau_m - tau_a|, s = exp(-|w| / w_static)"
+    source: ClassVar[str] = f"{SOURCE}, models M3 and M4"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("load_friction", "-", 0.0, 0.9, 0.1, 0.0, "friction per torque passed on, l"),
+        Parameter("load_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "more of it near rest, ls"),
+    )
+    reads: ClassVar[tuple[str, ...]] = ("fade",)
+
+    def apply(self, signals: Signals, prepared: Prepared) -> None:
+        """Raise the bound."""
+        share = prepared["load_friction"] + signals.fade * prepared["load_friction_excess"]
+        bound = law.load_friction(signals.motor_torque, signals.load_torque, share, share)
+        signals.friction_bound = signals.friction_bound + bound
+
+
+@register
+@dataclass(frozen=True)
+class DirectionalFriction(Effect):
+    """Friction to which the motor's torque and the load's contribute different shares."""
+
+    name: ClassVar[str] = "directional_friction"
+    stage: ClassVar[Stage] = Stage.LOAD
+    equation: ClassVar[str] = "tau_fric += |lm tau_m - le tau_a| + s |lms tau_m - les tau_a|, s = exp(-|w| / w_static)"
+    source: ClassVar[str] = f"{SOURCE}, model M5"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("motor_friction", "-", 0.0, 0.9, 0.1, 0.0, "share of the motor's torque, lm"),
+        Parameter("external_friction", "-", 0.0, 0.9, 0.1, 0.0, "share of the load's torque, le"),
+        Parameter("motor_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "share of the motor's torque near rest, lms"),
+        Parameter("external_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "share of the load's torque near rest, les"),
+    )
+    reads: ClassVar[tuple[str, ...]] = ("fade",)
+
+    def apply(self, signals: Signals, prepared: Prepared) -> None:
+        """Raise the bound."""
+        motor, load = signals.motor_torque, signals.load_torque
+        steady = law.load_friction(motor, load, prepared["motor_friction"], prepared["external_friction"])
+        excess = law.load_friction(motor, load, prepared["motor_friction_excess"], prepared["external_friction_excess"])
+        signals.friction_bound = signals.friction_bound + (steady + signals.fade * excess)
+
+
+@register
+@dataclass(frozen=True)
+class AntagonisticFriction(Effect):
+    """Friction near rest that grows with the square of the weaker torque where motor and load oppose each other."""
+
+    name: ClassVar[str] = "antagonistic_friction"
+    stage: ClassVar[Stage] = Stage.LOAD
+    equation: ClassVar[str] = (
+        "where tau_m tau_a < 0: tau_fric += s qe tau_a^2 if |tau_m| > |tau_a|, else s qm tau_m^2;"
+        " s = exp(-|w| / w_static)"
+    )
+    source: ClassVar[str] = f"{SOURCE}, model M6"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("motor_square", "1/(N m)", 0.0, 5.0, 0.0, 0.0, "qm, where the load is the stronger"),
+        Parameter("external_square", "1/(N m)", 0.0, 5.0, 0.0, 0.0, "qe, where the motor is the stronger"),
+    )
+    reads: ClassVar[tuple[str, ...]] = ("fade",)
+
+    def apply(self, signals: Signals, prepared: Prepared) -> None:
+        """Raise the bound."""
+        bound = law.antagonistic_friction(
+            signals.motor_torque, signals.load_torque, prepared["motor_square"], prepared["external_square"]
+        )
+        signals.friction_bound = signals.friction_bound + signals.fade * bound

@@ -1,0 +1,64 @@
+"""Parameters for every log: those of candidates, and those that hold only under a log's conditions."""
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor
+
+from op3.rollout import Rollout
+from op3.servo import RobotModel
+from op3.servo.conditions import split_name
+
+
+def parameters_per_log(
+    model: RobotModel, parameters: Mapping[str, Tensor], logs: Sequence[Rollout], candidates: int
+) -> dict[str, Tensor]:
+    """Parameters of simulation ``c * len(logs) + l``, which is candidate c on log l.
+
+    A value under a condition, of the model or given, goes before a shared one where the condition holds.
+
+    Args:
+        model: gives conditional values that are not given.
+        parameters: by name, which may carry a condition: ``[candidate]`` or ``[candidate, joint]`` or a number.
+        logs: whose metadata decide.
+        candidates: number of parameter sets.
+
+    Returns:
+        By name without conditions, ``[candidate * log]`` or ``[candidate * log, joint]`` or a number.
+
+    Raises:
+        ValueError: if a parameter has not one value per candidate, or a condition names an unknown field.
+    """
+    shared = {name: torch.as_tensor(v, dtype=torch.float64) for name, v in parameters.items() if "@" not in name}
+    given = {name: torch.as_tensor(v, dtype=torch.float64) for name, v in parameters.items() if "@" in name}
+    result = {name: _per_log(value, candidates, len(logs)) for name, value in shared.items()}
+    bases = {split_name(name)[0] for name in given} | {n for n, estimate in model.estimates.items() if estimate.by}
+    for base in sorted(bases):
+        start = shared.get(base, model.tensors(logs[0].joints)[base])
+        start = start.view(-1, 1) if start.ndim < 2 else start
+        # [candidate, log, joint]
+        value = start[:, None].expand(candidates, len(logs), start.shape[-1]).clone()
+        for row, log in enumerate(logs):
+            metadata = vars(log.metadata)
+            value[:, row] = _special(model, base, metadata, value[:, row])
+            for name, special in given.items():
+                other, condition = split_name(name)
+                if other == base and condition is not None and condition.holds(metadata):
+                    value[:, row] = special.view(-1, 1) if special.ndim < 2 else special
+        result[base] = value.flatten(0, 1)
+    return result
+
+
+def _special(model: RobotModel, base: str, metadata: Mapping, otherwise: Tensor) -> Tensor | float:
+    """The model's own value under the condition that holds, if one does."""
+    by = model.estimates[base].by if base in model.estimates else {}
+    return next((special.value for condition, special in by.items() if condition.holds(metadata)), otherwise)
+
+
+def _per_log(value: Tensor, candidates: int, logs: int) -> Tensor:
+    """``[candidate, ...]`` repeated so that each candidate's logs have its value, ``[candidate * log, ...]``."""
+    if value.ndim == 0:
+        return value
+    if len(value) != candidates:
+        raise ValueError(f"a parameter must have one value per candidate ({candidates}), got {len(value)}")
+    return value.repeat_interleave(logs, dim=0)
