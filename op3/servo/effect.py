@@ -7,7 +7,8 @@ diagnosis and training; adding an effect is one class here, one file in ``conf/e
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from enum import IntEnum
-from typing import ClassVar, Literal
+from math import inf, isfinite
+from typing import ClassVar, Literal, get_args, get_origin, get_type_hints
 
 import torch
 from torch import Tensor
@@ -41,6 +42,8 @@ class Parameter:
         nominal: a sensible first guess.
         neutral: value at which the effect changes nothing; None where there is no such value.
         per_joint: whether joints may differ; False for a quantity of the whole robot.
+        least: smallest value that physics allows, whatever the plausible range.
+        most: largest value that physics allows.
         text: what it is, in a sentence.
     """
 
@@ -52,6 +55,8 @@ class Parameter:
     neutral: float | None
     text: str
     per_joint: bool = True
+    least: float = -inf
+    most: float = inf
 
 
 @dataclass(frozen=True)
@@ -131,6 +136,19 @@ class Signals:
 Prepared = Mapping[str, Tensor]
 
 
+@dataclass(frozen=True)
+class Clock:
+    """The two rhythms of the law.
+
+    Attributes:
+        timestep: simulation step [s].
+        period: time between ticks, at which commands are computed and sent [s].
+    """
+
+    timestep: float
+    period: float
+
+
 class Effect:
     """Base class of everything in the catalogue; subclasses are frozen dataclasses of their options.
 
@@ -154,14 +172,30 @@ class Effect:
     reads: ClassVar[tuple[str, ...]] = ()
     commands: ClassVar[tuple[str, ...]] = ()
 
-    def prepare(self, values: Mapping[str, Tensor], timestep: float) -> Prepared:
+    def __post_init__(self):
+        """Refuse options of the wrong kind: a misspelt form would choose another law.
+
+        Raises:
+            ValueError: if an option is none of its choices, or not a finite number where one belongs.
+        """
+        hints = get_type_hints(type(self))
+        for option in self.options():
+            value, hint = getattr(self, option), hints[option]
+            if get_origin(hint) is Literal and value not in get_args(hint):
+                choices = ", ".join(map(str, get_args(hint)))
+                raise ValueError(f"effect {self.name!r}: {option} must be one of {choices}, got {value!r}")
+            number = isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
+            if hint is float and not number:
+                raise ValueError(f"effect {self.name!r}: {option} must be a finite number, got {value!r}")
+
+    def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
         """Constants of a step, computed once whenever parameters change.
 
         Args:
             values: this effect's parameters, each ``[sim, joint]``.
-            timestep: simulation step [s].
+            clock: simulation step and control period.
         """
-        del timestep
+        del clock
         return values
 
     def reset(self, signals: Signals, prepared: Prepared) -> None:

@@ -41,6 +41,18 @@ def current_control(
     return torch.clamp(wanted, -bus_voltage, bus_voltage)
 
 
+def dte_zones(
+    motor_torque: Tensor, load_torque: Tensor, forward_efficiency: Tensor, backward_efficiency: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Whether the motor drives, and whether the load drives, paper eq. (3); neither where they hold each other.
+
+    Where both conditions are met (torques of one direction) the first one counts. Arguments as for `dte_brake`.
+    """
+    forward = torch.sign(forward_efficiency * motor_torque + load_torque) == torch.sign(motor_torque)
+    backward = torch.sign(motor_torque + backward_efficiency * load_torque) == torch.sign(load_torque)
+    return forward, backward
+
+
 def dte_brake(
     motor_torque: Tensor, load_torque: Tensor, forward_efficiency: Tensor, backward_efficiency: Tensor
 ) -> Tensor:
@@ -56,8 +68,7 @@ def dte_brake(
         forward_efficiency: eta_fw in (0, 1].
         backward_efficiency: eta_bw in (0, 1].
     """
-    forward = torch.sign(forward_efficiency * motor_torque + load_torque) == torch.sign(motor_torque)
-    backward = torch.sign(motor_torque + backward_efficiency * load_torque) == torch.sign(load_torque)
+    forward, backward = dte_zones(motor_torque, load_torque, forward_efficiency, backward_efficiency)
     return torch.where(
         forward,
         (forward_efficiency - 1.0) * motor_torque,
@@ -65,7 +76,14 @@ def dte_brake(
     )
 
 
-def dte_passive_loss(motor_torque: Tensor, load_torque: Tensor, forward_loss: Tensor, backward_loss: Tensor) -> Tensor:
+def motor_leads(motor_torque: Tensor, load_torque: Tensor) -> Tensor:
+    """Where the motor decides the direction: both torques point the same way, or the motor's is the larger."""
+    return (motor_torque * load_torque >= 0) | (motor_torque.abs() >= load_torque.abs())
+
+
+def dte_passive_loss(
+    motor_torque: Tensor, load_torque: Tensor, leads: Tensor, forward_loss: Tensor, backward_loss: Tensor
+) -> Tensor:
     """Bound [N m] on a friction that loses what eq. (3) loses but always opposes motion.
 
     ``(1 - eta_fw) |tau_m|`` where the motor leads or both torques point the same way, otherwise
@@ -75,12 +93,11 @@ def dte_passive_loss(motor_torque: Tensor, load_torque: Tensor, forward_loss: Te
     Args:
         motor_torque: tau_m, joint side [N m], ``[sim, joint]``.
         load_torque: tau_a [N m].
+        leads: where the motor leads, see `motor_leads`.
         forward_loss: ``1 - eta_fw``.
         backward_loss: ``1 - eta_bw``.
     """
-    motor, load = motor_torque.abs(), load_torque.abs()
-    motor_leads = (motor_torque * load_torque >= 0) | (motor >= load)
-    return torch.where(motor_leads, forward_loss * motor, backward_loss * load)
+    return torch.where(leads, forward_loss * motor_torque.abs(), backward_loss * load_torque.abs())
 
 
 def stribeck_fade(speed: Tensor, stribeck_velocity: Tensor) -> Tensor:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import inf
 from typing import Any
 
 import torch
@@ -56,6 +57,7 @@ class RobotModel:
                     f"a value for {name!r} is given, but the effect that has it is off;"
                     f" effects on: {', '.join(self.effect_names)}"
                 )
+            _check(known[name], self.estimates[name])
 
     @property
     def effect_names(self) -> tuple[str, ...]:
@@ -157,3 +159,17 @@ class RobotModel:
             effects=tuple(e for e in self.effects if e.name not in names),
             estimates={k: v for k, v in self.estimates.items() if k not in gone},
         )
+
+
+def _check(known: Parameter, estimate: Estimate) -> None:
+    """Refuse values that physics does not allow, and intervals that are none."""
+    for value in (estimate.value, *estimate.joints.values()):
+        if not known.least <= value <= known.most:
+            allowed = (
+                f"at least {known.least:g}" if known.most == inf else f"between {known.least:g} and {known.most:g}"
+            )
+            raise ValueError(f"{known.name} must be {allowed} {known.unit}, got {value!r}")
+    if estimate.low is not None and estimate.high is not None and estimate.low > estimate.high:
+        raise ValueError(f"{known.name}: the interval's low end {estimate.low} lies above its high end {estimate.high}")
+    for special in estimate.by.values():
+        _check(known, special)

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
-from op3.servo.effect import Effect, Prepared, Signals, Stage, in_stage_order
+from op3.servo.effect import Clock, Effect, Prepared, Signals, Stage, in_stage_order
 
 
 class ServoLaw:
@@ -17,14 +17,15 @@ class ServoLaw:
     Args:
         effects: what is on; their order does not matter.
         timestep: simulation step [s].
+        period: time between ticks [s].
 
     Raises:
         ValueError: if an effect is listed twice.
     """
 
-    def __init__(self, effects: Sequence[Effect], timestep: float):
+    def __init__(self, effects: Sequence[Effect], timestep: float, period: float):
         self.effects = in_stage_order(effects)
-        self.timestep = timestep
+        self.clock = Clock(timestep, period)
         self._ticking = [e for e in self.effects if type(e).tick is not Effect.tick]
         acting = [e for e in self.effects if type(e).apply is not Effect.apply]
         self._sensing = [e for e in acting if e.stage == Stage.SENSING]
@@ -47,7 +48,7 @@ class ServoLaw:
             if missing:
                 raise ValueError(f"effect {effect.name!r} needs values for {', '.join(missing)}")
             own = {p.name: values[p.name] for p in effect.parameters}
-            self._prepared[effect.name] = effect.prepare(own, self.timestep)
+            self._prepared[effect.name] = effect.prepare(own, self.clock)
 
     def reset(self, signals: Signals) -> None:
         """Start from the joint state and commands in the signals, as if they had been held for long."""

@@ -13,7 +13,7 @@ from torch import Tensor
 from op3.servo import RobotModel, ServoLaw, Signals
 from op3.sim.base import Base, roll_pitch_yaw
 from op3.sim.edits import edited_fields
-from op3.sim.inputs import expand_parameters, set_commands
+from op3.sim.inputs import default_commands, expand_parameters, set_commands
 from op3.sim.ports import ServoPorts
 
 
@@ -68,11 +68,10 @@ class BatchSimulation:
         self.batch = Batch(mj_model, num_sims, num_threads)
         self._base = None if base_body is None else Base.find(mj_model, mj_model.body(base_body).id)
         self._fields = {name: np.array(value, dtype=np.float64) for name, value in (fields or {}).items()}
-        self.law = ServoLaw(model.effects, self.timestep)
+        self.law = ServoLaw(model.effects, self.timestep, control_period)
         self.signals = Signals.zeros(num_sims, len(joints))
         self._reads_force = self.law.reads("radial_force")
-        self.signals.bus_voltage.fill_(model.bus_voltage)
-        self.signals.torque_enable.fill_(1.0)
+        default_commands(self.signals, model)
         self.failed = torch.zeros(num_sims, dtype=torch.bool)
         self._bind()
         self.set_parameters({})
@@ -143,7 +142,7 @@ class BatchSimulation:
         self.batch.warning[...] = 0
         self.failed = torch.zeros(self.num_sims, dtype=torch.bool)
         self._read()
-        self.signals.position_target = self.signals.position.clone()
+        default_commands(self.signals, self.model)
         self.command(**(commands or {}))
         self.signals.current = torch.zeros_like(self.signals.position)
         self.law.reset(self.signals)

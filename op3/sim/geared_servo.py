@@ -11,7 +11,7 @@ from torch import Tensor
 from op3.servo import RobotModel, ServoLaw, Signals
 from op3.sim.base import Base, roll_pitch_yaw
 from op3.sim.edits import edited_fields
-from op3.sim.inputs import expand_parameters, set_commands
+from op3.sim.inputs import default_commands, expand_parameters, set_commands
 from op3.sim.ports import ServoPorts, attach_servos
 
 
@@ -25,12 +25,14 @@ class GearedServo:
         joints: dm_control MJCF elements of hinge joints; each gets a motor and a torque sensor.
         model: effects and parameter values.
         base_body: MJCF element of the robot's base body, where there is one.
+        control_period: time between the task's steps [s].
     """
 
-    def __init__(self, joints: Sequence[Any], model: RobotModel, base_body: Any = None):
+    def __init__(self, joints: Sequence[Any], model: RobotModel, base_body: Any = None, control_period: float = 0.008):
         attach_servos(joints)
         self._joints = list(joints)
         self._base_element = base_body
+        self._control_period = control_period
         self.model = model
         self.joint_names = tuple(joint.name for joint in joints)
         self.signals = Signals.zeros(1, len(joints))
@@ -45,7 +47,7 @@ class GearedServo:
         base = -1 if self._base_element is None else int(physics.bind(self._base_element).element_id)
         self._base = None if base < 0 else Base.find(physics.model.ptr, base)
         values = expand_parameters(self.model, self.joint_names, {}, 1)
-        self.law = ServoLaw(self.model.effects, float(physics.model.opt.timestep))
+        self.law = ServoLaw(self.model.effects, float(physics.model.opt.timestep), self._control_period)
         self.law.set_parameters(values)
         edits = edited_fields(physics.model.ptr, self.model.effects, values, self.ports, base, {}, 1)
         for field, array in edits.items():
@@ -61,9 +63,7 @@ class GearedServo:
         physics.model.ptr.dof_armature[self.ports.dof] = self._rotor
         mujoco.mj_forward(physics.model.ptr, physics.data.ptr)
         self._read(physics)
-        self.signals.bus_voltage.fill_(self.model.bus_voltage)
-        self.signals.torque_enable.fill_(1.0)
-        self.signals.position_target = self.signals.position.clone()
+        default_commands(self.signals, self.model)
         self.signals.current = torch.zeros_like(self.signals.position)
         set_commands(self.signals, commands)
         self.law.reset(self.signals)
@@ -89,7 +89,7 @@ class GearedServo:
         self.law.step(self.signals)
         physics.data.ptr.ctrl[self.ports.ctrl] = self.signals.applied_torque[0].numpy()
         physics.model.ptr.dof_armature[self.ports.dof] = (
-            self._rotor + self.law.timestep * self.signals.damping[0].numpy()
+            self._rotor + self.law.clock.timestep * self.signals.damping[0].numpy()
         )
         physics.model.ptr.dof_frictionloss[self.ports.dof] = self.signals.friction_bound[0].numpy()
 

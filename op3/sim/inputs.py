@@ -12,6 +12,15 @@ COMMANDS = ("position_target", "p_gain", "d_gain", "firmware_gain", "torque_enab
 """Inputs of the servo law that are held from tick to tick."""
 
 
+def default_commands(signals: Signals, model: RobotModel) -> None:
+    """Commands before any is given: torque on, gains zero, the model's bus voltage, the joints' own positions."""
+    zeros = torch.zeros_like(signals.position)
+    signals.position_target = signals.position.clone()
+    signals.p_gain = signals.d_gain = signals.firmware_gain = zeros
+    signals.torque_enable = torch.ones_like(zeros)
+    signals.bus_voltage = torch.full_like(zeros, model.bus_voltage)
+
+
 def set_commands(signals: Signals, commands: Mapping[str, Any]) -> None:
     """Write commands, each broadcastable to ``[sim, joint]``, into the signals.
 

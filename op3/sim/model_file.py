@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Mapping
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -192,6 +193,6 @@ def _estimate_from_plain(where: str, value: Any) -> Estimate:
 
 
 def _number(where: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or value != value:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
         raise ValueError(f"`{where}` must be a finite number, got {value!r}")
     return float(value)

@@ -14,7 +14,10 @@ from torch import Tensor
 
 from op3.servo import RobotModel, ServoLaw, Signals
 from op3.servo.effects import LinkInertia, Motor
-from op3.sim.inputs import expand_parameters, set_commands
+from op3.sim.inputs import default_commands, expand_parameters, set_commands
+
+PD_PERIOD = 0.008
+"""Time between ticks of a PD that commands current [s]; paper, 125 Hz."""
 
 GRAVITY = 9.81
 """[m/s2], as in the scenes."""
@@ -33,7 +36,8 @@ class PendulumSimulation:
         model: effects and parameter values; effects of trunk or floor have no meaning here.
         mass: of the weights [kg], ``[sim]``.
         length: from shaft to weight [m], ``[sim]``.
-        timestep: simulation step [s]; the control period is the same.
+        timestep: simulation step [s], in which a servo's own position loop runs once; a PD that commands current
+            ticks every `PD_PERIOD`.
 
     Raises:
         ValueError: if the model has an effect that changes what a bench does not have.
@@ -51,14 +55,16 @@ class PendulumSimulation:
                     )
         self.model = model
         self.timestep = timestep
+        # the PD on a computer has its own period; a servo's own loop runs in every step
+        self._every = round(PD_PERIOD / timestep) if "current_pd" in model.effect_names else 1
+        self._steps = 0
         self.num_sims = len(mass)
         self._mass, self._length = mass.view(-1, 1), length.view(-1, 1)
         self._moment = self._mass * GRAVITY * self._length
-        self.law = ServoLaw(model.effects, timestep)
+        self.law = ServoLaw(model.effects, timestep, self._every * timestep)
         self._reads_force = self.law.reads("radial_force")
         self.signals = Signals.zeros(self.num_sims, 1)
-        self.signals.bus_voltage.fill_(model.bus_voltage)
-        self.signals.torque_enable.fill_(1.0)
+        default_commands(self.signals, model)
         self.failed = torch.zeros(self.num_sims, dtype=torch.bool)
         self.set_parameters({})
 
@@ -86,9 +92,10 @@ class PendulumSimulation:
                 signals.position = signals.position + reading - signals.measured_position
         signals.load_torque = -self._moment * torch.sin(signals.position)
         signals.radial_force = (self._mass * GRAVITY).expand_as(zeros)
-        signals.position_target = signals.position.clone()
+        default_commands(signals, self.model)
         set_commands(signals, commands or {})
         signals.current = zeros
+        self._steps = 0
         self.failed = torch.zeros(self.num_sims, dtype=torch.bool)
         self.law.reset(signals)
 
@@ -99,7 +106,9 @@ class PendulumSimulation:
     def advance(self) -> None:
         """One step."""
         signals, step = self.signals, self.timestep
-        self.law.tick(signals)
+        if self._steps % self._every == 0:
+            self.law.tick(signals)
+        self._steps += 1
         self.law.step(signals)
         gravity = -self._moment * torch.sin(signals.position)
         inertia = self._total + step * signals.damping

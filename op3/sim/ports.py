@@ -34,7 +34,10 @@ def attach_servos(joints: Sequence[Any]) -> None:
         axis = (0.0, 0.0, 1.0) if joint.axis is None else joint.axis
         joint.solreffriction = SOLREF_FRICTION
         joint.solimpfriction = SOLIMP_FRICTION
-        joint.root.actuator.add("motor", name=f"{joint.name}_servo", joint=joint)
+        # said outright, because a default class of the scene could say otherwise
+        joint.root.actuator.add(
+            "motor", name=f"{joint.name}_servo", joint=joint, gear=[1.0], ctrllimited=False, forcelimited=False
+        )
         position = (0.0, 0.0, 0.0) if joint.pos is None else joint.pos
         site = joint.parent.add("site", name=f"{joint.name}_output", pos=position, zaxis=axis, group=4)
         sites.append(site)
@@ -74,9 +77,11 @@ class ServoPorts:
         """Look up joints with servos attached, by their full names.
 
         Raises:
-            ValueError: if a joint or its servo is missing.
+            ValueError: if a joint or its servo is missing, or a joint is not a hinge about its sensor's axis.
         """
         ids = [_id(model, mujoco.mjtObj.mjOBJ_JOINT, name) for name in joints]
+        for joint, name in zip(ids, joints, strict=True):
+            _check_hinge(model, joint, name)
         actuators = [_id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, f"{name}_servo") for name in joints]
         sensors = [_id(model, mujoco.mjtObj.mjOBJ_SENSOR, f"{name}_transmitted") for name in joints]
         forces = [_id(model, mujoco.mjtObj.mjOBJ_SENSOR, f"{name}_force") for name in joints]
@@ -97,6 +102,20 @@ def _id(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
         what = kind.name.removeprefix("mjOBJ_").lower()
         raise ValueError(f"the model has no {what} {name!r}; attach servos before compiling")
     return found
+
+
+def _check_hinge(model: mujoco.MjModel, joint: int, name: str) -> None:
+    """A default class may have made the joint another than its element says; only the compiled model tells."""
+    if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
+        raise ValueError(f"a servo attaches to a hinge, but the compiled joint {name!r} is not one")
+    site = model.site(f"{name}_output")
+    along = np.zeros(3)
+    mujoco.mju_rotVecQuat(along, np.array([0.0, 0.0, 1.0]), site.quat)
+    if along @ model.jnt_axis[joint] < 1 - 1e-6:
+        raise ValueError(
+            f"joint {name!r} turns about {model.jnt_axis[joint]}, but its servo's sensor looks along {along}; write the"
+            " joint's axis on the joint itself instead of in a default class"
+        )
 
 
 def _compact(indices: np.ndarray) -> slice | np.ndarray:

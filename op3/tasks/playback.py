@@ -51,7 +51,7 @@ class Playback(composer.Task):
         self._held = commands
         self._pendulum = pendulum
         trunk = None if scene.robot is None else scene.robot.trunk
-        self.servo = GearedServo(scene.joints, model, base_body=trunk)
+        self.servo = GearedServo(scene.joints, model, base_body=trunk, control_period=control_period)
         self._settle = round(settle / control_period)
         self._ticks = 0
         self._rows: list[dict[Any, torch.Tensor]] = []

@@ -11,6 +11,12 @@ torque = st.floats(-5.0, 5.0, allow_nan=False)
 efficiency = st.floats(0.3, 1.0)
 
 
+def passive_loss(motor: float, load: float, forward_loss: float, backward_loss: float) -> float:
+    torques = scalar(motor), scalar(load)
+    leads = law.motor_leads(*torques)
+    return law.dte_passive_loss(*torques, leads, scalar(forward_loss), scalar(backward_loss)).item()
+
+
 def scalar(value: float) -> torch.Tensor:
     return torch.tensor([[value]], dtype=torch.float64)
 
@@ -36,7 +42,7 @@ def test_printed_dte_matches_cases_solved_by_hand(motor, load, forward, backward
 def test_passive_dte_holds_exactly_where_the_printed_rule_does(motor, load, forward, backward):
     """A joint at rest stays at rest under the passive bound iff eq. (3) is antagonistic."""
     net = motor + load
-    bound = law.dte_passive_loss(scalar(motor), scalar(load), scalar(1 - forward), scalar(1 - backward)).item()
+    bound = passive_loss(motor, load, 1 - forward, 1 - backward)
     printed_net = net + law.dte_brake(scalar(motor), scalar(load), scalar(forward), scalar(backward)).item()
     margin = abs(abs(net) - bound)
     if motor * load < 0 and margin > 1e-9:
@@ -47,7 +53,7 @@ def test_passive_dte_holds_exactly_where_the_printed_rule_does(motor, load, forw
 def test_passive_dte_loses_what_the_printed_rule_loses_in_motion(motor, load, forward, backward):
     """Where a joint moves with the winning torque, both forms leave the same net torque."""
     net = motor + load
-    bound = law.dte_passive_loss(scalar(motor), scalar(load), scalar(1 - forward), scalar(1 - backward)).item()
+    bound = passive_loss(motor, load, 1 - forward, 1 - backward)
     printed_net = net + law.dte_brake(scalar(motor), scalar(load), scalar(forward), scalar(backward)).item()
     if abs(net) > bound + 1e-9 and motor * load != 0:
         passive_net = net - bound * (1 if net > 0 else -1)
@@ -64,7 +70,7 @@ def test_printed_rule_can_add_energy():
 def test_slip_of_a_hold_happens_at_the_backward_efficiency():
     """With eta_fw = 1, a load of 1 N m is held down to a motor torque of eta_bw and no lower."""
     for motor, holds in ((0.701, True), (0.699, False)):
-        bound = law.dte_passive_loss(scalar(motor), scalar(-1.0), scalar(0.0), scalar(0.3)).item()
+        bound = passive_loss(motor, -1.0, 0.0, 0.3)
         assert (abs(motor - 1.0) <= bound) == holds
 
 
@@ -156,6 +162,6 @@ def test_position_loop_saturates():
 def test_law_is_differentiable():
     """Gradients flow from the losses to the efficiencies."""
     loss = scalar(0.3).requires_grad_()
-    law.dte_passive_loss(scalar(0.2), scalar(-1.0), scalar(0.0), loss).sum().backward()
+    law.dte_passive_loss(scalar(0.2), scalar(-1.0), torch.tensor([[False]]), scalar(0.0), loss).sum().backward()
     assert loss.grad is not None
     assert loss.grad.item() == pytest.approx(1.0)

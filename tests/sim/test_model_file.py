@@ -9,12 +9,12 @@ from op3.servo.effects import Coulomb, CurrentPD, DirectionalEfficiency, Latency
 from op3.sim import load_model, model_hash, save_model
 from op3.sim.model_file import from_dict, to_dict
 
-number = st.floats(-10, 10, allow_nan=False)
+number = st.floats(0, 1, allow_nan=False)
 estimates = st.builds(
     Estimate,
     number,
-    st.none() | number,
-    st.none() | number,
+    st.none() | st.floats(-10, 0),
+    st.none() | st.floats(0, 10),
     st.dictionaries(st.sampled_from(["l_knee", "r_knee"]), number),
 )
 
@@ -62,6 +62,13 @@ GOOD = "format: op3-model/1\nbus_voltage: 11.1\neffects:\n  - motor: {torque_con
         (GOOD.replace("0.006", "{low: 1}"), "motor.torque_constant"),
         (GOOD.replace("11.1", "yes"), "bus_voltage"),
         (GOOD + "colour: red\n", "colour"),
+        (GOOD.replace("0.006", ".inf"), "finite number"),
+        (GOOD.replace("torque_constant: 0.006", "terminal_resistance: -1.0"), "terminal_resistance must be at least"),
+        (GOOD.replace("torque_constant: 0.006", "drive: volt"), "drive must be one of current, voltage"),
+        (GOOD.replace("torque_constant: 0.006", "gear_ratio: '353'"), "gear_ratio must be a finite number"),
+        (GOOD + "  - dte: {form: pasive}\n", "form must be one of passive, printed"),
+        (GOOD + "  - dte: {backward_efficiency: 1.7}\n", "between 0 and 1"),
+        (GOOD.replace("0.006", "{value: 0.006, low: 0.5, high: 0.2}"), "low end 0.5 lies above"),
         (GOOD + "  - {coulomb: {}, viscous: {}}\n", "effects"),
     ],
 )

@@ -164,7 +164,7 @@ def test_the_shaft_bears_gravity_and_the_centripetal_force():
 @given(st.floats(-3, 3), st.floats(-5, 5), st.floats(0.0, 0.3))
 def test_friction_only_takes_energy(angle, velocity, friction):
     """A pendulum without motor torque never gains energy beyond the integrator's ripple."""
-    effects = (CurrentPD(), Latency(period=0.001, longest=0.002), Motor(), Coulomb())
+    effects = (CurrentPD(), Latency(), Motor(), Coulomb())
     values = {"coulomb_friction": friction, "armature": 0.001, "torque_constant": 1e-6, "command_latency": 0.0}
     simulation = PendulumSimulation(
         RobotModel(effects).with_values(values), torch.tensor([0.4]), torch.tensor([0.1]), timestep=0.001

@@ -100,26 +100,34 @@ def test_current_drive_below_saturation_is_a_torque_source(hinge):
     assert sim.signals.position.item() == pytest.approx(plain.qpos[0], abs=1e-9)
 
 
-def test_resistance_is_recovered_from_saturated_motion(hinge):
-    """R identified at 1 ms from voltage-saturated motion made at 0.05 ms is right within 1 %."""
+def saturated_motion(hinge, timestep, resistance, gear, efficiency):
+    """Positions of the pendulum thrown to and fro at bus voltage, ``[sim, tick]``."""
+    values = {**IDEAL, "coulomb_friction": 0.05}
+    effects = [CurrentPD(current_limit=1e3), Motor(), Coulomb()]
+    if gear is not None:
+        effects.append(DirectionalEfficiency(form=gear))
+        values |= {"forward_efficiency": efficiency, "backward_efficiency": 0.7}
+    sim = simulation(compiled(hinge, timestep=timestep), effects, values, num_sims=len(resistance))
+    sim.set_parameters({"terminal_resistance": torch.as_tensor(resistance)})
+    sim.reset([0.0], {"p_gain": 1e3})
+    positions = []
+    for tick in range(100):
+        sim.command(position_target=3.0 if tick < 50 else -3.0)
+        sim.advance()
+        positions.append(sim.signals.position[:, 0].clone())
+    return torch.stack(positions, 1)
 
-    def run(timestep, resistance):
-        effects = [CurrentPD(current_limit=1e3), Motor(), Coulomb()]
-        values = {**IDEAL, "coulomb_friction": 0.05}
-        sim = simulation(compiled(hinge, timestep=timestep), effects, values, num_sims=len(resistance))
-        sim.set_parameters({"terminal_resistance": torch.as_tensor(resistance)})
-        sim.reset([0.0], {"p_gain": 1e3})
-        positions = []
-        for tick in range(100):
-            sim.command(position_target=torch.tensor(3.0 if tick < 50 else -3.0))
-            sim.advance()
-            positions.append(sim.signals.position[:, 0].clone())
-        return torch.stack(positions, 1)
 
-    truth = run(0.00005, [5.0])
-    candidates = np.linspace(4.8, 5.2, 41)
-    error = ((run(0.001, candidates) - truth) ** 2).mean(1)
-    assert candidates[error.argmin()] == pytest.approx(5.0, rel=0.01)
+@pytest.mark.parametrize(
+    ("gear", "efficiency", "tolerance"),
+    [(None, 1.0, 0.01), ("passive", 1.0, 0.01), ("printed", 0.8, 0.01), ("passive", 0.8, 0.02)],
+)
+def test_resistance_is_recovered_from_saturated_motion(hinge, gear, efficiency, tolerance):
+    """R identified at 1 ms from voltage-saturated motion made at 0.05 ms is right within 1 %, 2 % with forward loss."""
+    truth = saturated_motion(hinge, 0.00005, [5.0], gear, efficiency)
+    candidates = np.linspace(4.7, 5.3, 61)
+    error = ((saturated_motion(hinge, 0.001, candidates, gear, efficiency) - truth) ** 2).mean(1)
+    assert candidates[error.argmin()] == pytest.approx(5.0, rel=tolerance)
 
 
 def test_load_torque_of_two_links_solved_by_hand(hinge):
@@ -282,3 +290,62 @@ def test_bad_arguments_are_named(hinge):
         simulation(mj_model, friction_effects(), {}, control_period=0.0015)
     with pytest.raises(ValueError, match="no joint 'knee'"):
         BatchSimulation(mj_model, ["knee"], RobotModel((Motor(),)), 1)
+
+
+def test_the_printed_gear_cannot_hold(hinge):
+    """With DTE alone at 85 % of the torque that would slip, the printed brake drifts; the passive form holds."""
+    drift = {}
+    for form in ("printed", "passive"):
+        model = [CurrentPD(), Motor(), DirectionalEfficiency(form=form)]
+        values = {**IDEAL, "forward_efficiency": 1.0, "backward_efficiency": 0.7}
+        sim = simulation(compiled(hinge), model, values)
+        holding = 0.3 * 9.81 * 0.1 * np.sin(1.0)  # the load at 1 rad; 0.85 of it lies between 0.7 and 1
+        sim.reset([1.0], {"p_gain": 0.0, "d_gain": 0.0})
+        gain = 0.85 * holding / (IDEAL["torque_constant"] * 353.5)
+        sim.command(p_gain=gain / 100.0, position_target=101.0)
+        for _ in range(625):
+            sim.advance()
+        drift[form] = abs(sim.signals.position.item() - 1.0)
+    assert drift["passive"] < 0.005
+    assert drift["printed"] > 5 * drift["passive"]
+
+
+@pytest.mark.parametrize(
+    ("default", "message"),
+    [
+        ('<joint axis="0 0 1"/>', None),
+        ('<joint type="slide"/>', "hinge"),
+    ],
+)
+def test_default_classes_do_not_change_the_servo_silently(default, message):
+    """What a default class says of the joint is honoured or refused, never half of it."""
+    from dm_control import mjcf
+
+    root = mjcf.from_xml_string(
+        f"""<mujoco><default>{default}<motor gear="50" ctrlrange="-1 1" ctrllimited="true"/></default><worldbody>
+        <body><inertial pos="0 0 -0.1" mass="0.3" diaginertia="1e-4 1e-4 1e-4"/><joint name="hinge"/></body>
+        </worldbody></mujoco>"""
+    )
+    attach_servos([root.find("joint", "hinge")])
+    mj_model = mujoco.MjModel.from_xml_string(root.to_xml_string())
+    if message:
+        with pytest.raises(ValueError, match=message):
+            simulation(mj_model, [CurrentPD(), Motor()], IDEAL)
+    else:
+        assert mj_model.actuator_gear[0, 0] == 1
+        assert not mj_model.actuator_ctrllimited[0]
+        simulation(mj_model, [CurrentPD(), Motor()], IDEAL)
+
+
+def test_an_axis_from_a_default_class_is_refused():
+    """The sensor of the load torque would look along another axis than the joint turns about."""
+    from dm_control import mjcf
+
+    root = mjcf.from_xml_string(
+        """<mujoco><default><joint axis="0 1 0"/></default><worldbody><body>
+        <inertial pos="0 0 -0.1" mass="0.3" diaginertia="1e-4 1e-4 1e-4"/><joint name="hinge"/></body>
+        </worldbody></mujoco>"""
+    )
+    attach_servos([root.find("joint", "hinge")])
+    with pytest.raises(ValueError, match="axis"):
+        simulation(mujoco.MjModel.from_xml_string(root.to_xml_string()), [CurrentPD(), Motor()], IDEAL)

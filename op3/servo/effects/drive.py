@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from op3.servo import law
-from op3.servo.effect import Effect, Parameter, Prepared, Signals, Stage, register
+from op3.servo.effect import Clock, Effect, Parameter, Prepared, Signals, Stage, register
 
 
 @register
@@ -47,7 +47,6 @@ class Latency(Effect):
     """Commands act late by a constant time, which need not be a whole number of steps.
 
     Attributes:
-        period: time between commands [s].
         longest: largest latency the memory is made for [s].
         signal: what is late: the current of a current-driven servo, or the goal of a position servo.
     """
@@ -57,14 +56,13 @@ class Latency(Effect):
     equation: ClassVar[str] = "u(t) -> u(t - d)"
     source: ClassVar[str] = "sensor to torque on a 2 Mbit/s bus: about 6 ms sequential, 10 ms pipelined"
     parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("command_latency", "s", 0.0, 0.016, 0.006, 0.0, "time from reading sensors to torque"),
+        Parameter("command_latency", "s", 0.0, 0.016, 0.006, 0.0, "time from reading sensors to torque", least=0.0),
     )
 
-    period: float = 0.008
     longest: float = 0.024
     signal: Literal["target_current", "goal"] = "target_current"
 
-    def prepare(self, values: Mapping[str, Tensor], timestep: float) -> Prepared:
+    def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
         """Weights of past commands for each step of the period.
 
         Raises:
@@ -76,8 +74,8 @@ class Latency(Effect):
                 f"command_latency must lie in [0, {self.longest}] s, got {latency.min():g} to {latency.max():g};"
                 " raise the option `longest` of the effect `latency` for slower buses"
             )
-        depth = ceil(self.longest / self.period - 1e-9) + 1
-        return {"weights": law.delay_weights(latency, timestep, self.period, depth)}
+        depth = ceil(self.longest / clock.period - 1e-9) + 1
+        return {"weights": law.delay_weights(latency, clock.timestep, clock.period, depth)}
 
     def reset(self, signals: Signals, prepared: Prepared) -> None:
         """Before the start, the first command was already held."""
@@ -123,15 +121,15 @@ class PositionServo(Effect):
     goal_speed: float = 34.0
     goal_filter: float = 0.006
 
-    def prepare(self, values: Mapping[str, Tensor], timestep: float) -> Prepared:
+    def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
         """Gains, and how far the followed goal moves and its filter forgets in a step."""
         gain = values["controller_gain"] * self.error_gain
         return {
             "gain": gain,
             "derivative_gain": values["derivative_gain"],
-            "stride": torch.tensor(self.goal_speed * timestep, dtype=gain.dtype),
-            "forget": torch.tensor(1.0 - exp(-timestep / self.goal_filter), dtype=gain.dtype),
-            "timestep": torch.tensor(timestep, dtype=gain.dtype),
+            "stride": torch.tensor(self.goal_speed * clock.timestep, dtype=gain.dtype),
+            "forget": torch.tensor(1.0 - exp(-clock.timestep / self.goal_filter), dtype=gain.dtype),
+            "timestep": torch.tensor(clock.timestep, dtype=gain.dtype),
         }
 
     def reset(self, signals: Signals, prepared: Prepared) -> None:

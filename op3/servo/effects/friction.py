@@ -20,7 +20,9 @@ class Coulomb(Effect):
     stage: ClassVar[Stage] = Stage.FRICTION
     equation: ClassVar[str] = "tau_fric += fc"
     source: ClassVar[str] = "paper eq. (4); range from Table I"
-    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("coulomb_friction", "N m", 0.01, 0.25, 0.1, 0.0, "fc"),)
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("coulomb_friction", "N m", 0.01, 0.25, 0.1, 0.0, "fc", least=0.0),
+    )
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Raise the bound by fc."""
@@ -37,8 +39,8 @@ class Stribeck(Effect):
     equation: ClassVar[str] = "tau_fric += (fs - fc) exp(-|w| / w_static)"
     source: ClassVar[str] = "paper eq. (4), the exponential corrected; range of fs - fc from Table I"
     parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("static_friction_excess", "N m", 0.0, 0.25, 0.05, 0.0, "fs - fc"),
-        Parameter("stribeck_velocity", "rad/s", 0.02, 3.0, 0.1, None, "w_static; the paper gives no value"),
+        Parameter("static_friction_excess", "N m", 0.0, 0.25, 0.05, 0.0, "fs - fc", least=0.0),
+        Parameter("stribeck_velocity", "rad/s", 0.02, 3.0, 0.1, None, "w_static; the paper gives no value", least=1e-4),
     )
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
@@ -57,7 +59,7 @@ class Viscous(Effect):
     equation: ClassVar[str] = "tau_fric += kv |w|"
     source: ClassVar[str] = "paper eq. (4); range from Table I"
     parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("viscous_friction", "N m s/rad", 0.0025, 0.15, 0.03, 0.0, "kv"),
+        Parameter("viscous_friction", "N m s/rad", 0.0025, 0.15, 0.03, 0.0, "kv", least=0.0),
     )
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:

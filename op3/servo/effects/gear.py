@@ -2,12 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
+import torch
 from torch import Tensor
 
 from op3.servo import law
-from op3.servo.effect import Effect, Parameter, Prepared, Signals, Stage, register
+from op3.servo.effect import Clock, Effect, Parameter, Prepared, Signals, Stage, register
+
+_SHARE: dict[str, Any] = {"least": 0.0, "most": 1.0}
 
 
 @register
@@ -29,13 +32,33 @@ class DirectionalEfficiency(Effect):
     )
     source: ClassVar[str] = "paper eq. (3), its second condition corrected; ranges from Table I"
     parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("forward_efficiency", "-", 0.6, 1.0, 1.0, 1.0, "torque that arrives when the motor drives"),
-        Parameter("backward_efficiency", "-", 0.6, 1.0, 0.8, 1.0, "torque that arrives when the load drives"),
+        Parameter(
+            "forward_efficiency",
+            "-",
+            0.6,
+            1.0,
+            1.0,
+            1.0,
+            "torque that arrives when the motor drives",
+            least=0.0,
+            most=1.0,
+        ),
+        Parameter(
+            "backward_efficiency",
+            "-",
+            0.6,
+            1.0,
+            0.8,
+            1.0,
+            "torque that arrives when the load drives",
+            least=0.0,
+            most=1.0,
+        ),
     )
 
     form: Literal["passive", "printed"] = "passive"
 
-    def prepare(self, values: Mapping[str, Tensor], timestep: float) -> Prepared:
+    def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
         """Efficiencies and losses."""
         return {
             "forward_efficiency": values["forward_efficiency"],
@@ -46,14 +69,21 @@ class DirectionalEfficiency(Effect):
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Lose torque, as friction or as a brake."""
+        motor, load = signals.motor_torque, signals.load_torque
         if self.form == "passive":
+            leads = law.motor_leads(motor, load)
             signals.friction_bound = signals.friction_bound + law.dte_passive_loss(
-                signals.motor_torque, signals.load_torque, prepared["forward_loss"], prepared["backward_loss"]
+                motor, load, leads, prepared["forward_loss"], prepared["backward_loss"]
             )
+            # the loss falls with the motor torque when the joint gains speed, so less of the motor's damping arrives
+            lost = prepared["forward_loss"] * torch.sign(motor * signals.velocity)
+            signals.damping = signals.damping * (1.0 - torch.where(leads, lost, 0.0))
         else:
             signals.applied_torque = signals.applied_torque + law.dte_brake(
-                signals.motor_torque,
-                signals.load_torque,
-                prepared["forward_efficiency"],
-                prepared["backward_efficiency"],
+                motor, load, prepared["forward_efficiency"], prepared["backward_efficiency"]
             )
+            forward, backward = law.dte_zones(
+                motor, load, prepared["forward_efficiency"], prepared["backward_efficiency"]
+            )
+            arrives = torch.where(forward, prepared["forward_efficiency"], torch.where(backward, 1.0, 0.0))
+            signals.damping = signals.damping * arrives

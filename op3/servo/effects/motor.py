@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from op3.servo import law
-from op3.servo.effect import Effect, ModelEdit, Parameter, Prepared, Signals, Stage, register
+from op3.servo.effect import Clock, Effect, ModelEdit, Parameter, Prepared, Signals, Stage, register
 
 
 @register
@@ -30,16 +30,16 @@ class Motor(Effect):
     equation: ClassVar[str] = "tau_m = N Kt I, I = (V - N Kt w) / R, V = clip(R I* + N Kt w, -V_bus, V_bus)"
     source: ClassVar[str] = "paper eqs. (1), (2); ranges from Table I; gear ratio 353.5, ROBOTIS e-Manual"
     parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("torque_constant", "N m/A", 0.003, 0.009, 0.006, None, "at the motor shaft"),
-        Parameter("terminal_resistance", "ohm", 4.0, 9.0, 6.5, None, "of the motor and its driver"),
-        Parameter("armature", "kg m^2", 0.0025, 0.011, 0.00675, None, "rotor inertia seen at the joint"),
+        Parameter("torque_constant", "N m/A", 0.003, 0.009, 0.006, None, "at the motor shaft", least=0.0),
+        Parameter("terminal_resistance", "ohm", 4.0, 9.0, 6.5, None, "of the motor and its driver", least=1e-3),
+        Parameter("armature", "kg m^2", 0.0025, 0.011, 0.00675, None, "rotor inertia seen at the joint", least=0.0),
     )
     edits: ClassVar[tuple[ModelEdit, ...]] = (ModelEdit("dof_armature", "joint_dof", "set", "armature"),)
 
     gear_ratio: float = 353.5
     drive: Literal["current", "voltage"] = "current"
 
-    def prepare(self, values: Mapping[str, Tensor], timestep: float) -> Prepared:
+    def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
         """Joint-side torque constant K and the factors that contain it."""
         constant = values["torque_constant"] * self.gear_ratio
         resistance = values["terminal_resistance"]
