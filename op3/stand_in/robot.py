@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from op3.robot import Motion, build_scene
-from op3.robot.kinematics import sole_normals
 from op3.robot.scenes import Scene
 from op3.rollout import Rollout
 from op3.stand_in.play import play
@@ -151,7 +150,7 @@ class StandIn:
         if by_hand:
             position += self._world.placement * self._rng.standard_normal(len(self.joints))
         mujoco.mj_resetData(self._model, self._data)
-        self._data.qpos[:] = self._standing(position) if qpos is None else np.asarray(qpos, dtype=float)
+        self._data.qpos[:] = self.scene.initial_qpos(position) if qpos is None else np.asarray(qpos, dtype=float)
         mujoco.mj_forward(self._model, self._data)
         self._steps = 0
         self._due = 0.0
@@ -163,13 +162,6 @@ class StandIn:
             up = np.zeros(9)
             mujoco.mju_quat2Mat(up, self._orientation)
             self._imu.reset(self._orientation, -up.reshape(3, 3).T @ self._model.opt.gravity)
-
-    def _standing(self, position: Array) -> Array:
-        """qpos [qpos] of a pose; a free trunk is tilted so that the mean normal of the soles is vertical."""
-        if not self.scene.floating:
-            return self.scene.initial_qpos(position)
-        x, y, z = sole_normals(position).mean(0)
-        return self.scene.initial_qpos(position, np.arctan2(y, z), np.arctan2(-x, np.hypot(y, z)))
 
     def write_current(self, current: ArrayLike, delay: float = 0.0) -> None:
         """Give the servos new goal currents.

@@ -70,9 +70,10 @@ class Replay:
             raise ValueError("there is nothing to replay: give at least one log")
         self.logs = list(logs)
         self._groups: list[_Group] = []
-        order = sorted(range(len(logs)), key=lambda i: logs[i].metadata.mount)
-        for mount, members in groupby(order, key=lambda i: logs[i].metadata.mount):
-            self._groups.append(_Group(list(members), logs, mount, settle, record_period, duration, bench_timestep))
+        mounts = [_mount(log) for log in logs]
+        for mount, members in groupby(sorted(range(len(logs)), key=mounts.__getitem__), key=mounts.__getitem__):
+            setup = Setup.of_mount(mount[0], bench_timestep, tilt=mount[1:])
+            self._groups.append(_Group(list(members), logs, setup, settle, record_period, duration))
 
     @property
     def seconds(self) -> float:
@@ -106,10 +107,10 @@ class Replay:
 class _Group:
     """Logs of one mount, padded to one length."""
 
-    def __init__(self, members, logs, mount, settle, record_period, duration, bench_timestep):
+    def __init__(self, members, logs, setup, settle, record_period, duration):
         self.members = members
         self.logs = [logs[i] for i in members]
-        self.setup = Setup.of_mount(mount, bench_timestep)
+        self.setup = setup
         self.period = self.setup.control_period
         default = self.period if self.setup.base_body else 0.005
         self.every = max(1, round((record_period or default) / self.period))
@@ -215,6 +216,14 @@ class _Group:
             seconds = (self.ticks + self.settle) * self.period * candidates
             predictions[self.members[i]] = Prediction(log, channels, failed[:, i], seconds)
         return predictions
+
+
+def _mount(log: Rollout) -> tuple[str, float, float]:
+    """What holds the robot, and the roll and pitch of a stand, to a hundredth of a radian."""
+    if log.metadata.mount != "stand" or "imu/orientation" not in log:
+        return log.metadata.mount, 0.0, 0.0
+    roll, pitch = log.array("imu/orientation")[:, :2].mean(0)
+    return "stand", round(float(roll), 2) + 0.0, round(float(pitch), 2) + 0.0
 
 
 def _fallback(command: str, log: Rollout) -> float:

@@ -39,14 +39,17 @@ class Setup:
     control_period: float
 
     @classmethod
-    def of_mount(cls, mount: str, bench_timestep: float = BENCH_CONTROL_PERIOD) -> "Setup":
+    def of_mount(
+        cls, mount: str, bench_timestep: float = BENCH_CONTROL_PERIOD, tilt: tuple[float, float] = (0.0, 0.0)
+    ) -> "Setup":
         """The setup for logs of this mount.
 
         Args:
             mount: ``floor``, ``stand`` or ``pendulum``.
             bench_timestep: simulation step of a pendulum, and cycle of its servo's position loop [s].
+            tilt: roll and pitch of the stand [rad].
         """
-        scene = build_bench() if mount == "pendulum" else build_scene(mount)
+        scene = build_bench() if mount == "pendulum" else build_scene(mount, tilt_roll=tilt[0], tilt_pitch=tilt[1])
         attach_servos(scene.joints)
         robot = scene.robot
         return cls(

@@ -89,6 +89,17 @@ def test_the_battery_of_the_metadata_reaches_the_servos(logs):
     assert starved.abs().max() < full.abs().max()
 
 
+def test_a_tilted_stand_is_simulated_tilted(logs):
+    """The stand's tilt is read from the log's orientation, so gravity pulls the arms as it did."""
+    orientation = np.zeros((len(logs[0]), 3))
+    orientation[:, 1] = 0.5
+    data = {key: logs[0].data[key] for key in logs[0].channels} | {("imu", "orientation"): orientation}
+    tilted = Rollout.from_arrays(data, logs[0].metadata)
+    level, leaning = (Replay([log]).run(load_model("paper"))[0] for log in (logs[0], tilted))
+    assert leaning.channels[("imu", "orientation")][0, -1, 1] == pytest.approx(0.5, abs=1e-6)
+    assert not torch.allclose(level.channels[("joint", "current")], leaning.channels[("joint", "current")], atol=1e-3)
+
+
 def test_nothing_to_replay_is_refused():
     """An empty list is a mistake."""
     with pytest.raises(ValueError, match="at least one log"):

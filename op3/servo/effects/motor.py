@@ -7,6 +7,7 @@ from typing import ClassVar, Literal
 import torch
 from torch import Tensor
 
+from op3.robot.joints import GEAR_RATIO
 from op3.servo import law
 from op3.servo.effect import Clock, Effect, ModelEdit, Parameter, Prepared, Signals, Stage, register
 
@@ -36,7 +37,7 @@ class Motor(Effect):
     )
     edits: ClassVar[tuple[ModelEdit, ...]] = (ModelEdit("dof_armature", "joint_dof", "set", "armature"),)
 
-    gear_ratio: float = 353.5
+    gear_ratio: float = GEAR_RATIO
     drive: Literal["current", "voltage"] = "current"
 
     def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
