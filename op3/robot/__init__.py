@@ -1,6 +1,6 @@
 """The OP3 itself: joints, model, poses, scenes and motions."""
 
-from op3.robot.assets import asset_path
+from op3.robot.assets import asset_path, named_configs
 from op3.robot.joints import (
     CONTROLLED_JOINTS,
     GEAR_RATIO,
@@ -42,6 +42,7 @@ __all__ = [
     "indices",
     "key_points",
     "mirror",
+    "named_configs",
     "pose",
     "quaternion",
     "sole_corners",

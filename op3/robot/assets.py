@@ -24,3 +24,14 @@ def asset_path(name: str) -> Path:
     raise FileNotFoundError(
         f"no asset {name!r} in {searched}; run from a checkout or install the wheel, which carries them"
     )
+
+
+def named_configs(group: str) -> dict[str, Path]:
+    """The config files of a group that come with the project, by name: ``conf/<group>/<name>.yaml``.
+
+    Args:
+        group: folder below `conf/`; an installed wheel carries `op3/_conf` with those that the package itself reads.
+    """
+    installed = _PACKAGE / "_conf" / group
+    folder = installed if installed.is_dir() else _PACKAGE.parent / "conf" / group
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}

@@ -8,6 +8,7 @@ from typing import Any
 
 import yaml
 
+from op3.robot import named_configs
 from op3.servo import Estimate, RobotModel, effect_class
 from op3.servo.conditions import split_name
 
@@ -31,13 +32,7 @@ def save_model(model: RobotModel, path: str | Path) -> Path:
 
 def model_names() -> tuple[str, ...]:
     """Names of the models that come with the project, in ``conf/servo/``."""
-    return tuple(sorted(path.stem for path in _named_models().glob("*.yaml")))
-
-
-def _named_models() -> Path:
-    package = Path(__file__).resolve().parents[1]
-    installed = package / "_conf" / "servo"
-    return installed if installed.is_dir() else package.parent / "conf" / "servo"
+    return tuple(named_configs("servo"))
 
 
 def find_model(name_or_path: str | Path) -> Path:
@@ -51,9 +46,9 @@ def find_model(name_or_path: str | Path) -> Path:
         return path
     if path.is_dir() and (path / "model.yaml").is_file():
         return path / "model.yaml"
-    named = _named_models() / f"{name_or_path}.yaml"
-    if str(name_or_path) in model_names():
-        return named
+    named = named_configs("servo")
+    if str(name_or_path) in named:
+        return named[str(name_or_path)]
     raise FileNotFoundError(
         f"there is no model file {str(name_or_path)!r}; give the path of a model.yaml or one of the names "
         + ", ".join(model_names())

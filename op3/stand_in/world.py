@@ -14,6 +14,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from op3.robot import named_configs
+
 _POSITIVE = (
     "torque_constant",
     "terminal_resistance",
@@ -224,7 +226,7 @@ class World:
         if Path(name).is_file():
             return cls.load(name)
         if name in world_names():
-            return cls.load(_named_worlds() / f"{name}.yaml")
+            return cls.load(named_configs("stand_in")[str(name)])
         known = ", ".join(world_names())
         raise ValueError(f"there is no world {str(name)!r}; choose random, {known}, or the path of a YAML file")
 
@@ -237,10 +239,4 @@ class World:
 
 def world_names() -> tuple[str, ...]:
     """Names of the worlds that come with the project, in `conf/stand_in/`."""
-    return tuple(sorted(path.stem for path in _named_worlds().glob("*.yaml")))
-
-
-def _named_worlds() -> Path:
-    package = Path(__file__).resolve().parents[1]
-    installed = package / "_conf" / "stand_in"
-    return installed if installed.is_dir() else package.parent / "conf" / "stand_in"
+    return tuple(named_configs("stand_in"))

@@ -49,9 +49,21 @@ class Playback(composer.Task):
         self._scene = scene
         self._motion = motion
         self._held = commands
-        self._pendulum = pendulum
+        self._metadata = Metadata(
+            joints=tuple(joint.name for joint in scene.joints),
+            robot="simulated",
+            mount=scene.mount,
+            rate=1.0 / control_period,
+            motion=motion.name,
+            model_hash=model_hash(model),
+            battery=model.bus_voltage,
+            mass=pendulum[0],
+            length=pendulum[1],
+            firmware_gain=commands.get("firmware_gain"),
+        )
         trunk = None if scene.robot is None else scene.robot.trunk
-        self.servo = GearedServo(scene.joints, model, base_body=trunk, control_period=control_period)
+        here = model.under(vars(self._metadata))
+        self.servo = GearedServo(scene.joints, here, base_body=trunk, control_period=control_period)
         self._settle = round(settle / control_period)
         self._ticks = 0
         self._rows: list[dict[Any, torch.Tensor]] = []
@@ -116,19 +128,7 @@ class Playback(composer.Task):
     def rollout(self) -> Rollout:
         """The log of the episode so far."""
         arrays = {key: torch.stack([row[key] for row in self._rows]) for key in self._rows[0]}
-        scene = self._scene
-        metadata = Metadata(
-            joints=self.servo.joint_names,
-            robot="simulated",
-            mount=scene.mount,
-            rate=1.0 / self.control_timestep,
-            motion=self._motion.name,
-            model_hash=model_hash(self.servo.model),
-            battery=self.servo.model.bus_voltage,
-            mass=self._pendulum[0],
-            length=self._pendulum[1],
-        )
-        return Rollout.from_arrays(arrays, metadata)
+        return Rollout.from_arrays(arrays, self._metadata)
 
 
 def squat_task(

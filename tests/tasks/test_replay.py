@@ -175,3 +175,14 @@ def test_longer_steps_of_a_bench_agree():
         for step in (0.001, 0.002)
     )
     assert 0 < (fine - coarse).abs().mean() < 1e-3
+
+
+def test_a_played_bench_has_the_values_of_its_length():
+    """Composer and batch read the same conditions, so a log of a model with conditions is reproduced."""
+    model = bench_model().with_values({"encoder_offset@length=1e-1": 0.1})
+    log = play(bench_task(model, swing(), 0.3, 0.1, firmware_gain=16.0))
+    position = torch.from_numpy(log.array("joint/position"))
+    error = Replay([log], settle=0.0).run(model)[0].channels[("joint", "position")][0] - position
+    assert error.abs().max() < 1e-3
+    shared = Replay([log], settle=0.0).run(bench_model())[0].channels[("joint", "position")][0] - position
+    assert shared.abs().max() > 1e-2

@@ -171,8 +171,8 @@ class MinimumDuty(Effect):
         "start-up duty of the Feetech STS3032 (its registers have one); seen on Rhoban's servo bench"
     )
     parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("minimum_duty", "-", 0.0, 0.15, 0.03, 0.0, "duty added, d0"),
-        Parameter("minimum_duty_fade", "-", 0.01, 0.3, 0.08, None, "duty over which the lift sets in, d1"),
+        Parameter("minimum_duty", "-", 0.0, 0.15, 0.03, 0.0, "duty added, d0", least=0.0),
+        Parameter("minimum_duty_fade", "-", 0.01, 0.3, 0.08, None, "duty over which the lift sets in, d1", least=1e-4),
     )
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:

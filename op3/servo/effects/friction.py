@@ -77,7 +77,7 @@ class BearingFriction(Effect):
     equation: ClassVar[str] = "tau_fric += kb F_r |w|"
     source: ClassVar[str] = "plain bearing under load; on Rhoban's servo bench, damping grows with the weight carried"
     parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("bearing_friction", "m s/rad", 0.0, 0.001, 0.0001, 0.0, "kb, viscous friction per radial force"),
+        Parameter("bearing_friction", "m s/rad", 0.0, 0.001, 0.0001, 0.0, "kb, per radial force", least=0.0),
     )
     reads: ClassVar[tuple[str, ...]] = ("radial_force",)
 

@@ -25,8 +25,8 @@ class LoadFriction(Effect):
     equation: ClassVar[str] = "tau_fric += (l + s ls) |tau_m - tau_a|, s = exp(-|w| / w_static)"
     source: ClassVar[str] = f"{SOURCE}, models M3 and M4"
     parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("load_friction", "-", 0.0, 0.9, 0.1, 0.0, "friction per torque passed on, l"),
-        Parameter("load_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "more of it near rest, ls"),
+        Parameter("load_friction", "-", 0.0, 0.9, 0.1, 0.0, "friction per torque passed on, l", least=0.0),
+        Parameter("load_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "more of it near rest, ls", least=0.0),
     )
     reads: ClassVar[tuple[str, ...]] = ("fade",)
 
@@ -47,10 +47,14 @@ class DirectionalFriction(Effect):
     equation: ClassVar[str] = "tau_fric += |lm tau_m - le tau_a| + s |lms tau_m - les tau_a|, s = exp(-|w| / w_static)"
     source: ClassVar[str] = f"{SOURCE}, model M5"
     parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("motor_friction", "-", 0.0, 0.9, 0.1, 0.0, "share of the motor's torque, lm"),
-        Parameter("external_friction", "-", 0.0, 0.9, 0.1, 0.0, "share of the load's torque, le"),
-        Parameter("motor_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "share of the motor's torque near rest, lms"),
-        Parameter("external_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "share of the load's torque near rest, les"),
+        Parameter("motor_friction", "-", 0.0, 0.9, 0.1, 0.0, "share of the motor's torque, lm", least=0.0),
+        Parameter("external_friction", "-", 0.0, 0.9, 0.1, 0.0, "share of the load's torque, le", least=0.0),
+        Parameter(
+            "motor_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "share of the motor's torque near rest, lms", least=0.0
+        ),
+        Parameter(
+            "external_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "share of the load's torque near rest, les", least=0.0
+        ),
     )
     reads: ClassVar[tuple[str, ...]] = ("fade",)
 
@@ -75,8 +79,8 @@ class AntagonisticFriction(Effect):
     )
     source: ClassVar[str] = f"{SOURCE}, model M6"
     parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("motor_square", "1/(N m)", 0.0, 5.0, 0.0, 0.0, "qm, where the load is the stronger"),
-        Parameter("external_square", "1/(N m)", 0.0, 5.0, 0.0, 0.0, "qe, where the motor is the stronger"),
+        Parameter("motor_square", "1/(N m)", 0.0, 5.0, 0.0, 0.0, "qm, where the load is the stronger", least=0.0),
+        Parameter("external_square", "1/(N m)", 0.0, 5.0, 0.0, 0.0, "qe, where the motor is the stronger", least=0.0),
     )
     reads: ClassVar[tuple[str, ...]] = ("fade",)
 
