@@ -50,8 +50,9 @@ def page(out: Path, robot: dict, servo: dict | None, seconds: float) -> Page:
     lead = f"Directional transmission efficiency lowers the loss of a squat by a factor of {ratio:.1f}."
     if servo is not None:
         lead += (
-            f" On a real servo that others recorded, runs at a gain the fit has not seen are predicted within"
-            f" {servo['error_mrad.heldout']:.1f} mrad, without it within {servo['error_mrad.heldout_without_dte']:.1f}."
+            " On a real servo that others recorded, runs at a gain the fit has not seen are predicted with a mean"
+            f" error of {servo['error_mrad.heldout']:.1f} mrad,"
+            f" without it {servo['error_mrad.heldout_without_dte']:.1f}."
         )
     page = Page("op3 demo", lead)
     page.tile("squat, loss", robot["loss.fit"], note=f"{robot['loss.fit_without_dte']:.3g} without DTE")
@@ -74,7 +75,7 @@ def page(out: Path, robot: dict, servo: dict | None, seconds: float) -> Page:
             " `python experiments/demo.py --bench <folder>`."
         )
     else:
-        page.text("A Feetech STS3032 that swings a pendulum; runs with firmware gain 8 were held out.")
+        page.text("A Feetech STS3032 swings a pendulum, recorded by Rhoban; runs with firmware gain 8 were held out.")
         page.files({"servo/index.html": "the identification of the servo", "servo/model.yaml": "its model"})
     page.provenance(run_provenance(seed=0))
     return page

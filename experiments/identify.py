@@ -126,9 +126,15 @@ def main(cfg: DictConfig) -> Any:
     with one_sentence():
         torch.set_num_threads(1)
         started = datetime.now()
+        if OmegaConf.is_missing(cfg, "data"):
+            raise ValueError("data is missing: add data=<log>, a folder of logs, or a list of them")
+        for name in cfg.ablate:
+            effect_class(name)
         model = base_model(cfg)
         identification = build(cfg, model, f"with {', '.join(cfg.ablate).upper()}" if cfg.ablate else "model")
         folder = Path(HydraConfig.get().runtime.output_dir)
+        if cfg.population is None:
+            identification.check()
 
         def report(study: optuna.Study) -> dict[str, Any]:
             fit = identification.finish(study, **cfg.refine)

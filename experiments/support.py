@@ -1,5 +1,6 @@
 """What the experiment scripts share."""
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -13,3 +14,8 @@ def one_sentence() -> Iterator[None]:
         yield
     except (ValueError, FileNotFoundError) as error:
         raise CompactHydraException(str(error)) from error
+    except KeyboardInterrupt:
+        print(
+            "\nInterrupted. The same command with the same hydra.run.dir goes on from the trials done.", file=sys.stderr
+        )
+        raise SystemExit(130) from None

@@ -58,6 +58,7 @@ class Fit:
         fit: score on the logs that were fitted.
         heldout: score on the held-out logs; None where there are none.
         bounds: the range searched, by parameter name.
+        starts: the model's values before the search, by parameter name.
         trials: loss of every trial of the study, in order; NaN where it failed.
         refined: loss after every iteration of least squares; empty without.
         simulated_seconds: simulated time spent [s].
@@ -69,6 +70,7 @@ class Fit:
     fit: Score
     heldout: Score | None
     bounds: Mapping[str, tuple[float, float]]
+    starts: Mapping[str, float]
     trials: Sequence[float]
     refined: Sequence[float] = field(default_factory=tuple)
     simulated_seconds: float = 0.0
@@ -141,6 +143,16 @@ class Identification:
         self._evaluated = 0
         self.heldout = Problem(model, heldout, self.loss, bench_timestep=bench_timestep) if heldout else None
 
+    def check(self) -> None:
+        """Find out before the first trial whether the model can be simulated and compared on every log.
+
+        Raises:
+            ValueError: if not; the message names what does not fit.
+        """
+        for problem in (self.problem, self.heldout):
+            if problem is not None:
+                self.loss(problem.predict({}, 1))
+
     def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[Outcome]:
         """Losses of trials whose parameters are config keys, as the study asks them."""
         self._evaluated += len(population)
@@ -205,6 +217,7 @@ class Identification:
             fit=self.score(self.problem, values),
             heldout=None if self.heldout is None else self.score(self.heldout, values),
             bounds=bounds,
+            starts={name: self.problem.model.estimate(name).value for name in self.names},
             trials=trials,
             refined=refined,
             # trials that other processes evaluated count as well

@@ -74,7 +74,10 @@ def _log_ticks(losses: Sequence[Sequence[float | None]]) -> list[float]:
 
 
 def ranges_figure(
-    models: Mapping[str, RobotModel], names: Sequence[str] = (), bounds: Bounds | None = None
+    models: Mapping[str, RobotModel],
+    names: Sequence[str] = (),
+    bounds: Bounds | None = None,
+    starts: Mapping[str, float] | None = None,
 ) -> go.Figure:
     """Parameters within their ranges: value, 90 % interval, nominal value, and the labels side by side.
 
@@ -85,11 +88,12 @@ def ranges_figure(
         models: by label.
         names: parameters to show; those that a model has an estimate of where empty.
         bounds: ranges to draw, by name, where they are not the catalogue's.
+        starts: values that the search started from, by name, where they are not the catalogue's.
 
     Raises:
         ValueError: if there is no parameter to show, or no model has one that is named.
     """
-    known = bounded_parameters(models, bounds)
+    known = bounded_parameters(models, bounds, starts)
     shown = list(names) or [name for name in known if any(name in m.estimates for m in models.values())]
     if not shown:
         raise ValueError("no model has an estimate of a parameter; name the parameters to show")
@@ -110,10 +114,10 @@ def ranges_figure(
             x=[None], y=[None], mode="markers", name=plain(label), marker=dict(color=colour[label], size=10)
         )
     figure.add_scatter(
-        x=[None], y=[None], mode="markers", name="nominal",
+        x=[None], y=[None], mode="markers", name="start",
         marker=dict(symbol="line-ns", size=13, line=dict(color=INK, width=2)),
     )  # fmt: skip
-    dress(figure, 110 + 52 * len(shown), margin=dict(l=270, r=250, t=48, b=48), hovermode="closest")
+    dress(figure, 110 + 52 * len(shown), margin=dict(l=340, r=320, t=48, b=48), hovermode="closest")
     titles = [f"{words(name)} [{unit_text(known[name].unit)}]" for name in shown]
     figure.update_yaxes(
         tickvals=list(range(len(shown))), ticktext=titles, range=[len(shown) - 0.45, -0.55], showgrid=False,

@@ -150,11 +150,11 @@ def _page(fits: Sequence[Fit], joints: Sequence[str], values: Mapping[str, Any],
     page.section("Parameters")
     models = {f.label: f.model for f in fits}
     page.figure(
-        ranges_figure(models, fit.found, fit.bounds),
+        ranges_figure(models, fit.found, fit.bounds, fit.starts),
         "Parameters in the ranges searched, with 90 % intervals from the data.",
     )
     page.table(
-        *parameter_table(models, bounds=fit.bounds),
+        *parameter_table(models, bounds=fit.bounds, starts=fit.starts),
         caption="All parameters; those without an interval were not searched.",
     )
     page.section("Files")

@@ -40,18 +40,26 @@ Bounds = Mapping[str, tuple[float, float]]
 """Lowest and highest value by parameter name."""
 
 
-def bounded_parameters(models: Mapping[str, RobotModel], bounds: Bounds | None = None) -> dict[str, Parameter]:
-    """The parameters of all models by name, with the ranges that were searched where they are not the catalogue's."""
+def bounded_parameters(
+    models: Mapping[str, RobotModel], bounds: Bounds | None = None, starts: Mapping[str, float] | None = None
+) -> dict[str, Parameter]:
+    """The parameters of all models by name, with ranges and starts of a search where they are not the catalogue's."""
     known = {name: p for model in models.values() for name, p in model.parameters().items()}
     for name, (low, high) in (bounds or {}).items():
         base, _ = split_name(name)
         if base in known:
             known[name] = replace(known[base], name=name, low=low, high=high)
+    for name, start in (starts or {}).items():
+        if name in known:
+            known[name] = replace(known[name], nominal=start)
     return known
 
 
 def parameter_table(
-    models: Mapping[str, RobotModel], names: Sequence[str] = (), bounds: Bounds | None = None
+    models: Mapping[str, RobotModel],
+    names: Sequence[str] = (),
+    bounds: Bounds | None = None,
+    starts: Mapping[str, float] | None = None,
 ) -> TableRows:
     """Parameters with unit, range and nominal value, and per model the value with its 90 % interval.
 
@@ -59,10 +67,11 @@ def parameter_table(
         models: by label.
         names: parameters to list; all of the models where empty.
         bounds: ranges to list, by name, where they are not the catalogue's.
+        starts: values that the search started from, by name, where they are not the catalogue's.
     """
-    known = bounded_parameters(models, bounds)
+    known = bounded_parameters(models, bounds, starts)
     intervals = {label: any(e.low is not None for e in model.estimates.values()) for label, model in models.items()}
-    header = ["parameter", "unit", "range from", "to", "nominal"]
+    header = ["parameter", "unit", "range from", "to", "start"]
     for label in models:
         header += [label, "90 % from", "to"] if intervals[label] else [label]
     rows: list[list[Cell]] = []

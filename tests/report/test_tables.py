@@ -29,7 +29,7 @@ def test_parameters_stand_with_unit_range_and_interval():
     """A parameter's row has its catalogue range, and no number under a model that lacks it."""
     found = RobotModel((Motor(), DirectionalEfficiency()), {"backward_efficiency": Estimate(0.7, 0.65, 0.75)})
     header, rows = parameter_table({"with": found, "without": RobotModel((Motor(),))}, ["backward_efficiency"])
-    assert header == ["parameter", "unit", "range from", "to", "nominal", "with", "90 % from", "to", "without"]
+    assert header == ["parameter", "unit", "range from", "to", "start", "with", "90 % from", "to", "without"]
     assert rows == [["backward efficiency", "-", 0.6, 1.0, 0.8, 0.7, 0.65, 0.75, None]]
 
 
