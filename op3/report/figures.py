@@ -79,7 +79,7 @@ def ranges_figure(
     bounds: Bounds | None = None,
     starts: Mapping[str, float] | None = None,
 ) -> go.Figure:
-    """Parameters within their ranges: value, 90 % interval, nominal value, and the labels side by side.
+    """Parameters within their ranges: value, 90 % interval, start of the search, and the labels side by side.
 
     Every bar is a parameter's range (paper Table I), scaled to the same length. Values of single joints are open
     circles. A model whose effects do not have a parameter has no marker there.

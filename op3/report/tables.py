@@ -61,7 +61,7 @@ def parameter_table(
     bounds: Bounds | None = None,
     starts: Mapping[str, float] | None = None,
 ) -> TableRows:
-    """Parameters with unit, range and nominal value, and per model the value with its 90 % interval.
+    """Parameters with unit, range and start of the search, and per model the value with its 90 % interval.
 
     Args:
         models: by label.
