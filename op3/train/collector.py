@@ -68,12 +68,12 @@ class Collector:
         """
         if self._now is None:
             raise RuntimeError("a collector begins with restart(seed)")
-        rows, ended = [], []
+        rows, ended, now = [], [], self._now
         for _ in range(steps):
-            observation = self._now["observation"].to(torch.float32)
+            observation = now["observation"].to(torch.float32)
             action = policy(observation)
-            self._now["action"] = action.to(self.environment.device or "cpu")
-            step, self._now = self.environment.step_and_maybe_reset(self._now)
+            now["action"] = action.to(self.environment.device or "cpu")
+            step, now = self.environment.step_and_maybe_reset(now)
             after = step["next"]
             row = {
                 "observation": observation,
@@ -86,6 +86,7 @@ class Collector:
             row |= {"/".join(key): after[key].view(self.count, -1).to(torch.float32) for key in self.extras}
             rows.append(row)
             ended.append(self._count(row["reward"], row["terminated"], row["done"]))
+        self._now = now
         rollout = TensorDict({name: torch.stack([row[name] for row in rows]) for name in rows[0]}, [steps, self.count])
         for name in ("next_observation", "reward"):
             if not bool(torch.isfinite(rollout[name]).all()):
