@@ -1,0 +1,102 @@
+"""Rolls a policy out in many environments at once, across the ends of their episodes."""
+
+import dataclasses
+from collections.abc import Callable
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.envs import EnvBase
+
+Policy = Callable[[Tensor], Tensor]
+"""Observations [env, observation] to actions [env, action] in [-1, 1]."""
+
+
+@dataclasses.dataclass
+class Episodes:
+    """Returns and lengths of the episodes that ended in a rollout.
+
+    Attributes:
+        returns: sum of rewards of each.
+        lengths: steps of each.
+        terminated: whether each was ended by the task and not by time.
+    """
+
+    returns: Tensor
+    lengths: Tensor
+    terminated: Tensor
+
+
+class Collector:
+    """Steps a batched TorchRL environment; episodes that end begin anew by themselves.
+
+    Args:
+        environment: with batch size [env] and the keys ``observation`` and ``action``.
+        extras: further keys of ``next`` to keep, for example the terms of the reward.
+    """
+
+    def __init__(self, environment: EnvBase, extras: tuple[tuple[str, ...], ...] = ()):
+        if len(environment.batch_size) != 1:
+            raise ValueError(f"the environment must have one batch dimension, got {tuple(environment.batch_size)}")
+        self.environment, self.extras = environment, extras
+        self.count = environment.batch_size[0]
+        self._now: TensorDictBase | None = None
+        self._returns = torch.zeros(self.count)
+        self._lengths = torch.zeros(self.count, dtype=torch.long)
+
+    def restart(self, seed: int) -> None:
+        """Seed the environments and begin an episode in each."""
+        self.environment.set_seed(seed)
+        self._now = self.environment.reset()
+        self._returns.zero_()
+        self._lengths.zero_()
+
+    def collect(self, policy: Policy, steps: int) -> tuple[TensorDict, Episodes]:
+        """A rollout of `steps` steps of every environment.
+
+        Args:
+            policy: chooses the actions.
+            steps: of every environment.
+
+        Returns:
+            TensorDict [time, env] with ``observation``, ``action``, ``reward``, ``next_observation``,
+            ``terminated``, ``done`` and the extras, in float32; and the episodes that ended.
+
+        Raises:
+            RuntimeError: if `restart` was not called.
+            ValueError: if an observation or a reward is not finite.
+        """
+        if self._now is None:
+            raise RuntimeError("a collector begins with restart(seed)")
+        rows, ended, now = [], [], self._now
+        for _ in range(steps):
+            observation = now["observation"].to(torch.float32)
+            action = policy(observation)
+            now["action"] = action.to(self.environment.device or "cpu")
+            step, now = self.environment.step_and_maybe_reset(now)
+            after = step["next"]
+            row = {
+                "observation": observation,
+                "action": action.cpu(),
+                "reward": after["reward"].view(self.count).to(torch.float32),
+                "next_observation": after["observation"].to(torch.float32),
+                "terminated": after["terminated"].view(self.count),
+                "done": after["done"].view(self.count),
+            }
+            row |= {"/".join(key): after[key].view(self.count, -1).to(torch.float32) for key in self.extras}
+            rows.append(row)
+            ended.append(self._count(row["reward"], row["terminated"], row["done"]))
+        self._now = now
+        rollout = TensorDict({name: torch.stack([row[name] for row in rows]) for name in rows[0]}, [steps, self.count])
+        for name in ("next_observation", "reward"):
+            if not bool(torch.isfinite(rollout[name]).all()):
+                raise ValueError(f"the environment gave a {name} that is not finite; check its model file")
+        return rollout, Episodes(*(torch.cat(values) for values in zip(*ended, strict=True)))
+
+    def _count(self, reward: Tensor, terminated: Tensor, done: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        self._returns += reward
+        self._lengths += 1
+        ended = self._returns[done], self._lengths[done], terminated[done]
+        self._returns[done] = 0.0
+        self._lengths[done] = 0
+        return ended
