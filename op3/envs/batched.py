@@ -110,14 +110,36 @@ class BatchedEnv(EnvBase):
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDict:
         mask = torch.ones(self.num_envs, dtype=torch.bool)
-        # the first reset is of all robots, whatever is asked
-        if tensordict is not None and tensordict.get("_reset", None) is not None and self._beginnings:
+        if tensordict is not None and tensordict.get("_reset", None) is not None:
             mask = tensordict["_reset"].view(self.num_envs)
-        rows = mask.nonzero()[:, 0].numpy()
-        for row in rows:
-            self.episode_seeds[row] = episode_seed(self.seed, int(row), int(self._episodes[row]))
-            self._beginnings[row] = begin(self.task, self.scene, int(self.episode_seeds[row]))
+        rows = mask.nonzero()[:, 0].tolist()
+        seeds = {row: episode_seed(self.seed, row, int(self._episodes[row])) for row in rows}
         self._episodes[rows] += 1
+        return self._begin(mask, seeds)
+
+    def begin(self, episodes: Mapping[int, int]) -> TensorDict:
+        """Put some robots down for chosen episodes, in which all robots find the same beginning.
+
+        Args:
+            episodes: number of the episode, by index of the robot; the others go on undisturbed.
+
+        Returns:
+            The state of all robots, as `reset` gives it.
+        """
+        mask = torch.zeros(self.num_envs, dtype=torch.bool)
+        mask[list(episodes)] = True
+        return self._begin(mask, {row: episode_seed(self.seed, 0, number) for row, number in episodes.items()})
+
+    def set_parameters(self, values: Mapping[str, Tensor | float]) -> None:
+        """Give robots other parameters from now on, as the constructor's `parameters`."""
+        self._fixed = dict(values)
+        self.simulation.set_parameters({**self._fixed, **self.parameters_drawn})
+
+    def _begin(self, mask: Tensor, seeds: Mapping[int, int]) -> TensorDict:
+        rows = np.array(sorted(seeds))
+        for row, seed in seeds.items():
+            self.episode_seeds[row] = seed
+            self._beginnings[row] = begin(self.task, self.scene, seed)
         self._place(rows)
         observation = self.rules.begin(self.snapshot(), mask)
         zeros = torch.zeros(self.num_envs, 1)
