@@ -1,0 +1,6 @@
+"""TorchRL environments over the tasks."""
+
+from op3.envs.batched import BatchedEnv
+from op3.envs.factory import make_env
+
+__all__ = ["BatchedEnv", "make_env"]
