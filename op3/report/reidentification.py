@@ -165,9 +165,7 @@ def _front_figure(found: Reidentified, study: optuna.Study) -> go.Figure:
     figure = go.Figure()
     if played:
         x, y = np.array(played).T
-        figure.add_scatter(
-            x=x, y=y, mode="markers", name="trials", marker=dict(color=faded(PALETTE[0], 0.3), size=5)
-        )
+        figure.add_scatter(x=x, y=y, mode="markers", name="trials", marker=dict(color=faded(PALETTE[0], 0.3), size=5))
     front = [one for one in found.front if one.returns]
     figure.add_scatter(
         x=[one.excitation for one in front],

@@ -41,16 +41,57 @@ def evaluation_rewards(log: Rollout, task: str | Task | None = None) -> Tensor:
         return torch.from_numpy(log.array(key))[rows]
 
     orientation, rates, action = channel("imu/orientation"), channel("imu/angular_velocity"), channel("policy/action")
-    velocity = _walked(log, len(action)) if task.cycle is not None else _swayed(rates)
-    acceleration = rewards.body_acceleration(channel("imu/linear_acceleration"), orientation)
-    previous = torch.cat([action[:1], action[:-1]])
+    result = evaluation_terms(
+        task,
+        action,
+        torch.cat([action[:1], action[:-1]]),
+        channel("joint/current"),
+        orientation,
+        rates,
+        channel("imu/linear_acceleration"),
+        swayed(rates) if task.cycle is None else None,
+    )
+    return result if task.cycle is None else result + travel_term(task, _walked(log))
+
+
+def evaluation_terms(
+    task: Task,
+    action: Tensor,
+    previous: Tensor,
+    current: Tensor,
+    orientation: Tensor,
+    rates: Tensor,
+    specific_force: Tensor,
+    velocity: Tensor | None,
+) -> Tensor:
+    """R_eval of steps, ``[...]``; without the part of the velocity where that is not known yet.
+
+    Args:
+        task: that is attempted.
+        action: ``[..., action]``.
+        previous: the action before.
+        current: of all motors, ``[..., joint]`` in A.
+        orientation: roll, pitch and yaw, ``[..., 3]`` in rad.
+        rates: of the body, ``[..., 3]`` in rad/s.
+        specific_force: of the IMU, ``[..., 3]`` in m/s^2.
+        velocity: forwards and sideways, ``[..., 2]`` in m/s; None: `travel_term` adds its part later.
+    """
     desired = torch.tensor(task.desired_velocity, dtype=torch.float64)
+    acceleration = rewards.body_acceleration(specific_force, orientation)
     terms = rewards.weighted(
         rewards.EVALUATION,
-        rewards.command_term(velocity, desired, orientation, rewards.EVALUATION),
-        rewards.smooth_term(action, previous, channel("joint/current"), rates, acceleration),
+        rewards.command_term(desired if velocity is None else velocity, desired, orientation, rewards.EVALUATION),
+        rewards.smooth_term(action, previous, current, rates, acceleration),
     )
     return rewards.total(terms)
+
+
+def travel_term(task: Task, speed: Tensor) -> Tensor:
+    """What a mean forward speed [m/s], ``[...]``, adds to every step; sideways nothing is measured: that counts as 0."""
+    velocity = torch.stack([speed, torch.zeros_like(speed)], -1)
+    desired = torch.tensor(task.desired_velocity, dtype=torch.float64)
+    upright = torch.zeros_like(velocity)
+    return rewards.EVALUATION.command * rewards.command_term(velocity, desired, upright, rewards.EVALUATION)
 
 
 def evaluation_return(log: Rollout, task: str | Task | None = None) -> float:
@@ -70,16 +111,16 @@ def policy_rows(log: Rollout) -> slice:
     return slice(None, None, round(every))
 
 
-def _swayed(rates: Tensor) -> Tensor:
-    """Velocity forwards and sideways of a trunk that turns about its soles, ``[step, 2]`` in m/s."""
-    return TRUNK_HEIGHT * torch.stack([rates[:, 1], -rates[:, 0]], 1)
+def swayed(rates: Tensor) -> Tensor:
+    """Velocity forwards and sideways of a trunk that turns about its soles, ``[..., 2]`` in m/s."""
+    return TRUNK_HEIGHT * torch.stack([rates[..., 1], -rates[..., 0]], -1)
 
 
-def _walked(log: Rollout, steps: int) -> Tensor:
-    """Mean velocity of the episode, ``[step, 2]`` in m/s; its sideways part is not measured and counts as zero."""
+def _walked(log: Rollout) -> Tensor:
+    """Mean forward speed of the episode [m/s]."""
     distance = _field(log, "travelled_distance", log.metadata.travelled_distance)
     duration = _field(log, "episode_duration", log.metadata.episode_duration)
-    return torch.tensor([distance / duration, 0.0], dtype=torch.float64).expand(steps, 2)
+    return torch.tensor(distance / duration, dtype=torch.float64)
 
 
 def _field(log: Rollout, name: str, value):
