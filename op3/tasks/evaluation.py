@@ -87,7 +87,7 @@ def evaluation_terms(
 
 
 def travel_term(task: Task, speed: Tensor) -> Tensor:
-    """What a mean forward speed [m/s], ``[...]``, adds to every step; sideways nothing is measured: that counts as 0."""
+    """What a mean forward speed [m/s], ``[...]``, adds to every step; its sideways part is unknown and counts as 0."""
     velocity = torch.stack([speed, torch.zeros_like(speed)], -1)
     desired = torch.tensor(task.desired_velocity, dtype=torch.float64)
     upright = torch.zeros_like(velocity)
