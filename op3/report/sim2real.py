@@ -83,8 +83,8 @@ def story(
     page.tile("time", sum(seconds.values()), "s", f"budget {budget}")
     page.section("Transfers")
     page.text(
-        "Every policy is trained in simulation, plays its episodes there and on the robot, and is judged by the share of"
-        f" the promised mean return that the robot reaches; {100 * first.criterion:.0f} % count as success."
+        "Every policy is trained in simulation, plays its episodes there and on the robot, and is judged by the share"
+        f" of the promised mean return that the robot reaches; {100 * first.criterion:.0f} % count as success."
     )
     rows = [
         [
