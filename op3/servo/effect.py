@@ -23,11 +23,11 @@ class Stage(IntEnum):
     CONTROLLER = 3
     DRIVER = 4
     MOTOR = 5
-    PARALLEL = 6  # beside the gear, between the two links
-    GEAR = 7
-    FRICTION = 8
-    LOAD = 9
-    TRANSMISSION = 10  # between the gear and the link
+    GEAR = 6
+    FRICTION = 7
+    LOAD = 8
+    TRANSMISSION = 9  # between the gear and the link
+    PARALLEL = 10  # beside the servo, between the two links
     BODY = 11
     GROUND = 12
 
