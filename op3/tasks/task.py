@@ -116,6 +116,7 @@ class Task:
     sensors: Sensors = field(default_factory=Sensors)
 
     def __post_init__(self):
+        object.__setattr__(self, "desired_velocity", tuple(self.desired_velocity))
         if self.board is not None and self.board not in BOARD_MOTIONS:
             raise ValueError(f"board must be one of {', '.join(BOARD_MOTIONS)}, got {self.board!r}")
         if (self.board == "weight") != (self.scene == "board_weight") or (self.board is None) != (
