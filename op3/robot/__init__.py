@@ -1,7 +1,7 @@
 """The OP3 itself: joints, model, poses, scenes and motions."""
 
 from op3.robot.assets import asset_path, named_configs
-from op3.robot.board import BoardDrive, BoardMotion, Tilts, Waves, WeightDrive, WeightSchedule
+from op3.robot.board import BoardDrive, BoardMotion, Tilts, Waves, WeightDrive, WeightSchedule, board_drive
 from op3.robot.joints import (
     CONTROLLED_JOINTS,
     GEAR_RATIO,
@@ -43,6 +43,7 @@ __all__ = [
     "WeightDrive",
     "WeightSchedule",
     "asset_path",
+    "board_drive",
     "build_bench",
     "build_scene",
     "center_of_mass",
