@@ -28,6 +28,7 @@ class SACSettings:
         critic_rate: learning rate of the critics.
         target_rate: share by which the target critics follow per update.
         actor_every: critic updates per policy update.
+        actor_after: critic updates before the first policy update, so that it does not follow untrained critics.
         initial_std: standard deviation of the untrained policy before tanh.
         initial_temperature: of the entropy bonus.
         target_entropy: per number of the action [nats].
@@ -46,6 +47,7 @@ class SACSettings:
     critic_rate: float = 3e-4
     target_rate: float = 0.005
     actor_every: int = 1
+    actor_after: int = 0
     initial_std: float = 0.2
     initial_temperature: float = 0.01
     target_entropy: float = -1.0
@@ -122,12 +124,17 @@ class SAC:
             self._actor_step = torch.compile(self._actor_loss, mode=mode, fullgraph=True)
 
     @torch.no_grad()
-    def act(self, observation: Tensor, explore: bool) -> Tensor:
-        """Actions [batch, action] for observations [batch, observation] as the environment gives them."""
+    def act(self, observation: Tensor, explore: float | Tensor) -> Tensor:
+        """Actions [batch, action].
+
+        Args:
+            observation: [batch, observation], as the environment gives it.
+            explore: multiple of the policy's standard deviation, a number or [batch, 1]; 0 is the mean.
+        """
         observation = self.normaliser(observation.to(self.device, torch.float32), self.settings.clip)
         mean, log_std = self.actor(observation)
-        if explore:
-            mean = mean + log_std.exp() * self._noise(mean.shape)
+        if not isinstance(explore, float | int) or explore:
+            mean = mean + explore * log_std.exp() * self._noise(mean.shape)
         return torch.tanh(mean)
 
     def update(self, batch: Batch) -> dict[str, Tensor]:
@@ -147,7 +154,7 @@ class SAC:
         loss, value = self._critic_step(observation, batch.action, target)
         self._step(self._critic_optimiser, loss, self._critic_parameters)
         measures = {"critic_loss": loss.detach(), "value": value.detach()}
-        if self.updates % self.settings.actor_every == 0:
+        if self.updates >= self.settings.actor_after and self.updates % self.settings.actor_every == 0:
             loss, entropy = self._actor_step(observation, noise[1])
             self._step(self._actor_optimiser, loss, self._policy_parameters)
             measures |= {"actor_loss": loss.detach(), "entropy": entropy.detach()}

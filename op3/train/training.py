@@ -1,8 +1,10 @@
 """The training loop: collect, update, evaluate, save."""
 
 import dataclasses
+import math
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -46,6 +48,9 @@ class TrainSettings:
     Attributes:
         steps: of the whole run.
         warmup: steps before the first update, taken by the untrained policy.
+        noise: exploration of the boldest environment, in multiples of the policy's standard deviation; the others lie
+            between it and 1, evenly in the logarithm. It shows the critics what is wrong with larger actions.
+        warmup_noise: the same during the warm-up.
         rollout: steps of every environment between updates.
         updates_per_step: updates per step after the warm-up.
         buffer: steps kept in the replay buffer.
@@ -59,6 +64,8 @@ class TrainSettings:
 
     steps: int = 300_000
     warmup: int = 5_000
+    noise: float = 1.0
+    warmup_noise: float = 1.0
     rollout: int = 8
     updates_per_step: float = 0.25
     buffer: int = 300_000
@@ -74,6 +81,9 @@ class TrainSettings:
             raise ValueError(f"normalisation must be running or fixed, got {self.normalisation!r}")
         for name in ("steps", "warmup", "rollout", "buffer", "evaluate_every", "checkpoint_every", "log_every"):
             if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        for name in ("noise", "warmup_noise"):
+            if not 1 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
         if self.updates_per_step < 0:
             raise ValueError(f"updates_per_step must be at least 0, got {self.updates_per_step}")
@@ -141,7 +151,8 @@ def train(
     meter, began = _Meter(run, sac, settings), time.monotonic() - run.seconds
     with stop_requested() as stop:
         while run.steps < settings.steps and not stop.is_set():
-            rollout, episodes = collector.collect(lambda observation: sac.act(observation, True), settings.rollout)
+            noise = _noise(settings.warmup_noise if run.steps < settings.warmup else settings.noise, collector, sac)
+            rollout, episodes = collector.collect(partial(sac.act, explore=noise), settings.rollout)
             before, run.steps = run.steps, run.steps + rollout.numel()
             replay.extend(*(rollout[name] for name in _STORED))
             if settings.normalisation == "running" or before < settings.warmup:
@@ -175,6 +186,11 @@ def train(
 _STORED = ("observation", "action", "reward", "next_observation", "terminated", "done")
 
 
+def _noise(boldest: float, collector: Collects, sac: SAC) -> torch.Tensor:
+    """Multiples [env, 1] of the policy's standard deviation."""
+    return torch.logspace(0.0, math.log10(boldest), collector.count, device=sac.device)[:, None]
+
+
 def _due(before: int, now: int, settings: TrainSettings) -> int:
     """Updates that a rollout from `before` to `now` steps brings."""
     done, wanted = (int(max(steps - settings.warmup, 0) * settings.updates_per_step) for steps in (before, now))
@@ -195,9 +211,7 @@ def _evaluate(
     say: Callable[[str], None],
 ) -> None:
     """Measure the policy and keep its bundle where it is the best so far."""
-    measures = {
-        f"evaluation/{k}": float(v) for k, v in evaluate(lambda observation: sac.act(observation, False)).items()
-    }
+    measures = {f"evaluation/{k}": float(v) for k, v in evaluate(partial(sac.act, explore=0.0)).items()}
     score = measures.get("evaluation/score", measures.get("evaluation/return", float("-inf")))
     run.history.append({"steps": run.steps, **measures})
     if score >= run.best:

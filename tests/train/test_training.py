@@ -48,7 +48,7 @@ def test_a_pendulum_learns_to_lean(tmp_path):
     """Trained for 20,000 steps, the policy stays within 0.1 rad of the angle asked for, from several times that."""
     judge = Pendulum(32)
     untrained = SAC(3, 2, SAC_SETTINGS, torch.Generator().manual_seed(0))
-    before = evaluate(judge, lambda observation: untrained.act(observation, False), 7, LIMIT)
+    before = evaluate(judge, lambda observation: untrained.act(observation, 0.0), 7, LIMIT)
     settings = dataclasses.replace(SETTINGS, steps=16_000, updates_per_step=0.125)
     run(tmp_path, settings)
     after = evaluate(judge, PolicyBundle.load(tmp_path / "policy").act, 7, LIMIT)
