@@ -30,6 +30,7 @@ from op3.deploy.emulator.instructions import Dispatcher
 from op3.deploy.emulator.open_cr import BUTTONS, OpenCR
 from op3.deploy.emulator.physics import Physics, Readings
 from op3.deploy.emulator.port import Clock, VirtualPort
+from op3.deploy.emulator.pty_server import PtyServer
 from op3.deploy.emulator.servo import Servo
 from op3.deploy.protocol import Packet
 from op3.deploy.registers import (
@@ -128,6 +129,14 @@ class EmulatedRobot:
     def port_handler(self, name: str = "virtual") -> VirtualPort:
         """A port for dynamixel-sdk, in virtual time."""
         return VirtualPort(self, name)
+
+    def serve_pty(self, baud: int = 2_000_000) -> PtyServer:
+        """A pseudo-terminal for any program, in wall time: ``with robot.serve_pty() as server: print(server.path)``.
+
+        Args:
+            baud: speed of the line until a program sets one [bit/s].
+        """
+        return PtyServer(self, baud)
 
     def close(self) -> None:
         """Finish the recording of frames, if there is one."""
