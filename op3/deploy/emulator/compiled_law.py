@@ -64,6 +64,10 @@ _BINARY: dict[str, Callable[..., Any]] = {
 }
 
 
+_FILLED = ("position", "velocity", "load_torque", "radial_force")
+"""Signals that the simulation fills before every step; the others keep what the last step made of them."""
+
+
 class Untranslatable(Exception):
     """The law does something that has no translation."""
 
@@ -89,35 +93,29 @@ class CompiledLaw:
     def __init__(
         self, law: ServoLaw, signals: Signals, outputs: Sequence[str], live: Mapping[str, Array] | None = None
     ):
-        names = [field.name for field in fields(signals) if field.name not in ("phase", "state")]
-        given = {name: getattr(signals, name).clone() for name in names}
+        values = {item.name: getattr(signals, item.name) for item in fields(signals)}
+        given = {name: value.clone() for name, value in values.items() if isinstance(value, Tensor)}
         memory = {name: value.clone() for name, value in signals.state.items()}
-
-        def step(values: dict[str, Tensor], state: dict[str, Tensor]) -> tuple[list[Tensor], list[Tensor]]:
-            traced = Signals(**values, phase=0, state=dict(state))
-            law.tick(traced)
-            law.step(traced)
-            if list(traced.state) != list(state):
-                raise Untranslatable("an effect adds to the memory in its first step")
-            return [getattr(traced, name) for name in outputs], list(traced.state.values())
-
-        with torch.no_grad():
-            module = make_fx(step)(given, memory)
         arrays = {name: value.numpy() for name, value in given.items()} | dict(live or {})
-        self._program = _Program(module, [*arrays.values(), *(value.numpy() for value in memory.values())])
+        examples = [*arrays.values(), *(value.numpy() for value in memory.values())]
+        names, carried = list(given), []
+        while True:
+            module = _trace(law, given, memory, [*outputs, *carried])
+            self._program = _Program(module, examples)
+            used = [name for at, name in enumerate(names) if at in self._program.arguments and name not in _FILLED]
+            if set(used) <= set(carried):
+                break
+            carried = used
         slots = self._program.arguments
         self.inputs = {name: slots[at] for at, name in enumerate(names) if at in slots}
         self.state = {name: slots[at] for at, name in enumerate(memory, len(names)) if at in slots}
         results = self._program.results
         self.outputs: dict[str, Array] = dict(zip(outputs, results, strict=False))
-        written = zip(memory, results[len(outputs) :], strict=True)
-        self._memory = [
-            (self.state[name], result)
-            for name, result in written
-            if name in self.state and self.state[name] is not result
-        ]
-        held = [id(array) for array in self.state.values()]
-        if any(id(new) in held for _, new in self._memory):
+        old = [*(self.inputs.get(name) for name in carried), *(self.state.get(name) for name in memory)]
+        pairs = zip(old, results[len(outputs) :], strict=True)
+        self._memory = [(before, after) for before, after in pairs if before is not None and before is not after]
+        kept = [id(before) for before, _ in self._memory]
+        if any(id(after) in kept for _, after in self._memory):
             raise Untranslatable("an effect that hands on the memory of another")
 
     def __call__(self) -> None:
@@ -126,6 +124,28 @@ class CompiledLaw:
             call()
         for old, new in self._memory:
             old[...] = new
+
+
+def _trace(
+    law: ServoLaw, given: Mapping[str, Tensor], memory: Mapping[str, Tensor], wanted: Sequence[str]
+) -> GraphModule:
+    """The operations of a tick and a step, from signals and memory to the signals wanted and the next memory."""
+
+    def step(values: dict[str, Tensor], state: dict[str, Tensor]) -> list[Tensor]:
+        traced = Signals(**values, phase=0, state=dict(state), factors={})
+        law.tick(traced)
+        law.step(traced)
+        if list(traced.state) != list(state):
+            raise Untranslatable("an effect adds to the memory in its first step")
+        return [*(getattr(traced, name) for name in wanted), *traced.state.values()]
+
+    try:
+        with torch.no_grad():
+            return make_fx(step)(dict(given), dict(memory))
+    except Untranslatable:
+        raise
+    except Exception as error:  # an effect that decides by numbers in Python can fail in any way when it is traced
+        raise Untranslatable(str(error)) from error
 
 
 class _Program:
@@ -154,20 +174,25 @@ class _Program:
                 self.results = [self._values[each] for each in flat]
 
     def _call(self, node: Node) -> Any:
+        arguments = tuple(self._look_up(each) for each in node.args)
         if node.target is operator.getitem:
-            raise Untranslatable("an operation with several results")
+            return arguments[0][arguments[1]]
         name, _, overload = str(node.target).removeprefix("aten.").partition(".")
-        arguments = tuple(self._values[each] if isinstance(each, Node) else each for each in node.args)
-        key = (name, overload, *(id(each) if isinstance(each, np.ndarray) else each for each in arguments))
         if node.kwargs.get("alpha", 1) != 1 or node.kwargs.get("rounding_mode") is not None:
             raise Untranslatable(f"aten.{name} with {dict(node.kwargs)}")
+        key = (name, overload, *(_identity(each) for each in arguments))
         if key not in self._known:
             self._known[key] = self._emit(name, arguments)
         return self._known[key]
 
+    def _look_up(self, argument: Any) -> Any:
+        if isinstance(argument, Node):
+            return self._values[argument]
+        return [self._look_up(each) for each in argument] if isinstance(argument, list | tuple) else argument
+
     def _emit(self, name: str, arguments: tuple[Any, ...]) -> Any:
-        if name in ("clone", "detach", "alias", "lift_fresh_copy"):
-            return arguments[0]
+        if name in _VIEWS:
+            return _VIEWS[name](*arguments)
         if name in ("zeros_like", "ones_like", "full_like", "scalar_tensor"):
             return _constant(name, arguments)
         if name in _UNARY:
@@ -182,6 +207,10 @@ class _Program:
             return self._clamp(name, arguments)
         if name == "where":
             return self._where(*arguments)
+        if name == "stack":
+            return self._add(np.stack, (arguments[0], arguments[1] if len(arguments) > 1 else 0))
+        if name == "sum":
+            return self._sum(*arguments)
         raise Untranslatable(f"aten.{name}")
 
     def _clamp(self, name: str, arguments: tuple[Any, ...]) -> Any:
@@ -195,6 +224,9 @@ class _Program:
             value = self._add(np.maximum, (value, low))
         return value if high is None else self._add(np.minimum, (value, high))
 
+    def _sum(self, value: Array, axes: Sequence[int] | None = None, keep: bool = False) -> Any:
+        return self._add(partial(np.sum, keepdims=keep), (value, None if axes is None else tuple(axes)))
+
     def _where(self, condition: Array, then: Any, otherwise: Any) -> Any:
         shape = np.broadcast_shapes(np.shape(condition), np.shape(then), np.shape(otherwise))
         out = np.zeros(shape)
@@ -202,11 +234,40 @@ class _Program:
         return out
 
     def _add(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-        if not any(isinstance(each, np.ndarray) for each in arguments):
+        if not any(isinstance(each, np.ndarray | list) for each in arguments):
             return function(*arguments)
         out = function(*arguments)
         self.calls.append(partial(function, *arguments, out=out))
         return out
+
+
+def _identity(argument: Any) -> Any:
+    if isinstance(argument, list):
+        return tuple(_identity(each) for each in argument)
+    return id(argument) if isinstance(argument, np.ndarray) else argument
+
+
+def _select(value: Array, axis: int, index: int) -> Array:
+    return value[(slice(None),) * (axis % value.ndim) + (index,)]
+
+
+def _unbind(value: Array, axis: int = 0) -> list[Array]:
+    return [_select(value, axis, index) for index in range(value.shape[axis])]
+
+
+_VIEWS: dict[str, Callable[..., Any]] = {
+    "alias": lambda value: value,
+    "clone": lambda value, **_: value,
+    "detach": lambda value: value,
+    "lift_fresh_copy": lambda value: value,
+    "select": _select,
+    "unbind": _unbind,
+    "expand": lambda value, shape, **_: np.broadcast_to(
+        value, [have if want == -1 else want for want, have in zip(shape, value.shape, strict=True)]
+    ),
+    "unsqueeze": np.expand_dims,
+}
+"""Operations that look at the same numbers in another way; the view is made once and stays true."""
 
 
 def _constant(name: str, arguments: tuple[Any, ...]) -> Any:

@@ -12,18 +12,14 @@ from op3.deploy.emulator.compiled_law import CompiledLaw, Untranslatable
 from op3.deploy.emulator.firmware import PERIOD, Drive
 from op3.deploy.emulator.physics import Readings
 from op3.deploy.emulator.power import Battery, Windings
+from op3.deploy.emulator.sim_drive import UNBOUNDED, behind_bus
 from op3.robot import build_scene, pose
 from op3.robot.scenes import Scene
-from op3.servo import RobotModel, Signals, Stage
-from op3.servo.effect import Prepared
-from op3.servo.effects import Motor
+from op3.servo import Effect, RobotModel, Stage, Trunk
 from op3.sim import BatchSimulation, attach_servos
 from op3.stand_in.sensors import roll_pitch_yaw
 
 Array = NDArray[np.float64]
-
-_ELSEWHERE = (Stage.COMMAND, Stage.TRANSPORT, Stage.CONTROLLER)
-"""Stages that the bus, its timing and the emulated firmware take the place of."""
 
 HANDED_OVER = ("applied_torque", "damping", "friction_bound")
 """What the law hands to MuJoCo."""
@@ -33,53 +29,6 @@ SLOW_EVERY = 10
 
 IMU_EVERY = 5
 """The IMU's loop runs at 200 Hz: once in this many periods."""
-
-
-@dataclass(frozen=True)
-class ServoDrive(Motor):
-    """The motor with the driver of a real servo: per joint off, regulating current, or applying a voltage.
-
-    Its goals are tensors in ``signals.state``, which `SimPhysics` writes.
-    """
-
-    def reset(self, signals: Signals, prepared: Prepared) -> None:
-        """No current is asked for."""
-        for name in ("goal_current", "goal_duty", "by_voltage"):
-            signals.state[name] = torch.zeros_like(signals.position)
-        signals.state["bound"] = torch.full_like(signals.position, 1e3)
-
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
-        """Voltage, current, torque, and the part of the torque that is linear in velocity."""
-        state, resistance = signals.state, prepared["resistance"]
-        back_emf = prepared["constant"] * signals.velocity
-        reach = resistance * state["bound"]
-        applied = state["goal_duty"] * signals.bus_voltage
-        regulated = torch.addcmul(back_emf, resistance, state["goal_current"])
-        driven = torch.where(state["by_voltage"] > 0, applied, regulated)
-        within = torch.minimum(torch.maximum(driven, back_emf - reach), back_emf + reach)
-        signals.voltage = torch.clamp(within, -signals.bus_voltage, signals.bus_voltage)
-        signals.duty = signals.voltage / signals.bus_voltage * signals.torque_enable
-        signals.current = (signals.voltage - back_emf) / resistance * signals.torque_enable
-        signals.motor_torque = prepared["constant"] * signals.current
-        signals.applied_torque = signals.motor_torque
-        fixed = (state["by_voltage"] > 0) & (driven == within) | (signals.voltage.abs() >= signals.bus_voltage)
-        signals.damping = torch.where(fixed, prepared["back_emf_damping"], 0.0) * signals.torque_enable
-
-
-def without_commands(model: RobotModel) -> RobotModel:
-    """A model as it stands behind the bus: without a PD and latency of its own, its motor driven by the firmware.
-
-    Raises:
-        ValueError: if the model's motor does not regulate current.
-    """
-    motor = model.effect("motor")
-    if not isinstance(motor, Motor) or motor.drive != "current":
-        raise ValueError(
-            "the emulated servos regulate current, but this model's motor applies a voltage; give a model of the OP3's"
-            " servos, with `motor: {drive: current}`"
-        )
-    gone = [effect.name for effect in model.effects if effect.stage in _ELSEWHERE]
-    return model.without(*gone).with_effect(ServoDrive(gear_ratio=motor.gear_ratio))  # pyright: ignore[reportCallIssue]
 
 
 @dataclass(frozen=True)
@@ -130,7 +79,7 @@ class SimPhysics(BatchSimulation):
         super().__init__(
             self.scene.compile(),
             self.scene.joint_names,
-            without_commands(model),
+            behind_bus(model),
             1,
             control_period=PERIOD,
             base_body=None if robot is None else robot.trunk.full_identifier,
@@ -152,10 +101,12 @@ class SimPhysics(BatchSimulation):
         self.law.sense(self.signals)
         self._voltage = self.model.bus_voltage if battery is None else battery.voltage
         self.signals.bus_voltage = torch.full_like(self.signals.position, self._voltage)
+        self.signals.temperature = torch.from_numpy(self._temperature.copy())[None]
         self._resistance = self.parameters["terminal_resistance"][0].numpy()
         self._compiled = self._compile() if compiled else None
         # without an effect on the sensors they say what is, and that can be seen in the batch's own arrays
-        self._senses = self._compiled is None or any(e.stage == Stage.SENSING for e in self.model.effects)
+        self._senses = self._compiled is None or _has(self.model, "apply", Stage.SENSING)
+        self._reports, self._tilts = _has(self.model, "report"), _has(self.model, "sense_trunk")
         self._find_imu()
 
     def _find_imu(self) -> None:
@@ -199,7 +150,7 @@ class SimPhysics(BatchSimulation):
             "goal_current": drive.current,
             "goal_duty": drive.duty,
             "by_voltage": drive.voltage,
-            "bound": np.minimum(drive.limit, 1e3),
+            "bound": np.minimum(drive.limit, UNBOUNDED),
         }
         self.signals.torque_enable = torch.from_numpy(drive.enabled.astype(float))[None]
         if self._compiled is None:
@@ -217,13 +168,14 @@ class SimPhysics(BatchSimulation):
             RuntimeError: if the physics diverges.
         """
         step = super().advance if self._compiled is None else self._step
-        for _ in range(steps):
-            step()
-            self._steps += 1
-            if self._attitude is not None and self._steps % IMU_EVERY == 0:
-                self._latch_imu()
-            if self._steps % SLOW_EVERY == 0:
-                self._step_slow()
+        with np.errstate(all="ignore"):  # of two branches, numpy computes the one that is not taken too
+            for _ in range(steps):
+                step()
+                self._steps += 1
+                if self._attitude is not None and self._steps % IMU_EVERY == 0:
+                    self._latch_imu()
+                if self._steps % SLOW_EVERY == 0:
+                    self._step_slow()
         if self._senses:
             self._read()
             self.law.sense(self.signals)
@@ -237,6 +189,8 @@ class SimPhysics(BatchSimulation):
     def _compile(self) -> CompiledLaw | None:
         """The law in numpy, reading the batch's own arrays; None where that cannot be."""
         ports = self.ports
+        if any(e.stage == Stage.SENSING and e.name in self.signals.state for e in self.model.effects):
+            return None  # its memory would be asked for outside the law's own steps
         if not all(isinstance(each, slice) for each in (ports.qpos, ports.dof, ports.ctrl, ports.transmitted)):
             return None
         self._position, self._velocity = self._qpos.numpy()[:, ports.qpos], self._qvel.numpy()[:, ports.dof]
@@ -288,26 +242,43 @@ class SimPhysics(BatchSimulation):
             self._voltage = self.supply
         elif self.battery is None:
             self._voltage = self.model.bus_voltage
-        signals.bus_voltage = torch.full_like(signals.position, self._voltage)
-        if self._compiled is not None and "bus_voltage" in self._compiled.inputs:
-            self._compiled.inputs["bus_voltage"][...] = self._voltage
         self._windings.step(self._temperature, self._resistance * current**2, duration)
+        signals.bus_voltage = torch.full_like(signals.position, self._voltage)
+        signals.temperature = torch.from_numpy(self._temperature.copy())[None]
+        if self._compiled is not None:
+            for name in ("bus_voltage", "temperature"):
+                if name in self._compiled.inputs:
+                    self._compiled.inputs[name][...] = getattr(signals, name).numpy()
 
     def read(self) -> Readings:
         """What all sensors say now."""
-        count = len(self.joints)
         orientation, rates, force = None, None, None
         if self._attitude is not None:
             quaternion, felt = self._imu
-            orientation, rates, force = roll_pitch_yaw(quaternion), felt[:3], felt[3:]
+            rates, force = felt[:3], felt[3:]
+            if self._tilts:
+                seen = self.law.sense_trunk(Trunk(torch.from_numpy(quaternion)[None], torch.from_numpy(rates)[None]))
+                quaternion, rates = seen.quaternion[0].numpy(), seen.angular_velocity[0].numpy()
+            orientation = roll_pitch_yaw(quaternion)
+        current = self._flow("current")
+        if self._reports:
+            self.signals.current = torch.from_numpy(current.copy())[None]
+            self.law.report(self.signals)
+            current = self.signals.measured_current[0].numpy()
         return Readings(
             position=self.position,
             velocity=self.velocity,
-            current=self._flow("current"),
+            current=current,
             duty=self._flow("duty"),
-            voltage=np.full(count, self._voltage),
+            voltage=np.full(len(self.joints), self._voltage),
             temperature=self._temperature,
             orientation=orientation,
             angular_velocity=rates,
             linear_acceleration=force,
         )
+
+
+def _has(model: RobotModel, hook: str, stage: Stage | None = None) -> bool:
+    """Whether an effect of the model, of this stage, acts at a hook of `Effect`."""
+    effects = [effect for effect in model.effects if stage is None or effect.stage == stage]
+    return any(getattr(type(effect), hook) is not getattr(Effect, hook) for effect in effects)
