@@ -132,7 +132,10 @@ class Bus:
 
     def _receive(self, begin: float, data: bytes, byte_time: float) -> None:
         """Bytes reach the adapter one after the other; it sends them on when it is full or its timer ends."""
-        done = 0
+        done, last = 0, begin + len(data) * byte_time
+        if self._adapter and last < self._deadline and len(self._adapter) + len(data) < USB_PAYLOAD:
+            self._adapter += data  # it neither fills up nor waits long enough meanwhile
+            return
         while done < len(data):
             first = begin + (done + 1) * byte_time
             self._flush_until(first)

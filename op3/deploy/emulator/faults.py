@@ -137,7 +137,11 @@ class Faults:
             )
         if not (isfinite(self.delay) and self.delay >= 0):
             raise ValueError(f"faults: delay must be a time of at least 0 s, got {self.delay}")
+        object.__setattr__(self, "scheduled", tuple(self.scheduled))
         for fault in self.scheduled:
+            if not isinstance(fault, Scheduled):
+                kinds = ", ".join(kind.__name__ for kind in Scheduled.__args__)
+                raise ValueError(f"faults: what is scheduled is one of {kinds}; got {fault!r}")
             for item in fields(fault):
                 if item.name in ("start", "rate", "voltage") and not isfinite(getattr(fault, item.name)):
                     raise ValueError(f"faults: {item.name} of {fault} must be finite")

@@ -69,13 +69,13 @@ class OpenCR(Device):
         assert force is not None
         counts = np.concatenate(
             [
-                np.round(rates * OPEN_CR_AXES / GYRO_UNIT),
-                np.round(force * OPEN_CR_AXES / ACCELERATION_UNIT),
+                np.rint(rates * OPEN_CR_AXES / GYRO_UNIT),
+                np.rint(force * OPEN_CR_AXES / ACCELERATION_UNIT),
                 # the firmware cuts off the fraction; a reading on the grid must not fall below it by rounding
                 np.trunc(readings.orientation * OPEN_CR_AXES / ANGLE_UNIT * (1 + 1e-9)),
             ]
         )
-        self.memory[_IMU] = np.clip(counts, -32768, 32767).astype("<i2").tobytes()
+        self.memory[_IMU] = np.minimum(np.maximum(counts, -32768), 32767).astype("<i2").tobytes()
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
         """Error and data of a read."""

@@ -61,9 +61,9 @@ class VirtualPort(PortHandler):
         self.is_open = False
 
     def _check(self) -> None:
-        if not self.is_open:
+        if self._robot.unplugged or not self.is_open:
+            self._robot.check_plugged()
             raise SerialException(f"port {self.port_name} is not open: call openPort() first")
-        self._robot.check_plugged()
 
     def clearPort(self) -> None:
         """Forget what has arrived."""
@@ -83,12 +83,13 @@ class VirtualPort(PortHandler):
         """Up to so many bytes; with none there, time passes until some arrive or the packet's timeout is over."""
         self._check()
         bus, clock = self._robot.bus, self._clock
-        data = bus.take(length, clock.now())
+        now = clock.now()
+        data = bus.take(length, now)
         if data or length <= 0:
             return data
         deadline = (self.packet_start_time + self.packet_timeout) / 1000.0
-        if self.packet_timeout <= 0 or deadline < clock.now():
-            deadline = clock.now() + POLL
+        if self.packet_timeout <= 0 or deadline < now:
+            deadline = now + POLL
         arrival = bus.next_arrival
         clock.sleep_until(arrival if arrival <= deadline else deadline + 1e-6)
         self._check()

@@ -42,7 +42,7 @@ class PtyServer:
 
     Attributes:
         path: of the port to open.
-        lag: how far the emulated time is behind the wall clock [s].
+        longest_lag: how far the emulated time has been behind the wall clock at most [s].
         error: what ended the serving, if something did.
     """
 
@@ -53,7 +53,7 @@ class PtyServer:
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
         self.path = os.ttyname(self._slave)
-        self.lag = 0.0
+        self.longest_lag = 0.0
         self.error: Exception | None = None
         self._wake, self._waker = os.pipe()
         self._stopping = False
@@ -119,7 +119,7 @@ class PtyServer:
                     self._follow_speed()
                     bus.send(data, now)
             robot.clock.sleep_until(now)
-            self.lag = time.monotonic() - start - now
+            self.longest_lag = max(self.longest_lag, time.monotonic() - start - now)
             pending += bus.take(READ_SIZE, now)
             if pending:
                 pending = pending[self._write(pending) :]

@@ -32,7 +32,7 @@ from op3.deploy.emulator.physics import Physics, Readings
 from op3.deploy.emulator.port import Clock, VirtualPort
 from op3.deploy.emulator.pty_server import PtyServer
 from op3.deploy.emulator.servo import Servo
-from op3.deploy.protocol import Packet
+from op3.deploy.protocol import Instruction, Packet
 from op3.deploy.registers import (
     CURRENT_UNIT,
     POSITION_UNIT,
@@ -53,6 +53,9 @@ CHECK_PERIOD = 0.01
 
 RESET_BUTTON_TIME = 0.1
 """How long the reset button is held before it cuts the servos' power [s]; firmware of the OpenCR."""
+
+_WRITES = (Instruction.WRITE, Instruction.SYNC_WRITE, Instruction.BULK_WRITE)
+"""Instructions that need no measurements; those that do ask for them."""
 
 _FIRST, _LAST = XM430_W350["realtime_tick"].address, XM430_W350["present_temperature"].end
 _PRESENT = np.dtype(
@@ -104,6 +107,8 @@ class EmulatedRobot:
             joint: Servo(SERVO_IDS.get(joint, index + 1), index, self._firmware, eeprom)
             for index, joint in enumerate(physics.joints)
         }
+        for servo in self.servos.values():
+            servo.measure = self._refresh
         self.open_cr = OpenCR()
         self._all = tuple(self.servos.values())
         self._dispatcher = Dispatcher((*self._all, self.open_cr), timing.turnaround, self._hears)
@@ -202,7 +207,8 @@ class EmulatedRobot:
 
     def _answers(self, packet: Packet, end: float) -> list[tuple[float, bytes]]:
         self.advance(end)
-        self._refresh()
+        if packet.instruction not in _WRITES:
+            self._refresh()
         self._heard = end
         answers = self._dispatcher.answers(packet, end)
         if self._loads != self._firmware.loads:
@@ -216,6 +222,10 @@ class EmulatedRobot:
         self._loads = self._firmware.loads
         self._dispatcher.relist()
         self._booted = np.array([round(servo.booted / PERIOD) for servo in self._all])
+        self._zero = POSITION_ZERO + np.array([servo.get("homing_offset") for servo in self._all])
+        self._threshold = np.array([servo.get("moving_threshold") for servo in self._all])
+        limits = ("temperature_limit", "min_voltage_limit", "max_voltage_limit")
+        self._limits = np.array([[servo.get(name) for servo in self._all] for name in limits])
         self._watchdog = min((servo.watchdog for servo in self._all if servo.torque), default=inf)
 
     def _switch(self, on: bool) -> None:
@@ -263,15 +273,15 @@ class EmulatedRobot:
             return
         self._stale = False
         readings, present = self.physics.read(), self._present
-        velocity = np.round(readings.velocity / VELOCITY_UNIT)
+        velocity = np.rint(readings.velocity / VELOCITY_UNIT)
         present["realtime_tick"] = (self._ticks - self._booted) % 32768
-        present["moving"] = np.abs(velocity) > 10
-        present["present_pwm"] = np.round(readings.duty / PWM_UNIT)
-        present["present_current"] = np.clip(np.round(readings.current / CURRENT_UNIT), -32768, 32767)
+        present["moving"] = np.abs(velocity) > self._threshold
+        present["present_pwm"] = np.rint(readings.duty / PWM_UNIT)
+        present["present_current"] = np.rint(readings.current / CURRENT_UNIT)
         present["present_velocity"] = velocity
-        present["present_position"] = np.round(readings.position / POSITION_UNIT) + POSITION_ZERO
-        present["present_input_voltage"] = np.round(readings.voltage / VOLTAGE_UNIT)
-        present["present_temperature"] = np.clip(np.round(self._temperature(readings)), 0, 255)
+        present["present_position"] = np.rint(readings.position / POSITION_UNIT) + self._zero
+        present["present_input_voltage"] = np.rint(readings.voltage / VOLTAGE_UNIT)
+        present["present_temperature"] = np.minimum(np.rint(self._temperature(readings)), 255)
         content, width = present.tobytes(), _PRESENT.itemsize
         for index, servo in enumerate(self._all):
             servo.memory[_FIRST:_LAST] = content[index * width : (index + 1) * width]
@@ -294,13 +304,11 @@ class EmulatedRobot:
         self._stale = True
         self._refresh()
         volts, celsius = self._present["present_input_voltage"], self._present["present_temperature"]
-        for servo in self._all:
-            error = 0
-            if celsius[servo.index] > servo.get("temperature_limit"):
-                error |= HardwareError.OVERHEATING
-            if not servo.get("min_voltage_limit") <= volts[servo.index] <= servo.get("max_voltage_limit"):
-                error |= HardwareError.INPUT_VOLTAGE
-            if error and servo.ready <= self.time and error & ~servo.get("hardware_error_status"):
+        hot, odd = celsius > self._limits[0], (volts < self._limits[1]) | (volts > self._limits[2])
+        for index in np.flatnonzero(hot | odd):
+            servo = self._all[index]
+            error = HardwareError.OVERHEATING * int(hot[index]) | HardwareError.INPUT_VOLTAGE * int(odd[index])
+            if servo.ready <= self.time and error & ~servo.get("hardware_error_status"):
                 servo.fail(error)
         if self._loads != self._firmware.loads:
             self._reconsider()

@@ -6,6 +6,7 @@ the plausible behaviours, and marked (inferred).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import inf
 
 from op3.deploy.emulator.device import Device
@@ -42,6 +43,10 @@ _TORQUE, _HARDWARE_ERROR = XM430_W350["torque_enable"].address, XM430_W350["hard
 _KEPT_BY_RESET = {0xFF: (), 0x01: ("id",), 0x02: ("id", "baud_rate")}
 
 
+def _nothing() -> None:
+    pass
+
+
 class Servo(Device):
     """One servo's registers.
 
@@ -53,6 +58,8 @@ class Servo(Device):
 
     Attributes:
         watchdog: time without packets after which the servo frees itself [s]; infinite while it is off.
+        booted: when it last got power or was told to reboot [s].
+        measure: brings the registers that hold measurements up to date.
     """
 
     def __init__(self, device_id: int, index: int, firmware: Firmware, settings: dict[str, int] | None = None):
@@ -66,6 +73,7 @@ class Servo(Device):
         self.ready = inf
         self.watchdog = inf
         self.booted = 0.0
+        self.measure: Callable[[], None] = _nothing
 
     @property
     def alert(self) -> bool:
@@ -213,6 +221,7 @@ class Servo(Device):
             self.put("goal_current", self.get("current_limit"))
         elif name == "torque_enable" and value and not self._firmware.enabled[self.index]:
             # (inferred) a position servo holds where it is when it is switched on
+            self.measure()
             self.put("goal_position", self.get("present_position"))
             self.put("goal_velocity", 0)
         elif name == "bus_watchdog":

@@ -25,7 +25,7 @@ HANDED_OVER = ("applied_torque", "damping", "friction_bound")
 """What the law hands to MuJoCo."""
 
 SLOW_EVERY = 10
-"""Battery and temperatures move on once in this many periods."""
+"""Battery and temperatures move on, and divergence is looked for, once in this many periods."""
 
 IMU_EVERY = 5
 """The IMU's loop runs at 200 Hz: once in this many periods."""
@@ -165,7 +165,7 @@ class SimPhysics(BatchSimulation):
         """Let a number of periods pass.
 
         Raises:
-            RuntimeError: if the physics diverges.
+            RuntimeError: if the physics has diverged; within `SLOW_EVERY` periods.
         """
         step = super().advance if self._compiled is None else self._step
         with np.errstate(all="ignore"):  # of two branches, numpy computes the one that is not taken too
@@ -175,10 +175,13 @@ class SimPhysics(BatchSimulation):
                 if self._attitude is not None and self._steps % IMU_EVERY == 0:
                     self._latch_imu()
                 if self._steps % SLOW_EVERY == 0:
+                    self._check()
                     self._step_slow()
         if self._senses:
             self._read()
             self.law.sense(self.signals)
+
+    def _check(self) -> None:
         if self._compiled is not None:
             # a number that is not finite spreads through the sum
             finite = np.isfinite(sum(float(array.sum()) for array in self._handed))
