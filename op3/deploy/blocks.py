@@ -96,8 +96,8 @@ def unpack_board(data: bytes) -> tuple[int, NDArray[np.int64]]:
     return voltage, np.frombuffer(data, dtype="<i2", offset=first, count=9).astype(np.int64)
 
 
-def fast_answers(data: bytes, ids: Sequence[int], length: int) -> list[tuple[int, int, bytes]]:
-    """Id, error and bytes of each servo in the answer to a fast sync read.
+def fast_answers(data: bytes, ids: Sequence[int], length: int) -> dict[int, tuple[int, bytes]]:
+    """Error and bytes by id of each servo in the answer to a fast sync read.
 
     Each servo's part ends with a CRC over everything before it. Where one is missing or damaged, the parts before it
     are still good and the rest is lost.
@@ -109,8 +109,8 @@ def fast_answers(data: bytes, ids: Sequence[int], length: int) -> list[tuple[int
     """
     start = data.find(HEADER + bytes((BROADCAST_ID,)))
     if start < 0:
-        return []
-    end, crc, answers = start + 8, crc16(data[start : start + 8]), []
+        return {}
+    end, crc, answers = start + 8, crc16(data[start : start + 8]), {}
     for number in ids:
         part = data[end : end + length + 4]
         if len(part) < length + 4 or part[1] != number:
@@ -118,7 +118,7 @@ def fast_answers(data: bytes, ids: Sequence[int], length: int) -> list[tuple[int
         crc = crc16(part[:-2], crc)
         if crc != part[-2] | part[-1] << 8:
             break
-        answers.append((number, part[0], part[2:-2]))
+        answers[number] = part[0], part[2:-2]
         crc = crc16(part[-2:], crc)
         end += length + 4
     return answers

@@ -11,7 +11,7 @@ interrupted call is cleared; a port that went away is one error, `Unplugged`.
 from __future__ import annotations
 
 import termios
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from op3.deploy.blocks import BLOCKS, BOARD_ADDRESS, BOARD_LENGTH, Block, fast_answers, unpack_board
 from op3.deploy.clock import Clock
-from op3.deploy.protocol import ALERT, Parser
+from op3.deploy.protocol import ALERT, Instruction, Parser
 from op3.deploy.registers import OPEN_CR, OPEN_CR_ID, XM430_W350, Register
 from op3.deploy.state import Calibration, Counts, State, to_state
 from op3.robot import JOINTS, SERVO_IDS
@@ -206,11 +206,11 @@ class Bus:
             sent = self._sdk.readTx(self.port, OPEN_CR_ID, BOARD_ADDRESS, BOARD_LENGTH)
         if sent != dynamixel_sdk.COMM_SUCCESS:
             return False
-        for packet in self._receive(11 + BOARD_LENGTH, 1):
-            if packet.device == OPEN_CR_ID and len(packet.data) == BOARD_LENGTH and not packet.error:
-                self._imu = packet.data
-                return True
-        return False
+        answers = self._receive([OPEN_CR_ID], BOARD_LENGTH)
+        if OPEN_CR_ID not in answers or answers[OPEN_CR_ID][0] & ~ALERT:
+            return False
+        self._imu = answers[OPEN_CR_ID][1]
+        return True
 
     def _read_many(self, address: int, length: int, *, fast: bool) -> tuple[dict[int, bytes], set[int]]:
         """Bytes by id of the servos that answered, and the ids that raised the alert."""
@@ -222,20 +222,23 @@ class Bus:
         if fast:
             answers = fast_answers(self._collect(8 + len(ids) * (length + 4)), ids, length)
         else:
-            expected = len(ids) * (11 + length)
-            packets = self._receive(expected, len(ids))
-            answers = [(p.device, p.parameters[0], p.data) for p in packets if p.parameters]
-        found = {i: data for i, error, data in answers if i in ids and not error & ~ALERT and len(data) == length}
-        return found, {i for i, error, _ in answers if i in ids and error & ALERT}
+            answers = self._receive(ids, length)
+        found = {i: data for i, (error, data) in answers.items() if not error & ~ALERT and len(data) == length}
+        return found, {i for i, (error, _) in answers.items() if error & ALERT}
 
-    def _receive(self, expected: int, count: int) -> list[Any]:
-        """Status packets, until there are `count` or the bytes stop coming."""
-        parser, packets = Parser(), []
-        for data in self._chunks(expected):
-            packets += parser.feed(data)
-            if len(packets) >= count:
+    def _receive(self, ids: Sequence[int], length: int) -> dict[int, tuple[int, bytes]]:
+        """Error and data of each of these devices, until all have answered or the bytes stop coming.
+
+        Answers of others, such as one that was late for an earlier instruction, are passed over.
+        """
+        parser, answers = Parser(), {}
+        for chunk in self._chunks(len(ids) * (11 + length)):
+            for packet in parser.feed(chunk):
+                if packet.device in ids and packet.instruction == Instruction.STATUS and packet.parameters:
+                    answers[packet.device] = packet.parameters[0], packet.data
+            if len(answers) == len(ids):
                 break
-        return packets
+        return answers
 
     def _collect(self, expected: int) -> bytes:
         """The bytes of one answer, until there are as many as expected or they stop coming."""

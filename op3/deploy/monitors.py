@@ -15,6 +15,9 @@ from op3.robot import JOINTS
 CONFIRMED = 3
 """Readings in a row that confirm a temperature; a single reading may be a glitch."""
 
+ALIVE_COUNTS = 50
+"""A servo that answers has at least 5 V; one that says less has started anew and lost its indirect addresses."""
+
 SAG_READINGS = 10
 """Readings in a row that confirm a low supply; a step of load makes it sag for some milliseconds."""
 
@@ -86,6 +89,10 @@ class Monitor:
                 ExitCode.SERVO_SHUTDOWN,
                 f"shut down by itself: {', '.join(causes)}; mend the cause, then switch the power off and on",
             )
+        fresh = np.flatnonzero(state.answered & (state.counts.voltage < ALIVE_COUNTS))
+        if fresh.size:
+            names = ", ".join(JOINTS[i] for i in fresh)
+            raise Stop(ExitCode.SERVO_SHUTDOWN, f"restarted by itself: {names}; check its cable and the battery")
 
     def _check_silence(self, tick: int, state: State) -> Verdict:
         heard = np.append(state.answered, state.imu_answered)

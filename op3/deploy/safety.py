@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,6 +94,7 @@ class Safety:
         self._monitor = Monitor(self.limits, period)
         self._energising = False
         self._gain_share = 1.0
+        self._damped = False
         self._written = np.zeros(len(JOINTS), dtype=np.int64)
         self._write_time: float | None = None
 
@@ -163,9 +165,7 @@ class Safety:
         there = self.bus.sync_read(register)
         wrong = {name: there.get(name) for name, value in wanted.items() if there.get(name) != value}
         if wrong:
-            what = ", ".join(
-                f"{name} ({'no answer' if value is None else value})" for name, value in wrong.items()
-            )
+            what = ", ".join(f"{name} ({'no answer' if value is None else value})" for name, value in wrong.items())
             raise Stop(ExitCode.ENERGISE, f"{register} could not be set on {what}")
 
     def assess(self, tick: Tick, state: State) -> Verdict:
@@ -175,12 +175,25 @@ class Safety:
             if gap >= WATCHDOG * 0.02:
                 reason = f"nothing was written for {1e3 * gap:.0f} ms, so the servos have let go by themselves"
                 raise Stop(ExitCode.OVERRUN, f"{reason}; free the computer of other work")
-        return self._monitor.judge(tick.index, tick.deadline, state)
+        verdict = self._monitor.judge(tick.index, tick.deadline, state)
+        if self.torque and self._damped and not verdict.damp:
+            self._check_torque()
+        self._damped = verdict.damp
+        return verdict
 
-    def write(self, state: State, command: Command, verdict: Verdict) -> NDArray[np.int64]:
-        """PD, every limit, and the goal currents on their way; returns them, [joint] in counts.
+    def _check_torque(self) -> None:
+        """After a long silence: a servo that started anew meanwhile has no torque and says nothing about it."""
+        off = [name for name, value in self.bus.sync_read("torque_enable").items() if not value]
+        if off:
+            raise Stop(ExitCode.SERVO_SHUTDOWN, f"torque is off on {', '.join(off)}: restarted by itself; check power")
+
+    def write(self, state: State, command: Command, verdict: Verdict) -> tuple[NDArray[np.int64], Command]:
+        """PD, every limit, and the goal currents on their way.
 
         A servo that did not answer keeps its goal while coasting, and gets none while damping.
+
+        Returns:
+            Goal currents [joint] in counts, and the command as it was carried out.
 
         Raises:
             Stop: if a number is not finite; then nothing is written.
@@ -195,7 +208,7 @@ class Safety:
             command = Command(command.position, self._gain_share * command.p_gain, command.d_gain)
         fresh = self._limiter.counts(state, command)
         silent = 0 if verdict.damp else self._written
-        return self._send(np.where(state.answered, fresh, silent), state)
+        return self._send(np.where(state.answered, fresh, silent), state), command
 
     def damp(self, state: State) -> NDArray[np.int64]:
         """Goal currents that only brake; for the time between a reason to stop and torque off."""
@@ -259,3 +272,45 @@ class Safety:
                 return
         except BusError:
             return
+
+
+class Guard(Protocol):
+    """What the loop needs of a safety object."""
+
+    limits: Limits
+    torque: bool
+
+    def assess(self, tick: Tick, state: State) -> Verdict:
+        """Judge a reading."""
+        ...
+
+    def write(self, state: State, command: Command, verdict: Verdict) -> tuple[NDArray[np.int64], Command]:
+        """Carry out a command."""
+        ...
+
+    def damp(self, state: State) -> NDArray[np.int64]:
+        """Brake."""
+        ...
+
+
+class Onlooker:
+    """A guard that has no write handle: it judges nothing and writes nothing."""
+
+    torque = False
+
+    def __init__(self, limits: Limits | None = None):
+        self.limits = limits or Limits()
+        self.load = np.zeros(len(JOINTS))
+
+    def assess(self, tick: Tick, state: State) -> Verdict:
+        """Everything is allowed, since nothing is done; losses are told."""
+        silent = [JOINTS[i] for i in np.flatnonzero(~state.answered)]
+        return Verdict(note=f"no answer from {', '.join(silent)}" if silent else "")
+
+    def write(self, state: State, command: Command, verdict: Verdict) -> tuple[NDArray[np.int64], Command]:
+        """Nothing is written."""
+        return np.zeros(len(JOINTS), dtype=np.int64), command
+
+    def damp(self, state: State) -> NDArray[np.int64]:
+        """Nothing is written."""
+        return np.zeros(len(JOINTS), dtype=np.int64)

@@ -111,7 +111,10 @@ class StartChecks:
         if bus.read(BOARD, "dynamixel_power"):
             return True, "on"
         if self._writer is None:
-            return False, "the servos' supply is off; press the robot's power button or use a mode that may switch it on"
+            return (
+                False,
+                "the servos' supply is off; press the robot's power button or use a mode that may switch it on",
+            )
         self._writer.write(BOARD, "dynamixel_power", 1)
         bus.clock.sleep_until(bus.clock.now() + POWER_UP_TIME)
         return bool(bus.read(BOARD, "dynamixel_power")), "switched on"
