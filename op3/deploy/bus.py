@@ -98,7 +98,7 @@ class Bus:
         self._baud_rate = baud_rate
         self._writer: Writer | None = None
         self._servo_ids = [self.ids[name] for name in JOINTS]
-        self._complete = True
+        self._order = list(self._servo_ids)
         self._data: dict[int, bytes] = {}
         self._imu = bytes(BOARD_LENGTH)
         if not getattr(port, "is_open", False):
@@ -168,10 +168,11 @@ class Bus:
 
     def read_state(self) -> State:
         """Everything that one tick needs. What does not answer keeps its last values; see `State.answered`."""
-        # In a fast answer one silent servo hides all behind it, so after a loss the servos are asked one by one.
-        fast = self.block.fast and self._complete
-        data, alerts = self._read_many(self.block.address, self.block.length, fast=fast)
-        self._complete = len(data) == len(JOINTS)
+        data, alerts = self._read_many(self.block.address, self.block.length, fast=self.block.fast, order=self._order)
+        if missing := [number for number in self._order if number not in data]:
+            # A servo waits for the one before it, so one that is silent hides all behind it: it is asked last from now.
+            self._order.remove(missing[0])
+            self._order.append(missing[0])
         answered = np.array([number in data for number in self._servo_ids])
         self._data.update(data)
         imu = self._read_board()
@@ -212,9 +213,11 @@ class Bus:
         self._imu = answers[OPEN_CR_ID][1]
         return True
 
-    def _read_many(self, address: int, length: int, *, fast: bool) -> tuple[dict[int, bytes], set[int]]:
+    def _read_many(
+        self, address: int, length: int, *, fast: bool, order: Sequence[int] | None = None
+    ) -> tuple[dict[int, bytes], set[int]]:
         """Bytes by id of the servos that answered, and the ids that raised the alert."""
-        ids = self._servo_ids
+        ids = list(order or self._servo_ids)
         with self._plugged():
             sent = self._sdk.syncReadTx(self.port, address, length, ids, len(ids), fast)
         if sent != dynamixel_sdk.COMM_SUCCESS:

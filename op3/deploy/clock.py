@@ -29,18 +29,3 @@ class MonotonicClock:
         while remaining > 0:
             time.sleep(remaining)
             remaining = when - time.monotonic()
-
-
-class VirtualClock:
-    """A clock that stands still unless someone waits: runs as fast as the computer allows."""
-
-    def __init__(self, start: float = 0.0):
-        self._now = start
-
-    def now(self) -> float:
-        """Virtual time [s]."""
-        return self._now
-
-    def sleep_until(self, when: float) -> None:
-        """Jump to `when` [s] unless it has passed."""
-        self._now = max(self._now, when)

@@ -92,6 +92,7 @@ class Loop:
         """Brake for a while before torque goes off; a graver reason in between cuts it short."""
         assert self._ticker is not None
         limits = self._safety.limits
+        self._name, self._channels = "after", {}
         for _ in range(round(limits.damp_time / self._period)):
             tick = self._ticker.wait()
             state = self._bus.read_state()

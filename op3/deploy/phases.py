@@ -133,6 +133,23 @@ class Move(_Plain):
         return Command.of(self._start + share * (self._goal - self._start), self._p_gain, self._d_gain)
 
 
+class Relax(_Plain):
+    """Hold a pose while the stiffness goes, so that the robot sinks instead of dropping."""
+
+    name = "relax"
+    log = "after"
+
+    def __init__(self, pose: ArrayLike, p_gain: ArrayLike = HELD_P_GAIN, duration: float = GAIN_RAMP_TIME):
+        self._pose, self._p_gain = pose, np.asarray(p_gain, dtype=float)
+        self._ticks = max(1, round(duration / PERIOD))
+
+    def command(self, elapsed: int, state: State) -> Command | None:
+        """The pose with falling gain."""
+        if elapsed >= self._ticks:
+            return None
+        return Command.of(self._pose, self._p_gain * (1 - elapsed / self._ticks), 2 * D_GAIN)
+
+
 class Hold(_Plain):
     """Hold a pose until someone says so, or for a time.
 
