@@ -1,6 +1,6 @@
-"""The time that the loop and the bus run on: the machine's, or a virtual one."""
+"""The time that the loop and the bus run on: the machine's, or that of an emulated robot."""
 
-import time
+from time import monotonic, sleep
 from typing import Protocol
 
 
@@ -11,8 +11,8 @@ class Clock(Protocol):
         """The time [s]; it never goes back."""
         ...
 
-    def sleep_until(self, when: float) -> None:
-        """Wait until `now` is at least `when` [s]; return at once if that has passed."""
+    def sleep_until(self, time: float) -> None:
+        """Wait until `now` is at least this [s]; return at once if it has passed."""
         ...
 
 
@@ -21,11 +21,11 @@ class MonotonicClock:
 
     def now(self) -> float:
         """Monotonic time [s]."""
-        return time.monotonic()
+        return monotonic()
 
-    def sleep_until(self, when: float) -> None:
-        """Wait until `when` [s]."""
-        remaining = when - time.monotonic()
+    def sleep_until(self, time: float) -> None:
+        """Wait until then [s]."""
+        remaining = time - monotonic()
         while remaining > 0:
-            time.sleep(remaining)
-            remaining = when - time.monotonic()
+            sleep(remaining)
+            remaining = time - monotonic()

@@ -149,5 +149,6 @@ def emulate(
             return SimPhysics(law, where, seed=seed, joint_position=position, battery=battery)
 
     physics = HandHeld(make, scene, joint_position)
-    robot = EmulatedRobot(cast(Physics, physics), seed=seed, faults=faults, timing=timing, settings=settings, record=record)
+    held = cast(Physics, physics)  # the checker does not take a property for the attribute `supply`
+    robot = EmulatedRobot(held, seed=seed, faults=faults, timing=timing, settings=settings, record=record)
     return robot, Hands(physics), identity

@@ -115,11 +115,34 @@ class Safety:
             raise Stop(ExitCode.START_CHECK, f"{failed[0].name}: {failed[0].detail}")
         return checks
 
+    def power_up(self) -> None:
+        """Switch on the servos' supply and see that all answer.
+
+        Raises:
+            Stop: if one does not.
+        """
+        checks = StartChecks(self.bus, self._writer, self.limits).run_power()
+        if failed := [check for check in checks if not check.ok]:
+            raise Stop(ExitCode.START_CHECK, f"{failed[0].name}: {failed[0].detail}")
+
     def prepare(self) -> None:
         """Choose how a tick is read; needs no torque."""
         block = self._writer.prepare_block()
         way = "fast sync read" if block.fast else "sync read"
         self._report(f"reading {block.length} bytes per servo by {way}")
+
+    def write_settings(self, values: dict[str, int]) -> None:
+        """Write registers of all servos' EEPROM, with torque off, where they differ.
+
+        Raises:
+            Stop: if a servo does not take a value.
+        """
+        try:
+            self._set("torque_enable", 0)
+            for register, value in values.items():
+                self._set(register, value)
+        except BusError as error:
+            raise Stop(ExitCode.ENERGISE, str(error)) from error
 
     def energise(self) -> None:
         """Switch torque on, in the only order that is safe.

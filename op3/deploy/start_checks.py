@@ -70,7 +70,8 @@ class StartChecks:
 
     def run(self, report: Callable[[Check], None] | None = None) -> list[Check]:
         """Run the checks; each is reported as it is made."""
-        checks = (
+        return self._run(
+            report,
             ("latency timer", self._latency_timer),
             ("servo power", self._power),
             ("ping", self._ping),
@@ -82,6 +83,14 @@ class StartChecks:
             ("joint angles", self._angles),
             ("IMU", self._imu),
         )
+
+    def run_power(self, report: Callable[[Check], None] | None = None) -> list[Check]:
+        """Only the checks without which nothing can be written."""
+        return self._run(report, ("servo power", self._power), ("ping", self._ping))
+
+    def _run(
+        self, report: Callable[[Check], None] | None, *checks: tuple[str, Callable[[], tuple[bool, str]]]
+    ) -> list[Check]:
         results = []
         for name, check in checks:
             try:
@@ -148,7 +157,7 @@ class StartChecks:
     def _return_level(self) -> tuple[bool, str]:
         wrong = [name for name, value in self._all("status_return_level").items() if value != 2]
         if wrong:
-            return False, f"{', '.join(wrong)} do not answer every packet; write it once with mode=setup"
+            return False, f"{', '.join(wrong)} do not answer every packet; switch the power off and on"
         return True, "every packet is answered"
 
     def _hardware_errors(self) -> tuple[bool, str]:
