@@ -1,6 +1,7 @@
 """The OP3 itself: joints, model, poses, scenes and motions."""
 
 from op3.robot.assets import asset_path, named_configs
+from op3.robot.board import BoardDrive, BoardMotion, Tilts, Waves, WeightDrive, WeightSchedule
 from op3.robot.joints import (
     CONTROLLED_JOINTS,
     GEAR_RATIO,
@@ -18,6 +19,7 @@ from op3.robot.motions import Motion, hold, squat
 from op3.robot.op3_entity import OP3
 from op3.robot.poses import POSES, pose, standing_height
 from op3.robot.scenes import SCENES, Scene, build_bench, build_scene
+from op3.robot.surfaces import draw_tiles, place_tiles, tile_ids
 
 __all__ = [
     "CONTROLLED_JOINTS",
@@ -32,20 +34,29 @@ __all__ = [
     "SCENES",
     "SERVO_IDS",
     "SOFT_LIMITS",
+    "BoardDrive",
+    "BoardMotion",
     "Motion",
     "Scene",
+    "Tilts",
+    "Waves",
+    "WeightDrive",
+    "WeightSchedule",
     "asset_path",
     "build_bench",
     "build_scene",
     "center_of_mass",
+    "draw_tiles",
     "hold",
     "indices",
     "key_points",
     "mirror",
     "named_configs",
+    "place_tiles",
     "pose",
     "quaternion",
     "sole_corners",
     "squat",
     "standing_height",
+    "tile_ids",
 ]

@@ -44,7 +44,7 @@ WEIGHT_MASS = 1.0
 """[kg]"""
 
 WEIGHT_DISTANCE = 0.23
-"""Distance of the weight from the board's axis, forwards [m]."""
+"""Distance of the weight from the board's axis, backwards [m]."""
 
 
 class BoardMotion(Protocol):
@@ -123,10 +123,10 @@ class Tilts:
 
     @classmethod
     def draw(cls, seed: int) -> Tilts:
-        """Tilts of a seed; changes take 0.4 to 0.8 s and follow one another after 2 to 3 s (ours)."""
+        """Tilts of a seed; changes take 0.6 to 1.0 s and follow one another after 2 to 3 s (ours)."""
         rng = np.random.default_rng([seed, 12])
         side = rng.choice([-1.0, 1.0])
-        return cls(np.array(side), np.array(rng.uniform(0.4, 0.8)), np.array(rng.uniform(2.0, 3.0)))
+        return cls(np.array(side), np.array(rng.uniform(0.6, 1.0)), np.array(rng.uniform(2.0, 3.0)))
 
     def at(self, time: ArrayLike) -> tuple[Array, Array, Array]:
         """See `BoardMotion`."""

@@ -94,7 +94,7 @@ def add_tiles(root: Any) -> None:
 
 def tile_ids(model: mujoco.MjModel) -> NDArray[np.int64]:
     """Geom ids [tile] of the terrain's tiles in a compiled model; empty where there is no terrain."""
-    return np.array([i for i in range(model.ngeom) if model.geom(i).name.startswith("tile_")], dtype=np.int64)
+    return np.array([i for i in range(model.ngeom) if model.geom(i).name.startswith("uneven/tile_")], dtype=np.int64)
 
 
 def draw_tiles(seed: int) -> Array:

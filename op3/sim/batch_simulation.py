@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -13,7 +14,7 @@ from torch import Tensor
 from op3.servo import RobotModel, ServoLaw, Signals
 from op3.sim.base import Base, roll_pitch_yaw
 from op3.sim.edits import edited_fields
-from op3.sim.inputs import default_commands, expand_parameters, set_commands
+from op3.sim.inputs import COMMANDS, default_commands, expand_parameters, set_commands
 from op3.sim.ports import ServoPorts
 
 
@@ -86,6 +87,11 @@ class BatchSimulation:
         if self._base is not None:
             self._base_quaternion = _torch_view(batch.bind("xquat"))[:, self._base.body]
 
+    @property
+    def sensordata(self) -> Tensor:
+        """All sensors of the scene at the last step, ``[sim, nsensordata]``, over the simulator's memory."""
+        return self._sensors
+
     def set_parameters(self, values: Mapping[str, Tensor | float]) -> None:
         """Give parameters per simulation; those not named take the model's values.
 
@@ -96,6 +102,8 @@ class BatchSimulation:
             ValueError: if the model has no such parameter, or a shape does not fit.
         """
         expanded = expand_parameters(self.model, self.joint_names, values, self.num_sims)
+        if hasattr(self, "_rotor"):
+            self._armature[:, self.ports.dof] = self._rotor  # without the damping of the last step
         self.parameters = expanded
         self.law.set_parameters(expanded)
         base = -1 if self._base is None else self._base.body
@@ -121,8 +129,9 @@ class BatchSimulation:
         qvel: Any = 0.0,
         *,
         measured: bool = False,
+        rows: np.ndarray | None = None,
     ) -> None:
-        """Start all simulations anew.
+        """Start simulations anew.
 
         Args:
             qpos: full MuJoCo position, ``[nq]`` or ``[sim, nq]``.
@@ -130,7 +139,17 @@ class BatchSimulation:
             qvel: full MuJoCo velocity, ``[nv]`` or ``[sim, nv]``.
             measured: whether the joints' positions are readings of the sensors, which an encoder offset shifts;
                 each simulation then starts where its own sensors read them.
+            rows: indices of the simulations that start anew, between ticks; the others are not disturbed. Then `qpos`,
+                `qvel` and `commands` have one row for each of these. None: all.
+
+        Raises:
+            ValueError: if both `rows` and `measured` are given.
         """
+        if rows is not None:
+            if measured:
+                raise ValueError("measured positions can start all simulations or none: leave rows out")
+            self._reset_rows(np.asarray(rows, dtype=np.int64), qpos, commands or {}, qvel)
+            return
         self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
         self._qpos[...] = torch.as_tensor(qpos, dtype=torch.float64)
         if measured:
@@ -146,6 +165,38 @@ class BatchSimulation:
         self.command(**(commands or {}))
         self.signals.current = torch.zeros_like(self.signals.position)
         self.law.reset(self.signals)
+
+    def _reset_rows(self, rows: np.ndarray, qpos: Any, commands: Mapping[str, Tensor], qvel: Any) -> None:
+        if not len(rows):
+            return
+        self.batch.reset(rows, stage=mujoco.mjtStage.mjSTAGE_NONE)
+        self._qpos[rows] = torch.as_tensor(qpos, dtype=torch.float64)
+        self._qvel[rows] = torch.as_tensor(qvel, dtype=torch.float64)
+        for array, value in ((self._friction, 0.0), (self._armature, self._rotor[rows])):
+            block = array[rows]
+            block[:, self.ports.dof] = value
+            array[rows] = block
+        self.batch.forward(rows)
+        self.batch.warning[rows] = 0
+        self.failed[rows] = False
+        self._read()
+        # the law starts all simulations anew, on the side; those of the rows are taken over
+        fresh = replace(self.signals, state={})
+        default_commands(fresh, self.model)
+        whole = {name: getattr(fresh, name).clone() for name in commands}
+        for name, value in commands.items():
+            whole[name][rows] = torch.as_tensor(value, dtype=torch.float64)
+        set_commands(fresh, whole)
+        fresh.current = torch.zeros_like(fresh.position)
+        self.law.reset(fresh)
+        for name in (*COMMANDS, "current"):
+            held = getattr(self.signals, name).clone()
+            held[rows] = getattr(fresh, name)[rows]
+            setattr(self.signals, name, held)
+        for name, memory in fresh.state.items():
+            kept = self.signals.state[name].clone()
+            kept[..., rows, :] = memory[..., rows, :]
+            self.signals.state[name] = kept
 
     def _undo_sensing(self) -> None:
         """Move the joints until their sensors read what the joints' positions were."""
