@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
+from op3.deploy.emulator.compiled_law import CompiledLaw, Untranslatable
 from op3.deploy.emulator.firmware import PERIOD, Drive
 from op3.deploy.emulator.physics import Readings
 from op3.deploy.emulator.power import Battery, Windings
@@ -22,6 +23,9 @@ Array = NDArray[np.float64]
 
 _ELSEWHERE = (Stage.COMMAND, Stage.TRANSPORT, Stage.CONTROLLER)
 """Stages that the bus, its timing and the emulated firmware take the place of."""
+
+HANDED_OVER = ("applied_torque", "damping", "friction_bound")
+"""What the law hands to MuJoCo."""
 
 SLOW_EVERY = 10
 """Battery and temperatures move on once in this many periods."""
@@ -103,6 +107,7 @@ class SimPhysics(BatchSimulation):
         battery: where the servos' voltage comes from; None for a supply at the model's `bus_voltage`.
         windings: how the motors warm up.
         imu: noise and filter of the IMU.
+        compiled: whether the servo law is translated to numpy where it can be, which is several times faster.
     """
 
     def __init__(
@@ -115,6 +120,7 @@ class SimPhysics(BatchSimulation):
         battery: Battery | None = None,
         windings: Windings | None = None,
         imu: ImuNoise | None = None,
+        compiled: bool = True,
     ):
         self.scene = build_scene(scene) if isinstance(scene, str) else scene
         attach_servos(self.scene.joints)
@@ -143,6 +149,9 @@ class SimPhysics(BatchSimulation):
         self.reset(self.scene.initial_qpos(joint_position), {"torque_enable": torch.zeros(1, count)})
         self.law.sense(self.signals)
         self._voltage = self.model.bus_voltage if battery is None else battery.voltage
+        self.signals.bus_voltage = torch.full_like(self.signals.position, self._voltage)
+        self._resistance = self.parameters["terminal_resistance"][0].numpy()
+        self._compiled = self._compile() if compiled else None
         self._find_imu()
 
     def _find_imu(self) -> None:
@@ -184,12 +193,20 @@ class SimPhysics(BatchSimulation):
 
     def drive(self, drive: Drive) -> None:
         """What the drivers do from now on; joints that are not enabled run free, with friction alone."""
-        state = self.signals.state
+        goals = {
+            "goal_current": drive.current,
+            "goal_duty": drive.duty,
+            "by_voltage": drive.voltage,
+            "bound": np.minimum(drive.limit, 1e3),
+        }
         self.signals.torque_enable = torch.from_numpy(drive.enabled.astype(float))[None]
-        state["goal_current"] = torch.from_numpy(drive.current.copy())[None]
-        state["goal_duty"] = torch.from_numpy(drive.duty.copy())[None]
-        state["by_voltage"] = torch.from_numpy(drive.voltage.astype(float))[None]
-        state["bound"] = torch.from_numpy(np.minimum(drive.limit, 1e3))[None]
+        if self._compiled is None:
+            for name, value in goals.items():
+                self.signals.state[name] = torch.from_numpy(value.astype(float))[None]
+        else:
+            self._compiled.inputs["torque_enable"][0] = drive.enabled
+            for name, value in goals.items():
+                self._compiled.state[name][0] = value
 
     def advance(self, steps: int = 1) -> None:
         """Let a number of periods pass.
@@ -197,8 +214,9 @@ class SimPhysics(BatchSimulation):
         Raises:
             RuntimeError: if the physics diverges.
         """
+        step = super().advance if self._compiled is None else self._step
         for _ in range(steps):
-            super().advance()
+            step()
             self._steps += 1
             if self._attitude is not None and self._steps % IMU_EVERY == 0:
                 self._latch_imu()
@@ -206,26 +224,73 @@ class SimPhysics(BatchSimulation):
                 self._step_slow()
         self._read()
         self.law.sense(self.signals)
+        if self._compiled is not None:
+            finite = all(np.isfinite(self._compiled.outputs[name]).all() for name in HANDED_OVER)
+            self.failed[0] = not finite or bool(self.batch.warning.any())
         if bool(self.failed[0]):
             raise RuntimeError(f"the simulated robot's physics diverged at {self._steps * PERIOD:.3f} s")
 
+    def _compile(self) -> CompiledLaw | None:
+        """The law in numpy, reading the batch's own arrays; None where that cannot be."""
+        ports = self.ports
+        if not all(isinstance(each, slice) for each in (ports.qpos, ports.dof, ports.ctrl, ports.transmitted)):
+            return None
+        position, velocity = self._qpos.numpy()[:, ports.qpos], self._qvel.numpy()[:, ports.dof]
+        live = {"position": position, "velocity": velocity, "measured_position": position}
+        try:
+            compiled = CompiledLaw(self.law, self.signals, (*HANDED_OVER, "current", "duty", "voltage"), live)
+        except Untranslatable:
+            return None
+        self._transmitted = self._sensors.numpy()[:, ports.transmitted]
+        self._rotor_inertia = self._rotor.numpy()
+        self._handed = (
+            self._ctrl.numpy()[:, ports.ctrl],
+            self._armature.numpy()[:, ports.dof],
+            self._friction.numpy()[:, ports.dof],
+        )
+        return compiled
+
+    def _step(self) -> None:
+        """What `BatchSimulation.advance` does in a control period of one step, in numpy."""
+        law = self._compiled
+        assert law is not None
+        if "load_torque" in law.inputs:
+            np.negative(self._transmitted, out=law.inputs["load_torque"])
+        if self._reads_force and "radial_force" in law.inputs:
+            force = self.ports.force
+            sensors = self._sensors.numpy()
+            np.hypot(sensors[:, force], sensors[:, force + 1], out=law.inputs["radial_force"])
+        law()
+        control, armature, friction = self._handed
+        control[...] = law.outputs["applied_torque"]
+        np.multiply(law.outputs["damping"], self.timestep, out=armature)
+        armature += self._rotor_inertia
+        friction[...] = law.outputs["friction_bound"]
+        self.batch.step()
+
+    def _flow(self, name: str) -> Array:
+        """Current, duty or voltage of the last step [joint]."""
+        if self._compiled is None:
+            return getattr(self.signals, name)[0].numpy()
+        return self._compiled.outputs[name][0]
+
     def _step_slow(self) -> None:
         signals, duration = self.signals, SLOW_EVERY * PERIOD
-        current = signals.current[0].numpy()
+        current = self._flow("current")
         if self.battery is not None:
-            self.battery.step(float((signals.voltage[0].numpy() * current).sum()), duration)
+            self.battery.step(float((self._flow("voltage") * current).sum()), duration)
             self._voltage = self.battery.voltage
         if self.supply is not None:
             self._voltage = self.supply
         elif self.battery is None:
             self._voltage = self.model.bus_voltage
         signals.bus_voltage = torch.full_like(signals.position, self._voltage)
-        resistance = self.parameters["terminal_resistance"][0].numpy()
-        self._windings.step(self._temperature, resistance * current**2, duration)
+        if self._compiled is not None and "bus_voltage" in self._compiled.inputs:
+            self._compiled.inputs["bus_voltage"][...] = self._voltage
+        self._windings.step(self._temperature, self._resistance * current**2, duration)
 
     def read(self) -> Readings:
         """What all sensors say now."""
-        signals = self.signals
         count = len(self.joints)
         orientation, rates, force = None, None, None
         if self._attitude is not None:
@@ -234,8 +299,8 @@ class SimPhysics(BatchSimulation):
         return Readings(
             position=self.position,
             velocity=self.velocity,
-            current=signals.current[0].numpy(),
-            duty=signals.duty[0].numpy(),
+            current=self._flow("current"),
+            duty=self._flow("duty"),
             voltage=np.full(count, self._voltage),
             temperature=self._temperature,
             orientation=orientation,
