@@ -24,8 +24,11 @@ from op3.deploy.state import State
 from op3.deploy.ticker import PERIOD, Tick
 from op3.robot import JOINTS
 
+WATCHDOG_UNIT = 0.02
+"""Unit of the register `bus_watchdog` [s]."""
+
 WATCHDOG = 5
-"""Bus watchdog [20 ms]: a servo that hears nothing for 100 ms lets go by itself."""
+"""Bus watchdog in its unit: a servo that hears nothing for 100 ms lets go by itself."""
 
 RECOVERY_TIME = 0.25
 """How long the P gains take to come back after a loss that was long enough to damp [s]."""
@@ -193,16 +196,21 @@ class Safety:
 
     def assess(self, tick: Tick, state: State) -> Verdict:
         """Judge a reading; raises `Stop` where the run has to end."""
-        if self.torque and self._write_time is not None:
-            gap = self.bus.clock.now() - self._write_time
-            if gap >= WATCHDOG * 0.02:
-                reason = f"nothing was written for {1e3 * gap:.0f} ms, so the servos have let go by themselves"
-                raise Stop(ExitCode.OVERRUN, f"{reason}; free the computer of other work")
+        self._check_gap()
         verdict = self._monitor.judge(tick.index, tick.deadline, state)
         if self.torque and self._damped and not verdict.damp:
             self._check_torque()
         self._damped = verdict.damp
         return verdict
+
+    def _check_gap(self) -> None:
+        """A computer that was held up too long finds servos that ignore its goals until they are switched on anew."""
+        if not self.torque or self._write_time is None:
+            return
+        gap = self.bus.clock.now() - self._write_time
+        if gap >= WATCHDOG * WATCHDOG_UNIT:
+            reason = f"nothing was written for {1e3 * gap:.0f} ms, so the servos have let go by themselves"
+            raise Stop(ExitCode.OVERRUN, f"{reason}; free the computer of other work")
 
     def _check_torque(self) -> None:
         """After a long silence: a servo that started anew meanwhile has no torque and says nothing about it."""
@@ -240,6 +248,7 @@ class Safety:
         return self._send(np.where(state.answered, fresh, 0), state)
 
     def _send(self, counts: NDArray[np.int64], state: State) -> NDArray[np.int64]:
+        self._check_gap()
         if self.torque:
             self._writer.write_currents(counts)
         self._write_time = self.bus.clock.now()
@@ -277,10 +286,11 @@ class Safety:
             self._attempt(lambda: self._writer.sync_write("goal_current", 0))
             self._attempt(lambda: self._writer.sync_write("torque_enable", 0))
         there: dict[str, int] = {}
-        for _ in range(ATTEMPTS):
-            self._attempt(lambda: there.update(self.bus.sync_read("torque_enable")))
-            if len(there) == len(JOINTS):
-                break
+        self._attempt(lambda: there.update(self.bus.sync_read("torque_enable")))
+        for name in JOINTS:
+            # A silent servo hides those behind it from a sync read.
+            if name not in there:
+                self._attempt(lambda name=name: there.update({name: self.bus.read(name, "torque_enable")}))
         failed = {name: "no answer" if name not in there else "still on" for name in JOINTS if there.get(name) != 0}
         return Release(tuple(name for name in JOINTS if name not in failed), failed)
 
