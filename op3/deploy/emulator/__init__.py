@@ -14,6 +14,7 @@ from op3.deploy.emulator.frames import Frame, read_frames
 from op3.deploy.emulator.physics import Physics, Readings, StandInPhysics
 from op3.deploy.emulator.port import Clock, VirtualPort
 from op3.deploy.emulator.power import Battery, Windings
+from op3.deploy.emulator.pty_server import PtyServer
 from op3.deploy.emulator.robot import OP3_SETTINGS, EmulatedRobot
 from op3.deploy.emulator.sim_physics import ImuNoise, SimPhysics
 
@@ -30,6 +31,7 @@ __all__ = [
     "ImuNoise",
     "Overheat",
     "Physics",
+    "PtyServer",
     "Readings",
     "Silent",
     "SimPhysics",

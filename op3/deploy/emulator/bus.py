@@ -76,6 +76,7 @@ class Bus:
         self._host_ends = 0.0
         self._devices_end = 0.0
         self._inbox: deque[tuple[float, bytes]] = deque()
+        self._ready = bytearray()
         self._adapter = bytearray()
         self._flushed = 0.0
         self._deadline = 0.0
@@ -169,6 +170,8 @@ class Bus:
     @property
     def next_arrival(self) -> float:
         """When the computer gets its next bytes [s]; infinite if none are under way."""
+        if self._ready:
+            return 0.0
         if self._inbox:
             return self._inbox[0][0]
         if self._adapter:
@@ -178,22 +181,20 @@ class Bus:
     def available(self, now: float) -> int:
         """How many bytes wait for the computer."""
         self._flush_until(now)
-        return sum(len(data) for arrival, data in self._inbox if arrival <= now)
+        inbox, ready = self._inbox, self._ready
+        while inbox and inbox[0][0] <= now:
+            ready += inbox.popleft()[1]
+        return len(ready)
 
     def take(self, length: int, now: float) -> bytes:
         """Up to so many of the bytes that wait for the computer."""
-        self._flush_until(now)
-        taken = bytearray()
-        while self._inbox and self._inbox[0][0] <= now and len(taken) < length:
-            arrival, data = self._inbox.popleft()
-            room = length - len(taken)
-            taken += data[:room]
-            if len(data) > room:
-                self._inbox.appendleft((arrival, data[room:]))
-        return bytes(taken)
+        if len(self._ready) < length:
+            self.available(now)
+        taken = bytes(self._ready[:length])
+        del self._ready[:length]
+        return taken
 
     def discard(self, now: float) -> None:
         """Forget the bytes that wait for the computer."""
-        self._flush_until(now)
-        while self._inbox and self._inbox[0][0] <= now:
-            self._inbox.popleft()
+        self.available(now)
+        self._ready.clear()

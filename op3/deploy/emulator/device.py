@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from op3.deploy.protocol import Error
-from op3.deploy.registers import ControlTable, Register
+from op3.deploy.registers import BAUD_RATES, ControlTable, Register
+
+RETURN_DELAY_UNIT = 2e-6
+"""Unit of the register `return_delay_time` [s]."""
 
 
 class Device:
@@ -21,6 +24,10 @@ class Device:
         self.memory = bytearray(table.size)
         self.ready = 0.0
         self.pending: tuple[int, bytes] | None = None
+        self._slices = {register.name: slice(register.address, register.end) for register in table}
+        self._baud_at = table["baud_rate"].address
+        self._delay_at = table["return_delay_time"].address
+        self._level_at = table["status_return_level"].address
         self._owner: list[Register | None] = [None] * table.size
         for register in table:
             self._owner[register.address : register.end] = [register] * register.size
@@ -34,14 +41,28 @@ class Device:
         return self.get("id")
 
     @property
+    def baud(self) -> int:
+        """Speed that it listens at [bit/s]; 0 for a value that is none."""
+        return BAUD_RATES.get(self.memory[self._baud_at], 0)
+
+    @property
+    def return_delay(self) -> float:
+        """Pause that it makes before it answers [s]."""
+        return self.memory[self._delay_at] * RETURN_DELAY_UNIT
+
+    @property
+    def return_level(self) -> int:
+        """Which instructions it answers: 0 pings, 1 reads too, 2 all."""
+        return self.memory[self._level_at]
+
+    @property
     def alert(self) -> bool:
         """Whether its answers carry the alert bit."""
         return False
 
     def get(self, name: str) -> int:
         """A register's value."""
-        register = self.table[name]
-        return register.decode(self.memory[register.address : register.end])
+        return int.from_bytes(self.memory[self._slices[name]], "little", signed=self.table[name].signed)
 
     def put(self, name: str, value: int) -> None:
         """Set a register, whatever the rules say."""

@@ -16,16 +16,12 @@ from op3.deploy.protocol import (
     encode_fast_status,
     encode_status,
 )
-from op3.deploy.registers import BAUD_RATES
 
 PING_SLOT = 0.003
 """How long a broadcast ping waits for each id that does not answer [s]; firmware of the OpenCR."""
 
 FAST_GAP = 5e-6
 """Pause between devices in a fast read [s] (inferred)."""
-
-RETURN_DELAY_UNIT = 2e-6
-"""Unit of the register `return_delay_time` [s]."""
 
 Answer = tuple[float, bytes]
 """Pause before an answer [s], and its bytes."""
@@ -76,7 +72,7 @@ class Dispatcher:
         device = self._listening(packet.device)
         if device is None or not _understands(device, instruction):
             return []
-        level = device.get("status_return_level")  # before it changes, as the manual's examples show
+        level = device.return_level  # before it changes, as the manual's examples show
         error, data = self._single(device, packet, now)
         if level < _level(instruction):
             return []
@@ -87,7 +83,7 @@ class Dispatcher:
         return device if device is not None and self._hears(device) else None
 
     def _pause(self, device: Device) -> float:
-        return self._turnaround + device.get("return_delay_time") * RETURN_DELAY_UNIT
+        return self._turnaround + device.return_delay
 
     def _single(self, device: Device, packet: Packet, now: float) -> tuple[int, bytes]:
         """Error and data of an instruction for one device."""
@@ -152,7 +148,7 @@ class Dispatcher:
         answers = []
         for number, address, length in items:
             device = self._listening(number)
-            if device is None or device.get("status_return_level") < 1:
+            if device is None or device.return_level < 1:
                 break
             error, data = device.read(address, length)
             answers.append((self._pause(device), encode_status(number, error | _alert(device), data)))
@@ -164,7 +160,7 @@ class Dispatcher:
         parts, pauses, silent = [], [], False
         for number, address, length in asked:
             device = self._listening(number)
-            if not isinstance(device, Servo) or device.get("status_return_level") < 1:
+            if not isinstance(device, Servo) or device.return_level < 1:
                 silent = True
                 device = None
             error, data = (Error.NONE, b"") if device is None else device.read(address, length)
@@ -179,11 +175,6 @@ class Dispatcher:
             if device is not None:
                 device.write(address, data)
         return []
-
-
-def hears_baud(device: Device, baud: int) -> bool:
-    """Whether a device runs at the line's speed."""
-    return BAUD_RATES.get(device.get("baud_rate")) == baud
 
 
 def _understands(device: Device, instruction: int) -> bool:

@@ -26,10 +26,11 @@ from op3.deploy.emulator.faults import (
 )
 from op3.deploy.emulator.firmware import PERIOD, Firmware
 from op3.deploy.emulator.frames import FrameRecorder
-from op3.deploy.emulator.instructions import Dispatcher, hears_baud
+from op3.deploy.emulator.instructions import Dispatcher
 from op3.deploy.emulator.open_cr import BUTTONS, OpenCR
 from op3.deploy.emulator.physics import Physics, Readings
 from op3.deploy.emulator.port import Clock, VirtualPort
+from op3.deploy.emulator.pty_server import PtyServer
 from op3.deploy.emulator.servo import Servo
 from op3.deploy.protocol import Packet
 from op3.deploy.registers import (
@@ -117,18 +118,25 @@ class EmulatedRobot:
         self._silent: dict[int, float] = {}
         self._heat: dict[int, tuple[float, float]] = {}
         self._heard = 0.0
-        self._loads = -1
-        self._watchdog = inf
         self._present = np.zeros(len(self._all), dtype=_PRESENT)
         self._pressed = 0
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._numbers = count()
+        self._reconsider()
         self._schedule_faults()
         self.at(CHECK_PERIOD, self._check_servos)
 
     def port_handler(self, name: str = "virtual") -> VirtualPort:
         """A port for dynamixel-sdk, in virtual time."""
         return VirtualPort(self, name)
+
+    def serve_pty(self, baud: int = 2_000_000) -> PtyServer:
+        """A pseudo-terminal for any program, in wall time: ``with robot.serve_pty() as server: print(server.path)``.
+
+        Args:
+            baud: speed of the line until a program sets one [bit/s].
+        """
+        return PtyServer(self, baud)
 
     def close(self) -> None:
         """Finish the recording of frames, if there is one."""
@@ -186,7 +194,11 @@ class EmulatedRobot:
     # -- instructions
 
     def _hears(self, device: Device) -> bool:
-        return device.ready <= self.time and device.id not in self._silent and hears_baud(device, self.bus.baud)
+        return (
+            device.ready <= self.time
+            and device.baud == self.bus.baud
+            and not (self._silent and device.id in self._silent)
+        )
 
     def _answers(self, packet: Packet, end: float) -> list[tuple[float, bytes]]:
         self.advance(end)
@@ -203,6 +215,7 @@ class EmulatedRobot:
         """Registers have changed: look up what depends on them."""
         self._loads = self._firmware.loads
         self._dispatcher.relist()
+        self._booted = np.array([round(servo.booted / PERIOD) for servo in self._all])
         self._watchdog = min((servo.watchdog for servo in self._all if servo.torque), default=inf)
 
     def _switch(self, on: bool) -> None:
@@ -210,6 +223,7 @@ class EmulatedRobot:
         self._powered = on
         for servo in self._all:
             servo.power(on, self.time)
+        self._reconsider()
 
     def press(self, button: str, duration: float = 0.05) -> None:
         """Press a button of the OpenCR for a while [s]; "reset", held for 0.1 s, cuts the servos' power."""
@@ -249,9 +263,8 @@ class EmulatedRobot:
             return
         self._stale = False
         readings, present = self.physics.read(), self._present
-        milliseconds = self._ticks
         velocity = np.round(readings.velocity / VELOCITY_UNIT)
-        present["realtime_tick"] = [(milliseconds - round(servo.booted / PERIOD)) % 32768 for servo in self._all]
+        present["realtime_tick"] = (self._ticks - self._booted) % 32768
         present["moving"] = np.abs(velocity) > 10
         present["present_pwm"] = np.round(readings.duty / PWM_UNIT)
         present["present_current"] = np.clip(np.round(readings.current / CURRENT_UNIT), -32768, 32767)

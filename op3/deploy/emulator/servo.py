@@ -35,6 +35,10 @@ _GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
 _GAINS = ("position_p_gain", "position_i_gain", "position_d_gain", "velocity_p_gain", "velocity_i_gain")
 _FIRMWARE = {*_GOALS, *_GAINS, "profile_velocity", "torque_enable", "operating_mode", "current_limit", "pwm_limit"}
 _RESET_BY_MODE = (*_GAINS, "feedforward_1st_gain", "feedforward_2nd_gain", "profile_velocity", "profile_acceleration")
+_GOAL_CURRENT, _CURRENT_LIMIT = XM430_W350["goal_current"].address, XM430_W350["current_limit"].address
+_FULL_CURRENT = XM430_W350["goal_current"].high or 0
+_MODE, _WATCHDOG = XM430_W350["operating_mode"].address, XM430_W350["bus_watchdog"].address
+_TORQUE, _HARDWARE_ERROR = XM430_W350["torque_enable"].address, XM430_W350["hardware_error_status"].address
 _KEPT_BY_RESET = {0xFF: (), 0x01: ("id",), 0x02: ("id", "baud_rate")}
 
 
@@ -66,12 +70,12 @@ class Servo(Device):
     @property
     def alert(self) -> bool:
         """Whether there is a hardware error."""
-        return self.memory[70] != 0
+        return self.memory[_HARDWARE_ERROR] != 0
 
     @property
     def torque(self) -> bool:
         """Whether torque is enabled."""
-        return self.memory[64] != 0
+        return self.memory[_TORQUE] != 0
 
     def power(self, on: bool, now: float) -> None:
         """Give it power, or take it away."""
@@ -107,8 +111,8 @@ class Servo(Device):
 
     def fail(self, error: int) -> None:
         """A hardware error: it stays until a reboot, and shuts the servo down if `shutdown` says so."""
-        self.memory[70] |= error
-        if self.memory[70] & self.get("shutdown"):
+        self.memory[_HARDWARE_ERROR] |= error
+        if self.memory[_HARDWARE_ERROR] & self.get("shutdown"):
             self._release()
 
     def trip(self) -> None:
@@ -118,7 +122,7 @@ class Servo(Device):
         self._inform()
 
     def _release(self) -> None:
-        self.memory[64] = 0
+        self.memory[_TORQUE] = 0
         self._inform()
 
     def _inform(self) -> None:
@@ -150,9 +154,23 @@ class Servo(Device):
 
     def write(self, address: int, data: bytes) -> int:
         """Write registers; if one of them is refused none is written. Returns the error."""
+        if address == _GOAL_CURRENT and len(data) == 2 and self.memory[_MODE] == OperatingMode.CURRENT:
+            return self._write_goal_current(data)
         if address + len(data) > FIRST_INDIRECT_DATA:
             return self._write_many(self._targets(address, len(data)), data)
         return super().write(address, data)
+
+    def _write_goal_current(self, data: bytes) -> int:
+        """The same as any write, for the one register that is written in every tick."""
+        value = int.from_bytes(data, "little", signed=True)
+        memory = self.memory
+        if memory[_WATCHDOG] == 0xFF or not -_FULL_CURRENT <= value <= _FULL_CURRENT:
+            return Error.DATA_RANGE
+        if abs(value) > (memory[_CURRENT_LIMIT] | memory[_CURRENT_LIMIT + 1] << 8):
+            return Error.DATA_LIMIT
+        memory[_GOAL_CURRENT : _GOAL_CURRENT + 2] = data
+        self._firmware.set_goal_current(self.index, value)
+        return Error.NONE
 
     def check(self, register: Register, value: int) -> int:
         """The error of writing a value to a register; `Error.NONE` if it may be written."""
@@ -167,7 +185,7 @@ class Servo(Device):
             return Error.DATA_RANGE
         if name == "operating_mode" and value not in OperatingMode.ALL:
             return Error.DATA_RANGE
-        if name == "torque_enable" and value and self.memory[70] & self.get("shutdown"):
+        if name == "torque_enable" and value and self.memory[_HARDWARE_ERROR] & self.get("shutdown"):
             return Error.RESULT_FAIL  # (inferred) only a reboot brings torque back; the manual names no error
         return self._check_limit(name, value)
 
@@ -199,7 +217,5 @@ class Servo(Device):
             self.put("goal_velocity", 0)
         elif name == "bus_watchdog":
             self.watchdog = value * WATCHDOG_UNIT if value else inf
-        if name == "goal_current" and self.memory[11] == OperatingMode.CURRENT:
-            self._firmware.set_goal_current(self.index, value)
-        elif register.eeprom or name in _FIRMWARE or name == "bus_watchdog":
+        if register.eeprom or name in _FIRMWARE or name == "bus_watchdog":
             self._inform()
