@@ -20,7 +20,7 @@ ROBOTS = ("simulated", "emulated", "real", "rig")
 MOUNTS = ("floor", "stand", "pendulum", "board", "board_weight", "bricks_a", "bricks_b", "bricks_c", "terrain")
 
 _JOINT_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
-_RESERVED = ("imu", "policy")
+_RESERVED = ("imu", "policy", "raw")
 _REQUIRED = ("joints", "robot", "mount", "rate")
 
 
@@ -240,7 +240,7 @@ def _joints(value: object) -> tuple[str, ...]:
         raise _wrong("joints", value, "a list of joint names")
     for name in value:
         if not isinstance(name, str) or not _JOINT_NAME.fullmatch(name) or name in _RESERVED:
-            raise _wrong("joints", name, "a joint name of letters, digits, _ and -, and not imu or policy")
+            raise _wrong("joints", name, "a joint name of letters, digits, _ and -, and not imu, policy or raw")
         if value.count(name) > 1:
             raise LogError(f"joint {name} is listed twice", "list each joint once", column="field joints")
     return tuple(value)

@@ -1,0 +1,46 @@
+"""The person at the robot: asked before torque, and able to say go while the loop runs."""
+
+from __future__ import annotations
+
+import select
+import sys
+from typing import Protocol
+
+
+class Operator(Protocol):
+    """Someone who answers."""
+
+    def confirm(self, text: str) -> bool:
+        """Ask, and wait for the answer."""
+        ...
+
+    def said_go(self) -> bool:
+        """Whether go was said since the last call; never waits."""
+        ...
+
+
+class Console:
+    """A person at the terminal."""
+
+    def confirm(self, text: str) -> bool:
+        """Ask for the word yes."""
+        print(f"{text} Type yes and Enter to go on: ", end="", flush=True)
+        answer = sys.stdin.readline()
+        return answer.strip().lower() in ("yes", "y")
+
+    def said_go(self) -> bool:
+        """Whether Enter was pressed."""
+        ready, _, _ = select.select([sys.stdin], [], [], 0)
+        return bool(ready) and sys.stdin.readline() != ""
+
+
+class Yes:
+    """Agrees to everything at once; for the emulated robot and for tests."""
+
+    def confirm(self, text: str) -> bool:
+        """Yes."""
+        return True
+
+    def said_go(self) -> bool:
+        """Yes."""
+        return True
