@@ -2,6 +2,7 @@
 
 python experiments/collect.py robot=stand_in motion=squat [world=eta_060] [mount=stand] [repeats=3] [seed=1]
 python experiments/collect.py world=random world_seed=7 motion=squat_heldout
+python experiments/collect.py motion=chirp_knee mount=stand
 python experiments/collect.py -m world=eta_060,eta_070,eta_080
 """
 
@@ -11,12 +12,14 @@ from pathlib import Path
 from typing import Any
 
 import hydra
+import numpy as np
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from support import one_sentence
 
+from op3.robot import Motion, check_motion
 from op3.rollout import MOUNTS, Rollout
 
 
@@ -35,7 +38,8 @@ def collect(cfg: DictConfig) -> list[Path]:
     if isinstance(cfg.repeats, bool) or not isinstance(cfg.repeats, int) or cfg.repeats < 1:
         raise ValueError(f"repeats must be a whole number of at least 1, got {cfg.repeats!r}")
     motion, robot = build(cfg.motion), build(cfg.robot)
-    gains = {name: _plain(cfg[name]) for name in ("p_gain", "d_gain")}
+    check_motion(motion, cfg.mount)
+    gains = {name: _own(motion, name) if cfg[name] is None else _plain(cfg[name]) for name in ("p_gain", "d_gain")}
     runtime = HydraConfig.get().runtime
     known = {"date": datetime.datetime.now().isoformat(timespec="seconds"), "git_hash": git_hash()}
     folders = []
@@ -51,6 +55,12 @@ def collect(cfg: DictConfig) -> list[Path]:
 
 def _plain(value: Any) -> Any:
     return OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
+
+
+def _own(motion: Motion, name: str) -> Any:
+    """A gain of the motion as a robot plays it: one number, or [row, 1] for all joints."""
+    gain = np.asarray(getattr(motion, name))
+    return gain[:, None] if gain.ndim else float(gain)
 
 
 def git_hash() -> str | None:

@@ -1,6 +1,7 @@
 """The OP3 itself: joints, model, poses, scenes and motions."""
 
 from op3.robot.assets import asset_path, named_configs
+from op3.robot.excitations import chirp, multisine, push_down, soften, staircase, sway, triangle
 from op3.robot.joints import (
     CONTROLLED_JOINTS,
     GEAR_RATIO,
@@ -17,6 +18,7 @@ from op3.robot.kinematics import KEY_POINTS, center_of_mass, key_points, quatern
 from op3.robot.motions import Motion, hold, squat
 from op3.robot.op3_entity import OP3
 from op3.robot.poses import POSES, pose, standing_height
+from op3.robot.safety import SPEED_LIMIT, check_motion, motion_faults
 from op3.robot.scenes import SCENES, Scene, build_bench, build_scene
 
 __all__ = [
@@ -32,20 +34,30 @@ __all__ = [
     "SCENES",
     "SERVO_IDS",
     "SOFT_LIMITS",
+    "SPEED_LIMIT",
     "Motion",
     "Scene",
     "asset_path",
     "build_bench",
     "build_scene",
     "center_of_mass",
+    "check_motion",
+    "chirp",
     "hold",
     "indices",
     "key_points",
     "mirror",
+    "motion_faults",
+    "multisine",
     "named_configs",
     "pose",
+    "push_down",
     "quaternion",
+    "soften",
     "sole_corners",
     "squat",
+    "staircase",
     "standing_height",
+    "sway",
+    "triangle",
 ]
