@@ -16,8 +16,8 @@ import numpy as np
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
-from omegaconf import DictConfig, OmegaConf
-from support import one_sentence
+from omegaconf import DictConfig
+from support import one_sentence, plain
 
 from op3.robot import Motion, check_motion
 from op3.rollout import MOUNTS, Rollout
@@ -39,7 +39,7 @@ def collect(cfg: DictConfig) -> list[Path]:
         raise ValueError(f"repeats must be a whole number of at least 1, got {cfg.repeats!r}")
     motion, robot = build(cfg.motion), build(cfg.robot)
     check_motion(motion, cfg.mount)
-    gains = {name: _own(motion, name) if cfg[name] is None else _plain(cfg[name]) for name in ("p_gain", "d_gain")}
+    gains = {name: _own(motion, name) if cfg[name] is None else plain(cfg[name]) for name in ("p_gain", "d_gain")}
     runtime = HydraConfig.get().runtime
     known = {"date": datetime.datetime.now().isoformat(timespec="seconds"), "git_hash": git_hash()}
     folders = []
@@ -51,10 +51,6 @@ def collect(cfg: DictConfig) -> list[Path]:
         outcome = "the robot fell" if rollout.metadata.fallen else "the robot stands"
         print(f"{folders[-1]}: {rollout.rows} rows, {rollout.duration:.2f} s, {outcome}")
     return folders
-
-
-def _plain(value: Any) -> Any:
-    return OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
 
 
 def _own(motion: Motion, name: str) -> Any:

@@ -209,6 +209,8 @@ class Identification:
         )
         model = self.problem.model.with_values({name: Estimate(values[name], *intervals[name]) for name in self.names})
         model = model.with_values(_for_other_conditions(model, self.names))
+        fitted = [log.fingerprint() for log in self.problem.replay.logs]
+        model = replace(model, provenance={**model.provenance, "fitted_logs": fitted})
         trials = [np.nan if t.value is None else float(t.value) for t in study.trials]
         return Fit(
             label=self.label,
