@@ -51,6 +51,10 @@ def test_one_process(log, heldout, tmp_path):
     # that they need, and the score
     assert numbers["simulated_seconds"] == pytest.approx((1 + 6 + 21 + 1 + 1) * 0.992)
     assert set(numbers["parameters.backward_efficiency"]) == {"value", "low", "high"}
+    told = [*numbers["identifiability.identifiable"], *numbers["identifiability.not_identifiable"]]
+    assert sorted(told) == sorted(numbers["identifiability.parameters"])
+    assert len(numbers["identifiability.singular_values"]) == 10
+    assert "What the logs tell" in page.read_text()
     assert load_model(folder / "model.yaml").value("torque_constant") == numbers["parameters.torque_constant"]["value"]
 
 
