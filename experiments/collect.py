@@ -3,6 +3,7 @@
 python experiments/collect.py robot=stand_in motion=squat [world=eta_060] [mount=stand] [repeats=3] [seed=1]
 python experiments/collect.py world=random world_seed=7 motion=squat_heldout
 python experiments/collect.py motion=chirp_knee mount=stand
+python experiments/collect.py plan=outputs/design_excitation/<run>/plan.yaml
 python experiments/collect.py -m world=eta_060,eta_070,eta_080
 """
 
@@ -13,11 +14,12 @@ from typing import Any
 
 import hydra
 import numpy as np
+import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
-from omegaconf import DictConfig
-from support import one_sentence, plain
+from omegaconf import DictConfig, OmegaConf
+from support import library_motion, one_sentence, plain
 
 from op3.robot import Motion, check_motion
 from op3.rollout import MOUNTS, Rollout
@@ -33,24 +35,62 @@ def build(node: DictConfig) -> Any:
 
 def collect(cfg: DictConfig) -> list[Path]:
     """Record as often as asked and return the rollout folders."""
-    if cfg.mount not in MOUNTS[:2]:
-        raise ValueError(f"mount must be {' or '.join(MOUNTS[:2])}, got {cfg.mount!r}")
     if isinstance(cfg.repeats, bool) or not isinstance(cfg.repeats, int) or cfg.repeats < 1:
         raise ValueError(f"repeats must be a whole number of at least 1, got {cfg.repeats!r}")
+    if cfg.plan is not None:
+        return collect_plan(cfg, read_plan(Path(cfg.plan)))
+    if cfg.mount not in MOUNTS[:2]:
+        raise ValueError(f"mount must be {' or '.join(MOUNTS[:2])}, got {cfg.mount!r}")
     motion, robot = build(cfg.motion), build(cfg.robot)
     check_motion(motion, cfg.mount)
-    gains = {name: _own(motion, name) if cfg[name] is None else plain(cfg[name]) for name in ("p_gain", "d_gain")}
-    runtime = HydraConfig.get().runtime
-    known = {"date": datetime.datetime.now().isoformat(timespec="seconds"), "git_hash": git_hash()}
+    name = HydraConfig.get().runtime.choices.motion
+    return [record(cfg, robot, motion, f"{name}-{number}") for number in range(cfg.repeats)]
+
+
+def collect_plan(cfg: DictConfig, plan: list[tuple[str, str]]) -> list[Path]:
+    """Record motion after motion; all are checked before the first one is played."""
+    motions = {name: library_motion(name) for name, _ in plan}
+    for name, mount in plan:
+        check_motion(motions[name], mount)
+    robots: dict[str, Any] = {}
+    counts: dict[str, int] = {}
     folders = []
-    for number in range(cfg.repeats):
-        name = f"{runtime.choices.motion}-{number}"
-        rollout = robot.play(motion, **gains, recording=name)
-        rollout = Rollout(rollout.data, rollout.metadata.replace(**known))
-        folders.append(rollout.save(Path(runtime.output_dir) / name))
-        outcome = "the robot fell" if rollout.metadata.fallen else "the robot stands"
-        print(f"{folders[-1]}: {rollout.rows} rows, {rollout.duration:.2f} s, {outcome}")
+    for name, mount in plan:
+        if mount not in robots:
+            there = OmegaConf.merge(cfg, {"mount": mount})
+            robots[mount] = build(there.robot)
+        for _ in range(cfg.repeats):
+            counts[name] = counts.get(name, -1) + 1
+            folders.append(record(cfg, robots[mount], motions[name], f"{name}-{counts[name]}"))
     return folders
+
+
+def read_plan(path: Path) -> list[tuple[str, str]]:
+    """Motions with their mounts from a plan that `design_excitation.py` wrote, or by hand.
+
+    Raises:
+        ValueError: naming what is wrong, if it is no plan.
+    """
+    content = yaml.safe_load(path.read_text())
+    entries = content.get("plan") if isinstance(content, dict) else None
+    if not isinstance(entries, list) or not entries:
+        raise ValueError(f"{path} is no plan: write `plan:` with a list of {{motion: ..., mount: ...}}")
+    for number, entry in enumerate(entries):
+        if not isinstance(entry, dict) or set(entry) != {"motion", "mount"} or entry["mount"] not in MOUNTS[:2]:
+            raise ValueError(f"{path}, entry {number}: need a motion and a mount (floor or stand), got {entry!r}")
+    return [(entry["motion"], entry["mount"]) for entry in entries]
+
+
+def record(cfg: DictConfig, robot: Any, motion: Motion, name: str) -> Path:
+    """Play a motion once and save the log; return its folder."""
+    gains = {name: _own(motion, name) if cfg[name] is None else plain(cfg[name]) for name in ("p_gain", "d_gain")}
+    known = {"date": datetime.datetime.now().isoformat(timespec="seconds"), "git_hash": git_hash()}
+    rollout = robot.play(motion, **gains, recording=name)
+    rollout = Rollout(rollout.data, rollout.metadata.replace(**known))
+    folder = rollout.save(Path(HydraConfig.get().runtime.output_dir) / name)
+    outcome = "the robot fell" if rollout.metadata.fallen else "the robot stands"
+    print(f"{folder}: {rollout.rows} rows, {rollout.duration:.2f} s, {outcome}", flush=True)
+    return folder
 
 
 def _own(motion: Motion, name: str) -> Any:

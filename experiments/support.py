@@ -4,13 +4,20 @@ import dataclasses
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
+from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import CompactHydraException
+from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from op3.robot import CONTROLLED_JOINTS
+from op3.robot import CONTROLLED_JOINTS, Motion, named_configs
 from op3.rollout import Metadata, Rollout
+
+CONF = Path(__file__).resolve().parents[1] / "conf"
+"""The configs of this project."""
 
 
 @contextmanager
@@ -36,6 +43,20 @@ def check_given(cfg: DictConfig, name: str, what: str) -> None:
     """Refuse a config whose field `name` is still `???`."""
     if OmegaConf.is_missing(cfg, name):
         raise ValueError(f"{name} is missing: add {name}=<{what}>")
+
+
+def library_motion(name: str) -> Motion:
+    """A motion of the library by its name in `conf/motion`.
+
+    Raises:
+        ValueError: if there is none of this name.
+    """
+    known = named_configs("motion")
+    if name not in known:
+        raise ValueError(f"there is no motion {name!r}; choose {', '.join(known)}")
+    GlobalHydra.instance().clear()
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        return instantiate(compose("collect", [f"motion={name}"]).motion)
 
 
 def logs_where(logs: Sequence[Rollout], where: Mapping[str, Any] | None, field: str) -> list[Rollout]:

@@ -70,7 +70,7 @@ def identifiability(
         whitened[index] /= noise[name]
     _, values, directions = np.linalg.svd(whitened, full_matrices=False)
     widths = {
-        name: (intervals[name][1] - intervals[name][0]) / sensitivity.span[i]
+        name: float((intervals[name][1] - intervals[name][0]) / sensitivity.span[i])
         for i, name in enumerate(sensitivity.names)
     }
     return Identifiability(

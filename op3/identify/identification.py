@@ -172,6 +172,7 @@ class Identification:
         *,
         starts: int = 0,
         max_iterations: int = 25,
+        race: int | None = None,
         progress: Callable[[int, float], None] | None = None,
     ) -> Fit:
         """Choose the best trial, refine it by least squares if asked, and score it.
@@ -180,6 +181,7 @@ class Identification:
             study: finished.
             starts: how many of the best trials least squares starts from; 0 for no refinement.
             max_iterations: of least squares.
+            race: iterations after which only the best start goes on; None: all go on.
             progress: called with iteration and loss.
 
         Raises:
@@ -203,6 +205,7 @@ class Identification:
                 bounds,
                 [self._values(trial) for trial in complete[:starts]],
                 max_iterations=max_iterations,
+                race=race,
                 progress=progress,
             )
             refined = result.history
