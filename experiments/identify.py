@@ -15,6 +15,7 @@ import hydra
 import optuna
 import torch
 from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig
 from support import check_given, focus_joints, logs_where, one_sentence, plain
 
@@ -25,6 +26,7 @@ from op3.identify.search_space import parse_search_space
 from op3.identify.settings import read_settings
 from op3.identify.sweeper import sweep_or_report
 from op3.report import run_provenance
+from op3.report.comparison import read_runs, write_comparison
 from op3.report.identification import report_identification
 from op3.rollout import Rollout, read_logs
 from op3.servo import RobotModel, effect_class
@@ -126,7 +128,7 @@ def main(cfg: DictConfig) -> Any:
             fit = identification.finish(study, **cfg.refine)
             ablated = without_effects(cfg, folder)
             save_model(fit.model, folder / "model.yaml")
-            return report_identification(
+            numbers = report_identification(
                 fit,
                 ablated,
                 folder,
@@ -136,6 +138,9 @@ def main(cfg: DictConfig) -> Any:
                 config=plain(cfg),
                 wandb_mode=os.environ.get("WANDB_MODE", cfg.wandb),
             )
+            if HydraConfig.get().mode == RunMode.MULTIRUN:
+                write_comparison(read_runs(folder.parent), folder.parent)  # grows with every cell
+            return numbers
 
         return sweep_or_report(cfg, identification.evaluate, report)
 

@@ -1,5 +1,7 @@
 """The choice of motions, on information matrices made by hand, and one real motion."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -43,7 +45,7 @@ def test_moving_the_robot_costs_time():
     long = choose([FRICTION, MASS], seconds=200.0, mount_change=60.0, **everything)
     assert len({step.mount for step in long}) == 2
     assert long[-1].seconds <= 200.0
-    assert all(a.seconds < b.seconds for a, b in zip(long, long[1:], strict=False))
+    assert all(a.seconds < b.seconds for a, b in pairwise(long))
 
 
 def test_a_trade_off_is_broken_by_the_motion_that_breaks_it():
