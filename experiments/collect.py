@@ -1,29 +1,34 @@
-"""Record a motion or a policy on a robot, once or several times.
+"""Record a motion, a plan of motions or a policy on a robot, once or several times.
 
 python experiments/collect.py robot=stand_in motion=squat [world=eta_060] [mount=stand] [repeats=3] [seed=1]
 python experiments/collect.py world=random world_seed=7 motion=squat_heldout
+python experiments/collect.py motion=chirp_knee mount=stand
+python experiments/collect.py plan=outputs/design_excitation/<run>/plan.yaml
 python experiments/collect.py robot=emulated|real motion=squat [port=/dev/ttyUSB0] [mount=stand]
 python experiments/collect.py robot=emulated|real policy=assets/policies/balance [duration=10] [repeats=5]
+python experiments/collect.py robot=emulated policy=assets/policies/balance task=balance_eval repeats=10
 python experiments/collect.py -m world=eta_060,eta_070,eta_080
 """
 
 import datetime
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import hydra
+import numpy as np
+import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from support import git_hash, one_sentence
+from support import git_hash, library_motion, one_sentence, plain
 
 from op3.deploy import Stop
 from op3.deploy.bus import Unplugged
 from op3.deploy.exit_codes import ExitCode
 from op3.policy import PolicyBundle
+from op3.robot import Motion, check_motion
 from op3.rollout import MOUNTS, Rollout
 
 
@@ -37,39 +42,88 @@ def build(node: DictConfig) -> Any:
 
 def collect(cfg: DictConfig) -> list[Path]:
     """Record as often as asked and return the rollout folders."""
-    if cfg.mount not in MOUNTS[:2]:
-        raise ValueError(f"mount must be {' or '.join(MOUNTS[:2])}, got {cfg.mount!r}")
     if isinstance(cfg.repeats, bool) or not isinstance(cfg.repeats, int) or cfg.repeats < 1:
         raise ValueError(f"repeats must be a whole number of at least 1, got {cfg.repeats!r}")
-    robot = build(cfg.robot)
-    name, record = recording(cfg, robot)
-    runtime = HydraConfig.get().runtime
-    known = {"date": datetime.datetime.now().isoformat(timespec="seconds"), "git_hash": git_hash()}
+    if cfg.plan is not None:
+        return collect_plan(cfg, read_plan(Path(cfg.plan)))
+    if cfg.mount not in MOUNTS[:2]:
+        raise ValueError(f"mount must be {' or '.join(MOUNTS[:2])}, got {cfg.mount!r}")
+    if cfg.policy is not None:
+        return collect_episodes(cfg)
+    motion, robot = build(cfg.motion), build(cfg.robot)
+    check_motion(motion, cfg.mount)
+    name = HydraConfig.get().runtime.choices.motion
+    return [record(cfg, robot, motion, f"{name}-{number}") for number in range(cfg.repeats)]
+
+
+def collect_plan(cfg: DictConfig, plan: list[tuple[str, str]]) -> list[Path]:
+    """Record motion after motion; all are checked before the first one is played."""
+    motions = {name: library_motion(name) for name, _ in plan}
+    for name, mount in plan:
+        check_motion(motions[name], mount)
+    robots: dict[str, Any] = {}
+    counts: dict[str, int] = {}
     folders = []
-    for number in range(cfg.repeats):
-        label = f"{name}-{number}"
-        rollout = record(label)
-        rollout = Rollout(rollout.data, rollout.metadata.replace(**known))
-        folders.append(rollout.save(Path(runtime.output_dir) / label))
-        outcome = "the robot fell" if rollout.metadata.fallen else "the robot stands"
-        print(f"{folders[-1]}: {rollout.rows} rows, {rollout.duration:.2f} s, {outcome}")
+    for name, mount in plan:
+        if mount not in robots:
+            there = OmegaConf.merge(cfg, {"mount": mount})
+            robots[mount] = build(there.robot)
+        for _ in range(cfg.repeats):
+            counts[name] = counts.get(name, -1) + 1
+            folders.append(record(cfg, robots[mount], motions[name], f"{name}-{counts[name]}"))
     return folders
 
 
-def recording(cfg: DictConfig, robot: Any) -> tuple[str, Callable[[str], Rollout]]:
-    """What is recorded: its name, and a function that records it under a label."""
-    if cfg.policy is None:
-        motion = build(cfg.motion)
-        gains = {name: _plain(cfg[name]) for name in ("p_gain", "d_gain")}
-        return HydraConfig.get().runtime.choices.motion, lambda label: robot.play(motion, **gains, recording=label)
+def read_plan(path: Path) -> list[tuple[str, str]]:
+    """Motions with their mounts from a plan that `design_excitation.py` wrote, or by hand.
+
+    Raises:
+        ValueError: naming what is wrong, if it is no plan.
+    """
+    content = yaml.safe_load(path.read_text())
+    entries = content.get("plan") if isinstance(content, dict) else None
+    if not isinstance(entries, list) or not entries:
+        raise ValueError(f"{path} is no plan: write `plan:` with a list of {{motion: ..., mount: ...}}")
+    for number, entry in enumerate(entries):
+        if not isinstance(entry, dict) or set(entry) != {"motion", "mount"} or entry["mount"] not in MOUNTS[:2]:
+            raise ValueError(f"{path}, entry {number}: need a motion and a mount (floor or stand), got {entry!r}")
+    return [(entry["motion"], entry["mount"]) for entry in entries]
+
+
+def collect_episodes(cfg: DictConfig) -> list[Path]:
+    """Record episodes of a policy."""
+    robot = build(cfg.robot)
     if not hasattr(robot, "run_policy"):
         raise ValueError("this robot only plays motions; record a policy with robot=emulated or robot=real")
     bundle = PolicyBundle.load(cfg.policy)
-    return Path(cfg.policy).name, lambda label: robot.run_policy(bundle, cfg.duration, cycle=cfg.cycle, recording=label)
+    folders = []
+    for number in range(cfg.repeats):
+        name = f"{Path(cfg.policy).name}-{number}"
+        options = {"cycle": cfg.cycle, "task": cfg.task, "recording": name}
+        folders.append(save(robot.run_policy(bundle, cfg.duration, **options), name))
+    return folders
 
 
-def _plain(value: Any) -> Any:
-    return OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
+def record(cfg: DictConfig, robot: Any, motion: Motion, name: str) -> Path:
+    """Play a motion once and save the log; return its folder."""
+    gains = {name: _own(motion, name) if cfg[name] is None else plain(cfg[name]) for name in ("p_gain", "d_gain")}
+    return save(robot.play(motion, **gains, recording=name), name)
+
+
+def save(rollout: Rollout, name: str) -> Path:
+    """Write a log into the run's folder and say how it ended; return its folder."""
+    known = {"date": datetime.datetime.now().isoformat(timespec="seconds"), "git_hash": git_hash()}
+    rollout = Rollout(rollout.data, rollout.metadata.replace(**known))
+    folder = rollout.save(Path(HydraConfig.get().runtime.output_dir) / name)
+    outcome = "the robot fell" if rollout.metadata.fallen else "the robot stands"
+    print(f"{folder}: {rollout.rows} rows, {rollout.duration:.2f} s, {outcome}")
+    return folder
+
+
+def _own(motion: Motion, name: str) -> Any:
+    """A gain of the motion as a robot plays it: one number, or [row, 1] for all joints."""
+    gain = np.asarray(getattr(motion, name))
+    return gain[:, None] if gain.ndim else float(gain)
 
 
 @hydra.main(version_base="1.3", config_path="../conf", config_name="collect")

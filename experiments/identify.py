@@ -15,8 +15,9 @@ import hydra
 import optuna
 import torch
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig, OmegaConf
-from support import one_sentence
+from hydra.types import RunMode
+from omegaconf import DictConfig
+from support import check_given, focus_joints, logs_where, one_sentence, plain
 
 from op3.identify.identification import PREFIX, Fit, Identification
 from op3.identify.loss import UNIT_WEIGHTS, TrajectoryLoss
@@ -25,9 +26,9 @@ from op3.identify.search_space import parse_search_space
 from op3.identify.settings import read_settings
 from op3.identify.sweeper import sweep_or_report
 from op3.report import run_provenance
+from op3.report.comparison import read_runs, write_comparison
 from op3.report.identification import report_identification
-from op3.robot import CONTROLLED_JOINTS
-from op3.rollout import Metadata, Rollout, read_logs
+from op3.rollout import Rollout, read_logs
 from op3.servo import RobotModel, effect_class
 from op3.servo.conditions import split_name
 from op3.sim import load_model, save_model
@@ -37,16 +38,10 @@ register_interpolations()
 
 def split_logs(cfg: DictConfig) -> tuple[list[Rollout], list[Rollout]]:
     """Logs to fit and logs held out, by files or by a metadata field."""
-    logs = read_logs(_plain(cfg.data))
-    heldout = [] if cfg.heldout is None else read_logs(_plain(cfg.heldout))
-    where = _plain(cfg.heldout_where) or {}
-    known = [field.name for field in dataclasses.fields(Metadata)]
-    unknown = [name for name in where if name not in known]
-    if unknown:
-        raise ValueError(f"heldout_where: logs have no metadata field {unknown[0]!r}; they have {', '.join(known)}")
-    chosen = [log for log in logs if where and all(getattr(log.metadata, k) == v for k, v in where.items())]
-    if where and not chosen:
-        raise ValueError(f"heldout_where={where} matches none of the {len(logs)} logs; null holds none out")
+    logs = read_logs(plain(cfg.data))
+    heldout = [] if cfg.heldout is None else read_logs(plain(cfg.heldout))
+    where = plain(cfg.heldout_where)
+    chosen = logs_where(logs, where, "heldout_where") if where else []
     fitted = [log for log in logs if not any(log is held for held in chosen)]
     if not fitted:
         raise ValueError(f"heldout_where={where} matches all {len(logs)} logs; nothing is left to fit")
@@ -57,13 +52,11 @@ def build(cfg: DictConfig, model: RobotModel, label: str) -> Identification:
     """The identification that the config describes, for this model."""
     fit_logs, heldout_logs = split_logs(cfg)
     # a parameter whose range is null is not searched, nor is one of an effect that was switched off for comparison
-    space = parse_search_space(_plain(HydraConfig.get().sweeper.params))
+    space = parse_search_space(plain(HydraConfig.get().sweeper.params))
     names = [name for name in cfg.parameters if PREFIX + name in space and split_name(name)[0] not in gone(cfg, model)]
-    joints = _plain(cfg.joints)
-    if joints is None:
-        joints = CONTROLLED_JOINTS if set(CONTROLLED_JOINTS) <= set(fit_logs[0].joints) else ()
+    joints = focus_joints(plain(cfg.joints), fit_logs)
     weights = UNIT_WEIGHTS if cfg.weights is None else {tuple(k.split("/")): v for k, v in cfg.weights.items()}
-    loss = TrajectoryLoss(tuple(joints), weights, cfg.robust_scale)
+    loss = TrajectoryLoss(joints, weights, cfg.robust_scale)
     return Identification(
         model, fit_logs, heldout_logs, names, joints=joints, loss=loss, label=label, bench_timestep=cfg.bench_timestep
     )
@@ -72,7 +65,7 @@ def build(cfg: DictConfig, model: RobotModel, label: str) -> Identification:
 def base_model(cfg: DictConfig) -> RobotModel:
     """The model that the config starts from: a model file, and the effects switched on beside it."""
     model = load_model(cfg.model)
-    for name, options in _plain(cfg.effects).items():
+    for name, options in plain(cfg.effects).items():
         if name not in model.effect_names:
             model = model.with_effect(effect_class(name)(**(options or {})))
         elif options:
@@ -83,10 +76,6 @@ def base_model(cfg: DictConfig) -> RobotModel:
 def gone(cfg: DictConfig, model: RobotModel) -> set[str]:
     """Parameters of the effects of `ablate` that this model does not have any more."""
     return set(base_model(cfg).parameters()) - set(model.parameters())
-
-
-def _plain(node: Any) -> Any:
-    return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
 
 
 def without_effects(cfg: DictConfig, folder: Path) -> Fit | None:
@@ -126,8 +115,7 @@ def main(cfg: DictConfig) -> Any:
     with one_sentence():
         torch.set_num_threads(1)
         started = datetime.now()
-        if OmegaConf.is_missing(cfg, "data"):
-            raise ValueError("data is missing: add data=<log>, a folder of logs, or a list of them")
+        check_given(cfg, "data", "a log, a folder of logs, or a list of them")
         for name in cfg.ablate:
             effect_class(name)
         model = base_model(cfg)
@@ -140,16 +128,19 @@ def main(cfg: DictConfig) -> Any:
             fit = identification.finish(study, **cfg.refine)
             ablated = without_effects(cfg, folder)
             save_model(fit.model, folder / "model.yaml")
-            return report_identification(
+            numbers = report_identification(
                 fit,
                 ablated,
                 folder,
                 wall_seconds=duration(started, study),
-                provenance=run_provenance(seed=cfg.seed, data=_plain(cfg.data)),
+                provenance=run_provenance(seed=cfg.seed, data=plain(cfg.data)),
                 joints=identification.joints,
-                config=_plain(cfg),
+                config=plain(cfg),
                 wandb_mode=os.environ.get("WANDB_MODE", cfg.wandb),
             )
+            if HydraConfig.get().mode == RunMode.MULTIRUN:
+                write_comparison(read_runs(folder.parent), folder.parent)  # grows with every cell
+            return numbers
 
         return sweep_or_report(cfg, identification.evaluate, report)
 

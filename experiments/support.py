@@ -1,12 +1,24 @@
 """What the experiment scripts share."""
 
+import dataclasses
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import CompactHydraException
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+
+from op3.robot import CONTROLLED_JOINTS, Motion, named_configs
+from op3.rollout import Metadata, Rollout
+
+CONF = Path(__file__).resolve().parents[1] / "conf"
+"""The configs of this project."""
 
 
 @contextmanager
@@ -30,3 +42,53 @@ def git_hash() -> str | None:
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip() or None
     except (OSError, subprocess.CalledProcessError):
         return None
+
+
+def plain(node: Any) -> Any:
+    """A config node as Python's own data."""
+    return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
+
+
+def check_given(cfg: DictConfig, name: str, what: str) -> None:
+    """Refuse a config whose field `name` is still `???`."""
+    if OmegaConf.is_missing(cfg, name):
+        raise ValueError(f"{name} is missing: add {name}=<{what}>")
+
+
+def library_motion(name: str) -> Motion:
+    """A motion of the library by its name in `conf/motion`.
+
+    Raises:
+        ValueError: if there is none of this name.
+    """
+    known = named_configs("motion")
+    if name not in known:
+        raise ValueError(f"there is no motion {name!r}; choose {', '.join(known)}")
+    GlobalHydra.instance().clear()
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        return instantiate(compose("collect", [f"motion={name}"]).motion)
+
+
+def logs_where(logs: Sequence[Rollout], where: Mapping[str, Any] | None, field: str) -> list[Rollout]:
+    """The logs with these metadata; all where nothing is asked.
+
+    Args:
+        logs: to choose from.
+        where: values by field of the metadata.
+        field: of the config that asks, for messages.
+    """
+    known = [entry.name for entry in dataclasses.fields(Metadata)]
+    unknown = [name for name in where or {} if name not in known]
+    if unknown:
+        raise ValueError(f"{field}: logs have no metadata field {unknown[0]!r}; they have {', '.join(known)}")
+    chosen = [log for log in logs if all(getattr(log.metadata, k) == v for k, v in (where or {}).items())]
+    if not chosen:
+        raise ValueError(f"{field}={where} matches none of the {len(logs)} logs; {field}=null takes all")
+    return chosen
+
+
+def focus_joints(joints: Sequence[str] | None, logs: Sequence[Rollout]) -> tuple[str, ...]:
+    """Joints whose traces count: those given, else the ten controlled leg joints where the logs have them."""
+    if joints is not None:
+        return tuple(joints)
+    return CONTROLLED_JOINTS if set(CONTROLLED_JOINTS) <= set(logs[0].joints) else ()

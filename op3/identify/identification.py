@@ -8,10 +8,12 @@ import optuna
 import torch
 from torch import Tensor
 
-from op3.identify.intervals import jackknife_intervals
+from op3.identify.identifiability import Identifiability, identifiability
+from op3.identify.intervals import intervals_of
 from op3.identify.loss import TrajectoryLoss, position_error
 from op3.identify.problem import Problem
 from op3.identify.refine import refine
+from op3.identify.sensitivity import sensitivity_at
 from op3.identify.study import Outcome
 from op3.rollout import LogError, Rollout
 from op3.servo import Estimate, RobotModel
@@ -61,6 +63,7 @@ class Fit:
         starts: the model's values before the search, by parameter name.
         trials: loss of every trial of the study, in order; NaN where it failed.
         refined: loss after every iteration of least squares; empty without.
+        identifiability: what the logs tell apart, and what not.
         simulated_seconds: simulated time spent [s].
     """
 
@@ -73,6 +76,7 @@ class Fit:
     starts: Mapping[str, float]
     trials: Sequence[float]
     refined: Sequence[float] = field(default_factory=tuple)
+    identifiability: Identifiability | None = None
     simulated_seconds: float = 0.0
 
 
@@ -168,6 +172,7 @@ class Identification:
         *,
         starts: int = 0,
         max_iterations: int = 25,
+        race: int | None = None,
         progress: Callable[[int, float], None] | None = None,
     ) -> Fit:
         """Choose the best trial, refine it by least squares if asked, and score it.
@@ -176,6 +181,7 @@ class Identification:
             study: finished.
             starts: how many of the best trials least squares starts from; 0 for no refinement.
             max_iterations: of least squares.
+            race: iterations after which only the best start goes on; None: all go on.
             progress: called with iteration and loss.
 
         Raises:
@@ -199,16 +205,19 @@ class Identification:
                 bounds,
                 [self._values(trial) for trial in complete[:starts]],
                 max_iterations=max_iterations,
+                race=race,
                 progress=progress,
             )
             refined = result.history
             if result.loss < (complete[0].value or 0.0):
                 values = result.values
-        intervals = jackknife_intervals(
-            residuals, bounds, values, self._blocks(), failed_loss=self.loss.failed_loss(len(self.problem.replay.logs))
-        )
+        sensitivity = sensitivity_at(residuals, bounds, values, self.loss.failed_loss(len(self.problem.replay.logs)))
+        blocks, channels = self._blocks()
+        intervals = intervals_of(sensitivity, blocks)
         model = self.problem.model.with_values({name: Estimate(values[name], *intervals[name]) for name in self.names})
         model = model.with_values(_for_other_conditions(model, self.names))
+        fitted = [log.fingerprint() for log in self.problem.replay.logs]
+        model = replace(model, provenance={**model.provenance, "fitted_logs": fitted})
         trials = [np.nan if t.value is None else float(t.value) for t in study.trials]
         return Fit(
             label=self.label,
@@ -220,6 +229,7 @@ class Identification:
             starts={name: self.problem.model.estimate(name).value for name in self.names},
             trials=trials,
             refined=refined,
+            identifiability=identifiability(sensitivity, blocks, channels, intervals),
             # trials that other processes evaluated count as well
             simulated_seconds=self.problem.simulated_seconds
             + self.problem.replay.seconds * max(0, len(trials) - self._evaluated),
@@ -249,24 +259,30 @@ class Identification:
         high = torch.tensor([bounds[name][1] for name in self.names], dtype=torch.float64)
         return self.problem.residual_function(self.names, low, high)
 
-    def _blocks(self) -> list[np.ndarray]:
-        """Indices of the residual that belong together: a whole log where there are many, else a stretch of one."""
+    def _blocks(self) -> tuple[list[np.ndarray], dict[str, np.ndarray]]:
+        """Indices of the residual that belong together: by stretch of time, and by channel.
+
+        A stretch is a whole log where there are many, else a part of one.
+        """
         stretches = 1 if len(self.problem.replay.logs) >= BLOCKS_PER_LOG else BLOCKS_PER_LOG
         blocks: list[list[np.ndarray]] = []
+        channels: dict[str, list[np.ndarray]] = {}
         offset = 0
         for prediction in self.problem.predict({}, 1):
             time = prediction.log.array("time")[:, 0]
             share = (time - time[0]) / (time[-1] - time[0])
             number = np.minimum((share * stretches).astype(int), stretches - 1)
             members: list[list[np.ndarray]] = [[] for _ in range(stretches)]
-            for difference in self.loss.differences(prediction).values():
+            for key, difference in self.loss.differences(prediction).items():
                 rows, columns = difference.shape[1:]
                 index = offset + np.arange(rows * columns).reshape(rows, columns)
                 for block in range(len(members)):
                     members[block].append(index[number[:rows] == block].ravel())
+                channels.setdefault("/".join(key), []).append(index.ravel())
                 offset += rows * columns
             blocks.extend(members)
-        return [np.concatenate(block) for block in blocks]
+        by_channel = {name: np.concatenate(parts) for name, parts in channels.items()}
+        return [np.concatenate(block) for block in blocks], by_channel
 
 
 def _for_other_conditions(model: RobotModel, names: Sequence[str]) -> dict[str, Estimate]:

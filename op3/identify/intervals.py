@@ -3,11 +3,10 @@
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-import torch
 from scipy import stats
 from torch import Tensor
 
-from op3.identify.refine import DIFFERENCE_STEP
+from op3.identify.sensitivity import Sensitivity, sensitivity_at
 
 
 def jackknife_intervals(
@@ -37,33 +36,24 @@ def jackknife_intervals(
     Returns:
         Low and high by parameter name. A parameter that the data do not determine gets its whole range.
     """
-    names = list(bounds)
-    low = np.array([bounds[name][0] for name in names])
-    span = np.array([bounds[name][1] for name in names]) - low
-    unit = np.clip((np.array([values[name] for name in names]) - low) / span, 0.0, 1.0)
-    # central differences within the box: one batch of 2 n + 1 points
-    forward = np.minimum(unit + DIFFERENCE_STEP, 1.0)
-    backward = np.maximum(unit - DIFFERENCE_STEP, 0.0)
-    eye = np.eye(len(names))
-    points = np.concatenate([[unit], unit + eye * (forward - unit), unit + eye * (backward - unit)])
-    result = residuals(torch.from_numpy(points)).numpy()
-    size = len(names)
-    jacobian = ((result[1 : size + 1] - result[size + 1 :]) / (forward - backward)[:, None]).T
+    return intervals_of(sensitivity_at(residuals, bounds, values, failed_loss), blocks, level)
+
+
+def intervals_of(
+    sensitivity: Sensitivity, blocks: Sequence[np.ndarray], level: float = 0.9
+) -> dict[str, tuple[float, float]]:
+    """The intervals of `jackknife_intervals` from a sensitivity matrix that is known already."""
+    jacobian, residual, unit = sensitivity.jacobian, sensitivity.residual, sensitivity.unit
     hessian = jacobian.T @ jacobian
-    ridge = np.eye(size) * 1e-9 * max(1e-12, np.diag(hessian).max())
+    ridge = np.eye(len(unit)) * 1e-9 * max(1e-12, np.diag(hessian).max())
     moves = []
     for block in blocks:
         part = jacobian[block]
-        moves.append(np.linalg.lstsq(hessian - part.T @ part + ridge, part.T @ result[0][block], rcond=None)[0])
+        moves.append(np.linalg.lstsq(hessian - part.T @ part + ridge, part.T @ residual[block], rcond=None)[0])
     covariance = (len(blocks) - 1) / len(blocks) * np.array(moves).T @ np.array(moves)
     quantile = stats.t.ppf(0.5 + level / 2, max(1, len(blocks) - 1))
-    half = quantile * np.sqrt(np.maximum(np.diag(covariance), 0.0))
     # a parameter that moves nothing, or whose neighbourhood diverges, is not determined: its interval is the range
-    unseen = np.diag(hessian) <= 1e-9 * max(1e-12, np.diag(hessian).max())
-    diverged = np.square(result).sum(1) >= failed_loss
-    unseen |= diverged[0] | diverged[1 : size + 1] | diverged[size + 1 :]
-    half = np.where(unseen, 1.0, half)
-    lower, upper = np.clip(unit - half, 0.0, 1.0), np.clip(unit + half, 0.0, 1.0)
-    return {
-        name: (float(low[i] + lower[i] * span[i]), float(low[i] + upper[i] * span[i])) for i, name in enumerate(names)
-    }
+    half = np.where(sensitivity.unseen, 1.0, quantile * np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+    lower = sensitivity.low + np.clip(unit - half, 0.0, 1.0) * sensitivity.span
+    upper = sensitivity.low + np.clip(unit + half, 0.0, 1.0) * sensitivity.span
+    return {name: (float(lower[i]), float(upper[i])) for i, name in enumerate(sensitivity.names)}

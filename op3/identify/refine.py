@@ -48,6 +48,7 @@ def refine(
     *,
     max_iterations: int = 25,
     tolerance: float = 2e-3,
+    race: int | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> Refinement:
     """Least squares from several starts at once.
@@ -58,6 +59,7 @@ def refine(
         starts: values to start from; those outside the bounds are clipped.
         max_iterations: at most so many Jacobians.
         tolerance: a start has converged when an iteration lowers its loss by less than this share.
+        race: iterations after which only the best start goes on; None: all go on until each has converged.
         progress: called with iteration and best loss.
 
     Raises:
@@ -73,6 +75,8 @@ def refine(
     history = [float(search.losses.min())]
     while search.active.any() and len(history) <= max_iterations:
         search.iterate(tolerance)
+        if race is not None and len(history) >= race:
+            search.keep_best()
         history.append(float(search.losses.min()))
         if progress is not None:
             progress(len(history) - 1, history[-1])
@@ -122,6 +126,10 @@ class _Search:
                 # the whole ladder failed: try one far more careful step, then take the kinks for the floor
                 self.active[i] = self.damping[i] < RESIGNED
                 self.damping[i] *= 1e3
+
+    def keep_best(self) -> None:
+        """Give up all starts but the best; if that one has converged, the search is over."""
+        self.active &= np.arange(len(self.losses)) == self.losses.argmin()
 
     def _jacobians(self, active: np.ndarray) -> list[np.ndarray]:
         """Finite differences ``[residual, parameter]`` of each active start, inwards at the bounds."""

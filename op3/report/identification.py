@@ -8,6 +8,7 @@ import numpy as np
 
 from op3.identify.identification import Fit, Score
 from op3.report.figures import errors_figure, history_figure, ranges_figure
+from op3.report.identifiability import identifiability_numbers, identifiability_section
 from op3.report.page import Page
 from op3.report.result import finish, write_result
 from op3.report.run_logger import RunLogger
@@ -84,6 +85,8 @@ def _numbers(fit: Fit, ablated: Fit | None, wall_seconds: float, provenance: Map
             f"simulated_seconds_{suffix}": ablated.simulated_seconds,
         }
     numbers["parameters"] = {name: fit.model.estimate(name) for name in fit.found}
+    if fit.identifiability is not None:
+        numbers |= identifiability_numbers(fit.identifiability)
     numbers["provenance"] = provenance
     return numbers
 
@@ -157,6 +160,8 @@ def _page(fits: Sequence[Fit], joints: Sequence[str], values: Mapping[str, Any],
         *parameter_table(models, bounds=fit.bounds, starts=fit.starts),
         caption="All parameters; those without an interval were not searched.",
     )
+    if fit.identifiability is not None:
+        identifiability_section(page, fit.identifiability)
     page.section("Files")
     page.files({"result.yaml": "all numbers of this page", "model.yaml": "the identified model"})
     page.provenance(provenance)

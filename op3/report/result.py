@@ -21,6 +21,8 @@ MEANINGS: Mapping[str, str] = {
     "wall_seconds": "duration of the run [s]",
     "simulated_seconds": "simulated time over all candidates [s]",
     "parameters": "value with its 90 % interval, in the unit given behind it",
+    "identifiability": "what the logs tell: singular values and directions of the whitened sensitivities, per range",
+    "interval_share": "width of each 90 % interval as a share of the range searched",
     "provenance": "where the numbers come from",
 }
 """What the first part of a key stands for; written above the first such key."""

@@ -2,6 +2,7 @@
 
 from op3.robot.assets import asset_path, named_configs
 from op3.robot.board import BoardDrive, BoardMotion, Tilts, Waves, WeightDrive, WeightSchedule, board_drive
+from op3.robot.excitations import chirp, multisine, push_down, soften, staircase, sway, triangle
 from op3.robot.joints import (
     CONTROLLED_JOINTS,
     GEAR_RATIO,
@@ -18,6 +19,7 @@ from op3.robot.kinematics import KEY_POINTS, center_of_mass, key_points, quatern
 from op3.robot.motions import Motion, hold, squat
 from op3.robot.op3_entity import OP3
 from op3.robot.poses import POSES, pose, standing_height
+from op3.robot.safety import SPEED_LIMIT, check_motion, motion_faults
 from op3.robot.scenes import SCENES, Scene, build_bench, build_scene
 from op3.robot.surfaces import draw_tiles, place_tiles, tile_ids
 
@@ -34,6 +36,7 @@ __all__ = [
     "SCENES",
     "SERVO_IDS",
     "SOFT_LIMITS",
+    "SPEED_LIMIT",
     "BoardDrive",
     "BoardMotion",
     "Motion",
@@ -47,17 +50,26 @@ __all__ = [
     "build_bench",
     "build_scene",
     "center_of_mass",
+    "check_motion",
+    "chirp",
     "draw_tiles",
     "hold",
     "indices",
     "key_points",
     "mirror",
+    "motion_faults",
+    "multisine",
     "named_configs",
     "place_tiles",
     "pose",
+    "push_down",
     "quaternion",
+    "soften",
     "sole_corners",
     "squat",
+    "staircase",
     "standing_height",
+    "sway",
     "tile_ids",
+    "triangle",
 ]

@@ -1,6 +1,7 @@
 """Motions as arrays: what the joints are asked to do over time, and the files they are shared in."""
 
 import csv
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +15,12 @@ from op3.robot.poses import SQUAT_KNEE_HIGH, SQUAT_KNEE_LOW, SQUAT_LEAN, squat_p
 BENCH_JOINTS = ("servo",)
 """Joints of the bench."""
 
+P_GAIN = 6.0
+"""Gain of position of the paper's squat [A/rad]."""
+
+D_GAIN = 0.1
+"""Gain of velocity of the paper [A s/rad]."""
+
 
 @dataclass(frozen=True, eq=False)
 class Motion:
@@ -24,12 +31,18 @@ class Motion:
         position: [time, joint] in rad, in the order of `joints`.
         joints: joint names, of the OP3 or `BENCH_JOINTS`.
         name: what the motion is called in logs and figures.
+        mounts: where it may be played: "floor", "stand".
+        p_gain: gain of position it is played with [A/rad]: one number, or one per row [time].
+        d_gain: gain of velocity it is played with [A s/rad].
     """
 
     time: NDArray[np.float64]
     position: NDArray[np.float64]
     joints: tuple[str, ...] = JOINTS
     name: str = "motion"
+    mounts: tuple[str, ...] = ("floor", "stand")
+    p_gain: float | NDArray[np.float64] = P_GAIN
+    d_gain: float = D_GAIN
 
     def __post_init__(self):
         """Refuse arrays that do not fit together."""
@@ -45,12 +58,24 @@ class Motion:
         if (np.diff(self.time) <= 0).any():
             row = int(np.argmax(np.diff(self.time) <= 0)) + 1
             raise ValueError(f"motion {self.name!r}: time does not increase at row {row}")
+        if np.shape(self.p_gain) not in ((), self.time.shape):
+            shape = np.shape(self.p_gain)
+            raise ValueError(f"motion {self.name!r}: p_gain must be one number or one per row, got the shape {shape}")
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last row [s]."""
+        return float(self.time[-1] - self.time[0])
 
     def save(self, path: str | Path) -> Path:
-        """Write the motion to `path`: exact binary for .npz, a table for .csv (rounded to 1e-9 s and rad)."""
+        """Write the motion to `path`: exact binary for .npz, a table for .csv (rounded to 1e-9 s and rad).
+
+        A table holds no gains and mounts.
+        """
         path = Path(path)
         if path.suffix == ".npz":
-            np.savez(path, time=self.time, position=self.position, joints=self.joints, name=self.name)
+            arrays = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+            np.savez(path, **arrays)
         elif path.suffix == ".csv":
             table = np.column_stack([self.time, self.position])
             header = ",".join(("time", *self.joints))
@@ -65,8 +90,9 @@ class Motion:
         path = Path(path)
         if path.suffix == ".npz":
             with np.load(path) as file:
-                joints = tuple(str(name) for name in file["joints"])
-                return cls(file["time"], file["position"], joints, str(file["name"]))
+                values = {name: file[name] if file[name].ndim else file[name].item() for name in file.files}
+                names = {key: tuple(str(name) for name in values[key]) for key in ("joints", "mounts") if key in values}
+                return cls(**{**values, **names})
         if path.suffix == ".csv":
             return _load_csv(path)
         raise ValueError(f"a motion is read from .npz or .csv, got {path.name!r}")
@@ -90,7 +116,7 @@ def _load_csv(path: Path) -> Motion:
     return Motion(table[:, 0], table[:, 1:], tuple(header[1:]), path.stem)
 
 
-def _sample_times(duration: float, rate: float) -> NDArray[np.float64]:
+def sample_times(duration: float, rate: float) -> NDArray[np.float64]:
     """Times 0, 1/rate, ... below `duration` [time] in s."""
     if not (duration > 0 and rate > 0):
         raise ValueError(f"duration and rate must be positive, got {duration} s and {rate} Hz")
@@ -104,6 +130,7 @@ def squat(
     lean: float = SQUAT_LEAN,
     duration: float = 5.0,
     rate: float = 125.0,
+    name: str = "squat",
 ) -> Motion:
     """The squat that excites the robot for identification.
 
@@ -118,15 +145,16 @@ def squat(
         lean: pitch of the trunk, rad, positive forward.
         duration: length in s.
         rate: rows per second; the default is the rate of the robot's PD loop.
+        name: what the motion is called.
     """
-    time = _sample_times(duration, rate)
+    time = sample_times(duration, rate)
     crouch = (1 + np.cos(2 * np.pi * frequency * time)) / 2
     knee = knee_high + (knee_low - knee_high) * crouch
-    return Motion(time, squat_position(knee, lean), JOINTS, "squat")
+    return Motion(time, squat_position(knee, lean), JOINTS, name)
 
 
-def hold(joint_position: ArrayLike, duration: float, rate: float = 125.0) -> Motion:
+def hold(joint_position: ArrayLike, duration: float, rate: float = 125.0, name: str = "hold") -> Motion:
     """Stay at the angles `joint_position` [joint] in rad for `duration` [s], with `rate` rows per second."""
-    time = _sample_times(duration, rate)
+    time = sample_times(duration, rate)
     position = check_joint_position(joint_position)
-    return Motion(time, np.tile(position, (len(time), 1)), JOINTS, "hold")
+    return Motion(time, np.tile(position, (len(time), 1)), JOINTS, name)

@@ -8,6 +8,7 @@ from op3.tasks.playback import Playback, bench_task, play, playback_environment,
 from op3.tasks.randomisation import Randomisation
 from op3.tasks.replay import Prediction, Replay
 from op3.tasks.setups import Setup
+from op3.tasks.simulate import simulate_motion
 from op3.tasks.task import POLICY_PERIOD, TASKS, Placement, Sensor, Sensors, Task, find_task
 
 __all__ = [
@@ -35,5 +36,6 @@ __all__ = [
     "locomotion_environment",
     "play",
     "playback_environment",
+    "simulate_motion",
     "squat_task",
 ]

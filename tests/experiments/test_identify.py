@@ -51,6 +51,10 @@ def test_one_process(log, heldout, tmp_path):
     # that they need, and the score
     assert numbers["simulated_seconds"] == pytest.approx((1 + 6 + 21 + 1 + 1) * 0.992)
     assert set(numbers["parameters.backward_efficiency"]) == {"value", "low", "high"}
+    told = [*numbers["identifiability.identifiable"], *numbers["identifiability.not_identifiable"]]
+    assert sorted(told) == sorted(numbers["identifiability.parameters"])
+    assert len(numbers["identifiability.singular_values"]) == 10
+    assert "What the logs tell" in page.read_text()
     assert load_model(folder / "model.yaml").value("torque_constant") == numbers["parameters.torque_constant"]["value"]
 
 
@@ -60,6 +64,9 @@ def test_multirun_is_one_study_per_cell(log, tmp_path):
         "-m", f"data={log}", "seed=0,1", "groups=[gear]", "ablate=[]", f"hydra.sweep.dir={tmp_path}", *SMALL
     )
     assert done.returncode == 0, done.stderr
+    comparison = read_result(tmp_path / "comparison.yaml")
+    assert comparison["runs"] == 2
+    assert [entry["runs"] for entry in comparison["variants"]] == [["0", "1"]]
     cells = [read_result(tmp_path / cell / "result.yaml") for cell in "01"]
     assert [cell["provenance.seed"] for cell in cells] == [0, 1]
     assert all(

@@ -65,3 +65,19 @@ def test_bad_arguments(tmp_path, argument, message):
     assert message in result.stderr
     assert "Traceback" not in result.stderr
     assert not list(tmp_path.glob("squat*"))
+
+
+def test_a_motion_brings_its_own_gains(tmp_path):
+    """`soften` is played with the gain it carries, row by row."""
+    result = collect("motion=soften", "motion.cycles=1", "motion.period=0.5", f"hydra.run.dir={tmp_path}")
+    assert result.returncode == 0, result.stderr
+    gain = Rollout.load(tmp_path / "soften-0").column("l_knee.p_gain")
+    assert gain.max() == pytest.approx(6.0)
+    assert gain.min() == pytest.approx(3.0, rel=0.01)
+
+
+def test_a_motion_on_the_wrong_mount_is_refused(tmp_path):
+    """A chirp on the floor would tip the robot over: the sentence says which mount it is for."""
+    result = collect("motion=chirp_knee", f"hydra.run.dir={tmp_path}")
+    assert result.returncode != 0
+    assert "'chirp_knee' is not for the floor; choose mount=stand" in result.stderr

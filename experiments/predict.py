@@ -1,0 +1,51 @@
+"""How well a model predicts logs that it has not seen: open-loop replays, errors with 90 % intervals.
+
+python experiments/predict.py model=<model.yaml or name> data=<logs> [where='{firmware_gain: 8}']
+python experiments/predict.py -m model=outputs/identify/<run>,paper data=<logs>
+"""
+
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import hydra
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+from support import check_given, focus_joints, logs_where, one_sentence, plain
+
+from op3.identify.prediction import predict_logs
+from op3.report import run_provenance
+from op3.report.prediction import report_prediction
+from op3.rollout import read_logs
+from op3.sim import find_model, load_model
+
+
+@hydra.main(config_path="../conf", config_name="predict", version_base="1.3")
+def main(cfg: DictConfig) -> dict[str, Any]:
+    """Predict, measure, report."""
+    with one_sentence():
+        torch.set_num_threads(1)
+        started = time.monotonic()
+        check_given(cfg, "model", "a model.yaml or a name from conf/servo")
+        check_given(cfg, "data", "a log, a folder of logs, or a list of them")
+        logs = logs_where(read_logs(plain(cfg.data)), plain(cfg.where), "where")
+        joints = focus_joints(plain(cfg.joints), logs)
+        score = predict_logs(
+            load_model(cfg.model), logs, joints=joints, bench_timestep=cfg.bench_timestep, seed=cfg.seed
+        )
+        path = find_model(cfg.model)
+        return report_prediction(
+            score,
+            Path(HydraConfig.get().runtime.output_dir),
+            model=path.parent.name if path.name == "model.yaml" else path.stem,
+            provenance=run_provenance(seed=cfg.seed, data=plain(cfg.data)),
+            wall_seconds=time.monotonic() - started,
+            joints=joints,
+            wandb_mode=os.environ.get("WANDB_MODE", cfg.wandb),
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,206 @@
+"""Which motions to record: those that narrow the intervals of chosen parameters most per second of robot time."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from op3.identify.loss import TrajectoryLoss
+from op3.robot import Motion
+from op3.servo import RobotModel
+from op3.tasks import Replay, simulate_motion
+
+Array = NDArray[np.float64]
+
+NOISE: Mapping[tuple[str, str], float] = {
+    ("imu", "orientation"): 0.01,
+    ("imu", "angular_velocity"): 0.05,
+    ("joint", "position"): 0.005,
+    ("joint", "velocity"): 0.1,
+    ("joint", "current"): 0.03,
+}
+"""What open-loop replays of the stand-in leave by channel, as root mean squares [rad, rad/s, A].
+
+Sensors are far better; what counts is how well a model fits.
+"""
+
+STEP = 0.05
+"""Parameters are moved by this share of their range.
+
+Sticking makes predictions jump under tiny changes, which would promise more than a fit can keep; over a step of the
+size of an interval the jumps average out.
+"""
+
+CORRELATION_TIME = 0.1
+"""Rows of a log closer than this count as one sample [s]; what a model leaves lasts about as long."""
+
+PRIOR = 12.0
+"""Information before any log: a uniform distribution over its range has a variance of 1/12 ranges squared."""
+
+WIDTH = 2 * 1.6449
+"""Width of a 90 % interval in standard deviations."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A motion on a mount, and what it would tell.
+
+    Attributes:
+        name: of the motion in the library.
+        mount: ``floor`` or ``stand``.
+        duration: of the motion [s].
+        information: ``[parameter, parameter]``, per range squared.
+    """
+
+    name: str
+    mount: str
+    duration: float
+    information: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One recording of a plan.
+
+    Attributes:
+        name: of the motion.
+        mount: where.
+        seconds: of robot time up to and with this recording [s].
+        widths: of the 90 % intervals after it, as a share of the range, by parameter.
+    """
+
+    name: str
+    mount: str
+    seconds: float
+    widths: Mapping[str, float]
+
+
+def information(
+    model: RobotModel,
+    motion: Motion,
+    mount: str,
+    bounds: Mapping[str, tuple[float, float]],
+    *,
+    joints: Sequence[str] = (),
+    noise: Mapping[tuple[str, str], float] = NOISE,
+    correlation_time: float = CORRELATION_TIME,
+) -> Array:
+    """Fisher information of one recording about parameters, in units of their ranges.
+
+    The motion is simulated with the model, and the log is replayed open loop with every parameter moved both ways, as
+    one batch, just as identification will replay the real log.
+
+    Args:
+        model: effects that are on, and the values around which the motions are judged.
+        motion: what is played.
+        mount: where.
+        bounds: range by parameter name.
+        joints: joints whose traces count; all where empty.
+        noise: standard deviation by channel; channels that are not named do not count.
+        correlation_time: time within which rows count as one sample [s].
+
+    Returns:
+        ``[parameter, parameter]``.
+
+    Raises:
+        ValueError: if the robot falls, or a simulation diverges.
+    """
+    log = simulate_motion(model, motion, mount)
+    if log.metadata.fallen:
+        raise ValueError(f"the robot falls in motion {motion.name!r} with this model; leave the motion out")
+    low = np.array([ends[0] for ends in bounds.values()])
+    span = np.array([ends[1] for ends in bounds.values()]) - low
+    unit = np.clip((np.array([model.estimate(name).value for name in bounds]) - low) / span, 0.0, 1.0)
+    forward, backward = np.minimum(unit + STEP, 1.0), np.maximum(unit - STEP, 0.0)
+    eye = np.eye(len(unit))
+    points = low + span * np.concatenate([unit + eye * (forward - unit), unit + eye * (backward - unit)])
+    values = {name: torch.from_numpy(points[:, i].copy()) for i, name in enumerate(bounds)}
+    prediction = Replay([log]).run(model, values, len(points))[0]
+    if bool(prediction.failed.any()):
+        raise ValueError(f"a simulation of motion {motion.name!r} diverged next to this model; leave the motion out")
+    count = max(1.0, correlation_time * log.metadata.rate)
+    result = np.zeros((len(unit), len(unit)))
+    for key, difference in TrajectoryLoss(tuple(joints)).differences(prediction).items():
+        if key in noise:
+            moved = difference.flatten(1).numpy()
+            jacobian = (moved[: len(unit)] - moved[len(unit) :]) / (forward - backward)[:, None]
+            result += jacobian @ jacobian.T / (noise[key] ** 2 * count)
+    return result
+
+
+def choose(
+    candidates: Sequence[Candidate],
+    names: Sequence[str],
+    wanted: Sequence[str],
+    *,
+    criterion: str = "D",
+    seconds: float = 60.0,
+    overhead: float = 5.0,
+    mount_change: float = 60.0,
+    repeats: int = 2,
+    prior: Array | None = None,
+    progress: Callable[[Step], None] | None = None,
+) -> list[Step]:
+    """Take greedily the recording that gains most per second of robot time, until the time is used up.
+
+    D: the logarithm of the volume of the wanted parameters' uncertainty; A: the sum of their variances. Parameters that
+    are not wanted stay unknown: they may trade off against the wanted ones.
+
+    Args:
+        candidates: what may be recorded.
+        names: of the parameters of the information matrices, in order.
+        wanted: those whose intervals count.
+        criterion: ``D`` or ``A``.
+        seconds: robot time in all [s]; at least one recording is taken.
+        overhead: robot time for each recording beside its duration [s].
+        mount_change: robot time for moving the robot to another mount [s].
+        repeats: a motion is recorded at most so often.
+        prior: information that there is already, beside that of the ranges.
+        progress: called with every step.
+
+    Raises:
+        ValueError: if there is no candidate, a wanted parameter is unknown, or the criterion is.
+    """
+    unknown = [name for name in wanted if name not in names]
+    if unknown or not wanted or not candidates:
+        what = (
+            f"unknown parameter {unknown[0]!r}; there are {', '.join(names)}" if unknown else "nothing to choose from"
+        )
+        raise ValueError(f"design: {what}")
+    if criterion not in ("D", "A"):
+        raise ValueError(f"design: criterion must be D or A, got {criterion!r}")
+    places = [list(names).index(name) for name in wanted]
+    known = np.eye(len(names)) * PRIOR + (0.0 if prior is None else prior)
+    steps: list[Step] = []
+    used, mount, counts = 0.0, None, dict.fromkeys(range(len(candidates)), 0)
+    while True:
+        best, best_rate, best_cost = None, -np.inf, 0.0
+        for number, candidate in enumerate(candidates):
+            cost = candidate.duration + overhead + (mount_change if mount not in (None, candidate.mount) else 0.0)
+            if counts[number] >= repeats or (steps and used + cost > seconds):
+                continue
+            gain = _value(known + candidate.information, places, criterion) - _value(known, places, criterion)
+            if gain / cost > best_rate:
+                best, best_rate, best_cost = number, gain / cost, cost
+        if best is None:
+            return steps
+        chosen = candidates[best]
+        counts[best] += 1
+        known = known + chosen.information
+        used, mount = used + best_cost, chosen.mount
+        steps.append(Step(chosen.name, chosen.mount, used, widths(known, names)))
+        if progress is not None:
+            progress(steps[-1])
+
+
+def widths(information_matrix: Array, names: Sequence[str]) -> dict[str, float]:
+    """Width of each parameter's 90 % interval as a share of its range, at most one."""
+    deviation = np.sqrt(np.diag(np.linalg.inv(information_matrix)))
+    return {name: float(min(1.0, WIDTH * deviation[i])) for i, name in enumerate(names)}
+
+
+def _value(information_matrix: Array, places: Sequence[int], criterion: str) -> float:
+    covariance = np.linalg.inv(information_matrix)[np.ix_(places, places)]
+    return -float(np.linalg.slogdet(covariance)[1]) if criterion == "D" else -float(np.trace(covariance))

@@ -1,0 +1,145 @@
+"""What logs tell about parameters, and which combinations of parameters they cannot tell apart."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from op3.identify.sensitivity import Sensitivity
+
+Array = NDArray[np.float64]
+
+SHARE = 0.5
+"""A parameter is identifiable where its 90 % interval is narrower than this share of the range searched."""
+
+PART = 0.3
+"""A parameter takes part in a combination with at least this component of its direction, whose length is one."""
+
+WIDTH = 2 * float(stats.norm.ppf(0.95))
+"""Width of a 90 % interval in standard deviations."""
+
+
+@dataclass(frozen=True, eq=False)
+class Identifiability:
+    """Singular values and directions of the whitened sensitivity matrix, in units of the ranges searched.
+
+    The combination with direction v and singular value s is known to 1 / s of the ranges (one standard deviation).
+
+    Attributes:
+        names: of the parameters.
+        noise: scale of the noise by channel, in the channel's weighted residual.
+        singular_values: largest first.
+        directions: ``[combination, parameter]``, of length one.
+        correlation: of the estimates, ``[parameter, parameter]``.
+        widths: width of each 90 % interval as a share of the range.
+        identifiable: by parameter.
+        unknown: the combinations that the logs do not tell, in words, the worst first.
+    """
+
+    names: tuple[str, ...]
+    noise: Mapping[str, float]
+    singular_values: Array
+    directions: Array
+    correlation: Array
+    widths: Mapping[str, float]
+    identifiable: Mapping[str, bool]
+    unknown: Sequence[str]
+
+
+def identifiability(
+    sensitivity: Sensitivity,
+    blocks: Sequence[np.ndarray],
+    channels: Mapping[str, np.ndarray],
+    intervals: Mapping[str, tuple[float, float]],
+    share: float = SHARE,
+) -> Identifiability:
+    """Whiten the sensitivity matrix with the noise of each channel and look at its singular values.
+
+    Args:
+        sensitivity: at the optimum.
+        blocks: indices of residuals that belong together; those of different blocks are taken as independent.
+        channels: indices of the residuals of each channel.
+        intervals: low and high of each parameter's interval.
+        share: of the range that the interval of an identifiable parameter stays below.
+    """
+    noise = {name: noise_scale(sensitivity.residual, index, blocks) for name, index in channels.items()}
+    whitened = sensitivity.jacobian.copy()
+    for name, index in channels.items():
+        whitened[index] /= noise[name]
+    _, values, directions = np.linalg.svd(whitened, full_matrices=False)
+    widths = {
+        name: float((intervals[name][1] - intervals[name][0]) / sensitivity.span[i])
+        for i, name in enumerate(sensitivity.names)
+    }
+    return Identifiability(
+        names=sensitivity.names,
+        noise=noise,
+        singular_values=values,
+        directions=directions,
+        correlation=_correlation(values, directions),
+        widths=widths,
+        identifiable={name: bool(width < share) for name, width in widths.items()},
+        unknown=[
+            in_words(sensitivity.names, direction)
+            for value, direction in zip(values[::-1], directions[::-1], strict=True)
+            if value * share < WIDTH
+        ],
+    )
+
+
+def noise_scale(residual: Array, index: np.ndarray, blocks: Sequence[np.ndarray]) -> float:
+    """Standard deviation of one channel's residual, for as many independent samples as there are rows.
+
+    Neighbouring residuals are alike. If they were independent, the mean of a block of n would vary by sigma^2 / n;
+    what it varies by instead says how many rows count as one. It is never taken to be better than independent.
+
+    Args:
+        residual: all residuals.
+        index: those of the channel.
+        blocks: indices of all residuals that belong together.
+    """
+    own = np.zeros(len(residual), dtype=bool)
+    own[index] = True
+    parts = [residual[block[own[block]]] for block in blocks]
+    parts = [part for part in parts if len(part) > 1]
+    square = float(np.square(residual[index]).mean())
+    if not parts:
+        return max(square, 1e-30) ** 0.5
+    size = float(np.mean([len(part) for part in parts]))
+    between = float(np.mean([part.mean() ** 2 for part in parts]))
+    return max(square, between * size, 1e-30) ** 0.5
+
+
+def in_words(names: Sequence[str], direction: Array) -> str:
+    """A combination that the logs do not tell, in one sentence.
+
+    Args:
+        names: of the parameters.
+        direction: ``[parameter]``, of length one.
+    """
+    order = np.argsort(-np.abs(direction))
+    parts = [int(i) for i in order if abs(direction[i]) >= PART][:4]
+    words = [names[i].replace("_", " ") for i in parts]
+    if len(parts) < 2:
+        return f"these logs do not tell {words[0] if words else names[int(order[0])].replace('_', ' ')}"
+    first = direction[parts[0]] > 0
+    alike = [word for i, word in zip(parts[1:], words[1:], strict=True) if (direction[i] > 0) == first]
+    against = [word for i, word in zip(parts[1:], words[1:], strict=True) if (direction[i] > 0) != first]
+    ways = [f"a higher {_listed(alike)}"] if alike else []
+    ways += [f"a lower {_listed(against)}"] if against else []
+    joined = f"{', '.join(words[:-1])} and {words[-1]}"
+    return f"{joined} trade off: a higher {words[0]} with {' and '.join(ways)} looks the same in these logs"
+
+
+def _listed(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def _correlation(values: Array, directions: Array) -> Array:
+    """Of the estimates, from the inverse of the information; what has none counts as the whole range."""
+    weak = 1.0 / np.maximum(np.square(values), 1.0)
+    covariance = (directions.T * weak) @ directions
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
+    return covariance / np.outer(scale, scale)

@@ -1,0 +1,111 @@
+"""The page of a plan of recordings."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import plotly.graph_objects as go
+
+from op3.identify.design import Candidate, Step
+from op3.report.page import Page
+from op3.report.result import finish, write_result
+from op3.report.style import colours, dress, words
+from op3.report.tables import Cell, number
+
+MEANINGS: Mapping[str, str] = {
+    "plan": "recordings in the order to make them",
+    "seconds": "robot time of the whole plan [s]",
+    "interval_share": "expected width of each 90 % interval after the plan, as a share of the range",
+    "left_out": "motions that the model cannot play, and why",
+}
+
+
+def report_design(
+    steps: Sequence[Step],
+    candidates: Sequence[Candidate],
+    wanted: Sequence[str],
+    left_out: Mapping[str, str],
+    folder: Path,
+    *,
+    provenance: Mapping[str, Any],
+    wall_seconds: float,
+) -> dict[str, Any]:
+    """Write ``index.html`` and ``result.yaml``, and print their paths.
+
+    Args:
+        steps: the plan.
+        candidates: what it was chosen from.
+        wanted: parameters whose intervals counted.
+        left_out: motions that could not be judged, with the reason.
+        folder: of the run.
+        provenance: where the numbers come from.
+        wall_seconds: duration of the run [s].
+    """
+    values = {
+        "plan": [{"motion": step.name, "mount": step.mount, "seconds": step.seconds} for step in steps],
+        "seconds": steps[-1].seconds,
+        "interval_share": dict(steps[-1].widths),
+        "wanted": list(wanted),
+        "left_out": dict(left_out) or None,
+        "wall_seconds": wall_seconds,
+        "provenance": provenance,
+    }
+    result = write_result(folder / "result.yaml", values, MEANINGS)
+    finish(_page(steps, candidates, wanted, left_out, provenance).write(folder / "index.html"), result)
+    return values
+
+
+def _page(
+    steps: Sequence[Step],
+    candidates: Sequence[Candidate],
+    wanted: Sequence[str],
+    left_out: Mapping[str, str],
+    provenance: Mapping[str, Any],
+) -> Page:
+    names = list(dict.fromkeys(step.name for step in steps))
+    worst = max(wanted, key=lambda name: steps[-1].widths[name])
+    share = number(100 * steps[-1].widths[worst], 2)
+    lead = f"Record {', '.join(words(name) for name in names)}: {number(steps[-1].seconds, 3)} s of robot time."
+    lead += f" The widest interval of the wanted parameters, {words(worst)}, is then {share} % of its range."
+    page = Page("Plan of recordings", lead)
+    page.section("Plan")
+    rows: list[list[Cell]] = [[i, words(s.name), s.mount, s.seconds] for i, s in enumerate(steps, start=1)]
+    page.table(["step", "motion", "mount", "robot time up to here [s]"], rows)
+    page.code("python experiments/collect.py plan=<this folder>/plan.yaml robot=...")
+    page.section("What it gives")
+    page.figure(
+        _widths_figure(steps, wanted), "Expected 90 % intervals after each recording, as a share of the ranges."
+    )
+    page.section("What there was to choose from")
+    rows = [[words(c.name), c.mount, c.duration, *(float(c.information[i, i]) ** 0.5 for i in _places(steps, wanted))]
+            for c in candidates]  # fmt: skip
+    header = ["motion", "mount", "duration [s]", *(words(name) for name in wanted)]
+    caption = "Sensitivity to each parameter alone: inverse of the standard deviation in ranges."
+    page.table(header, rows, caption=caption, digits=3)
+    for name, reason in left_out.items():
+        page.text(f"Left out: {words(name)}. {reason}")
+    page.section("Files")
+    page.files({"plan.yaml": "the plan that collect plays", "result.yaml": "all numbers of this page"})
+    page.provenance(provenance)
+    return page
+
+
+def _places(steps: Sequence[Step], wanted: Sequence[str]) -> list[int]:
+    names = list(steps[0].widths)
+    return [names.index(name) for name in wanted]
+
+
+def _widths_figure(steps: Sequence[Step], wanted: Sequence[str]) -> go.Figure:
+    figure = go.Figure()
+    colour = colours(list(wanted))
+    labels = [f"{words(step.name)}, {step.mount}" for step in steps]
+    for name in wanted:
+        figure.add_scatter(
+            x=[step.seconds for step in steps], y=[step.widths[name] for step in steps], mode="lines+markers",
+            name=words(name), line=dict(color=colour[name], width=2), hovertext=labels,
+            hovertemplate="%{hovertext}: %{y:.3g}<extra>" + words(name) + "</extra>",
+        )  # fmt: skip
+    dress(figure, 420, hovermode="closest")
+    figure.update_yaxes(type="log", title_text="width of the 90 % interval [share of the range]")
+    figure.update_xaxes(title_text="robot time [s]", rangemode="tozero")
+    return figure
