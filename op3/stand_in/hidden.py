@@ -52,6 +52,7 @@ class Kind:
 
 _PITCH = ("r_hip_pitch", "r_knee", "r_ank_pitch")
 _ANY = LEG_JOINTS
+_HEAVY = ("r_hip_roll", "r_hip_pitch", "r_knee")
 _LOADED = ("r_hip_roll", *_PITCH)
 
 KINDS: dict[str, Kind] = {
@@ -78,8 +79,8 @@ KINDS: dict[str, Kind] = {
     "latency": Kind("s", 0.0025, "delay of commands"),
     "packet_drop": Kind("-", 0.01, "share of command packets lost", forms=("single", "bursts")),
     "velocity_filter": Kind("s", 0.003, "time constant of the velocity reading", forms=("first_order", "mean")),
-    "encoder_offset": Kind("rad", 0.007, "reading at the true zero", _ANY, signed=True),
-    "encoder_nonlinearity": Kind("rad", 0.005, "amplitude over a turn", _ANY, forms=("second", "third")),
+    "encoder_offset": Kind("rad", 0.012, "reading at the true zero", _HEAVY, signed=True),
+    "encoder_nonlinearity": Kind("rad", 0.006, "amplitude over a turn", _LOADED, forms=("position", "both")),
     "payload": Kind("kg", 0.02, "mass on the foot", ("r_ank_roll",), forms=("point", "plate")),
     "com_offset": Kind("m", 0.006, "shift of a link's centre of mass forwards", ("r_hip_pitch", "r_ank_pitch"), True),
     "link_inertia": Kind("kg m^2", 0.0004, "more inertia of a link", _PITCH),

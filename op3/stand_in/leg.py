@@ -149,7 +149,7 @@ class _Session:
                 batch.step()
                 if (step + 1) % slow == 0:
                     self.servos.step_slow((step + 1) * TIMESTEP, self._slow_rng)
-                    self.sensors.step(velocity)
+                    self.sensors.step(position, velocity)
             if not np.isfinite(position).all():
                 raise RuntimeError(f"the leg's physics diverged at {ticks[tick] * TIMESTEP:.3f} s")
         time = (ticks[settling:-1] - ticks[settling]) * TIMESTEP
