@@ -140,6 +140,7 @@ class WindowSimulation:
         self._read_velocity = self._gather([m.read_velocity for m in motions])
         common = set.intersection(*(set(motion.inputs) for motion in motions)) & set(SIGNAL_NAMES)
         self._inputs = {name: self._gather([m.inputs[name] for m in motions]) for name in sorted(common)}
+        self.limbs = coupled(self._mass)
         self._changes: dict[tuple[str, int | None], tuple[Tensor, Tensor, Tensor]] = {}
 
     def _gather(self, arrays: Sequence[np.ndarray]) -> Tensor:
@@ -228,6 +229,17 @@ class WindowSimulation:
                 )
             result.append((weight, self._changes[key]))
         return result
+
+
+def coupled(mass: Tensor) -> list[slice]:
+    """Runs of neighbouring joints that no mass couples to the others; `mass` is ``[tick, joint, joint, window]``."""
+    linked = mass.abs().amax((0, 3)) > 1e-12
+    limbs, first = [], 0
+    for joint in range(1, len(linked) + 1):
+        if joint == len(linked) or not linked[:joint, joint:].any():
+            limbs.append(slice(first, joint))
+            first = joint
+    return limbs
 
 
 class _Run:
@@ -346,16 +358,24 @@ class _Run:
         mass, bias, gradient = self._dynamics(tick, share)
         away = self.q - torch.lerp(o._position[tick], o._position[tick + 1], share)[:, None, :]
         faster = self.v - torch.lerp(o._velocity[tick], o._velocity[tick + 1], share)[:, None, :]
-        bias = bias + (gradient * away).sum(1) + (o._damping[tick][:, :, None, :] * faster).sum(1)
+        damping = o._damping[tick][:, :, None, :]
         shape = self.q.shape
-        force = step * (signals.applied_torque.T.reshape(shape) - bias)
-        bound = step * signals.friction_bound.T.reshape(shape)
+        applied, bound = signals.applied_torque.T.reshape(shape), step * signals.friction_bound.T.reshape(shape)
         inertia = torch.diagonal(mass).movedim(-1, 0)
         total = inertia + self.armature + step * signals.damping.T.reshape(shape)
-        self.u = solve(mass, total, self.v, force, bound, self.u)
+        changes, loads = [], []
+        for limb in o.limbs:
+            pull = torch.addcmul(gradient[limb, limb] * away[limb], damping[limb, limb], faster[limb]).sum(1)
+            own = bias[limb] + pull
+            force = step * (applied[limb] - own)
+            block = mass[limb, limb]
+            change = solve(block, total[limb], self.v[limb], force, bound[limb], self.u[limb])
+            changes.append(change)
+            loads.append((block * change).sum(1) / step + own)
+        self.u = torch.cat(changes)
         self.v = self.v + self.u
         self.q = self.q + step * self.v
-        load = (mass * self.u).sum(1) / step + bias
+        load = torch.cat(loads)
         signals.load_torque = self._flat(-load)
         self._expose()
 
