@@ -4,12 +4,14 @@ from op3.servo.effect import (
     Effect,
     ModelEdit,
     Parameter,
+    Scope,
     Signals,
     Stage,
     catalogue,
     effect_class,
     parameter,
     register,
+    secant_values,
 )
 from op3.servo.effects import *  # noqa: F403  (registers the effects)
 from op3.servo.robot_model import Estimate, RobotModel
@@ -21,6 +23,7 @@ __all__ = [
     "ModelEdit",
     "Parameter",
     "RobotModel",
+    "Scope",
     "ServoLaw",
     "Signals",
     "Stage",
@@ -28,4 +31,5 @@ __all__ = [
     "effect_class",
     "parameter",
     "register",
+    "secant_values",
 ]

@@ -149,8 +149,18 @@ class Clock:
     period: float
 
 
+Scope = Literal["robot", "shared", "joint", "side"]
+"""Who has an effect: the whole robot, all joints alike, one joint, or the joints of one side."""
+
+
 class Effect:
     """Base class of everything in the catalogue; subclasses are frozen dataclasses of their options.
+
+    What the diagnosis needs to find an effect stands beside the law. A *secant* is one finite change of parameters at
+    which a prediction is compared with that of the model without it: an amount that is added to what the parameter is
+    (its neutral value where the effect is off), or the value itself where a parameter has no neutral value. It may
+    change a parameter of another effect, if that is on. Effects that are no hypothesis (the motor, the controller) have
+    no secants.
 
     Class attributes:
         name: identifier in ``model.yaml`` and ``conf/effect/``.
@@ -161,6 +171,14 @@ class Effect:
         edits: what it changes in the MuJoCo model.
         reads: signals that simulations fill only where an effect asks for them.
         commands: inputs of `Signals` without which it cannot act.
+        size: name of the parameter that says how strong the effect is.
+        smallest: smallest size that matters, as a distance from neutral in that parameter's unit.
+        secants: finite changes for screening, several where the effect is not local in its parameters.
+        fingerprint: how it shows in the residual, measured minus predicted.
+        confounders: other effects that may look like it.
+        separating_experiment: what tells it from them.
+        alias_class: effects of one class cannot be told apart without a special experiment.
+        scopes: who can have it.
     """
 
     name: ClassVar[str]
@@ -171,6 +189,14 @@ class Effect:
     edits: ClassVar[tuple[ModelEdit, ...]] = ()
     reads: ClassVar[tuple[str, ...]] = ()
     commands: ClassVar[tuple[str, ...]] = ()
+    size: ClassVar[str] = ""
+    smallest: ClassVar[float] = 0.0
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = ()
+    fingerprint: ClassVar[str] = ""
+    confounders: ClassVar[tuple[str, ...]] = ()
+    separating_experiment: ClassVar[str] = ""
+    alias_class: ClassVar[str] = ""
+    scopes: ClassVar[tuple[Scope, ...]] = ()
 
     def __post_init__(self):
         """Refuse options of the wrong kind: a misspelt form would choose another law.
@@ -258,6 +284,22 @@ def parameter(name: str) -> Parameter:
     if name not in known:
         raise ValueError(f"unknown parameter {name!r}; the catalogue has {', '.join(sorted(known))}")
     return known[name]
+
+
+def secant_values(secant: Mapping[str, float], values: Mapping[str, float]) -> dict[str, float]:
+    """Parameter values at a secant, kept within what physics allows.
+
+    Args:
+        secant: one of `Effect.secants`.
+        values: what parameters are now; those missing have their neutral value, and parameters of effects that are
+            off may be left out.
+    """
+    moved = {}
+    for name, change in secant.items():
+        known = parameter(name)
+        start = 0.0 if known.neutral is None else values.get(name, known.neutral)
+        moved[name] = min(max(start + change, known.least), known.most)
+    return moved
 
 
 def in_stage_order(effects: Sequence[Effect]) -> list[Effect]:

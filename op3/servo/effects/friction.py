@@ -4,11 +4,12 @@ Each adds to one bound, ``tau_fric = fc + s (fs - fc) + kv |w|``, which MuJoCo r
 in every step: a friction that can hold the joint still and always opposes its motion.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
 from op3.servo import law
-from op3.servo.effect import Effect, Parameter, Prepared, Signals, Stage, register
+from op3.servo.effect import Effect, Parameter, Prepared, Scope, Signals, Stage, register
 
 
 @register
@@ -23,6 +24,17 @@ class Coulomb(Effect):
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("coulomb_friction", "N m", 0.01, 0.25, 0.1, 0.0, "fc", least=0.0),
     )
+    size: ClassVar[str] = "coulomb_friction"
+    smallest: ClassVar[float] = 0.01
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"coulomb_friction": 0.02},)
+    fingerprint: ClassVar[str] = (
+        "odd in velocity, the same at every speed and load; a hysteresis loop of constant width 2 fc in "
+        "torque over angle"
+    )
+    confounders: ClassVar[tuple[str, ...]] = ("asymmetric_friction", "current_offset", "dte")
+    separating_experiment: ClassVar[str] = "slow triangle both ways at two loads"
+    alias_class: ClassVar[str] = "coulomb"
+    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Raise the bound by fc."""
@@ -42,6 +54,19 @@ class Stribeck(Effect):
         Parameter("static_friction_excess", "N m", 0.0, 0.25, 0.05, 0.0, "fs - fc", least=0.0),
         Parameter("stribeck_velocity", "rad/s", 0.02, 3.0, 0.1, None, "w_static; the paper gives no value", least=1e-4),
     )
+    size: ClassVar[str] = "static_friction_excess"
+    smallest: ClassVar[float] = 0.01
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = (
+        {"static_friction_excess": 0.03, "stribeck_velocity": 0.05},
+        {"static_friction_excess": 0.03, "stribeck_velocity": 0.15},
+        {"static_friction_excess": 0.03, "stribeck_velocity": 0.5},
+        {"static_friction_excess": 0.03, "stribeck_velocity": 1.5},
+    )
+    fingerprint: ClassVar[str] = "odd in velocity and only below w_static; stick-slip and limit cycles near rest"
+    confounders: ClassVar[tuple[str, ...]] = ("viscous", "lugre", "backlash", "load_friction")
+    separating_experiment: ClassVar[str] = "slow sweeps at 0.02, 0.05, 0.1 and 0.2 rad/s at two loads"
+    alias_class: ClassVar[str] = "near_rest"
+    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Raise the bound near rest, and tell other friction how much of it is left at this speed."""
@@ -61,6 +86,19 @@ class Viscous(Effect):
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("viscous_friction", "N m s/rad", 0.0025, 0.15, 0.03, 0.0, "kv", least=0.0),
     )
+    size: ClassVar[str] = "viscous_friction"
+    smallest: ClassVar[float] = 0.005
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"viscous_friction": 0.01},)
+    fingerprint: ClassVar[str] = "odd in velocity and in proportion to it"
+    confounders: ClassVar[tuple[str, ...]] = (
+        "quadratic_drag",
+        "bearing_friction",
+        "terminal_resistance",
+        "torque_constant",
+    )
+    separating_experiment: ClassVar[str] = "three speeds, one of them fast; two temperatures"
+    alias_class: ClassVar[str] = "speed_friction"
+    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Raise the bound in proportion to speed."""
@@ -80,6 +118,14 @@ class BearingFriction(Effect):
         Parameter("bearing_friction", "m s/rad", 0.0, 0.001, 0.0001, 0.0, "kb, per radial force", least=0.0),
     )
     reads: ClassVar[tuple[str, ...]] = ("radial_force",)
+    size: ClassVar[str] = "bearing_friction"
+    smallest: ClassVar[float] = 1e-05
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"bearing_friction": 5e-5},)
+    fingerprint: ClassVar[str] = "odd in velocity, in proportion to speed and to the weight carried"
+    confounders: ClassVar[tuple[str, ...]] = ("viscous", "quadratic_drag", "load_friction")
+    separating_experiment: ClassVar[str] = "one speed at two loads"
+    alias_class: ClassVar[str] = "speed_friction"
+    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Raise the bound in proportion to radial force and speed."""
