@@ -43,6 +43,7 @@ def trajectory_dynamics(
     qpos: np.ndarray,
     *,
     radial_force: bool = False,
+    derivatives: bool = True,
 ) -> TrajectoryDynamics:
     """Dynamics of some joints of a fixed-base scene, the others held.
 
@@ -53,6 +54,7 @@ def trajectory_dynamics(
         velocity: their velocities [rad/s], ``[tick, joint]``.
         qpos: full position in which the other joints are held, ``[nq]``.
         radial_force: whether to compute the radial force, which costs a pass more.
+        derivatives: whether to compute gradient and damping; zero otherwise.
 
     Raises:
         ValueError: if the base of the scene is free.
@@ -96,6 +98,8 @@ def trajectory_dynamics(
             mujoco.mj_rnePostConstraint(model, data)
             mujoco.mj_sensorAcc(model, data)
             result.radial_force[tick] = np.hypot(data.sensordata[ports.force], data.sensordata[ports.force + 1])
+        if not derivatives:
+            continue
         for j in range(count):
             data.qpos[address[j]] = position[tick, j] + GRADIENT_STEP
             ahead = torque()
