@@ -88,3 +88,58 @@ class LinkInertia(Effect):
     separating_experiment: ClassVar[str] = "fast motion of a neighbour: link inertia couples joints, the rotor does not"
     alias_class: ClassVar[str] = "inertia"
     scopes: ClassVar[tuple[Scope, ...]] = ("joint", "shared", "side")
+
+
+@register
+@dataclass(frozen=True)
+class LinkMass(Effect):
+    """Mass added to the moved link at its centre of mass: screws, cables, a payload at hand or foot."""
+
+    name: ClassVar[str] = "link_mass"
+    stage: ClassVar[Stage] = Stage.BODY
+    equation: ClassVar[str] = "m_link += dm"
+    source: ClassVar[str] = "models from CAD miss screws and cables, about 10 % of a link"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("link_mass_offset", "kg", -0.01, 0.3, 0.0, 0.0, "added to the moved link", least=-0.011),
+    )
+    edits: ClassVar[tuple[ModelEdit, ...]] = (ModelEdit("body_mass", "joint_body", "add", "link_mass_offset"),)
+    size: ClassVar[str] = "link_mass_offset"
+    smallest: ClassVar[float] = 0.01
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"link_mass_offset": 0.02}, {"link_mass_offset": 0.1})
+    fingerprint: ClassVar[str] = "in the phase of gravity, in fixed ratio over all joints that carry the link"
+    confounders: ClassVar[tuple[str, ...]] = ("payload", "link_com", "torque_constant", "encoder_offset")
+    separating_experiment: ClassVar[str] = "add a known mass; turn the base"
+    alias_class: ClassVar[str] = "gravity_phase"
+    scopes: ClassVar[tuple[Scope, ...]] = ("joint",)
+
+
+@register
+@dataclass(frozen=True)
+class LinkCentreOfMass(Effect):
+    """Shift of the moved link's centre of mass, in the frame of the link."""
+
+    name: ClassVar[str] = "link_com"
+    stage: ClassVar[Stage] = Stage.BODY
+    equation: ClassVar[str] = "c_link += (dx, dy, dz)"
+    source: ClassVar[str] = "models from CAD, up to 10 mm"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("link_com_offset_x", "m", -0.015, 0.015, 0.0, 0.0, "forwards in the stand pose with straight legs"),
+        Parameter("link_com_offset_y", "m", -0.015, 0.015, 0.0, 0.0, "to the left"),
+        Parameter("link_com_offset_z", "m", -0.015, 0.015, 0.0, 0.0, "upwards"),
+    )
+    edits: ClassVar[tuple[ModelEdit, ...]] = tuple(
+        ModelEdit("body_ipos", "joint_body", "add", f"link_com_offset_{axis}", column=column)
+        for column, axis in enumerate("xyz")
+    )
+    size: ClassVar[str] = "link_com_offset_x"
+    smallest: ClassVar[float] = 0.002
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = (
+        {"link_com_offset_x": 0.005},
+        {"link_com_offset_y": 0.005},
+        {"link_com_offset_z": 0.005},
+    )
+    fingerprint: ClassVar[str] = "in the phase of gravity, turning with the pose, in all joints that carry the link"
+    confounders: ClassVar[tuple[str, ...]] = ("encoder_offset", "link_mass", "cable_spring", "current_offset")
+    separating_experiment: ClassVar[str] = "turn the base: gravity turns, a spring does not; IMU against kinematics"
+    alias_class: ClassVar[str] = "gravity_phase"
+    scopes: ClassVar[tuple[Scope, ...]] = ("joint",)

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
+import torch
+
 from op3.servo import law
 from op3.servo.effect import Effect, Parameter, Prepared, Scope, Signals, Stage, register
 
@@ -131,3 +133,71 @@ class BearingFriction(Effect):
         """Raise the bound in proportion to radial force and speed."""
         bearing = prepared["bearing_friction"] * signals.radial_force * signals.speed
         signals.friction_bound = signals.friction_bound + bearing
+
+
+@register
+@dataclass(frozen=True)
+class AsymmetricFriction(Effect):
+    """Coulomb friction that is higher in one direction of motion.
+
+    At rest the direction is the one in which motor and load together push the joint.
+
+    Attributes:
+        rest: below this speed a joint counts as resting [rad/s].
+    """
+
+    name: ClassVar[str] = "asymmetric_friction"
+    stage: ClassVar[Stage] = Stage.FRICTION
+    equation: ClassVar[str] = "tau_fric += |a| where w a > 0"
+    source: ClassVar[str] = "skewed teeth, worms and preloaded seals; differences of 0.01 to 0.1 N m"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter(
+            "asymmetric_friction", "N m", -0.15, 0.15, 0.0, 0.0, "a, more friction for w > 0; negative: for w < 0"
+        ),
+    )
+    size: ClassVar[str] = "asymmetric_friction"
+    smallest: ClassVar[float] = 0.01
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = (
+        {"asymmetric_friction": 0.03},
+        {"asymmetric_friction": -0.03},
+    )
+    fingerprint: ClassVar[str] = "even in velocity and constant, like a current offset but only in motion"
+    confounders: ClassVar[tuple[str, ...]] = ("current_offset", "coulomb", "link_com")
+    separating_experiment: ClassVar[str] = "slow triangle both ways in two attitudes; torque at rest"
+    alias_class: ClassVar[str] = "torque_bias"
+    scopes: ClassVar[tuple[Scope, ...]] = ("joint", "shared", "side")
+
+    rest: float = 0.001
+
+    def apply(self, signals: Signals, prepared: Prepared) -> None:
+        """Raise the bound in one direction."""
+        pushed = signals.motor_torque + signals.load_torque
+        direction = torch.where(signals.speed > self.rest, signals.velocity, pushed)
+        more = prepared["asymmetric_friction"]
+        signals.friction_bound = signals.friction_bound + torch.where(direction * more > 0, more.abs(), 0.0)
+
+
+@register
+@dataclass(frozen=True)
+class QuadraticDrag(Effect):
+    """Friction that grows with the square of speed: churned grease, air."""
+
+    name: ClassVar[str] = "quadratic_drag"
+    stage: ClassVar[Stage] = Stage.FRICTION
+    equation: ClassVar[str] = "tau_fric += c w^2"
+    source: ClassVar[str] = "churning loss of a gear box; 0.001 to 0.03 N m s2/rad2"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("quadratic_drag", "N m s^2/rad^2", 0.0, 0.03, 0.0, 0.0, "c", least=0.0),
+    )
+    size: ClassVar[str] = "quadratic_drag"
+    smallest: ClassVar[float] = 0.001
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"quadratic_drag": 0.005},)
+    fingerprint: ClassVar[str] = "odd in velocity and growing faster than in proportion to it"
+    confounders: ClassVar[tuple[str, ...]] = ("viscous", "stribeck", "bearing_friction")
+    separating_experiment: ClassVar[str] = "three speeds, one of them fast"
+    alias_class: ClassVar[str] = "speed_friction"
+    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
+
+    def apply(self, signals: Signals, prepared: Prepared) -> None:
+        """Raise the bound with the square of speed."""
+        signals.friction_bound = signals.friction_bound + prepared["quadratic_drag"] * signals.speed.square()
