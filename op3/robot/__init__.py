@@ -1,6 +1,7 @@
 """The OP3 itself: joints, model, poses, scenes and motions."""
 
 from op3.robot.assets import asset_path, named_configs
+from op3.robot.excitation import LEG_JOINTS, Excitation, leg_suite, leg_walking
 from op3.robot.joints import (
     CONTROLLED_JOINTS,
     GEAR_RATIO,
@@ -26,12 +27,14 @@ __all__ = [
     "JOINTS",
     "JOINT_AXES",
     "KEY_POINTS",
+    "LEG_JOINTS",
     "MIRROR",
     "OP3",
     "POSES",
     "SCENES",
     "SERVO_IDS",
     "SOFT_LIMITS",
+    "Excitation",
     "Motion",
     "Scene",
     "asset_path",
@@ -41,6 +44,8 @@ __all__ = [
     "hold",
     "indices",
     "key_points",
+    "leg_suite",
+    "leg_walking",
     "mirror",
     "named_configs",
     "pose",

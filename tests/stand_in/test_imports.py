@@ -10,6 +10,7 @@ STANDARD = (
     "__future__",
     "collections",
     "dataclasses",
+    "datetime",
     "difflib",
     "hashlib",
     "math",
