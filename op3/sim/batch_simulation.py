@@ -10,10 +10,10 @@ import torch
 from mujoco.batch import Batch
 from torch import Tensor
 
-from op3.servo import RobotModel, ServoLaw, Signals
+from op3.servo import RobotModel, ServoLaw, Signals, Trunk
 from op3.sim.base import Base, roll_pitch_yaw
 from op3.sim.edits import edited_fields
-from op3.sim.inputs import default_commands, expand_parameters, set_commands
+from op3.sim.inputs import default_commands, expand_parameters, set_commands, set_start
 from op3.sim.ports import ServoPorts
 
 
@@ -68,7 +68,7 @@ class BatchSimulation:
         self.batch = Batch(mj_model, num_sims, num_threads)
         self._base = None if base_body is None else Base.find(mj_model, mj_model.body(base_body).id)
         self._fields = {name: np.array(value, dtype=np.float64) for name, value in (fields or {}).items()}
-        self.law = ServoLaw(model.effects, self.timestep, control_period)
+        self.law = ServoLaw(model.effects, self.timestep, control_period, self.joint_names)
         self.signals = Signals.zeros(num_sims, len(joints))
         self._reads_force = self.law.reads("radial_force")
         default_commands(self.signals, model)
@@ -121,6 +121,9 @@ class BatchSimulation:
         qvel: Any = 0.0,
         *,
         measured: bool = False,
+        load_torque: Any = None,
+        current: Any = None,
+        time: Any = 0.0,
     ) -> None:
         """Start all simulations anew.
 
@@ -130,6 +133,10 @@ class BatchSimulation:
             qvel: full MuJoCo velocity, ``[nv]`` or ``[sim, nv]``.
             measured: whether the joints' positions are readings of the sensors, which an encoder offset shifts;
                 each simulation then starts where its own sensors read them.
+            load_torque: tau_a on the servos at the start [N m], broadcastable to ``[sim, joint]``; tells on which
+                flank a backlash begins. By default that of the robot let go in this pose.
+            current: in the motors at the start [A]; by default none.
+            time: since the start of the recording [s], for effects that change with it.
         """
         self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
         self._qpos[...] = torch.as_tensor(qpos, dtype=torch.float64)
@@ -144,7 +151,7 @@ class BatchSimulation:
         self._read()
         default_commands(self.signals, self.model)
         self.command(**(commands or {}))
-        self.signals.current = torch.zeros_like(self.signals.position)
+        set_start(self.signals, load_torque, current, time)
         self.law.reset(self.signals)
 
     def _undo_sensing(self) -> None:
@@ -161,8 +168,8 @@ class BatchSimulation:
 
         Args:
             commands: any of ``position_target`` [rad], ``p_gain`` [A/rad], ``d_gain`` [A s/rad],
-                ``firmware_gain``, ``torque_enable`` (0 or 1) and ``bus_voltage`` [V], each broadcastable to
-                ``[sim, joint]``.
+                ``firmware_gain``, ``torque_enable`` (0 or 1), ``bus_voltage`` [V] and ``temperature`` [C], each
+                broadcastable to ``[sim, joint]``.
 
         Raises:
             ValueError: if a command is unknown.
@@ -187,19 +194,21 @@ class BatchSimulation:
         """What the servos' and the trunk's sensors say now: channels of the log, ``[sim, joint | 3]``."""
         self._read()
         self.law.sense(self.signals)
+        self.law.report(self.signals)
         signals = self.signals
         channels = {
             ("joint", "position"): signals.measured_position.clone(),
             ("joint", "velocity"): signals.measured_velocity.clone(),
-            ("joint", "current"): signals.current.clone(),
+            ("joint", "current"): signals.measured_current.clone(),
         }
         if self._base is not None:
             free, rates = self._base.qpos, torch.zeros(self.num_sims, 3, dtype=torch.float64)
             quaternion = self._base_quaternion if free is None else self._qpos[:, free + 3 : free + 7]
             if self._base.dof is not None:
                 rates = self._qvel[:, self._base.dof + 3 : self._base.dof + 6].clone()
-            channels[("imu", "orientation")] = roll_pitch_yaw(quaternion)
-            channels[("imu", "angular_velocity")] = rates
+            seen = self.law.sense_trunk(Trunk(quaternion, rates))
+            channels[("imu", "orientation")] = roll_pitch_yaw(seen.quaternion)
+            channels[("imu", "angular_velocity")] = seen.angular_velocity
         return channels
 
     def _read(self) -> None:
