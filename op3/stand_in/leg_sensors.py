@@ -69,15 +69,17 @@ class LegSensors:
             reading = reading + self._offset.size * places(self._offset)
         if self._bent is not None:
             phase = 2 * np.pi * self._bent.shape[0]
-            reading = reading + self._bent.size * places(self._bent) * np.sin(2 * position + phase)
+            wave = np.sin(position + phase) + 0.3 * np.sin(2 * position + 2 * phase)
+            reading = reading + self._bent.size * places(self._bent) * wave
         return reading
 
     def _speed(self, position: Array, velocity: Array) -> Array:
         """What the velocity is taken from: the true one, or the slope of what the encoder says."""
         if self._bent is None or self._bent.form == "position":
             return velocity
-        slope = 2 * self._bent.size * places(self._bent) * np.cos(2 * position + 2 * np.pi * self._bent.shape[0])
-        return velocity * (1 + slope)
+        phase = 2 * np.pi * self._bent.shape[0]
+        slope = np.cos(position + phase) + 0.6 * np.cos(2 * position + 2 * phase)
+        return velocity * (1 + self._bent.size * places(self._bent) * slope)
 
     def true_position(self, reading: Array) -> Array:
         """Where joints are that read `reading` [run, joint] in rad."""

@@ -28,6 +28,38 @@ VERDICTS: tuple[str, ...] = ("named", "ambiguous", "unknown", "nothing_missing")
 CONFIDENT = 0.8
 """A stated confidence beyond this that turns out wrong has misled somebody."""
 
+SAME: dict[str, str] = {"payload": "link_mass", "com_offset": "link_com"}
+"""Names of effects of the trunk, which is fixed here, and of the link effects that they mean in one joint of a leg."""
+
+PARAMETERS: tuple[str, ...] = (
+    "static_friction_excess",
+    "load_friction",
+    "bristle_compliance",
+    "backlash_half_gap",
+    "gear_compliance",
+    "cogging_amplitude",
+    "cable_stiffness",
+    "position_friction",
+    "asymmetric_friction",
+    "quadratic_drag",
+    "friction_drift",
+    "torque_constant_error",
+    "magnet_temperature_coefficient",
+    "terminal_resistance_error",
+    "supply_resistance",
+    "current_time_constant",
+    "current_offset",
+    "command_latency",
+    "drop_probability",
+    "velocity_time_constant",
+    "encoder_offset",
+    "encoder_nonlinearity",
+    "link_mass_offset",
+    "link_com_offset_x",
+    "gyration_squared",
+)
+"""Parameters of the catalogue that mean what the bench's table calls the size of their effect."""
+
 MISSING = "no_verdict"
 """Verdict of a case whose diagnosis failed."""
 
@@ -97,22 +129,37 @@ def _claim(path: Path, field: str, entry: Any) -> Claim:
         raise ValueError(f"{path}: an entry of `{field}` has no name: {entry!r}")
     joints = entry.get("joints") or ()
     joints = (joints,) if isinstance(joints, str) else tuple(joints)
-    interval = entry.get("interval")
     confidence = entry.get("confidence")
     if confidence is not None and not 0 <= confidence <= 1:
         raise ValueError(f"{path}: confidence of {entry['name']} is {confidence}, not within 0 and 1")
-    size = None if entry.get("parameter") else entry.get("size")
-    if interval is not None and len(interval) != 2:
+    size, interval = _in_table_unit(entry)
+    if interval is not None and (not isinstance(interval, list) or len(interval) != 2):
         raise ValueError(f"{path}: interval of {entry['name']} is {interval!r}, not [low, high]")
     if size is None or interval is None or None in interval:
         interval = None
+    joints = _normal(joints)
     return Claim(
-        entry["name"],
-        _normal(joints),
+        SAME.get(str(entry["name"]), str(entry["name"])) if joints else str(entry["name"]),
+        joints,
         None if size is None else float(size),
         None if interval is None else (float(interval[0]), float(interval[1])),
         None if confidence is None else float(confidence),
     )
+
+
+def _in_table_unit(entry: Mapping[str, Any]) -> tuple[float | None, Any]:
+    """Size and interval in the unit of the bench's table; None where another parameter is given."""
+    size, interval = entry.get("size"), entry.get("interval")
+    if entry["name"] == "dte" and entry.get("parameter") == "backward_efficiency":
+        # the visible ratio, with the forward efficiency at 1; it falls as the efficiency rises
+        interval = interval and [None if end is None else 1 / end - 1 for end in reversed(interval)]
+        return None if size is None else 1 / size - 1, interval
+    if entry["name"] in ("cogging", "encoder_nonlinearity") and size is not None and size < 0:
+        # an amplitude; its sign is a matter of the phase
+        return -size, interval and [None if end is None else -end for end in reversed(interval)]
+    if entry.get("parameter") in (None, *PARAMETERS):
+        return size, interval
+    return None, None
 
 
 def _normal(joints: Sequence[str]) -> tuple[str, ...]:
