@@ -92,14 +92,15 @@ def test_a_strong_effect_shows_where_it_sits(name, form, quiet):
     assert position.max() > 0.5e-3 or current.max() > 2.7e-3
     if kind.joints and name not in _WHOLE_LEG:
         here = LEG_JOINTS.index(place(name)[0])
-        assert current.argmax() == here or position.argmax() == here
+        # a torque on one joint shakes its neighbours too
+        assert max(current[here] / current.max(), position[here] / position.max()) > 0.8
 
 
 def test_dte_costs_current_only_where_the_load_drives():
     """A gear that is hard to back-drive takes less current to lower a load with, and as much to lift it."""
-    time = np.arange(750) / 125
-    angle = 0.3 * np.sin(2 * np.pi * time / 6)
-    position = np.zeros((750, len(LEG_JOINTS)))
+    time = np.arange(375) / 125
+    angle = 0.2 * np.sin(2 * np.pi * time / 3)
+    position = np.zeros((375, len(LEG_JOINTS)))
     position[:, 1] = -0.5
     position[:, 2] = 0.9 + angle
     run = Excitation(Motion(time, position, LEG_JOINTS, "slow"))
@@ -110,8 +111,8 @@ def test_dte_costs_current_only_where_the_load_drives():
         middle = np.abs(angle) < 0.1
         loops.append((current[middle & (velocity > 0.05)].mean(), current[middle & (velocity < -0.05)].mean()))
     lifting, lowering = np.abs(np.array(loops)).T if abs(loops[0][0]) > abs(loops[0][1]) else np.abs(loops)[:, ::-1].T
-    assert lifting[1] == pytest.approx(lifting[0], abs=0.006)
-    assert lowering[1] < lowering[0] - 0.01
+    assert lowering[0] - lowering[1] > 0.02
+    assert abs(lifting[1] - lifting[0]) < 0.3 * (lowering[0] - lowering[1])
 
 
 def test_latency_moves_the_current_in_time():
@@ -168,11 +169,11 @@ def test_the_leg_moves_as_it_does_on_the_whole_robot():
 
 
 def test_suites_stay_within_limits_and_repeat_their_commands():
-    """The rich suite has about 100 s, two commands five times each, warm and tilted runs; walking has neither."""
+    """The rich suite has about 100 s, two commands four times each, warm and tilted runs; walking has neither."""
     suite, walking = leg_suite(1), leg_walking(1)
     assert 95 < sum(len(run.motion.time) / 125 for run in suite) < 110
     repeated = [run for run in suite if run.motion.name == "repeated_multisine"]
-    assert len(repeated) == 5
+    assert len(repeated) == 4
     assert all(np.array_equal(run.motion.position, repeated[0].motion.position) for run in repeated)
     assert {run.tilt for run in suite} == {(0.0, 0.0), (0.5, 0.8)}
     assert any(run.warm for run in suite)

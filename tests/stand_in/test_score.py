@@ -183,7 +183,7 @@ def test_baselines_do_what_they_say():
 
 
 def test_a_verdict_file_reads_back(tmp_path):
-    """Joints may be a name or a list; a trunk's effect in one joint is the link's; an efficiency becomes the ratio seen.
+    """Joints may be a name or a list; a trunk's effect in one joint is the link's; an efficiency becomes a ratio.
 
     1/0.8 - 1 = 0.25, and the interval [0.75, 0.85] becomes [0.176, 0.333].
     """
