@@ -21,7 +21,17 @@ from op3.report import finish, run_provenance, write_result
 from op3.report.naming import naming_page
 from op3.stand_in import CATALOGUE, make_case, open_answers
 from op3.stand_in.bench import commit, draw_mix, run_all
-from op3.stand_in.score import MISSING, Verdict, confusion, random_name, read_verdict, refit_only, score_case, summarise
+from op3.stand_in.score import (
+    MISSING,
+    Verdict,
+    confusion,
+    random_name,
+    read_verdict,
+    refit_only,
+    score_case,
+    score_ranking,
+    summarise,
+)
 
 
 def score(verdicts: dict[str, Path | None], answers: dict, folder: Path, cfg: DictConfig, commitment: str) -> None:
@@ -36,6 +46,10 @@ def score(verdicts: dict[str, Path | None], answers: dict, folder: Path, cfg: Di
         "random name": summarise(blind),
         "base refit only": summarise(refit),
     }
+    by_score = {name: score_ranking(verdict) for name, verdict in read.items()}
+    if any(by_score.values()):
+        ranked = [score_case(answers[name], verdict) for name, verdict in by_score.items() if verdict is not None]
+        summaries["score ranking"] = summarise(ranked)
     table = confusion(rows)
     page = naming_page(rows, summaries, table, f"Hidden effects, {cfg.set} set, {len(rows)} cases", commitment)
     provenance = run_provenance(seed=cfg.first_seed)

@@ -5,7 +5,7 @@ It reads `verdict.yaml` as a diagnosis writes it and knows nothing of how the ve
     verdict: named | ambiguous | unknown | nothing_missing
     effects: [{name, joints, size, unit, interval, confidence}]   # of an ambiguous verdict: the candidates
     separate_by: ...                                              # what would separate them
-    ranking: [{name, joints, gain}]                               # best first
+    ranking: [{name, joints, gain, score}]                        # best first; score: of a score test, if made
     gap: {<channel>: {before, after, floor, ceiling}}
 """
 
@@ -74,6 +74,7 @@ class Claim:
         size: in the unit of the bench's table, None where not given in it.
         interval: lowest and highest size, 90 %.
         confidence: 0 to 1, None where not stated.
+        score: statistic of a score test, None where none was made.
     """
 
     name: str
@@ -81,6 +82,7 @@ class Claim:
     size: float | None = None
     interval: tuple[float, float] | None = None
     confidence: float | None = None
+    score: float | None = None
 
     def same(self, other: Claim) -> bool:
         """Whether name and joints agree."""
@@ -144,6 +146,7 @@ def _claim(path: Path, field: str, entry: Any) -> Claim:
         None if size is None else float(size),
         None if interval is None else (float(interval[0]), float(interval[1])),
         None if confidence is None else float(confidence),
+        None if entry.get("score") is None else float(entry["score"]),
     )
 
 
@@ -351,6 +354,12 @@ def random_name(answer: Mapping[str, Any], names: Sequence[str], rng: np.random.
         for i in drawn.tolist()
     )
     return Verdict("named", claims[:1], claims)
+
+
+def score_ranking(verdict: Verdict) -> Verdict | None:
+    """Baseline: the effect with the largest statistic of the score test; None where the ranking has no statistics."""
+    tested = sorted((claim for claim in verdict.ranking if claim.score is not None), key=lambda claim: -claim.score)  # type: ignore[operator]
+    return Verdict("named", (tested[0],), tuple(tested)) if tested else None
 
 
 def refit_only() -> Verdict:

@@ -19,6 +19,7 @@ from op3.stand_in.score import (
     read_verdict,
     refit_only,
     score_case,
+    score_ranking,
     summarise,
     wilson,
 )
@@ -180,6 +181,15 @@ def test_baselines_do_what_they_say():
     rng, names = np.random.default_rng(0), ["backlash", *"abcdefghi"]
     right = sum(score_case(BACKLASH, random_name(BACKLASH, names, rng))["named_right"] for _ in range(1000))
     assert right == pytest.approx(100, abs=4 * math.sqrt(90))
+
+
+def test_the_score_ranking_takes_the_largest_statistic():
+    """The order of the ranking does not count, and entries without a statistic are passed over."""
+    ranking = (Claim("dte"), Claim("coulomb", score=3.0), Claim("backlash", ("r_knee",), score=8.0))
+    verdict = score_ranking(Verdict("nothing_missing", (), ranking))
+    assert verdict is not None
+    assert score_case(BACKLASH, verdict)["exact"] is True
+    assert score_ranking(refit_only()) is None
 
 
 def test_a_verdict_file_reads_back(tmp_path):
