@@ -2,6 +2,7 @@
 
 from op3.robot.assets import asset_path, named_configs
 from op3.robot.board import BoardDrive, BoardMotion, Tilts, Waves, WeightDrive, WeightSchedule, board_drive
+from op3.robot.excitation import LEG_JOINTS, Excitation, leg_suite, leg_walking
 from op3.robot.excitations import chirp, multisine, push_down, soften, staircase, sway, triangle
 from op3.robot.joints import (
     CONTROLLED_JOINTS,
@@ -30,6 +31,7 @@ __all__ = [
     "JOINTS",
     "JOINT_AXES",
     "KEY_POINTS",
+    "LEG_JOINTS",
     "MIRROR",
     "OP3",
     "POSES",
@@ -39,6 +41,7 @@ __all__ = [
     "SPEED_LIMIT",
     "BoardDrive",
     "BoardMotion",
+    "Excitation",
     "Motion",
     "Scene",
     "Tilts",
@@ -56,6 +59,8 @@ __all__ = [
     "hold",
     "indices",
     "key_points",
+    "leg_suite",
+    "leg_walking",
     "mirror",
     "motion_faults",
     "multisine",

@@ -72,10 +72,18 @@ class ServoLaw:
         for effect in self.effects:
             effect.reset(signals, self._prepared[effect.name])
 
-    def tick(self, signals: Signals) -> None:
-        """A control period begins: read the sensors, compute and send commands."""
+    def tick(self, signals: Signals, readings: tuple[Tensor, Tensor] | None = None) -> None:
+        """A control period begins: read the sensors, compute and send commands.
+
+        Args:
+            signals: with the joint state and the commands.
+            readings: what the controller reads instead of what its sensors say: positions [rad] and velocities
+                [rad/s] of a log, so that the commands are those that were sent.
+        """
         signals.phase = 0
         self.sense(signals)
+        if readings is not None:
+            signals.measured_position, signals.measured_velocity = readings
         signals.goal = signals.position_target
         for effect in self._ticking:
             effect.tick(signals, self._prepared[effect.name])
