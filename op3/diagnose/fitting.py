@@ -88,8 +88,6 @@ def fit_base(
     """
     point = np.clip(coordinates.start if start is None else start, coordinates.low, coordinates.high)
     engine.prepare(with_point(coordinates, point))
-    if start is None:
-        point = _best_latency(engine, coordinates, point)
     evaluate = _penalised(engine, coordinates)
     for number in range(rounds):
         jacobian = _with_penalty(_jacobian(engine, coordinates, point, fit_only=True), coordinates)
@@ -106,6 +104,8 @@ def fit_base(
         if progress is not None:
             progress((number + 1) / (rounds + 1))
         assert before is not None and losses is not None
+        if start is None and number == 0:
+            point = _best_latency(engine, coordinates, point)
         gained = 1 - min(losses.min(), before) / before
         if gained < 3e-3 and number:
             break
