@@ -16,6 +16,7 @@ from op3.deploy.ticker import PERIOD, POLICY_TICKS
 from op3.policy import PolicyBundle
 from op3.policy.observation import BALANCE_LAYOUT, WALK_LAYOUT, History, observe
 from op3.robot import JOINTS, indices, pose
+from op3.tasks.task import POLICY_PERIOD, TASKS
 
 Array = NDArray[np.float64]
 
@@ -25,7 +26,7 @@ class PolicyRunner:
 
     Args:
         bundle: the policy.
-        cycle: duration of a gait cycle [s]; needed by a policy that sees the phase.
+        cycle: duration of a gait cycle [s], for a policy that sees the phase; None for that of its task.
 
     Raises:
         ValueError: if the bundle cannot run on this robot; the message names the field.
@@ -42,6 +43,8 @@ class PolicyRunner:
                 f" the policy wants {manifest.command_rate:g} Hz and every {manifest.command_ticks}"
             )
         self._phased = "phase" in layout
+        if cycle is None and manifest.task in TASKS:
+            cycle = TASKS[manifest.task].cycle
         if self._phased and (cycle is None or cycle <= 0):
             raise ValueError("the policy sees the phase of a gait; give cycle=<seconds>")
         self.bundle = bundle
@@ -81,7 +84,7 @@ class PolicyRunner:
         phase = None
         if self._phased:
             assert self._cycle is not None
-            phase = torch.tensor(step * POLICY_TICKS * PERIOD / self._cycle % 1.0, dtype=torch.float64)
+            phase = torch.tensor(step * POLICY_PERIOD / self._cycle % 1.0, dtype=torch.float64)
         now = observe(
             torch.as_tensor(np.asarray(joint_position, dtype=float)),
             torch.as_tensor(np.asarray(joint_velocity, dtype=float)),

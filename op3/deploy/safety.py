@@ -275,8 +275,10 @@ class Safety:
             clock.sleep_until(clock.now() + 0.05)
         if result.ok:
             self._energising = False
-            # Freed servos are left as they were found: without a watchdog that would trip in peace.
+            # A watchdog that has tripped keeps the goals as they were. With torque off it is safe to clear, and must be:
+            # the goals are zero for whoever switches torque on next.
             self._attempt(lambda: self._writer.sync_write("bus_watchdog", 0))
+            self._attempt(lambda: self._writer.sync_write("goal_current", 0))
         self._report(str(result))
         return result
 
