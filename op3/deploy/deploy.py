@@ -18,6 +18,7 @@ from op3.deploy.loop import Loop
 from op3.deploy.operator import Console, Operator, Yes
 from op3.deploy.panel import Panel
 from op3.deploy.phases import D_GAIN, HELD_P_GAIN, GainRamp, Hold, Move, Phase, Relax
+from op3.deploy.policy_runner import FollowPolicy
 from op3.deploy.safety import Onlooker, Safety
 from op3.deploy.session import Logs, Outcome, Session
 from op3.deploy.start_checks import StartChecks
@@ -147,6 +148,8 @@ def run(
 
     def phases(loop: Loop) -> list[Phase]:
         driver = make()
+        if isinstance(driver, FollowPolicy):
+            driver.on_begin = connection.operator.begins
         if plan.dry:
             return [driver]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
@@ -21,13 +22,47 @@ from op3.deploy.emulator import (
 )
 from op3.deploy.emulator.firmware import Drive
 from op3.deploy.operator import Yes
+from op3.robot import BoardMotion, Waves, WeightSchedule, draw_tiles
 from op3.sim import load_model
 from op3.stand_in import World
+from op3.tasks.beginning import board_of
+from op3.tasks.task import Task, find_task
 
 Array = NDArray[np.float64]
 
 MakePhysics = Callable[[str, Array | None], Physics]
 """Makes a robot on a scene, at joint angles [joint] in rad."""
+
+LOOK_EVERY = 32
+"""Periods between two looks at how far the robot has got: once per policy step."""
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Where the robot is put down.
+
+    Attributes:
+        scene: a name that `op3.robot.build_scene` knows.
+        board: what moves the board once the policy begins; None for a scene without one.
+        tiles: heights of the terrain's tiles [m]; None for a scene without them.
+    """
+
+    scene: str = "floor"
+    board: BoardMotion | WeightSchedule | None = None
+    tiles: Array | None = None
+
+    @classmethod
+    def of_task(cls, task: str | Task, seed: int) -> Place:
+        """The ground of a task's episode."""
+        task = find_task(task)
+        return cls(task.scene, board_of(task, seed), draw_tiles(seed) if task.scene == "terrain" else None)
+
+    @property
+    def waiting(self) -> BoardMotion | WeightSchedule | None:
+        """What the board does until the policy begins: nothing."""
+        if isinstance(self.board, WeightSchedule):
+            return WeightSchedule(np.array(np.inf))
+        return None if self.board is None else Waves.still()
 
 
 class HandHeld:
@@ -38,12 +73,15 @@ class HandHeld:
 
     Args:
         make: the robot on a scene.
-        scene: where it is put down.
+        place: where it is put down.
         joint_position: [joint] in rad at the start; None for the pose "stand".
     """
 
-    def __init__(self, make: MakePhysics, scene: str, joint_position: ArrayLike | None = None):
-        self._make, self._scene = make, scene
+    def __init__(self, make: MakePhysics, place: Place, joint_position: ArrayLike | None = None):
+        self._make, self._place = make, place
+        self._periods = 0
+        self._origin: float | None = None
+        self._reached = 0.0
         start = None if joint_position is None else np.asarray(joint_position, dtype=float)
         self._physics = make("stand", start)
         self._drive: Drive | None = None
@@ -56,10 +94,22 @@ class HandHeld:
             return
         self.held = False
         supply = self._physics.supply
-        self._physics = self._make(self._scene, np.array(self._physics.position))
+        self._physics = self._make(self._place.scene, np.array(self._physics.position))
         self._physics.supply = supply
+        self._physics.set_ground(self._place.waiting, self._place.tiles)
         if self._drive is not None:
             self._physics.drive(self._drive)
+
+    def begin(self) -> None:
+        """Set the ground in motion, and measure from here how far the robot gets."""
+        self._physics.set_ground(self._place.board)
+        self._origin = self._physics.foremost()
+        self._reached = self._origin
+
+    @property
+    def travelled(self) -> float | None:
+        """How much further the inner tip of the foremost foot has been since `begin` [m]; None before it."""
+        return None if self._origin is None else self._reached - self._origin
 
     @property
     def supply(self) -> float | None:
@@ -88,6 +138,19 @@ class HandHeld:
     def advance(self, steps: int) -> None:
         """Let a number of periods pass."""
         self._physics.advance(steps)
+        if self._origin is not None:
+            self._periods += steps
+            if self._periods >= LOOK_EVERY:
+                self._periods = 0
+                self._reached = max(self._reached, self._physics.foremost())
+
+    def set_ground(self, board: BoardMotion | WeightSchedule | None = None, tiles: ArrayLike | None = None) -> None:
+        """What the ground does from now on."""
+        self._physics.set_ground(board, tiles)
+
+    def foremost(self) -> float:
+        """How far ahead the inner tip of the foremost foot is [m]."""
+        return self._physics.foremost()
 
     def read(self) -> Readings:
         """What all sensors say now."""
@@ -105,12 +168,22 @@ class Hands(Yes):
         self._physics.put_down()
         return True
 
+    def begins(self) -> None:
+        """Set the ground in motion."""
+        self._physics.begin()
+
+    def travelled(self) -> float | None:
+        """What a tape measure says [m]."""
+        return self._physics.travelled
+
 
 def emulate(
     *,
     world: str = "default",
     model: str | Path | None = None,
     scene: str = "floor",
+    task: str | Task | None = None,
+    world_seed: int | None = None,
     seed: int = 0,
     joint_position: ArrayLike | None = None,
     faults: Faults | None = None,
@@ -123,8 +196,10 @@ def emulate(
     Args:
         world: the stand-in's truth; see `op3.stand_in.World.find`. Ignored where a model is given.
         model: name or file of a model, instead of a stand-in.
-        scene: `floor` or `stand`.
-        seed: of everything random.
+        scene: where it is put down: a name that `op3.robot.build_scene` knows.
+        task: whose ground it is put down on, moving as in the episode of the seed; None for the scene.
+        world_seed: of a random world; None for `seed`.
+        seed: of everything else that is random.
         joint_position: [joint] in rad at the start.
         faults: of the bus and the robot.
         timing: of the bus.
@@ -135,7 +210,7 @@ def emulate(
         The robot, the operator who holds it, and what identifies the robot without telling its truth.
     """
     if model is None:
-        truth = World.find(world, seed)
+        truth = World.find(world, seed if world_seed is None else world_seed)
         identity = truth.identity
 
         def make(where: str, position: Array | None) -> Physics:
@@ -148,7 +223,8 @@ def emulate(
         def make(where: str, position: Array | None) -> Physics:
             return SimPhysics(law, where, seed=seed, joint_position=position, battery=battery)
 
-    physics = HandHeld(make, scene, joint_position)
+    place = Place(scene) if task is None else Place.of_task(task, seed)
+    physics = HandHeld(make, place, joint_position)
     held = cast(Physics, physics)  # the checker does not take a property for the attribute `supply`
     robot = EmulatedRobot(held, seed=seed, faults=faults, timing=timing, settings=settings, record=record)
     return robot, Hands(physics), identity

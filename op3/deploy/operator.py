@@ -18,6 +18,14 @@ class Operator(Protocol):
         """Whether go was said since the last call; never waits."""
         ...
 
+    def begins(self) -> None:
+        """The policy begins now: set the ground in motion."""
+        ...
+
+    def travelled(self) -> float | None:
+        """How far the robot has got since then [m]; None where nobody measured it."""
+        ...
+
 
 class Console:
     """A person at the terminal."""
@@ -33,6 +41,13 @@ class Console:
         ready, _, _ = select.select([sys.stdin], [], [], 0)
         return bool(ready) and sys.stdin.readline() != ""
 
+    def begins(self) -> None:
+        """A person sees it."""
+
+    def travelled(self) -> float | None:
+        """A person measures it and writes `travelled_distance` into the log's metadata."""
+        return None
+
 
 class Yes:
     """Agrees to everything at once; for the emulated robot and for tests."""
@@ -44,3 +59,10 @@ class Yes:
     def said_go(self) -> bool:
         """Yes."""
         return True
+
+    def begins(self) -> None:
+        """Nothing moves."""
+
+    def travelled(self) -> float | None:
+        """Nobody measures."""
+        return None

@@ -76,7 +76,13 @@ class Player:
         return self._record(lambda: phase, recording, start=phase.targets[0], motion=motion.name, **gains)
 
     def run_policy(
-        self, bundle: PolicyBundle, duration: float, *, cycle: float | None = None, recording: str | None = None
+        self,
+        bundle: PolicyBundle,
+        duration: float,
+        *,
+        cycle: float | None = None,
+        task: str | None = None,
+        recording: str | None = None,
     ) -> Rollout:
         """Run one episode of a policy and record it; a fall ends it, and is no error.
 
@@ -84,6 +90,8 @@ class Player:
             bundle: the policy.
             duration: of the episode [s].
             cycle: duration of a gait cycle [s], for a policy that sees the phase.
+            task: of the episode, for the metadata; an emulated robot stands on the ground of this task. None: that of
+                the policy, on the floor.
             recording: identity of the recording.
 
         Raises:
@@ -96,27 +104,32 @@ class Player:
             motion=bundle.manifest.task,
             policy_rate=POLICY_RATE,
             model_hash=bundle.manifest.training.model_hash or None,
+            ground=task,
+            extra={"task": task or bundle.manifest.task},
         )
 
-    def _record(self, make: Any, recording: str | None, **options: Any) -> Rollout:
+    def _record(self, make: Any, recording: str | None, ground: str | None = None, **options: Any) -> Rollout:
         name = recording or f"recording-{self._count}"
         plan = Plan(limits=self._limits, end_pose=self._end_pose, folder=self._folder / name)
-        connection = self._connect()
+        connection = self._connect(ground)
         try:
             outcome = run(connection, make, plan, recording=recording, report=self._report, **options)
         finally:
             connection.bus.close()
         self._count += 1
-        return _log(outcome, recording)
+        return _log(outcome, recording, connection.operator.travelled())
 
-    def _connect(self) -> Connection:
-        emulation = {**self._emulation, "seed": self._seed + self._count} if self._port == EMULATED else {}
+    def _connect(self, ground: str | None = None) -> Connection:
+        emulation: dict[str, Any] = {}
+        if self._port == EMULATED:
+            emulation = {**self._emulation, "seed": self._seed + self._count, "task": ground}
         return connect(self._port, mount=self._mount, confirm=self._confirm, calibration=self._calibration, **emulation)
 
 
-def _log(outcome: Outcome, recording: str | None) -> Rollout:
+def _log(outcome: Outcome, recording: str | None, travelled: float | None) -> Rollout:
     """The log of the run itself, under the name that was asked for."""
     if outcome.code not in (ExitCode.OK, ExitCode.FALL) or "run" not in outcome.logs:
         raise Stop(outcome.code, outcome.reason)
     log = outcome.logs["run"]
-    return Rollout(log.data, log.metadata.replace(recording=recording, episode_duration=log.duration))
+    known = {"recording": recording, "episode_duration": log.duration, "travelled_distance": travelled}
+    return Rollout(log.data, log.metadata.replace(**known))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -128,6 +129,8 @@ class FollowPolicy:
         self._runner = runner
         self._steps = max(1, round(duration / (POLICY_TICKS * PERIOD)))
         self._last_step = -1
+        self.on_begin: Callable[[], None] | None = None
+        """Called once, right before the first observation."""
         self._command: Command | None = None
         self._channels: dict[Any, Array] = {}
         runner.reset()
@@ -148,6 +151,9 @@ class FollowPolicy:
         return self._command
 
     def _step(self, step: int, state: State) -> None:
+        if self.on_begin is not None:
+            self.on_begin()
+            self.on_begin = None
         try:
             observation = self._runner.observe(
                 state.position, state.velocity, state.orientation, state.angular_velocity, step

@@ -57,6 +57,7 @@ class Logs:
         self._folder, self._metadata, self._only = folder, metadata, only
         self._recorders: dict[str, Recorder] = {}
         self._start: float | None = None
+        self._last = ""
 
     def __call__(self, name: str, row: dict[Any, Any]) -> None:
         """Add a row to a log. Time counts from the first row of the run."""
@@ -69,14 +70,17 @@ class Logs:
             label = name if self._metadata.recording is None else f"{self._metadata.recording}/{name}"
             self._recorders[name] = Recorder(self._folder / name, self._metadata.replace(recording=label))
         self._recorders[name].append(row)
+        self._last = name
 
     def close(self, fallen: bool, extra: dict[str, Any]) -> dict[str, Rollout]:
         """Finish all logs; one that cannot be finished stays behind as a crash would leave it."""
         done = {}
         for name, recorder in self._recorders.items():
             try:
-                own = fallen if name == "run" else False
-                done[name] = recorder.close(fallen=own, extra={**self._metadata.extra, **extra})
+                # a fall belongs to the log in which it happened
+                done[name] = recorder.close(
+                    fallen=fallen and name == self._last, extra={**self._metadata.extra, **extra}
+                )
             except (LogError, OSError) as error:
                 print(f"log {name}: {error}", file=sys.stderr)
         return done

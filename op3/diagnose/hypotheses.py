@@ -44,9 +44,7 @@ class Hypothesis:
         """Columns in which one of its parameters is moved."""
         return self.joints if known.per_joint else None
 
-    def moved(
-        self, base: Mapping[str, Tensor], secant: Mapping[str, float], share: float = 1.0
-    ) -> dict[str, Tensor]:
+    def moved(self, base: Mapping[str, Tensor], secant: Mapping[str, float], share: float = 1.0) -> dict[str, Tensor]:
         """Parameters ``[1, joint]`` at a share of a secant, starting from `base`."""
         values = {name: value.clone() for name, value in base.items()}
         for name, amount in secant.items():
@@ -70,9 +68,7 @@ class Hypothesis:
             known = parameter(name)
             columns = self.columns(known)
             if known.neutral is None:
-                entries.append(
-                    Coordinate(name, columns, known.low, known.high, amount, amount, known.high - known.low)
-                )
+                entries.append(Coordinate(name, columns, known.low, known.high, amount, amount, known.high - known.low))
             else:
                 now = self.model.value(name)
                 low = max(known.least, min(known.low, known.neutral)) - now

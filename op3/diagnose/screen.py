@@ -151,7 +151,9 @@ def _one_sided(h: Hypothesis, name: str) -> bool:
     if known.neutral is None:
         return True
     now = h.model.value(name)
-    return now <= max(known.least, known.low if known.low == known.neutral else known.least) + 1e-12 or now >= known.most
+    return (
+        now <= max(known.least, known.low if known.low == known.neutral else known.least) + 1e-12 or now >= known.most
+    )
 
 
 def cosines(screened: Sequence[Screened]) -> np.ndarray:

@@ -197,6 +197,14 @@ class StandIn:
         if tiles is not None:
             place_tiles(self._model.geom_pos, tile_ids(self._model), np.asarray(tiles, dtype=float))
 
+    def foremost(self) -> float:
+        """How far ahead the inner tip of the foremost foot is in the world [m], as a tape measure; 0 on the bench."""
+        if self.scene.robot is None:
+            return 0.0
+        model, data = self._model, self._data
+        names = [name for name in (model.site(i).name for i in range(model.nsite)) if name.endswith("sole_inner_tip")]
+        return float(max(data.site(name).xpos[0] for name in names))
+
     def write_current(self, current: ArrayLike, delay: float = 0.0) -> None:
         """Give the servos new goal currents.
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from op3.deploy.emulator.firmware import PERIOD, Drive
-from op3.robot import GEAR_RATIO, pose
+from op3.robot import GEAR_RATIO, BoardMotion, WeightSchedule, pose
 from op3.robot.scenes import Scene
 from op3.stand_in import StandIn, World
 
@@ -78,6 +78,22 @@ class Physics(Protocol):
 
     def read(self) -> Readings:
         """What all sensors say now."""
+        ...
+
+    def set_ground(self, board: BoardMotion | WeightSchedule | None = None, tiles: ArrayLike | None = None) -> None:
+        """What the ground does from now on; its time counts from this call.
+
+        Args:
+            board: what moves the board of the scene; None: nothing does.
+            tiles: heights of the tiles of the scene "terrain" [m]; None: as they are.
+
+        Raises:
+            ValueError: if the scene has no such board.
+        """
+        ...
+
+    def foremost(self) -> float:
+        """How far ahead the inner tip of the foremost foot is in the world [m]; 0 without a robot."""
         ...
 
 
@@ -164,6 +180,14 @@ class StandInPhysics:
         else:
             self.robot.advance(steps * PERIOD)
             self._sensed()
+
+    def set_ground(self, board: BoardMotion | WeightSchedule | None = None, tiles: ArrayLike | None = None) -> None:
+        """What the ground does from now on."""
+        self.robot.set_ground(board, tiles)
+
+    def foremost(self) -> float:
+        """How far ahead the inner tip of the foremost foot is in the world [m]; 0 without a robot."""
+        return self.robot.foremost()
 
     def read(self) -> Readings:
         """What all sensors say now."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
+import mujoco
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +15,17 @@ from op3.deploy.emulator.firmware import PERIOD, Drive
 from op3.deploy.emulator.physics import Readings
 from op3.deploy.emulator.power import Battery, Windings
 from op3.deploy.emulator.sim_drive import UNBOUNDED, behind_bus
-from op3.robot import build_scene, pose
+from op3.robot import (
+    BoardDrive,
+    BoardMotion,
+    WeightDrive,
+    WeightSchedule,
+    board_drive,
+    build_scene,
+    place_tiles,
+    pose,
+    tile_ids,
+)
 from op3.robot.scenes import Scene
 from op3.servo import Effect, RobotModel, Stage, Trunk
 from op3.sim import BatchSimulation, attach_servos
@@ -26,6 +38,9 @@ HANDED_OVER = ("applied_torque", "damping", "friction_bound")
 
 SLOW_EVERY = 10
 """Battery and temperatures move on, and divergence is looked for, once in this many periods."""
+
+GROUND_EVERY = 8
+"""A board is driven once in this many periods, as in the environments."""
 
 IMU_EVERY = 5
 """The IMU's loop runs at 200 Hz: once in this many periods."""
@@ -94,7 +109,9 @@ class SimPhysics(BatchSimulation):
         self._imu_spread = np.repeat([imu.gyro, imu.accelerometer], 3)
         self._rng = np.random.default_rng([seed, 5])
         self._blend = 1 - np.exp(-2 * np.pi * imu.bandwidth * PERIOD * IMU_EVERY)
-        self._steps = 0
+        self._steps = self._board_since = 0
+        self._board: BoardMotion | WeightSchedule | None = None
+        self._board_drive: BoardDrive | WeightDrive | None = None
         if joint_position is None:
             joint_position = np.zeros(count) if robot is None else pose("stand")
         self.reset(self.scene.initial_qpos(joint_position), {"torque_enable": torch.zeros(1, count)})
@@ -170,6 +187,8 @@ class SimPhysics(BatchSimulation):
         step = super().advance if self._compiled is None else self._step
         with np.errstate(all="ignore"):  # of two branches, numpy computes the one that is not taken too
             for _ in range(steps):
+                if self._board_drive is not None:
+                    self._move_board()
                 step()
                 self._steps += 1
                 if self._attitude is not None and self._steps % IMU_EVERY == 0:
@@ -180,6 +199,39 @@ class SimPhysics(BatchSimulation):
         if self._senses:
             self._read()
             self.law.sense(self.signals)
+
+    def set_ground(self, board: BoardMotion | WeightSchedule | None = None, tiles: ArrayLike | None = None) -> None:
+        """What the ground does from now on; its time counts from this call.
+
+        Args:
+            board: what moves the board of the scene; None: nothing does.
+            tiles: heights of the tiles of the scene "terrain" [m]; None: as they are.
+
+        Raises:
+            ValueError: if the scene has no such board.
+        """
+        model = self.batch.model
+        self._board_drive = None if board is None else board_drive(model, board, GROUND_EVERY * PERIOD)
+        self._board, self._board_since = board, self._steps
+        if tiles is not None:
+            place_tiles(self.batch.expand("geom_pos"), tile_ids(model), np.asarray(tiles, dtype=float)[None])
+
+    def _move_board(self) -> None:
+        steps = self._steps - self._board_since
+        if steps % GROUND_EVERY == 0:
+            drive: Any = self._board_drive
+            forces = self.batch.bind("qfrc_applied")
+            drive.apply(self._board, np.array([steps * PERIOD]), self._qpos.numpy(), self._qvel.numpy(), forces)
+
+    def foremost(self) -> float:
+        """How far ahead the inner tip of the foremost foot is in the world [m]; 0 without a robot."""
+        if self.scene.robot is None:
+            return 0.0
+        model, data = self.batch.model, mujoco.MjData(self.batch.model)
+        data.qpos[:] = self._qpos[0].numpy()
+        mujoco.mj_kinematics(model, data)
+        names = [name for name in (model.site(i).name for i in range(model.nsite)) if name.endswith("sole_inner_tip")]
+        return float(max(data.site(name).xpos[0] for name in names))
 
     def _check(self) -> None:
         if self._compiled is not None:
