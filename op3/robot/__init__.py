@@ -20,6 +20,7 @@ from op3.robot.op3_entity import OP3
 from op3.robot.poses import POSES, pose, standing_height
 from op3.robot.scenes import SCENES, Scene, build_bench, build_scene
 from op3.robot.surfaces import draw_tiles, place_tiles, tile_ids
+from op3.robot.walking import SinusoidalGait
 
 __all__ = [
     "CONTROLLED_JOINTS",
@@ -38,6 +39,7 @@ __all__ = [
     "BoardMotion",
     "Motion",
     "Scene",
+    "SinusoidalGait",
     "Tilts",
     "Waves",
     "WeightDrive",
