@@ -53,23 +53,25 @@ class SinusoidalGait:
     pelvis: float = np.deg2rad(0.5)
 
     def motion(self, duration: float, rate: float = 125.0) -> Motion:
-        """Targets of all joints; arms and head stay in the pose "stand", and steps grow from zero in two cycles.
-
-        Args:
-            duration: in s.
-            rate: of the targets [Hz].
-        """
+        """The walk as targets of all joints, for a duration [s] at a rate [Hz]."""
         time = np.arange(round(duration * rate)) / rate
+        return Motion(time, self.targets(time), name="sinusoidal_gait")
+
+    def targets(self, time: Array) -> Array:
+        """Targets of all joints [time, joint] in rad at times [time] in s since the start.
+
+        Arms and head stay in the pose "stand", and the motion grows from nothing in two cycles.
+        """
         grown = np.clip(time / (2 * self.period), 0.0, 1.0)
         position = np.tile(pose("stand"), (len(time), 1))
-        for side in (1, -1):
+        for side, prefix in ((1, "l"), (-1, "r")):
             feet, lift = self._foot(time, side, grown)
             angles = leg_angles(feet, self.lean)
             angles["hip_roll"] = angles["hip_roll"] - self.pelvis * lift
-            prefix, mirrored = ("l", 1.0) if side > 0 else ("r", -1.0)
             for name, angle in angles.items():
-                position[:, indices([f"{prefix}_{name}"])[0]] = mirrored * angle
-        return Motion(time, position, name="sinusoidal_gait")
+                # the right leg is the left one's mirror image, whose angles have the other sign
+                position[:, indices([f"{prefix}_{name}"])[0]] = side * angle
+        return position
 
     def _foot(self, time: Array, side: int, grown: Array) -> tuple[Array, Array]:
         """Ankle against the hip of one side, mirrored to the left ([time, xyz]), and how far it is lifted, 0 to 1."""
