@@ -22,11 +22,11 @@ STEPS = 15
 COMPOSER_STEPS = 12
 
 
-def seconds(work: Callable[[], None], count: int) -> float:
-    """Wall time of one policy step of one robot [s]."""
-    started = time.perf_counter()
+def seconds(work: Callable[[], None], count: int) -> tuple[float, float]:
+    """Wall time and processor time, over all threads, of one policy step of one robot [s]."""
+    wall, processor = time.perf_counter(), time.process_time()
     work()
-    return (time.perf_counter() - started) / count
+    return (time.perf_counter() - wall) / count, (time.process_time() - processor) / count
 
 
 def whole(env: EnvBase, steps: int) -> Callable[[], None]:
@@ -83,15 +83,18 @@ def main() -> None:
     rows = rows[1:]  # the first round warms up
     print("machine: " + ", ".join(f"{key} {value}" for key, value in machine().items()))
     names = ("environment", "without TorchRL", "BatchSimulation alone", "composer environment")
-    for name, values in zip(names, zip(*rows, strict=True), strict=True):
-        print(f"{name:24s} {1 / statistics.median(values):8.0f} policy steps/s")
-    ratios = {
-        "environment against BatchSimulation alone": [b / e for e, _, b, _ in rows],
-        "environment against composer": [c / e for e, _, _, c in rows],
-        "share of TorchRL": [1 - i / e for e, i, _, _ in rows],
-    }
-    for name, values in ratios.items():
-        print(f"{name}: {statistics.median(values):.2f} ({min(values):.2f} to {max(values):.2f}, {ROUNDS} rounds)")
+    for clock, label in enumerate(("wall time", "processor time, for a machine that is busy with other things")):
+        times = [[value[clock] for value in row] for row in rows]
+        print(f"{label}:")
+        for name, values in zip(names, zip(*times, strict=True), strict=True):
+            print(f"  {name:24s} {1 / statistics.median(values):8.0f} policy steps/s")
+        ratios = {
+            "environment against BatchSimulation alone": [b / e for e, _, b, _ in times],
+            "environment against composer": [c / e for e, _, _, c in times],
+            "share of TorchRL": [1 - i / e for e, i, _, _ in times],
+        }
+        for name, values in ratios.items():
+            print(f"  {name}: {statistics.median(values):.2f} ({min(values):.2f} to {max(values):.2f})")
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from op3.robot.poses import POSES, pose, standing_height
 from op3.robot.safety import SPEED_LIMIT, check_motion, motion_faults
 from op3.robot.scenes import SCENES, Scene, build_bench, build_scene
 from op3.robot.surfaces import draw_tiles, place_tiles, tile_ids
+from op3.robot.walking import SinusoidalGait
 
 __all__ = [
     "CONTROLLED_JOINTS",
@@ -44,6 +45,7 @@ __all__ = [
     "Excitation",
     "Motion",
     "Scene",
+    "SinusoidalGait",
     "Tilts",
     "Waves",
     "WeightDrive",

@@ -1,6 +1,6 @@
 """Tasks: excitations, the bench, balancing and walking; rewards, evaluation, and the batched replay of logs."""
 
-from op3.tasks.baselines import Hold, Random, Zero
+from op3.tasks.baselines import Hold, Random, StiffWalk, Zero, position_mode
 from op3.tasks.beginning import board_of, episode_seed
 from op3.tasks.evaluation import evaluation_return, evaluation_rewards
 from op3.tasks.locomotion import LocomotionTask, locomotion_environment
@@ -25,6 +25,7 @@ __all__ = [
     "Sensor",
     "Sensors",
     "Setup",
+    "StiffWalk",
     "Task",
     "Zero",
     "bench_task",
@@ -36,6 +37,7 @@ __all__ = [
     "locomotion_environment",
     "play",
     "playback_environment",
+    "position_mode",
     "simulate_motion",
     "squat_task",
 ]

@@ -152,3 +152,21 @@ def test_unknown_names_are_refused():
         make_env("run")
     with pytest.raises(ValueError, match="unknown backend"):
         make_env("balance", backend="gpu")
+
+
+def test_diverged_robot_ends_its_episode():
+    """A robot whose simulation diverges is terminated with finite numbers, and can be put down again."""
+    env = make_env("balance", num_envs=2)
+    state = env.reset()
+    env._qvel[0, 10] = 1e13
+    state["action"] = torch.zeros(2, 20)
+    state = env.step(state)["next"]
+    assert state["terminated"][:, 0].tolist() == [True, False]
+    assert state["reward"][0].item() == 0.0
+    assert torch.isfinite(state["observation"]).all()
+    again = env.reset(TensorDict({"_reset": torch.tensor([[True], [False]])}, [2]))
+    again["action"] = torch.zeros(2, 20)
+    after = env.step(again)["next"]
+    assert not after["terminated"].any()
+    assert torch.isfinite(after["observation"]).all()
+    assert after["reward"][0].item() != 0.0

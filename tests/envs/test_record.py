@@ -6,7 +6,8 @@ import torch
 
 from op3.envs import make_env, record_episodes
 from op3.rollout import read_log
-from op3.tasks.baselines import Hold, Random, Zero
+from op3.sim import load_model
+from op3.tasks.baselines import Hold, Random, StiffWalk, Zero, position_mode
 from op3.tasks.evaluation import evaluation_return, evaluation_rewards
 from op3.tasks.task import find_task
 
@@ -77,3 +78,26 @@ def test_holding_falls_from_the_tilting_board():
     """Holding the stand pose stiffly does not pass the evaluation: there is something to learn."""
     logs = record_episodes(make_env("balance_eval", num_envs=4), Hold())
     assert all(log.metadata.fallen for log in logs)
+
+
+@pytest.mark.slow
+def test_stiff_walk_is_for_level_floors():
+    """The walk that the OP3 comes with gets over 1.5 m ahead on the floor in 10 s and falls on two layers of bricks."""
+    stiff = position_mode(load_model("paper"))
+    floor = record_episodes(make_env("walk", stiff, num_envs=2), StiffWalk())
+    bricks = record_episodes(make_env("walk_bricks_c", stiff, num_envs=2), StiffWalk())
+    assert not any(log.metadata.fallen for log in floor)
+    assert min(log.metadata.travelled_distance for log in floor) > 1.5
+    assert all(log.metadata.fallen for log in bricks)
+
+
+def test_stiff_walk_commands_goals():
+    """Its log has the goals of the gait at every tick and the register's gain, no gains of a current controller."""
+    env = make_env(find_task("walk", duration=0.32), position_mode(load_model("paper")), num_envs=1)
+    walk = StiffWalk()
+    log = record_episodes(env, walk)[0]
+    np.testing.assert_allclose(log.array("command/position"), walk.gait.targets(log.array("time")[:, 0]), atol=1e-12)
+    assert (log.array("command/firmware_gain") == 800).all()
+    assert "command/p_gain" not in log
+    assert np.abs(log.array("joint/current")).max() > 0.1
+    assert np.isfinite(evaluation_return(log))
