@@ -26,7 +26,7 @@ from op3.report.video import film
 from op3.sim import load_model
 from op3.sim.model_file import model_hash
 from op3.tasks.task import Task, find_task
-from op3.train import SAC, Collector, ProcessCollector, SACSettings, TrainSettings, evaluate, train
+from op3.train import SAC, Collector, SACSettings, TrainSettings, evaluate, train
 
 FRAME_EVERY = 2
 """Policy steps between two frames of the film."""
@@ -40,12 +40,14 @@ def environment(cfg: DictConfig, task: Task, count: int, seed: int) -> BatchedEn
     return made
 
 
-def robots(cfg: DictConfig, task: Task) -> Collector | ProcessCollector:
+def robots(cfg: DictConfig, task: Task) -> Any:
     """What collects: environments in this process, or in several."""
     names = ("command", "smooth") if task.cycle is None else ("command", "smooth", "bipedal")
     terms = tuple(("reward_terms", name) for name in names)
     if cfg.processes == 1:
         return Collector(environment(cfg, task, cfg.environments, cfg.seed), terms)
+    from op3.train.process_collector import ProcessCollector  # TorchRL's collectors take a second to import
+
     options = {"num_threads": 1, **plain(cfg.environment), "action_map": ActionMap.around_stand(cfg.span)}
     make = partial(make_env, task, cfg.model, cfg.environments, **options)
     return ProcessCollector(make, cfg.processes, cfg.environments, terms)
@@ -115,8 +117,7 @@ def run(cfg: DictConfig) -> dict[str, Any]:
             say=lambda line: print(line, flush=True),
             resume=cfg.resume is not None,
         )
-        if isinstance(collector, ProcessCollector):
-            collector.close()
+        collector.close()
         if progress.stopped:
             print(f"Stopped after {progress.steps:,} steps. To go on: the same command with resume={folder}")
             raise SystemExit(143)

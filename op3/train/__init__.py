@@ -2,7 +2,6 @@
 
 from op3.train.collector import Collector
 from op3.train.evaluate import evaluate
-from op3.train.process_collector import ProcessCollector
 from op3.train.replay import Batch, Replay
 from op3.train.sac import SAC, SACSettings
 from op3.train.training import Progress, TrainSettings, train
@@ -11,7 +10,6 @@ __all__ = [
     "SAC",
     "Batch",
     "Collector",
-    "ProcessCollector",
     "Progress",
     "Replay",
     "SACSettings",

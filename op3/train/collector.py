@@ -117,6 +117,10 @@ class Collector:
         check_finite(rollout)
         return rollout, self._counter.add(rollout["reward"], rollout["terminated"], rollout["done"])
 
+    def close(self) -> None:
+        """End the environments."""
+        self.environment.close(raise_if_closed=False)
+
 
 def check_finite(rollout: TensorDictBase) -> None:
     """Refuse a rollout with an observation or a reward that is not finite."""

@@ -4,7 +4,8 @@ import pytest
 import torch
 from train_pendulum import seeded_pendulums
 
-from op3.train import SAC, ProcessCollector, SACSettings
+from op3.train import SAC, SACSettings
+from op3.train.process_collector import ProcessCollector
 from op3.train.sac import Exploring
 
 
