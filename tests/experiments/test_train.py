@@ -12,10 +12,20 @@ from op3.report import read_result
 from op3.rollout import Rollout
 
 ROOT = Path(__file__).resolve().parents[2]
-TINY = (
-    "budget=demo environments=4 threads=1 sac.hidden=[16,16] sac.batch=32 train.steps=320 train.warmup=128 "
-    "train.log_every=64 train.evaluate_every=160 evaluation.episodes=2 evaluation.video=false wandb=disabled"
-).split()
+TINY = [
+    "budget=demo",
+    "environments=4",
+    "threads=1",
+    "sac.hidden=[16,16]",
+    "sac.batch=32",
+    "train.steps=320",
+    "train.warmup=128",
+    "train.log_every=64",
+    "train.evaluate_every=160",
+    "evaluation.episodes=2",
+    "evaluation.video=false",
+    "wandb=disabled",
+]
 
 
 def script(name: str, *overrides: str) -> subprocess.CompletedProcess[str]:
