@@ -8,7 +8,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from op3.envs.batched import BatchedEnv
-from op3.robot import JOINTS
+from op3.robot import JOINTS, indices
 from op3.rollout import Metadata, Rollout
 from op3.sim import model_hash
 from op3.tasks.setups import OP3_CONTROL_PERIOD
@@ -22,15 +22,16 @@ Policy = Callable[[Tensor], Tensor]
 class _Tape:
     """Channels of all robots, tick by tick; a policy's are filled in when its step is over."""
 
-    def __init__(self, env: BatchedEnv):
-        self._env = env
+    def __init__(self, env: BatchedEnv, commander: Any | None):
+        self._env, self._commander = env, commander
         self.ticks: list[dict[Any, Tensor]] = []
         self.tips: list[Tensor] = []
 
     def on_tick(self, tick: int) -> None:
         """Log the sensors now, and the commands that hold from now."""
-        del tick
         env, signals = self._env, self._env.simulation.signals
+        if self._commander is not None:
+            env.simulation.command(**self._commander.commands(env.rules.time + tick * OP3_CONTROL_PERIOD))
         snapshot: Snapshot = env.snapshot()
         if snapshot.tip is not None:
             self.tips.append(snapshot.tip)
@@ -46,10 +47,17 @@ class _Tape:
             ("command", "p_gain"): signals.p_gain,
             ("command", "d_gain"): signals.d_gain,
         }
+        if self._commander is not None:
+            del row["command", "p_gain"], row["command", "d_gain"]
+            row["command", "firmware_gain"] = signals.firmware_gain
         self.ticks.append({key: value.clone() for key, value in row.items()})
 
     def fill(self, observation: Tensor, action: Tensor, reward: Tensor) -> None:
         """Add what the policy saw, did and got to the ticks of the step that is over."""
+        if self._commander is not None:  # what it commanded, on the scale of actions, as if with the highest gain
+            made, legs = self._env.action_map, indices(self._env.action_map.joints)
+            target = self.ticks[-TICKS]["command", "position"][:, legs]
+            action = made.action(target, torch.full_like(target, made.gain_high))
         for row in self.ticks[-TICKS:]:
             row["policy", "observation"] = observation.double()
             row["policy", "action"] = action.double()
@@ -64,6 +72,7 @@ def record_episodes(
     Args:
         env: its robots are put down anew.
         policy: a function from observations to actions, or anything with such a function ``act``, as a policy bundle.
+            With a function ``commands`` of time it commands the servos itself, as `op3.tasks.StiffWalk`.
         episodes: how many; None: one per robot.
         recording: identity of the recordings; the number of the episode is added.
 
@@ -73,14 +82,17 @@ def record_episodes(
     """
     wanted = env.num_envs if episodes is None else episodes
     logs: list[Rollout] = []
-    act = _function(policy)
+    act: Policy = getattr(policy, "act", policy)
+    commander = policy if hasattr(policy, "commands") else None
     while len(logs) < wanted:
-        logs += _record_once(env, act, recording, len(logs))[: wanted - len(logs)]
+        logs += _record_once(env, act, commander, recording, len(logs))[: wanted - len(logs)]
     return logs
 
 
-def _record_once(env: BatchedEnv, act: Policy, recording: str | None, first: int) -> list[Rollout]:
-    tape = _Tape(env)
+def _record_once(
+    env: BatchedEnv, act: Policy, commander: Any | None, recording: str | None, first: int
+) -> list[Rollout]:
+    tape = _Tape(env, commander)
     state: TensorDictBase = env.reset()
     start = env.snapshot().tip
     length = torch.zeros(env.num_envs, dtype=torch.int64)
@@ -145,9 +157,3 @@ def _log(
 
 def _name(recording: str | None, number: int) -> str | None:
     return None if recording is None else f"{recording}/{number}"
-
-
-def _function(policy: Any) -> Policy:
-    if hasattr(policy, "act"):
-        return policy.act
-    return policy

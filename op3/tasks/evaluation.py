@@ -4,6 +4,8 @@ The paper evaluates eq. (8) with the last column of Table II. A robot knows no v
 from the body's rates, and walking from the distance travelled (paper, section "Task for Evaluation").
 """
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -82,7 +84,7 @@ def _walked(log: Rollout, steps: int) -> Tensor:
     return torch.tensor([distance / duration, 0.0], dtype=torch.float64).expand(steps, 2)
 
 
-def _field(log: Rollout, name: str, value):
+def _field(log: Rollout, name: str, value: Any) -> Any:
     if value is None:
         problem, remedy = "R_eval needs this field of the metadata", f"add `{name}:` to the metadata"
         raise LogError(problem, remedy, source=log.metadata.recording, column=f"field {name}")
