@@ -15,6 +15,7 @@ import hydra
 import numpy as np
 import torch
 from hydra.core.hydra_config import HydraConfig
+from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from support import one_sentence
 
@@ -95,9 +96,9 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     """Train, judge the kept policy, and write page, numbers and film."""
     torch.set_num_threads(1)
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
-    task, provenance = find_task(cfg.task), run_provenance(seed=cfg.seed)
+    task, provenance = instantiate(cfg.task), run_provenance(seed=cfg.seed)
     manifest, settings = describe(cfg, task, provenance), TrainSettings(**plain(cfg.train))
-    judge_task = find_task(cfg.evaluation.task or cfg.task)
+    judge_task = task if cfg.evaluation.task is None else find_task(cfg.evaluation.task)
     judge = environment(cfg, judge_task, cfg.evaluation.episodes, cfg.evaluation.seed)
 
     def judged(policy: Any) -> dict[str, float]:

@@ -68,7 +68,7 @@ def test_wrong_input_ends_with_one_sentence(tmp_path):
     """A missing bundle, a bundle of another task's size and a GPU that is not there end with one sentence."""
     cases = [
         ("evaluate.py", ["policy=nowhere"], "no such folder; give a bundle's, or hold, zero, random"),
-        ("train.py", [*TINY, "task=fly"], "unknown task 'fly'"),
+        ("train.py", [*TINY, "task=fly"], "Could not find 'task/fly'"),
         ("train.py", [*TINY, "sac.n_step=0"], "n_step must be at least 1, got 0"),
     ]
     for name, overrides, message in cases:
