@@ -11,6 +11,7 @@ import hydra
 import numpy as np
 import torch
 from hydra.core.hydra_config import HydraConfig
+from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from support import one_sentence
 
@@ -22,7 +23,6 @@ from op3.report.video import film
 from op3.tasks.baselines import Hold, Random, Zero
 from op3.tasks.behaviour import gains, gait_profile, mean_tilt
 from op3.tasks.evaluation import evaluation_return
-from op3.tasks.task import find_task
 
 FRAME_EVERY = 2
 """Policy steps between two frames of the film."""
@@ -64,7 +64,7 @@ def run(cfg: DictConfig) -> dict[str, Any]:
         raise ValueError("policy is missing: add policy=<folder of a bundle>, or hold, zero or random")
     if not isinstance(cfg.episodes, int) or cfg.episodes < 1:
         raise ValueError(f"episodes must be a whole number of at least 1, got {cfg.episodes!r}")
-    folder, task = Path(HydraConfig.get().runtime.output_dir), find_task(cfg.task)
+    folder, task = Path(HydraConfig.get().runtime.output_dir), instantiate(cfg.task)
     policy, action_map = find_policy(cfg)
     size = policy.manifest.observation_size if isinstance(policy, PolicyBundle) else task.observation_size
     if size != task.observation_size:

@@ -7,12 +7,15 @@ python experiments/train.py resume=<folder of a run> <its overrides>
 
 import os
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import hydra
+import numpy as np
 import torch
 from hydra.core.hydra_config import HydraConfig
+from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from support import one_sentence
 
@@ -36,6 +39,19 @@ def environment(cfg: DictConfig, task: Task, count: int, seed: int) -> BatchedEn
     made = make_env(task, cfg.model, count, seed, action_map=ActionMap.around_stand(cfg.span), **options)
     assert isinstance(made, BatchedEnv)
     return made
+
+
+def robots(cfg: DictConfig, task: Task) -> Any:
+    """What collects: environments in this process, or in several."""
+    names = ("command", "smooth") if task.cycle is None else ("command", "smooth", "bipedal")
+    terms = tuple(("reward_terms", name) for name in names)
+    if cfg.processes == 1:
+        return Collector(environment(cfg, task, cfg.environments, cfg.seed), terms)
+    from op3.train.process_collector import ProcessCollector  # TorchRL's collectors take a second to import
+
+    options = {"num_threads": 1, **plain(cfg.environment), "action_map": ActionMap.around_stand(cfg.span)}
+    make = partial(make_env, task, cfg.model, cfg.environments, **options)
+    return ProcessCollector(make, cfg.processes, cfg.environments, terms)
 
 
 def describe(cfg: DictConfig, task: Task, provenance: Mapping[str, Any]) -> Manifest:
@@ -80,19 +96,17 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     """Train, judge the kept policy, and write page, numbers and film."""
     torch.set_num_threads(1)
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
-    task, provenance = find_task(cfg.task), run_provenance(seed=cfg.seed)
+    task, provenance = instantiate(cfg.task), run_provenance(seed=cfg.seed)
     manifest, settings = describe(cfg, task, provenance), TrainSettings(**plain(cfg.train))
-    judge_task = find_task(cfg.evaluation.task or cfg.task)
+    judge_task = task if cfg.evaluation.task is None else find_task(cfg.evaluation.task)
     judge = environment(cfg, judge_task, cfg.evaluation.episodes, cfg.evaluation.seed)
-    robots = environment(cfg, task, cfg.environments, cfg.seed)
-    terms = tuple(("reward_terms", str(name)) for name in robots.observation_spec["reward_terms"].keys())  # noqa: SIM118
 
     def judged(policy: Any) -> dict[str, float]:
         return evaluate(judge, policy, cfg.evaluation.seed, judge_task.steps)
 
     mode = os.environ.get("WANDB_MODE", cfg.wandb)
     with RunLogger(folder, config=plain(cfg), mode=mode) as logger:
-        sac, collector = learner(cfg, manifest), Collector(robots, terms)
+        sac, collector = learner(cfg, manifest), robots(cfg, task)
         progress = train(
             sac,
             collector,
@@ -104,6 +118,7 @@ def run(cfg: DictConfig) -> dict[str, Any]:
             say=lambda line: print(line, flush=True),
             resume=cfg.resume is not None,
         )
+        collector.close()
         if progress.stopped:
             print(f"Stopped after {progress.steps:,} steps. To go on: the same command with resume={folder}")
             raise SystemExit(143)
@@ -141,8 +156,6 @@ def run(cfg: DictConfig) -> dict[str, Any]:
 
 def episode(judge: BatchedEnv, policy: PolicyBundle, seed: int, steps: int) -> tuple[Any, Any]:
     """Actions [time, env, action] of one evaluation, and states [frame, nq] of its first robot's first episode."""
-    import numpy as np
-
     positions, actions, states, running = judge.simulation.batch.bind("qpos"), [], [], True
     collector = Collector(judge)
     collector.restart(seed)

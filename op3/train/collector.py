@@ -27,6 +27,35 @@ class Episodes:
     terminated: Tensor
 
 
+class EpisodeCounter:
+    """Adds up the rewards and steps of episodes that span several rollouts.
+
+    Args:
+        count: environments side by side.
+    """
+
+    def __init__(self, count: int):
+        self._returns = torch.zeros(count)
+        self._lengths = torch.zeros(count, dtype=torch.long)
+
+    def add(self, reward: Tensor, terminated: Tensor, done: Tensor) -> Episodes:
+        """The episodes that ended in a rollout.
+
+        Args:
+            reward: [time, env].
+            terminated: [time, env].
+            done: [time, env].
+        """
+        ended = []
+        for gained, fell, over in zip(reward, terminated, done, strict=True):
+            self._returns += gained
+            self._lengths += 1
+            ended.append((self._returns[over], self._lengths[over], fell[over]))
+            self._returns[over] = 0.0
+            self._lengths[over] = 0
+        return Episodes(*(torch.cat(values) for values in zip(*ended, strict=True)))
+
+
 class Collector:
     """Steps a batched TorchRL environment; episodes that end begin anew by themselves.
 
@@ -41,15 +70,13 @@ class Collector:
         self.environment, self.extras = environment, extras
         self.count = environment.batch_size[0]
         self._now: TensorDictBase | None = None
-        self._returns = torch.zeros(self.count)
-        self._lengths = torch.zeros(self.count, dtype=torch.long)
+        self._counter = EpisodeCounter(self.count)
 
     def restart(self, seed: int) -> None:
         """Seed the environments and begin an episode in each."""
         self.environment.set_seed(seed)
         self._now = self.environment.reset()
-        self._returns.zero_()
-        self._lengths.zero_()
+        self._counter = EpisodeCounter(self.count)
 
     def collect(self, policy: Policy, steps: int) -> tuple[TensorDict, Episodes]:
         """A rollout of `steps` steps of every environment.
@@ -68,7 +95,7 @@ class Collector:
         """
         if self._now is None:
             raise RuntimeError("a collector begins with restart(seed)")
-        rows, ended, now = [], [], self._now
+        rows, now = [], self._now
         for _ in range(steps):
             observation = now["observation"].to(torch.float32)
             action = policy(observation)
@@ -85,18 +112,18 @@ class Collector:
             }
             row |= {"/".join(key): after[key].view(self.count, -1).to(torch.float32) for key in self.extras}
             rows.append(row)
-            ended.append(self._count(row["reward"], row["terminated"], row["done"]))
         self._now = now
         rollout = TensorDict({name: torch.stack([row[name] for row in rows]) for name in rows[0]}, [steps, self.count])
-        for name in ("next_observation", "reward"):
-            if not bool(torch.isfinite(rollout[name]).all()):
-                raise ValueError(f"the environment gave a {name} that is not finite; check its model file")
-        return rollout, Episodes(*(torch.cat(values) for values in zip(*ended, strict=True)))
+        check_finite(rollout)
+        return rollout, self._counter.add(rollout["reward"], rollout["terminated"], rollout["done"])
 
-    def _count(self, reward: Tensor, terminated: Tensor, done: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        self._returns += reward
-        self._lengths += 1
-        ended = self._returns[done], self._lengths[done], terminated[done]
-        self._returns[done] = 0.0
-        self._lengths[done] = 0
-        return ended
+    def close(self) -> None:
+        """End the environments."""
+        self.environment.close(raise_if_closed=False)
+
+
+def check_finite(rollout: TensorDictBase) -> None:
+    """Refuse a rollout with an observation or a reward that is not finite."""
+    for name in ("next_observation", "reward"):
+        if not bool(torch.isfinite(rollout[name]).all()):
+            raise ValueError(f"the environment gave a {name} that is not finite; check its model file")

@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import math
 from typing import Any
 
 import torch
@@ -225,3 +226,25 @@ class SAC:
 
     def _noise(self, shape: Any) -> Tensor:
         return torch.randn(shape, generator=self.generator, device=self.device)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Exploring:
+    """A learner as the policy that collects.
+
+    Attributes:
+        sac: the learner.
+        noise: multiple of the policy's standard deviation, [env, 1].
+    """
+
+    sac: SAC
+    noise: Tensor
+
+    @classmethod
+    def ranged(cls, sac: SAC, count: int, boldest: float) -> "Exploring":
+        """Multiples from 1 in the first environment to `boldest` in the last, evenly in the logarithm."""
+        return cls(sac, torch.logspace(0.0, math.log10(boldest), count, device=sac.device)[:, None])
+
+    def __call__(self, observation: Tensor) -> Tensor:
+        """Actions [env, action] for observations [env, observation]."""
+        return self.sac.act(observation, self.noise)

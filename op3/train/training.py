@@ -15,7 +15,7 @@ from op3.policy import Manifest
 from op3.train.checkpoint import load_checkpoint, save_checkpoint, stop_requested
 from op3.train.collector import Episodes, Policy
 from op3.train.replay import Replay
-from op3.train.sac import SAC
+from op3.train.sac import SAC, Exploring
 
 CHECKPOINT = "checkpoint.pt"
 POLICY = "policy"
@@ -28,7 +28,7 @@ Log = Callable[[Mapping[str, float], int], None]
 
 
 class Collects(Protocol):
-    """What the loop needs of a collector; `Collector` and `ProcessCollector` are two."""
+    """What the loop needs of a collector: `Collector` in this process, `ProcessCollector` in several."""
 
     count: int
 
@@ -36,7 +36,7 @@ class Collects(Protocol):
         """Seed the environments and begin an episode in each."""
         ...
 
-    def collect(self, policy: Policy, steps: int) -> tuple[TensorDict, Episodes]:
+    def collect(self, policy: Exploring, steps: int) -> tuple[TensorDict, Episodes]:
         """A rollout of `steps` steps of every environment, and the episodes that ended."""
         ...
 
@@ -151,8 +151,8 @@ def train(
     meter, began = _Meter(run, sac, settings), time.monotonic() - run.seconds
     with stop_requested() as stop:
         while run.steps < settings.steps and not stop.is_set():
-            noise = _noise(settings.warmup_noise if run.steps < settings.warmup else settings.noise, collector, sac)
-            rollout, episodes = collector.collect(partial(sac.act, explore=noise), settings.rollout)
+            boldest = settings.warmup_noise if run.steps < settings.warmup else settings.noise
+            rollout, episodes = collector.collect(Exploring.ranged(sac, collector.count, boldest), settings.rollout)
             before, run.steps = run.steps, run.steps + rollout.numel()
             replay.extend(*(rollout[name] for name in _STORED))
             if settings.normalisation == "running" or before < settings.warmup:
@@ -184,11 +184,6 @@ def train(
 
 
 _STORED = ("observation", "action", "reward", "next_observation", "terminated", "done")
-
-
-def _noise(boldest: float, collector: Collects, sac: SAC) -> torch.Tensor:
-    """Multiples [env, 1] of the policy's standard deviation."""
-    return torch.logspace(0.0, math.log10(boldest), collector.count, device=sac.device)[:, None]
 
 
 def _due(before: int, now: int, settings: TrainSettings) -> int:

@@ -12,7 +12,8 @@ import torch
 from train_pendulum import LIMIT, MANIFEST, Pendulum
 
 from op3.policy import PolicyBundle
-from op3.train import SAC, Collector, Progress, SACSettings, TrainSettings, evaluate, train
+from op3.train import SAC, Batch, Collector, Progress, SACSettings, TrainSettings, evaluate, train
+from op3.train.sac import Exploring
 
 SAC_SETTINGS = SACSettings(hidden=(32, 32), batch=64, initial_std=0.5, actor_rate=1e-3, critic_rate=1e-3, discount=0.95)
 SETTINGS = TrainSettings(
@@ -130,6 +131,27 @@ def test_progress_lines_and_measures(tmp_path):
     assert any("/s" in line and "left" in line for line in lines)
     assert any("evaluation" in line and "upright" in line for line in lines)
     assert {"reward", "action/gain", "update/critic_loss", "speed/updates", "evaluation/return"} <= set(logged)
+
+
+def test_bold_environments_explore_more_during_the_warm_up():
+    """Exploration grows from the policy's own deviation in the first environment to ten times it in the last."""
+    sac = SAC(3, 2, dataclasses.replace(SAC_SETTINGS, initial_std=0.02), torch.Generator().manual_seed(0))
+    policy = Exploring.ranged(sac, 3, 10.0)
+    observation = torch.zeros(3, 3)
+    actions = torch.stack([policy(observation) for _ in range(500)])
+    assert actions.std((0, 2)).tolist() == pytest.approx([0.02, 0.02 * 10**0.5, 0.2], rel=0.15)
+
+
+def test_the_policy_waits_for_the_critics():
+    """Before `actor_after` updates the policy keeps its weights, afterwards it moves."""
+    sac = SAC(3, 2, dataclasses.replace(SAC_SETTINGS, actor_after=2), torch.Generator().manual_seed(0))
+    before = [parameter.clone() for parameter in sac.actor.parameters()]
+    batch = Batch(torch.zeros(8, 3), torch.zeros(8, 2), torch.ones(8), torch.zeros(8), torch.zeros(8, 3))
+    moved = []
+    for _ in range(3):
+        sac.update(batch)
+        moved.append(any(not torch.equal(a, b) for a, b in zip(before, sac.actor.parameters(), strict=True)))
+    assert moved == [False, False, True]
 
 
 def test_time_limits_bootstrap_and_terminations_do_not():

@@ -73,3 +73,10 @@ MANIFEST = Manifest(
     action_map=ActionMap(("l_knee",), (-0.3,), (1.5,)),
     hidden=(32, 32),
 )
+
+
+def seeded_pendulums(seed: int, count: int = 16) -> Pendulum:
+    """Pendulums for a process of their own."""
+    pendulums = Pendulum(count)
+    pendulums.set_seed(seed)
+    return pendulums
