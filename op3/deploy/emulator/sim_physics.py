@@ -135,6 +135,11 @@ class SimPhysics(BatchSimulation):
         self._imu = self._attitude.copy(), felt + self._imu_spread * self._rng.standard_normal(6)
 
     @property
+    def translated(self) -> bool:
+        """Whether the law runs in numpy."""
+        return self._compiled is not None
+
+    @property
     def position(self) -> Array:
         """Joint angles as the encoders see them [joint] in rad."""
         return self.signals.measured_position[0].numpy() if self._senses else self._position[0]
