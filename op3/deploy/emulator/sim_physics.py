@@ -274,12 +274,12 @@ class SimPhysics(BatchSimulation):
             self.law.report(self.signals)
             current = self.signals.measured_current[0].numpy()
         return Readings(
-            position=self.position,
-            velocity=self.velocity,
-            current=current,
-            duty=self._flow("duty"),
+            position=self.position.copy(),
+            velocity=self.velocity.copy(),
+            current=current.copy(),
+            duty=self._flow("duty").copy(),
             voltage=np.full(len(self.joints), self._voltage),
-            temperature=self._temperature,
+            temperature=self._temperature.copy(),
             orientation=orientation,
             angular_velocity=rates,
             linear_acceleration=force,
