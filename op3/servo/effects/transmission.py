@@ -53,8 +53,8 @@ class Transmission(Effect):
             "active": active,
             "half_gap": half_gap,
             "stiffness": stiffness,
-            # torque per difference of velocities at the end of the step: the contact's own damping, of which the deflection
-            # in the middle of the step makes up a part
+            # torque per difference of velocities at the end of the step: the contact's own damping, of which the
+            # deflection in the middle of the step makes up a part
             "grip": torch.maximum(MIDDLE * clock.timestep * stiffness, friction),
             "armature": armature,
             "timestep": torch.tensor(clock.timestep, dtype=half_gap.dtype),
