@@ -75,6 +75,7 @@ class Bus:
         self._parser = Parser()
         self._host_ends = 0.0
         self._devices_end = 0.0
+        self._spoken: list[tuple[float, bytes]] = []
         self._inbox: deque[tuple[float, bytes]] = deque()
         self._ready = bytearray()
         self._adapter = bytearray()
@@ -90,13 +91,13 @@ class Bus:
         if begin - self._host_ends > self.timing.quiet:
             self._parser.reset()
         self._host_ends = end
-        if self._recorder is not None:
-            self._recorder.write(begin, ">", data)
         if begin < self._devices_end:
             # two speakers at once: nobody understands this, and what the devices were saying is cut off
             self._cut(begin)
+            self._record(begin, data)
             self._parser.reset()
             return
+        self._record(begin, data)
         for packet in self._parser.feed(data):
             if self.faults.unheard and self._rng.random() < self.faults.unheard:
                 continue
@@ -109,7 +110,7 @@ class Bus:
         """A device answers; returns when it ends."""
         heard = self._spoil(answer, begin) if self._faulty else answer
         if self._recorder is not None and heard:
-            self._recorder.write(begin, "<", heard)
+            self._spoken.append((begin, heard))
         self._receive(begin, heard, byte_time)
         return begin + len(answer) * byte_time
 
@@ -169,6 +170,25 @@ class Bus:
         self._inbox = deque(entry for entry in self._inbox if entry[0] - self.timing.usb_delay <= time)
         self._adapter.clear()
         self._devices_end = time
+        whole = [(begin, int((time - begin) * self.baud / BITS_PER_BYTE + 1e-6), data) for begin, data in self._spoken]
+        self._spoken = [(begin, data[:count]) for begin, count, data in whole if count > 0]
+
+    def _record(self, begin: float, data: bytes) -> None:
+        if self._recorder is not None:
+            self.finish_recording()
+            self._recorder.write(begin, ">", data)
+
+    def finish_recording(self) -> None:
+        """Write the answers that have been on the line since the last instruction."""
+        if self._recorder is not None:
+            for begin, data in self._spoken:
+                self._recorder.write(begin, "<", data)
+        self._spoken.clear()
+
+    @property
+    def busy_until(self) -> float:
+        """When the line falls silent [s]."""
+        return max(self._host_ends, self._devices_end)
 
     @property
     def next_arrival(self) -> float:

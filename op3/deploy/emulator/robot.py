@@ -146,6 +146,7 @@ class EmulatedRobot:
     def close(self) -> None:
         """Finish the recording of frames, if there is one."""
         if self.recorder is not None:
+            self.bus.finish_recording()
             self.recorder.close()
 
     def check_plugged(self) -> None:

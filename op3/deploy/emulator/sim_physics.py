@@ -152,6 +152,11 @@ class SimPhysics(BatchSimulation):
         self._imu = self._attitude.copy(), felt + self._imu_spread * self._rng.standard_normal(6)
 
     @property
+    def translated(self) -> bool:
+        """Whether the law runs in numpy."""
+        return self._compiled is not None
+
+    @property
     def position(self) -> Array:
         """Joint angles as the encoders see them [joint] in rad."""
         return self.signals.measured_position[0].numpy() if self._senses else self._position[0]
@@ -321,12 +326,12 @@ class SimPhysics(BatchSimulation):
             self.law.report(self.signals)
             current = self.signals.measured_current[0].numpy()
         return Readings(
-            position=self.position,
-            velocity=self.velocity,
-            current=current,
-            duty=self._flow("duty"),
+            position=self.position.copy(),
+            velocity=self.velocity.copy(),
+            current=current.copy(),
+            duty=self._flow("duty").copy(),
             voltage=np.full(len(self.joints), self._voltage),
-            temperature=self._temperature,
+            temperature=self._temperature.copy(),
             orientation=orientation,
             angular_velocity=rates,
             linear_acceleration=force,
