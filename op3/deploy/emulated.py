@@ -123,7 +123,7 @@ def emulate(
     Args:
         world: the stand-in's truth; see `op3.stand_in.World.find`. Ignored where a model is given.
         model: name or file of a model, instead of a stand-in.
-        scene: `floor` or `stand`.
+        scene: where it is put down; a name that `op3.robot.build_scene` knows.
         seed: of everything random.
         joint_position: [joint] in rad at the start.
         faults: of the bus and the robot.

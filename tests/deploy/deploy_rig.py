@@ -119,9 +119,7 @@ class Rig:
         if folder is not None:
             logs = Logs(folder, Metadata(joints=JOINTS, robot="emulated", mount="stand", rate=125.0))
         self.safety = Safety(self.bus, limits, torque=torque, report=self.lines.append)
-        session = Session(
-            self.bus, self.safety, operator or Yes(), logs=logs, report=self.lines.append, sysfs=sysfs
-        )
+        session = Session(self.bus, self.safety, operator or Yes(), logs=logs, report=self.lines.append, sysfs=sysfs)
 
         def make(loop: Loop) -> Sequence[Phase]:
             if phases is None:

@@ -18,7 +18,6 @@ from op3.policy import PolicyBundle
 from op3.robot import JOINTS, indices
 from op3.rollout import Rollout
 
-
 ORDER = ("joint_position", "joint_velocity", "orientation", "angular_velocity")
 
 

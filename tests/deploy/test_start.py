@@ -9,7 +9,7 @@ from deploy_rig import make_rig
 from op3.deploy.emulator import OP3_SETTINGS, BrownOut, Faults, FrozenImu, Silent
 from op3.deploy.exit_codes import ExitCode
 from op3.deploy.limits import IS_LEG, Limits
-from op3.deploy.phases import GainRamp, Hold, Move, minimum_jerk
+from op3.deploy.phases import GainRamp, Hold, minimum_jerk
 from op3.deploy.protocol import Instruction
 from op3.deploy.registers import HardwareError
 from op3.robot import JOINTS, SERVO_IDS, indices, pose
