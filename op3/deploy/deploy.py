@@ -86,7 +86,8 @@ def connect(
     if port == EMULATED:
         from op3.deploy.emulated import emulate  # brings MuJoCo, which a robot's computer does not need
 
-        emulated, hands, identity = emulate(scene=mount, **emulation)
+        scene = emulation.pop("scene", None) or mount
+        emulated, hands, identity = emulate(scene=scene, **emulation)
         bus = Bus(emulated.port_handler(), emulated.clock, calibration=calibration)
         seed = emulation.get("seed", 0)
         return Connection(bus, hands, "emulated", mount, {"world": identity}, seed)

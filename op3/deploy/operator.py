@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import select
 import sys
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Protocol
 
 
@@ -30,6 +32,9 @@ class Operator(Protocol):
 class Console:
     """A person at the terminal."""
 
+    def __init__(self) -> None:
+        self._prompted = False
+
     def confirm(self, text: str) -> bool:
         """Ask for the word yes."""
         print(f"{text} Type yes and Enter to go on: ", end="", flush=True)
@@ -38,6 +43,9 @@ class Console:
 
     def said_go(self) -> bool:
         """Whether Enter was pressed."""
+        if not self._prompted:
+            self._prompted = True
+            print("In the start pose. Put the robot where it shall begin, then press Enter; Ctrl-C switches off.")
         ready, _, _ = select.select([sys.stdin], [], [], 0)
         return bool(ready) and sys.stdin.readline() != ""
 
@@ -66,3 +74,13 @@ class Yes:
     def travelled(self) -> float | None:
         """Nobody measures."""
         return None
+
+
+def told(report: Callable[[str], None]) -> Callable[[str], None]:
+    """A report that does not fail where the terminal is gone: switching off matters more than saying so."""
+
+    def say(text: str) -> None:
+        with suppress(OSError, ValueError):
+            report(text)
+
+    return say

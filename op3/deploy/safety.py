@@ -18,6 +18,7 @@ from op3.deploy.bus import ATTEMPTS, Bus, BusError, Unplugged
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command, CurrentLimiter, Limits
 from op3.deploy.monitors import Monitor, Verdict
+from op3.deploy.operator import told
 from op3.deploy.registers import OperatingMode
 from op3.deploy.start_checks import Check, StartChecks
 from op3.deploy.state import State
@@ -91,7 +92,7 @@ class Safety:
             raise ValueError(f"current_scale must be above 0 and at most 1, got {current_scale}")
         self.bus, self.limits, self.torque = bus, limits or Limits(), torque
         self._writer = bus.writer()
-        self._report = report
+        self._report = told(report)
         self._period = period
         self._limiter = CurrentLimiter(self.limits, period, current_scale)
         self._monitor = Monitor(self.limits, period)
@@ -275,8 +276,8 @@ class Safety:
             clock.sleep_until(clock.now() + 0.05)
         if result.ok:
             self._energising = False
-            # A watchdog that has tripped keeps the goals as they were. With torque off it is safe to clear, and must be:
-            # the goals are zero for whoever switches torque on next.
+            # A watchdog that has tripped keeps the goals as they were. With torque off it is safe to clear, and
+            # the goals are zero then for whoever switches torque on next.
             self._attempt(lambda: self._writer.sync_write("bus_watchdog", 0))
             self._attempt(lambda: self._writer.sync_write("goal_current", 0))
         self._report(str(result))

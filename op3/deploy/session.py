@@ -14,7 +14,7 @@ import numpy as np
 from op3.deploy.bus import Bus, BusError, Unplugged
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.loop import Loop
-from op3.deploy.operator import Operator
+from op3.deploy.operator import Operator, told
 from op3.deploy.phases import Phase
 from op3.deploy.safety import Onlooker, Release, Safety
 from op3.deploy.signals import StopSignals
@@ -111,7 +111,7 @@ class Session:
         sysfs: Path | None = None,
     ):
         self._bus, self._safety, self._operator = bus, safety, operator
-        self._logs, self._report, self._sysfs = logs, report, sysfs
+        self._logs, self._report, self._sysfs = logs, told(report), sysfs
         self._loop = Loop(bus, safety, log=logs, show=show)
         self._release: Release | None = None
 

@@ -147,7 +147,7 @@ def test_calibration_file_round_trip(tmp_path):
     with pytest.raises(ValueError, match="unknown joint 'l_kneee'"):
         Calibration.load(path)
     path.write_text("offset_rad: {l_knee: 0.9}")
-    with pytest.raises(ValueError, match="l_knee is off by 0.900 rad"):
+    with pytest.raises(ValueError, match=r"l_knee is off by 0\.900 rad"):
         Calibration.load(path)
 
 
