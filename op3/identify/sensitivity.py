@@ -8,11 +8,17 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from op3.identify.refine import DIFFERENCE_STEP
-
 Array = NDArray[np.float64]
 Residuals = Callable[[Tensor], Tensor]
 """Points of the unit box ``[candidate, parameter]`` to ``[candidate, residual]``."""
+
+
+SENSITIVITY_STEP = 1e-2
+"""Step of the central differences, as a share of a parameter's range.
+
+Sticking makes residuals jump. Differences over less than the width of an interval take single jumps for sensitivity and
+promise intervals that are too narrow.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +62,8 @@ def sensitivity_at(
     low = np.array([bounds[name][0] for name in names])
     span = np.array([bounds[name][1] for name in names]) - low
     unit = np.clip((np.array([values[name] for name in names]) - low) / span, 0.0, 1.0)
-    forward = np.minimum(unit + DIFFERENCE_STEP, 1.0)
-    backward = np.maximum(unit - DIFFERENCE_STEP, 0.0)
+    forward = np.minimum(unit + SENSITIVITY_STEP, 1.0)
+    backward = np.maximum(unit - SENSITIVITY_STEP, 0.0)
     eye = np.eye(len(names))
     points = np.concatenate([[unit], unit + eye * (forward - unit), unit + eye * (backward - unit)])
     result = residuals(torch.from_numpy(points)).numpy()

@@ -81,3 +81,20 @@ def test_a_motion_on_the_wrong_mount_is_refused(tmp_path):
     result = collect("motion=chirp_knee", f"hydra.run.dir={tmp_path}")
     assert result.returncode != 0
     assert "'chirp_knee' is not for the floor; choose mount=stand" in result.stderr
+
+
+def test_a_plan_is_played_in_order(tmp_path):
+    """Every entry of a plan is recorded on its own mount, repeats are numbered, nothing is played if one is unsafe."""
+    plan = tmp_path / "plan.yaml"
+    plan.write_text("plan:\n- {motion: stroke_ankle, mount: stand}\n- {motion: hold, mount: floor}\n")
+    result = collect(f"plan={plan}", f"hydra.run.dir={tmp_path / 'logs'}")
+    assert result.returncode == 0, result.stderr
+    mounts = [Rollout.load(tmp_path / "logs" / name).metadata.mount for name in ("stroke_ankle-0", "hold-0")]
+    assert mounts == ["stand", "floor"]
+    plan.write_text("plan:\n- {motion: hold, mount: floor}\n- {motion: stroke_ankle, mount: floor}\n")
+    result = collect(f"plan={plan}", f"hydra.run.dir={tmp_path / 'unsafe'}")
+    assert result.returncode != 0
+    assert "choose mount=stand" in result.stderr
+    assert not (tmp_path / "unsafe" / "hold-0").exists()
+    plan.write_text("plan: squat\n")
+    assert "is no plan" in collect(f"plan={plan}").stderr

@@ -1,0 +1,241 @@
+"""The squat given to MuJoCo's own toolbox, `mujoco.sysid`, with what its model can express, and to `method=lsq`.
+
+python experiments/benchmarks/sysid_peer.py data=<squat log> heldout=<another> [iterations=30]
+
+The toolbox needs `pip install "mujoco[sysid]"`. Its model: one affine actuator per joint, torque = 353.5 Kt
+(Kp (q* - q) - Kd w), with armature, damping and friction loss of the joint, and mass and centre of mass of the trunk;
+seven parameters. MuJoCo has no gear whose losses depend on direction, no static friction beside friction loss, and its
+actuator knows no battery and no latency. Both are fitted to joint angles and velocities alone, from the paper's nominal
+values, and judged by the mean absolute angle error of open-loop replays.
+"""
+
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import hydra
+import mujoco
+import numpy as np
+import torch
+from hydra.core.hydra_config import HydraConfig
+from mujoco import sysid
+from omegaconf import DictConfig
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from support import check_given, one_sentence, plain
+
+from op3.identify.identification import PREFIX, Identification
+from op3.identify.loss import TrajectoryLoss
+from op3.identify.search_space import parse_search_space
+from op3.identify.study import run_study
+from op3.report import Page, finish, run_provenance, write_result
+from op3.robot import CONTROLLED_JOINTS, GEAR_RATIO, build_scene
+from op3.rollout import Rollout, read_logs
+from op3.sim import load_model
+
+PEER = {
+    "torque_constant": "joints",
+    "armature": "joints",
+    "viscous_friction": "joints",
+    "coulomb_friction": "joints",
+    "base_mass_offset": "trunk",
+    "base_com_offset_x": "trunk",
+    "base_com_offset_z": "trunk",
+}
+"""Parameters that the toolbox's model has."""
+
+
+class Peer:
+    """One log as the toolbox sees it."""
+
+    def __init__(self, log: Rollout):
+        if log.metadata.mount != "floor" or np.ptp(log.array("command/p_gain")) > 0:
+            raise ValueError("the toolbox's actuator has one gain for all times and joints, and the robot on the floor")
+        self.log = log
+        scene = build_scene("floor")
+        self.spec = mujoco.MjSpec.from_string(scene.mjcf_model.to_xml_string(), assets=scene.mjcf_model.get_assets())
+        self.spec.option.timestep = 0.001
+        self.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        self.p_gain = float(log.array("command/p_gain")[0, 0])
+        self.d_gain = float(log.array("command/d_gain")[0, 0])
+        self.joints = scene.joint_names
+        assert scene.robot is not None
+        self.trunk = str(scene.robot.trunk.full_identifier)
+        body = self.spec.body(self.trunk)
+        self.mass, self.center = float(body.mass), np.array(body.ipos)
+        for sensor in list(self.spec.sensors):
+            self.spec.delete(sensor)
+        for name in self.joints:
+            self.spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        for log_name, name in zip(log.joints, self.joints, strict=True):
+            if log_name in CONTROLLED_JOINTS:
+                for kind, tag in ((mujoco.mjtSensor.mjSENS_JOINTPOS, "q"), (mujoco.mjtSensor.mjSENS_JOINTVEL, "w")):
+                    self.spec.add_sensor(
+                        name=f"{tag}_{log_name}", type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=name
+                    )
+        self.initial = scene.initial_qpos(log.array("joint/position")[0], *log.array("imu/orientation")[0, :2])
+
+    def apply(self, spec: mujoco.MjSpec, name: str, value: float) -> None:
+        """Write one parameter into a spec."""
+        if name == "torque_constant":
+            for joint in self.joints:
+                actuator = spec.actuator(joint)
+                gain = GEAR_RATIO * value * self.p_gain
+                actuator.gainprm[0] = gain
+                actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+                actuator.biasprm[:3] = [0.0, -gain, -GEAR_RATIO * value * self.d_gain]
+        elif PEER[name] == "joints":
+            field = {"armature": "armature", "viscous_friction": "damping", "coulomb_friction": "frictionloss"}[name]
+            for joint in self.joints:
+                element = spec.joint(joint)
+                if field == "damping":
+                    element.damping = (
+                        np.full_like(np.asarray(element.damping), 0.0) if np.ndim(element.damping) else 0.0
+                    )
+                    if np.ndim(element.damping):
+                        element.damping[0] = value
+                    else:
+                        element.damping = value
+                else:
+                    setattr(element, field, value)
+        elif name == "base_mass_offset":
+            spec.body(self.trunk).mass = self.mass + value
+        else:
+            axis = "xyz".index(name[-1])
+            center = np.array(spec.body(self.trunk).ipos)
+            center[axis] = self.center[axis] + value
+            spec.body(self.trunk).ipos = center
+
+    def sequences(self, start: dict[str, float]) -> Any:
+        """The log as the toolbox takes it."""
+        for name, value in start.items():
+            self.apply(self.spec, name, value)
+        model = self.spec.compile()
+        data = mujoco.MjData(model)
+        data.qpos[:] = self.initial
+        state = sysid.create_initial_state(model, data.qpos, data.qvel, data.act)
+        time_ = self.log.array("time")[:, 0] - self.log.array("time")[0, 0]
+        control = sysid.TimeSeries(time_, self.log.array("command/position"))
+        columns = [self.log.joints.index(name) for name in self.log.joints if name in CONTROLLED_JOINTS]
+        position, velocity = (self.log.array(f"joint/{kind}")[:, columns] for kind in ("position", "velocity"))
+        values = np.stack([position, velocity], 2).reshape(len(time_), -1)
+        measured = sysid.TimeSeries.from_names(time_, values, model)
+        name = self.log.metadata.recording or "squat"
+        return sysid.ModelSequences("op3", self.spec, name, state, control, measured)
+
+
+def fit_peer(cfg: DictConfig, log: Rollout, heldout: Rollout) -> dict[str, Any]:
+    """Identify with the toolbox; errors, wall time and rollouts."""
+    known = load_model(cfg.model).parameters()
+    start = {name: known[name].nominal for name in PEER}
+    peer = Peer(log)
+    parameters = sysid.ParameterDict()
+    for name in PEER:
+        parameters.add(
+            sysid.Parameter(
+                name, nominal=start[name], min_value=known[name].low, max_value=known[name].high,
+                modifier=lambda spec, p, name=name: peer.apply(spec, name, float(p.value[0])),
+            )
+        )  # fmt: skip
+    residual = sysid.build_residual_fn(models_sequences=[peer.sequences(start)])
+    count = 0
+
+    def counted(x: np.ndarray, *rest: Any, **kwargs: Any) -> Any:
+        nonlocal count
+        count += 1 if x.ndim == 1 else x.shape[1]
+        return residual(x, *rest, **kwargs)
+
+    began = time.monotonic()
+    found, _ = sysid.optimize(
+        parameters, counted, optimizer="mujoco", verbose=False, max_iters=cfg.iterations,
+        eps=cfg.difference_step, x_scale=np.array([known[n].high - known[n].low for n in PEER]),
+    )  # fmt: skip
+    seconds = time.monotonic() - began
+    values = {name: float(found[name].value[0]) for name in PEER}
+    unseen = Peer(heldout)
+    return {
+        "wall_seconds": seconds,
+        "simulations": count,
+        "simulated_seconds": count * log.duration,
+        "error_mrad.train": error_mrad(peer, values),
+        "error_mrad.heldout": error_mrad(unseen, values),
+        "values": values,
+    }
+
+
+def error_mrad(peer: Peer, values: dict[str, float]) -> float:
+    """Mean absolute error of the ten leg joints, open loop [mrad]."""
+    sequence = peer.sequences(values).measured_rollout[0]
+    model = peer.spec.compile()
+    data = mujoco.MjData(model)
+    data.qpos[:] = peer.initial
+    mujoco.mj_forward(model, data)
+    places = [sequence.sensordata.get_indices(f"q_{name}")[1][0] for name in CONTROLLED_JOINTS]
+    columns = [peer.log.joints.index(name) for name in CONTROLLED_JOINTS]
+    errors = []
+    measured, command = peer.log.array("joint/position")[:, columns], peer.log.array("command/position")
+    steps = round(1.0 / (peer.log.metadata.rate * model.opt.timestep))
+    for row in range(len(command)):
+        errors.append(np.abs(data.sensordata[places] - measured[row]))
+        data.ctrl[:] = command[row]
+        for _ in range(steps):
+            mujoco.mj_step(model, data)
+        mujoco.mj_forward(model, data)
+    return float(1e3 * np.mean(errors))
+
+
+def fit_ours(cfg: DictConfig, log: Rollout, heldout: Rollout) -> dict[str, Any]:
+    """The same logs with `method=lsq`, on angles and velocities alone."""
+    base = load_model(cfg.model)
+    known = {name: base.parameters()[name] for name in cfg.parameters}
+    weights = {("joint", "position"): 1.0, ("joint", "velocity"): 1.0}
+    loss = TrajectoryLoss(CONTROLLED_JOINTS, weights)
+    problem = Identification(base, [log], [heldout], list(known), joints=CONTROLLED_JOINTS, loss=loss)
+    space = parse_search_space({PREFIX + name: f"interval({p.low}, {p.high})" for name, p in known.items()})
+    nominal = {PREFIX + name: p.nominal for name, p in known.items()}
+    began = time.monotonic()
+    study = run_study(
+        problem.evaluate, space, sampler="random", n_trials=cfg.trials, population=cfg.trials, nominal=nominal,
+        seed=cfg.seed, progress=False,
+    )  # fmt: skip
+    fit = problem.finish(study, **plain(cfg.refine))
+    assert fit.heldout is not None
+    return {
+        "wall_seconds": time.monotonic() - began,
+        "simulations": round(fit.simulated_seconds / problem.problem.replay.seconds),
+        "simulated_seconds": fit.simulated_seconds,
+        "error_mrad.train": fit.fit.error_mrad,
+        "error_mrad.heldout": fit.heldout.error_mrad,
+        "values": {name: fit.model.value(name) for name in known},
+    }
+
+
+@hydra.main(config_path="../../conf/benchmark", config_name="sysid_peer", version_base="1.3")
+def main(cfg: DictConfig) -> None:
+    """Fit both, write page and result."""
+    with one_sentence():
+        torch.set_num_threads(1)
+        if not hasattr(sysid, "optimize"):
+            raise ValueError('mujoco.sysid is not complete here: pip install "mujoco[sysid]"')
+        check_given(cfg, "data", "a log of a squat on the floor")
+        check_given(cfg, "heldout", "another log of a squat on the floor")
+        log, heldout = read_logs(cfg.data)[0], read_logs(cfg.heldout)[0]
+        results = {"mujoco.sysid": fit_peer(cfg, log, heldout), "method=lsq": fit_ours(cfg, log, heldout)}
+        folder = Path(HydraConfig.get().runtime.output_dir)
+        provenance = run_provenance(seed=cfg.seed, data=[cfg.data, cfg.heldout])
+        names = {"mujoco.sysid": "peer", "method=lsq": "ours"}
+        numbers = {names[key]: value for key, value in results.items()}
+        result = write_result(folder / "result.yaml", {**numbers, "provenance": provenance})
+        held = {name: values["error_mrad.heldout"] for name, values in results.items()}
+        lead = ", ".join(f"{name} leaves {error:.1f} mrad" for name, error in held.items())
+        page = Page("Identification beside mujoco.sysid", f"On the held-out log {lead}.")
+        columns = ["error_mrad.train", "error_mrad.heldout", "wall_seconds", "simulations"]
+        rows = [[name, *(values[c] for c in columns)] for name, values in results.items()]
+        page.table(["", "error [mrad]", "held-out error [mrad]", "time [s]", "simulations"], rows)
+        page.provenance(provenance)
+        finish(page.write(folder / "index.html"), result)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,37 @@
+"""A motion simulated to a log."""
+
+import numpy as np
+
+from op3.robot import Motion, soften, squat
+from op3.sim import load_model
+from op3.tasks import Replay, simulate_motion
+
+
+def test_a_simulated_log_is_reproduced_by_its_replay():
+    """Replaying the log with the same model gives the log, but for the longer rest before it."""
+    log = simulate_motion(load_model("paper"), squat(frequency=1.0, duration=0.5))
+    assert log.rows == 62
+    assert log.metadata.motion == "squat"
+    assert log.metadata.fallen is False
+    predicted = Replay([log]).run(load_model("paper"))[0].channels["joint", "position"][0].numpy()
+    assert np.abs(predicted - log.array("joint/position")).max() < 3e-3
+
+
+def test_a_motions_own_gains_are_played():
+    """The log holds the gain of every row, the same for all joints."""
+    motion = soften(cycles=1, period=0.3)
+    log = simulate_motion(load_model("paper"), motion)
+    np.testing.assert_array_equal(log.array("command/p_gain"), np.tile(motion.p_gain[:, None], (1, 20)))
+    assert log.metadata.mount == "floor"
+
+
+def test_a_fall_is_noticed():
+    """A robot that leans far over its toes falls, and its log says so."""
+    lean = squat(lean=0.3, duration=1.5, knee_low=1.2, knee_high=1.2)
+    position = lean.position.copy()
+    names = list(lean.joints)
+    for side, sign in (("l", 1.0), ("r", -1.0)):
+        position[:, names.index(f"{side}_ank_pitch")] += sign * np.linspace(0.0, 0.7, len(position))
+    log = simulate_motion(load_model("paper"), Motion(lean.time, position, lean.joints, "lean"), "floor")
+    assert log.metadata.fallen == (np.abs(log.array("imu/orientation")[:, :2]).max() > np.deg2rad(45))
+    assert log.metadata.fallen is True
