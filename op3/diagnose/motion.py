@@ -13,17 +13,20 @@ from op3.robot.joints import JOINTS
 from op3.rollout import LogError, Rollout
 from op3.servo import RobotModel
 from op3.sim import ServoPorts, TrajectoryDynamics, attach_servos, trajectory_dynamics
-from op3.sim.edits import edited_fields
-from op3.sim.window_simulation import ROTOR, SIGNAL_NAMES
+from op3.sim.edits import edited_fields, model_field
+from op3.sim.window_simulation import ROTOR
 
-HALF_WIDTH = 4
+HALF_WIDTH = 3
 """Ticks on each side that the local cubic of the smoothed state sees."""
 
 POSITION_NOISE = 0.0006
 """Of a position reading, half a count of a 4096-step encoder and a little more [rad]."""
 
-VELOCITY_NOISE = 0.04
-"""Of a velocity reading, which also lags [rad/s]."""
+VELOCITY_NOISE = 0.05
+"""Of a velocity reading [rad/s]."""
+
+VELOCITY_LAG = 0.002
+"""How late a velocity reading is [s]: the expected time constant of the servo's filter."""
 
 PREROLL = 4
 """Ticks before a window in which the joints are led along the measurement."""
@@ -73,7 +76,8 @@ def kernels(period: float, half: int = HALF_WIDTH) -> np.ndarray:
     """Weights ``[position | velocity | acceleration, reading of position | of velocity, lag]`` of a local cubic."""
     t = np.arange(-half, half + 1) * period
     value = np.stack([np.ones_like(t), t, t**2 / 2, t**3 / 6], 1) / POSITION_NOISE
-    rate = np.stack([np.zeros_like(t), np.ones_like(t), t, t**2 / 2], 1) / VELOCITY_NOISE
+    late = t - VELOCITY_LAG
+    rate = np.stack([np.zeros_like(t), np.ones_like(t), late, late**2 / 2], 1) / VELOCITY_NOISE
     inverse = np.linalg.pinv(np.concatenate([value, rate]))[:3]
     count = len(t)
     return np.stack([inverse[:, :count] / POSITION_NOISE, inverse[:, count:] / VELOCITY_NOISE], 1)
@@ -96,7 +100,13 @@ def smooth(log: Rollout) -> SmoothLog:
             "record <joint>.position and <joint>.target",
             source=log.metadata.recording,
         )
-    readings = {key: _interpolated(log.array(key), time, grid) for key in CHANNELS if key in log}
+    # a current is held between commands: its nearest reading, not a mean of two
+    nearest = np.clip(np.searchsorted(time, grid - 0.5 * period), 0, len(time) - 1)
+    readings = {
+        key: log.array(key)[nearest] if key[1] == "current" else _interpolated(log.array(key), time, grid)
+        for key in CHANNELS
+        if key in log
+    }
     q = readings["joint", "position"]
     v = readings.get(("joint", "velocity"), np.gradient(q, period, axis=0))
     weights = kernels(period)
@@ -113,19 +123,11 @@ def smooth(log: Rollout) -> SmoothLog:
     inputs = {signal: log.array(key)[held] for key, signal in INPUTS.items() if key in log}
     if "bus_voltage" in inputs:
         inputs["bus_voltage"] = _interpolated(log.array("joint/voltage"), time, grid)
-    inputs.update(_session_inputs(log, grid))
     tilt = (0.0, 0.0)
     if "imu/orientation" in log:
         roll, pitch = log.array("imu/orientation")[:, :2].mean(0)
         tilt = (round(float(roll), 2) + 0.0, round(float(pitch), 2) + 0.0)
     return SmoothLog(log, period, grid, state[0], state[1], state[2], readings, inputs, tilt)
-
-
-def _session_inputs(log: Rollout, grid: np.ndarray) -> dict[str, np.ndarray]:
-    """Time since the robot was switched on, where the servo law knows it."""
-    if "elapsed" not in SIGNAL_NAMES:
-        return {}
-    return {"elapsed": np.repeat(grid[:, None], len(log.joints), 1)}
 
 
 def _interpolated(values: np.ndarray, time: np.ndarray, grid: np.ndarray) -> np.ndarray:
@@ -184,7 +186,7 @@ class FixedBase:
         changed = copy.copy(self.mj_model)
         for field, array in moved.items():
             if field != "dof_armature":
-                getattr(changed, field)[...] = array[0]
+                model_field(changed, field)[...] = array[0]
         mujoco.mj_setConst(changed, mujoco.MjData(changed))
         return changed
 

@@ -7,6 +7,7 @@ prior), so that what is left speaks about the model.
 """
 
 from collections.abc import Mapping, Sequence
+from datetime import datetime
 
 import numpy as np
 import torch
@@ -27,6 +28,9 @@ INITIAL_VELOCITY = 0.06
 
 FLOOR = {("joint", "position"): 0.0006, ("joint", "velocity"): 0.02, ("joint", "current"): 0.003}
 """Standard deviation of a reading, by channel [rad, rad/s, A]."""
+
+HUBER = 2.0
+"""A window whose residual is larger than this, in usual residuals, counts less."""
 
 BLOCK = 1.0
 """Residuals closer than this are taken as dependent [s]."""
@@ -85,6 +89,7 @@ class WindowResiduals:
         self.scale: np.ndarray | None = None
         self._nuisance: np.ndarray | None = None
         self._shrink: np.ndarray | None = None
+        self._weight = np.ones(len(self.windows))
         self._models: dict[int, tuple[RobotModel, WindowSimulation]] = {}
         self.simulated_rows = 0
 
@@ -101,6 +106,7 @@ class WindowResiduals:
         common = set.intersection(*(set(log.inputs) for log in logs))
         inputs = {name: stacked(lambda log, n=name: log.inputs[n]) for name in sorted(common)}
         tilts = [log.tilt for log, _ in spans]
+        started = _started(logs)
         self._tilted: list[tuple[FixedBase, np.ndarray]] = []
         for tilt in sorted(set(tilts)):
             at = np.concatenate([np.arange(k * rows, (k + 1) * rows) for k, own in enumerate(tilts) if own == tilt])
@@ -114,6 +120,8 @@ class WindowResiduals:
             stacked(lambda log: log.acceleration),
             q,
             v,
+            stacked(lambda log: log.readings.get(("joint", "current"), np.zeros_like(log.position))),
+            np.concatenate([started[id(log)] + log.time[span, None] for log, span in spans]),
             inputs,
             self._dynamics(),
             {},
@@ -203,6 +211,9 @@ class WindowResiduals:
         flat = (sensitivity / self.scale[..., None]).reshape(len(self.windows), -1, 2 * count)
         basis, strength, _ = np.linalg.svd(flat, full_matrices=False)
         self._nuisance, self._shrink = basis, 1.0 - 1.0 / np.sqrt(1.0 + strength**2)
+        self._weight = np.ones(len(self.windows))
+        size = np.sqrt(np.square(self.whiten(error[None])[0]).mean(1))
+        self._weight = np.minimum(1.0, HUBER / np.maximum(size, 1e-9))
 
     def _scale(self, error: np.ndarray) -> np.ndarray:
         """Per tick and channel, ``[tick, 1, channel]``: the sensors' floor and the usual size of the residual."""
@@ -217,7 +228,8 @@ class WindowResiduals:
         basis, shrink = self._nuisance[: flat.shape[1]], self._shrink[: flat.shape[1]]
         # [window, nuisance, candidate]
         along = basis.transpose(0, 2, 1) @ flat.transpose(1, 2, 0)
-        return flat - (basis @ (shrink[..., None] * along)).transpose(2, 0, 1)
+        kept = flat - (basis @ (shrink[..., None] * along)).transpose(2, 0, 1)
+        return kept * self._weight[: flat.shape[1], None]
 
     def residuals(
         self,
@@ -254,6 +266,16 @@ def _choose(logs: Sequence[SmoothLog], count: int, ticks: int) -> list[tuple[int
         log = int(np.searchsorted(edges, at, side="right") - 1)
         starts.append((log, lead + int(at - edges[log])))
     return starts
+
+
+def _started(logs: Sequence[SmoothLog]) -> dict[int, float]:
+    """When each log began after the first of them [s], by its id; 0 where the metadata do not tell."""
+    dates = {id(log): log.log.metadata.date for log in logs}
+    if any(date is None for date in dates.values()):
+        return dict.fromkeys(dates, 0.0)
+    times = {key: datetime.fromisoformat(str(date)).timestamp() for key, date in dates.items()}
+    first = min(times.values())
+    return {key: time - first for key, time in times.items()}
 
 
 def _merged(parts: Sequence[tuple[np.ndarray, TrajectoryDynamics]], rows: int) -> TrajectoryDynamics:

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from op3.servo import RobotModel, ServoLaw, Signals
 from op3.servo.effects import Motor
-from op3.sim.inputs import default_commands, expand_parameters
+from op3.sim.inputs import default_commands, expand_parameters, set_start
 from op3.sim.trajectory_dynamics import TrajectoryDynamics
 
 SWEEPS = 3
@@ -44,6 +44,8 @@ class MeasuredMotion:
         acceleration: estimate of the joint accelerations [rad/s2].
         read_position: what the controller read [rad].
         read_velocity: what the controller read [rad/s].
+        current: in the motors, as far as known [A].
+        time: since the start of the recording [s], ``[tick, 1]``.
         inputs: what drives the servos, by the name of a signal of `op3.servo.Signals`; held from tick to tick.
         dynamics: mass matrix and bias along the motion.
         changes: dynamics added per unit of a parameter that edits bodies, by parameter name and joint (None for a
@@ -56,6 +58,8 @@ class MeasuredMotion:
     acceleration: np.ndarray
     read_position: np.ndarray
     read_velocity: np.ndarray
+    current: np.ndarray
+    time: np.ndarray
     inputs: Mapping[str, np.ndarray]
     dynamics: TrajectoryDynamics
     changes: Mapping[tuple[str, int | None], TrajectoryDynamics]
@@ -126,7 +130,7 @@ class WindowSimulation:
         first = np.array([window.tick for window in windows]) - preroll
         self._at = first[None] + np.arange(preroll + ticks + 1)[:, None]  # [tick, window]
         self._rows = rows
-        self.law = ServoLaw(model.effects, timestep, period)
+        self.law = ServoLaw(model.effects, timestep, period, self.joints)
         dynamics = [motion.dynamics for motion in motions]
         self._mass = self._gather([d.mass for d in dynamics])
         self._bias = self._gather([d.bias for d in dynamics])
@@ -138,6 +142,8 @@ class WindowSimulation:
         self._acceleration = self._gather([m.acceleration for m in motions])
         self._read_position = self._gather([m.read_position for m in motions])
         self._read_velocity = self._gather([m.read_velocity for m in motions])
+        self._current = self._gather([m.current for m in motions])[0]
+        self._time = self._gather([m.time for m in motions])[0].expand_as(self._current)
         common = set.intersection(*(set(motion.inputs) for motion in motions)) & set(SIGNAL_NAMES)
         self._inputs = {name: self._gather([m.inputs[name] for m in motions]) for name in sorted(common)}
         self.limbs = coupled(self._mass)
@@ -261,6 +267,7 @@ class _Run:
         self._inputs(0)
         self.shift = self._undo_sensing()
         self._lead_state(0, 0)
+        set_start(self.signals, None, self._flat(self._block(owner._current)), self._flat(self._block(owner._time)))
         self.law.reset(self.signals)
         self.u = torch.zeros_like(self.v)
 
@@ -382,11 +389,12 @@ class _Run:
     def measure(self) -> dict[tuple[str, str], Tensor]:
         """What the sensors say, ``[joint, candidate, window]``."""
         self.law.sense(self.signals)
+        self.law.report(self.signals)
         shape = self.q.shape
         return {
             ("joint", "position"): self.signals.measured_position.T.reshape(shape).clone(),
             ("joint", "velocity"): self.signals.measured_velocity.T.reshape(shape).clone(),
-            ("joint", "current"): self.signals.current.T.reshape(shape).clone(),
+            ("joint", "current"): self.signals.measured_current.T.reshape(shape).clone(),
         }
 
 

@@ -53,8 +53,9 @@ class Transmission(Effect):
             "active": active,
             "half_gap": half_gap,
             "stiffness": stiffness,
-            # torque per difference of velocities at the end of the step
-            "grip": MIDDLE * clock.timestep * stiffness + friction,
+            # torque per difference of velocities at the end of the step: the contact's own damping, of which the
+            # deflection in the middle of the step makes up a part
+            "grip": torch.maximum(MIDDLE * clock.timestep * stiffness, friction),
             "armature": armature,
             "timestep": torch.tensor(clock.timestep, dtype=half_gap.dtype),
         }
@@ -155,7 +156,7 @@ class Backlash(Transmission):
     alias_class: ClassVar[str] = "transmission"
     scopes: ClassVar[tuple[Scope, ...]] = ("joint", "shared", "side")
 
-    damping_ratio: float = 0.05
+    damping_ratio: float = 0.1
 
     def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
         """Gap and stiffness; the compliance of the gear train is in series where that effect is on too."""
@@ -195,7 +196,7 @@ class Compliance(Transmission):
     alias_class: ClassVar[str] = "transmission"
     scopes: ClassVar[tuple[Scope, ...]] = ("joint", "shared", "side")
 
-    damping_ratio: float = 0.05
+    damping_ratio: float = 0.1
 
     def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
         """Stiffness; none where backlash takes it along."""
