@@ -62,7 +62,7 @@ def signals(log: Rollout, model: mujoco.MjModel, loaded: mujoco.MjModel) -> dict
 
     def smooth(channel: str, derivative: int = 0) -> Array:
         values = log.array(channel)
-        return savgol_filter(values, WINDOW, ORDER, deriv=derivative, delta=period, axis=0)
+        return np.array(savgol_filter(values, WINDOW, ORDER, deriv=derivative, delta=period, axis=0))
 
     q, v, a = (smooth("joint/position", k) for k in range(3))
     torque = inverse_dynamics(model, log, q, v, a)
