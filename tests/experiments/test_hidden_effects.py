@@ -6,8 +6,10 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 from op3.report import read_result
+from op3.stand_in.bench import draw_mix
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -34,3 +36,11 @@ def test_a_bench_seals_diagnoses_scores_and_goes_on(tmp_path):
     assert (result["diagnosis.outsiders_unknown"]["count"], result["diagnosis.outsiders_unknown"]["of"]) == (1, 1)
     assert result["base_refit_only.false_alarms"]["count"] == 0
     assert (run / "index.html").is_file()
+
+
+@pytest.mark.parametrize(("bench", "cases"), [("full", 664), ("laptop", 100), ("ci", 12)])
+def test_every_bench_can_be_drawn(bench, cases):
+    """Each mix names effects that can be hidden and has as many cases as its first line says."""
+    path = ROOT / "conf" / "bench" / f"{bench}.yaml"
+    assert f"# {cases} cases" in path.read_text()
+    assert len(draw_mix(yaml.safe_load(path.read_text()))) == cases
