@@ -1,7 +1,7 @@
 """The numbers that a fit moves: shared parameters, deviations of single joints, and how far they may go."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 
 import numpy as np
@@ -42,6 +42,18 @@ def with_chain(model: RobotModel) -> RobotModel:
             if known.name in CHAIN and effect.name not in model.effect_names:
                 model = model.with_effect(effect(), {known.name: CHAIN[known.name][0]})
     return model
+
+
+def other_forms(model: RobotModel) -> list[RobotModel]:
+    """Models that differ in the form of one effect alone: same parameters, another law for the same loss."""
+    result = []
+    for effect in model.effects:
+        if effect.name == "dte":
+            for form in ("passive", "power"):
+                if form != effect.form:  # type: ignore[attr-defined]
+                    values = {p.name: model.estimate(p.name) for p in effect.parameters}
+                    result.append(model.with_effect(replace(effect, form=form), values))  # type: ignore[call-arg]
+    return result
 
 
 @dataclass(frozen=True)

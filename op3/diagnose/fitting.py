@@ -1,11 +1,12 @@
 """Least squares on residuals with priors: the full refit of a model, and the cheap one of a hypothesis beside it."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import mujoco
 import numpy as np
+from scipy import stats
 from torch import Tensor
 
 from op3.diagnose.coordinates import Coordinates
@@ -55,6 +56,7 @@ class Fit:
         loss: mean square of the whitened residuals of the fitted windows.
         jacobian: of the residuals of all windows, ``[window, residual, coordinate]``; None unless asked for.
         residual: of all windows, ``[window, residual]``.
+        columns: Jacobian of the coordinates beyond those of the base, of the fitted windows.
     """
 
     coordinates: Coordinates
@@ -62,6 +64,7 @@ class Fit:
     loss: float
     residual: np.ndarray
     jacobian: np.ndarray | None = None
+    columns: np.ndarray | None = None
 
     @property
     def parameters(self) -> dict[str, Tensor]:
@@ -75,6 +78,7 @@ def fit_base(
     *,
     rounds: int = 4,
     start: np.ndarray | None = None,
+    alternatives: Sequence[RobotModel] = (),
     progress: Callable[[float], None] | None = None,
 ) -> Fit:
     """Bounded Gauss-Newton over all coordinates, from the best of a grid of latencies.
@@ -84,6 +88,7 @@ def fit_base(
         coordinates: what to move.
         rounds: at most so many Jacobians.
         start: where to start, ``[coordinate]``.
+        alternatives: models with the same parameters in other forms; the form that fits best is taken.
         progress: called with the share done.
     """
     point = np.clip(coordinates.start if start is None else start, coordinates.low, coordinates.high)
@@ -106,6 +111,9 @@ def fit_base(
         assert before is not None and losses is not None
         if start is None and number == 0:
             point = _best_latency(engine, coordinates, point)
+        if number < 2 and alternatives:
+            coordinates = _best_form(engine, coordinates, alternatives, point)
+            evaluate = _penalised(engine, coordinates)
         gained = 1 - min(losses.min(), before) / before
         if gained < 3e-3 and number:
             break
@@ -170,7 +178,7 @@ def refit(
     fitted = base.jacobian[engine.is_fit]
     rows = fitted.shape[0] * fitted.shape[1]
     best = np.clip(start, coordinates.low, coordinates.high)
-    loss = np.inf
+    loss, columns = np.inf, None
     for _ in range(iterations):
         residual = evaluate(best[None])[0]
         loss = float(np.square(residual).sum())
@@ -192,7 +200,41 @@ def refit(
         if gained < 2e-3:
             break
     residual = engine.residuals(coordinates.model, coordinates.values(best[None]), 1)[0]
-    return Fit(coordinates, best, mean_square(residual[engine.is_fit]), residual)
+    return Fit(coordinates, best, mean_square(residual[engine.is_fit]), residual, None, columns)
+
+
+def intervals(engine: Engine, base: Fit, fit: Fit, level: float = 0.9) -> np.ndarray:
+    """Intervals of the coordinates beyond the base's, by leaving out one second after another.
+
+    The cluster jackknife of a Gauss-Newton step, as in `op3.identify.intervals`.
+
+    Args:
+        engine: gives the blocks.
+        base: with its Jacobian.
+        fit: a refit beside it.
+        level: coverage.
+
+    Returns:
+        Half widths, ``[coordinate beyond the base]``.
+    """
+    assert base.jacobian is not None and fit.columns is not None
+    fitted = np.concatenate([base.jacobian[engine.is_fit], fit.columns], -1).astype(np.float64)
+    scale = np.maximum(np.sqrt(np.square(fitted).sum((0, 1))), 1e-12)
+    fitted = fitted / scale
+    deviation = np.array([entry.deviation for entry in fit.coordinates.entries]) * scale
+    residual = fit.residual[engine.is_fit].astype(np.float64)
+    hessian = np.einsum("wri,wrj->ij", fitted, fitted, optimize=True) + np.diag(1 / deviation**2) / INFORMATION
+    hessian += 1e-9 * np.eye(len(scale))
+    names = np.unique(engine.blocks[engine.is_fit])
+    moves = []
+    for name in names:
+        inside = engine.blocks[engine.is_fit] == name
+        part = fitted[inside].reshape(-1, len(scale))
+        moves.append(np.linalg.solve(hessian - part.T @ part, part.T @ residual[inside].reshape(-1)))
+    count = len(names)
+    spread = np.sqrt((count - 1) / count * np.square(np.array(moves)).sum(0))
+    quantile = stats.t.ppf(0.5 + level / 2, max(1, count - 1))
+    return (quantile * spread / scale)[len(base.coordinates) :]
 
 
 def bounded_step(jacobian: np.ndarray, residual: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -239,6 +281,15 @@ def _penalised(engine: Engine, coordinates: Coordinates) -> Callable[[np.ndarray
         return np.concatenate([flat, coordinates.penalties(points) / np.sqrt(INFORMATION)], 1)
 
     return evaluate
+
+
+def _best_form(
+    engine: Engine, coordinates: Coordinates, alternatives: Sequence[RobotModel], point: np.ndarray
+) -> Coordinates:
+    """The coordinates of the model, or of an alternative, that fits best at a point."""
+    choices = [coordinates, *(replace(coordinates, model=model) for model in alternatives)]
+    losses = [float(np.square(_penalised(engine, choice)(point[None])).sum()) for choice in choices]
+    return choices[int(np.argmin(losses))]
 
 
 def _best_latency(engine: Engine, coordinates: Coordinates, point: np.ndarray) -> np.ndarray:

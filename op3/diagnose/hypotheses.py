@@ -1,13 +1,13 @@
 """What could be missing: every effect of the catalogue, in every place where it can sit."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from op3.diagnose.coordinates import CHAIN, Coordinate, Coordinates
+from op3.diagnose.coordinates import CHAIN, Coordinate, Coordinates, other_forms
 from op3.servo import Effect, Parameter, RobotModel, catalogue
 from op3.servo.effect import parameter
 
@@ -110,19 +110,33 @@ def hypotheses(
             continue
         on = name in model.effect_names
         with_it = model if on else _switched_on(model, effect)
-        secants = tuple(_own(with_it, effect, secant) for secant in effect.secants)
-        secants = tuple(secant for secant in secants if secant)
-        refitted = on and not any(p.name in CHAIN for p in effect.parameters)
-        if {"shared", "robot"} & set(effect.scopes) and not refitted:
-            result.append(Hypothesis(effect, None, with_it, secants))
-        if "joint" in effect.scopes and name not in CHAIN_TIMING and len(joints) > 1:
-            result.extend(Hypothesis(effect, (j,), with_it, secants) for j in range(len(joints)))
-        sides = {side: tuple(j for j, n in enumerate(joints) if n.startswith(side)) for side in ("l_", "r_")}
-        if "side" in effect.scopes and all(sides.values()):
-            result.extend(Hypothesis(effect, columns, with_it, secants) for columns in sides.values())
+        for variant in [with_it, *([] if on else _variants(with_it, name))]:
+            result.extend(_places(model, variant, effect, joints))
     if len(joints) == 1:
         return [Hypothesis(h.effect, None, h.model, h.secants) for h in result]
     return result
+
+
+def _places(
+    base: RobotModel, model: RobotModel, effect: type[Effect], joints: Sequence[str]
+) -> Iterator[Hypothesis]:
+    """The places in which one effect can sit."""
+    name = effect.name
+    secants = tuple(_own(effect, secant) for secant in effect.secants)
+    secants = tuple(secant for secant in secants if secant)
+    refitted = name in base.effect_names and not any(p.name in CHAIN for p in effect.parameters)
+    if {"shared", "robot"} & set(effect.scopes) and not refitted:
+        yield Hypothesis(effect, None, model, secants)
+    if "joint" in effect.scopes and name not in CHAIN_TIMING and len(joints) > 1:
+        yield from (Hypothesis(effect, (j,), model, secants) for j in range(len(joints)))
+    sides = {side: tuple(j for j, n in enumerate(joints) if n.startswith(side)) for side in ("l_", "r_")}
+    if "side" in effect.scopes and all(sides.values()):
+        yield from (Hypothesis(effect, columns, model, secants) for columns in sides.values())
+
+
+def _variants(model: RobotModel, name: str) -> list[RobotModel]:
+    """The model with this effect in its other forms."""
+    return other_forms(model) if name == "dte" else []
 
 
 def _switched_on(model: RobotModel, effect: type[Effect]) -> RobotModel:
@@ -131,9 +145,8 @@ def _switched_on(model: RobotModel, effect: type[Effect]) -> RobotModel:
     return model.with_effect(effect(), neutral)
 
 
-def _own(model: RobotModel, effect: type[Effect], secant: Mapping[str, float]) -> dict[str, float]:
+def _own(effect: type[Effect], secant: Mapping[str, float]) -> dict[str, float]:
     """A secant without parameters of other effects, which the base refits."""
-    del model
     own = {p.name for p in effect.parameters}
     return {name: amount for name, amount in secant.items() if name in own}
 

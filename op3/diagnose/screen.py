@@ -59,16 +59,12 @@ class Projector:
         self._fit = base.jacobian[is_fit].reshape(-1, size).astype(np.float64)
         self._rest = base.jacobian[~is_fit].reshape(-1, size).astype(np.float64)
         deviation = np.array([entry.deviation for entry in base.coordinates.entries])
-        pull = base.coordinates.penalties(base.point[None])[0] / deviation / INFORMATION
         normal = self._fit.T @ self._fit + np.diag(1.0 / deviation**2) / INFORMATION
         scale = 1.0 / np.sqrt(np.diag(normal))
         self._scale = scale
         self._factor = linalg.cho_factor(normal * scale[:, None] * scale + 1e-9 * np.eye(size))
         self.residual = base.residual[is_fit].reshape(-1).astype(np.float64)
         self.held = base.residual[~is_fit].reshape(-1).astype(np.float64)
-        step = self._solve(self._fit.T @ self.residual + pull)
-        self.residual = self.residual - self._fit @ step
-        self.held = self.held - self._rest @ step
 
     def _solve(self, right: np.ndarray) -> np.ndarray:
         return self._scale * linalg.cho_solve(self._factor, self._scale * right)
@@ -95,9 +91,10 @@ def screen(
     projector = Projector(base, engine.is_fit)
     blocks = np.unique(engine.blocks[engine.is_fit], return_inverse=True)[1]
     result: list[Screened] = []
-    effects = list(dict.fromkeys(h.effect for h in hypotheses))
-    for number, effect in enumerate(effects):
-        mine = [h for h in hypotheses if h.effect is effect]
+    models = list({id(h.model): h.model for h in hypotheses}.values())
+    batches = [(m, e) for m in models for e in dict.fromkeys(h.effect for h in hypotheses if h.model is m)]
+    for number, (model, effect) in enumerate(batches):
+        mine = [h for h in hypotheses if h.model is model and h.effect is effect]
         start = {**_neutral(mine[0], base), **base.parameters}
         sets = [start, *(h.moved(start, secant) for h in mine for secant in h.secants)]
         output = engine.residuals(mine[0].model, stacked(sets), len(sets), coarse=True)
@@ -106,7 +103,7 @@ def screen(
             for k in range(len(hypothesis.secants)):
                 result.append(_score(projector, next(columns), hypothesis, k, blocks))
         if progress is not None:
-            progress((number + 1) / len(effects))
+            progress((number + 1) / len(batches))
     return sorted(result, key=lambda s: -s.gain)
 
 

@@ -18,7 +18,6 @@ import numpy as np
 import yaml
 
 from op3.robot import LEG_JOINTS, leg_suite, leg_walking
-from op3.rollout import Rollout
 from op3.stand_in.hidden import ALIAS_PAIRS, BASES, CATALOGUE, KINDS, OUTSIDERS, SEVERITIES, Hidden
 from op3.stand_in.leg import record_leg
 from op3.stand_in.leg_servos import LegTruth
@@ -222,27 +221,6 @@ def write_answer(case: Case, answers: str | Path) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(content)
     return path
-
-
-def visibility(case: Case, logs: Sequence[Rollout]) -> dict[str, float]:
-    """How far what is hidden moves the logs, as a multiple of how far repeats of one command differ.
-
-    The same leg is recorded again with nothing hidden, under the same noise. Root mean squares over time, the largest
-    joint counts. 0 for a leg that hides nothing.
-
-    Returns:
-        By channel: `joint/position`, `joint/velocity`, `joint/current`.
-    """
-    suite = leg_walking(case.seed) if case.kind == "poor" else leg_suite(case.seed)
-    bare = record_leg(case.bare, suite, case.seed)
-    found = {}
-    for channel in ("joint/position", "joint/velocity", "joint/current"):
-        moved = np.stack([a.array(channel) - b.array(channel) for a, b in zip(logs, bare, strict=True)])
-        names = [log.metadata.motion for log in bare]
-        again = [np.stack([b.array(channel) for b, n in zip(bare, names, strict=True) if n == name]) for name in names]
-        spread = np.mean([copies.var(0, ddof=1).mean(0) for copies in again if len(copies) > 1], 0)
-        found[channel] = float(np.sqrt((moved**2).mean((0, 1)) / spread).max())
-    return found
 
 
 def answer_bytes(case: Case) -> bytes:

@@ -75,7 +75,7 @@ class DirectionalEfficiency(Effect):
     alias_class: ClassVar[str] = "load_loss"
     scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
 
-    form: Literal["passive", "printed"] = "passive"
+    form: Literal["passive", "printed", "power"] = "passive"
 
     def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
         """Efficiencies and losses."""
@@ -84,6 +84,7 @@ class DirectionalEfficiency(Effect):
             "backward_efficiency": values["backward_efficiency"],
             "forward_loss": 1.0 - values["forward_efficiency"],
             "backward_loss": 1.0 - values["backward_efficiency"],
+            "backward_share": 1.0 / values["backward_efficiency"].clamp(min=1e-3) - 1.0,
         }
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
@@ -97,6 +98,12 @@ class DirectionalEfficiency(Effect):
             # the loss falls with the motor torque when the joint gains speed, so less of the motor's damping arrives
             lost = prepared["forward_loss"] * torch.sign(motor * signals.velocity)
             signals.damping = signals.damping * (1.0 - torch.where(leads, lost, 0.0))
+        elif self.form == "power":
+            # bristles of presliding tell the direction in which the teeth are strained, before the joint moves
+            direction = signals.state["lugre"][0] if "lugre" in signals.state else signals.velocity
+            signals.friction_bound = signals.friction_bound + law.dte_power_loss(
+                motor, load, direction, prepared["forward_loss"], prepared["backward_share"]
+            )
         else:
             signals.applied_torque = signals.applied_torque + law.dte_brake(
                 motor, load, prepared["forward_efficiency"], prepared["backward_efficiency"]
