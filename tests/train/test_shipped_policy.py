@@ -11,7 +11,7 @@ from op3.tasks import Hold, evaluation_return
 
 @pytest.mark.slow
 def test_the_shipped_balance_policy_stands_where_the_stiff_hold_falls():
-    """On the tilting board the shipped policy ends 4 of 4 episodes upright, with a higher R_eval than the stiff hold."""
+    """On the tilting board the shipped policy ends 4 of 4 episodes upright, with more R_eval than the hold."""
     policy = PolicyBundle.load(asset_path("policies/balance/manifest.yaml").parent)
     assert policy.manifest.training.model_hash == model_hash(load_model("paper"))
     returns = {}
