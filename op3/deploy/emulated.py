@@ -109,6 +109,7 @@ class Hands(Yes):
 def emulate(
     *,
     world: str = "default",
+    world_seed: int | None = None,
     model: str | Path | None = None,
     scene: str = "floor",
     seed: int = 0,
@@ -122,6 +123,7 @@ def emulate(
 
     Args:
         world: the stand-in's truth; see `op3.stand_in.World.find`. Ignored where a model is given.
+        world_seed: which random world; None: as `seed`.
         model: name or file of a model, instead of a stand-in.
         scene: where it is put down; a name that `op3.robot.build_scene` knows.
         seed: of everything random.
@@ -135,7 +137,7 @@ def emulate(
         The robot, the operator who holds it, and what identifies the robot without telling its truth.
     """
     if model is None:
-        truth = World.find(world, seed)
+        truth = World.find(world, seed if world_seed is None else world_seed)
         identity = truth.identity
 
         def make(where: str, position: Array | None) -> Physics:
