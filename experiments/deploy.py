@@ -45,7 +45,9 @@ def open_robot(cfg: DictConfig) -> Connection:
     """The robot on the configured port."""
     emulation: dict[str, Any] = {}
     if cfg.port == EMULATED:
-        emulation = {name: cfg[name] for name in ("world", "model", "seed", "scene")} | {"record": cfg.frames}
+        emulation = {name: cfg[name] for name in ("world", "world_seed", "model", "seed", "scene")} | {
+            "record": cfg.frames
+        }
     mount = "stand" if cfg.mode == "hang" else cfg.mount
     calibration = None if cfg.calibration is None or cfg.mode == "calibrate" else Calibration.load(cfg.calibration)
     return connect(cfg.port, mount=mount, confirm=cfg.confirm, calibration=calibration, **emulation)

@@ -180,6 +180,7 @@ class Hands(Yes):
 def emulate(
     *,
     world: str = "default",
+    world_seed: int | None = None,
     model: str | Path | None = None,
     scene: str = "floor",
     task: str | Task | None = None,
@@ -195,6 +196,7 @@ def emulate(
 
     Args:
         world: the stand-in's truth; see `op3.stand_in.World.find`. Ignored where a model is given.
+        world_seed: which random world; None: as `seed`.
         model: name or file of a model, instead of a stand-in.
         scene: where it is put down: a name that `op3.robot.build_scene` knows.
         task: whose ground it is put down on, moving as in the episode of the seed; None for the scene.

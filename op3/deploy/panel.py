@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+import threading
+from contextlib import suppress
 from typing import Any, TextIO
 
 import numpy as np
@@ -15,9 +17,15 @@ from op3.deploy.state import State
 from op3.deploy.ticker import Ticker
 from op3.robot import JOINTS
 
+RECENT = 1250
+"""Ticks whose lateness is shown: the last ten seconds."""
+
 
 class Panel:
     """Rewrites a block of text a few times a second; silent where the output is no terminal.
+
+    Writing is left to a thread: a terminal that stalls, such as one at the end of a slow network, must not hold up the
+    loop. What it has no time to show is skipped.
 
     Args:
         stream: where it is written.
@@ -29,6 +37,9 @@ class Panel:
         self._every = every
         self._ticks = 0
         self._lines = 0
+        self._next: list[str] | None = None
+        self._due = threading.Event()
+        self._thread: threading.Thread | None = None
         self.enabled = self._stream.isatty()
 
     def __call__(
@@ -40,7 +51,22 @@ class Panel:
         self._ticks += 1
         if self._ticks % self._every != 1:
             return
-        lines = text(phase, state, command, counts, verdict, ticker)
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._serve, daemon=True)
+            self._thread.start()
+        self._next = text(phase, state, command, counts, verdict, ticker)
+        self._due.set()
+
+    def _serve(self) -> None:
+        with suppress(OSError, ValueError):  # the terminal is gone
+            while True:
+                self._due.wait()
+                self._due.clear()
+                lines, self._next = self._next, None
+                if lines is not None:
+                    self._write(lines)
+
+    def _write(self, lines: list[str]) -> None:
         up = f"\x1b[{self._lines}A" if self._lines else ""
         self._stream.write(up + "".join(f"\x1b[2K{line}\n" for line in lines))
         self._stream.flush()
@@ -51,7 +77,7 @@ def text(
     phase: str, state: State, command: Command, counts: NDArray[Any], verdict: Verdict, ticker: Ticker
 ) -> list[str]:
     """The lines of the view: one row per joint, time and deadlines above, worries below."""
-    timing = ticker.timing()
+    timing = ticker.timing(last=RECENT)
     roll, pitch = np.rad2deg(state.orientation[:2])
     lines = [
         f"{phase:8s} {timing.ticks * ticker.period:8.1f} s   roll {roll:6.1f} pitch {pitch:6.1f} deg   "

@@ -51,7 +51,14 @@ class PolicyRunner:
         self.bundle = bundle
         self._cycle = cycle
         self._controlled = indices(manifest.action_map.joints)
+        self._warm_up()
         self.reset()
+
+    def _warm_up(self) -> None:
+        """The first steps build tables and take a hundred times as long as later ones: not in a running loop."""
+        self.reset()
+        for step in range(3):
+            self.act(self.observe(pose("stand"), np.zeros(len(JOINTS)), np.zeros(3), np.zeros(3), step))
 
     def reset(self) -> None:
         """Begin an episode: the robot has held the stand pose."""

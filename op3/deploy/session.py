@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,6 +22,9 @@ from op3.deploy.safety import Onlooker, Release, Safety
 from op3.deploy.signals import StopSignals
 from op3.deploy.ticker import Timing
 from op3.rollout import LogError, Metadata, Recorder, Rollout
+
+LOG_NAMES = ("approach", "run", "after")
+"""Logs that a run can leave."""
 
 Phases = Callable[[Loop], Sequence[Phase]]
 """Makes the phases of a run; the loop is there for those that go on from its last targets."""
@@ -45,7 +50,7 @@ class Outcome:
 
 
 class Logs:
-    """The logs of a run, one folder per name, opened when their first row comes.
+    """The logs of a run, one folder per name.
 
     Args:
         folder: where they are written.
@@ -59,6 +64,17 @@ class Logs:
         self._start: float | None = None
         self._last = ""
 
+    def open(self) -> None:
+        """Make the folders now: a disk may take longer for that than a running loop has time."""
+        for name in LOG_NAMES if self._only is None else self._only:
+            self._recorder(name)
+
+    def _recorder(self, name: str) -> Recorder:
+        if name not in self._recorders:
+            label = name if self._metadata.recording is None else f"{self._metadata.recording}/{name}"
+            self._recorders[name] = Recorder(self._folder / name, self._metadata.replace(recording=label))
+        return self._recorders[name]
+
     def __call__(self, name: str, row: dict[Any, Any]) -> None:
         """Add a row to a log. Time counts from the first row of the run."""
         if self._only is not None and name not in self._only:
@@ -66,10 +82,7 @@ class Logs:
         if self._start is None:
             self._start = row["time"]
         row["time"] = row["time"] - self._start
-        if name not in self._recorders:
-            label = name if self._metadata.recording is None else f"{self._metadata.recording}/{name}"
-            self._recorders[name] = Recorder(self._folder / name, self._metadata.replace(recording=label))
-        self._recorders[name].append(row)
+        self._recorder(name).append(row)
         self._last = name
 
     def close(self, fallen: bool, extra: dict[str, Any]) -> dict[str, Rollout]:
@@ -82,7 +95,8 @@ class Logs:
                     fallen=fallen and name == self._last, extra={**self._metadata.extra, **extra}
                 )
             except (LogError, OSError) as error:
-                print(f"log {name}: {error}", file=sys.stderr)
+                if recorder.rows:  # one without rows takes its folder away
+                    print(f"log {name}: {error}", file=sys.stderr)
         return done
 
 
@@ -151,20 +165,22 @@ class Session:
 
     def _work(self, phases: Phases) -> None:
         safety = self._safety
+        armed = isinstance(safety, Safety) and safety.torque
         if isinstance(safety, Safety):
             safety.check_start(**({} if self._sysfs is None else {"sysfs": self._sysfs}))
             safety.prepare()
-            if safety.torque:
-                if not self._operator.confirm("The robot is about to move. Hold it, keep hands off its joints."):
-                    raise Stop(ExitCode.DECLINED, "not confirmed")
-                made = phases(self._loop)
-                self._read_all()
-                safety.energise()
-                self._loop.run(made)
-                return
+            if armed and not self._operator.confirm("The robot is about to move. Hold it, keep hands off its joints."):
+                raise Stop(ExitCode.DECLINED, "not confirmed")
+        # Whatever takes time is done before torque: from then on the watchdogs allow no pause of 100 ms.
         made = phases(self._loop)
+        if self._logs is not None:
+            self._logs.open()
         self._read_all()
-        self._loop.run(made)
+        with _collected_garbage():
+            if armed:
+                assert isinstance(safety, Safety)
+                safety.energise()
+            self._loop.run(made)
 
     def _read_all(self) -> None:
         """Readings until everything has answered once, so that no value is made up."""
@@ -198,3 +214,17 @@ class Session:
         if isinstance(self._safety, Safety):
             extra["largest_load"] = float(np.max(self._safety.load))
         return self._logs.close(code == ExitCode.FALL, extra)
+
+
+@contextmanager
+def _collected_garbage() -> Iterator[None]:
+    """Take everything that is there out of the garbage collector's sight.
+
+    A full collection in a process with torch and MuJoCo loaded takes longer than a tick, and grows with what is loaded.
+    """
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,7 +73,7 @@ class Ticker:
         self._clock = clock
         self._start = clock.now()
         self._index = -1
-        self._lateness: list[float] = []
+        self._lateness = array("d")
 
     def wait(self) -> Tick:
         """Sleep until the next deadline that has not passed by a period or more."""
@@ -90,8 +91,9 @@ class Ticker:
     def _deadline(self) -> float:
         return self._start + self._index * self.period
 
-    def timing(self) -> Timing:
-        """Statistics of all ticks so far."""
-        values = np.array(self._lateness or [0.0])
+    def timing(self, last: int | None = None) -> Timing:
+        """Statistics of all ticks so far, or of the last ones; `ticks` and `misses` count all."""
+        chosen = self._lateness if last is None else self._lateness[-last:]
+        values = np.array(chosen) if len(chosen) else np.zeros(1)
         p50, p99 = np.percentile(values, [50, 99])
         return Timing(len(self._lateness), self.misses, float(p50), float(p99), float(values.max()))

@@ -4,6 +4,7 @@ import io
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -175,13 +176,36 @@ def test_panel(tmp_path):
     for stream in (terminal, file):
         panel = Panel(stream, every=2)
         for _ in range(3):
+            time.sleep(0.1)  # the thread that writes
             panel("policy", state, Command.of(pose("stand"), 5.0, 0.1), np.zeros(20), Verdict(note="all odd"), ticker)
+    time.sleep(0.3)
     assert file.getvalue() == ""
     lines = terminal.getvalue().splitlines()
     assert len(lines) == 2 * 23
     assert sum("l_knee" in line for line in lines) == 2
     assert "all odd" in lines[-1]
     assert "\x1b[23A" in lines[23]
+
+
+def test_a_stalled_terminal_does_not_hold_up_the_loop(tmp_path):
+    """A terminal that takes no more text costs the loop nothing but the text."""
+
+    class Stalled(io.StringIO):
+        def isatty(self):
+            return True
+
+        def write(self, text):
+            time.sleep(5.0)
+            return len(text)
+
+    rig = make_rig(tmp_path)
+    switch_on(rig)
+    state, panel, ticker = rig.bus.read_state(), Panel(Stalled(), every=2), Ticker(rig.robot.clock)
+    ticker.wait()
+    before = time.monotonic()
+    for _ in range(20):
+        panel("policy", state, Command.of(pose("stand"), 5.0, 0.1), np.zeros(20), Verdict(), ticker)
+    assert time.monotonic() - before < 2.0
 
 
 @pytest.mark.parametrize("options", [{"world": "default"}, {"model": "paper"}], ids=["stand-in", "model"])
