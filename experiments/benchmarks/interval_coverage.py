@@ -121,14 +121,29 @@ def read_lines(path: Path) -> list[dict[str, Any]]:
     return worlds
 
 
+def append(path: Path, world: dict[str, Any]) -> None:
+    """Add a line; one that was cut short before it stays a line of its own."""
+    torn = path.is_file() and not path.read_text().endswith("\n")
+    with path.open("a") as file:
+        file.write("\n" * torn + json.dumps(world) + "\n")
+
+
 def summarise(worlds: list[dict[str, Any]], names: list[str]) -> dict[str, Any]:
-    """Coverage pooled over identifiable parameters, and of each parameter."""
+    """Coverage pooled over identifiable parameters, and of each parameter.
+
+    Least squares that ends above the loss of the truth has missed the minimum; worlds in which it has not are counted
+    by themselves too, which tells intervals from search.
+    """
     pooled = [w["covered"][n] for w in worlds for n in names if w["identifiable"][n]]
+    reached = [w for w in worlds if w["loss"] <= w["loss_of_truth"]]
+    pooled_reached = [w["covered"][n] for w in reached for n in names if w["identifiable"][n]]
     low = [w["truth"][n] < w["low"][n] for w in worlds for n in names if w["identifiable"][n]]
     return {
         "worlds": len(worlds),
         "coverage.pooled": float(np.mean(pooled)) if pooled else None,
         "coverage.pooled_count": len(pooled),
+        "coverage.minimum_reached": len(reached),
+        "coverage.pooled_where_reached": float(np.mean(pooled_reached)) if pooled_reached else None,
         "coverage.truth_below": float(np.mean(low)) if low else None,
         "covered": {n: sum(w["covered"][n] for w in worlds) for n in names},
         "identifiable_in": {n: sum(w["identifiable"][n] for w in worlds) for n in names},
@@ -149,7 +164,10 @@ def report(folder: Path, worlds: list[dict[str, Any]], names: list[str], seed: i
     provenance = run_provenance(seed=seed)
     result = write_result(folder / "result.yaml", {**numbers, "provenance": provenance}, meanings)
     pooled = numbers["coverage.pooled"]
-    page = Page("Coverage of 90 % intervals", f"{0 if pooled is None else pooled:.1%} of the intervals hold the truth.")
+    lead = f"{0 if pooled is None else pooled:.1%} of the intervals hold the truth."
+    lead += f" Least squares reached the minimum in {numbers['coverage.minimum_reached']} of {len(worlds)} worlds"
+    within = numbers["coverage.pooled_where_reached"]
+    page = Page("Coverage of 90 % intervals", lead + ("." if within is None else f"; there {within:.1%} do."))
     rows = [
         [name.replace("_", " "), numbers["covered"][name], numbers["covered_where_identifiable"][name],
          numbers["identifiable_in"][name], len(worlds)]
@@ -174,8 +192,7 @@ def main(cfg: DictConfig) -> None:
             if number in done:
                 continue
             world = one_world(cfg, number, motions)
-            with lines.open("a") as file:
-                file.write(json.dumps(world) + "\n")
+            append(lines, world)
             hits = sum(world["covered"].values())
             text = f"world {number}: {hits} of {len(world['covered'])} covered, {world['wall_seconds']:.0f} s"
             print(text, flush=True)

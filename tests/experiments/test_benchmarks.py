@@ -1,0 +1,80 @@
+"""The benchmarks at tiny budgets: they run, resume and count."""
+
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from op3.report import read_result
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+BENCHMARKS = REPOSITORY / "experiments" / "benchmarks"
+
+
+def load_script(name: str):
+    """A benchmark as a module."""
+    spec = importlib.util.spec_from_file_location(name, BENCHMARKS / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def world(number: int, covered: bool, loss: float, identifiable: bool = True) -> dict:
+    """A line of the coverage benchmark."""
+    return {
+        "world": number,
+        "truth": {"a": 0.5},
+        "low": {"a": 0.4},
+        "high": {"a": 0.6},
+        "covered": {"a": covered},
+        "identifiable": {"a": identifiable},
+        "loss": loss,
+        "loss_of_truth": 1.0,
+        "wall_seconds": 1.0,
+        "simulated_seconds": 2.0,
+    }
+
+
+def test_coverage_counts_what_is_identifiable_and_tells_search_from_intervals():
+    """Three of four identifiable intervals cover; of the three whose minimum was reached all do."""
+    script = load_script("interval_coverage")
+    worlds = [world(0, True, 0.9), world(1, True, 0.8), world(2, False, 3.0), world(3, True, 1.0)]
+    worlds.append(world(4, False, 0.9, identifiable=False))
+    numbers = script.summarise(worlds, ["a"])
+    assert numbers["coverage.pooled"] == 0.75
+    assert numbers["coverage.minimum_reached"] == 4
+    assert numbers["coverage.pooled_where_reached"] == 1.0
+    assert numbers["covered"] == {"a": 3}
+
+
+def test_a_torn_line_is_left_out(tmp_path):
+    """A line cut short by a kill does not count as done."""
+    script = load_script("interval_coverage")
+    path = tmp_path / "worlds.jsonl"
+    path.write_text(json.dumps(world(0, True, 1.0)) + "\n" + json.dumps(world(1, True, 1.0))[:40])
+    assert [line["world"] for line in script.read_lines(path)] == [0]
+    script.append(path, world(2, True, 1.0))
+    assert [line["world"] for line in script.read_lines(path)] == [0, 2]
+
+
+@pytest.mark.slow
+def test_one_world_and_resume(tmp_path):
+    """A world is drawn, recorded, identified and written; the same command again has nothing left to do."""
+    command = [
+        sys.executable, str(BENCHMARKS / "interval_coverage.py"), "worlds=1", "motions=[squat_shallow]", "trials=4",
+        "refine={starts: 1, max_iterations: 1, race: 1}", f"hydra.run.dir={tmp_path}",
+    ]  # fmt: skip
+    first = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert first.returncode == 0, first.stderr
+    assert "world 0:" in first.stdout
+    second = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert "world 0:" not in second.stdout
+    numbers = read_result(tmp_path / "result.yaml")
+    assert numbers["worlds"] == 1
+    line = json.loads((tmp_path / "worlds.jsonl").read_text())
+    assert set(line["covered"]) == set(line["truth"])
