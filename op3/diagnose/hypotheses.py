@@ -44,9 +44,7 @@ class Hypothesis:
         """Columns in which one of its parameters is moved."""
         return self.joints if known.per_joint else None
 
-    def moved(
-        self, base: Mapping[str, Tensor], secant: Mapping[str, float], share: float = 1.0
-    ) -> dict[str, Tensor]:
+    def moved(self, base: Mapping[str, Tensor], secant: Mapping[str, float], share: float = 1.0) -> dict[str, Tensor]:
         """Parameters ``[1, joint]`` at a share of a secant, starting from `base`."""
         values = {name: value.clone() for name, value in base.items()}
         for name, amount in secant.items():
@@ -70,9 +68,7 @@ class Hypothesis:
             known = parameter(name)
             columns = self.columns(known)
             if known.neutral is None:
-                entries.append(
-                    Coordinate(name, columns, known.low, known.high, amount, amount, known.high - known.low)
-                )
+                entries.append(Coordinate(name, columns, known.low, known.high, amount, amount, known.high - known.low))
             else:
                 now = self.model.value(name)
                 low = max(known.least, min(known.low, known.neutral)) - now
@@ -80,6 +76,8 @@ class Hypothesis:
                 if self.effect.name in base.model.effect_names:
                     # beside a parameter that the base has: as much again in either direction
                     low, high = -(known.high - known.low), known.high - known.low
+                    if name in CHAIN and not CHAIN[name][2]:
+                        low = 0.0  # the chain itself has what is expected
                 start = float(np.clip(share * amount, low, high))
                 entries.append(Coordinate(name, columns, low, high, start, 0.0, 2 * (high - low), "add"))
         start = np.array([entry.start for entry in entries])
@@ -121,9 +119,7 @@ def hypotheses(
     return result
 
 
-def _places(
-    base: RobotModel, model: RobotModel, effect: type[Effect], joints: Sequence[str]
-) -> Iterator[Hypothesis]:
+def _places(base: RobotModel, model: RobotModel, effect: type[Effect], joints: Sequence[str]) -> Iterator[Hypothesis]:
     """The places in which one effect can sit."""
     name = effect.name
     secants = tuple(_own(effect, secant) for secant in effect.secants)

@@ -146,7 +146,9 @@ class FixedBase:
         scene = build_scene("stand", tilt_roll=tilt[0], tilt_pitch=tilt[1])
         unknown = [joint for joint in joints if joint not in JOINTS]
         if unknown:
-            raise LogError(f"the robot has no joint {unknown[0]!r}", "use the joint names of op3.robot", column="joints")
+            raise LogError(
+                f"the robot has no joint {unknown[0]!r}", "use the joint names of op3.robot", column="joints"
+            )
         elements = {element.name: element for element in scene.joints}
         _remove_idle_limbs(elements, set(joints))
         moved = [elements[joint] for joint in joints]

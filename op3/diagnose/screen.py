@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from op3.diagnose.coordinates import CHAIN
 from op3.diagnose.fitting import INFORMATION, Engine, Fit
 from op3.diagnose.hypotheses import Hypothesis, stacked
 
@@ -147,8 +148,12 @@ def _one_sided(h: Hypothesis, name: str) -> bool:
     known = next(p for p in h.effect.parameters if p.name == name)
     if known.neutral is None:
         return True
+    if name in CHAIN and not CHAIN[name][2]:
+        return True
     now = h.model.value(name)
-    return now <= max(known.least, known.low if known.low == known.neutral else known.least) + 1e-12 or now >= known.most
+    return (
+        now <= max(known.least, known.low if known.low == known.neutral else known.least) + 1e-12 or now >= known.most
+    )
 
 
 def cosines(screened: Sequence[Screened]) -> np.ndarray:

@@ -57,7 +57,9 @@ def split_logs(logs: Sequence[Rollout], seed: int = 0) -> LogSplit:
     usable = [log for log in logs if log.duration >= SHORTEST]
     if not usable:
         raise LogError(
-            f"no log is {SHORTEST:g} s long", "record at least a few seconds, better 100 s in several runs", column="time"
+            f"no log is {SHORTEST:g} s long",
+            "record at least a few seconds, better 100 s in several runs",
+            column="time",
         )
     if len(usable) < 5:
         return _split_in_time(usable)
