@@ -1,8 +1,17 @@
 """Locate where simulation and logs disagree, name the missing effect, add it, show the gap shrink."""
 
+from op3.diagnose.aliasing import aliasing
 from op3.diagnose.diagnosis import Diagnosis
 from op3.diagnose.split import LogSplit, split_logs
 from op3.diagnose.verdict import Finding, Verdict
 from op3.diagnose.windows import WindowResiduals
 
-__all__ = ["Diagnosis", "Finding", "LogSplit", "Verdict", "WindowResiduals", "split_logs"]
+__all__ = [
+    "Diagnosis",
+    "Finding",
+    "LogSplit",
+    "Verdict",
+    "WindowResiduals",
+    "aliasing",
+    "split_logs",
+]

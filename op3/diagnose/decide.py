@@ -156,8 +156,11 @@ def _counts(contender: Contender, control: np.ndarray, rng: np.random.Generator)
     """Whether a contender is large enough, explains enough, and does so in more than a few blocks."""
     low, _ = difference_interval(contender.losses, control, rng)
     large = abs(contender.size) >= SMALLEST_SIZE * contender.smallest
-    return large and low > 0 and min(contender.gain, contender.fit_gain) > 0.25 * SMALLEST_GAIN and (
-        0.5 * (contender.gain + contender.fit_gain) >= SMALLEST_GAIN
+    return (
+        large
+        and low > 0
+        and min(contender.gain, contender.fit_gain) > 0.25 * SMALLEST_GAIN
+        and (0.5 * (contender.gain + contender.fit_gain) >= SMALLEST_GAIN)
     )
 
 

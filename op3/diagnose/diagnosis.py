@@ -1,14 +1,16 @@
 """The workflow: refit the base, screen, refit the shortlist, decide, add, show."""
 
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from op3.diagnose.coordinates import base_coordinates, other_forms, with_chain
 from op3.diagnose.decide import Contender, Decision, decide
-from op3.diagnose.fitting import Engine, Fit, fit_base, intervals, refit, with_point
+from op3.diagnose.fitting import Engine, Fit, fit_base, intervals, linearise, refit, with_point
 from op3.diagnose.hypotheses import Hypothesis, hypotheses
 from op3.diagnose.screen import Screened, screen
 from op3.diagnose.show import show
@@ -17,11 +19,12 @@ from op3.diagnose.verdict import Finding, Verdict
 from op3.diagnose.windows import WindowResiduals
 from op3.servo import Estimate, RobotModel
 from op3.servo.effect import parameter
+from op3.sim import model_hash
 
-SHORTLIST = 8
+SHORTLIST = 6
 """Hypotheses that are refitted, by what the screen credits them with."""
 
-SHARED = 5
+SHARED = 3
 """Hypotheses of all joints alike that are refitted besides: a base may have absorbed them."""
 
 BOUND = 1e-3
@@ -56,6 +59,8 @@ class Diagnosis:
         seed: of every resampling.
         engine: gives residuals; by default windows, for logs of a robot on the stand.
         progress: called with the stage and the share done.
+        without: names of effects not to consider.
+        cache: folder in which the refitted base is kept, so that an interrupted diagnosis goes on behind it.
     """
 
     def __init__(
@@ -67,6 +72,7 @@ class Diagnosis:
         engine: Engine | None = None,
         progress: Progress | None = None,
         without: Sequence[str] = (),
+        cache: Path | None = None,
     ):
         self.given = model
         self.split = split
@@ -75,6 +81,7 @@ class Diagnosis:
         self.engine: Engine = engine or WindowResiduals(split)
         self.fixed_base = split.fit[0].metadata.mount != "floor"
         self.without = tuple(without)
+        self.cache = cache
         self.base: Fit | None = None
         self.screened: list[Screened] = []
         self.refitted: list[Refitted] = []
@@ -83,12 +90,28 @@ class Diagnosis:
         """Refit the model's own parameters, with the measurement chain and the spread of its servos."""
         full = with_chain(model) if "current_pd" in model.effect_names else model
         coordinates = base_coordinates(full, self.engine.joints, fixed_base=self.fixed_base)
-        return fit_base(
-            self.engine,
-            coordinates,
-            alternatives=other_forms(full),
-            progress=lambda share: self._report("base", share),
+        forms = [full, *other_forms(full)]
+        place = None if self.cache is None else self.cache / f"base-{self._key(full)}.npz"
+        if place is not None and place.is_file():
+            with np.load(place) as kept:
+                chosen = replace(coordinates, model=forms[int(kept["form"])])
+                return linearise(self.engine, chosen, kept["point"])
+        fit = fit_base(
+            self.engine, coordinates, alternatives=forms[1:], progress=lambda share: self._report("base", share)
         )
+        if place is not None:
+            place.parent.mkdir(parents=True, exist_ok=True)
+            np.savez(place, point=fit.point, form=[m is fit.coordinates.model for m in forms].index(True))
+        return fit
+
+    def _key(self, model: RobotModel) -> str:
+        """Sixteen hex digits of everything that decides where the base ends."""
+        digest = hashlib.sha256(f"{model_hash(model)} {len(self.engine.is_fit)} {self.engine.is_fit.sum()}".encode())
+        for logs in (self.split.fit, self.split.select):
+            for log in logs:
+                for channel in log.channels:
+                    digest.update(np.ascontiguousarray(log.array(channel)).tobytes())
+        return digest.hexdigest()[:16]
 
     def screen(self, base: Fit) -> list[Screened]:
         """Screen the catalogue."""
@@ -224,9 +247,13 @@ class Diagnosis:
         size = start + float(fit.point[place])
         width = float(half[place - known])
         limit = parameter(entry.parameter)
-        low, high = (max(limit.least, size - width), min(limit.most, size + width)) if absolute else (
-            size - width,
-            size + width,
+        low, high = (
+            (max(limit.least, size - width), min(limit.most, size + width))
+            if absolute
+            else (
+                size - width,
+                size + width,
+            )
         )
         joints = self.engine.joints
         return Finding(
@@ -270,7 +297,7 @@ class Diagnosis:
             for label, s in best.items()
             if label not in refitted
         ]
-        return {"ranking": ranking, "screen": list(best.values()), "shown": shown}
+        return {"ranking": ranking, "shown": shown, "joints": list(joints)}
 
 
 def shortlist(screened: Sequence[Screened]) -> list[Screened]:

@@ -12,8 +12,8 @@ from torch import Tensor
 from op3.diagnose.coordinates import Coordinates
 from op3.servo import Estimate, RobotModel
 
-STEP = 2e-3
-"""Step of finite differences, as a share of a coordinate's range."""
+STEP = 1e-2
+"""Step of finite differences, as a share of a coordinate's range: above the kinks of stiction."""
 
 LADDER = (1.0, 0.5, 0.2, 0.05)
 """Shares of a Gauss-Newton step that are tried at once."""
@@ -76,7 +76,7 @@ def fit_base(
     engine: Engine,
     coordinates: Coordinates,
     *,
-    rounds: int = 4,
+    rounds: int = 3,
     start: np.ndarray | None = None,
     alternatives: Sequence[RobotModel] = (),
     progress: Callable[[float], None] | None = None,
@@ -97,7 +97,7 @@ def fit_base(
     for number in range(rounds):
         jacobian = _with_penalty(_jacobian(engine, coordinates, point, fit_only=True), coordinates)
         before = losses = None
-        for _ in range(2):
+        for _ in range(1 if number == 0 else 2):
             residual = evaluate(point[None])[0]
             before = float(np.square(residual).sum()) if before is None else before
             direction = bounded_step(jacobian, residual, coordinates.low - point, coordinates.high - point)
@@ -108,7 +108,8 @@ def fit_base(
             point = points[int(losses.argmin())]
         if progress is not None:
             progress((number + 1) / (rounds + 1))
-        assert before is not None and losses is not None
+        assert before is not None
+        assert losses is not None
         if start is None and number == 0:
             point = _best_latency(engine, coordinates, point)
         if number < 2 and alternatives:
@@ -133,9 +134,7 @@ def _jacobian(engine: Engine, coordinates: Coordinates, point: np.ndarray, fit_o
     """Differences of the residuals, inwards at the bounds, ``[window, residual, coordinate]``."""
     step = _steps(coordinates, point)
     points = np.concatenate([[point], point + np.diag(step)])
-    result = engine.residuals(
-        coordinates.model, coordinates.values(points), len(points), fit_only=fit_only, coarse=True
-    )
+    result = engine.residuals(coordinates.model, coordinates.values(points), len(points), fit_only=fit_only)
     return np.moveaxis(result[1:] - result[0], 0, -1) / step.astype(np.float32)
 
 
@@ -184,9 +183,9 @@ def refit(
         loss = float(np.square(residual).sum())
         step = _steps(coordinates, best)[known:]
         probes = np.concatenate([[best], best + np.eye(len(best))[known:] * step[:, None]])
-        moved = engine.residuals(
-            coordinates.model, coordinates.values(probes), len(probes), fit_only=True, coarse=True
-        ).reshape(len(probes), rows)
+        moved = engine.residuals(coordinates.model, coordinates.values(probes), len(probes), fit_only=True).reshape(
+            len(probes), rows
+        )
         columns = ((moved[1:] - moved[0]) / step[:, None].astype(np.float32)).T.reshape(*fitted.shape[:2], -1)
         jacobian = _with_penalty(np.concatenate([fitted, columns], -1), coordinates)
         direction = bounded_step(jacobian, residual, coordinates.low - best, coordinates.high - best)
@@ -217,7 +216,8 @@ def intervals(engine: Engine, base: Fit, fit: Fit, level: float = 0.9) -> np.nda
     Returns:
         Half widths, ``[coordinate beyond the base]``.
     """
-    assert base.jacobian is not None and fit.columns is not None
+    assert base.jacobian is not None
+    assert fit.columns is not None
     fitted = np.concatenate([base.jacobian[engine.is_fit], fit.columns], -1).astype(np.float64)
     scale = np.maximum(np.sqrt(np.square(fitted).sum((0, 1))), 1e-12)
     fitted = fitted / scale

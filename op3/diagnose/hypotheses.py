@@ -76,6 +76,8 @@ class Hypothesis:
                 if self.effect.name in base.model.effect_names:
                     # beside a parameter that the base has: as much again in either direction
                     low, high = -(known.high - known.low), known.high - known.low
+                    if name in CHAIN and not CHAIN[name][2]:
+                        low = 0.0  # the chain itself has what is expected
                 start = float(np.clip(share * amount, low, high))
                 entries.append(Coordinate(name, columns, low, high, start, 0.0, 2 * (high - low), "add"))
         start = np.array([entry.start for entry in entries])
@@ -117,9 +119,7 @@ def hypotheses(
     return result
 
 
-def _places(
-    base: RobotModel, model: RobotModel, effect: type[Effect], joints: Sequence[str]
-) -> Iterator[Hypothesis]:
+def _places(base: RobotModel, model: RobotModel, effect: type[Effect], joints: Sequence[str]) -> Iterator[Hypothesis]:
     """The places in which one effect can sit."""
     name = effect.name
     secants = tuple(_own(effect, secant) for secant in effect.secants)

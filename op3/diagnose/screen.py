@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from op3.diagnose.coordinates import CHAIN
 from op3.diagnose.fitting import INFORMATION, Engine, Fit
 from op3.diagnose.hypotheses import Hypothesis, stacked
 
@@ -146,6 +147,8 @@ def _one_sided(h: Hypothesis, name: str) -> bool:
     """Whether the hypothesis may move only along its secant: its parameter stands at a bound of what is possible."""
     known = next(p for p in h.effect.parameters if p.name == name)
     if known.neutral is None:
+        return True
+    if name in CHAIN and not CHAIN[name][2]:
         return True
     now = h.model.value(name)
     return (

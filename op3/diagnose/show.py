@@ -6,14 +6,13 @@ from typing import Any
 import numpy as np
 import torch
 
+from op3.diagnose.split import LogSplit
 from op3.identify.loss import TrajectoryLoss
 from op3.robot import pose
 from op3.robot.joints import JOINTS
 from op3.rollout import Rollout
 from op3.servo import RobotModel
 from op3.tasks import Prediction, Replay
-
-from op3.diagnose.split import LogSplit
 
 RESAMPLES = 500
 """Bootstrap resamples of runs and seconds."""

@@ -113,6 +113,7 @@ class Verdict:
         content["gap"] = {name: dict(values) for name, values in self.gap.items()}
         content["loss"] = dict(self.loss)
         content["vetoed"] = self.vetoed
+        content["ranking"] = list(self.details.get("ranking", ()))
         return content
 
 

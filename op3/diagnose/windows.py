@@ -26,7 +26,7 @@ INITIAL_POSITION = 0.0015
 INITIAL_VELOCITY = 0.06
 """Prior standard deviation of the initial velocity's error [rad/s]."""
 
-FLOOR = {("joint", "position"): 0.0006, ("joint", "velocity"): 0.02, ("joint", "current"): 0.003}
+FLOOR = {("joint", "position"): 0.0006, ("joint", "velocity"): 0.02, ("joint", "current"): 0.006}
 """Standard deviation of a reading, by channel [rad, rad/s, A]."""
 
 HUBER = 2.0
@@ -56,8 +56,8 @@ class WindowResiduals:
         self,
         split: LogSplit,
         *,
-        fit_windows: int = 150,
-        select_windows: int = 80,
+        fit_windows: int = 60,
+        select_windows: int = 36,
         ticks: int = 25,
         timestep: float = 0.001,
     ):
@@ -223,7 +223,9 @@ class WindowResiduals:
 
     def whiten(self, error: np.ndarray) -> np.ndarray:
         """Whitened residual without what initial states explain, ``[candidate, window, residual]``."""
-        assert self.scale is not None and self._nuisance is not None and self._shrink is not None
+        assert self.scale is not None
+        assert self._nuisance is not None
+        assert self._shrink is not None
         flat = (error / self.scale).reshape(*error.shape[:2], -1)
         basis, shrink = self._nuisance[: flat.shape[1]], self._shrink[: flat.shape[1]]
         # [window, nuisance, candidate]
