@@ -184,7 +184,6 @@ def emulate(
     model: str | Path | None = None,
     scene: str = "floor",
     task: str | Task | None = None,
-    world_seed: int | None = None,
     seed: int = 0,
     joint_position: ArrayLike | None = None,
     faults: Faults | None = None,
@@ -200,7 +199,6 @@ def emulate(
         model: name or file of a model, instead of a stand-in.
         scene: where it is put down: a name that `op3.robot.build_scene` knows.
         task: whose ground it is put down on, moving as in the episode of the seed; None for the scene.
-        world_seed: of a random world; None for `seed`.
         seed: of everything else that is random.
         joint_position: [joint] in rad at the start.
         faults: of the bus and the robot.
