@@ -191,9 +191,12 @@ def start(port, folder, robot):
     """A run that has torque on, in at most three tries: a machine that stutters fails the start checks."""
     for attempt in range(3):
         process = deploy(port, folder / str(attempt), "duration=60")
-        if wait_for(lambda: process.poll() is not None or all(s.torque for s in robot.servos.values()), 90):
-            if process.poll() is None:
-                return process
+
+        def settled(process=process):
+            return process.poll() is not None or all(servo.torque for servo in robot.servos.values())
+
+        if wait_for(settled, 90) and process.poll() is None:
+            return process
         process.kill()
     raise AssertionError(process.communicate()[0])
 
