@@ -145,7 +145,7 @@ class BatchedEnv(EnvBase):
         if self.task.board is not None:
             motions = [self._beginnings[row].board for row in range(self.num_envs)]
             if self._ground is None:
-                self._ground = Ground(self.task, self.simulation.batch.model, motions)
+                self._ground = Ground(self.simulation.batch.model, motions)
             self._ground.replace(rows, [motions[row] for row in rows])
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:

@@ -87,8 +87,8 @@ class ActionMap:
         low, high = np.array([SOFT_LIMITS[joint] for joint in joints]).T
         return cls(
             tuple(joints),
-            tuple(float(value) for value in np.clip(stand - span, low, high)),
-            tuple(float(value) for value in np.clip(stand + span, low, high)),
+            tuple(round(float(value), 9) for value in np.clip(stand - span, low, high)),
+            tuple(round(float(value), 9) for value in np.clip(stand + span, low, high)),
         )
 
     @property

@@ -1,7 +1,7 @@
 """The OP3 itself: joints, model, poses, scenes and motions."""
 
 from op3.robot.assets import asset_path, named_configs
-from op3.robot.board import BoardDrive, BoardMotion, Tilts, Waves, WeightDrive, WeightSchedule
+from op3.robot.board import BoardDrive, BoardMotion, Tilts, Waves, WeightDrive, WeightSchedule, board_drive
 from op3.robot.joints import (
     CONTROLLED_JOINTS,
     GEAR_RATIO,
@@ -20,6 +20,7 @@ from op3.robot.op3_entity import OP3
 from op3.robot.poses import POSES, pose, standing_height
 from op3.robot.scenes import SCENES, Scene, build_bench, build_scene
 from op3.robot.surfaces import draw_tiles, place_tiles, tile_ids
+from op3.robot.walking import SinusoidalGait
 
 __all__ = [
     "CONTROLLED_JOINTS",
@@ -38,11 +39,13 @@ __all__ = [
     "BoardMotion",
     "Motion",
     "Scene",
+    "SinusoidalGait",
     "Tilts",
     "Waves",
     "WeightDrive",
     "WeightSchedule",
     "asset_path",
+    "board_drive",
     "build_bench",
     "build_scene",
     "center_of_mass",

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import mujoco
 import numpy as np
@@ -142,12 +142,12 @@ class Tilts:
         return angle, rate, bend
 
 
-M = TypeVar("M", Waves, Tilts)
+M = TypeVar("M")
 
 
 def stack(motions: Sequence[M]) -> M:
-    """Many motions of one kind as one, with a leading axis."""
-    kind = type(motions[0])
+    """Many motions or schedules of one kind as one, with a leading axis."""
+    kind: Any = type(motions[0])
     return kind(*(np.stack([getattr(motion, field.name) for motion in motions]) for field in fields(kind)))
 
 
@@ -224,3 +224,23 @@ class WeightDrive:
         force = WEIGHT_MASS * 9.81 + HAND_STIFFNESS * (-lowered - qpos[..., self._qpos])
         force = force + _HAND_DAMPING * (-speed - qvel[..., self._dof])
         qfrc_applied[..., self._dof] = np.maximum(force, 0.0)
+
+
+def board_drive(
+    model: mujoco.MjModel, board: BoardMotion | WeightSchedule, period: float = 0.008
+) -> BoardDrive | WeightDrive:
+    """What makes a scene's board do this.
+
+    Args:
+        model: compiled scene.
+        board: motion of the scene "board", or schedule of the scene "board_weight".
+        period: time between ticks [s].
+
+    Raises:
+        ValueError: if the scene has no such board.
+    """
+    wanted = "board/weight" if isinstance(board, WeightSchedule) else "board/roll"
+    if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, wanted) < 0:
+        scene = "board_weight" if wanted == "board/weight" else "board"
+        raise ValueError(f"{type(board).__name__} moves the scene {scene!r}, but this scene has no joint {wanted!r}")
+    return WeightDrive(model) if isinstance(board, WeightSchedule) else BoardDrive(model, period)

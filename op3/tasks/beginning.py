@@ -18,7 +18,7 @@ class Beginning:
     Attributes:
         qpos: full position ``[nq]``.
         qvel: full velocity ``[nv]``.
-        board: what moves the board; None where nothing moves.
+        board: what moves the board; None where there is none.
         tiles: heights of the terrain's tiles [m], ``[tile]``; None where there are none.
     """
 
@@ -40,9 +40,15 @@ def begin(task: Task, scene: Scene, seed: int) -> Beginning:
     qvel[0:2] = scatter.velocity * rng.standard_normal(2)
     qvel[3:5] = scatter.angular_velocity * rng.standard_normal(2)
     qvel[6 + legs] = scatter.joint_velocity * rng.standard_normal(len(legs))
+    return Beginning(qpos, qvel, board_of(task, seed), draw_tiles(seed) if task.scene == "terrain" else None)
+
+
+def board_of(task: Task, seed: int) -> Waves | Tilts | WeightSchedule | None:
+    """What moves the board in the episode of a seed; None for a task without a board."""
+    if task.board == "still":
+        return Waves.still()
     kinds = {"waves": Waves, "tilts": Tilts, "weight": WeightSchedule}
-    board = None if task.board is None else kinds[task.board].draw(seed)
-    return Beginning(qpos, qvel, board, draw_tiles(seed) if task.scene == "terrain" else None)
+    return None if task.board is None else kinds[task.board].draw(seed)
 
 
 def episode_seed(seed: int, index: int, episode: int) -> int:

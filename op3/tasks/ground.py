@@ -11,10 +11,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.robot import BoardDrive, WeightDrive
-from op3.robot.board import stack
+from op3.robot.board import board_drive, stack
 from op3.tasks.setups import OP3_CONTROL_PERIOD
-from op3.tasks.task import Task
 
 Array = NDArray[np.float64]
 
@@ -23,14 +21,13 @@ class Ground:
     """Boards under many robots, each with a motion of its own, driven once per control tick.
 
     Args:
-        task: whose board moves.
         model: compiled scene.
         motions: one per robot.
     """
 
-    def __init__(self, task: Task, model: mujoco.MjModel, motions: Sequence[Any]):
+    def __init__(self, model: mujoco.MjModel, motions: Sequence[Any]):
         self._motion = stack(motions)
-        self._drive: Any = WeightDrive(model) if task.board == "weight" else BoardDrive(model, OP3_CONTROL_PERIOD)
+        self._drive: Any = board_drive(model, motions[0], OP3_CONTROL_PERIOD)
 
     def replace(self, rows: Array, motions: Sequence[Any]) -> None:
         """Give the robots in `rows` these motions."""

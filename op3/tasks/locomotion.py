@@ -73,7 +73,7 @@ class LocomotionTask(composer.Task):
         data.qpos[:], data.qvel[:], data.qfrc_applied[:] = beginning.qpos, beginning.qvel, 0.0
         if beginning.tiles is not None:
             place_tiles(model.geom_pos, self._tiles, beginning.tiles)
-        self._ground = None if beginning.board is None else Ground(self.task, model, [beginning.board])
+        self._ground = None if beginning.board is None else Ground(model, [beginning.board])
         first = {name: value[0] for name, value in self.rules.resting_commands(1).items()}
         self.servo.initialize_episode(physics, random_state, **first)
         self.observation = self.rules.begin(self._snapshot(physics), torch.ones(1, dtype=torch.bool))

@@ -61,7 +61,7 @@ class Rules:
     @property
     def time(self) -> Tensor:
         """Time since each episode's beginning [s], ``[sim]``."""
-        return self.steps * POLICY_PERIOD
+        return self.steps.double() * POLICY_PERIOD
 
     def begin(self, snapshot: Snapshot, rows: Tensor) -> Tensor:
         """Episodes begin for the rows of a mask ``[sim]``; the robots hold the stand pose with the highest gain.

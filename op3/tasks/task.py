@@ -16,8 +16,8 @@ TICKS = 4
 POLICY_PERIOD = TICKS * OP3_CONTROL_PERIOD
 """Time between policy steps [s]."""
 
-BOARD_MOTIONS = ("waves", "tilts", "weight")
-"""What moves a board: random waves, steps between two tilts, or a weight that is lowered on it."""
+BOARD_MOTIONS = ("still", "waves", "tilts", "weight")
+"""What moves a board: nothing, random waves, steps between two tilts, or a weight that is lowered on it."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class Task:
         scene: name for `op3.robot.build_scene`.
         coefficients: of the training reward.
         desired_velocity: forwards and sideways [m/s].
-        board: what moves the board, one of `BOARD_MOTIONS`; None where nothing moves.
+        board: what moves the board, one of `BOARD_MOTIONS`; None where there is none.
         cycle: duration of a gait cycle [s]; None for a task without a gait.
         history: number of earlier observations that the policy sees besides the latest.
         duration: time limit of an episode [s].
@@ -116,6 +116,7 @@ class Task:
     sensors: Sensors = field(default_factory=Sensors)
 
     def __post_init__(self):
+        object.__setattr__(self, "desired_velocity", tuple(self.desired_velocity))
         if self.board is not None and self.board not in BOARD_MOTIONS:
             raise ValueError(f"board must be one of {', '.join(BOARD_MOTIONS)}, got {self.board!r}")
         if (self.board == "weight") != (self.scene == "board_weight") or (self.board is None) != (

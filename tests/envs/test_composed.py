@@ -5,6 +5,8 @@ import torch
 from torchrl.envs import check_env_specs
 
 from op3.envs import make_env
+from op3.servo import catalogue
+from op3.sim import load_model
 
 
 def play(env, steps: int) -> list:
@@ -30,6 +32,23 @@ def test_twins_agree(name):
         torch.testing.assert_close(one["observation"], other["observation"], rtol=0, atol=1e-6)
         torch.testing.assert_close(one["reward"], other["reward"], rtol=0, atol=1e-6)
         assert torch.equal(one["terminated"], other["terminated"])
+
+
+def test_twins_agree_with_all_kinds_of_effects():
+    """Effects that remember, edit the model, or change sensors and ground act alike in both."""
+    model = load_model("paper")
+    for name in ("backlash", "velocity_filter", "voltage_sag", "encoder_offset", "imu_mount", "foot_friction"):
+        effect = catalogue()[name]()
+        own = {p.name for p in effect.parameters}
+        model = model.with_effect(effect, {n: v for n, v in effect.secants[0].items() if n in own})
+    composed, batched = (
+        play(make_env("balance", model, num_envs=1, seed=3, backend=b), 10) for b in ("composer", "batched")
+    )
+    plain = play(make_env("balance", num_envs=1, seed=3), 10)
+    for one, other in zip(composed, batched, strict=True):
+        torch.testing.assert_close(one["observation"], other["observation"], rtol=0, atol=1e-5)
+        torch.testing.assert_close(one["reward"], other["reward"], rtol=0, atol=1e-5)
+    assert (batched[-1]["observation"] - plain[-1]["observation"]).abs().max() > 1e-2
 
 
 def test_specs():

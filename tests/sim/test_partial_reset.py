@@ -5,17 +5,17 @@ import pytest
 import torch
 
 from op3.robot import pose
+from op3.servo import RobotModel, catalogue
 from op3.sim import BatchSimulation, load_model
 from op3.tasks import Setup
 
 COMMANDS = {"p_gain": torch.tensor(6.0), "d_gain": torch.tensor(0.1)}
 
 
-def simulation(num_sims: int, model: str = "paper") -> tuple[BatchSimulation, np.ndarray]:
+def simulation(num_sims: int, model: RobotModel | None = None) -> tuple[BatchSimulation, np.ndarray]:
     setup = Setup.of_mount("floor")
-    made = BatchSimulation(
-        setup.mj_model, setup.scene.joint_names, load_model(model), num_sims, base_body=setup.base_body
-    )
+    model = model or load_model("paper")
+    made = BatchSimulation(setup.mj_model, setup.scene.joint_names, model, num_sims, base_body=setup.base_body)
     return made, setup.scene.initial_qpos(pose("stand"))
 
 
@@ -45,9 +45,20 @@ def test_others_are_not_disturbed():
     assert torch.equal(swing(touched, 10, 10)[:, [0, 2]], swing(untouched, 10, 10)[:, [0, 2]])
 
 
-def test_rows_start_as_in_a_new_simulation():
+def with_memory() -> RobotModel:
+    """The paper's model and effects that remember: each at its first secant."""
+    model = load_model("paper")
+    for name in ("backlash", "velocity_filter", "lugre", "voltage_sag", "current_lag"):
+        effect = catalogue()[name]()
+        own = {p.name for p in effect.parameters}
+        model = model.with_effect(effect, {n: v for n, v in effect.secants[0].items() if n in own})
+    return model
+
+
+@pytest.mark.parametrize("model", [load_model("paper"), with_memory()], ids=["paper", "memory"])
+def test_rows_start_as_in_a_new_simulation(model):
     """A simulation that is reset alone moves to the last bit like one that was reset with all others."""
-    (partly, qpos), (wholly, _) = simulation(2), simulation(2)
+    (partly, qpos), (wholly, _) = simulation(2, model), simulation(2, model)
     start(partly, qpos)
     swing(partly, 7)
     commands = {"position_target": torch.from_numpy(pose("stand"))[None], **COMMANDS}
@@ -72,5 +83,5 @@ def test_parameters_change_between_steps():
 def test_measured_rows_are_refused():
     """Readings can place all simulations or none."""
     made, qpos = simulation(2)
-    with pytest.raises(ValueError, match="leave rows out"):
+    with pytest.raises(ValueError, match="omit rows"):
         made.reset(qpos[None], measured=True, rows=np.array([0]))

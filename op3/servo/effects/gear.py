@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from op3.servo import law
-from op3.servo.effect import Clock, Effect, Parameter, Prepared, Signals, Stage, register
+from op3.servo.effect import Clock, Effect, Parameter, Prepared, Scope, Signals, Stage, register
 
 _SHARE: dict[str, Any] = {"least": 0.0, "most": 1.0}
 
@@ -55,6 +55,25 @@ class DirectionalEfficiency(Effect):
             most=1.0,
         ),
     )
+    size: ClassVar[str] = "backward_efficiency"
+    smallest: ClassVar[float] = 0.03
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"backward_efficiency": -0.05}, {"backward_efficiency": -0.2})
+    fingerprint: ClassVar[str] = (
+        "in proportion to the load where the load drives (lowering, braking, landing), none where the motor drives"
+    )
+    confounders: ClassVar[tuple[str, ...]] = (
+        "load_friction",
+        "directional_friction",
+        "antagonistic_friction",
+        "torque_constant",
+        "payload",
+    )
+    separating_experiment: ClassVar[str] = (
+        "hold test: creep the load up and down at rest; the hysteresis of the current grows with load for "
+        "friction; two loads"
+    )
+    alias_class: ClassVar[str] = "load_loss"
+    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
 
     form: Literal["passive", "printed"] = "passive"
 
