@@ -10,8 +10,8 @@ from op3.deploy.emulator import OP3_SETTINGS, BrownOut, Faults, FrozenImu, Silen
 from op3.deploy.exit_codes import ExitCode
 from op3.deploy.limits import IS_LEG, Limits
 from op3.deploy.phases import GainRamp, Hold, minimum_jerk
-from op3.deploy.protocol import Instruction
-from op3.deploy.registers import HardwareError
+from op3.deploy.protocol import Error, Instruction
+from op3.deploy.registers import XM430_W350, HardwareError
 from op3.robot import JOINTS, SERVO_IDS, indices, pose
 from op3.rollout import Rollout
 
@@ -182,8 +182,8 @@ def test_a_goal_that_cannot_be_set_stops_before_torque(tmp_path):
 
     def stubborn(robot):
         servo = robot.servos["l_knee"]
-        check = servo.check
-        servo.check = lambda register, value: 4 if register.name == "goal_current" else check(register, value)
+        write, goal = servo.write, XM430_W350["goal_current"].address
+        servo.write = lambda address, data: Error.DATA_RANGE if address == goal else write(address, data)
 
     rig = make_rig(tmp_path, prepare=stubborn)
     outcome = rig.run()
