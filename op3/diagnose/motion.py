@@ -153,7 +153,7 @@ class FixedBase:
         _remove_idle_limbs(elements, set(joints))
         moved = [elements[joint] for joint in joints]
         attach_servos(moved)
-        self.names = [element.full_identifier for element in moved]
+        self.names = [str(element.full_identifier) for element in moved]
         self.joints = tuple(joints)
         self.mj_model = scene.compile()
         self.ports = ServoPorts.find(self.mj_model, self.names)
