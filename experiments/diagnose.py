@@ -34,7 +34,7 @@ def diagnose(cfg: DictConfig) -> dict[str, Any]:
     folder = Path(HydraConfig.get().runtime.output_dir)
     if cfg.mode not in ("once", "loop", "aliasing"):
         raise ValueError(f"mode must be once, loop or aliasing, got {cfg.mode!r}")
-    data = OmegaConf.to_container(cfg.data) if OmegaConf.is_config(cfg.data) else cfg.data
+    data: Any = OmegaConf.to_container(cfg.data) if OmegaConf.is_config(cfg.data) else cfg.data
     split = split_logs(read_logs(data), seed=cfg.seed)
     engine = engine_for(split, cfg.fit_windows, cfg.select_windows)
     diagnosis = Diagnosis(
