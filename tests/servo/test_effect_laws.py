@@ -98,6 +98,33 @@ def test_secants_add_to_what_there_is_and_stay_in_bounds():
     assert moved == pytest.approx({"static_friction_excess": 0.13, "stribeck_velocity": 0.5})
 
 
+@pytest.mark.parametrize("name", sorted(set(catalogue()) - ALWAYS_ON - {"position_servo", "minimum_duty"}))
+def test_the_law_can_be_differentiated_at_neutral_values(name):
+    """Derivatives of what the law hands to the physics are finite, at rest and in motion."""
+    on = (CurrentPD(), Motor(), Coulomb(), Viscous())
+    on = (*(e for e in on if e.name != name), catalogue()[name]())
+    law = ServoLaw(on, 0.001, 0.008, ("l_a", "r_b"))
+    values = RobotModel(on).with_values(MOTOR).tensors(("l_a", "r_b"))
+    known = RobotModel(on).parameters()
+    for key, value in values.items():
+        neutral = known[key].neutral
+        values[key] = (value if neutral is None else torch.full_like(value, neutral)).requires_grad_(True)
+    law.set_parameters(values)
+    signals = Signals.zeros(1, 2)
+    signals.torque_enable, signals.bus_voltage = signals.torque_enable + 1.0, signals.bus_voltage + 11.1
+    signals.velocity = torch.tensor([[0.0, 1.0]], dtype=torch.float64)
+    command(signals, 0.5)
+    law.reset(signals)
+    drive(law, signals, 4)
+    handed = signals.applied_torque + signals.damping + signals.friction_bound
+    trunk = law.sense_trunk(
+        Trunk(torch.tensor([[1.0, 0, 0, 0]], dtype=torch.float64), torch.zeros(1, 3, dtype=torch.float64))
+    )
+    (handed.sum() + signals.measured_velocity.sum() + trunk.quaternion.sum() + trunk.angular_velocity.sum()).backward()
+    for key, value in values.items():
+        assert value.grad is None or torch.isfinite(value.grad).all(), key
+
+
 def test_torque_constant_and_resistance_errors_are_those_of_the_motor():
     """1 + e on either parameter gives the torque and current of a motor that has the product, saturated or not."""
     for current in (0.5, 5.0):

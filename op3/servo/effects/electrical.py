@@ -196,7 +196,7 @@ class CurrentLag(Effect):
     def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
         """Share of the old deviation that is left after a step, and in the mean over the step."""
         time_constant = values["current_time_constant"]
-        left = torch.exp(-clock.timestep / time_constant)
+        left = left_after_step(time_constant, clock.timestep)
         return {"left": left, "mean": time_constant / clock.timestep * (1.0 - left)}
 
     def reset(self, signals: Signals, prepared: Prepared) -> None:
@@ -248,3 +248,14 @@ class CurrentOffset(Effect):
 def scaled(values: Mapping[str, Tensor], name: str, error: Tensor) -> Mapping[str, Tensor]:
     """Parameters with one of them times ``1 + error``, where the model has it."""
     return {**values, name: values[name] * (1.0 + error)} if name in values else values
+
+
+def left_after_step(time_constant: Tensor, timestep: float) -> Tensor:
+    """Share of a deviation that a first-order lag leaves after a step; exactly none for no time constant.
+
+    Args:
+        time_constant: [s], ``[sim, joint]``.
+        timestep: [s].
+    """
+    # below a thousandth of the step the exponential is zero in float64, and its derivative stays finite
+    return torch.exp(-timestep / time_constant.clamp(min=1e-3 * timestep))

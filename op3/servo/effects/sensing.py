@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from op3.servo.effect import Clock, Effect, Parameter, Prepared, Scope, Signals, Stage, register
+from op3.servo.effects.electrical import left_after_step
 
 
 @register
@@ -107,7 +108,7 @@ class VelocityFilter(Effect):
     def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
         """Share of a deviation that a step leaves, and of a change that lags behind."""
         time_constant = values["velocity_time_constant"]
-        left = torch.exp(-clock.timestep / time_constant)
+        left = left_after_step(time_constant, clock.timestep)
         return {"left": left, "behind": time_constant / clock.timestep * (1.0 - left)}
 
     def reset(self, signals: Signals, prepared: Prepared) -> None:
