@@ -222,6 +222,8 @@ def score_case(answer: Mapping[str, Any], verdict: Verdict) -> dict[str, Any]:
     named_all = verdict.verdict == "named" and all(found)
     row["both"] = named_all if kind == "pair" else None
     row["one"] = any(found) if kind == "pair" else None
+    invented = any(all(claim.name != one.name for one in truth) for claim in claims)
+    row["extra"] = verdict.verdict == "named" and right and invented if hidden else None
     row["right"] = right if first is not None and first.confidence is not None else None
     confident = first is not None and (first.confidence or 0.0) > CONFIDENT
     row["confident_wrong"] = bool(confident and not right)
