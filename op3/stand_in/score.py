@@ -186,7 +186,7 @@ def score_case(answer: Mapping[str, Any], verdict: Verdict) -> dict[str, Any]:
         `named_right`: first claim's name is hidden; `exact`: its joints too; `top3`: exact among the first three of the
         ranking; `class`: exact, or an ambiguous verdict with an exact candidate; `joint`: joints right where one
         joint holds the effect and its name is right; `detected`; `alarm` (nulls); `unknown_right` (outsiders); `both`
-        and `one` (pairs); `confidence` and `right` of the first claim; `confident_wrong`; `covered`: size within the
+        and `one` (pairs); `extra`: a right claim beside a name that is not hidden; `confidence` and `right` of the first claim; `confident_wrong`; `covered`: size within the
         interval; `size_ratio`; `closure`: share of the gap beyond the noise floor that was closed.
     """
     truth = truth_claims(answer)
@@ -284,6 +284,7 @@ RATES: dict[str, tuple[str, tuple[str, ...]]] = {
     "top3_exact": ("top3", ("single",)),
     "joint_localisation": ("joint", ("single", "pair", "poor")),
     "detection": ("detected", ("single",)),
+    "extra_names": ("extra", ("single", "poor")),
     "pairs_both": ("both", ("pair",)),
     "pairs_one": ("one", ("pair",)),
     "outsiders_unknown": ("unknown_right", ("outsider",)),
