@@ -186,8 +186,9 @@ def score_case(answer: Mapping[str, Any], verdict: Verdict) -> dict[str, Any]:
         `named_right`: first claim's name is hidden; `exact`: its joints too; `top3`: exact among the first three of the
         ranking; `class`: exact, or an ambiguous verdict with an exact candidate; `joint`: joints right where one
         joint holds the effect and its name is right; `detected`; `alarm` (nulls); `unknown_right` (outsiders); `both`
-        and `one` (pairs); `extra`: a right claim beside a name that is not hidden; `confidence` and `right` of the first claim; `confident_wrong`; `covered`: size within the
-        interval; `size_ratio`; `closure`: share of the gap beyond the noise floor that was closed.
+        and `one` (pairs); `extra`: a right claim beside a name that is not hidden; `confidence` and `right` of the
+        first claim; `confident_wrong`; `covered`: size within the interval; `size_ratio`; `closure`: share of the gap
+        beyond the noise floor that was closed.
     """
     truth = truth_claims(answer)
     kind, claims = answer["kind"], verdict.claims if verdict.verdict in ("named", "ambiguous") else ()
