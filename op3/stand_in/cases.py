@@ -56,6 +56,7 @@ class Case:
         severity: one of `SEVERITIES`, None where nothing is hidden.
         base: model that the diagnosis starts from.
         truth: the leg.
+        bare: the same leg with nothing hidden in it.
     """
 
     name: str
@@ -64,6 +65,7 @@ class Case:
     severity: str | None
     base: str
     truth: LegTruth
+    bare: LegTruth
 
     def answer(self) -> dict[str, Any]:
         """The sealed answer, as plain values."""
@@ -121,13 +123,6 @@ def draw_case(
     if missing is None and rng.random() < LESS_SHARE:
         missing = str(rng.choice(list(BASES)))
     sizes = {one.name: one.size for one in hidden}
-    changes: dict[str, float] = {}
-    if missing == "dte":
-        changes["backward_efficiency"] = 1 / (1 + sizes.get("dte", 0.0))
-    elif missing == "stribeck":
-        changes["static_friction_excess"] = sizes.get("stribeck", 0.0)
-    elif missing == "latency":
-        changes["command_latency"] = sizes.get("latency", 0.0)
     for one in hidden:
         if one.name in ("dte", "stribeck"):
             forms["gear_form" if one.name == "dte" else "fade_form"] = one.form
@@ -137,8 +132,20 @@ def draw_case(
         kind=kind,
         severity=None if kind == "null" else severity,
         base=PLAIN_BASE if missing is None else BASES[missing],
-        truth=LegTruth(world.replace(**changes), hidden, **forms),
+        truth=LegTruth(_without(world, missing, sizes), hidden, **forms),
+        bare=LegTruth(_without(world, missing, {}), (), **forms),
     )
+
+
+def _without(world: World, missing: str | None, sizes: dict[str, float]) -> World:
+    """The world whose robot lacks one of `BASES`, or has as much of it as is hidden."""
+    if missing == "dte":
+        return world.replace(backward_efficiency=1 / (1 + sizes.get("dte", 0.0)))
+    if missing == "stribeck":
+        return world.replace(static_friction_excess=sizes.get("stribeck", 0.0))
+    if missing == "latency":
+        return world.replace(command_latency=sizes.get("latency", 0.0))
+    return world
 
 
 def _names(rng: np.random.Generator, kind: str, effect: str | None) -> tuple[str, ...]:
@@ -189,21 +196,31 @@ def make_case(case: Case, folder: str | Path, answers: str | Path) -> Path:
     Args:
         case: from `draw_case`.
         folder: `<folder>/<case.name>/data/` gets one rollout folder per run, `case.yaml` beside it the base model.
-        answers: folder for the answers, `<answers>/<case.name>.yaml`.
+        answers: folder for the answers, `<answers>/<case.name>.yaml`; an answer that is there already must be the
+            same to the byte.
 
     Returns:
         The case's folder.
     """
     place = Path(folder) / case.name
     suite = leg_walking(case.seed) if case.kind == "poor" else leg_suite(case.seed)
-    path = Path(answers) / f"{case.name}.yaml"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(answer_bytes(case))
+    write_answer(case, answers)
     for number, log in enumerate(record_leg(case.truth, suite, case.seed, case.name)):
         log.save(place / DATA_FOLDER / f"{number:02d}_{log.metadata.motion}", overwrite=True)
     given = {"case": case.name, "base": case.base}
     (place / CASE_FILE).write_text(yaml.safe_dump(given, sort_keys=False), encoding="utf-8")
     return place
+
+
+def write_answer(case: Case, answers: str | Path) -> Path:
+    """Write `<answers>/<case.name>.yaml`, or check that it is there to the byte."""
+    path = Path(answers) / f"{case.name}.yaml"
+    content = answer_bytes(case)
+    if path.is_file() and path.read_bytes() != content:
+        raise ValueError(f"{path} holds another answer; take another folder")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content)
+    return path
 
 
 def answer_bytes(case: Case) -> bytes:

@@ -31,7 +31,6 @@ class Kind:
         meaning: what the size is.
         joints: where it can sit; empty: in all joints alike.
         signed: whether the size may be negative.
-        inverse: whether the size shrinks as the effect grows (a stiffness).
         forms: ways in which the stand-in can build it; the first is used in two thirds of the cases.
         outsider: whether no catalogue holds it.
     """
@@ -41,17 +40,17 @@ class Kind:
     meaning: str
     joints: tuple[str, ...] = ()
     signed: bool = False
-    inverse: bool = False
     forms: tuple[str, ...] = ("plain",)
     outsider: bool = False
 
     def size(self, factor: float) -> float:
         """Size [unit] of an effect `factor` times as strong as the smallest that matters."""
-        return self.smallest / factor if self.inverse else self.smallest * factor
+        return self.smallest * factor
 
 
 _PITCH = ("r_hip_pitch", "r_knee", "r_ank_pitch")
 _ANY = LEG_JOINTS
+_HEAVY = ("r_hip_roll", "r_hip_pitch", "r_knee")
 _LOADED = ("r_hip_roll", *_PITCH)
 
 KINDS: dict[str, Kind] = {
@@ -60,29 +59,29 @@ KINDS: dict[str, Kind] = {
     "stribeck": Kind("N m", 0.03, "static friction beyond Coulomb friction", forms=("gaussian", "exponential")),
     "viscous": Kind("N m s/rad", 0.02, "more viscous friction in one joint", _ANY),
     "load_friction": Kind("-", 0.04, "friction per torque passed on", forms=("sum", "motor")),
-    "lugre": Kind("N m/rad", 100.0, "stiffness before sliding", inverse=True, forms=("prandtl", "lugre")),
+    "lugre": Kind("rad/(N m)", 0.01, "compliance before sliding", forms=("prandtl", "lugre")),
     "backlash": Kind("rad", 0.0015, "half of the gap", _PITCH, forms=("dead_zone", "tooth")),
-    "compliance": Kind("N m/rad", 200.0, "stiffness of gear and bracket", _PITCH, inverse=True),
+    "compliance": Kind("rad/(N m)", 0.004, "compliance of gear and bracket", _PITCH),
     "cogging": Kind("N m", 0.01, "amplitude of the ripple", _ANY, forms=("sine", "rounded_square")),
     "cable_spring": Kind("N m/rad", 0.05, "stiffness of a cable", _ANY, forms=("linear", "hysteretic")),
-    "position_friction": Kind("N m", 0.03, "amplitude over position", _ANY, forms=("sine", "ramp")),
+    "position_friction": Kind("N m", 0.04, "friction added at the worst angle", _ANY, forms=("sine", "ramp")),
     "asymmetric_friction": Kind("N m", 0.02, "fc(v > 0) - fc(v < 0)", _ANY, signed=True),
     "quadratic_drag": Kind("N m s^2/rad^2", 0.005, "drag over v |v|"),
     "friction_drift": Kind("-", 0.12, "share of friction lost in the warm", forms=("time", "temperature")),
-    "torque_constant": Kind("-", 0.08, "relative error in one joint", _ANY, signed=True),
-    "torque_constant_temperature": Kind("1/K", 0.001, "share lost per kelvin"),
-    "terminal_resistance": Kind("-", 0.12, "relative error in one joint", _LOADED),
-    "voltage_sag": Kind("ohm", 0.15, "between voltmeter and servos, for the sum of currents"),
+    "torque_constant": Kind("-", 0.05, "relative error in one joint", _ANY, signed=True),
+    "torque_constant_temperature": Kind("1/K", 0.0008, "share lost per kelvin"),
+    "terminal_resistance": Kind("-", 0.06, "relative error in one joint", _LOADED),
+    "voltage_sag": Kind("ohm", 0.12, "between voltmeter and servos, for the sum of currents"),
     "current_lag": Kind("s", 0.0012, "time constant of the current loop", forms=("first_order", "two_stage")),
     "current_offset": Kind("A", 0.008, "zero of the current sensor", _ANY, signed=True),
     "latency": Kind("s", 0.0025, "delay of commands"),
     "packet_drop": Kind("-", 0.01, "share of command packets lost", forms=("single", "bursts")),
     "velocity_filter": Kind("s", 0.003, "time constant of the velocity reading", forms=("first_order", "mean")),
-    "encoder_offset": Kind("rad", 0.007, "reading at the true zero", _ANY, signed=True),
-    "encoder_nonlinearity": Kind("rad", 0.005, "amplitude over a turn", _ANY, forms=("second", "third")),
-    "payload": Kind("kg", 0.02, "mass on the foot", ("r_ank_roll",), forms=("point", "plate")),
-    "com_offset": Kind("m", 0.006, "shift of a link's centre of mass forwards", ("r_hip_pitch", "r_ank_pitch"), True),
-    "link_inertia": Kind("kg m^2", 0.0004, "more inertia of a link", _PITCH),
+    "encoder_offset": Kind("rad", 0.012, "reading at the true zero", _HEAVY, signed=True),
+    "encoder_nonlinearity": Kind("rad", 0.006, "amplitude over a turn", _LOADED, forms=("position", "both")),
+    "link_mass": Kind("kg", 0.02, "payload on the foot", ("r_ank_roll",), forms=("point", "plate")),
+    "link_com": Kind("m", 0.004, "shift of a link's centre of mass forwards", ("r_hip_pitch", "r_ank_pitch"), True),
+    "link_inertia": Kind("m^2", 0.003, "squared radius of gyration added to a link", ("r_hip_pitch", "r_ank_pitch")),
     "vibration": Kind("N m", 0.03, "amplitude of a torque of fixed frequency", _PITCH, outsider=True),
     "hard_stop": Kind("N m/rad", 4.0, "stiffness of an obstacle in the way", _PITCH, outsider=True),
     "sticky_patch": Kind("N m", 0.06, "friction in a narrow range of angles", _PITCH, outsider=True),
@@ -99,14 +98,14 @@ CATALOGUE: tuple[str, ...] = tuple(name for name in KINDS if name not in OUTSIDE
 
 ALIAS_PAIRS: tuple[tuple[str, str], ...] = (
     ("dte", "load_friction"),
-    ("com_offset", "encoder_offset"),
+    ("link_com", "encoder_offset"),
     ("terminal_resistance", "voltage_sag"),
     ("current_offset", "cable_spring"),
     ("latency", "current_lag"),
     ("backlash", "compliance"),
     ("viscous", "quadratic_drag"),
     ("asymmetric_friction", "current_offset"),
-    ("payload", "com_offset"),
+    ("link_mass", "link_com"),
     ("stribeck", "lugre"),
 )
 """Effects that look alike; half of the cases with two effects hide such a pair."""

@@ -149,7 +149,7 @@ class _Session:
                 batch.step()
                 if (step + 1) % slow == 0:
                     self.servos.step_slow((step + 1) * TIMESTEP, self._slow_rng)
-                    self.sensors.step(velocity)
+                    self.sensors.step(position, velocity)
             if not np.isfinite(position).all():
                 raise RuntimeError(f"the leg's physics diverged at {ticks[tick] * TIMESTEP:.3f} s")
         time = (ticks[settling:-1] - ticks[settling]) * TIMESTEP
@@ -231,7 +231,7 @@ def _change_body(model: mujoco.MjModel, hidden: Hidden) -> None:
     """What an effect changes in the links beyond its joints."""
     for joint in hidden.joints:
         body = model.body(f"op3/{joint}_link").id
-        if hidden.name == "payload":
+        if hidden.name == "link_mass":
             mass, size = model.body_mass[body], hidden.size
             if hidden.form == "plate":  # under the sole, 60 mm by 40 mm
                 below = np.array([0.02, 0.0, -0.035])
@@ -240,7 +240,7 @@ def _change_body(model: mujoco.MjModel, hidden: Hidden) -> None:
                 model.body_ipos[body] += share * apart
                 model.body_inertia[body] += size * (0.06**2 + 0.04**2) / 12 + (1 - share) * size * (apart @ apart) * 0.7
             model.body_mass[body] = mass + size
-        elif hidden.name == "com_offset":
+        elif hidden.name == "link_com":
             model.body_ipos[body, 0] += hidden.size
         elif hidden.name == "link_inertia":
-            model.body_inertia[body] += hidden.size
+            model.body_inertia[body] += hidden.size * model.body_mass[body]

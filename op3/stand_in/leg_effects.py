@@ -65,12 +65,11 @@ def _load_friction(hidden: Hidden, where: Array, world: World) -> Term:
 
 
 def _position_friction(hidden: Hidden, where: Array, world: World) -> Term:
-    """Friction that grows towards one angle of the gear, or along the way."""
+    """Friction of an oval seat, highest at two angles of a turn, or growing along the way."""
+    centre = _centre(hidden)
     if hidden.form == "ramp":
-        centre = _centre(hidden)
-        return lambda s: where * hidden.size * np.clip(0.5 + (s.position - centre) / 0.8, 0, 2)
-    phase = 2 * np.pi * hidden.shape[0]
-    return lambda s: where * hidden.size * (1 + np.sin(5 * s.position + phase))
+        return lambda s: where * hidden.size * np.clip(0.5 + (s.position - centre) / 1.2, 0, 1)
+    return lambda s: where * hidden.size * np.cos(s.position - centre - 0.3 * np.pi) ** 2
 
 
 def _asymmetric_friction(hidden: Hidden, where: Array, world: World) -> Term:

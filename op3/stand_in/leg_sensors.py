@@ -51,9 +51,9 @@ class LegSensors:
             # a mean over 2 T has the delay of a first-order lag of T
             self._past.extend(np.zeros_like(self._slower) for _ in range(max(1, round(2 * self._second.size * 1000))))
 
-    def step(self, velocity: Array) -> None:
-        """Take the true velocity [run, joint] in rad/s after `SLOW_PERIOD`."""
-        self._velocity += self._blend * (velocity - self._velocity)
+    def step(self, position: Array, velocity: Array) -> None:
+        """Take the true position [run, joint] in rad and velocity in rad/s after `SLOW_PERIOD`."""
+        self._velocity += self._blend * (self._speed(position, velocity) - self._velocity)
         if self._second is None:
             return
         if self._second.form == "mean":
@@ -68,10 +68,18 @@ class LegSensors:
         if self._offset is not None:
             reading = reading + self._offset.size * places(self._offset)
         if self._bent is not None:
-            order = {"second": 2, "third": 3}[self._bent.form]
-            wave = np.sin(order * position + 2 * np.pi * self._bent.shape[0]) + 0.4 * np.sin(position)
+            phase = 2 * np.pi * self._bent.shape[0]
+            wave = np.sin(position + phase) + 0.3 * np.sin(2 * position + 2 * phase)
             reading = reading + self._bent.size * places(self._bent) * wave
         return reading
+
+    def _speed(self, position: Array, velocity: Array) -> Array:
+        """What the velocity is taken from: the true one, or the slope of what the encoder says."""
+        if self._bent is None or self._bent.form == "position":
+            return velocity
+        phase = 2 * np.pi * self._bent.shape[0]
+        slope = np.cos(position + phase) + 0.6 * np.cos(2 * position + 2 * phase)
+        return velocity * (1 + self._bent.size * places(self._bent) * slope)
 
     def true_position(self, reading: Array) -> Array:
         """Where joints are that read `reading` [run, joint] in rad."""

@@ -144,7 +144,7 @@ class LegServos:
         self._driving_loss = 1 - world.forward_efficiency
         self._driven_loss = 1 / world.backward_efficiency - 1
         lugre = truth.find("lugre")
-        self._stiffness = world.bristle_stiffness if lugre is None else lugre.size
+        self._stiffness = world.bristle_stiffness if lugre is None else 1 / (1 / world.bristle_stiffness + lugre.size)
         # as much damping as before in proportion to the root of the stiffness
         self._damping = world.bristle_damping * np.sqrt(self._stiffness / world.bristle_stiffness)
         self._bent = lugre is not None and lugre.form == "lugre"
@@ -159,7 +159,7 @@ class LegServos:
             return None
         columns = [i for i, here in enumerate(places(hidden)) if here]
         inertia = self.truth.world.armature - OUTPUT_INERTIA
-        stiffness = soft.size if soft else GEAR_STIFFNESS
+        stiffness = 1 / soft.size if soft else GEAR_STIFFNESS
         return _Gear(
             columns,
             np.full(len(columns), inertia),

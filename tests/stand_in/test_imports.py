@@ -14,7 +14,12 @@ STANDARD = (
     "difflib",
     "hashlib",
     "math",
+    "os",
     "pathlib",
+    "shutil",
+    "signal",
+    "subprocess",
+    "time",
     "typing",
 )
 
