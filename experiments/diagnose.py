@@ -16,7 +16,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from support import one_sentence
 
-from op3.diagnose import Diagnosis, WindowResiduals, aliasing, split_logs
+from op3.diagnose import Diagnosis, aliasing, engine_for, split_logs
 from op3.report import run_provenance
 from op3.report.diagnosis import write_page
 from op3.rollout import read_logs
@@ -34,9 +34,9 @@ def diagnose(cfg: DictConfig) -> dict[str, Any]:
     folder = Path(HydraConfig.get().runtime.output_dir)
     if cfg.mode not in ("once", "loop", "aliasing"):
         raise ValueError(f"mode must be once, loop or aliasing, got {cfg.mode!r}")
-    data = OmegaConf.to_container(cfg.data) if OmegaConf.is_config(cfg.data) else cfg.data
+    data: Any = OmegaConf.to_container(cfg.data) if OmegaConf.is_config(cfg.data) else cfg.data
     split = split_logs(read_logs(data), seed=cfg.seed)
-    engine = WindowResiduals(split, fit_windows=cfg.fit_windows, select_windows=cfg.select_windows)
+    engine = engine_for(split, cfg.fit_windows, cfg.select_windows)
     diagnosis = Diagnosis(
         load_model(cfg.model),
         split,

@@ -19,6 +19,12 @@ SPREAD: Mapping[str, float] = {
 }
 """How much servos of one make differ, as a standard deviation relative to the shared value."""
 
+REACH = 4.0
+"""How many times smaller or larger than its start a parameter outside the catalogue's range may become."""
+
+HELD = ("controller_gain",)
+"""Parameters that a base does not refit: the firmware's gain is known. It is a hypothesis like others."""
+
 SPREAD_LIMIT = 4.0
 """Standard deviations that a joint may differ."""
 
@@ -180,7 +186,12 @@ def base_coordinates(model: RobotModel, joints: Sequence[str], *, fixed_base: bo
                 continue
             value = model.value(known.name)
             span = known.high - known.low
-            low, high = min(known.low, value), max(known.high, value)
+            low, high = known.low, known.high
+            if not low <= value <= high:  # a servo of another size than the catalogue's ranges are for
+                low, high = max(known.least, value / REACH), min(known.most, value * REACH)
+                span = high - low
+            if known.name in HELD:
+                continue
             entries.append(Coordinate(known.name, None, low, high, value, value, span))
     if len(joints) > 1:
         for name, deviation in SPREAD.items():

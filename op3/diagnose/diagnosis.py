@@ -11,12 +11,12 @@ import numpy as np
 from op3.diagnose.coordinates import base_coordinates, other_forms, with_chain
 from op3.diagnose.decide import Contender, Decision, decide
 from op3.diagnose.fitting import Engine, Fit, fit_base, intervals, linearise, refit, with_point
+from op3.diagnose.free_run import engine_for
 from op3.diagnose.hypotheses import Hypothesis, hypotheses
 from op3.diagnose.screen import Screened, screen
 from op3.diagnose.show import show
 from op3.diagnose.split import LogSplit
 from op3.diagnose.verdict import Finding, Verdict
-from op3.diagnose.windows import WindowResiduals
 from op3.servo import Estimate, RobotModel
 from op3.servo.effect import parameter
 from op3.sim import model_hash
@@ -57,7 +57,7 @@ class Diagnosis:
         model: effects that are on, and the values from which the refit starts.
         split: logs.
         seed: of every resampling.
-        engine: gives residuals; by default windows, for logs of a robot on the stand.
+        engine: gives residuals; by default windows for logs of a robot on the stand, free runs for others.
         progress: called with the stage and the share done.
         without: names of effects not to consider.
         cache: folder in which the refitted base is kept, so that an interrupted diagnosis goes on behind it.
@@ -78,7 +78,7 @@ class Diagnosis:
         self.split = split
         self.seed = seed
         self._report = progress or (lambda stage, share: None)
-        self.engine: Engine = engine or WindowResiduals(split)
+        self.engine: Engine = engine or engine_for(split)
         self.fixed_base = split.fit[0].metadata.mount != "floor"
         self.without = tuple(without)
         self.cache = cache
@@ -274,7 +274,9 @@ class Diagnosis:
         best: dict[str, Screened] = {}
         for s in self.screened:
             best.setdefault(s.hypothesis.label(joints), s)
-        refitted = {r.contender.label: (i, r) for i, r in enumerate(self.refitted)}
+        refitted: dict[str, tuple[int, Refitted]] = {}
+        for i, r in sorted(enumerate(self.refitted), key=lambda pair: -float(pair[1].contender.losses.sum())):
+            refitted[r.contender.label] = (i, r)  # of two forms of an effect the better one stays
         ranking = [
             {
                 "name": r.hypothesis.effect.name,

@@ -7,15 +7,23 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from op3.diagnose.coordinates import CHAIN, Coordinate, Coordinates, other_forms
+from op3.diagnose.coordinates import CHAIN, HELD, Coordinate, Coordinates, other_forms
+from op3.robot.motions import BENCH_JOINTS
 from op3.servo import Effect, Parameter, RobotModel, catalogue
 from op3.servo.effect import parameter
+from op3.sim.pendulum_simulation import LINK, ROTOR
 
 CHAIN_TIMING = ("latency", "current_lag", "velocity_filter")
 """Effects of firmware and bus, which all joints share."""
 
-OTHERS = ("position_servo", "minimum_duty")
+POSITION_ONLY = ("position_servo", "minimum_duty")
 """Effects of servos with a position loop of their own."""
+
+CURRENT_ONLY = ("current_lag", "current_offset", "packet_drop")
+"""Effects of servos that regulate current."""
+
+HELD_ONLY = ("gyro_bias", "imu_mount", "ground_tilt", "left_right_asymmetry")
+"""Effects that a robot with a held base, or a bench, does not show."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,10 +113,12 @@ def hypotheses(
     current_driven = "current_pd" in model.effect_names
     result = []
     for name, effect in catalogue().items():
-        if not effect.secants or name in without or (current_driven and name in OTHERS):
+        if not effect.secants or name in (*without, *(POSITION_ONLY if current_driven else CURRENT_ONLY)):
             continue
         outside = [edit for edit in effect.edits if edit.target in ("base_body", "foot_geom", "ground_geom")]
-        if fixed_base and (outside or name in ("gyro_bias", "imu_mount", "ground_tilt", "left_right_asymmetry")):
+        if fixed_base and (outside or name in HELD_ONLY):
+            continue
+        if tuple(joints) == BENCH_JOINTS and any(edit not in (ROTOR, LINK) for edit in effect.edits):
             continue
         on = name in model.effect_names
         with_it = model if on else _switched_on(model, effect)
@@ -124,7 +134,8 @@ def _places(base: RobotModel, model: RobotModel, effect: type[Effect], joints: S
     name = effect.name
     secants = tuple(_own(effect, secant) for secant in effect.secants)
     secants = tuple(secant for secant in secants if secant)
-    refitted = name in base.effect_names and not any(p.name in CHAIN for p in effect.parameters)
+    known = [p.name in CHAIN or p.name in HELD for p in effect.parameters]
+    refitted = name in base.effect_names and not any(known)
     if {"shared", "robot"} & set(effect.scopes) and not refitted:
         yield Hypothesis(effect, None, model, secants)
     if "joint" in effect.scopes and name not in CHAIN_TIMING and len(joints) > 1:
@@ -142,7 +153,8 @@ def _variants(model: RobotModel, name: str) -> list[RobotModel]:
 def _switched_on(model: RobotModel, effect: type[Effect]) -> RobotModel:
     """The model with the effect on, where it changes nothing."""
     neutral = {p.name: p.nominal if p.neutral is None else p.neutral for p in effect.parameters}
-    return model.with_effect(effect(), neutral)
+    options = {"signal": "goal"} if effect.name == "latency" and "current_pd" not in model.effect_names else {}
+    return model.with_effect(effect(**options), neutral)
 
 
 def _own(effect: type[Effect], secant: Mapping[str, float]) -> dict[str, float]:

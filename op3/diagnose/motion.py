@@ -111,14 +111,10 @@ def smooth(log: Rollout) -> SmoothLog:
     v = readings.get(("joint", "velocity"), np.gradient(q, period, axis=0))
     weights = kernels(period)
     padded = [np.pad(x, ((HALF_WIDTH, HALF_WIDTH), (0, 0)), mode="edge") for x in (q, v)]
-    state = [
-        sum(
-            weights[order, kind, lag] * padded[kind][lag : lag + len(grid)]
-            for kind in (0, 1)
-            for lag in range(2 * HALF_WIDTH + 1)
-        )
-        for order in range(3)
-    ]
+    lagged = np.stack(
+        [np.stack([x[lag : lag + len(grid)] for lag in range(2 * HALF_WIDTH + 1)]) for x in padded]
+    )  # [position | velocity, lag, tick, joint]
+    state = np.einsum("okl,kltj->otj", weights, lagged)
     held = np.clip(np.searchsorted(time, grid + 0.3 * period, side="right") - 1, 0, len(time) - 1)
     inputs = {signal: log.array(key)[held] for key, signal in INPUTS.items() if key in log}
     if "bus_voltage" in inputs:
@@ -153,7 +149,7 @@ class FixedBase:
         _remove_idle_limbs(elements, set(joints))
         moved = [elements[joint] for joint in joints]
         attach_servos(moved)
-        self.names = [element.full_identifier for element in moved]
+        self.names = [str(element.full_identifier) for element in moved]
         self.joints = tuple(joints)
         self.mj_model = scene.compile()
         self.ports = ServoPorts.find(self.mj_model, self.names)

@@ -141,4 +141,4 @@ def _split_in_time(logs: Sequence[Rollout]) -> LogSplit:
         cuts[-1] += 1.0
         for part, begin, end in zip(parts, cuts[:-1], cuts[1:], strict=True):
             part.append(log.between(float(begin), float(end)))
-    return LogSplit(*(tuple(part) for part in parts))
+    return LogSplit(tuple(parts[0]), tuple(parts[1]), tuple(parts[2]))

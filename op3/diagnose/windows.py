@@ -188,7 +188,12 @@ class WindowResiduals:
         """Simulated minus measured, ``[candidate, window, tick, joint, channel]``."""
         simulation = self.simulation(model, fit_only, coarse)
         self.simulated_rows += candidates * len(simulation.windows)
-        channels = simulation.run(parameters, candidates, **offsets)
+        channels = simulation.run(
+            parameters,
+            candidates,
+            position_offset=offsets.get("position_offset"),
+            velocity_offset=offsets.get("velocity_offset"),
+        )
         simulated = np.stack([channels[key].numpy() for key in self.channels], -1)
         result = simulated - self.measured[None, : len(simulation.windows)]
         return np.nan_to_num(result, nan=1e3, posinf=1e3, neginf=-1e3)

@@ -20,6 +20,7 @@ LABELS: Mapping[str, tuple[str, str]] = {
     "top1_class": ("right, or among the candidates called ambiguous", "at least 95 %"),
     "top3_exact": ("right among the first three", "at least 98 %"),
     "joint_localisation": ("right joint where the name is right", "at least 98 %"),
+    "extra_names": ("right, with another name that is not hidden", ""),
     "pairs_both": ("both of two effects named", "at least 75 %"),
     "pairs_one": ("one of two effects named", ""),
     "outsiders_unknown": ("outsiders called unknown", "at least 85 %"),

@@ -186,8 +186,9 @@ def score_case(answer: Mapping[str, Any], verdict: Verdict) -> dict[str, Any]:
         `named_right`: first claim's name is hidden; `exact`: its joints too; `top3`: exact among the first three of the
         ranking; `class`: exact, or an ambiguous verdict with an exact candidate; `joint`: joints right where one
         joint holds the effect and its name is right; `detected`; `alarm` (nulls); `unknown_right` (outsiders); `both`
-        and `one` (pairs); `confidence` and `right` of the first claim; `confident_wrong`; `covered`: size within the
-        interval; `size_ratio`; `closure`: share of the gap beyond the noise floor that was closed.
+        and `one` (pairs); `extra`: a right claim beside a name that is not hidden; `confidence` and `right` of the
+        first claim; `confident_wrong`; `covered`: size within the interval; `size_ratio`; `closure`: share of the gap
+        beyond the noise floor that was closed.
     """
     truth = truth_claims(answer)
     kind, claims = answer["kind"], verdict.claims if verdict.verdict in ("named", "ambiguous") else ()
@@ -222,6 +223,8 @@ def score_case(answer: Mapping[str, Any], verdict: Verdict) -> dict[str, Any]:
     named_all = verdict.verdict == "named" and all(found)
     row["both"] = named_all if kind == "pair" else None
     row["one"] = any(found) if kind == "pair" else None
+    invented = any(all(claim.name != one.name for one in truth) for claim in claims)
+    row["extra"] = verdict.verdict == "named" and right and invented if hidden else None
     row["right"] = right if first is not None and first.confidence is not None else None
     confident = first is not None and (first.confidence or 0.0) > CONFIDENT
     row["confident_wrong"] = bool(confident and not right)
@@ -282,6 +285,7 @@ RATES: dict[str, tuple[str, tuple[str, ...]]] = {
     "top3_exact": ("top3", ("single",)),
     "joint_localisation": ("joint", ("single", "pair", "poor")),
     "detection": ("detected", ("single",)),
+    "extra_names": ("extra", ("single", "poor")),
     "pairs_both": ("both", ("pair",)),
     "pairs_one": ("one", ("pair",)),
     "outsiders_unknown": ("unknown_right", ("outsider",)),

@@ -41,7 +41,9 @@ def test_screen_finds_share_and_gain(linear):
     base, column, is_fit = linear
     known = SimpleNamespace(name="x", neutral=0.0, low=-1.0, least=-1.0, most=1.0)
     hypothesis = SimpleNamespace(
-        secants=({"x": 0.1},), effect=SimpleNamespace(parameters=(known,)), model=SimpleNamespace(value=lambda name: 0.0)
+        secants=({"x": 0.1},),
+        effect=SimpleNamespace(parameters=(known,)),
+        model=SimpleNamespace(value=lambda name: 0.0),
     )
     blocks = np.arange(is_fit.sum())
     found = _score(Projector(base, is_fit), column.astype(np.float32), hypothesis, 0, blocks)
@@ -80,7 +82,7 @@ def test_kernels_reproduce_a_cubic():
 
 
 def test_coordinates_move_what_they_name():
-    """Shared values replace, amounts add, scales multiply; nothing else moves, and nothing leaves what physics allows."""
+    """Shared values replace, amounts add, scales multiply; nothing else moves, nor leaves what physics allows."""
     model = load_model("paper")
     joints = ("a", "b")
     entries = (
@@ -95,7 +97,9 @@ def test_coordinates_move_what_they_name():
 
 def test_base_of_a_held_robot_leaves_out_what_cannot_be_seen():
     """On the stand neither the trunk's mass nor, with current control, the forward efficiency is refitted."""
-    names = {e.parameter for e in base_coordinates(with_chain(load_model("paper")), ("a", "b"), fixed_base=True).entries}
+    names = {
+        e.parameter for e in base_coordinates(with_chain(load_model("paper")), ("a", "b"), fixed_base=True).entries
+    }
     assert "base_mass_offset" not in names
     assert "forward_efficiency" not in names
     assert {"torque_constant", "backward_efficiency", "velocity_time_constant", "bristle_compliance"} <= names

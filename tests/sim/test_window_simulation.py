@@ -39,7 +39,9 @@ def recorded():
     simulation.reset(target[0], {"position_target": torch.tensor(target[:1]), **gains})
     rows = []
     for tick in range(TICKS):
-        rows.append({key[1]: value.numpy()[0, columns] for key, value in simulation.measure().items() if key[0] == "joint"})
+        rows.append(
+            {key[1]: value.numpy()[0, columns] for key, value in simulation.measure().items() if key[0] == "joint"}
+        )
         simulation.command(position_target=torch.tensor(target[tick : tick + 1]))
         simulation.advance()
     q, v, i = (np.stack([row[name] for row in rows]) for name in ("position", "velocity", "current"))

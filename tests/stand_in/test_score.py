@@ -107,6 +107,15 @@ def test_pairs_need_both_names():
     assert score_case(pair, named(gap, dte, verdict="ambiguous"))["both"] is False
 
 
+def test_a_second_name_that_is_not_hidden_is_counted():
+    """Right first and wrong second is exact, and says too much; a list of candidates is no such claim."""
+    right, wrong = Claim("backlash", ("r_knee",)), Claim("dte")
+    row = score_case(BACKLASH, named(right, wrong))
+    assert (row["exact"], row["extra"]) == (True, True)
+    assert score_case(BACKLASH, named(right))["extra"] is False
+    assert score_case(BACKLASH, named(right, wrong, verdict="ambiguous"))["extra"] is False
+
+
 def test_shared_is_all_joints():
     """No joints, and all six, both mean everywhere."""
     shared = answer("single", ("dte", None, 0.25))

@@ -19,7 +19,7 @@ class DirectionalEfficiency(Effect):
     """Directional transmission efficiency (DTE): a gear is harder to drive from its output.
 
     The passive form is the default: it loses the same torque as the printed rule while the joint moves, holds
-    the same range of loads at rest, and never adds energy.
+    the same range of loads at rest, and never adds energy. The form by power goes by the direction of motion.
 
     Attributes:
         form: ``passive``, a friction bound; or ``printed``, the brake torque of paper eq. (3).
