@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-SMALLEST_GAIN = 0.04
+SMALLEST_GAIN = 0.06
 """Share of the residual of the choosing runs that an effect must explain to count: above what cases without a missing
 effect give."""
 
-SMALLEST_SIZE = 0.5
+SMALLEST_SIZE = 0.7
 """Size below which an effect does not matter, as a share of the catalogue's smallest."""
 
 RIVAL = 0.6

@@ -22,7 +22,8 @@ class DirectionalEfficiency(Effect):
     the same range of loads at rest, and never adds energy. The form by power goes by the direction of motion.
 
     Attributes:
-        form: ``passive``, a friction bound; or ``printed``, the brake torque of paper eq. (3).
+        form: ``passive``, a friction bound by the torques; ``power``, one by the direction of motion; or ``printed``,
+            the brake torque of paper eq. (3).
     """
 
     name: ClassVar[str] = "dte"
