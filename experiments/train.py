@@ -3,6 +3,7 @@
 python experiments/train.py task=balance|walk [model=<model.yaml>] [seed=0] [budget=demo|laptop|paper]
 python experiments/train.py -m task=balance model=<a.yaml>,<b.yaml> seed=0,1,2
 python experiments/train.py resume=<folder of a run> <its overrides>
+python experiments/train.py task=balance model=<model.yaml> warm_start=<bundle>
 """
 
 import os
@@ -28,6 +29,9 @@ from op3.sim import load_model
 from op3.sim.model_file import model_hash
 from op3.tasks.task import Task, find_task
 from op3.train import SAC, Collector, SACSettings, TrainSettings, evaluate, train
+
+KEPT = ("sac", "train", "environments", "environment", "initial_gain", "warm_start")
+"""Settings that the manifest of a policy keeps."""
 
 FRAME_EVERY = 2
 """Policy steps between two frames of the film."""
@@ -63,7 +67,7 @@ def describe(cfg: DictConfig, task: Task, provenance: Mapping[str, Any]) -> Mani
         seed=cfg.seed,
         command=provenance["command"],
         date=provenance["date"],
-        settings={name: plain(cfg[name]) for name in ("sac", "train", "environments", "environment", "initial_gain")},
+        settings={name: plain(cfg[name]) for name in KEPT},
     )
     return Manifest(
         task=task.name,
@@ -82,7 +86,7 @@ def learner(cfg: DictConfig, manifest: Manifest) -> SAC:
     device = torch.device(cfg.device)
     if device.type == "cuda" and not torch.cuda.is_available():
         raise ValueError("device=cuda: torch finds no GPU; leave device=cpu")
-    return SAC(
+    sac = SAC(
         manifest.observation_size,
         manifest.action_map.size,
         SACSettings(**plain(cfg.sac)),
@@ -90,6 +94,12 @@ def learner(cfg: DictConfig, manifest: Manifest) -> SAC:
         torch.as_tensor(manifest.action_map.stand(cfg.initial_gain)),
         device,
     )
+    if cfg.warm_start is not None and cfg.resume is None:
+        earlier = PolicyBundle.load(cfg.warm_start)
+        if earlier.manifest.action_map != manifest.action_map:
+            raise ValueError(f"warm_start={cfg.warm_start}: its actions mean something else; use its span")
+        sac.start_from(earlier)
+    return sac
 
 
 def run(cfg: DictConfig) -> dict[str, Any]:

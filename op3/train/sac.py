@@ -13,6 +13,9 @@ from op3.train.networks import Actor, TwinCritics
 from op3.train.normaliser import Normaliser
 from op3.train.replay import Batch
 
+NORMALISED = 10_000
+"""Observations that a normalisation taken over from another policy counts for."""
+
 
 @dataclasses.dataclass(frozen=True)
 class SACSettings:
@@ -167,12 +170,40 @@ class SAC:
 
     def bundle(self, manifest: Manifest) -> PolicyBundle:
         """The policy without exploration, with the normalisation as it is now."""
+        return PolicyBundle(manifest, self._policy_weights())
+
+    def start_from(self, policy: PolicyBundle) -> None:
+        """Begin with a policy's network and normalisation; critics and exploration begin anew.
+
+        The normalisation is taken as if `NORMALISED` observations had been seen, so that it follows slowly.
+
+        Raises:
+            ValueError: if the policy has another size.
+        """
+        own = {name: tuple(value.shape) for name, value in self._policy_weights().items()}
+        given = {name: tuple(value.shape) for name, value in policy.weights.items()}
+        if own != given:
+            raise ValueError(
+                f"the policy to start from has hidden layers {list(policy.manifest.hidden)} and"
+                f" {policy.manifest.observation_size} observations, this run {list(self.settings.hidden)} and"
+                f" {len(self.normaliser.mean)}; use the settings that it was trained with"
+            )
+        with torch.no_grad():
+            for name, value in self._policy_weights().items():
+                if name.startswith("layer"):
+                    value.copy_(policy.weights[name])
+        mean, scale = policy.weights["observation.mean"].double(), policy.weights["observation.scale"].double()
+        squares = scale.square() * NORMALISED
+        self.normaliser.load_state_dict({"count": NORMALISED, "mean": mean, "squares": squares, "scale": scale})
+
+    def _policy_weights(self) -> dict[str, Tensor]:
+        """The tensors of a bundle, as views of this learner's."""
         weights = {"observation.mean": self.normaliser.mean, "observation.scale": self.normaliser.scale}
         for number, (weight, bias) in enumerate(zip(self.actor.weights, self.actor.biases, strict=True)):
             last = number == len(self.actor.weights) - 1
             rows = slice(self.action_size) if last else slice(None)
             weights |= {f"layer_{number}.weight": weight[rows], f"layer_{number}.bias": bias[rows]}
-        return PolicyBundle(manifest, weights)
+        return weights
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that `load_state_dict` needs to go on to the last bit."""

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.distributions import Independent, Normal, TanhTransform, TransformedDistribution
 
+from op3.policy import ActionMap, Manifest
 from op3.train import SAC, Batch, Replay, SACSettings
 from op3.train.networks import Actor, TwinCritics
 from op3.train.normaliser import Normaliser
@@ -214,3 +215,19 @@ def test_settings_are_checked():
         SACSettings(discount=1.0)
     with pytest.raises(ValueError, match="critic_rate must be positive"):
         SACSettings(critic_rate=math.nan)
+
+
+def test_a_learner_starts_from_a_policy():
+    """After `start_from` the bundle of the learner acts as the policy did; another size is refused."""
+    layout = {"state": 3}
+    manifest = Manifest("balance", layout, 0, ActionMap.around_stand(), (16, 16))
+    settings = SACSettings(hidden=(16, 16))
+    first, second = (SAC(3, 20, settings, torch.Generator().manual_seed(seed)) for seed in (0, 1))
+    first.normaliser.update(torch.randn(200, 3, generator=torch.Generator().manual_seed(2)) * 3 + 1)
+    policy = first.bundle(manifest)
+    second.start_from(policy)
+    observation = torch.randn(7, 3, generator=torch.Generator().manual_seed(3))
+    torch.testing.assert_close(second.bundle(manifest).act(observation), policy.act(observation), rtol=0, atol=1e-6)
+    other = SAC(3, 20, SACSettings(hidden=(8, 8)), torch.Generator().manual_seed(0))
+    with pytest.raises(ValueError, match="hidden layers"):
+        other.start_from(policy)
