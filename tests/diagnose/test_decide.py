@@ -1,5 +1,7 @@
 """The decision on synthetic numbers."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -42,6 +44,14 @@ def test_equals_are_ambiguous(control, rng):
     decision = decide(pair, control, rng)
     assert decision.verdict == "ambiguous"
     assert set(decision.candidates) == {0, 1}
+
+
+def test_look_alikes_are_ambiguous_however_sure_the_resamples(control, rng):
+    """Of one alias class, a second that explains eight tenths of the first is a candidate too; one of half is not."""
+    first = contender("encoder_offset@1", 0.30)
+    for gain, verdict in ((0.24, "ambiguous"), (0.15, "named")):
+        second = dataclasses.replace(contender("link_com@2", gain, seed=1), alias_class=first.alias_class)
+        assert decide([first, second], control, rng).verdict == verdict
 
 
 def test_size_that_does_not_matter_is_not_named(control, rng):
