@@ -18,6 +18,9 @@ RIVAL = 0.6
 NAMED_SHARE = 0.8
 """Share of bootstrap resamples that the best must win to be named alone."""
 
+ALIKE_SHARE = 0.99
+"""The same where the next best is of the same alias class, which explains nearly the same."""
+
 RESAMPLES = 1000
 """Bootstrap resamples over blocks of a second."""
 
@@ -177,8 +180,9 @@ def _rivals(contenders, best, others, control, shares, rng) -> list[int]:
             continue  # the same effect in another place is a matter of joints, not of names
         low, _ = difference_interval(winner.losses, other.losses, rng)
         close = float((control - other.losses).sum()) > RIVAL * gained
-        # look-alikes differ by less than what any model gets wrong, however sure the resamples are
+        # look-alikes differ by little more than what any model gets wrong: more certainty is asked for
         alike = bool(winner.alias_class) and other.alias_class == winner.alias_class and other.effect != winner.effect
+        alike &= bool(shares[best] < ALIKE_SHARE)
         if close and (alike or (low <= 0 and shares[best] < NAMED_SHARE)):
             rivals.append(i)
     return rivals
