@@ -12,10 +12,10 @@ from op3.servo import Parameter, RobotModel, catalogue
 from op3.servo.conditions import split_name
 
 SPREAD: Mapping[str, float] = {
-    "torque_constant": 0.03,
-    "coulomb_friction": 0.06,
-    "viscous_friction": 0.06,
-    "static_friction_excess": 0.06,
+    "torque_constant": 0.02,
+    "coulomb_friction": 0.03,
+    "viscous_friction": 0.03,
+    "static_friction_excess": 0.03,
 }
 """How much servos of one make differ, as a standard deviation relative to the shared value."""
 
@@ -25,8 +25,8 @@ REACH = 4.0
 HELD = ("controller_gain",)
 """Parameters that a base does not refit: the firmware's gain is known. It is a hypothesis like others."""
 
-SPREAD_LIMIT = 4.0
-"""Standard deviations that a joint may differ."""
+SPREAD_LIMIT = 2.0
+"""Standard deviations that a joint may differ; what differs more is a fault of this joint, and a hypothesis."""
 
 
 CHAIN: Mapping[str, tuple[float, float, bool]] = {

@@ -1,6 +1,6 @@
 """The decision: named, ambiguous, unknown or nothing missing. All thresholds stand here."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,9 @@ RIVAL = 0.6
 
 NAMED_SHARE = 0.8
 """Share of bootstrap resamples that the best must win to be named alone."""
+
+ALIKE_SHARE = 0.99
+"""The same where the next best is of the same alias class, which explains nearly the same."""
 
 RESAMPLES = 1000
 """Bootstrap resamples over blocks of a second."""
@@ -107,7 +110,6 @@ def decide(
     rng: np.random.Generator,
     *,
     ceiling: float | None = None,
-    aliases: Mapping[tuple[str, str], float] | None = None,
 ) -> Decision:
     """Weigh contenders against each other and against nothing.
 
@@ -116,7 +118,6 @@ def decide(
         control: losses of the no-op control per block: the base refitted with the same effort, ``[block]``.
         rng: of the resampling.
         ceiling: share of the residual torque that a black box explains on the choosing runs; None if not known.
-        aliases: cosine between contenders by their labels, where it is large.
     """
     if not contenders:
         return Decision("nothing_missing", (), np.zeros(0), "no effect of the catalogue can be seen in these logs")
@@ -145,7 +146,7 @@ def decide(
             f"a black box explains {ceiling:.0%} of the residual torque, the best of the catalogue,"
             f" {contenders[best].label}, {_explained(contenders[best]):.0%} of the residual",
         )
-    rivals = _rivals(contenders, best, sound[1:], control, shares, rng, aliases or {})
+    rivals = _rivals(contenders, best, sound[1:], control, shares, rng)
     if not rivals:
         return Decision("named", (best,), shares, f"it explains {contenders[best].gain:.0%} of the residual")
     members = (best, *rivals)[:MOST_CANDIDATES]
@@ -168,9 +169,8 @@ def _explained(contender: Contender) -> float:
     return 0.5 * (contender.gain + contender.fit_gain)
 
 
-def _rivals(contenders, best, others, control, shares, rng, aliases) -> list[int]:
+def _rivals(contenders, best, others, control, shares, rng) -> list[int]:
     """Contenders that the data do not tell from the best."""
-    del aliases
     rivals = []
     winner = contenders[best]
     gained = float((control - winner.losses).sum())
@@ -180,6 +180,9 @@ def _rivals(contenders, best, others, control, shares, rng, aliases) -> list[int
             continue  # the same effect in another place is a matter of joints, not of names
         low, _ = difference_interval(winner.losses, other.losses, rng)
         close = float((control - other.losses).sum()) > RIVAL * gained
-        if low <= 0 and close and shares[best] < NAMED_SHARE:
+        # look-alikes differ by little more than what any model gets wrong: more certainty is asked for
+        alike = bool(winner.alias_class) and other.alias_class == winner.alias_class and other.effect != winner.effect
+        alike &= bool(shares[best] < ALIKE_SHARE)
+        if close and (alike or (low <= 0 and shares[best] < NAMED_SHARE)):
             rivals.append(i)
     return rivals

@@ -13,6 +13,7 @@ from op3.diagnose.decide import Contender, Decision, decide
 from op3.diagnose.fitting import Engine, Fit, fit_base, intervals, linearise, refit, with_point
 from op3.diagnose.free_run import engine_for
 from op3.diagnose.hypotheses import Hypothesis, hypotheses
+from op3.diagnose.preflight import too_poor
 from op3.diagnose.screen import Screened, screen
 from op3.diagnose.show import show
 from op3.diagnose.split import LogSplit
@@ -170,6 +171,7 @@ class Diagnosis:
             reason=decision.reason,
             model=after,
             base=fitted,
+            cannot_tell=too_poor(self.split),
             separate_by=_separating(members) if decision.verdict == "ambiguous" else "",
             gap=shown["gap"],
             loss=shown["loss"],

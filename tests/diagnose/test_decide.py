@@ -1,5 +1,7 @@
 """The decision on synthetic numbers."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -42,6 +44,14 @@ def test_equals_are_ambiguous(control, rng):
     decision = decide(pair, control, rng)
     assert decision.verdict == "ambiguous"
     assert set(decision.candidates) == {0, 1}
+
+
+def test_look_alikes_need_more_certainty(control, rng):
+    """Of one alias class, a second that explains nearly as much is a candidate too; one of a third is not."""
+    first = contender("encoder_offset@1", 0.30, noise=0.15)
+    for gain, verdict in ((0.26, "ambiguous"), (0.10, "named")):
+        second = dataclasses.replace(contender("link_com@2", gain, seed=1, noise=0.15), alias_class=first.alias_class)
+        assert decide([first, second], control, rng).verdict == verdict
 
 
 def test_size_that_does_not_matter_is_not_named(control, rng):
