@@ -118,13 +118,14 @@ def train(stages: Stages, cfg: DictConfig, budget: dict, number: int, model: str
 
 def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
     """All stages, in order."""
-    if cfg.condition not in cfg.conditions or cfg.budget not in cfg.budgets or cfg.task not in JUDGED:
+    if cfg.condition not in cfg.conditions or cfg.task not in JUDGED:
         raise ValueError(
-            f"condition must be one of {', '.join(cfg.conditions)}, budget one of {', '.join(cfg.budgets)} and task one"
-            f" of {', '.join(JUDGED)}; got {cfg.condition}, {cfg.budget}, {cfg.task}"
+            f"condition must be one of {', '.join(cfg.conditions)} and task one of {', '.join(JUDGED)};"
+            f" got {cfg.condition}, {cfg.task}"
         )
     started = time.monotonic()
-    budget: dict = OmegaConf.to_container(cfg.budgets[cfg.budget], resolve=True)  # type: ignore[assignment]
+    name = HydraConfig.get().runtime.choices.budget
+    budget: dict = OmegaConf.to_container(cfg.budgets[name], resolve=True)  # type: ignore[assignment]
     condition = cfg.conditions[cfg.condition]
     base = condition.get("model", cfg.model)
     stages = Stages(folder)
@@ -157,7 +158,7 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
             model = str(found / "model.yaml")
         policy = train(stages, cfg, budget, number, model, policy)
         transfers.append(transfer(stages, cfg, budget, number, policy, model))
-    return report(cfg, folder, stages, transfers, time.monotonic() - started)
+    return report(cfg, name, folder, stages, transfers, time.monotonic() - started)
 
 
 def report(cfg: DictConfig, folder: Path, stages: Stages, transfers: list[Transfer], seconds: float) -> dict[str, Any]:
@@ -167,7 +168,7 @@ def report(cfg: DictConfig, folder: Path, stages: Stages, transfers: list[Transf
         "success": transfers[-1].success,
         "rounds": len(transfers) - 1,
         "condition": cfg.condition,
-        "budget": cfg.budget,
+        "budget": budget,
         "wall_seconds": seconds,
     }
     for number, one in enumerate(transfers):
@@ -180,7 +181,7 @@ def report(cfg: DictConfig, folder: Path, stages: Stages, transfers: list[Transf
         }
     values |= {f"stage_seconds.{name}": value for name, value in stages.seconds.items()}
     values["provenance"] = provenance
-    page = story(folder, transfers, stages.seconds, condition=cfg.condition, budget=cfg.budget, provenance=provenance)
+    page = story(folder, transfers, stages.seconds, condition=cfg.condition, budget=budget, provenance=provenance)
     path = write_result(
         folder / "result.yaml", values, {"transfer": "returns under R_eval", "stage_seconds": "duration of stages [s]"}
     )
