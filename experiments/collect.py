@@ -95,11 +95,12 @@ def collect_episodes(cfg: DictConfig) -> list[Path]:
     robot = build(cfg.robot)
     if not hasattr(robot, "run_policy"):
         raise ValueError("this robot only plays motions; record a policy with robot=emulated or robot=real")
-    bundle = PolicyBundle.load(cfg.policy)
+    bundle, task = PolicyBundle.load(cfg.policy), cfg.get("task")
+    task = None if task is None else build(task)
     folders = []
     for number in range(cfg.repeats):
         name = f"{Path(cfg.policy).name}-{number}"
-        options = {"cycle": cfg.cycle, "task": cfg.task, "recording": name}
+        options = {"cycle": cfg.cycle, "task": task, "recording": name}
         folders.append(save(robot.run_policy(bundle, cfg.duration, **options), name))
     return folders
 

@@ -13,6 +13,7 @@ import hydra
 import optuna
 import torch
 from hydra.core.hydra_config import HydraConfig
+from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from support import one_sentence
 
@@ -45,7 +46,7 @@ def build(cfg: DictConfig) -> Reidentification:
         read_logs(plain(cfg.episodes)),
         PolicyBundle.load(cfg.policy),
         names,
-        task=cfg.task,
+        task=None if cfg.get("task") is None else instantiate(cfg.task),
         repeats=cfg.repeats,
         seed=cfg.seed,
     )

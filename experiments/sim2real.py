@@ -30,6 +30,11 @@ JUDGED = {"balance": "balance_eval", "walk": "walk"}
 """Task of the evaluation by task of the training."""
 
 
+def chosen(group: str) -> str:
+    """The file of a config group that the command line chose."""
+    return HydraConfig.get().runtime.choices[group]
+
+
 class Stages:
     """Runs experiments one after another, each once.
 
@@ -66,7 +71,7 @@ class Stages:
 
 def transfer(stages: Stages, cfg: DictConfig, budget: dict, number: int, policy: Path, model: str) -> Transfer:
     """Play the policy in simulation and on the robot, and judge it."""
-    task = JUDGED[cfg.task]
+    task = JUDGED[chosen("task")]
     episodes = budget["episodes"]
     expected = stages.run(
         f"{number}_expected",
@@ -91,7 +96,7 @@ def transfer(stages: Stages, cfg: DictConfig, budget: dict, number: int, policy:
         episodes=played,
         film=expected / "episode.png",
         criterion=cfg.criterion,
-        walking=cfg.task == "walk",
+        walking=chosen("task") == "walk",
     )
 
 
@@ -108,7 +113,7 @@ def train(stages: Stages, cfg: DictConfig, budget: dict, number: int, model: str
     how = budget["train" if start is None else "retrain"]
     condition = cfg.conditions[cfg.condition]
     randomised = condition.get("randomisation")
-    overrides = [f"task={cfg.task}", f"model={model}", f"seed={cfg.seed + 100 * number}", *how]
+    overrides = [f"task={chosen('task')}", f"model={model}", f"seed={cfg.seed + 100 * number}", *how]
     if randomised:
         overrides.append(f"+environment.randomisation={randomised}")
     if start is not None:
@@ -118,13 +123,13 @@ def train(stages: Stages, cfg: DictConfig, budget: dict, number: int, model: str
 
 def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
     """All stages, in order."""
-    if cfg.condition not in cfg.conditions or cfg.task not in JUDGED:
+    if cfg.condition not in cfg.conditions or chosen("task") not in JUDGED:
         raise ValueError(
             f"condition must be one of {', '.join(cfg.conditions)} and task one of {', '.join(JUDGED)};"
-            f" got {cfg.condition}, {cfg.task}"
+            f" got {cfg.condition}, {chosen('task')}"
         )
     started = time.monotonic()
-    name = HydraConfig.get().runtime.choices.budget
+    name = chosen("budget")
     budget: dict = OmegaConf.to_container(cfg.budgets[name], resolve=True)  # type: ignore[assignment]
     condition = cfg.conditions[cfg.condition]
     base = condition.get("model", cfg.model)
@@ -151,7 +156,7 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
                 f"{number}_reidentify",
                 "reidentify.py",
                 *where,
-                f"task={JUDGED[cfg.task]}",
+                f"task={JUDGED[chosen('task')]}",
                 f"seed={cfg.seed}",
                 *budget["reidentify"],
             )

@@ -49,6 +49,8 @@ class Loop:
         self._channels: dict[Any, Any] = {}
         self.target: NDArray[np.float64] | None = None
         """Targets of the last tick [joint] in rad."""
+        self.ended_in: str | None = None
+        """The log in which the run ended early; None while it has not."""
 
     def timing(self) -> Timing:
         """How well the deadlines have been kept so far."""
@@ -77,6 +79,7 @@ class Loop:
                 self._phase, self._name, self._channels = phase.name, phase.log, phase.channels()
                 self._end_tick(tick, state, command, verdict)
         except Stop as stop:
+            self.ended_in = self._name
             if stop.damp and self._safety.torque:
                 self._damp(stop)
             raise

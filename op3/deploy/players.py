@@ -18,6 +18,7 @@ from op3.deploy.state import Calibration
 from op3.policy import PolicyBundle
 from op3.robot import Motion
 from op3.rollout import Rollout
+from op3.tasks.task import Task, find_task
 
 
 class Player:
@@ -81,7 +82,7 @@ class Player:
         duration: float,
         *,
         cycle: float | None = None,
-        task: str | None = None,
+        task: str | Task | None = None,
         recording: str | None = None,
     ) -> Rollout:
         """Run one episode of a policy and record it; a fall ends it, and is no error.
@@ -97,6 +98,7 @@ class Player:
         Raises:
             Stop: if the run ended early for another reason.
         """
+        task = None if task is None else find_task(task)
         runner = PolicyRunner(bundle, cycle)
         return self._record(
             lambda: FollowPolicy(runner, duration),
@@ -105,10 +107,10 @@ class Player:
             policy_rate=POLICY_RATE,
             model_hash=bundle.manifest.training.model_hash or None,
             ground=task,
-            extra={"task": task or bundle.manifest.task},
+            extra={"task": bundle.manifest.task if task is None else task.name},
         )
 
-    def _record(self, make: Any, recording: str | None, ground: str | None = None, **options: Any) -> Rollout:
+    def _record(self, make: Any, recording: str | None, ground: Task | None = None, **options: Any) -> Rollout:
         name = recording or f"recording-{self._count}"
         plan = Plan(limits=self._limits, end_pose=self._end_pose, folder=self._folder / name)
         connection = self._connect(ground)
@@ -119,7 +121,7 @@ class Player:
         self._count += 1
         return _log(outcome, recording, connection.operator.travelled())
 
-    def _connect(self, ground: str | None = None) -> Connection:
+    def _connect(self, ground: Task | None = None) -> Connection:
         emulation: dict[str, Any] = {}
         if self._port == EMULATED:
             emulation = {**self._emulation, "seed": self._seed + self._count, "task": ground}

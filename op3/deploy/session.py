@@ -62,7 +62,6 @@ class Logs:
         self._folder, self._metadata, self._only = folder, metadata, only
         self._recorders: dict[str, Recorder] = {}
         self._start: float | None = None
-        self._last = ""
 
     def open(self) -> None:
         """Make the folders now: a disk may take longer for that than a running loop has time."""
@@ -83,17 +82,18 @@ class Logs:
             self._start = row["time"]
         row["time"] = row["time"] - self._start
         self._recorder(name).append(row)
-        self._last = name
 
-    def close(self, fallen: bool, extra: dict[str, Any]) -> dict[str, Rollout]:
-        """Finish all logs; one that cannot be finished stays behind as a crash would leave it."""
+    def close(self, fell_in: str | None, extra: dict[str, Any]) -> dict[str, Rollout]:
+        """Finish all logs; one that cannot be finished stays behind as a crash would leave it.
+
+        Args:
+            fell_in: the log in which the robot fell; None if it did not.
+            extra: further metadata.
+        """
         done = {}
         for name, recorder in self._recorders.items():
             try:
-                # a fall belongs to the log in which it happened
-                done[name] = recorder.close(
-                    fallen=fallen and name == self._last, extra={**self._metadata.extra, **extra}
-                )
+                done[name] = recorder.close(fallen=name == fell_in, extra={**self._metadata.extra, **extra})
             except (LogError, OSError) as error:
                 if recorder.rows:  # one without rows takes its folder away
                     print(f"log {name}: {error}", file=sys.stderr)
@@ -213,7 +213,7 @@ class Session:
         }
         if isinstance(self._safety, Safety):
             extra["largest_load"] = float(np.max(self._safety.load))
-        return self._logs.close(code == ExitCode.FALL, extra)
+        return self._logs.close(self._loop.ended_in if code == ExitCode.FALL else None, extra)
 
 
 @contextmanager

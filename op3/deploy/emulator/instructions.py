@@ -23,6 +23,9 @@ PING_SLOT = 0.003
 FAST_GAP = 5e-6
 """Pause between devices in a fast read [s] (inferred)."""
 
+LONGEST_FAST = 0xFFFF - 1
+"""Bytes that devices can put into one fast status packet; the length field has 16 bits. To more, nobody answers."""
+
 Answer = tuple[float, bytes]
 """Pause before an answer [s], and its bytes."""
 
@@ -167,7 +170,9 @@ class Dispatcher:
             parts.append((error | (_alert(device) if device else 0), number, data.ljust(length, b"\0")))
             if not silent and device is not None:
                 pauses.append(FAST_GAP if pauses else self._pause(device))
-        return list(zip(pauses, encode_fast_status(parts), strict=False)) if parts else []
+        if not parts or sum(len(data) + 4 for _, _, data in parts) > LONGEST_FAST:
+            return []
+        return list(zip(pauses, encode_fast_status(parts), strict=False))
 
     def _write_all(self, items: Iterable[tuple[int, int, bytes]]) -> list[Answer]:
         for number, address, data in items:
