@@ -14,7 +14,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	touch $@
 
 demo: install
-	$(BIN)/python experiments/demo.py
+	$(BIN)/python experiments/sim2real.py robot=emulated task=balance world=robot_4 budget=demo
 
 test: install
 	$(BIN)/python -m pytest -m "not slow"

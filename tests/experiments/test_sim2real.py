@@ -1,0 +1,58 @@
+"""The whole method at the smallest budget, in every condition."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from op3.report import read_result
+
+ROOT = Path(__file__).resolve().parents[2]
+TINY = "train.steps=1200,train.warmup=400,train.evaluate_every=600,environments=8,evaluation.episodes=2"
+CONDITIONS = (
+    "excitation_only",
+    "reidentified",
+    "excitation_only_without_dte",
+    "reidentified_without_dte",
+    "domain_randomisation",
+    "diagnosed",
+    "diagnosed_reidentified",
+)
+
+
+def sim2real(folder, *overrides):
+    script = ROOT / "experiments" / "sim2real.py"
+    tiny = [
+        f"budgets.demo.train=[budget=demo,{TINY}]",
+        f"budgets.demo.retrain=[budget=demo,{TINY}]",
+        "budgets.demo.reidentify=[hydra.sweeper.n_trials=6,hydra.sweeper.population=6,repeats=2]",
+        "budgets.demo.identify=[refine.starts=1,refine.max_iterations=1,hydra.sweeper.n_trials=8]",
+        "budgets.demo.episodes=2",
+    ]
+    command = [sys.executable, str(script), "budget=demo", *tiny, *overrides, f"hydra.run.dir={folder}"]
+    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+
+
+def test_unknown_names_are_refused(tmp_path):
+    """A condition that does not exist is named in one sentence, before anything is done."""
+    done = sim2real(tmp_path / "run", "condition=nonsense")
+    assert done.returncode != 0
+    assert "condition must be one of excitation_only" in done.stderr
+    assert not (tmp_path / "run" / "squat").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("condition", CONDITIONS)
+def test_every_condition_ends_with_a_page(condition, tmp_path):
+    """From collecting to the second transfer; the criterion is set so that the first one counts as failed."""
+    done = sim2real(tmp_path, f"condition={condition}", "criterion=100.0", "world=robot_2")
+    assert done.returncode == 0, done.stderr[-2000:]
+    result = read_result(tmp_path / "result.yaml")
+    learns = "reidentified" in condition or "diagnosed" in condition
+    assert result["rounds"] == (1 if learns else 0)
+    assert result["success"] is False
+    assert ("stage_seconds.1_reidentify" in result) == ("reidentified" in condition)
+    assert (tmp_path / "index.html").exists()
+    again = sim2real(tmp_path, f"condition={condition}", "criterion=100.0", "world=robot_2")
+    assert again.stdout.count("done before") >= 4
