@@ -9,7 +9,13 @@ import pytest
 from op3.report import read_result
 
 ROOT = Path(__file__).resolve().parents[2]
-TINY = "train.steps=1200,train.warmup=400,train.evaluate_every=600,environments=8,evaluation.episodes=2"
+TRAIN = ("train.steps=1200", "train.warmup=400", "train.evaluate_every=600", "environments=8", "evaluation.episodes=2")
+TINY = {
+    "train": ("budget=demo", *TRAIN),
+    "retrain": ("budget=demo", *TRAIN),
+    "reidentify": ("hydra.sweeper.n_trials=6", "hydra.sweeper.population=6", "repeats=2"),
+    "identify": ("refine.starts=1", "refine.max_iterations=1", "hydra.sweeper.n_trials=8"),
+}
 CONDITIONS = (
     "excitation_only",
     "reidentified",
@@ -23,13 +29,8 @@ CONDITIONS = (
 
 def sim2real(folder, *overrides):
     script = ROOT / "experiments" / "sim2real.py"
-    tiny = [
-        f"budgets.demo.train=[budget=demo,{TINY}]",
-        f"budgets.demo.retrain=[budget=demo,{TINY}]",
-        "budgets.demo.reidentify=[hydra.sweeper.n_trials=6,hydra.sweeper.population=6,repeats=2]",
-        "budgets.demo.identify=[refine.starts=1,refine.max_iterations=1,hydra.sweeper.n_trials=8]",
-        "budgets.demo.episodes=2",
-    ]
+    tiny = [f"budgets.demo.{stage}=[{','.join(map(repr, values))}]" for stage, values in TINY.items()]
+    tiny.append("budgets.demo.episodes=2")
     command = [sys.executable, str(script), "budget=demo", *tiny, *overrides, f"hydra.run.dir={folder}"]
     return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
 
