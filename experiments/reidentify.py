@@ -15,7 +15,7 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from support import one_sentence
+from support import one_sentence, plain
 
 from op3.identify.identification import PREFIX
 from op3.identify.reidentification import Reidentification
@@ -50,11 +50,6 @@ def build(cfg: DictConfig) -> Reidentification:
         repeats=cfg.repeats,
         seed=cfg.seed,
     )
-
-
-def plain(node: Any) -> Any:
-    """A config node as plain data."""
-    return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
 
 
 @hydra.main(config_path="../conf", config_name="reidentify", version_base="1.3")

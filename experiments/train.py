@@ -17,8 +17,8 @@ import numpy as np
 import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
-from omegaconf import DictConfig, OmegaConf
-from support import one_sentence
+from omegaconf import DictConfig
+from support import one_sentence, plain
 
 from op3.envs import BatchedEnv, make_env
 from op3.policy import ActionMap, Manifest, PolicyBundle, Training
@@ -191,11 +191,6 @@ def commands(policy: PolicyBundle, actions: Any) -> dict[str, Any]:
         "P gains over an evaluation.": histogram_figure({k: gain[..., i] for k, i in kinds.items()}, "P gain [A/rad]"),
         "Target angles over an evaluation.": histogram_figure(angles, "target angle less the stand pose [rad]"),
     }
-
-
-def plain(node: Any) -> Any:
-    """A config node as plain data."""
-    return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
 
 
 @hydra.main(config_path="../conf", config_name="train", version_base="1.3")
