@@ -85,7 +85,10 @@ class Player:
         task: str | Task | None = None,
         recording: str | None = None,
     ) -> Rollout:
-        """Run one episode of a policy and record it; a fall ends it, and is no error.
+        """Run one episode of a policy and record it.
+
+        A fall, or another reason to stop the robot while the policy commands it, ends the episode and is no
+        error: the log counts as fallen and says why in ``extra["ended_by"]``.
 
         Args:
             bundle: the policy.
@@ -96,7 +99,7 @@ class Player:
             recording: identity of the recording.
 
         Raises:
-            Stop: if the run ended early for another reason.
+            Stop: if the policy did not come to command the robot.
         """
         task = None if task is None else find_task(task)
         runner = PolicyRunner(bundle, cycle)
@@ -119,7 +122,12 @@ class Player:
         finally:
             connection.bus.close()
         self._count += 1
-        return _log(outcome, recording, connection.operator.travelled())
+        if "task" in options.get("extra", {}):
+            return _episode(outcome, recording, connection.operator.travelled())
+        if outcome.code not in (ExitCode.OK, ExitCode.FALL) or "run" not in outcome.logs:
+            raise Stop(outcome.code, outcome.reason)
+        log = outcome.logs["run"]
+        return Rollout(log.data, log.metadata.replace(recording=recording, episode_duration=log.duration))
 
     def _connect(self, ground: Task | None = None) -> Connection:
         emulation: dict[str, Any] = {}
@@ -128,10 +136,22 @@ class Player:
         return connect(self._port, mount=self._mount, confirm=self._confirm, calibration=self._calibration, **emulation)
 
 
-def _log(outcome: Outcome, recording: str | None, travelled: float | None) -> Rollout:
-    """The log of the run itself, under the name that was asked for."""
-    if outcome.code not in (ExitCode.OK, ExitCode.FALL) or "run" not in outcome.logs:
+POLICY_FAILED = (
+    ExitCode.FALL,
+    ExitCode.SERVO_SHUTDOWN,
+    ExitCode.TEMPERATURE,
+    ExitCode.VOLTAGE,
+    ExitCode.NON_FINITE,
+)
+"""Ends of an episode that its policy has to answer for, unlike those of the bus."""
+
+
+def _episode(outcome: Outcome, recording: str | None, travelled: float | None) -> Rollout:
+    """The log of an episode, under the name that was asked for."""
+    if outcome.code not in (ExitCode.OK, *POLICY_FAILED) or "run" not in outcome.logs:
         raise Stop(outcome.code, outcome.reason)
     log = outcome.logs["run"]
     known = {"recording": recording, "episode_duration": log.duration, "travelled_distance": travelled}
+    if outcome.code != ExitCode.OK and outcome.ended_in == "run":
+        known |= {"fallen": True, "extra": {**log.metadata.extra, "ended_by": outcome.reason}}
     return Rollout(log.data, log.metadata.replace(**known))

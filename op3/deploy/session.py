@@ -40,6 +40,7 @@ class Outcome:
         release: what became of switching torque off; None where it was never on.
         timing: how well deadlines were kept.
         logs: finished logs by name.
+        ended_in: the log in which the run ended early; None if it did not.
     """
 
     code: ExitCode
@@ -47,6 +48,7 @@ class Outcome:
     release: Release | None
     timing: Timing
     logs: dict[str, Rollout] = field(default_factory=dict)
+    ended_in: str | None = None
 
 
 class Logs:
@@ -161,7 +163,7 @@ class Session:
         if timing.ticks:
             self._report(str(timing))
         self._report(f"{code.name.lower()} ({int(code)}): {reason}")
-        return Outcome(code, reason, self._release, timing, logs)
+        return Outcome(code, reason, self._release, timing, logs, self._loop.ended_in)
 
     def _work(self, phases: Phases) -> None:
         safety = self._safety

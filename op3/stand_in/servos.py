@@ -56,6 +56,7 @@ class ServoBank:
         self._noise = np.zeros(count)
         self._phase = np.zeros(count)
         self._coulomb, self._excess = self._dry.copy()
+        self._velocity = np.zeros(count)
         self._work = np.zeros((4, count))
         self._driving = np.zeros(count, dtype=bool)
         self.torque = np.zeros(count)
@@ -71,6 +72,7 @@ class ServoBank:
         """Switched on at rest: no current, no strain; windings keep their temperature."""
         count = len(self.current)
         self.current[:] = 0
+        self.bus_voltage = self._world.bus_voltage
         self._bristle[:] = 0
         self._noise[:] = self._world.torque_noise * rng.standard_normal(count)
         self._phase[:] = rng.uniform(0, 2 * np.pi, count)
@@ -83,7 +85,10 @@ class ServoBank:
         self._noise += self._noise_gain * rng.standard_normal(len(self._noise))
         drift = 1 + world.friction_drift * np.sin(2 * np.pi * time / world.friction_drift_period + self._phase)
         self._coulomb, self._excess = self._dry * drift
-        self.bus_voltage = world.bus_voltage - world.bus_resistance * float(np.abs(self.current).sum())
+        # drivers chop the voltage, so the battery gives their power and not their currents; none takes power back
+        power = self.current * (world.terminal_resistance * self.current + self._constant * self._velocity)
+        drawn = float(np.maximum(power, 0.0).sum()) / self.bus_voltage
+        self.bus_voltage = world.bus_voltage - world.bus_resistance * drawn
         self._reach = self.bus_voltage / world.terminal_resistance
         heating = world.thermal_resistance * world.terminal_resistance * self.current**2
         warming = world.ambient_temperature + heating - self.temperature
@@ -99,6 +104,7 @@ class ServoBank:
         Returns:
             [joint] in N m; the array is reused.
         """
+        self._velocity = velocity
         a, b, c, torque = self._work[0], self._work[1], self._work[2], self.torque
         self._drive(goal_current, velocity, a, b)
         np.multiply(self._constant, self.current, out=torque)
