@@ -1,14 +1,17 @@
-"""Record a motion on a robot, once or several times.
+"""Record a motion, a plan of motions or a policy on a robot, once or several times.
 
 python experiments/collect.py robot=stand_in motion=squat [world=eta_060] [mount=stand] [repeats=3] [seed=1]
 python experiments/collect.py world=random world_seed=7 motion=squat_heldout
 python experiments/collect.py motion=chirp_knee mount=stand
 python experiments/collect.py plan=outputs/design_excitation/<run>/plan.yaml
+python experiments/collect.py robot=emulated|real motion=squat [port=/dev/ttyUSB0] [mount=stand]
+python experiments/collect.py robot=emulated|real policy=assets/policies/balance [duration=10] [repeats=5]
+python experiments/collect.py robot=emulated policy=assets/policies/balance task=balance_eval repeats=10
 python experiments/collect.py -m world=eta_060,eta_070,eta_080
 """
 
 import datetime
-import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +22,12 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from support import library_motion, one_sentence, plain
+from support import git_hash, library_motion, one_sentence, plain
 
+from op3.deploy import Stop
+from op3.deploy.bus import Unplugged
+from op3.deploy.exit_codes import ExitCode
+from op3.policy import PolicyBundle
 from op3.robot import Motion, check_motion
 from op3.rollout import MOUNTS, Rollout
 
@@ -41,6 +48,8 @@ def collect(cfg: DictConfig) -> list[Path]:
         return collect_plan(cfg, read_plan(Path(cfg.plan)))
     if cfg.mount not in MOUNTS[:2]:
         raise ValueError(f"mount must be {' or '.join(MOUNTS[:2])}, got {cfg.mount!r}")
+    if cfg.policy is not None:
+        return collect_episodes(cfg)
     motion, robot = build(cfg.motion), build(cfg.robot)
     check_motion(motion, cfg.mount)
     name = HydraConfig.get().runtime.choices.motion
@@ -81,15 +90,33 @@ def read_plan(path: Path) -> list[tuple[str, str]]:
     return [(entry["motion"], entry["mount"]) for entry in entries]
 
 
+def collect_episodes(cfg: DictConfig) -> list[Path]:
+    """Record episodes of a policy."""
+    robot = build(cfg.robot)
+    if not hasattr(robot, "run_policy"):
+        raise ValueError("this robot only plays motions; record a policy with robot=emulated or robot=real")
+    bundle = PolicyBundle.load(cfg.policy)
+    folders = []
+    for number in range(cfg.repeats):
+        name = f"{Path(cfg.policy).name}-{number}"
+        options = {"cycle": cfg.cycle, "task": cfg.task, "recording": name}
+        folders.append(save(robot.run_policy(bundle, cfg.duration, **options), name))
+    return folders
+
+
 def record(cfg: DictConfig, robot: Any, motion: Motion, name: str) -> Path:
     """Play a motion once and save the log; return its folder."""
     gains = {name: _own(motion, name) if cfg[name] is None else plain(cfg[name]) for name in ("p_gain", "d_gain")}
+    return save(robot.play(motion, **gains, recording=name), name)
+
+
+def save(rollout: Rollout, name: str) -> Path:
+    """Write a log into the run's folder and say how it ended; return its folder."""
     known = {"date": datetime.datetime.now().isoformat(timespec="seconds"), "git_hash": git_hash()}
-    rollout = robot.play(motion, **gains, recording=name)
     rollout = Rollout(rollout.data, rollout.metadata.replace(**known))
     folder = rollout.save(Path(HydraConfig.get().runtime.output_dir) / name)
     outcome = "the robot fell" if rollout.metadata.fallen else "the robot stands"
-    print(f"{folder}: {rollout.rows} rows, {rollout.duration:.2f} s, {outcome}", flush=True)
+    print(f"{folder}: {rollout.rows} rows, {rollout.duration:.2f} s, {outcome}")
     return folder
 
 
@@ -99,20 +126,15 @@ def _own(motion: Motion, name: str) -> Any:
     return gain[:, None] if gain.ndim else float(gain)
 
 
-def git_hash() -> str | None:
-    """The commit of this checkout, None outside one."""
-    command = ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"]
-    try:
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip() or None
-    except (OSError, subprocess.CalledProcessError):
-        return None
-
-
 @hydra.main(version_base="1.3", config_path="../conf", config_name="collect")
 def main(cfg: DictConfig) -> None:
     """Compose the robot and the motion, record, save."""
     with one_sentence():
-        collect(cfg)
+        try:
+            collect(cfg)
+        except (Stop, Unplugged) as error:
+            print(error, file=sys.stderr)
+            raise SystemExit(int(getattr(error, "code", ExitCode.PORT))) from None
 
 
 if __name__ == "__main__":

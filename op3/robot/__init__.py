@@ -1,6 +1,8 @@
 """The OP3 itself: joints, model, poses, scenes and motions."""
 
 from op3.robot.assets import asset_path, named_configs
+from op3.robot.board import BoardDrive, BoardMotion, Tilts, Waves, WeightDrive, WeightSchedule, board_drive
+from op3.robot.excitation import LEG_JOINTS, Excitation, leg_suite, leg_walking
 from op3.robot.excitations import chirp, multisine, push_down, soften, staircase, sway, triangle
 from op3.robot.joints import (
     CONTROLLED_JOINTS,
@@ -20,6 +22,8 @@ from op3.robot.op3_entity import OP3
 from op3.robot.poses import POSES, pose, standing_height
 from op3.robot.safety import SPEED_LIMIT, check_motion, motion_faults
 from op3.robot.scenes import SCENES, Scene, build_bench, build_scene
+from op3.robot.surfaces import draw_tiles, place_tiles, tile_ids
+from op3.robot.walking import SinusoidalGait
 
 __all__ = [
     "CONTROLLED_JOINTS",
@@ -28,6 +32,7 @@ __all__ = [
     "JOINTS",
     "JOINT_AXES",
     "KEY_POINTS",
+    "LEG_JOINTS",
     "MIRROR",
     "OP3",
     "POSES",
@@ -35,21 +40,34 @@ __all__ = [
     "SERVO_IDS",
     "SOFT_LIMITS",
     "SPEED_LIMIT",
+    "BoardDrive",
+    "BoardMotion",
+    "Excitation",
     "Motion",
     "Scene",
+    "SinusoidalGait",
+    "Tilts",
+    "Waves",
+    "WeightDrive",
+    "WeightSchedule",
     "asset_path",
+    "board_drive",
     "build_bench",
     "build_scene",
     "center_of_mass",
     "check_motion",
     "chirp",
+    "draw_tiles",
     "hold",
     "indices",
     "key_points",
+    "leg_suite",
+    "leg_walking",
     "mirror",
     "motion_faults",
     "multisine",
     "named_configs",
+    "place_tiles",
     "pose",
     "push_down",
     "quaternion",
@@ -59,5 +77,6 @@ __all__ = [
     "staircase",
     "standing_height",
     "sway",
+    "tile_ids",
     "triangle",
 ]

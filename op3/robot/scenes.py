@@ -16,11 +16,23 @@ from dm_control import composer, mjcf
 from numpy.typing import ArrayLike, NDArray
 
 from op3.robot.assets import asset_path
+from op3.robot.board import AXIS_HEIGHT, TILT, TOP_HEIGHT
 from op3.robot.kinematics import check_joint_position, quaternion, rotation_matrix
 from op3.robot.op3_entity import OP3
 from op3.robot.poses import level_soles, pose, standing_height
+from op3.robot.surfaces import add_bricks, add_tiles
 
-SCENES: tuple[str, ...] = ("floor", "stand", "bench")
+SCENES: tuple[str, ...] = (
+    "floor",
+    "stand",
+    "bench",
+    "board",
+    "board_weight",
+    "bricks_a",
+    "bricks_b",
+    "bricks_c",
+    "terrain",
+)
 """Names that `build_scene` knows."""
 
 BENCH_MASS = 0.5
@@ -38,10 +50,13 @@ class Scene:
         arena: the composer arena that holds everything.
         robot: the robot in it, None on the bench.
         joints: hinge elements [joint]: in `JOINTS` order, or the one servo of the bench.
-        name: "floor", "stand" or "bench".
-        mount: how the robot is held, as logs call it: "floor", "stand" or "pendulum".
+        name: one of `SCENES`.
+        mount: how the robot is held, as logs call it: "stand", "pendulum" or what it stands on.
         tilt_roll: roll of a fixed base in rad.
         tilt_pitch: pitch of a fixed base in rad, positive forward.
+        ground: full names of the geoms that feet meet.
+        ground_height: height of the ground's origin above the world's [m]; a board tilts about a point below it.
+        ground_pitch: pitch of the ground at the start in rad.
     """
 
     arena: composer.Arena
@@ -51,6 +66,9 @@ class Scene:
     mount: str
     tilt_roll: float = 0.0
     tilt_pitch: float = 0.0
+    ground: tuple[str, ...] = ("floor",)
+    ground_height: float = 0.0
+    ground_pitch: float = 0.0
 
     @property
     def mjcf_model(self) -> mjcf.RootElement:
@@ -65,7 +83,7 @@ class Scene:
     @property
     def floating(self) -> bool:
         """Whether the trunk is free to move: qpos then starts with 7 and qvel with 6 numbers of the base."""
-        return self.mount == "floor"
+        return self.mount not in ("stand", "pendulum")
 
     @property
     def mounted_specific_force(self) -> NDArray[np.float64]:
@@ -86,16 +104,16 @@ class Scene:
     def initial_qpos(
         self, joint_position: ArrayLike, roll: float | None = None, pitch: float | None = None
     ) -> NDArray[np.float64]:
-        """Full qpos of a pose; if the base is free, the lowest sole corner touches the floor.
+        """Full qpos of a pose; if the base is free, the lowest sole corner touches the ground.
 
         Args:
             joint_position: [joint] in rad, in the order of `joints`.
-            roll: roll of a free trunk in rad; None: the soles are level.
-            pitch: pitch of a free trunk in rad, positive forward; None: the soles are level.
+            roll: roll of a free trunk against the ground in rad; None: the soles lie flat.
+            pitch: pitch of a free trunk against the ground in rad, positive forward; None: the soles lie flat.
 
         Returns:
-            [qpos]: with a free base the trunk's x, y, z in m, its quaternion (w, x, y, z) and the joints;
-            otherwise the joints alone.
+            [qpos]: with a free base the trunk's x, y, z in m, its quaternion (w, x, y, z), the joints, and then what
+            moves besides the robot; otherwise the joints alone.
         """
         position = check_joint_position(joint_position, len(self.joints))
         if self.floating:
@@ -103,7 +121,7 @@ class Scene:
             roll = level_roll if roll is None else roll
             pitch = level_pitch if pitch is None else pitch
             height = standing_height(position, roll, pitch)
-            return np.concatenate([[0.0, 0.0, height], quaternion(roll, pitch), position])
+            return np.concatenate([*self._on_ground(height, roll, pitch), position, self._others()])
         if roll or pitch:
             raise ValueError(
                 f"the base of scene {self.name!r} is fixed, so it has no roll and pitch to start from; "
@@ -111,13 +129,34 @@ class Scene:
             )
         return position.copy()
 
+    def _on_ground(self, height: float, roll: float, pitch: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Place and quaternion of a trunk that is so high above the ground, and so tilted against it."""
+        if not self.ground_pitch:
+            return np.array([0.0, 0.0, self.ground_height + height]), quaternion(roll, pitch)
+        turned = np.empty(4)
+        mujoco.mju_mulQuat(turned, quaternion(0.0, self.ground_pitch), quaternion(roll, pitch))
+        above = rotation_matrix(0.0, self.ground_pitch) @ [0.0, 0.0, TOP_HEIGHT + height]
+        above[2] += self.ground_height - TOP_HEIGHT
+        return above, turned
+
+    def _others(self) -> NDArray[np.float64]:
+        """The first positions of what moves besides the robot."""
+        if self.name == "board":
+            return np.zeros(2)
+        if self.name == "board_weight":
+            return np.array([self.ground_pitch, 0.0])
+        return np.zeros(0)
+
 
 def build_scene(name: str, *, tilt_roll: float = 0.0, tilt_pitch: float = 0.0) -> Scene:
     """A new scene.
 
     Args:
         name: "floor": level floor, free robot. "stand": the trunk is fixed 0.5 m up, no foot reaches the
-            ground. "bench": one servo with the default pendulum (see `build_bench`).
+            ground. "bench": one servo with the default pendulum (see `build_bench`). "board": a board that
+            `BoardDrive` tilts. "board_weight": a passive board between stops, and a weight that `WeightDrive` lowers
+            on it. "bricks_a", "bricks_b", "bricks_c": 5 mm bricks ahead of the robot. "terrain": tiles ahead of the
+            robot whose heights `place_tiles` sets.
         tilt_roll: roll of the stand in rad.
         tilt_pitch: pitch of the stand in rad, positive forward.
     """
@@ -127,18 +166,42 @@ def build_scene(name: str, *, tilt_roll: float = 0.0, tilt_pitch: float = 0.0) -
         raise ValueError(f"only the scene 'stand' can be tilted, got tilt_roll and tilt_pitch for {name!r}")
     if name == "bench":
         return build_bench()
-    arena = composer.Arena(xml_path=str(asset_path(f"scenes/{name}.xml")))
-    root: Any = arena.mjcf_model
-    robot = OP3()
-    if name == "floor":
-        # The model's reference pose stands on the floor, legs straight: tracking cameras measure from it.
-        frame: Any = arena.add_free_entity(robot)
-        frame.pos = [0.0, 0.0, standing_height(pose("zero"))]
-    else:
+    if name == "stand":
+        arena, robot = composer.Arena(xml_path=str(asset_path("scenes/stand.xml"))), OP3()
+        root: Any = arena.mjcf_model
         mount = root.find("site", "mount")
         mount.quat = quaternion(tilt_roll, tilt_pitch)
         arena.attach(robot, mount)
-    return Scene(arena, robot, tuple(robot.joints), name, name, tilt_roll, tilt_pitch)
+        return Scene(arena, robot, tuple(robot.joints), name, name, tilt_roll, tilt_pitch)
+    return _on_floor(name)
+
+
+def _on_floor(name: str) -> Scene:
+    """The robot on the floor, and what is laid on it."""
+    arena, robot = composer.Arena(xml_path=str(asset_path("scenes/floor.xml"))), OP3()
+    root: Any = arena.mjcf_model
+    board = name.startswith("board")
+    height = AXIS_HEIGHT + TOP_HEIGHT if board else 0.0
+    # The model's reference pose stands on the ground, legs straight: tracking cameras measure from it.
+    frame: Any = arena.add_free_entity(robot)
+    frame.pos = [0.0, 0.0, height + standing_height(pose("zero"))]
+    ground = ["floor"]
+    if name != "floor":
+        # behind the robot, whose joints so stay the first
+        laid: Any = mjcf.from_path(str(asset_path(f"scenes/{name if board else 'uneven'}.xml")))
+        if name == "terrain":
+            add_tiles(laid)
+        elif not board:
+            add_bricks(laid, name)
+        root.attach(laid)
+        ground += [str(geom.full_identifier) for geom in laid.find_all("geom") if _meets_feet(geom)]
+    pitch = TILT if name == "board_weight" else 0.0
+    return Scene(arena, robot, tuple(robot.joints), name, name, 0.0, 0.0, tuple(ground), height, pitch)
+
+
+def _meets_feet(geom: Any) -> bool:
+    kind = getattr(geom.dclass, "dclass", geom.dclass)
+    return str(kind).rsplit("/", 1)[-1] == "ground"
 
 
 def build_bench(mass: float = BENCH_MASS, length: float = BENCH_LENGTH) -> Scene:

@@ -17,10 +17,10 @@ import yaml
 from op3.rollout.errors import LogError
 
 ROBOTS = ("simulated", "emulated", "real", "rig")
-MOUNTS = ("floor", "stand", "pendulum")
+MOUNTS = ("floor", "stand", "pendulum", "board", "board_weight", "bricks_a", "bricks_b", "bricks_c", "terrain")
 
 _JOINT_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
-_RESERVED = ("imu", "policy")
+_RESERVED = ("imu", "policy", "raw")
 _REQUIRED = ("joints", "robot", "mount", "rate")
 
 
@@ -31,7 +31,8 @@ class Metadata:
     Attributes:
         joints: Joint names, in the order of every [joint] axis.
         robot: Who made the log: `simulated`, `emulated`, `real` or `rig` (a servo on a test bench).
-        mount: What holds the robot: `floor`, `stand` or `pendulum`.
+        mount: What holds the robot: `stand` or `pendulum`, or what it stands on: `floor`, `board`, `board_weight`,
+            `bricks_a`, `bricks_b`, `bricks_c` or `terrain`.
         rate: Rows per second [Hz].
         mass: Mass at the end of the pendulum [kg]; required for the pendulum.
         length: Distance from the servo's axis to that mass [m]; required for the pendulum.
@@ -239,7 +240,7 @@ def _joints(value: object) -> tuple[str, ...]:
         raise _wrong("joints", value, "a list of joint names")
     for name in value:
         if not isinstance(name, str) or not _JOINT_NAME.fullmatch(name) or name in _RESERVED:
-            raise _wrong("joints", name, "a joint name of letters, digits, _ and -, and not imu or policy")
+            raise _wrong("joints", name, "a joint name of letters, digits, _ and -, and not imu, policy or raw")
         if value.count(name) > 1:
             raise LogError(f"joint {name} is listed twice", "list each joint once", column="field joints")
     return tuple(value)

@@ -6,6 +6,10 @@ specific force (+9.81 m/s2 upwards at rest) are in the body frame. A channel tha
 
 Policy channels change once per policy step. In a log whose rows are faster than the policy they are held
 between policy steps, and the metadata's `policy_rate` says how fast the policy was.
+
+The `raw` group keeps what crossed the bus of a real or emulated robot, in whole register units, so that a doubt
+about conversion, calibration, limits or lost replies can be settled from the log alone. Consumers read the SI
+channels; the raw ones are for checking.
 """
 
 from __future__ import annotations
@@ -60,6 +64,9 @@ _RATES: dict[str, Any] = dict(
 )
 _GAINS: dict[str, Any] = dict(bound=100.0, mistake="looks like a gain in firmware units", nonnegative=True, hold=True)
 _SWITCH: dict[str, Any] = dict(mistake="is not 0 or 1", remedy="write 0 for off and 1 for on", binary=True, hold=True)
+_COUNTS: dict[str, Any] = dict(
+    bound=float(2**31), mistake="does not fit into a register", remedy="write the register's value, sign included"
+)
 _XYZ = ("x", "y", "z")
 
 _TABLE = (
@@ -224,6 +231,60 @@ _TABLE = (
         "Reward of the policy step, held between policy steps.",
         "policy.reward",
         hold=True,
+    ),
+    Channel(
+        ("raw", "goal_current"),
+        "2.69 mA",
+        "joint",
+        "Goal current last written to the servo, after every limit.",
+        "{joint}.raw_goal_current",
+        hold=True,
+        **_COUNTS,
+    ),
+    Channel(("raw", "current"), "2.69 mA", "joint", "Present current register.", "{joint}.raw_current", **_COUNTS),
+    Channel(("raw", "velocity"), "0.229 rpm", "joint", "Present velocity register.", "{joint}.raw_velocity", **_COUNTS),
+    Channel(
+        ("raw", "position"),
+        "2 pi/4096 rad",
+        "joint",
+        "Present position register, without calibration offset.",
+        "{joint}.raw_position",
+        **_COUNTS,
+    ),
+    Channel(
+        ("raw", "hardware_error"),
+        "bits",
+        "joint",
+        "Hardware error status register.",
+        "{joint}.raw_hardware_error",
+        bound=255.0,
+        mistake="does not fit into one byte",
+        remedy="write the register's value",
+        nonnegative=True,
+    ),
+    Channel(
+        ("raw", "answered"),
+        "",
+        "joint",
+        "1 where the servo answered in this row; 0 where its values are those of an earlier row.",
+        "{joint}.raw_answered",
+        **_SWITCH,
+    ),
+    Channel(
+        ("raw", "imu"),
+        "counts",
+        "vector",
+        "Nine IMU registers: gyro x, y, z, accelerometer x, y, z, roll, pitch, yaw, in the sensor's own axes.",
+        "raw.imu_{index}",
+        **_COUNTS,
+    ),
+    Channel(
+        ("raw", "lateness"),
+        "s",
+        "scalar",
+        "How long after its deadline the tick of this row began.",
+        "raw.lateness",
+        nonnegative=True,
     ),
     Channel("done", "", "scalar", "True in the row that ends the episode (bool).", "done", **_SWITCH),
 )

@@ -4,12 +4,15 @@ from op3.servo.effect import (
     Effect,
     ModelEdit,
     Parameter,
+    Scope,
     Signals,
     Stage,
+    Trunk,
     catalogue,
     effect_class,
     parameter,
     register,
+    secant_values,
 )
 from op3.servo.effects import *  # noqa: F403  (registers the effects)
 from op3.servo.robot_model import Estimate, RobotModel
@@ -21,11 +24,14 @@ __all__ = [
     "ModelEdit",
     "Parameter",
     "RobotModel",
+    "Scope",
     "ServoLaw",
     "Signals",
     "Stage",
+    "Trunk",
     "catalogue",
     "effect_class",
     "parameter",
     "register",
+    "secant_values",
 ]

@@ -26,8 +26,10 @@ class Stage(IntEnum):
     GEAR = 6
     FRICTION = 7
     LOAD = 8
-    BODY = 9
-    GROUND = 10
+    TRANSMISSION = 9  # between the gear and the link
+    PARALLEL = 10  # beside the servo, between the two links
+    BODY = 11
+    GROUND = 12
 
 
 @dataclass(frozen=True)
@@ -65,16 +67,19 @@ class ModelEdit:
 
     Attributes:
         field: name of the ``mjModel`` array, for example ``dof_armature``.
-        target: which rows: the servo joints' degrees of freedom, the bodies that they move, or the robot's base body.
-        operation: whether the parameter replaces the compiled value or adds to it.
+        target: which rows: the servo joints' degrees of freedom, the bodies that they move, the robot's base body, the
+            colliding geoms of its feet, those of the ground, or the one row of an option such as ``opt.gravity``. A
+            scene without feet or ground has none of these rows, and the edit changes nothing there.
+        operation: whether the parameter replaces the compiled value, adds to it, or scales it by ``1 + parameter``; or
+            ``turn``, which expresses a vector in a frame that is turned by the parameter [rad] about axis `column`.
         parameter: name of the parameter whose value is written.
         column: second index of the field, for example 0 for x of ``body_ipos``; None writes all columns.
         per: name of a second array, whose rows multiply the value, for example ``body_mass``.
     """
 
     field: str
-    target: Literal["joint_dof", "joint_body", "base_body"]
-    operation: Literal["set", "add"]
+    target: Literal["joint_dof", "joint_body", "base_body", "foot_geom", "ground_geom", "option"]
+    operation: Literal["set", "add", "scale", "turn"]
     parameter: str
     column: int | None = None
     per: str | None = None
@@ -101,6 +106,8 @@ class Signals:
     firmware_gain: Tensor  # kp of the servo's own position loop [firmware units]
     torque_enable: Tensor  # 1 or 0
     bus_voltage: Tensor  # [V]
+    temperature: Tensor  # of the servo, as it measures it [C]
+    time: Tensor  # since the start [s]; filled only where an effect reads it
     phase: int  # simulation steps since the last tick
     # sensing stage: what the servo's encoder says
     measured_position: Tensor  # [rad]
@@ -113,6 +120,7 @@ class Signals:
     # motor stage
     current: Tensor  # [A]
     motor_torque: Tensor  # tau_m at the old velocity [N m]
+    measured_current: Tensor  # what the servo says of it [A]; filled when sensors are read for a log
     # friction stage
     fade: Tensor  # share of the friction near rest that is left at this speed; 1 without a Stribeck effect
     # to MuJoCo
@@ -121,6 +129,8 @@ class Signals:
     friction_bound: Tensor  # [N m]
     # memory of effects that have one, by effect name
     state: dict[str, Tensor]
+    # factors on the motor's parameters that change in time, by parameter name; none where no effect sets one
+    factors: dict[str, Tensor]
 
     @classmethod
     def zeros(cls, num_sims: int, num_joints: int, device: torch.device | str = "cpu") -> "Signals":
@@ -128,12 +138,25 @@ class Signals:
         made = {
             field.name: torch.zeros(num_sims, num_joints, dtype=torch.float64, device=device)
             for field in fields(cls)
-            if field.name not in ("phase", "state")
+            if field.name not in ("phase", "state", "factors")
         }
-        return cls(**made, phase=0, state={})
+        return cls(**made, phase=0, state={}, factors={})
 
 
 Prepared = Mapping[str, Tensor]
+
+
+@dataclass
+class Trunk:
+    """What the trunk's IMU says.
+
+    Attributes:
+        quaternion: orientation, ``[sim, 4]``, w first.
+        angular_velocity: in the frame of the body [rad/s], ``[sim, 3]``.
+    """
+
+    quaternion: Tensor
+    angular_velocity: Tensor
 
 
 @dataclass(frozen=True)
@@ -149,28 +172,58 @@ class Clock:
     period: float
 
 
+Scope = Literal["robot", "shared", "joint", "side"]
+"""Who has an effect: the whole robot, all joints alike, one joint, or the joints of one side."""
+
+
 class Effect:
     """Base class of everything in the catalogue; subclasses are frozen dataclasses of their options.
+
+    What the diagnosis needs to find an effect stands beside the law. A *secant* is one finite change of parameters at
+    which a prediction is compared with that of the model without it: an amount that is added to what the parameter is
+    (its neutral value where the effect is off), or the value itself where a parameter has no neutral value. It may
+    change a parameter of another effect, if that is on. Effects that are no hypothesis (the motor, the controller) have
+    no secants.
 
     Class attributes:
         name: identifier in ``model.yaml`` and ``conf/effect/``.
         stage: when it acts.
+        rank: place within the stage; effects of one rank keep the order of the model.
         equation: the law in one line.
         source: where the law comes from.
         parameters: its numbers.
         edits: what it changes in the MuJoCo model.
         reads: signals that simulations fill only where an effect asks for them.
         commands: inputs of `Signals` without which it cannot act.
+        borrows: parameters of other effects that `prepare` is given too, where those effects are on.
+        size: name of the parameter that says how strong the effect is.
+        smallest: smallest size that matters, as a distance from neutral in that parameter's unit.
+        secants: finite changes for screening, several where the effect is not local in its parameters.
+        fingerprint: how it shows in the residual, measured minus predicted.
+        confounders: other effects that may look like it.
+        separating_experiment: what tells it from them.
+        alias_class: effects of one class cannot be told apart without a special experiment.
+        scopes: who can have it.
     """
 
     name: ClassVar[str]
     stage: ClassVar[Stage]
+    rank: ClassVar[int] = 0
     equation: ClassVar[str]
     source: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     edits: ClassVar[tuple[ModelEdit, ...]] = ()
     reads: ClassVar[tuple[str, ...]] = ()
     commands: ClassVar[tuple[str, ...]] = ()
+    borrows: ClassVar[tuple[str, ...]] = ()
+    size: ClassVar[str] = ""
+    smallest: ClassVar[float] = 0.0
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = ()
+    fingerprint: ClassVar[str] = ""
+    confounders: ClassVar[tuple[str, ...]] = ()
+    separating_experiment: ClassVar[str] = ""
+    alias_class: ClassVar[str] = ""
+    scopes: ClassVar[tuple[Scope, ...]] = ()
 
     def __post_init__(self):
         """Refuse options of the wrong kind: a misspelt form would choose another law.
@@ -188,11 +241,21 @@ class Effect:
             if hint is float and not number:
                 raise ValueError(f"effect {self.name!r}: {option} must be a finite number, got {value!r}")
 
+    def adjust(self, values: Mapping[str, Tensor], sides: Tensor) -> Mapping[str, Tensor]:
+        """All parameters of the model as this effect leaves them, before any constants are computed from them.
+
+        Args:
+            values: parameters of all effects that are on, each ``[sim, joint]``.
+            sides: +1 for joints on the left, -1 on the right, 0 in the middle, ``[joint]``.
+        """
+        del sides
+        return values
+
     def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
         """Constants of a step, computed once whenever parameters change.
 
         Args:
-            values: this effect's parameters, each ``[sim, joint]``.
+            values: this effect's parameters, and those that it borrows, each ``[sim, joint]``.
             clock: simulation step and control period.
         """
         del clock
@@ -204,8 +267,23 @@ class Effect:
     def tick(self, signals: Signals, prepared: Prepared) -> None:
         """Act once per control period, right after new commands arrived."""
 
+    def begin(self, signals: Signals, prepared: Prepared) -> None:
+        """Look at the joint's new state once per simulation step, before any effect acts.
+
+        An effect may put other values in place of the joint's position, velocity and load torque for this step.
+        """
+
     def apply(self, signals: Signals, prepared: Prepared) -> None:
-        """Act once per simulation step."""
+        """Act once per simulation step; effects on sensors act whenever these are read, and keep no memory there."""
+
+    def finish(self, signals: Signals, prepared: Prepared) -> None:
+        """Keep what must be remembered of the joint's state, once per simulation step, after all effects acted."""
+
+    def report(self, signals: Signals, prepared: Prepared) -> None:
+        """Change what the servo says of itself in a log and does not act on."""
+
+    def sense_trunk(self, trunk: Trunk, prepared: Prepared) -> None:
+        """Change what the trunk's IMU says."""
 
     @classmethod
     def options(cls) -> tuple[str, ...]:
@@ -260,8 +338,24 @@ def parameter(name: str) -> Parameter:
     return known[name]
 
 
+def secant_values(secant: Mapping[str, float], values: Mapping[str, float]) -> dict[str, float]:
+    """Parameter values at a secant, kept within what physics allows.
+
+    Args:
+        secant: one of `Effect.secants`.
+        values: what parameters are now; those missing have their neutral value, and parameters of effects that are
+            off may be left out.
+    """
+    moved = {}
+    for name, change in secant.items():
+        known = parameter(name)
+        start = 0.0 if known.neutral is None else values.get(name, known.neutral)
+        moved[name] = min(max(start + change, known.least), known.most)
+    return moved
+
+
 def in_stage_order(effects: Sequence[Effect]) -> list[Effect]:
-    """Effects sorted by stage; those of one stage keep their order.
+    """Effects sorted by stage and rank; those of one rank keep their order.
 
     Raises:
         ValueError: if an effect appears twice.
@@ -270,4 +364,4 @@ def in_stage_order(effects: Sequence[Effect]) -> list[Effect]:
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise ValueError(f"effects listed twice: {', '.join(twice)}; list each once")
-    return sorted(effects, key=lambda effect: effect.stage)
+    return sorted(effects, key=lambda effect: (effect.stage, effect.rank))

@@ -100,6 +100,26 @@ def dte_passive_loss(
     return torch.where(leads, forward_loss * motor_torque.abs(), backward_loss * load_torque.abs())
 
 
+def dte_power_loss(
+    motor_torque: Tensor, load_torque: Tensor, direction: Tensor, forward_loss: Tensor, backward_share: Tensor
+) -> Tensor:
+    """Bound [N m] on a friction that loses by the direction of power: torque arrives as eta_fw or as 1 / eta_bw.
+
+    ``(1 - eta_fw) |tau_m|`` where the motor drives, ``(1 / eta_bw - 1) |tau_m|`` where it is driven back. At rest the
+    stronger torque says which.
+
+    Args:
+        motor_torque: tau_m, joint side [N m], ``[sim, joint]``.
+        load_torque: tau_a [N m].
+        direction: any quantity with the sign of the motion; zero at rest.
+        forward_loss: ``1 - eta_fw``.
+        backward_share: ``1 / eta_bw - 1``.
+    """
+    power = motor_torque * direction
+    rests = (direction == 0) & ~motor_leads(motor_torque, load_torque)
+    return motor_torque.abs() * torch.where((power < 0) | rests, backward_share, forward_loss)
+
+
 def stribeck_fade(speed: Tensor, stribeck_velocity: Tensor) -> Tensor:
     """Share of the friction near rest that is left at a speed, paper eq. (4): ``exp(-|w| / w_s)``.
 

@@ -6,12 +6,18 @@ from op3.sim.geared_servo import GearedServo
 from op3.sim.model_file import find_model, load_model, model_hash, model_names, save_model
 from op3.sim.pendulum_simulation import PendulumSimulation
 from op3.sim.ports import ServoPorts, attach_servos
+from op3.sim.trajectory_dynamics import TrajectoryDynamics, trajectory_dynamics
+from op3.sim.window_simulation import MeasuredMotion, Window, WindowSimulation
 
 __all__ = [
     "BatchSimulation",
     "GearedServo",
+    "MeasuredMotion",
     "PendulumSimulation",
     "ServoPorts",
+    "TrajectoryDynamics",
+    "Window",
+    "WindowSimulation",
     "attach_servos",
     "find_model",
     "load_model",
@@ -19,4 +25,5 @@ __all__ = [
     "model_names",
     "roll_pitch_yaw",
     "save_model",
+    "trajectory_dynamics",
 ]

@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -10,10 +11,10 @@ import torch
 from mujoco.batch import Batch
 from torch import Tensor
 
-from op3.servo import RobotModel, ServoLaw, Signals
+from op3.servo import RobotModel, ServoLaw, Signals, Trunk
 from op3.sim.base import Base, roll_pitch_yaw
 from op3.sim.edits import edited_fields
-from op3.sim.inputs import default_commands, expand_parameters, set_commands
+from op3.sim.inputs import COMMANDS, default_commands, expand_parameters, set_commands, set_start
 from op3.sim.ports import ServoPorts
 
 
@@ -68,7 +69,7 @@ class BatchSimulation:
         self.batch = Batch(mj_model, num_sims, num_threads)
         self._base = None if base_body is None else Base.find(mj_model, mj_model.body(base_body).id)
         self._fields = {name: np.array(value, dtype=np.float64) for name, value in (fields or {}).items()}
-        self.law = ServoLaw(model.effects, self.timestep, control_period)
+        self.law = ServoLaw(model.effects, self.timestep, control_period, self.joint_names)
         self.signals = Signals.zeros(num_sims, len(joints))
         self._reads_force = self.law.reads("radial_force")
         default_commands(self.signals, model)
@@ -86,6 +87,11 @@ class BatchSimulation:
         if self._base is not None:
             self._base_quaternion = _torch_view(batch.bind("xquat"))[:, self._base.body]
 
+    @property
+    def sensordata(self) -> Tensor:
+        """All sensors of the scene at the last step, ``[sim, nsensordata]``, over the simulator's memory."""
+        return self._sensors
+
     def set_parameters(self, values: Mapping[str, Tensor | float]) -> None:
         """Give parameters per simulation; those not named take the model's values.
 
@@ -96,6 +102,8 @@ class BatchSimulation:
             ValueError: if the model has no such parameter, or a shape does not fit.
         """
         expanded = expand_parameters(self.model, self.joint_names, values, self.num_sims)
+        if hasattr(self, "_rotor"):
+            self._armature[:, self.ports.dof] = self._rotor  # without the damping of the last step
         self.parameters = expanded
         self.law.set_parameters(expanded)
         base = -1 if self._base is None else self._base.body
@@ -121,8 +129,12 @@ class BatchSimulation:
         qvel: Any = 0.0,
         *,
         measured: bool = False,
+        load_torque: Any = None,
+        current: Any = None,
+        time: Any = 0.0,
+        rows: np.ndarray | None = None,
     ) -> None:
-        """Start all simulations anew.
+        """Start simulations anew.
 
         Args:
             qpos: full MuJoCo position, ``[nq]`` or ``[sim, nq]``.
@@ -130,7 +142,22 @@ class BatchSimulation:
             qvel: full MuJoCo velocity, ``[nv]`` or ``[sim, nv]``.
             measured: whether the joints' positions are readings of the sensors, which an encoder offset shifts;
                 each simulation then starts where its own sensors read them.
+            load_torque: tau_a on the servos at the start [N m], broadcastable to ``[sim, joint]``; tells on which
+                flank a backlash begins. By default that of the robot let go in this pose.
+            current: in the motors at the start [A]; by default none.
+            time: since the start of the recording [s], for effects that change with it.
+            rows: indices of the simulations that start anew, between ticks; the others are not disturbed. Then `qpos`,
+                `qvel` and `commands` have one row for each of these, and the remaining arguments stay at their
+                defaults. None: all.
+
+        Raises:
+            ValueError: if `rows` is given together with what only all simulations can start from.
         """
+        if rows is not None:
+            if measured or load_torque is not None or current is not None or time:
+                raise ValueError("measured, load_torque, current and time can start all simulations only: omit rows")
+            self._reset_rows(np.asarray(rows, dtype=np.int64), qpos, commands or {}, qvel)
+            return
         self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
         self._qpos[...] = torch.as_tensor(qpos, dtype=torch.float64)
         if measured:
@@ -144,8 +171,37 @@ class BatchSimulation:
         self._read()
         default_commands(self.signals, self.model)
         self.command(**(commands or {}))
-        self.signals.current = torch.zeros_like(self.signals.position)
+        set_start(self.signals, load_torque, current, time)
         self.law.reset(self.signals)
+
+    def _reset_rows(self, rows: np.ndarray, qpos: Any, commands: Mapping[str, Tensor], qvel: Any) -> None:
+        if not len(rows):
+            return
+        self.batch.reset(rows, stage=mujoco.mjtStage.mjSTAGE_NONE)
+        self._qpos[rows] = torch.as_tensor(qpos, dtype=torch.float64)
+        self._qvel[rows] = torch.as_tensor(qvel, dtype=torch.float64)
+        for array, value in ((self._friction, 0.0), (self._armature, self._rotor[rows])):
+            block = array[rows]
+            block[:, self.ports.dof] = value
+            array[rows] = block
+        self.batch.forward(rows)
+        self.batch.warning[rows] = 0
+        self.failed[rows] = False
+        self._read()
+        # the law starts all simulations anew, on the side; those of the rows are taken over
+        fresh = replace(self.signals, state={}, factors={})
+        default_commands(fresh, self.model)
+        whole = {name: getattr(fresh, name).clone() for name in commands}
+        for name, value in commands.items():
+            whole[name][rows] = torch.as_tensor(value, dtype=torch.float64)
+        set_commands(fresh, whole)
+        set_start(fresh)
+        self.law.reset(fresh)
+        for name in (*COMMANDS, "current", "time"):
+            setattr(self.signals, name, _take_over(getattr(self.signals, name), getattr(fresh, name), rows))
+        for memory, anew in ((self.signals.state, fresh.state), (self.signals.factors, fresh.factors)):
+            for name, value in anew.items():
+                memory[name] = _take_over(memory.get(name, value), value, rows)
 
     def _undo_sensing(self) -> None:
         """Move the joints until their sensors read what the joints' positions were."""
@@ -161,8 +217,8 @@ class BatchSimulation:
 
         Args:
             commands: any of ``position_target`` [rad], ``p_gain`` [A/rad], ``d_gain`` [A s/rad],
-                ``firmware_gain``, ``torque_enable`` (0 or 1) and ``bus_voltage`` [V], each broadcastable to
-                ``[sim, joint]``.
+                ``firmware_gain``, ``torque_enable`` (0 or 1), ``bus_voltage`` [V] and ``temperature`` [C], each
+                broadcastable to ``[sim, joint]``.
 
         Raises:
             ValueError: if a command is unknown.
@@ -187,19 +243,21 @@ class BatchSimulation:
         """What the servos' and the trunk's sensors say now: channels of the log, ``[sim, joint | 3]``."""
         self._read()
         self.law.sense(self.signals)
+        self.law.report(self.signals)
         signals = self.signals
         channels = {
             ("joint", "position"): signals.measured_position.clone(),
             ("joint", "velocity"): signals.measured_velocity.clone(),
-            ("joint", "current"): signals.current.clone(),
+            ("joint", "current"): signals.measured_current.clone(),
         }
         if self._base is not None:
             free, rates = self._base.qpos, torch.zeros(self.num_sims, 3, dtype=torch.float64)
             quaternion = self._base_quaternion if free is None else self._qpos[:, free + 3 : free + 7]
             if self._base.dof is not None:
                 rates = self._qvel[:, self._base.dof + 3 : self._base.dof + 6].clone()
-            channels[("imu", "orientation")] = roll_pitch_yaw(quaternion)
-            channels[("imu", "angular_velocity")] = rates
+            seen = self.law.sense_trunk(Trunk(quaternion, rates))
+            channels[("imu", "orientation")] = roll_pitch_yaw(seen.quaternion)
+            channels[("imu", "angular_velocity")] = seen.angular_velocity
         return channels
 
     def _read(self) -> None:
@@ -218,6 +276,15 @@ class BatchSimulation:
         finite = torch.isfinite(handed_over).all(1)
         warned = torch.from_numpy(self.batch.warning.any((1, 2)))
         self.failed |= warned | ~finite
+
+
+def _take_over(old: Tensor, new: Tensor, rows: np.ndarray) -> Tensor:
+    """Values ``[..., sim, joint]`` with those of some simulations replaced; numbers that all share stay."""
+    if old.ndim < 2:
+        return old
+    kept = old.clone()
+    kept[..., rows, :] = new[..., rows, :]
+    return kept
 
 
 def _torch_view(array: np.ndarray) -> Tensor:

@@ -1,13 +1,18 @@
 """Carries out what effects declare about the MuJoCo model."""
 
 from collections.abc import Mapping, Sequence
+from operator import attrgetter
+from typing import Any
 
 import mujoco
 import numpy as np
 from torch import Tensor
 
-from op3.servo import Effect
+from op3.servo import Effect, ModelEdit
 from op3.sim.ports import ServoPorts
+
+FOOT_JOINT = "ank_roll"
+"""How the names of the joints end that move the feet."""
 
 
 def edited_fields(
@@ -40,21 +45,57 @@ def edited_fields(
     for effect in effects:
         for edit in effect.edits:
             if edit.field not in edited:
-                compiled = np.asarray(getattr(model, edit.field), dtype=np.float64)
+                compiled = np.asarray(model_field(model, edit.field), dtype=np.float64)
+                compiled = compiled[None] if edit.target == "option" else compiled
                 edited[edit.field] = np.repeat(compiled[None], num_sims, axis=0)
-            value = values[edit.parameter].numpy()
-            if edit.target == "joint_dof":
-                rows = ports.dof
-            elif edit.target == "joint_body":
-                rows = ports.body
-            elif base_body < 0:
+            if edit.target == "base_body" and base_body < 0:
                 raise ValueError(f"effect {effect.name!r} changes the base body, but this scene has none")
-            else:
-                rows, value = base_body, value[:, 0]
+            value = values[edit.parameter].numpy()
+            rows = _rows(model, edit, ports, base_body)
             if edit.per is not None:
                 value = value * edited.get(edit.per, np.asarray(getattr(model, edit.per))[None])[:, rows]
-            if edit.column is None and edited[edit.field].ndim > 2:
-                value = value[..., None]
-            where = (slice(None), rows) if edit.column is None else (slice(None), rows, edit.column)
-            edited[edit.field][where] = value if edit.operation == "set" else edited[edit.field][where] + value
-    return edited
+            _carry_out(edit, edited[edit.field], rows, value)
+    return {name: array[:, 0] if name.startswith("opt.") else array for name, array in edited.items()}
+
+
+def model_field(model: mujoco.MjModel, field: str) -> np.ndarray:
+    """The live array of a field, whose name may have parts, as in ``opt.gravity``."""
+    return attrgetter(field)(model)
+
+
+def _rows(model: mujoco.MjModel, edit: ModelEdit, ports: ServoPorts, base_body: int) -> Any:
+    if edit.target == "joint_dof":
+        return ports.dof
+    if edit.target == "joint_body":
+        return ports.body
+    if edit.target == "base_body":
+        return slice(base_body, base_body + 1)
+    if edit.target == "option":
+        return slice(0, 1)
+    collides = (model.geom_contype | model.geom_conaffinity) != 0
+    if edit.target == "foot_geom":
+        feet = [b for name, b in zip(ports.joints, ports.body, strict=True) if name.endswith(FOOT_JOINT)]
+        return np.flatnonzero(collides & np.isin(model.geom_bodyid, feet))
+    # what feet stand on: the floor, and boards that move
+    return np.flatnonzero(model.geom_contype != 0)
+
+
+def _carry_out(edit: ModelEdit, field: np.ndarray, rows: Any, value: np.ndarray) -> None:
+    """Write one edit into ``field`` ``[sim, row]`` or ``[sim, row, column]``; `value` is ``[sim, row | 1]``."""
+    if edit.operation == "turn":
+        vectors = field[:, rows]
+        second, third = (edit.column + 1) % 3, (edit.column + 2) % 3  # type: ignore[operator]
+        cos, sin = np.cos(value), np.sin(value)
+        y, z = vectors[..., second].copy(), vectors[..., third].copy()
+        vectors[..., second], vectors[..., third] = cos * y + sin * z, cos * z - sin * y
+        field[:, rows] = vectors
+        return
+    if edit.column is None and field.ndim > 2:
+        value = value[..., None]
+    where = (slice(None), rows) if edit.column is None else (slice(None), rows, edit.column)
+    if edit.operation == "set":
+        field[where] = value
+    elif edit.operation == "add":
+        field[where] = field[where] + value
+    else:
+        field[where] = field[where] * (1.0 + value)

@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from op3.servo import RobotModel, ServoLaw, Signals
+from op3.servo import RobotModel, ServoLaw, Signals, Trunk
 from op3.sim.base import Base, roll_pitch_yaw
-from op3.sim.edits import edited_fields
-from op3.sim.inputs import default_commands, expand_parameters, set_commands
+from op3.sim.edits import edited_fields, model_field
+from op3.sim.inputs import default_commands, expand_parameters, set_commands, set_start
 from op3.sim.ports import ServoPorts, attach_servos
 
 
@@ -47,11 +47,13 @@ class GearedServo:
         base = -1 if self._base_element is None else int(physics.bind(self._base_element).element_id)
         self._base = None if base < 0 else Base.find(physics.model.ptr, base)
         values = expand_parameters(self.model, self.joint_names, {}, 1)
-        self.law = ServoLaw(self.model.effects, float(physics.model.opt.timestep), self._control_period)
+        self.law = ServoLaw(
+            self.model.effects, float(physics.model.opt.timestep), self._control_period, self.joint_names
+        )
         self.law.set_parameters(values)
         edits = edited_fields(physics.model.ptr, self.model.effects, values, self.ports, base, {}, 1)
         for field, array in edits.items():
-            getattr(physics.model.ptr, field)[...] = array[0]
+            model_field(physics.model.ptr, field)[...] = array[0]
         if edits:
             mujoco.mj_setConst(physics.model.ptr, physics.data.ptr)
         self._rotor = physics.model.ptr.dof_armature[self.ports.dof].copy()
@@ -64,7 +66,7 @@ class GearedServo:
         mujoco.mj_forward(physics.model.ptr, physics.data.ptr)
         self._read(physics)
         default_commands(self.signals, self.model)
-        self.signals.current = torch.zeros_like(self.signals.position)
+        set_start(self.signals)
         set_commands(self.signals, commands)
         self.law.reset(self.signals)
 
@@ -97,15 +99,18 @@ class GearedServo:
         """What the servos' and the trunk's sensors say now: channels of the log, ``[joint]`` and ``[3]``."""
         self._read(physics)
         self.law.sense(self.signals)
+        self.law.report(self.signals)
         channels = {
             ("joint", "position"): self.signals.measured_position[0].clone(),
             ("joint", "velocity"): self.signals.measured_velocity[0].clone(),
-            ("joint", "current"): self.signals.current[0].clone(),
+            ("joint", "current"): self.signals.measured_current[0].clone(),
         }
         if self._base is not None:
             quaternion, rates = self._base.pose(physics.data.ptr)
-            channels[("imu", "orientation")] = roll_pitch_yaw(torch.from_numpy(quaternion.copy()))
-            channels[("imu", "angular_velocity")] = torch.from_numpy(rates.copy())
+            true = Trunk(torch.from_numpy(quaternion.copy())[None], torch.from_numpy(rates.copy())[None])
+            seen = self.law.sense_trunk(true)
+            channels[("imu", "orientation")] = roll_pitch_yaw(seen.quaternion)[0]
+            channels[("imu", "angular_velocity")] = seen.angular_velocity[0]
         return channels
 
     def _read(self, physics: Any) -> None:

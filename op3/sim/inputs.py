@@ -8,17 +8,21 @@ from torch import Tensor
 
 from op3.servo import RobotModel, Signals
 
-COMMANDS = ("position_target", "p_gain", "d_gain", "firmware_gain", "torque_enable", "bus_voltage")
+COMMANDS = ("position_target", "p_gain", "d_gain", "firmware_gain", "torque_enable", "bus_voltage", "temperature")
 """Inputs of the servo law that are held from tick to tick."""
+
+REFERENCE_TEMPERATURE = 25.0
+"""Of servos whose temperature is not known [C]: that at which a model's parameters hold."""
 
 
 def default_commands(signals: Signals, model: RobotModel) -> None:
-    """Commands before any is given: torque on, gains zero, the model's bus voltage, the joints' own positions."""
+    """Commands before any is given: torque on, gains zero, the joints' own positions, voltage of the model, 25 C."""
     zeros = torch.zeros_like(signals.position)
     signals.position_target = signals.position.clone()
     signals.p_gain = signals.d_gain = signals.firmware_gain = zeros
     signals.torque_enable = torch.ones_like(zeros)
     signals.bus_voltage = torch.full_like(zeros, model.bus_voltage)
+    signals.temperature = torch.full_like(zeros, REFERENCE_TEMPERATURE)
 
 
 def set_commands(signals: Signals, commands: Mapping[str, Any]) -> None:
@@ -32,6 +36,22 @@ def set_commands(signals: Signals, commands: Mapping[str, Any]) -> None:
         if name not in COMMANDS:
             raise ValueError(f"unknown command {name!r}; commands are {', '.join(COMMANDS)}")
         setattr(signals, name, torch.as_tensor(value, dtype=torch.float64).expand(shape))
+
+
+def set_start(signals: Signals, load_torque: Any = None, current: Any = None, time: Any = 0.0) -> None:
+    """What is known of the start beside positions and velocities, each broadcastable to ``[sim, joint]``.
+
+    Args:
+        signals: to write to.
+        load_torque: on the servos [N m]; None keeps what the simulation computed.
+        current: in the motors [A]; None for none.
+        time: since the start of the recording [s].
+    """
+    like = torch.zeros_like(signals.position)
+    if load_torque is not None:
+        signals.load_torque = torch.as_tensor(load_torque, dtype=torch.float64).expand_as(like).clone()
+    signals.current = like if current is None else torch.as_tensor(current, dtype=torch.float64).expand_as(like).clone()
+    signals.time = torch.as_tensor(time, dtype=torch.float64).expand_as(like).clone()
 
 
 def expand_parameters(

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from op3.servo import RobotModel, ServoLaw, Signals
 from op3.servo.effects import LinkInertia, Motor
-from op3.sim.inputs import default_commands, expand_parameters, set_commands
+from op3.sim.inputs import default_commands, expand_parameters, set_commands, set_start
 
 PD_PERIOD = 0.008
 """Time between ticks of a PD that commands current [s]; paper, 125 Hz."""
@@ -61,7 +61,7 @@ class PendulumSimulation:
         self.num_sims = len(mass)
         self._mass, self._length = mass.view(-1, 1), length.view(-1, 1)
         self._moment = self._mass * GRAVITY * self._length
-        self.law = ServoLaw(model.effects, timestep, self._every * timestep)
+        self.law = ServoLaw(model.effects, timestep, self._every * timestep, self.joint_names)
         self._reads_force = self.law.reads("radial_force")
         self.signals = Signals.zeros(self.num_sims, 1)
         default_commands(self.signals, model)
@@ -78,7 +78,15 @@ class PendulumSimulation:
         self._total = self._inertia + self.parameters.get(ROTOR.parameter, none)
 
     def reset(
-        self, position: Any, commands: Mapping[str, Any] | None = None, velocity: Any = 0.0, *, measured: bool = False
+        self,
+        position: Any,
+        commands: Mapping[str, Any] | None = None,
+        velocity: Any = 0.0,
+        *,
+        measured: bool = False,
+        load_torque: Any = None,
+        current: Any = None,
+        time: Any = 0.0,
     ) -> None:
         """Start all pendulums anew; arguments as for `op3.sim.BatchSimulation.reset`."""
         signals = self.signals
@@ -94,7 +102,7 @@ class PendulumSimulation:
         signals.radial_force = (self._mass * GRAVITY).expand_as(zeros)
         default_commands(signals, self.model)
         set_commands(signals, commands or {})
-        signals.current = zeros
+        set_start(signals, load_torque, current, time)
         self._steps = 0
         self.failed = torch.zeros(self.num_sims, dtype=torch.bool)
         self.law.reset(signals)
@@ -134,11 +142,12 @@ class PendulumSimulation:
     def measure(self) -> dict[tuple[str, str], Tensor]:
         """What the servo's sensors say now: channels of the log, ``[sim, 1]``."""
         self.law.sense(self.signals)
+        self.law.report(self.signals)
         signals = self.signals
         self.failed |= ~(torch.isfinite(signals.position) & (signals.position.abs() < 1e3))[:, 0]
         return {
             ("joint", "position"): signals.measured_position.clone(),
             ("joint", "velocity"): signals.measured_velocity.clone(),
-            ("joint", "current"): signals.current.clone(),
+            ("joint", "current"): signals.measured_current.clone(),
             ("joint", "duty"): signals.duty * signals.torque_enable,
         }

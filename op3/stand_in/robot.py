@@ -7,12 +7,23 @@ from __future__ import annotations
 
 import dataclasses
 from collections import deque
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from op3.robot import Motion, build_scene
+from op3.robot import (
+    BoardDrive,
+    BoardMotion,
+    Motion,
+    WeightDrive,
+    WeightSchedule,
+    board_drive,
+    build_scene,
+    place_tiles,
+    tile_ids,
+)
 from op3.robot.scenes import Scene
 from op3.rollout import Rollout
 from op3.stand_in.play import play
@@ -33,6 +44,9 @@ from op3.stand_in.world import World
 TIMESTEP = 0.00025
 """Step of the physics [s]."""
 
+BOARD_PERIOD = 0.008
+"""Time between two looks of a board's drive at its motion [s]; in between the board follows it smoothly."""
+
 CURRENT_LIMIT = 2.3
 """The servos hold no goal current beyond this [A]; stall current at 12 V, ROBOTIS e-Manual."""
 
@@ -51,7 +65,7 @@ class StandIn:
 
     Args:
         world: the truth.
-        scene: "floor", "stand", "bench", or a scene.
+        scene: a name from `op3.robot.SCENES`, or a scene.
         seed: of everything random in the recordings. The k-th reset draws from its own stream, so equal seeds
             give equal bytes, and repeats differ.
         timestep: of the physics [s]; it must divide 1 ms.
@@ -85,6 +99,10 @@ class StandIn:
         self._arrivals: deque[tuple[float, Array]] = deque()
         self._resets = 0
         self._steps = 0
+        self._board: BoardMotion | WeightSchedule | None = None
+        self._drive: BoardDrive | WeightDrive | None = None
+        self._board_since = 0
+        self._drive_every = round(BOARD_PERIOD / timestep)
         self._due = 0.0
         self._rng = np.random.default_rng([self.seed, 0])
         self.reset(np.zeros(count))
@@ -102,9 +120,9 @@ class StandIn:
             trunk = model.body(self.scene.robot.trunk.full_identifier).id
             model.body_mass[trunk] += world.base_mass_offset
             model.body_ipos[trunk] += (world.base_com_offset_x, 0.0, world.base_com_offset_z)
-        floor = model.geom("floor").id
-        model.geom_friction[floor, 0] = world.foot_friction
-        model.geom_solref[floor] = (world.contact_time, 1.0)
+        ground = [model.geom(name).id for name in self.scene.ground]
+        model.geom_friction[ground, 0] = world.foot_friction
+        model.geom_solref[ground] = (world.contact_time, 1.0)
         mujoco.mj_setConst(model, mujoco.MjData(model))
         return model
 
@@ -152,7 +170,7 @@ class StandIn:
         mujoco.mj_resetData(self._model, self._data)
         self._data.qpos[:] = self.scene.initial_qpos(position) if qpos is None else np.asarray(qpos, dtype=float)
         mujoco.mj_forward(self._model, self._data)
-        self._steps = 0
+        self._steps = self._board_since = 0
         self._due = 0.0
         self._arrivals.clear()
         self._goal_current[:] = 0
@@ -162,6 +180,30 @@ class StandIn:
             up = np.zeros(9)
             mujoco.mju_quat2Mat(up, self._orientation)
             self._imu.reset(self._orientation, -up.reshape(3, 3).T @ self._model.opt.gravity)
+
+    def set_ground(self, board: BoardMotion | WeightSchedule | None = None, tiles: ArrayLike | None = None) -> None:
+        """What the ground does from now on; its time counts from this call, or from a later reset.
+
+        Args:
+            board: what moves the board of the scenes "board" and "board_weight"; None: nothing does.
+            tiles: heights of the tiles of the scene "terrain" [m], see `op3.robot.draw_tiles`; None: as they are.
+
+        Raises:
+            ValueError: if the scene has no such board.
+        """
+        self._drive = None if board is None else board_drive(self._model, board, BOARD_PERIOD)
+        self._board = board
+        self._board_since = self._steps
+        if tiles is not None:
+            place_tiles(self._model.geom_pos, tile_ids(self._model), np.asarray(tiles, dtype=float))
+
+    def foremost(self) -> float:
+        """How far ahead the inner tip of the foremost foot is in the world [m], as a tape measure; 0 on the bench."""
+        if self.scene.robot is None:
+            return 0.0
+        model, data = self._model, self._data
+        names = [name for name in (model.site(i).name for i in range(model.nsite)) if name.endswith("sole_inner_tip")]
+        return float(max(data.site(name).xpos[0] for name in names))
 
     def write_current(self, current: ArrayLike, delay: float = 0.0) -> None:
         """Give the servos new goal currents.
@@ -190,6 +232,10 @@ class StandIn:
         goal = self._goal_current
         if self._arrivals and self._arrivals[0][0] < self.time + self.timestep:
             goal = self._receive()
+        if self._drive is not None and (self._steps - self._board_since) % self._drive_every == 0:
+            data: Any = self._data
+            time = (self._steps - self._board_since) * self.timestep
+            self._drive.apply(self._board, time, data.qpos, data.qvel, data.qfrc_applied)  # type: ignore[arg-type]
         self._torques[:] = self._servos.step(goal, self._velocities)
         mujoco.mj_step(self._model, self._data)
         self._steps += 1

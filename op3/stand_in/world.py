@@ -192,7 +192,11 @@ class World:
 
     @classmethod
     def load(cls, path: str | Path) -> World:
-        """Read a YAML file of `name: value` lines; what it does not name is as in `World()`."""
+        """Read a YAML file of `name: value` lines; what it does not name is as in `World()`.
+
+        A line `draw: seed` starts from the random world of that seed instead, so that the file does not tell the truth
+        to whoever glances at it.
+        """
         path = Path(path)
         if not path.is_file():
             raise FileNotFoundError(f"there is no world file {path}")
@@ -203,13 +207,14 @@ class World:
         if not isinstance(values, dict):
             raise ValueError(f"{path}: a world is written as lines `name: value`")
         known = [field.name for field in dataclasses.fields(cls)]
+        drawn = values.pop("draw", None)
         for name in values:
             if name not in known:
                 close = difflib.get_close_matches(str(name), known, n=1)
                 hint = f"; did you mean {close[0]}?" if close else f"; it has {', '.join(known)}"
                 raise ValueError(f"{path}: a world has no {name!r}{hint}")
         try:
-            return cls(**values)
+            return cls(**values) if drawn is None else cls.random(drawn).replace(**values)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
 

@@ -45,10 +45,15 @@ class Setup:
         """The setup for logs of this mount.
 
         Args:
-            mount: ``floor``, ``stand`` or ``pendulum``.
+            mount: ``floor``, ``stand``, ``pendulum`` or a brick surface.
             bench_timestep: simulation step of a pendulum, and cycle of its servo's position loop [s].
             tilt: roll and pitch of the stand [rad].
+
+        Raises:
+            ValueError: for a ground that commands alone do not tell, such as a board that moved.
         """
+        if mount in ("board", "board_weight", "terrain"):
+            raise ValueError(f"a log of the mount {mount!r} cannot be replayed: its ground is not in the log")
         scene = build_bench() if mount == "pendulum" else build_scene(mount, tilt_roll=tilt[0], tilt_pitch=tilt[1])
         attach_servos(scene.joints)
         robot = scene.robot

@@ -44,6 +44,14 @@ def arrays(rows: int = 30, joints: int = 2, seed: int = 0) -> dict[Any, np.ndarr
         ("policy", "observation"): generator.normal(0, 1, (rows, 4)),
         ("policy", "action"): generator.uniform(-1, 1, (rows, joints)),
         ("policy", "reward"): generator.normal(0, 1, (rows, 1)),
+        ("raw", "goal_current"): generator.integers(-855, 856, (rows, joints)).astype(float),
+        ("raw", "current"): generator.integers(-855, 856, (rows, joints)).astype(float),
+        ("raw", "velocity"): generator.integers(-200, 201, (rows, joints)).astype(float),
+        ("raw", "position"): generator.integers(0, 4096, (rows, joints)).astype(float),
+        ("raw", "hardware_error"): np.zeros((rows, joints)),
+        ("raw", "answered"): generator.integers(0, 2, (rows, joints)).astype(float),
+        ("raw", "imu"): generator.integers(-32768, 32768, (rows, 9)).astype(float),
+        ("raw", "lateness"): generator.uniform(0, 0.001, (rows, 1)),
         "done": np.arange(rows)[:, None] == rows - 1,
     }
     assert set(values) == set(CHANNELS)

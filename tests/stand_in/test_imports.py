@@ -10,10 +10,16 @@ STANDARD = (
     "__future__",
     "collections",
     "dataclasses",
+    "datetime",
     "difflib",
     "hashlib",
     "math",
+    "os",
     "pathlib",
+    "shutil",
+    "signal",
+    "subprocess",
+    "time",
     "typing",
 )
 

@@ -127,3 +127,18 @@ def test_unknown_world():
         World.find("utopia")
     with pytest.raises(ValueError, match="seed of a random world"):
         World.find("random", -1)
+
+
+def test_a_file_may_start_from_a_random_world(tmp_path):
+    """`draw: 7` is the random world of seed 7; further lines change it."""
+    path = tmp_path / "robot.yaml"
+    path.write_text("draw: 7\nbus_resistance: 0.9\n")
+    assert World.load(path) == World.random(7).replace(bus_resistance=0.9)
+
+
+def test_a_wrong_draw_is_refused_with_the_file(tmp_path):
+    """What is no seed is refused in one sentence that names the file."""
+    path = tmp_path / "robot.yaml"
+    path.write_text("draw: many\n")
+    with pytest.raises(ValueError, match=r"robot\.yaml: the seed of a random world"):
+        World.load(path)

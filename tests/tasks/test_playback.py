@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from op3.robot import JOINTS, hold, pose, squat
-from op3.servo import RobotModel
+from op3.servo import RobotModel, catalogue
 from op3.servo.effects import (
     CentreOfMassOffset,
     Coulomb,
@@ -62,6 +62,61 @@ def test_composer_and_batch_give_the_same_trajectory(mount, form):
     assert not simulation.failed.any()
     np.testing.assert_allclose(torch.stack(position), log.array("joint/position"), atol=1e-9)
     np.testing.assert_allclose(torch.stack(current), log.array("joint/current"), atol=1e-9)
+
+
+MORE = {
+    "backlash_half_gap": 0.003,
+    "gear_compliance": 0.004,
+    "bristle_compliance": 0.005,
+    "cogging_amplitude": 0.02,
+    "cable_stiffness": 0.1,
+    "position_friction": 0.03,
+    "asymmetric_friction": 0.02,
+    "quadratic_drag": 0.005,
+    "friction_drift": 0.3,
+    "friction_asymmetry": 0.2,
+    "torque_constant_error": 0.05,
+    "terminal_resistance_error": -0.1,
+    "supply_resistance": 0.2,
+    "current_time_constant": 0.002,
+    "current_offset": 0.01,
+    "drop_probability": 0.1,
+    "velocity_time_constant": 0.004,
+    "encoder_nonlinearity": 0.01,
+    "imu_pitch": 0.02,
+    "gyro_bias_y": 0.01,
+    "link_mass_offset": 0.01,
+    "link_com_offset_x": 0.002,
+    "foot_friction_error": -0.2,
+    "contact_time_added": 0.002,
+    "ground_pitch": 0.01,
+}
+"""Sizes at which effects beyond the paper's show within a second."""
+
+
+def test_composer_and_batch_agree_with_the_catalogue_switched_on():
+    """The same with two dozen more effects on at once, and what the trunk's IMU reads."""
+    model = middle_of_table_1()
+    for effect in catalogue().values():
+        if effect.size in MORE:
+            model = model.with_effect(effect())
+    model = model.with_values(MORE)
+    assert len(model.effects) == 9 + len(MORE)
+    motion = squat(duration=1.0)
+    log = play(squat_task(model, motion, settle=0.0))
+    setup = Setup.of_mount("floor")
+    simulation = setup.simulation(model, [log], 2)
+    qpos = setup.scene.initial_qpos(motion.position[0])
+    simulation.reset(qpos, {"position_target": torch.from_numpy(motion.position[0]), "p_gain": 6.0, "d_gain": 0.1})
+    rows = []
+    for target in motion.position:
+        rows.append(simulation.measure())
+        simulation.command(position_target=torch.from_numpy(target))
+        simulation.advance()
+    assert not simulation.failed.any()
+    for channel in rows[0]:
+        ours = torch.stack([row[channel][1] for row in rows])
+        np.testing.assert_allclose(ours, log.array("/".join(channel)), atol=1e-8, err_msg=str(channel))
 
 
 def test_the_squat_squats():

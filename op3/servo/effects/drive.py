@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from op3.servo import law
-from op3.servo.effect import Clock, Effect, Parameter, Prepared, Signals, Stage, register
+from op3.servo.effect import Clock, Effect, Parameter, Prepared, Scope, Signals, Stage, register
 
 
 @register
@@ -58,6 +58,22 @@ class Latency(Effect):
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("command_latency", "s", 0.0, 0.016, 0.006, 0.0, "time from reading sensors to torque", least=0.0),
     )
+    size: ClassVar[str] = "command_latency"
+    smallest: ClassVar[float] = 0.0005
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = (
+        {"command_latency": 0.001},
+        {"command_latency": -0.001},
+        {"command_latency": 0.004},
+    )
+    fingerprint: ClassVar[str] = (
+        "in proportion to the rate of the command; a shift of the same length at every frequency"
+    )
+    confounders: ClassVar[tuple[str, ...]] = ("current_lag", "velocity_filter", "packet_drop")
+    separating_experiment: ClassVar[str] = (
+        "chirp of the command above 20 Hz: a shift has linear phase, a lag rolls off; low and high gain"
+    )
+    alias_class: ClassVar[str] = "timing"
+    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint")
 
     longest: float = 0.024
     signal: Literal["target_current", "goal"] = "target_current"
@@ -115,6 +131,14 @@ class PositionServo(Effect):
         Parameter("controller_gain", "-", 0.6, 1.4, 1.0, 1.0, "factor c on the firmware's nominal gain"),
         Parameter("derivative_gain", "s/rad", 0.0, 0.06, 0.0, 0.0, "duty per rad/s of the error's rate, kd"),
     )
+    size: ClassVar[str] = "controller_gain"
+    smallest: ClassVar[float] = 0.02
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"controller_gain": 0.1}, {"derivative_gain": 0.005})
+    fingerprint: ClassVar[str] = "in proportion to the position error, in the duty as well as in the torque"
+    confounders: ClassVar[tuple[str, ...]] = ("encoder_offset", "torque_constant", "minimum_duty")
+    separating_experiment: ClassVar[str] = "read the duty register: two gains, a hold against a known weight"
+    alias_class: ClassVar[str] = "controller"
+    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint")
 
     error_gain: float = 0.166
     max_duty: float = 0.97
@@ -174,6 +198,17 @@ class MinimumDuty(Effect):
         Parameter("minimum_duty", "-", 0.0, 0.15, 0.03, 0.0, "duty added, d0", least=0.0),
         Parameter("minimum_duty_fade", "-", 0.01, 0.3, 0.08, None, "duty over which the lift sets in, d1", least=1e-4),
     )
+    size: ClassVar[str] = "minimum_duty"
+    smallest: ClassVar[float] = 0.005
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = (
+        {"minimum_duty": 0.02, "minimum_duty_fade": 0.03},
+        {"minimum_duty": 0.02, "minimum_duty_fade": 0.15},
+    )
+    fingerprint: ClassVar[str] = "in proportion to the sign of the duty near zero duty, none at large duties"
+    confounders: ClassVar[tuple[str, ...]] = ("coulomb", "stribeck", "terminal_resistance")
+    separating_experiment: ClassVar[str] = "small steps of the goal around rest at two bus voltages"
+    alias_class: ClassVar[str] = "supply"
+    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint")
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Raise the voltage."""

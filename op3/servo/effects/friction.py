@@ -4,11 +4,14 @@ Each adds to one bound, ``tau_fric = fc + s (fs - fc) + kv |w|``, which MuJoCo r
 in every step: a friction that can hold the joint still and always opposes its motion.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
+import torch
+
 from op3.servo import law
-from op3.servo.effect import Effect, Parameter, Prepared, Signals, Stage, register
+from op3.servo.effect import Effect, Parameter, Prepared, Scope, Signals, Stage, register
 
 
 @register
@@ -23,6 +26,17 @@ class Coulomb(Effect):
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("coulomb_friction", "N m", 0.01, 0.25, 0.1, 0.0, "fc", least=0.0),
     )
+    size: ClassVar[str] = "coulomb_friction"
+    smallest: ClassVar[float] = 0.01
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"coulomb_friction": 0.02},)
+    fingerprint: ClassVar[str] = (
+        "odd in velocity, the same at every speed and load; a hysteresis loop of constant width 2 fc in "
+        "torque over angle"
+    )
+    confounders: ClassVar[tuple[str, ...]] = ("asymmetric_friction", "current_offset", "dte")
+    separating_experiment: ClassVar[str] = "slow triangle both ways at two loads"
+    alias_class: ClassVar[str] = "coulomb"
+    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Raise the bound by fc."""
@@ -42,6 +56,19 @@ class Stribeck(Effect):
         Parameter("static_friction_excess", "N m", 0.0, 0.25, 0.05, 0.0, "fs - fc", least=0.0),
         Parameter("stribeck_velocity", "rad/s", 0.02, 3.0, 0.1, None, "w_static; the paper gives no value", least=1e-4),
     )
+    size: ClassVar[str] = "static_friction_excess"
+    smallest: ClassVar[float] = 0.01
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = (
+        {"static_friction_excess": 0.03, "stribeck_velocity": 0.05},
+        {"static_friction_excess": 0.03, "stribeck_velocity": 0.15},
+        {"static_friction_excess": 0.03, "stribeck_velocity": 0.5},
+        {"static_friction_excess": 0.03, "stribeck_velocity": 1.5},
+    )
+    fingerprint: ClassVar[str] = "odd in velocity and only below w_static; stick-slip and limit cycles near rest"
+    confounders: ClassVar[tuple[str, ...]] = ("viscous", "lugre", "backlash", "load_friction")
+    separating_experiment: ClassVar[str] = "slow sweeps at 0.02, 0.05, 0.1 and 0.2 rad/s at two loads"
+    alias_class: ClassVar[str] = "near_rest"
+    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Raise the bound near rest, and tell other friction how much of it is left at this speed."""
@@ -61,6 +88,19 @@ class Viscous(Effect):
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("viscous_friction", "N m s/rad", 0.0025, 0.15, 0.03, 0.0, "kv", least=0.0),
     )
+    size: ClassVar[str] = "viscous_friction"
+    smallest: ClassVar[float] = 0.005
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"viscous_friction": 0.01},)
+    fingerprint: ClassVar[str] = "odd in velocity and in proportion to it"
+    confounders: ClassVar[tuple[str, ...]] = (
+        "quadratic_drag",
+        "bearing_friction",
+        "terminal_resistance",
+        "torque_constant",
+    )
+    separating_experiment: ClassVar[str] = "three speeds, one of them fast; two temperatures"
+    alias_class: ClassVar[str] = "speed_friction"
+    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Raise the bound in proportion to speed."""
@@ -80,8 +120,84 @@ class BearingFriction(Effect):
         Parameter("bearing_friction", "m s/rad", 0.0, 0.001, 0.0001, 0.0, "kb, per radial force", least=0.0),
     )
     reads: ClassVar[tuple[str, ...]] = ("radial_force",)
+    size: ClassVar[str] = "bearing_friction"
+    smallest: ClassVar[float] = 1e-05
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"bearing_friction": 5e-5},)
+    fingerprint: ClassVar[str] = "odd in velocity, in proportion to speed and to the weight carried"
+    confounders: ClassVar[tuple[str, ...]] = ("viscous", "quadratic_drag", "load_friction")
+    separating_experiment: ClassVar[str] = "one speed at two loads"
+    alias_class: ClassVar[str] = "speed_friction"
+    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Raise the bound in proportion to radial force and speed."""
         bearing = prepared["bearing_friction"] * signals.radial_force * signals.speed
         signals.friction_bound = signals.friction_bound + bearing
+
+
+@register
+@dataclass(frozen=True)
+class AsymmetricFriction(Effect):
+    """Coulomb friction that is higher in one direction of motion.
+
+    At rest the direction is the one in which motor and load together push the joint.
+
+    Attributes:
+        rest: below this speed a joint counts as resting [rad/s].
+    """
+
+    name: ClassVar[str] = "asymmetric_friction"
+    stage: ClassVar[Stage] = Stage.FRICTION
+    equation: ClassVar[str] = "tau_fric += |a| where w a > 0"
+    source: ClassVar[str] = "skewed teeth, worms and preloaded seals; differences of 0.01 to 0.1 N m"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter(
+            "asymmetric_friction", "N m", -0.15, 0.15, 0.0, 0.0, "a, more friction for w > 0; negative: for w < 0"
+        ),
+    )
+    size: ClassVar[str] = "asymmetric_friction"
+    smallest: ClassVar[float] = 0.01
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = (
+        {"asymmetric_friction": 0.03},
+        {"asymmetric_friction": -0.03},
+    )
+    fingerprint: ClassVar[str] = "even in velocity and constant, like a current offset but only in motion"
+    confounders: ClassVar[tuple[str, ...]] = ("current_offset", "coulomb", "link_com")
+    separating_experiment: ClassVar[str] = "slow triangle both ways in two attitudes; torque at rest"
+    alias_class: ClassVar[str] = "torque_bias"
+    scopes: ClassVar[tuple[Scope, ...]] = ("joint", "shared", "side")
+
+    rest: float = 0.001
+
+    def apply(self, signals: Signals, prepared: Prepared) -> None:
+        """Raise the bound in one direction."""
+        pushed = signals.motor_torque + signals.load_torque
+        direction = torch.where(signals.speed > self.rest, signals.velocity, pushed)
+        more = prepared["asymmetric_friction"]
+        signals.friction_bound = signals.friction_bound + torch.where(direction * more > 0, more.abs(), 0.0)
+
+
+@register
+@dataclass(frozen=True)
+class QuadraticDrag(Effect):
+    """Friction that grows with the square of speed: churned grease, air."""
+
+    name: ClassVar[str] = "quadratic_drag"
+    stage: ClassVar[Stage] = Stage.FRICTION
+    equation: ClassVar[str] = "tau_fric += c w^2"
+    source: ClassVar[str] = "churning loss of a gear box; 0.001 to 0.03 N m s2/rad2"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("quadratic_drag", "N m s^2/rad^2", 0.0, 0.03, 0.0, 0.0, "c", least=0.0),
+    )
+    size: ClassVar[str] = "quadratic_drag"
+    smallest: ClassVar[float] = 0.001
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"quadratic_drag": 0.005},)
+    fingerprint: ClassVar[str] = "odd in velocity and growing faster than in proportion to it"
+    confounders: ClassVar[tuple[str, ...]] = ("viscous", "stribeck", "bearing_friction")
+    separating_experiment: ClassVar[str] = "three speeds, one of them fast"
+    alias_class: ClassVar[str] = "speed_friction"
+    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
+
+    def apply(self, signals: Signals, prepared: Prepared) -> None:
+        """Raise the bound with the square of speed."""
+        signals.friction_bound = signals.friction_bound + prepared["quadratic_drag"] * signals.speed.square()

@@ -6,11 +6,12 @@ M1 is `coulomb` and `viscous`, M2 adds `stribeck`, M3 `load_friction` without ex
 what the output transmits to its link, as for every effect. Friction near rest fades as the effect `stribeck` says.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
 from op3.servo import law
-from op3.servo.effect import Effect, Parameter, Prepared, Signals, Stage, register
+from op3.servo.effect import Effect, Parameter, Prepared, Scope, Signals, Stage, register
 
 SOURCE = "Duclusaud et al. (2024), Extended Friction Models for the Physics Simulation of Servo Actuators"
 
@@ -29,6 +30,16 @@ class LoadFriction(Effect):
         Parameter("load_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "more of it near rest, ls", least=0.0),
     )
     reads: ClassVar[tuple[str, ...]] = ("fade",)
+    size: ClassVar[str] = "load_friction"
+    smallest: ClassVar[float] = 0.03
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"load_friction": 0.05}, {"load_friction": 0.2})
+    fingerprint: ClassVar[str] = "odd in velocity; the width of the hysteresis loop grows in proportion to the load"
+    confounders: ClassVar[tuple[str, ...]] = ("dte", "directional_friction", "antagonistic_friction", "torque_constant")
+    separating_experiment: ClassVar[str] = (
+        "hold test at two loads: the torque constant moves the centre of the loop, friction its width"
+    )
+    alias_class: ClassVar[str] = "load_loss"
+    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Raise the bound."""
@@ -57,6 +68,16 @@ class DirectionalFriction(Effect):
         ),
     )
     reads: ClassVar[tuple[str, ...]] = ("fade",)
+    size: ClassVar[str] = "motor_friction"
+    smallest: ClassVar[float] = 0.03
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"motor_friction": 0.1}, {"external_friction": 0.1})
+    fingerprint: ClassVar[str] = (
+        "odd in velocity; one width of the loop where the motor leads, another where the load leads"
+    )
+    confounders: ClassVar[tuple[str, ...]] = ("dte", "load_friction", "antagonistic_friction")
+    separating_experiment: ClassVar[str] = "hold test at two loads, raising and lowering; motion with the torque off"
+    alias_class: ClassVar[str] = "load_loss"
+    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Raise the bound."""
@@ -83,6 +104,16 @@ class AntagonisticFriction(Effect):
         Parameter("external_square", "1/(N m)", 0.0, 5.0, 0.0, 0.0, "qe, where the motor is the stronger", least=0.0),
     )
     reads: ClassVar[tuple[str, ...]] = ("fade",)
+    size: ClassVar[str] = "external_square"
+    smallest: ClassVar[float] = 0.05
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"external_square": 0.2}, {"motor_square": 0.2})
+    fingerprint: ClassVar[str] = (
+        "near rest only, growing with the square of the weaker torque where motor and load oppose each other"
+    )
+    confounders: ClassVar[tuple[str, ...]] = ("dte", "load_friction", "directional_friction", "stribeck")
+    separating_experiment: ClassVar[str] = "hold test at three loads: the width of the hysteresis bends with load"
+    alias_class: ClassVar[str] = "load_loss"
+    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Raise the bound."""

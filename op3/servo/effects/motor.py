@@ -52,18 +52,22 @@ class Motor(Effect):
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Voltage, current, torque, and the part of the torque that is linear in velocity."""
-        back_emf = prepared["constant"] * signals.velocity
+        constant, resistance = prepared["constant"], prepared["resistance"]
+        back_emf_damping = prepared["back_emf_damping"]
+        if signals.factors:  # temperature has changed the motor
+            constant = constant * signals.factors.get("torque_constant", 1.0)
+            resistance = resistance * signals.factors.get("terminal_resistance", 1.0)
+            back_emf_damping = constant * constant / resistance
+        back_emf = constant * signals.velocity
         if self.drive == "current":
-            signals.voltage = law.current_control(
-                signals.target_current, back_emf, prepared["resistance"], signals.bus_voltage
-            )
+            signals.voltage = law.current_control(signals.target_current, back_emf, resistance, signals.bus_voltage)
             signals.duty = signals.voltage / signals.bus_voltage
             implicit = signals.voltage.abs() >= signals.bus_voltage
         else:
             signals.voltage = signals.voltage * signals.torque_enable
             implicit = signals.torque_enable > 0
-        current = (signals.voltage - back_emf) / prepared["resistance"]
+        current = (signals.voltage - back_emf) / resistance
         signals.current = current if self.drive == "current" else current * signals.torque_enable
-        signals.motor_torque = prepared["constant"] * signals.current
+        signals.motor_torque = constant * signals.current
         signals.applied_torque = signals.motor_torque
-        signals.damping = torch.where(implicit, prepared["back_emf_damping"], 0.0)
+        signals.damping = torch.where(implicit, back_emf_damping, 0.0)

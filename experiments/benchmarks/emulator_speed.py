@@ -1,0 +1,96 @@
+"""How much faster than real time the emulated robot runs, driven through dynamixel-sdk on one core.
+
+python experiments/benchmarks/emulator_speed.py [seconds]
+
+A tick of 8 ms reads ten bytes of all servos and the IMU, computes a PD and writes all goal currents. The robot stands
+on the floor. Besides wall time, processor time is given, which a busy machine disturbs less, and the share that the
+bare physics takes: MuJoCo's steps and the servo law.
+"""
+
+import statistics
+import sys
+import time
+
+import numpy as np
+import torch
+from dynamixel_sdk import GroupSyncRead, GroupSyncWrite, PacketHandler
+
+from op3.deploy.emulator import EmulatedRobot, Physics, SimPhysics, StandInPhysics
+from op3.deploy.registers import CURRENT_UNIT, OPEN_CR_ID, POSITION_UNIT, POSITION_ZERO, VELOCITY_UNIT
+from op3.report import machine
+from op3.robot import JOINTS, SERVO_IDS, pose
+from op3.sim import load_model
+
+TICK = 0.008
+ROUNDS = 5
+
+
+class Computer:
+    """The least that drives the robot: powered, in current mode, PD at the pose "stand"."""
+
+    def __init__(self, robot: EmulatedRobot):
+        self.robot = robot
+        self.port, self.packets = robot.port_handler(), PacketHandler(2.0)
+        self.port.setBaudRate(2_000_000)
+        self.packets.write1ByteTxRx(self.port, OPEN_CR_ID, 24, 1)
+        robot.clock.sleep(0.2)
+        self.ids = [SERVO_IDS[joint] for joint in JOINTS]
+        self.reader = GroupSyncRead(self.port, self.packets, 126, 10)
+        self.writer = GroupSyncWrite(self.port, self.packets, 102, 2)
+        for number in self.ids:
+            for address, size, value in ((11, 1, 0), (102, 2, 0), (64, 1, 1)):
+                self.packets.writeTxRx(self.port, number, address, size, list(value.to_bytes(size, "little")))
+            self.reader.addParam(number)
+            self.writer.addParam(number, [0, 0])
+        self.target = pose("stand")
+        self.start, self.ticks = robot.clock.now(), 0
+
+    def tick(self) -> None:
+        """Read, compute, write, wait."""
+        self.reader.txRxPacket()
+        self.packets.readTxRx(self.port, OPEN_CR_ID, 32, 18)
+        data = np.frombuffer(b"".join(bytes(self.reader.data_dict[number]) for number in self.ids), "<i2, <i4, <i4")
+        position = (data["f2"] - POSITION_ZERO) * POSITION_UNIT
+        current = 6.0 * (self.target - position) - 0.1 * data["f1"] * VELOCITY_UNIT
+        counts = np.clip(np.round(current / CURRENT_UNIT), -855, 855).astype("<i2")
+        for number, goal in zip(self.ids, counts, strict=True):
+            self.writer.changeParam(number, list(goal.tobytes()))
+        self.writer.txPacket()
+        self.ticks += 1
+        self.robot.clock.sleep_until(self.start + self.ticks * TICK)
+
+
+def measure(computer: Computer, seconds: float) -> tuple[float, float, float]:
+    """Emulated over wall time, emulated over processor time, and the share of it that the physics alone takes."""
+    wall, processor = time.perf_counter(), time.process_time()
+    for _ in range(round(seconds / TICK)):
+        computer.tick()
+    wall, processor = time.perf_counter() - wall, time.process_time() - processor
+    bare = time.process_time()
+    computer.robot.physics.advance(round(seconds / 0.001))
+    bare = time.process_time() - bare
+    return seconds / wall, seconds / processor, bare / processor
+
+
+def main() -> None:
+    """Measure both physics in turn and print medians."""
+    torch.set_num_threads(1)
+    seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 2.0
+    made: dict[str, Physics] = {"op3/sim": SimPhysics(load_model("paper")), "op3/stand_in": StandInPhysics()}
+    computers = {name: Computer(EmulatedRobot(physics)) for name, physics in made.items()}
+    rows: dict[str, list[tuple[float, float, float]]] = {name: [] for name in made}
+    for _ in range(ROUNDS):
+        for name, computer in computers.items():
+            rows[name].append(measure(computer, seconds))
+    print("machine: " + ", ".join(f"{key} {value}" for key, value in machine().items()))
+    for name, measured in rows.items():
+        by_wall, by_processor, share = (statistics.median(column) for column in zip(*measured, strict=True))
+        best = max(row[0] for row in measured)
+        print(
+            f"{name:13s} {by_wall:5.1f} x real time (best round {best:.1f}), {by_processor:.1f} x by processor time,"
+            f" {share:.0%} of it physics"
+        )
+
+
+if __name__ == "__main__":
+    main()

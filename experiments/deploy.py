@@ -1,0 +1,126 @@
+"""Run a policy on the robot, safe whatever happens; the exit code says how it ended.
+
+python experiments/deploy.py policy=assets/policies/balance port=/dev/ttyUSB0 [duration=20] [--yes]
+python experiments/deploy.py policy=assets/policies/balance port=emulated [world=eta_070] [model=<model.yaml>]
+python experiments/deploy.py port=/dev/ttyUSB0 mode=read_only
+python experiments/deploy.py policy=<bundle> log=outputs/deploy/<time>/run mode=replay
+"""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import hydra
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+from support import git_hash, one_sentence
+
+from op3.deploy import (
+    Calibration,
+    Connection,
+    ExitCode,
+    FollowPolicy,
+    Hold,
+    Limits,
+    Plan,
+    PolicyRunner,
+    calibrate,
+    connect,
+    read_only,
+    replay,
+    run,
+    setup,
+)
+from op3.deploy.bus import Unplugged
+from op3.deploy.deploy import EMULATED, HANG_SCALE, POLICY_RATE
+from op3.policy import PolicyBundle
+from op3.robot import pose
+from op3.rollout import read_log
+
+MODES = ("run", "dry_run", "read_only", "hang", "setup", "calibrate", "replay")
+
+
+def open_robot(cfg: DictConfig) -> Connection:
+    """The robot on the configured port."""
+    emulation: dict[str, Any] = {}
+    if cfg.port == EMULATED:
+        emulation = {name: cfg[name] for name in ("world", "world_seed", "model", "seed", "scene")} | {
+            "record": cfg.frames
+        }
+    mount = "stand" if cfg.mode == "hang" else cfg.mount
+    calibration = None if cfg.calibration is None or cfg.mode == "calibrate" else Calibration.load(cfg.calibration)
+    return connect(cfg.port, mount=mount, confirm=cfg.confirm, calibration=calibration, **emulation)
+
+
+def load_runner(cfg: DictConfig) -> PolicyRunner | None:
+    """The policy, None where there is none."""
+    return None if cfg.policy is None else PolicyRunner(PolicyBundle.load(cfg.policy), cfg.cycle)
+
+
+def deploy(cfg: DictConfig) -> ExitCode:
+    """Do what the config says."""
+    if cfg.mode not in MODES:
+        raise ValueError(f"mode must be one of {', '.join(MODES)}, got {cfg.mode!r}")
+    runner = load_runner(cfg)
+    if cfg.mode == "replay":
+        if cfg.log is None or runner is None:
+            raise ValueError("mode=replay needs policy=<bundle> and log=<folder of a run>")
+        result = replay(read_log(cfg.log), runner)
+        print(result)
+        return ExitCode.OK if result.ok else ExitCode.REPLAY
+    limits = Limits(**OmegaConf.to_container(cfg.limits, resolve=True))  # type: ignore[arg-type]
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    plan = Plan(
+        limits,
+        dry=cfg.mode == "dry_run",
+        current_scale=HANG_SCALE if cfg.mode == "hang" else 1.0,
+        end_pose=cfg.end_pose,
+        folder=folder,
+        panel=cfg.panel,
+    )
+    connection = open_robot(cfg)
+    try:
+        if cfg.mode == "read_only":
+            return read_only(connection, cfg.duration, plan).code
+        if cfg.mode == "setup":
+            return setup(connection)
+        if cfg.mode == "calibrate":
+            return calibrate(connection, cfg.calibration_out, pose_name=cfg.pose)
+        outcome = run_on(connection, runner, plan, cfg.duration)
+    finally:
+        connection.bus.close()
+    for log in outcome.logs:
+        print(folder / log)
+    return outcome.code
+
+
+def run_on(connection: Connection, runner: PolicyRunner | None, plan: Plan, duration: float) -> Any:
+    """Run the policy, or hold the stand pose."""
+    if runner is None:
+        make = lambda: Hold(pose("stand"), duration=duration, log="run")  # noqa: E731
+        return run(connection, make, plan, motion="hold", git_hash=git_hash())
+    manifest = runner.bundle.manifest
+    known = {"model_hash": manifest.training.model_hash or None, "git_hash": git_hash()}
+    make = lambda: FollowPolicy(runner, duration)  # noqa: E731
+    return run(connection, make, plan, motion=manifest.task, policy_rate=POLICY_RATE, **known)
+
+
+@hydra.main(version_base="1.3", config_path="../conf", config_name="deploy")
+def main(cfg: DictConfig) -> None:
+    """Compose, run, and end with the exit code."""
+    torch.set_num_threads(1)
+    with one_sentence():
+        try:
+            code = deploy(cfg)
+        except Unplugged as error:
+            print(error, file=sys.stderr)
+            code = ExitCode.PORT
+        except KeyboardInterrupt:  # outside a run nothing is energised
+            code = ExitCode.INTERRUPTED
+    raise SystemExit(int(code))
+
+
+if __name__ == "__main__":
+    sys.argv = ["confirm=false" if argument == "--yes" else argument for argument in sys.argv]
+    main()

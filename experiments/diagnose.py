@@ -1,0 +1,75 @@
+"""Say what a model lacks, from logs of a robot on the stand.
+
+python experiments/diagnose.py data=<folder of logs> model=<model.yaml or name in conf/servo>
+python experiments/diagnose.py data=<folder of logs> model=paper mode=loop      # several effects, one after another
+python experiments/diagnose.py data=<folder of logs> model=paper mode=aliasing  # what these logs can tell
+"""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import hydra
+import torch
+import yaml
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+from support import one_sentence
+
+from op3.diagnose import Diagnosis, aliasing, engine_for, split_logs
+from op3.report import run_provenance
+from op3.report.diagnosis import write_page
+from op3.rollout import read_logs
+from op3.sim import load_model, save_model
+
+
+def progress(stage: str, share: float) -> None:
+    """One line on the terminal that says how far the diagnosis is."""
+    if sys.stderr.isatty():
+        print(f"\r{stage:>8} {'#' * round(30 * share):<30} {share:4.0%}", end="", file=sys.stderr, flush=True)
+
+
+def diagnose(cfg: DictConfig) -> dict[str, Any]:
+    """Diagnose, and write verdict, model and page into the run's folder."""
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    if cfg.mode not in ("once", "loop", "aliasing"):
+        raise ValueError(f"mode must be once, loop or aliasing, got {cfg.mode!r}")
+    data: Any = OmegaConf.to_container(cfg.data) if OmegaConf.is_config(cfg.data) else cfg.data
+    split = split_logs(read_logs(data), seed=cfg.seed)
+    engine = engine_for(split, cfg.fit_windows, cfg.select_windows)
+    diagnosis = Diagnosis(
+        load_model(cfg.model),
+        split,
+        seed=cfg.seed,
+        engine=engine,
+        progress=progress,
+        without=tuple(cfg.without),
+        cache=folder / ".diagnosis",
+    )
+    if cfg.mode == "aliasing":
+        content = aliasing(diagnosis)
+        (folder / "aliasing.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
+        print(f"\n{content['sentence']}\n{folder / 'aliasing.yaml'}")
+        return content
+    verdict = diagnosis.run(cfg.rounds if cfg.mode == "loop" else 1)
+    content = verdict.plain()
+    save_model(verdict.model, folder / "model.yaml")
+    write_page(verdict, split, folder / "index.html", run_provenance(seed=cfg.seed, data=data))
+    # last, so that a verdict means that all is there
+    (folder / "verdict.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
+    print(f"\n{verdict.sentence}\n{folder / 'index.html'}")
+    return content
+
+
+@hydra.main(config_path="../conf", config_name="diagnose", version_base="1.3")
+def main(cfg: DictConfig) -> None:
+    """Compose the config and diagnose."""
+    with one_sentence():
+        torch.set_num_threads(1)
+        if OmegaConf.is_missing(cfg, "data"):
+            raise ValueError("data is missing: add data=<folder of logs>")
+        diagnose(cfg)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,94 @@
+"""Hide effects in legs, diagnose every leg from its logs alone, and count how often the name is right.
+
+python experiments/hidden_effects.py [bench=ci|laptop|full] [set=development|test] [hydra.run.dir=<folder>]
+python experiments/hidden_effects.py diagnose=false        # record the cases and seal the answers only
+
+The answers are sealed before the first diagnosis. The same command with the same hydra.run.dir goes on where it
+stopped.
+"""
+
+import hashlib
+import sys
+from pathlib import Path
+
+import hydra
+import numpy as np
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+from support import one_sentence
+
+from op3.report import finish, run_provenance, write_result
+from op3.report.naming import naming_page
+from op3.stand_in import CATALOGUE, make_case, open_answers
+from op3.stand_in.bench import commit, draw_mix, run_all
+from op3.stand_in.score import (
+    MISSING,
+    Verdict,
+    confusion,
+    random_name,
+    read_verdict,
+    refit_only,
+    score_case,
+    score_ranking,
+    summarise,
+)
+
+
+def score(verdicts: dict[str, Path | None], answers: dict, folder: Path, cfg: DictConfig, commitment: str) -> None:
+    """Open the answers, score diagnosis and baselines, write result.yaml, scores.yaml and the page."""
+    read = {name: Verdict(MISSING) if path is None else read_verdict(path) for name, path in verdicts.items()}
+    rows = [score_case(answers[name], verdict) for name, verdict in read.items()]
+    rng = np.random.default_rng([cfg.first_seed, 50])
+    blind = [score_case(answers[name], random_name(answers[name], CATALOGUE, rng)) for name in read]
+    refit = [score_case(answers[name], refit_only()) for name in read]
+    summaries = {
+        "diagnosis": summarise(rows),
+        "random name": summarise(blind),
+        "base refit only": summarise(refit),
+    }
+    by_score = {name: score_ranking(verdict) for name, verdict in read.items()}
+    if any(by_score.values()):
+        ranked = [score_case(answers[name], verdict) for name, verdict in by_score.items() if verdict is not None]
+        summaries["score ranking"] = summarise(ranked)
+    table = confusion(rows)
+    page = naming_page(rows, summaries, table, f"Hidden effects, {cfg.set} set, {len(rows)} cases", commitment)
+    provenance = run_provenance(seed=cfg.first_seed)
+    page.provenance(provenance)
+    page.files({"scores.yaml": "every case", "result.yaml": "all numbers", "answers.sha256": "the sealed answers"})
+    index = page.write(folder / "index.html")
+    (folder / "scores.yaml").write_text(OmegaConf.to_yaml(OmegaConf.create(rows)), encoding="utf-8")
+    result = {
+        "set": cfg.set,
+        "answers_sha256": commitment,
+        **{label.replace(" ", "_"): summary for label, summary in summaries.items()},
+        "confusion": {"truths": table[0], "claims": table[1], "counts": table[2]},
+        "provenance": provenance,
+    }
+    finish(index, write_result(folder / "result.yaml", result))
+
+
+@hydra.main(config_path="../conf", config_name="hidden_effects", version_base="1.3")
+def main(cfg: DictConfig) -> None:
+    """Draw, seal, record, diagnose, open, score."""
+    with one_sentence():
+        folder = Path(HydraConfig.get().runtime.output_dir)
+        mix = OmegaConf.to_container(cfg.mix, resolve=True)
+        assert isinstance(mix, dict)
+        cases = draw_mix({str(key): value for key, value in mix.items()}, cfg.set, cfg.first_seed)
+        answers = Path(cfg.answers or folder / "answers")
+        sealed = commit(cases, answers)
+        (folder / "answers.sha256").write_bytes(sealed.read_bytes())
+        commitment = hashlib.sha256(sealed.read_bytes()).hexdigest()
+        print(f"{len(cases)} cases, answers sealed in {sealed}, SHA-256 {commitment}", flush=True)
+        if not cfg.diagnose:
+            for number, case in enumerate(cases, start=1):
+                print(f"case {number}/{len(cases)}: {make_case(case, folder / 'cases', answers)}", flush=True)
+            return
+        command = [sys.executable if part == "python" else part for part in cfg.command]
+        options = {"timeout": cfg.timeout, "keep_data": cfg.keep_data}
+        verdicts = run_all(cases, folder / "cases", answers, command, **options)
+        score(verdicts, open_answers(answers, folder / "answers.sha256"), folder, cfg, commitment)
+
+
+if __name__ == "__main__":
+    main()

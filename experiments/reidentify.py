@@ -1,0 +1,90 @@
+"""Re-identify a robot from a policy's failed transfer: match what its episodes were worth.
+
+python experiments/reidentify.py policy=<bundle> model=<model.yaml> data=<squat log> episodes=<folder of logs>
+python experiments/reidentify.py -m policy=... model=... data=... episodes=... seed=0,1,2
+"""
+
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import hydra
+import optuna
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+from support import one_sentence
+
+from op3.identify.identification import PREFIX
+from op3.identify.reidentification import Reidentification
+from op3.identify.resolvers import register as register_interpolations
+from op3.identify.search_space import parse_search_space
+from op3.identify.sweeper import sweep_or_report
+from op3.policy import PolicyBundle
+from op3.report import run_provenance
+from op3.report.reidentification import report_reidentification
+from op3.rollout import read_logs
+from op3.sim import load_model, save_model
+
+register_interpolations()
+
+
+def build(cfg: DictConfig) -> Reidentification:
+    """The re-identification that the config describes."""
+    space = parse_search_space(plain(HydraConfig.get().sweeper.params))
+    model = load_model(cfg.model)
+    known = model.parameters()
+    names = [name for name in cfg.parameters if PREFIX + name in space]
+    absent = [name for name in names if name not in known]
+    if absent:
+        raise ValueError(f"groups: {absent[0]!r} is no parameter of {cfg.model}; leave its group out")
+    return Reidentification(
+        model,
+        read_logs(plain(cfg.data)),
+        read_logs(plain(cfg.episodes)),
+        PolicyBundle.load(cfg.policy),
+        names,
+        task=cfg.task,
+        repeats=cfg.repeats,
+        seed=cfg.seed,
+    )
+
+
+def plain(node: Any) -> Any:
+    """A config node as plain data."""
+    return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
+
+
+@hydra.main(config_path="../conf", config_name="reidentify", version_base="1.3")
+def main(cfg: DictConfig) -> Any:
+    """Evaluate a population for the sweeper, or run the study and report it."""
+    register_interpolations()  # a launcher's worker process has not run this file from the top
+    with one_sentence():
+        torch.set_num_threads(1)
+        started = time.monotonic()
+        missing = [key for key in ("policy", "model", "data", "episodes") if OmegaConf.is_missing(cfg, key)]
+        if missing:
+            raise ValueError(f"{missing[0]} is missing: add {missing[0]}=<path>")
+        problem = build(cfg)
+        folder = Path(HydraConfig.get().runtime.output_dir)
+
+        def report(study: optuna.Study) -> dict[str, Any]:
+            found = problem.finish(study)
+            save_model(found.model, folder / "model.yaml")
+            return report_reidentification(
+                found,
+                study,
+                folder,
+                wall_seconds=time.monotonic() - started,
+                simulated_seconds=problem.problem.simulated_seconds + problem.bench.simulated_seconds,
+                provenance=run_provenance(seed=cfg.seed, data=plain(cfg.data)),
+                config=plain(cfg),
+                wandb_mode=os.environ.get("WANDB_MODE", cfg.wandb),
+            )
+
+        return sweep_or_report(cfg, problem.evaluate, report)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,201 @@
+"""The whole method against a robot: collect, identify, train, deploy, judge, and learn from failure.
+
+python experiments/sim2real.py robot=emulated task=balance world=random seed=0 [budget=demo|laptop|paper]
+python experiments/sim2real.py -m world=near,middle,far condition=excitation_only,reidentified,domain_randomisation
+
+Every stage is an experiment of its own in a folder of its own. The same command with the same hydra.run.dir goes on
+where an interrupted one stopped.
+"""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import hydra
+import numpy as np
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+from support import one_sentence
+
+from op3.report import finish, read_result, run_provenance, write_result
+from op3.report.sim2real import Transfer, story
+from op3.rollout import read_logs
+from op3.tasks.evaluation import evaluation_return
+
+HERE = Path(__file__).resolve().parent
+DONE = "done"
+JUDGED = {"balance": "balance_eval", "walk": "walk"}
+"""Task of the evaluation by task of the training."""
+
+
+class Stages:
+    """Runs experiments one after another, each once.
+
+    Args:
+        folder: of the whole run; each stage gets a folder in it.
+    """
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+        self.seconds: dict[str, float] = {}
+
+    def run(self, name: str, script: str, *overrides: str) -> Path:
+        """Run one experiment, unless it has been finished before; returns its folder.
+
+        Raises:
+            ValueError: if it fails.
+        """
+        place = self.folder / name
+        mark = place / DONE
+        if mark.exists():
+            self.seconds[name] = float(mark.read_text(encoding="utf-8"))
+            print(f"{name}: done before", flush=True)
+            return place
+        command = [sys.executable, str(HERE / script), *overrides, f"hydra.run.dir={place}"]
+        print(f"{name}: python experiments/{script} {' '.join(command[2:])}", flush=True)
+        started = time.monotonic()
+        code = subprocess.run(command, check=False).returncode
+        if code:
+            raise ValueError(f"stage {name} ended with exit code {code}; mend it and run the same command again")
+        self.seconds[name] = time.monotonic() - started
+        mark.write_text(f"{self.seconds[name]:.1f}\n", encoding="utf-8")
+        return place
+
+
+def transfer(stages: Stages, cfg: DictConfig, budget: dict, number: int, policy: Path, model: str) -> Transfer:
+    """Play the policy in simulation and on the robot, and judge it."""
+    task = JUDGED[cfg.task]
+    episodes = budget["episodes"]
+    expected = stages.run(
+        f"{number}_expected",
+        "evaluate.py",
+        f"policy={policy}",
+        f"model={model}",
+        f"task={task}",
+        f"episodes={episodes}",
+        f"seed={cfg.seed}",
+        "logs=false",
+    )
+    played = stages.run(
+        f"{number}_robot", "collect.py", *on_robot(cfg), f"policy={policy}", f"task={task}", f"repeats={episodes}"
+    )
+    logs = read_logs(played)
+    return Transfer(
+        policy=policy,
+        model=model,
+        expected=tuple(read_result(expected / "result.yaml")["evaluation.returns"]),
+        actual=tuple(evaluation_return(log, task) for log in logs),
+        upright=tuple(not log.metadata.fallen for log in logs),
+        episodes=played,
+        film=expected / "episode.png",
+        criterion=cfg.criterion,
+        walking=cfg.task == "walk",
+    )
+
+
+def on_robot(cfg: DictConfig) -> list[str]:
+    """Overrides of collect.py for the robot."""
+    where = [f"robot={cfg.robot}", f"seed={cfg.seed}"]
+    if cfg.robot == "emulated":
+        return [*where, f"world={cfg.world}", f"world_seed={cfg.world_seed}"]
+    return [*where, f"port={cfg.port}"]
+
+
+def train(stages: Stages, cfg: DictConfig, budget: dict, number: int, model: str, start: Path | None) -> Path:
+    """Train a policy on a model, from an earlier policy's networks where there is one; returns the bundle."""
+    how = budget["train" if start is None else "retrain"]
+    condition = cfg.conditions[cfg.condition]
+    randomised = condition.get("randomisation")
+    overrides = [f"task={cfg.task}", f"model={model}", f"seed={cfg.seed + 100 * number}", *how]
+    if randomised:
+        overrides.append(f"+environment.randomisation={randomised}")
+    if start is not None:
+        overrides.append(f"warm_start={start}")
+    return stages.run(f"{number}_train", "train.py", *overrides) / "policy"
+
+
+def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
+    """All stages, in order."""
+    if cfg.condition not in cfg.conditions or cfg.task not in JUDGED:
+        raise ValueError(
+            f"condition must be one of {', '.join(cfg.conditions)} and task one of {', '.join(JUDGED)};"
+            f" got {cfg.condition}, {cfg.task}"
+        )
+    started = time.monotonic()
+    name = HydraConfig.get().runtime.choices.budget
+    budget: dict = OmegaConf.to_container(cfg.budgets[name], resolve=True)  # type: ignore[assignment]
+    condition = cfg.conditions[cfg.condition]
+    base = condition.get("model", cfg.model)
+    stages = Stages(folder)
+    squat = stages.run("squat", "collect.py", *on_robot(cfg), "motion=squat")
+    heldout = stages.run("squat_heldout", "collect.py", *on_robot(cfg), "motion=squat_heldout")
+    if condition.get("randomisation") == "ranges":
+        model = base
+    else:
+        data = [f"data={squat}", f"heldout={heldout}", f"model={base}", "ablate=[]", f"seed={cfg.seed}"]
+        method = [] if any(o.startswith("method=") for o in budget["identify"]) else ["method=lsq"]
+        model = str(stages.run("identify", "identify.py", *data, *method, *budget["identify"]) / "model.yaml")
+    policy = train(stages, cfg, budget, 0, model, None)
+    transfers = [transfer(stages, cfg, budget, 0, policy, model)]
+    for number in range(1, cfg.rounds + 1):
+        if transfers[-1].success or not (condition.get("reidentify") or condition.get("diagnose")):
+            break
+        if condition.get("diagnose"):
+            where = [f"data=[{squat},{heldout}]", f"model={model}", f"seed={cfg.seed}"]
+            model = str(stages.run(f"{number}_diagnose", "diagnose.py", *where) / "model.yaml")
+        if condition.get("reidentify"):
+            where = [f"policy={policy}", f"model={model}", f"data={squat}", f"episodes={transfers[-1].episodes}"]
+            found = stages.run(
+                f"{number}_reidentify",
+                "reidentify.py",
+                *where,
+                f"task={JUDGED[cfg.task]}",
+                f"seed={cfg.seed}",
+                *budget["reidentify"],
+            )
+            model = str(found / "model.yaml")
+        policy = train(stages, cfg, budget, number, model, policy)
+        transfers.append(transfer(stages, cfg, budget, number, policy, model))
+    return report(cfg, name, folder, stages, transfers, time.monotonic() - started)
+
+
+def report(cfg: DictConfig, folder: Path, stages: Stages, transfers: list[Transfer], seconds: float) -> dict[str, Any]:
+    """Write the story of the run and its numbers."""
+    provenance = run_provenance(seed=cfg.seed)
+    values: dict[str, Any] = {
+        "success": transfers[-1].success,
+        "rounds": len(transfers) - 1,
+        "condition": cfg.condition,
+        "budget": budget,
+        "wall_seconds": seconds,
+    }
+    for number, one in enumerate(transfers):
+        values |= {
+            f"transfer_{number}.expected": float(np.mean(one.expected)),
+            f"transfer_{number}.actual": float(np.mean(one.actual)),
+            f"transfer_{number}.share": one.share,
+            f"transfer_{number}.upright": float(np.mean(one.upright)),
+            f"transfer_{number}.success": one.success,
+        }
+    values |= {f"stage_seconds.{name}": value for name, value in stages.seconds.items()}
+    values["provenance"] = provenance
+    page = story(folder, transfers, stages.seconds, condition=cfg.condition, budget=budget, provenance=provenance)
+    path = write_result(
+        folder / "result.yaml", values, {"transfer": "returns under R_eval", "stage_seconds": "duration of stages [s]"}
+    )
+    finish(page.write(folder / "index.html"), path)
+    return values
+
+
+@hydra.main(config_path="../conf", config_name="sim2real", version_base="1.3")
+def main(cfg: DictConfig) -> Any:
+    """Run all stages; a sweep maximises the share of the promised return that the robot reaches."""
+    with one_sentence():
+        values = loop(cfg, Path(HydraConfig.get().runtime.output_dir).absolute())
+        return values[f"transfer_{values['rounds']}.share"]
+
+
+if __name__ == "__main__":
+    main()

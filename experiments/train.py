@@ -1,0 +1,209 @@
+"""Train a policy with soft actor-critic on a simulated robot.
+
+python experiments/train.py task=balance|walk [model=<model.yaml>] [seed=0] [budget=demo|laptop|paper]
+python experiments/train.py -m task=balance model=<a.yaml>,<b.yaml> seed=0,1,2
+python experiments/train.py resume=<folder of a run> <its overrides>
+python experiments/train.py task=balance model=<model.yaml> warm_start=<bundle>
+"""
+
+import os
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import hydra
+import numpy as np
+import torch
+from hydra.core.hydra_config import HydraConfig
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from support import one_sentence
+
+from op3.envs import BatchedEnv, make_env
+from op3.policy import ActionMap, Manifest, PolicyBundle, Training
+from op3.report import RunLogger, run_provenance
+from op3.report.training import histogram_figure, report_training
+from op3.report.video import film
+from op3.sim import load_model
+from op3.sim.model_file import model_hash
+from op3.tasks.task import Task, find_task
+from op3.train import SAC, Collector, SACSettings, TrainSettings, evaluate, train
+
+KEPT = ("sac", "train", "environments", "environment", "initial_gain", "warm_start")
+"""Settings that the manifest of a policy keeps."""
+
+FRAME_EVERY = 2
+"""Policy steps between two frames of the film."""
+
+
+def environment(cfg: DictConfig, task: Task, count: int, seed: int) -> BatchedEnv:
+    """Robots at a task, as the config describes them."""
+    options = {"num_threads": cfg.threads, **plain(cfg.environment)}
+    made = make_env(task, cfg.model, count, seed, action_map=ActionMap.around_stand(cfg.span), **options)
+    assert isinstance(made, BatchedEnv)
+    return made
+
+
+def robots(cfg: DictConfig, task: Task) -> Any:
+    """What collects: environments in this process, or in several."""
+    names = ("command", "smooth") if task.cycle is None else ("command", "smooth", "bipedal")
+    terms = tuple(("reward_terms", name) for name in names)
+    if cfg.processes == 1:
+        return Collector(environment(cfg, task, cfg.environments, cfg.seed), terms)
+    from op3.train.process_collector import ProcessCollector  # TorchRL's collectors take a second to import
+
+    options = {"num_threads": 1, **plain(cfg.environment), "action_map": ActionMap.around_stand(cfg.span)}
+    make = partial(make_env, task, cfg.model, cfg.environments, **options)
+    return ProcessCollector(make, cfg.processes, cfg.environments, terms)
+
+
+def describe(cfg: DictConfig, task: Task, provenance: Mapping[str, Any]) -> Manifest:
+    """The manifest of the policy to be trained."""
+    training = Training(
+        model=str(cfg.model),
+        model_hash=model_hash(load_model(cfg.model)),
+        git_hash=provenance["git_hash"],
+        seed=cfg.seed,
+        command=provenance["command"],
+        date=provenance["date"],
+        settings={name: plain(cfg[name]) for name in KEPT},
+    )
+    return Manifest(
+        task=task.name,
+        layout=task.layout,
+        history=task.history,
+        action_map=ActionMap.around_stand(cfg.span),
+        hidden=tuple(cfg.sac.hidden),
+        normalisation=cfg.train.normalisation,
+        clip=cfg.sac.clip,
+        training=training,
+    )
+
+
+def learner(cfg: DictConfig, manifest: Manifest) -> SAC:
+    """Networks and optimisers; the untrained policy holds the stand pose."""
+    device = torch.device(cfg.device)
+    if device.type == "cuda" and not torch.cuda.is_available():
+        raise ValueError("device=cuda: torch finds no GPU; leave device=cpu")
+    sac = SAC(
+        manifest.observation_size,
+        manifest.action_map.size,
+        SACSettings(**plain(cfg.sac)),
+        torch.Generator(device).manual_seed(cfg.seed),
+        torch.as_tensor(manifest.action_map.stand(cfg.initial_gain)),
+        device,
+    )
+    if cfg.warm_start is not None and cfg.resume is None:
+        earlier = PolicyBundle.load(cfg.warm_start)
+        if earlier.manifest.action_map != manifest.action_map:
+            raise ValueError(f"warm_start={cfg.warm_start}: its actions mean something else; use its span")
+        sac.start_from(earlier)
+    return sac
+
+
+def run(cfg: DictConfig) -> dict[str, Any]:
+    """Train, judge the kept policy, and write page, numbers and film."""
+    torch.set_num_threads(1)
+    folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
+    task, provenance = instantiate(cfg.task), run_provenance(seed=cfg.seed)
+    manifest, settings = describe(cfg, task, provenance), TrainSettings(**plain(cfg.train))
+    judge_task = task if cfg.evaluation.task is None else find_task(cfg.evaluation.task)
+    judge = environment(cfg, judge_task, cfg.evaluation.episodes, cfg.evaluation.seed)
+
+    def judged(policy: Any) -> dict[str, float]:
+        return evaluate(judge, policy, cfg.evaluation.seed, judge_task.steps)
+
+    mode = os.environ.get("WANDB_MODE", cfg.wandb)
+    with RunLogger(folder, config=plain(cfg), mode=mode) as logger:
+        sac, collector = learner(cfg, manifest), robots(cfg, task)
+        progress = train(
+            sac,
+            collector,
+            judged,
+            settings,
+            manifest,
+            folder,
+            log=lambda measures, step: logger.log(measures, step),
+            say=lambda line: print(line, flush=True),
+            resume=cfg.resume is not None,
+        )
+        collector.close()
+        if progress.stopped:
+            print(f"Stopped after {progress.steps:,} steps. To go on: the same command with resume={folder}")
+            raise SystemExit(143)
+        policy = PolicyBundle.load(folder / "policy")
+        actions, states = episode(judge, policy, cfg.evaluation.seed, judge_task.steps)
+        histograms = commands(policy, actions)
+        for name, figure in histograms.items():
+            logger.figure(name, figure)
+        numbers: dict[str, Any] = {f"evaluation.{name}": value for name, value in judged(policy.act).items()}
+        numbers |= {
+            "evaluation.task": judge_task.name,
+            "evaluation.episodes": cfg.evaluation.episodes,
+            "policy.steps": policy.manifest.training.steps,
+            "policy.updates": policy.manifest.training.updates,
+            "steps": progress.steps,
+            "updates": sac.updates,
+            "wall_seconds": progress.seconds,
+        }
+        logger.summary({name: value for name, value in numbers.items() if isinstance(value, int | float)})
+    files = {"policy/manifest.yaml": "the policy bundle", "checkpoint.pt": "to go on from with resume"}
+    rate = 1.0 / (FRAME_EVERY * judge.policy_period)
+    if cfg.evaluation.video and film(judge.simulation.batch.model, states, folder / "episode.png", rate):
+        files["episode.png"] = "one episode of the kept policy, animated"
+    return report_training(
+        progress.history,
+        folder,
+        title=f"Training: {task.name} on {cfg.model}, seed {cfg.seed}",
+        numbers=numbers,
+        provenance=provenance,
+        settings={f"{part}.{k}": v for part in ("sac", "train") for k, v in plain(cfg[part]).items()},
+        histograms=histograms,
+        files=files,
+    )
+
+
+def episode(judge: BatchedEnv, policy: PolicyBundle, seed: int, steps: int) -> tuple[Any, Any]:
+    """Actions [time, env, action] of one evaluation, and states [frame, nq] of its first robot's first episode."""
+    positions, actions, states, running = judge.simulation.batch.bind("qpos"), [], [], True
+    collector = Collector(judge)
+    collector.restart(seed)
+    for step in range(steps):
+        if running and step % FRAME_EVERY == 0:
+            states.append(np.array(positions[0]))
+        rollout, _ = collector.collect(policy.act, 1)
+        actions.append(rollout["action"][0].numpy())
+        running = running and not bool(rollout["done"][0, 0])
+    return np.stack(actions), np.stack(states)
+
+
+def commands(policy: PolicyBundle, actions: Any) -> dict[str, Any]:
+    """Histograms of what the policy commands, by kind of joint."""
+    action_map = policy.manifest.action_map
+    position, gain = action_map.targets(actions)
+    middle = (action_map.targets(0 * actions[:1, :1])[0]).squeeze()
+    kinds = {}
+    for index, joint in enumerate(action_map.joints):
+        kinds.setdefault(joint[2:].replace("ank", "ankle").replace("_", " "), []).append(index)
+    angles = {kind: position[..., i] - middle[i] for kind, i in kinds.items()}
+    return {
+        "P gains over an evaluation.": histogram_figure({k: gain[..., i] for k, i in kinds.items()}, "P gain [A/rad]"),
+        "Target angles over an evaluation.": histogram_figure(angles, "target angle less the stand pose [rad]"),
+    }
+
+
+def plain(node: Any) -> Any:
+    """A config node as plain data."""
+    return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
+
+
+@hydra.main(config_path="../conf", config_name="train", version_base="1.3")
+def main(cfg: DictConfig) -> Any:
+    """Train and report; a sweep maximises the return."""
+    with one_sentence():
+        return run(cfg)["evaluation.return"]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,39 @@
+"""Running a policy on the robot: the bus, safety, the 125 Hz loop, and an emulated robot that speaks the same bytes."""
+
+from op3.deploy.bus import Bus
+from op3.deploy.deploy import Connection, Plan, calibrate, connect, read_only, run, setup
+from op3.deploy.exit_codes import ExitCode, Stop
+from op3.deploy.limits import Command, Limits
+from op3.deploy.phases import FollowMotion, Hold
+from op3.deploy.players import Player
+from op3.deploy.policy_runner import FollowPolicy, PolicyRunner
+from op3.deploy.replay import Replay, replay
+from op3.deploy.safety import Safety
+from op3.deploy.session import Outcome
+from op3.deploy.state import Calibration, State
+
+__all__ = [
+    "Bus",
+    "Calibration",
+    "Command",
+    "Connection",
+    "ExitCode",
+    "FollowMotion",
+    "FollowPolicy",
+    "Hold",
+    "Limits",
+    "Outcome",
+    "Plan",
+    "Player",
+    "PolicyRunner",
+    "Replay",
+    "Safety",
+    "State",
+    "Stop",
+    "calibrate",
+    "connect",
+    "read_only",
+    "replay",
+    "run",
+    "setup",
+]

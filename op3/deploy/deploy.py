@@ -1,0 +1,299 @@
+"""What a user does with a robot on a port: run a policy or a motion, look, set up, calibrate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from op3.deploy.bus import Bus, SerialPort
+from op3.deploy.clock import MonotonicClock
+from op3.deploy.exit_codes import ExitCode, Stop
+from op3.deploy.limits import Command, Limits
+from op3.deploy.loop import Loop
+from op3.deploy.operator import Console, Operator, Yes
+from op3.deploy.panel import Panel
+from op3.deploy.phases import D_GAIN, HELD_P_GAIN, GainRamp, Hold, Move, Phase, Relax
+from op3.deploy.policy_runner import FollowPolicy
+from op3.deploy.safety import Onlooker, Safety
+from op3.deploy.session import Logs, Outcome, Session
+from op3.deploy.start_checks import StartChecks
+from op3.deploy.state import Calibration, State
+from op3.deploy.ticker import PERIOD, POLICY_TICKS
+from op3.robot import JOINTS, pose
+from op3.rollout import Metadata
+
+EMULATED = "emulated"
+"""Name of the port behind which an emulated robot is made in this process."""
+
+HANG_SCALE = 0.5
+"""Share of the peak currents that a suspended robot gets."""
+
+SETTLE_TIME = 1.5
+"""How long the start pose is held before a motion or a policy begins [s]."""
+
+
+@dataclass(frozen=True)
+class Connection:
+    """A robot on a port.
+
+    Attributes:
+        bus: open.
+        operator: who is asked.
+        robot: `real` or `emulated`, for the metadata.
+        mount: `floor` or `stand`.
+        extra: further metadata.
+        seed: of an emulated robot.
+    """
+
+    bus: Bus
+    operator: Operator
+    robot: str
+    mount: str
+    extra: dict[str, Any] = field(default_factory=dict)
+    seed: int | None = None
+
+
+def connect(
+    port: str,
+    *,
+    mount: str = "floor",
+    confirm: bool = True,
+    calibration: Calibration | None = None,
+    robot: str | None = None,
+    **emulation: Any,
+) -> Connection:
+    """Open a robot's port.
+
+    Args:
+        port: a device such as /dev/ttyUSB0, a pty, or `emulated`.
+        mount: what holds the robot: `floor` or `stand`.
+        confirm: whether a person is asked before torque; an emulated robot holds itself.
+        calibration: offsets of the joints.
+        robot: `real` or `emulated`, for the metadata; by default as the port's name says.
+        emulation: options of `op3.deploy.emulated.emulate`, for `port="emulated"`.
+
+    Raises:
+        ValueError: if an argument is impossible.
+        Unplugged: if the port cannot be opened.
+    """
+    if mount not in ("floor", "stand"):
+        raise ValueError(f"mount must be floor or stand, got {mount!r}")
+    if port == EMULATED:
+        from op3.deploy.emulated import emulate  # brings MuJoCo, which a robot's computer does not need
+
+        scene = emulation.pop("scene", None) or mount
+        emulated, hands, identity = emulate(scene=scene, **emulation)
+        bus = Bus(emulated.port_handler(), emulated.clock, calibration=calibration)
+        seed = emulation.get("seed", 0)
+        return Connection(bus, hands, "emulated", mount, {"world": identity}, seed)
+    kind = robot or ("emulated" if port.startswith("/dev/pts/") else "real")
+    bus = Bus(SerialPort(port), MonotonicClock(), calibration=calibration)
+    return Connection(bus, Console() if confirm else Yes(), kind, mount)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a run does besides the part that it is made for.
+
+    Attributes:
+        limits: what the robot may do.
+        dry: whether torque stays off; the loop runs and its currents go nowhere.
+        current_scale: share of the peak currents that is allowed.
+        end_pose: pose in which the robot is let go; None for where it is.
+        folder: where logs are written; None for none.
+        panel: whether to show the live view, where there is a terminal.
+        only: names of the logs that are written; None for all.
+    """
+
+    limits: Limits = field(default_factory=Limits)
+    dry: bool = False
+    current_scale: float = 1.0
+    end_pose: str | None = None
+    folder: Path | None = None
+    panel: bool = True
+    only: Sequence[str] | None = None
+
+
+def run(
+    connection: Connection,
+    make: Callable[[], Phase],
+    plan: Plan | None = None,
+    *,
+    start: ArrayLike | None = None,
+    p_gain: ArrayLike = HELD_P_GAIN,
+    d_gain: ArrayLike = D_GAIN,
+    recording: str | None = None,
+    report: Callable[[str], None] = print,
+    **metadata: Any,
+) -> Outcome:
+    """Check, energise, ramp, move to the start pose, wait for go, run, sit down, switch off.
+
+    Args:
+        connection: the robot.
+        make: makes the phase that the run is made for.
+        plan: the rest.
+        start: pose [joint] in rad in which it begins; by default "stand".
+        p_gain: P gains while getting there [A/rad].
+        d_gain: D gains while getting there [A s/rad].
+        recording: identity of the recording.
+        report: where lines for the operator go.
+        metadata: further fields of the log's metadata.
+    """
+    plan = plan or Plan()
+    first = pose("stand") if start is None else np.asarray(start, dtype=float)
+
+    def phases(loop: Loop) -> list[Phase]:
+        driver = make()
+        if isinstance(driver, FollowPolicy):
+            driver.on_begin = connection.operator.begins
+        if plan.dry:
+            return [driver]
+
+        def last() -> Any:
+            return loop.target
+
+        run_up: list[Phase] = [
+            GainRamp(p_gain, d_gain),
+            Move(first, p_gain, d_gain, start=last),
+            Hold(first, p_gain, d_gain, until=connection.operator.said_go),
+            Hold(first, p_gain, d_gain, duration=SETTLE_TIME),
+        ]
+        rest = pose("stand") if plan.end_pose is None else pose(plan.end_pose)
+        return [*run_up, driver, Move(rest, start=last, log="after"), Relax(rest)]
+
+    safety = Safety(connection.bus, plan.limits, current_scale=plan.current_scale, torque=not plan.dry, report=report)
+    session = _session(connection, safety, plan, recording, report, metadata)
+    return session.run(phases)
+
+
+def _session(
+    connection: Connection,
+    safety: Safety | Onlooker,
+    plan: Plan,
+    recording: str | None,
+    report: Callable[[str], None],
+    metadata: dict[str, Any],
+) -> Session:
+    logs = None
+    if plan.folder is not None:
+        extra = {**connection.extra, **metadata.pop("extra", {}), "limits": vars(plan.limits)}
+        facts = Metadata(
+            joints=JOINTS,
+            robot=connection.robot,
+            mount=connection.mount,
+            rate=1 / PERIOD,
+            battery=11.1,
+            servo="xm430-w350",
+            recording=recording,
+            seed=connection.seed,
+            extra={**extra, "offset_rad": connection.bus.calibration.offset.tolist()},
+            **metadata,
+        )
+        logs = Logs(plan.folder, facts, plan.only)
+    show = Panel() if plan.panel else None
+    return Session(connection.bus, safety, connection.operator, logs=logs, show=show, report=report)
+
+
+class Watch:
+    """A phase that asks for nothing: the measured pose without stiffness.
+
+    Args:
+        duration: of watching [s].
+    """
+
+    name = "watch"
+    log = "run"
+
+    def __init__(self, duration: float):
+        self._ticks = round(duration / PERIOD)
+
+    def command(self, elapsed: int, state: State) -> Command | None:
+        """Where it is."""
+        return Command.of(state.position, 0.0, 0.0) if elapsed < self._ticks else None
+
+    def channels(self) -> dict[Any, Any]:
+        """None."""
+        return {}
+
+
+def read_only(
+    connection: Connection, duration: float, plan: Plan | None = None, *, report: Callable[[str], None] = print
+) -> Outcome:
+    """Show and record what the robot says; nothing at all is written to it."""
+    plan = plan or Plan()
+    for check in StartChecks(connection.bus, None, plan.limits).run():
+        report(str(check))
+    session = _session(connection, Onlooker(plan.limits), plan, None, report, {})
+    return session.run(lambda loop: [Watch(duration)])
+
+
+SETTINGS = {"return_delay_time": 0}
+"""Registers of the EEPROM that a robot needs once."""
+
+
+def setup(connection: Connection, *, report: Callable[[str], None] = print) -> ExitCode:
+    """Write the settings that the start checks ask for; torque is off meanwhile."""
+    text = ", ".join(f"{name} = {value}" for name, value in SETTINGS.items())
+    if not connection.operator.confirm(f"Torque goes off, and {text} is written to the EEPROM of all servos."):
+        report("not confirmed, nothing written")
+        return ExitCode.DECLINED
+    safety = Safety(connection.bus, report=report)
+    try:
+        safety.power_up()
+        safety.write_settings(SETTINGS)
+    except Stop as stop:
+        report(stop.reason)
+        return stop.code
+    report(f"{text} on {len(JOINTS)} servos")
+    return ExitCode.OK
+
+
+def calibrate(
+    connection: Connection,
+    path: str | Path,
+    *,
+    pose_name: str = "zero",
+    samples: int = 50,
+    report: Callable[[str], None] = print,
+) -> ExitCode:
+    """Take the pose that the robot is held in as the given one, and write the joints' offsets.
+
+    Args:
+        connection: the robot, without torque.
+        path: of the YAML file.
+        pose_name: pose that a jig or a person holds the joints in.
+        samples: readings that are averaged.
+        report: where lines for the operator go.
+    """
+    bus = connection.bus
+    bus.calibration = Calibration.none()
+    if not connection.operator.confirm(f"Hold the robot exactly in the pose {pose_name!r}."):
+        report("not confirmed, nothing written")
+        return ExitCode.DECLINED
+    if on := [name for name, value in bus.sync_read("torque_enable").items() if value]:
+        report(f"torque is on at {', '.join(on)}; switch the power off and on")
+        return ExitCode.START_CHECK
+    sums, counts = np.zeros(len(JOINTS)), np.zeros(len(JOINTS))
+    for _ in range(samples):
+        state = bus.read_state()
+        sums += np.where(state.answered, state.position, 0.0)
+        counts += state.answered
+        bus.clock.sleep_until(bus.clock.now() + PERIOD)
+    if not counts.all():
+        silent = ", ".join(JOINTS[i] for i in np.flatnonzero(counts == 0))
+        report(f"no answer from {silent}; check cables, and that the servos' supply is on")
+        return ExitCode.START_CHECK
+    calibration = Calibration(pose(pose_name) - sums / counts)
+    calibration.save(path)
+    worst = int(np.abs(calibration.offset).argmax())
+    report(f"{path}: offsets up to {calibration.offset[worst]:+.4f} rad ({JOINTS[worst]})")
+    return ExitCode.OK
+
+
+POLICY_RATE = 1 / (PERIOD * POLICY_TICKS)
+"""Policy steps per second [Hz]."""

@@ -1,0 +1,223 @@
+"""The line between computer and devices: one byte after the other, one speaker at a time."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import ceil, inf
+
+import numpy as np
+
+from op3.deploy.emulator.faults import Faults
+from op3.deploy.emulator.frames import FrameRecorder
+from op3.deploy.protocol import Packet, Parser
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How long things take on the way.
+
+    With these values and a return delay of 0, a sync read of ten bytes from 20 servos, a read of the IMU and a sync
+    write of goal currents take 5.1 ms at 2 Mbit/s.
+
+    Attributes:
+        host_delay: from a write of the computer to the first bit on the line [s].
+        turnaround: from an instruction's end to the answer, besides the register `return_delay_time` [s] (inferred).
+        usb_delay: from the adapter to the computer [s].
+        latency_timer: how long the adapter gathers bytes before it sends fewer than `USB_PAYLOAD` [s]. Linux' default
+            for FTDI adapters is 0.016; robots set 0.001.
+        quiet: silence after which a packet that has begun is given up by the devices [s].
+    """
+
+    host_delay: float = 1e-4
+    turnaround: float = 25e-6
+    usb_delay: float = 1e-4
+    latency_timer: float = 1e-3
+    quiet: float = 0.02
+
+    def __post_init__(self):
+        for name in ("host_delay", "turnaround", "usb_delay", "quiet"):
+            if not 0 <= getattr(self, name) < inf:
+                raise ValueError(f"timing: {name} must be a time of at least 0 s, got {getattr(self, name)}")
+        if not 1e-4 <= self.latency_timer < inf:
+            raise ValueError(f"timing: latency_timer must be at least 0.0001 s, got {self.latency_timer}")
+
+
+USB_PAYLOAD = 62
+"""Bytes that an FTDI adapter sends at once."""
+
+BITS_PER_BYTE = 10
+"""Start bit, eight bits, stop bit."""
+
+Answers = Callable[[Packet, float], list[tuple[float, bytes]]]
+"""Handles an instruction that ends at a time [s]: the pauses before the answers [s], and the answers."""
+
+
+class Bus:
+    """The line, the adapter and what is under way on them.
+
+    Args:
+        answers: what the devices do with an instruction.
+        timing: how long things take.
+        faults: what goes wrong with packets.
+        rng: decides about faults.
+        recorder: where frames are written.
+    """
+
+    def __init__(
+        self, answers: Answers, timing: Timing, faults: Faults, rng: np.random.Generator, recorder: FrameRecorder | None
+    ):
+        self.baud = 1_000_000
+        self.timing, self.faults = timing, faults
+        self._answers, self._rng, self._recorder = answers, rng, recorder
+        self._faulty = faults.lost + faults.corrupt + faults.truncated + faults.late > 0
+        self._parser = Parser()
+        self._host_ends = 0.0
+        self._devices_end = 0.0
+        self._spoken: list[tuple[float, bytes]] = []
+        self._inbox: deque[tuple[float, bytes]] = deque()
+        self._ready = bytearray()
+        self._adapter = bytearray()
+        self._flushed = 0.0
+        self._deadline = 0.0
+        self._held_until = 0.0
+
+    def send(self, data: bytes, now: float) -> None:
+        """The computer writes bytes at a time [s]."""
+        byte_time = BITS_PER_BYTE / self.baud
+        begin = max(now + self.timing.host_delay, self._host_ends)
+        end = begin + len(data) * byte_time
+        if begin - self._host_ends > self.timing.quiet:
+            self._parser.reset()
+        self._host_ends = end
+        if begin < self._devices_end:
+            # two speakers at once: nobody understands this, and what the devices were saying is cut off
+            self._cut(begin)
+            self._record(begin, data)
+            self._parser.reset()
+            return
+        self._record(begin, data)
+        for packet in self._parser.feed(data):
+            if self.faults.unheard and self._rng.random() < self.faults.unheard:
+                continue
+            line = end
+            for pause, answer in self._answers(packet, end):
+                line = self._speak(line + pause, answer, byte_time)
+            self._devices_end = max(self._devices_end, line)
+
+    def _speak(self, begin: float, answer: bytes, byte_time: float) -> float:
+        """A device answers; returns when it ends."""
+        heard = self._spoil(answer, begin) if self._faulty else answer
+        if self._recorder is not None and heard:
+            self._spoken.append((begin, heard))
+        self._receive(begin, heard, byte_time)
+        return begin + len(answer) * byte_time
+
+    def _spoil(self, answer: bytes, begin: float) -> bytes:
+        """What reaches the adapter of an answer."""
+        faults, chance = self.faults, self._rng.random()
+        if chance < faults.lost:
+            return b""
+        chance -= faults.lost
+        if 0 <= chance < faults.corrupt:
+            at, other = int(self._rng.integers(len(answer))), int(self._rng.integers(1, 256))
+            return answer[:at] + bytes((answer[at] ^ other,)) + answer[at + 1 :]
+        chance -= faults.corrupt
+        if 0 <= chance < faults.truncated:
+            return answer[: int(self._rng.integers(1, len(answer)))]
+        chance -= faults.truncated
+        if 0 <= chance < faults.late:
+            self._held_until = begin + faults.delay
+        return answer
+
+    def _receive(self, begin: float, data: bytes, byte_time: float) -> None:
+        """Bytes reach the adapter one after the other; it sends them on when it is full or its timer ends."""
+        done, last = 0, begin + len(data) * byte_time
+        if self._adapter and last < self._deadline and len(self._adapter) + len(data) < USB_PAYLOAD:
+            self._adapter += data  # it neither fills up nor waits long enough meanwhile
+            return
+        while done < len(data):
+            first = begin + (done + 1) * byte_time
+            self._flush_until(first)
+            room = USB_PAYLOAD - len(self._adapter)
+            deadline = self._deadline if self._adapter else self._timer_after(first)
+            in_time = max(1, ceil((deadline - begin) / byte_time - 1e-9) - 1 - done)
+            take = min(room, in_time, len(data) - done)
+            self._deadline = deadline
+            self._adapter += data[done : done + take]
+            done += take
+            if len(self._adapter) == USB_PAYLOAD:
+                self._flush(begin + done * byte_time)
+
+    def _timer_after(self, time: float) -> float:
+        """When the adapter's timer, which restarts with every transfer, ends next."""
+        period = self.timing.latency_timer
+        return self._flushed + period * max(1, ceil((time - self._flushed) / period))
+
+    def _flush(self, time: float) -> None:
+        arrival = max(time + self.timing.usb_delay, self._held_until)
+        self._inbox.append((arrival, bytes(self._adapter)))
+        self._adapter.clear()
+        self._flushed = time
+
+    def _flush_until(self, time: float) -> None:
+        if self._adapter and self._deadline <= time:
+            self._flush(self._deadline)
+
+    def _cut(self, time: float) -> None:
+        """What has not reached the adapter by now never will."""
+        self._inbox = deque(entry for entry in self._inbox if entry[0] - self.timing.usb_delay <= time)
+        self._adapter.clear()
+        self._devices_end = time
+        whole = [(begin, int((time - begin) * self.baud / BITS_PER_BYTE + 1e-6), data) for begin, data in self._spoken]
+        self._spoken = [(begin, data[:count]) for begin, count, data in whole if count > 0]
+
+    def _record(self, begin: float, data: bytes) -> None:
+        if self._recorder is not None:
+            self.finish_recording()
+            self._recorder.write(begin, ">", data)
+
+    def finish_recording(self) -> None:
+        """Write the answers that have been on the line since the last instruction."""
+        if self._recorder is not None:
+            for begin, data in self._spoken:
+                self._recorder.write(begin, "<", data)
+        self._spoken.clear()
+
+    @property
+    def busy_until(self) -> float:
+        """When the line falls silent [s]."""
+        return max(self._host_ends, self._devices_end)
+
+    @property
+    def next_arrival(self) -> float:
+        """When the computer gets its next bytes [s]; infinite if none are under way."""
+        if self._ready:
+            return 0.0
+        if self._inbox:
+            return self._inbox[0][0]
+        if self._adapter:
+            return max(self._deadline + self.timing.usb_delay, self._held_until)
+        return inf
+
+    def available(self, now: float) -> int:
+        """How many bytes wait for the computer."""
+        self._flush_until(now)
+        inbox, ready = self._inbox, self._ready
+        while inbox and inbox[0][0] <= now:
+            ready += inbox.popleft()[1]
+        return len(ready)
+
+    def take(self, length: int, now: float) -> bytes:
+        """Up to so many of the bytes that wait for the computer."""
+        if len(self._ready) < length:
+            self.available(now)
+        taken = bytes(self._ready[:length])
+        del self._ready[:length]
+        return taken
+
+    def discard(self, now: float) -> None:
+        """Forget the bytes that wait for the computer."""
+        self.available(now)
+        self._ready.clear()

@@ -1,0 +1,223 @@
+"""What the devices do with an instruction, and in which order they answer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+
+from op3.deploy.emulator.device import Device
+from op3.deploy.emulator.open_cr import INSTRUCTIONS as OPEN_CR_INSTRUCTIONS
+from op3.deploy.emulator.servo import Servo
+from op3.deploy.protocol import (
+    ALERT,
+    BROADCAST_ID,
+    Error,
+    Instruction,
+    Packet,
+    encode_fast_status,
+    encode_status,
+)
+
+PING_SLOT = 0.003
+"""How long a broadcast ping waits for each id that does not answer [s]; firmware of the OpenCR."""
+
+FAST_GAP = 5e-6
+"""Pause between devices in a fast read [s] (inferred)."""
+
+Answer = tuple[float, bytes]
+"""Pause before an answer [s], and its bytes."""
+
+
+class Dispatcher:
+    """Hands instructions to the devices.
+
+    In sync and bulk reads a device answers when it has heard the one before it, so behind one that is missing nobody
+    answers (as the OpenCR's firmware does it; its patience of 50 ms exceeds the usual timeouts). All of them answer
+    with what their registers held when the instruction ended.
+
+    Args:
+        devices: all devices, with power or without.
+        turnaround: from an instruction's end to the answer [s].
+        hears: whether a device hears an instruction now.
+    """
+
+    def __init__(self, devices: Sequence[Device], turnaround: float, hears: Callable[[Device], bool]):
+        self._devices = devices
+        self._turnaround = turnaround
+        self._hears = hears
+        self.relist()
+
+    def relist(self) -> None:
+        """Look up the devices' ids, after one may have changed."""
+        self._by_id = {device.id: device for device in reversed(self._devices)}
+
+    def answers(self, packet: Packet, now: float) -> list[Answer]:
+        """Carry out an instruction at a time [s]."""
+        instruction, parameters = packet.instruction, packet.parameters
+        if instruction == Instruction.SYNC_READ:
+            return self._chain(_sync_items(parameters))
+        if instruction == Instruction.SYNC_WRITE:
+            return self._write_all(_sync_write_items(parameters))
+        if instruction == Instruction.BULK_READ:
+            return self._chain(_bulk_items(parameters))
+        if instruction == Instruction.BULK_WRITE:
+            return self._write_all(_bulk_write_items(parameters))
+        if instruction == Instruction.FAST_SYNC_READ:
+            return self._fast(_sync_items(parameters))
+        if instruction == Instruction.FAST_BULK_READ:
+            return self._fast(_bulk_items(parameters))
+        if instruction == Instruction.STATUS:
+            return []
+        if packet.device == BROADCAST_ID:
+            return self._broadcast(packet, now)
+        device = self._listening(packet.device)
+        if device is None or not _understands(device, instruction):
+            return []
+        level = device.return_level  # before it changes, as the manual's examples show
+        error, data = self._single(device, packet, now)
+        if level < _level(instruction):
+            return []
+        return [(self._pause(device), encode_status(packet.device, error | _alert(device), data))]
+
+    def _listening(self, device_id: int) -> Device | None:
+        device = self._by_id.get(device_id)
+        return device if device is not None and self._hears(device) else None
+
+    def _pause(self, device: Device) -> float:
+        return self._turnaround + device.return_delay
+
+    def _single(self, device: Device, packet: Packet, now: float) -> tuple[int, bytes]:
+        """Error and data of an instruction for one device."""
+        instruction, parameters = packet.instruction, packet.parameters
+        if instruction == Instruction.PING:
+            return Error.NONE, device.ping()
+        if instruction == Instruction.READ:
+            if len(parameters) != 4:
+                return Error.DATA_LENGTH, b""
+            return device.read(_word(parameters, 0), _word(parameters, 2))
+        if instruction in (Instruction.WRITE, Instruction.REG_WRITE):
+            if len(parameters) < 3:
+                return Error.DATA_LENGTH, b""
+            address, data = _word(parameters, 0), parameters[2:]
+            if instruction == Instruction.WRITE:
+                return device.write(address, data), b""
+            device.pending = address, data
+            device.put("registered_instruction", 1)
+            return Error.NONE, b""
+        if instruction == Instruction.ACTION:
+            if device.pending is None:
+                return Error.INSTRUCTION, b""
+            (address, data), device.pending = device.pending, None
+            device.put("registered_instruction", 0)
+            return device.write(address, data), b""
+        return self._restart(device, packet, now), b""
+
+    def _restart(self, device: Device, packet: Packet, now: float) -> int:
+        if isinstance(device, Servo):
+            if packet.instruction == Instruction.REBOOT:
+                device.reboot(now)
+                return Error.NONE
+            if packet.instruction == Instruction.FACTORY_RESET:
+                return device.factory_reset(packet.parameters[0], now) if packet.parameters else Error.DATA_LENGTH
+            if packet.instruction == Instruction.CLEAR:
+                return Error.NONE if packet.parameters == b"\x01\x44\x58\x4c\x22" else Error.DATA_RANGE
+        return Error.INSTRUCTION
+
+    def _broadcast(self, packet: Packet, now: float) -> list[Answer]:
+        """An instruction for all devices; only a ping is answered."""
+        if packet.instruction == Instruction.PING:
+            return self._ping_all()
+        everything = packet.instruction == Instruction.FACTORY_RESET and packet.parameters == b"\xff"
+        if packet.instruction == Instruction.READ or everything:
+            return []
+        for device in self._devices:
+            if isinstance(device, Servo) and self._hears(device):
+                self._single(device, packet, now)
+        return []
+
+    def _ping_all(self) -> list[Answer]:
+        answers, last = [], 0
+        for number in sorted(self._by_id):
+            device = self._listening(number)
+            if device is not None:
+                pause = self._pause(device) + PING_SLOT * max(0, number - last - 1)
+                answers.append((pause, encode_status(number, _alert(device), device.ping())))
+                last = number
+        return answers
+
+    def _chain(self, items: Iterable[tuple[int, int, int]]) -> list[Answer]:
+        answers = []
+        for number, address, length in items:
+            device = self._listening(number)
+            if device is None or device.return_level < 1:
+                break
+            error, data = device.read(address, length)
+            answers.append((self._pause(device), encode_status(number, error | _alert(device), data)))
+        return answers
+
+    def _fast(self, items: Iterable[tuple[int, int, int]]) -> list[Answer]:
+        """Answers to a fast read; its length is fixed by what was asked, whether all answer or not."""
+        asked = list(items)
+        parts, pauses, silent = [], [], False
+        for number, address, length in asked:
+            device = self._listening(number)
+            if not isinstance(device, Servo) or device.return_level < 1:
+                silent = True
+                device = None
+            error, data = (Error.NONE, b"") if device is None else device.read(address, length)
+            parts.append((error | (_alert(device) if device else 0), number, data.ljust(length, b"\0")))
+            if not silent and device is not None:
+                pauses.append(FAST_GAP if pauses else self._pause(device))
+        return list(zip(pauses, encode_fast_status(parts), strict=False)) if parts else []
+
+    def _write_all(self, items: Iterable[tuple[int, int, bytes]]) -> list[Answer]:
+        for number, address, data in items:
+            device = self._listening(number)
+            if device is not None:
+                device.write(address, data)
+        return []
+
+
+def _understands(device: Device, instruction: int) -> bool:
+    return isinstance(device, Servo) or instruction in OPEN_CR_INSTRUCTIONS
+
+
+def _alert(device: Device) -> int:
+    return ALERT if device.alert else 0
+
+
+def _level(instruction: int) -> int:
+    """The least status return level at which an instruction is answered."""
+    return {Instruction.PING: 0, Instruction.READ: 1}.get(instruction, 2)  # type: ignore[call-overload]
+
+
+def _word(data: bytes, at: int) -> int:
+    return data[at] | data[at + 1] << 8
+
+
+def _sync_items(parameters: bytes) -> Iterator[tuple[int, int, int]]:
+    if len(parameters) > 4:
+        address, length = _word(parameters, 0), _word(parameters, 2)
+        yield from ((number, address, length) for number in parameters[4:])
+
+
+def _bulk_items(parameters: bytes) -> Iterator[tuple[int, int, int]]:
+    if len(parameters) % 5 == 0:
+        for at in range(0, len(parameters), 5):
+            yield parameters[at], _word(parameters, at + 1), _word(parameters, at + 3)
+
+
+def _sync_write_items(parameters: bytes) -> Iterator[tuple[int, int, bytes]]:
+    if len(parameters) > 4:
+        address, length = _word(parameters, 0), _word(parameters, 2)
+        for at in range(4, len(parameters) - length, length + 1):
+            yield parameters[at], address, parameters[at + 1 : at + 1 + length]
+
+
+def _bulk_write_items(parameters: bytes) -> Iterator[tuple[int, int, bytes]]:
+    at = 0
+    while at + 5 <= len(parameters):
+        length = _word(parameters, at + 3)
+        if at + 5 + length > len(parameters):
+            return
+        yield parameters[at], _word(parameters, at + 1), parameters[at + 5 : at + 5 + length]
+        at += 5 + length

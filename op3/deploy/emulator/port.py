@@ -1,0 +1,107 @@
+"""The computer's end of the line, in virtual time: a port for the unmodified dynamixel-sdk, and its clock."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from dynamixel_sdk import PortHandler
+from serial import SerialException
+
+if TYPE_CHECKING:
+    from op3.deploy.emulator.robot import EmulatedRobot
+
+POLL = 5e-5
+"""How long a look at an empty port takes where nothing tells what is waited for [s]."""
+
+
+class Clock:
+    """Time of the emulated world."""
+
+    def __init__(self, robot: EmulatedRobot):
+        self._robot = robot
+        self._now = 0.0
+
+    def now(self) -> float:
+        """Time since the robot was made [s]."""
+        return self._now
+
+    def sleep(self, duration: float) -> None:
+        """Let time pass [s]."""
+        self.sleep_until(self._now + duration)
+
+    def sleep_until(self, time: float) -> None:
+        """Let time pass until then [s]; no time passes if that is over."""
+        if time > self._now:
+            self._now = time
+            self._robot.advance(time)
+
+
+class VirtualPort(PortHandler):
+    """Takes the place of dynamixel-sdk's `PortHandler`: waiting for bytes lets the emulated time pass.
+
+    Nothing else does. It fails with pyserial's exceptions, as a real port does.
+    """
+
+    def __init__(self, robot: EmulatedRobot, name: str = "virtual"):
+        super().__init__(name)
+        self._robot = robot
+        self._clock = robot.clock
+
+    def setupPort(self, cflag_baud: int) -> bool:
+        """Open the port at a baud rate."""
+        self._robot.check_plugged()
+        self._robot.bus.baud = cflag_baud
+        self.is_open = True
+        self._robot.bus.discard(self._clock.now())
+        self.tx_time_per_byte = (1000.0 / self.baudrate) * 10.0
+        return True
+
+    def closePort(self) -> None:
+        """Close the port."""
+        self.is_open = False
+
+    def _check(self) -> None:
+        if self._robot.unplugged or not self.is_open:
+            self._robot.check_plugged()
+            raise SerialException(f"port {self.port_name} is not open: call openPort() first")
+
+    def clearPort(self) -> None:
+        """Forget what has arrived."""
+        self._check()
+        self._robot.bus.discard(self._clock.now())
+
+    def getBytesAvailable(self) -> int:
+        """How many bytes have arrived."""
+        self._check()
+        count = self._robot.bus.available(self._clock.now())
+        if count == 0:
+            self._clock.sleep(POLL)  # whoever asks again and again must get on
+            count = self._robot.bus.available(self._clock.now())
+        return count
+
+    def readPort(self, length: int) -> bytes:
+        """Up to so many bytes; with none there, time passes until some arrive or the packet's timeout is over."""
+        self._check()
+        bus, clock = self._robot.bus, self._clock
+        now = clock.now()
+        data = bus.take(length, now)
+        if data or length <= 0:
+            return data
+        deadline = (self.packet_start_time + self.packet_timeout) / 1000.0
+        if self.packet_timeout <= 0 or deadline < now:
+            deadline = now + POLL
+        arrival = bus.next_arrival
+        clock.sleep_until(arrival if arrival <= deadline else deadline + 1e-6)
+        self._check()
+        return bus.take(length, clock.now())
+
+    def writePort(self, packet: bytes | list[int]) -> int:
+        """Send bytes."""
+        self._check()
+        data = bytes(packet)
+        self._robot.bus.send(data, self._clock.now())
+        return len(data)
+
+    def getCurrentTime(self) -> float:
+        """The emulated time in ms."""
+        return self._clock.now() * 1000.0

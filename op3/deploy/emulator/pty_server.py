@@ -1,0 +1,143 @@
+"""The emulated robot behind a pseudo-terminal, in wall time: a serial port for any program."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pty
+import select
+import termios
+import threading
+import time
+import tty
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from op3.deploy.emulator.robot import EmulatedRobot
+
+PATIENCE = 0.002
+"""Longest wait before the world is brought up to the wall clock [s]."""
+
+READ_SIZE = 4096
+"""Bytes taken from the terminal at once."""
+
+_SPEEDS: dict[int, int] = {
+    getattr(termios, f"B{speed}"): speed
+    for speed in (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
+    if hasattr(termios, f"B{speed}")
+}
+"""Bits per second by the terminal's code for them."""
+
+
+class PtyServer:
+    """Serves a robot on a pseudo-terminal from a thread of its own.
+
+    Answers arrive when the bus would deliver them, at the earliest; a busy machine makes them later. While it serves,
+    the robot belongs to it: nothing else may let its time pass.
+
+    Args:
+        robot: to be served.
+        baud: speed of the line until a program sets one [bit/s].
+
+    Attributes:
+        path: of the port to open.
+        longest_lag: how far the emulated time has been behind the wall clock at most [s].
+        error: what ended the serving, if something did.
+    """
+
+    def __init__(self, robot: EmulatedRobot, baud: int = 2_000_000):
+        self._robot = robot
+        self._robot.bus.baud = baud
+        self._master, self._slave = pty.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.path = os.ttyname(self._slave)
+        self.longest_lag = 0.0
+        self.error: Exception | None = None
+        self._wake, self._waker = os.pipe()
+        self._stopping = False
+        self._thread = threading.Thread(target=self._serve, name="emulated robot", daemon=True)
+
+    def __enter__(self) -> PtyServer:
+        """Start serving."""
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def wait(self, timeout: float | None = None) -> None:
+        """Serve until it ends by itself, or for a time [s].
+
+        Raises:
+            RuntimeError: if the physics diverged.
+        """
+        self._thread.join(timeout)
+        if self.error is not None:
+            raise self.error
+
+    def close(self) -> None:
+        """Stop serving and remove the port."""
+        self._stopping = True
+        with contextlib.suppress(OSError):
+            os.write(self._waker, b"x")
+        if self._thread.is_alive() and threading.current_thread() is not self._thread:
+            self._thread.join()
+        self._unplug()
+        for end in (self._wake, self._waker):
+            with contextlib.suppress(OSError):
+                os.close(end)
+
+    def _unplug(self) -> None:
+        for end in (self._master, self._slave):
+            with contextlib.suppress(OSError):
+                os.close(end)
+
+    def _serve(self) -> None:
+        try:
+            self._loop()
+        except Exception as error:
+            self.error = error
+        finally:
+            self._unplug()
+
+    def _loop(self) -> None:
+        robot, bus = self._robot, self._robot.bus
+        start = time.monotonic() - robot.clock.now()
+        pending = b""
+        while not (self._stopping or robot.unplugged):
+            now = time.monotonic() - start
+            wait = min(PATIENCE, max(0.0, bus.next_arrival - now))
+            readable, _, _ = select.select([self._master, self._wake], [], [], wait)
+            now = time.monotonic() - start
+            if self._master in readable:
+                data = self._read()
+                if data:
+                    self._follow_speed()
+                    bus.send(data, now)
+            robot.clock.sleep_until(now)
+            self.longest_lag = max(self.longest_lag, time.monotonic() - start - now)
+            pending += bus.take(READ_SIZE, now)
+            if pending:
+                pending = pending[self._write(pending) :]
+
+    def _read(self) -> bytes:
+        try:
+            return os.read(self._master, READ_SIZE)
+        except OSError:  # nobody has the port open
+            return b""
+
+    def _write(self, data: bytes) -> int:
+        try:
+            return os.write(self._master, data)
+        except BlockingIOError:
+            return 0
+
+    def _follow_speed(self) -> None:
+        """A program sets its speed on the terminal; a speed that the terminal does not know changes nothing."""
+        speed = _SPEEDS.get(termios.tcgetattr(self._slave)[4])
+        if speed is not None and speed != self._robot.bus.baud:
+            self._robot.bus.baud = speed

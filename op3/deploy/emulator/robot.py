@@ -1,0 +1,359 @@
+"""The emulated robot: devices, line and physics on one clock."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Mapping
+from itertools import count
+from math import floor, inf
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from serial import SerialException
+
+from op3.deploy.emulator.bus import Bus, Timing
+from op3.deploy.emulator.device import Device
+from op3.deploy.emulator.faults import (
+    RESET_VOLTAGE,
+    BrownOut,
+    Faults,
+    FrozenImu,
+    HardwareFault,
+    Overheat,
+    Silent,
+    Unplug,
+)
+from op3.deploy.emulator.firmware import PERIOD, Firmware
+from op3.deploy.emulator.frames import FrameRecorder
+from op3.deploy.emulator.instructions import Dispatcher
+from op3.deploy.emulator.open_cr import BUTTONS, OpenCR
+from op3.deploy.emulator.physics import Physics, Readings
+from op3.deploy.emulator.port import Clock, VirtualPort
+from op3.deploy.emulator.pty_server import PtyServer
+from op3.deploy.emulator.servo import Servo
+from op3.deploy.protocol import Instruction, Packet
+from op3.deploy.registers import (
+    CURRENT_UNIT,
+    POSITION_UNIT,
+    POSITION_ZERO,
+    PWM_UNIT,
+    VELOCITY_UNIT,
+    VOLTAGE_UNIT,
+    XM430_W350,
+    HardwareError,
+)
+from op3.robot import SERVO_IDS
+
+OP3_SETTINGS: dict[str, int] = {"baud_rate": 4, "return_delay_time": 0}
+"""EEPROM of the OP3's servos where it differs from the factory's: 2 Mbit/s, no return delay."""
+
+CHECK_PERIOD = 0.01
+"""How often servos look at their voltage and temperature [s] (inferred)."""
+
+RESET_BUTTON_TIME = 0.1
+"""How long the reset button is held before it cuts the servos' power [s]; firmware of the OpenCR."""
+
+_WRITES = (Instruction.WRITE, Instruction.SYNC_WRITE, Instruction.BULK_WRITE)
+"""Instructions that need no measurements; those that do ask for them."""
+
+_FIRST, _LAST = XM430_W350["realtime_tick"].address, XM430_W350["present_temperature"].end
+_PRESENT = np.dtype(
+    [
+        (register.name, f"<{'i' if register.signed else 'u'}{register.size}")
+        for register in XM430_W350
+        if _FIRST <= register.address < _LAST
+    ]
+)
+
+
+class EmulatedRobot:
+    """A ROBOTIS-OP3 on its bus: 20 servos and the OpenCR, with a physics behind them.
+
+    The servos have no power until the OpenCR's register `dynamixel_power` is written. Nothing here looks at the wall
+    clock: equal seeds and equal calls give equal bytes.
+
+    Args:
+        physics: the robot itself, see `op3.deploy.emulator.physics.Physics`.
+        seed: of the faults.
+        faults: what goes wrong; by default nothing.
+        timing: how long things take on the way.
+        settings: EEPROM registers of all servos by name, in place of `OP3_SETTINGS`.
+        record: file for the frames on the wire; see `op3.deploy.emulator.frames`.
+
+    Attributes:
+        physics: as given.
+        clock: the emulated time.
+        bus: the line.
+        servos: by joint name.
+        open_cr: the OpenCR.
+    """
+
+    def __init__(
+        self,
+        physics: Physics,
+        *,
+        seed: int = 0,
+        faults: Faults | None = None,
+        timing: Timing | None = None,
+        settings: Mapping[str, int] | None = None,
+        record: str | Path | None = None,
+    ):
+        self.physics = physics
+        self.faults, timing = faults or Faults(), timing or Timing()
+        self._firmware = Firmware(len(physics.joints))
+        eeprom = dict(OP3_SETTINGS if settings is None else settings)
+        self.servos = {
+            joint: Servo(SERVO_IDS.get(joint, index + 1), index, self._firmware, eeprom)
+            for index, joint in enumerate(physics.joints)
+        }
+        for servo in self.servos.values():
+            servo.measure = self._refresh
+        self.open_cr = OpenCR()
+        self._all = tuple(self.servos.values())
+        self._dispatcher = Dispatcher((*self._all, self.open_cr), timing.turnaround, self._hears)
+        self.recorder = None if record is None else FrameRecorder(record)
+        self.clock = Clock(self)
+        self.bus = Bus(self._answers, timing, self.faults, np.random.default_rng([seed, 6]), self.recorder)
+        self.time = 0.0
+        self.unplugged = False
+        self._ticks = 0
+        self._stale = True
+        self._powered = False
+        self._silent: dict[int, float] = {}
+        self._heat: dict[int, tuple[float, float]] = {}
+        self._heard = 0.0
+        self._present = np.zeros(len(self._all), dtype=_PRESENT)
+        self._pressed = 0
+        self._events: list[tuple[float, int, Callable[[], None]]] = []
+        self._numbers = count()
+        self._reconsider()
+        self._schedule_faults()
+        self.at(CHECK_PERIOD, self._check_servos)
+
+    def port_handler(self, name: str = "virtual") -> VirtualPort:
+        """A port for dynamixel-sdk, in virtual time."""
+        return VirtualPort(self, name)
+
+    def serve_pty(self, baud: int = 2_000_000) -> PtyServer:
+        """A pseudo-terminal for any program, in wall time: ``with robot.serve_pty() as server: print(server.path)``.
+
+        Args:
+            baud: speed of the line until a program sets one [bit/s].
+        """
+        return PtyServer(self, baud)
+
+    def close(self) -> None:
+        """Finish the recording of frames, if there is one."""
+        if self.recorder is not None:
+            self.bus.finish_recording()
+            self.recorder.close()
+
+    def check_plugged(self) -> None:
+        """Fail as pyserial does where the device is gone.
+
+        Raises:
+            SerialException: if the plug has been pulled.
+        """
+        if self.unplugged:
+            raise SerialException("device reports readiness to read but returned no data (device disconnected?)")
+
+    def at(self, time: float, event: Callable[[], None]) -> None:
+        """Let something happen at a time [s]."""
+        heapq.heappush(self._events, (time, next(self._numbers), event))
+
+    # -- time
+
+    def advance(self, time: float) -> None:
+        """Let the world go on until a time [s]; what is over stays over."""
+        while True:
+            event, watchdog = (self._events[0][0] if self._events else inf), self._next_trip()
+            due = min(event, watchdog)
+            if due > time:
+                break
+            self._run(due)
+            if event <= watchdog:
+                heapq.heappop(self._events)[2]()
+            else:
+                self._trip(due)
+        self._run(time)
+
+    def _run(self, time: float) -> None:
+        self.time = max(self.time, time)
+        steps = floor(time / PERIOD + 1e-6) - self._ticks
+        if steps <= 0:
+            return
+        firmware, physics = self._firmware, self.physics
+        if firmware.looping:
+            for _ in range(steps):
+                firmware.step(physics.position, physics.velocity)
+                physics.drive(firmware.drive)
+                physics.advance(1)
+        else:
+            if firmware.changed:
+                physics.drive(firmware.drive)
+            physics.advance(steps)
+        firmware.changed = False
+        self._ticks += steps
+        self._stale = True
+
+    # -- instructions
+
+    def _hears(self, device: Device) -> bool:
+        return (
+            device.ready <= self.time
+            and device.baud == self.bus.baud
+            and not (self._silent and device.id in self._silent)
+        )
+
+    def _answers(self, packet: Packet, end: float) -> list[tuple[float, bytes]]:
+        self.advance(end)
+        if packet.instruction not in _WRITES:
+            self._refresh()
+        self._heard = end
+        answers = self._dispatcher.answers(packet, end)
+        if self._loads != self._firmware.loads:
+            self._reconsider()
+        if self.open_cr.power != self._powered:
+            self._switch(self.open_cr.power)
+        return answers
+
+    def _reconsider(self) -> None:
+        """Registers have changed: look up what depends on them."""
+        self._loads = self._firmware.loads
+        self._dispatcher.relist()
+        self._booted = np.array([round(servo.booted / PERIOD) for servo in self._all])
+        self._zero = POSITION_ZERO + np.array([servo.get("homing_offset") for servo in self._all])
+        self._threshold = np.array([servo.get("moving_threshold") for servo in self._all])
+        limits = ("temperature_limit", "min_voltage_limit", "max_voltage_limit")
+        self._limits = np.array([[servo.get(name) for servo in self._all] for name in limits])
+        self._watchdog = min((servo.watchdog for servo in self._all if servo.torque), default=inf)
+
+    def _switch(self, on: bool) -> None:
+        """The OpenCR gives the servos power, or takes it away."""
+        self._powered = on
+        for servo in self._all:
+            servo.power(on, self.time)
+        self._reconsider()
+
+    def press(self, button: str, duration: float = 0.05) -> None:
+        """Press a button of the OpenCR for a while [s]; "reset", held for 0.1 s, cuts the servos' power."""
+        self.open_cr.press(button, True)
+        self._pressed += 1
+        self.at(self.time + duration, lambda: self.open_cr.press(button, False))
+        if button == BUTTONS[-1] and duration > RESET_BUTTON_TIME:
+            self.at(self.time + RESET_BUTTON_TIME, self._cut_power)
+
+    def _cut_power(self) -> None:
+        self.open_cr.put("dynamixel_power", 0)
+        self._switch(False)
+
+    # -- watchdogs
+
+    def _last_heard(self, servo: Servo) -> float:
+        return min(self._heard, self._silent.get(servo.id, inf))
+
+    def _next_trip(self) -> float:
+        if self._watchdog == inf:
+            return inf
+        if not self._silent:
+            return self._heard + self._watchdog
+        return min((self._last_heard(servo) + servo.watchdog for servo in self._all if servo.torque), default=inf)
+
+    def _trip(self, now: float) -> None:
+        for servo in self._all:
+            if servo.torque and self._last_heard(servo) + servo.watchdog <= now:
+                servo.trip()
+        self._reconsider()
+
+    # -- sensors
+
+    def _refresh(self) -> None:
+        """Bring the registers of all devices up to date with the physics."""
+        if not self._stale:
+            return
+        self._stale = False
+        readings, present = self.physics.read(), self._present
+        velocity = np.rint(readings.velocity / VELOCITY_UNIT)
+        present["realtime_tick"] = (self._ticks - self._booted) % 32768
+        present["moving"] = np.abs(velocity) > self._threshold
+        present["present_pwm"] = np.rint(readings.duty / PWM_UNIT)
+        present["present_current"] = np.rint(readings.current / CURRENT_UNIT)
+        present["present_velocity"] = velocity
+        present["present_position"] = np.rint(readings.position / POSITION_UNIT) + self._zero
+        present["present_input_voltage"] = np.rint(readings.voltage / VOLTAGE_UNIT)
+        present["present_temperature"] = np.minimum(np.rint(self._temperature(readings)), 255)
+        content, width = present.tobytes(), _PRESENT.itemsize
+        for index, servo in enumerate(self._all):
+            servo.memory[_FIRST:_LAST] = content[index * width : (index + 1) * width]
+        self.open_cr.feel(readings, float(readings.voltage.max()))
+
+    def _temperature(self, readings: Readings) -> NDArray[np.float64]:
+        if not self._heat:
+            return readings.temperature
+        temperature = np.array(readings.temperature, dtype=float)
+        for servo in self._all:
+            start, rate = self._heat.get(servo.id, (0.0, 0.0))
+            temperature[servo.index] += rate * (self.time - start)
+        return temperature
+
+    def _check_servos(self) -> None:
+        """The servos watch their own voltage and temperature."""
+        self.at(self.time + CHECK_PERIOD, self._check_servos)
+        if not self._powered:
+            return
+        self._stale = True
+        self._refresh()
+        volts, celsius = self._present["present_input_voltage"], self._present["present_temperature"]
+        hot, odd = celsius > self._limits[0], (volts < self._limits[1]) | (volts > self._limits[2])
+        for index in np.flatnonzero(hot | odd):
+            servo = self._all[index]
+            error = HardwareError.OVERHEATING * int(hot[index]) | HardwareError.INPUT_VOLTAGE * int(odd[index])
+            if servo.ready <= self.time and error & ~servo.get("hardware_error_status"):
+                servo.fail(error)
+        if self._loads != self._firmware.loads:
+            self._reconsider()
+
+    # -- faults
+
+    def _schedule_faults(self) -> None:
+        for fault in self.faults.scheduled:
+            self.at(fault.start, lambda fault=fault: self._begin(fault))
+            end = getattr(fault, "end", inf)
+            if end < inf:
+                self.at(end, lambda fault=fault: self._end(fault))
+
+    def _begin(self, fault: object) -> None:
+        if isinstance(fault, Silent):
+            self._silent[fault.device] = self._heard
+        elif isinstance(fault, FrozenImu):
+            self.open_cr.frozen = True
+        elif isinstance(fault, Overheat):
+            self._heat[fault.device] = (fault.start, fault.rate)
+        elif isinstance(fault, BrownOut):
+            self.physics.supply = fault.voltage
+            if fault.voltage < RESET_VOLTAGE:
+                self._brown_out(False)
+        elif isinstance(fault, HardwareFault):
+            for servo in self._all:
+                if servo.id == fault.device and servo.ready <= self.time:
+                    servo.fail(fault.error)
+            self._reconsider()
+        elif isinstance(fault, Unplug):
+            self.unplugged = True
+
+    def _end(self, fault: object) -> None:
+        if isinstance(fault, Silent):
+            self._silent.pop(fault.device, None)
+        elif isinstance(fault, FrozenImu):
+            self.open_cr.frozen = False
+        elif isinstance(fault, BrownOut):
+            self.physics.supply = None
+            if fault.voltage < RESET_VOLTAGE:
+                self._brown_out(True)
+
+    def _brown_out(self, over: bool) -> None:
+        """The servos' processors stop, and start anew if the OpenCR still gives them power."""
+        for servo in self._all:
+            servo.power(over and self._powered, self.time)
+        self._reconsider()

@@ -1,0 +1,230 @@
+"""One XM430-W350: what its registers do when they are written, and when something goes wrong.
+
+Rules of the ROBOTIS e-Manual ("XM430-W350", "DYNAMIXEL Protocol 2.0"). What it leaves open is decided for the worse of
+the plausible behaviours, and marked (inferred).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import inf
+
+from op3.deploy.emulator.device import Device
+from op3.deploy.emulator.firmware import Firmware
+from op3.deploy.protocol import Error
+from op3.deploy.registers import (
+    FIRST_INDIRECT_ADDRESS,
+    FIRST_INDIRECT_DATA,
+    INDIRECT_COUNT,
+    SECOND_INDIRECT_ADDRESS,
+    SECOND_INDIRECT_DATA,
+    XM430_W350,
+    OperatingMode,
+    Register,
+)
+
+BOOT_TIME = 0.08
+"""From power or a reboot to the first answer [s] (inferred: ROBOTIS' op3_manager waits 0.1 s)."""
+
+WATCHDOG_UNIT = 0.02
+"""Unit of the register `bus_watchdog` [s]."""
+
+WATCHDOG_ERROR = -1
+"""Value of `bus_watchdog` once it has tripped."""
+
+_GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
+_GAINS = ("position_p_gain", "position_i_gain", "position_d_gain", "velocity_p_gain", "velocity_i_gain")
+_FIRMWARE = {*_GOALS, *_GAINS, "profile_velocity", "torque_enable", "operating_mode", "current_limit", "pwm_limit"}
+_RESET_BY_MODE = (*_GAINS, "feedforward_1st_gain", "feedforward_2nd_gain", "profile_velocity", "profile_acceleration")
+_GOAL_CURRENT, _CURRENT_LIMIT = XM430_W350["goal_current"].address, XM430_W350["current_limit"].address
+_FULL_CURRENT = XM430_W350["goal_current"].high or 0
+_MODE, _WATCHDOG = XM430_W350["operating_mode"].address, XM430_W350["bus_watchdog"].address
+_TORQUE, _HARDWARE_ERROR = XM430_W350["torque_enable"].address, XM430_W350["hardware_error_status"].address
+_KEPT_BY_RESET = {0xFF: (), 0x01: ("id",), 0x02: ("id", "baud_rate")}
+
+
+def _nothing() -> None:
+    pass
+
+
+class Servo(Device):
+    """One servo's registers.
+
+    Args:
+        device_id: its bus id.
+        index: its place in the firmware's arrays.
+        firmware: the control loops of all servos, which this one's registers feed.
+        settings: values of its EEPROM, by register name, where they differ from the factory's.
+
+    Attributes:
+        watchdog: time without packets after which the servo frees itself [s]; infinite while it is off.
+        booted: when it last got power or was told to reboot [s].
+        measure: brings the registers that hold measurements up to date.
+    """
+
+    def __init__(self, device_id: int, index: int, firmware: Firmware, settings: dict[str, int] | None = None):
+        super().__init__(XM430_W350, device_id)
+        self.index = index
+        self._firmware = firmware
+        for name, value in (settings or {}).items():
+            if not self.table[name].eeprom:
+                raise ValueError(f"servo settings are registers of the EEPROM, but {name} is not one")
+            self.put(name, value)
+        self.ready = inf
+        self.watchdog = inf
+        self.booted = 0.0
+        self.measure: Callable[[], None] = _nothing
+
+    @property
+    def alert(self) -> bool:
+        """Whether there is a hardware error."""
+        return self.memory[_HARDWARE_ERROR] != 0
+
+    @property
+    def torque(self) -> bool:
+        """Whether torque is enabled."""
+        return self.memory[_TORQUE] != 0
+
+    def power(self, on: bool, now: float) -> None:
+        """Give it power, or take it away."""
+        self.ready = inf
+        self._start()
+        if on:
+            self.ready = now + BOOT_TIME
+            self.booted = now
+
+    def reboot(self, now: float) -> None:
+        """Start anew: the RAM area forgets everything, indirect addresses and hardware errors too."""
+        self.power(True, now)
+
+    def factory_reset(self, option: int, now: float) -> int:
+        """Put the EEPROM back to the factory's values and start anew; returns the error."""
+        if option not in _KEPT_BY_RESET:
+            return Error.DATA_RANGE
+        for register in self.table:
+            if register.eeprom and register.initial is not None and register.name not in _KEPT_BY_RESET[option]:
+                self.put(register.name, register.initial)
+        self.reboot(now)
+        return Error.NONE
+
+    def _start(self) -> None:
+        for register in self.table:
+            if register.address >= 64 and register.initial is not None:
+                self.put(register.name, register.initial)
+        self.put("goal_current", self.get("current_limit"))
+        self.put("goal_pwm", self.get("pwm_limit"))
+        self.pending = None
+        self.watchdog = inf
+        self._inform()
+
+    def fail(self, error: int) -> None:
+        """A hardware error: it stays until a reboot, and shuts the servo down if `shutdown` says so."""
+        self.memory[_HARDWARE_ERROR] |= error
+        if self.memory[_HARDWARE_ERROR] & self.get("shutdown"):
+            self._release()
+
+    def trip(self) -> None:
+        """The bus has been silent for too long: free-running, with goals that are read-only until it is cleared."""
+        self.put("bus_watchdog", WATCHDOG_ERROR)
+        self.watchdog = inf
+        self._inform()
+
+    def _release(self) -> None:
+        self.memory[_TORQUE] = 0
+        self._inform()
+
+    def _inform(self) -> None:
+        self._firmware.load(self.index, self.get, tripped=self.get("bus_watchdog") == WATCHDOG_ERROR)
+
+    def _targets(self, address: int, length: int) -> list[int]:
+        return [self._pointed(at) for at in range(address, address + length)]
+
+    def _pointed(self, address: int) -> int:
+        """Where an address of indirect data points; any other address points at itself."""
+        for data, pointers in (
+            (FIRST_INDIRECT_DATA, FIRST_INDIRECT_ADDRESS),
+            (SECOND_INDIRECT_DATA, SECOND_INDIRECT_ADDRESS),
+        ):
+            if data <= address < data + INDIRECT_COUNT:
+                at = pointers + 2 * (address - data)
+                return self.memory[at] | self.memory[at + 1] << 8
+        return address
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        """Error and data of a read, through indirect addresses where there are any."""
+        end = address + length
+        if length < 1 or end > self.table.size:
+            return Error.ACCESS, b""
+        if end <= FIRST_INDIRECT_DATA:
+            return Error.NONE, bytes(self.memory[address:end])
+        memory = self.memory
+        return Error.NONE, bytes([memory[self._pointed(at)] for at in range(address, end)])
+
+    def write(self, address: int, data: bytes) -> int:
+        """Write registers; if one of them is refused none is written. Returns the error."""
+        if address == _GOAL_CURRENT and len(data) == 2 and self.memory[_MODE] == OperatingMode.CURRENT:
+            return self._write_goal_current(data)
+        if address + len(data) > FIRST_INDIRECT_DATA:
+            return self._write_many(self._targets(address, len(data)), data)
+        return super().write(address, data)
+
+    def _write_goal_current(self, data: bytes) -> int:
+        """The same as any write, for the one register that is written in every tick."""
+        value = int.from_bytes(data, "little", signed=True)
+        memory = self.memory
+        if memory[_WATCHDOG] == 0xFF or not -_FULL_CURRENT <= value <= _FULL_CURRENT:
+            return Error.DATA_RANGE
+        if abs(value) > (memory[_CURRENT_LIMIT] | memory[_CURRENT_LIMIT + 1] << 8):
+            return Error.DATA_LIMIT
+        memory[_GOAL_CURRENT : _GOAL_CURRENT + 2] = data
+        self._firmware.set_goal_current(self.index, value)
+        return Error.NONE
+
+    def check(self, register: Register, value: int) -> int:
+        """The error of writing a value to a register; `Error.NONE` if it may be written."""
+        name = register.name
+        if register.eeprom and self.torque:
+            return Error.ACCESS
+        error = super().check(register, value)
+        if error:
+            return error
+        tripped = self.get("bus_watchdog") == WATCHDOG_ERROR
+        if tripped and (name in _GOALS or (name == "bus_watchdog" and value != 0)):
+            return Error.DATA_RANGE
+        if name == "operating_mode" and value not in OperatingMode.ALL:
+            return Error.DATA_RANGE
+        if name == "torque_enable" and value and self.memory[_HARDWARE_ERROR] & self.get("shutdown"):
+            return Error.RESULT_FAIL  # (inferred) only a reboot brings torque back; the manual names no error
+        return self._check_limit(name, value)
+
+    def _check_limit(self, name: str, value: int) -> int:
+        if name == "goal_current":
+            beyond = abs(value) > self.get("current_limit")
+        elif name == "goal_pwm":
+            beyond = abs(value) > self.get("pwm_limit")
+        elif name == "goal_velocity":
+            beyond = abs(value) > self.get("velocity_limit")
+        elif name == "goal_position" and self.get("operating_mode") == OperatingMode.POSITION:
+            beyond = not self.get("min_position_limit") <= value <= self.get("max_position_limit")
+        else:
+            beyond = False
+        return Error.DATA_LIMIT if beyond else Error.NONE
+
+    def written(self, register: Register, value: int) -> None:
+        """What follows from a write."""
+        name = register.name
+        if name == "operating_mode":
+            # (inferred) also where the mode stays as it was; the manual speaks of switching
+            for other in _RESET_BY_MODE:
+                self.put(other, self.table[other].initial or 0)
+            self.put("goal_pwm", self.get("pwm_limit"))
+            self.put("goal_current", self.get("current_limit"))
+        elif name == "torque_enable" and value and not self._firmware.enabled[self.index]:
+            # (inferred) a position servo holds where it is when it is switched on
+            self.measure()
+            self.put("goal_position", self.get("present_position"))
+            self.put("goal_velocity", 0)
+        elif name == "bus_watchdog":
+            self.watchdog = value * WATCHDOG_UNIT if value else inf
+        if register.eeprom or name in _FIRMWARE or name == "bus_watchdog":
+            self._inform()

@@ -1,0 +1,344 @@
+"""A robot described by a `model.yaml`, behind the bus."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+
+from op3.deploy.emulator.compiled_law import CompiledLaw, Untranslatable
+from op3.deploy.emulator.firmware import PERIOD, Drive
+from op3.deploy.emulator.physics import Readings
+from op3.deploy.emulator.power import Battery, Windings
+from op3.deploy.emulator.sim_drive import UNBOUNDED, behind_bus
+from op3.robot import (
+    BoardDrive,
+    BoardMotion,
+    WeightDrive,
+    WeightSchedule,
+    board_drive,
+    build_scene,
+    place_tiles,
+    pose,
+    tile_ids,
+)
+from op3.robot.scenes import Scene
+from op3.servo import Effect, RobotModel, Stage, Trunk
+from op3.sim import BatchSimulation, attach_servos
+from op3.stand_in.sensors import roll_pitch_yaw
+
+Array = NDArray[np.float64]
+
+HANDED_OVER = ("applied_torque", "damping", "friction_bound")
+"""What the law hands to MuJoCo."""
+
+SLOW_EVERY = 10
+"""Battery and temperatures move on, and divergence is looked for, once in this many periods."""
+
+GROUND_EVERY = 8
+"""A board is driven once in this many periods, as in the environments."""
+
+IMU_EVERY = 5
+"""The IMU's loop runs at 200 Hz: once in this many periods."""
+
+
+@dataclass(frozen=True)
+class ImuNoise:
+    """Noise and filter of the IMU; the noise is about that of the stand-in.
+
+    Attributes:
+        gyro: standard deviation of a reading [rad/s].
+        accelerometer: standard deviation of a reading [m/s^2].
+        bandwidth: corner frequency of the low-pass [Hz].
+    """
+
+    gyro: float = 0.0015
+    accelerometer: float = 0.02
+    bandwidth: float = 45.0
+
+
+class SimPhysics(BatchSimulation):
+    """One simulated robot with the law and the parameters of a model.
+
+    Args:
+        model: of the OP3; see `op3.sim.load_model`.
+        scene: a name that `op3.robot.build_scene` knows, or a scene without servos attached.
+        seed: of the IMU's noise.
+        joint_position: [joint] in rad at the start; by default the pose "stand", or zero on the bench.
+        battery: where the servos' voltage comes from; None for a supply at the model's `bus_voltage`.
+        windings: how the motors warm up.
+        imu: noise and filter of the IMU.
+        compiled: whether the servo law is translated to numpy where it can be, which is several times faster.
+    """
+
+    def __init__(
+        self,
+        model: RobotModel,
+        scene: str | Scene = "floor",
+        *,
+        seed: int = 0,
+        joint_position: ArrayLike | None = None,
+        battery: Battery | None = None,
+        windings: Windings | None = None,
+        imu: ImuNoise | None = None,
+        compiled: bool = True,
+    ):
+        self.scene = build_scene(scene) if isinstance(scene, str) else scene
+        attach_servos(self.scene.joints)
+        self.joints = tuple(str(joint.name) for joint in self.scene.joints)
+        robot = self.scene.robot
+        super().__init__(
+            self.scene.compile(),
+            self.scene.joint_names,
+            behind_bus(model),
+            1,
+            control_period=PERIOD,
+            base_body=None if robot is None else robot.trunk.full_identifier,
+            joint_names=self.joints,
+            num_threads=1,
+        )
+        self.battery, self._windings = battery, windings or Windings()
+        self.supply: float | None = None
+        count = len(self.joints)
+        self._temperature = self._windings.start(count)
+        imu = imu or ImuNoise()
+        self._imu_spread = np.repeat([imu.gyro, imu.accelerometer], 3)
+        self._rng = np.random.default_rng([seed, 5])
+        self._blend = 1 - np.exp(-2 * np.pi * imu.bandwidth * PERIOD * IMU_EVERY)
+        self._steps = self._board_since = 0
+        self._board: BoardMotion | WeightSchedule | None = None
+        self._board_drive: BoardDrive | WeightDrive | None = None
+        if joint_position is None:
+            joint_position = np.zeros(count) if robot is None else pose("stand")
+        self.reset(self.scene.initial_qpos(joint_position), {"torque_enable": torch.zeros(1, count)})
+        self.law.sense(self.signals)
+        self._voltage = self.model.bus_voltage if battery is None else battery.voltage
+        self.signals.bus_voltage = torch.full_like(self.signals.position, self._voltage)
+        self.signals.temperature = torch.from_numpy(self._temperature.copy())[None]
+        self._resistance = self.parameters["terminal_resistance"][0].numpy()
+        self._compiled = self._compile() if compiled else None
+        # without an effect on the sensors they say what is, and that can be seen in the batch's own arrays
+        self._senses = self._compiled is None or _has(self.model, "apply", Stage.SENSING)
+        self._reports, self._tilts = _has(self.model, "report"), _has(self.model, "sense_trunk")
+        self._find_imu()
+
+    def _find_imu(self) -> None:
+        robot = self.scene.robot
+        self._attitude = None
+        if robot is None:
+            return
+        views = []
+        for element in (robot.imu_orientation, robot.imu_gyro, robot.imu_accelerometer):
+            sensor = self.batch.model.sensor(element.full_identifier)
+            first, width = int(sensor.adr[0]), int(sensor.dim[0])
+            views.append(self._sensors[0, first : first + width].numpy())
+        self._attitude, self._rates, self._force = views
+        if not self.scene.floating:
+            # MuJoCo's accelerometer reads zero on a body that cannot move.
+            self._force = np.asarray(self.scene.mounted_specific_force)
+        self._felt = np.concatenate([self._rates, self._force])
+        if self.scene.floating:
+            self._felt[3:] = 0.0, 0.0, 9.80665
+        self._latch_imu()
+
+    def _latch_imu(self) -> None:
+        assert self._attitude is not None
+        felt = self._felt
+        felt += self._blend * (np.concatenate([self._rates, self._force]) - felt)
+        self._imu = self._attitude.copy(), felt + self._imu_spread * self._rng.standard_normal(6)
+
+    @property
+    def translated(self) -> bool:
+        """Whether the law runs in numpy."""
+        return self._compiled is not None
+
+    @property
+    def position(self) -> Array:
+        """Joint angles as the encoders see them [joint] in rad."""
+        return self.signals.measured_position[0].numpy() if self._senses else self._position[0]
+
+    @property
+    def velocity(self) -> Array:
+        """Joint velocities [joint] in rad/s."""
+        return self.signals.measured_velocity[0].numpy() if self._senses else self._velocity[0]
+
+    def drive(self, drive: Drive) -> None:
+        """What the drivers do from now on; joints that are not enabled run free, with friction alone."""
+        goals = {
+            "goal_current": drive.current,
+            "goal_duty": drive.duty,
+            "by_voltage": drive.voltage,
+            "bound": np.minimum(drive.limit, UNBOUNDED),
+        }
+        self.signals.torque_enable = torch.from_numpy(drive.enabled.astype(float))[None]
+        if self._compiled is None:
+            for name, value in goals.items():
+                self.signals.state[name] = torch.from_numpy(value.astype(float))[None]
+        else:
+            self._compiled.inputs["torque_enable"][0] = drive.enabled
+            for name, value in goals.items():
+                self._compiled.state[name][0] = value
+
+    def advance(self, steps: int = 1) -> None:
+        """Let a number of periods pass.
+
+        Raises:
+            RuntimeError: if the physics has diverged; within `SLOW_EVERY` periods.
+        """
+        step = super().advance if self._compiled is None else self._step
+        with np.errstate(all="ignore"):  # of two branches, numpy computes the one that is not taken too
+            for _ in range(steps):
+                if self._board_drive is not None:
+                    self._move_board()
+                step()
+                self._steps += 1
+                if self._attitude is not None and self._steps % IMU_EVERY == 0:
+                    self._latch_imu()
+                if self._steps % SLOW_EVERY == 0:
+                    self._check()
+                    self._step_slow()
+        if self._senses:
+            self._read()
+            self.law.sense(self.signals)
+
+    def set_ground(self, board: BoardMotion | WeightSchedule | None = None, tiles: ArrayLike | None = None) -> None:
+        """What the ground does from now on; its time counts from this call.
+
+        Args:
+            board: what moves the board of the scene; None: nothing does.
+            tiles: heights of the tiles of the scene "terrain" [m]; None: as they are.
+
+        Raises:
+            ValueError: if the scene has no such board.
+        """
+        model = self.batch.model
+        self._board_drive = None if board is None else board_drive(model, board, GROUND_EVERY * PERIOD)
+        self._board, self._board_since = board, self._steps
+        if tiles is not None:
+            place_tiles(self.batch.expand("geom_pos"), tile_ids(model), np.asarray(tiles, dtype=float)[None])
+
+    def _move_board(self) -> None:
+        steps = self._steps - self._board_since
+        if steps % GROUND_EVERY == 0:
+            drive: Any = self._board_drive
+            forces = self.batch.bind("qfrc_applied")
+            drive.apply(self._board, np.array([steps * PERIOD]), self._qpos.numpy(), self._qvel.numpy(), forces)
+
+    def foremost(self) -> float:
+        """How far ahead the inner tip of the foremost foot is in the world [m]; 0 without a robot."""
+        if self.scene.robot is None:
+            return 0.0
+        model, data = self.batch.model, mujoco.MjData(self.batch.model)
+        data.qpos[:] = self._qpos[0].numpy()
+        mujoco.mj_kinematics(model, data)
+        names = [name for name in (model.site(i).name for i in range(model.nsite)) if name.endswith("sole_inner_tip")]
+        return float(max(data.site(name).xpos[0] for name in names))
+
+    def _check(self) -> None:
+        if self._compiled is not None:
+            # a number that is not finite spreads through the sum
+            finite = np.isfinite(sum(float(array.sum()) for array in self._handed))
+            self.failed[0] = not finite or bool(self.batch.warning.any())
+        if bool(self.failed[0]):
+            raise RuntimeError(f"the simulated robot's physics diverged at {self._steps * PERIOD:.3f} s")
+
+    def _compile(self) -> CompiledLaw | None:
+        """The law in numpy, reading the batch's own arrays; None where that cannot be."""
+        ports = self.ports
+        if any(e.stage == Stage.SENSING and e.name in self.signals.state for e in self.model.effects):
+            return None  # its memory would be asked for outside the law's own steps
+        if not all(isinstance(each, slice) for each in (ports.qpos, ports.dof, ports.ctrl, ports.transmitted)):
+            return None
+        self._position, self._velocity = self._qpos.numpy()[:, ports.qpos], self._qvel.numpy()[:, ports.dof]
+        live = {"position": self._position, "velocity": self._velocity}
+        try:
+            compiled = CompiledLaw(self.law, self.signals, (*HANDED_OVER, "current", "duty", "voltage"), live)
+        except Untranslatable:
+            return None
+        self._transmitted = self._sensors.numpy()[:, ports.transmitted]
+        self._rotor_inertia = self._rotor.numpy()
+        self._handed = (
+            self._ctrl.numpy()[:, ports.ctrl],
+            self._armature.numpy()[:, ports.dof],
+            self._friction.numpy()[:, ports.dof],
+        )
+        return compiled
+
+    def _step(self) -> None:
+        """What `BatchSimulation.advance` does in a control period of one step, in numpy."""
+        law = self._compiled
+        assert law is not None
+        if "load_torque" in law.inputs:
+            np.negative(self._transmitted, out=law.inputs["load_torque"])
+        if self._reads_force and "radial_force" in law.inputs:
+            force = self.ports.force
+            sensors = self._sensors.numpy()
+            np.hypot(sensors[:, force], sensors[:, force + 1], out=law.inputs["radial_force"])
+        law()
+        control, armature, friction = self._handed
+        control[...] = law.outputs["applied_torque"]
+        np.multiply(law.outputs["damping"], self.timestep, out=armature)
+        armature += self._rotor_inertia
+        friction[...] = law.outputs["friction_bound"]
+        self.batch.step()
+
+    def _flow(self, name: str) -> Array:
+        """Current, duty or voltage of the last step [joint]."""
+        if self._compiled is None:
+            return getattr(self.signals, name)[0].numpy()
+        return self._compiled.outputs[name][0]
+
+    def _step_slow(self) -> None:
+        signals, duration = self.signals, SLOW_EVERY * PERIOD
+        current = self._flow("current")
+        if self.battery is not None:
+            self.battery.step(float((self._flow("voltage") * current).sum()), duration)
+            self._voltage = self.battery.voltage
+        if self.supply is not None:
+            self._voltage = self.supply
+        elif self.battery is None:
+            self._voltage = self.model.bus_voltage
+        self._windings.step(self._temperature, self._resistance * current**2, duration)
+        signals.bus_voltage = torch.full_like(signals.position, self._voltage)
+        signals.temperature = torch.from_numpy(self._temperature.copy())[None]
+        if self._compiled is not None:
+            for name in ("bus_voltage", "temperature"):
+                if name in self._compiled.inputs:
+                    self._compiled.inputs[name][...] = getattr(signals, name).numpy()
+
+    def read(self) -> Readings:
+        """What all sensors say now."""
+        orientation, rates, force = None, None, None
+        if self._attitude is not None:
+            quaternion, felt = self._imu
+            rates, force = felt[:3], felt[3:]
+            if self._tilts:
+                seen = self.law.sense_trunk(Trunk(torch.from_numpy(quaternion)[None], torch.from_numpy(rates)[None]))
+                quaternion, rates = seen.quaternion[0].numpy(), seen.angular_velocity[0].numpy()
+            orientation = roll_pitch_yaw(quaternion)
+        current = self._flow("current")
+        if self._reports:
+            self.signals.current = torch.from_numpy(current.copy())[None]
+            self.law.report(self.signals)
+            current = self.signals.measured_current[0].numpy()
+        return Readings(
+            position=self.position.copy(),
+            velocity=self.velocity.copy(),
+            current=current.copy(),
+            duty=self._flow("duty").copy(),
+            voltage=np.full(len(self.joints), self._voltage),
+            temperature=self._temperature.copy(),
+            orientation=orientation,
+            angular_velocity=rates,
+            linear_acceleration=force,
+        )
+
+
+def _has(model: RobotModel, hook: str, stage: Stage | None = None) -> bool:
+    """Whether an effect of the model, of this stage, acts at a hook of `Effect`."""
+    effects = [effect for effect in model.effects if stage is None or effect.stage == stage]
+    return any(getattr(type(effect), hook) is not getattr(Effect, hook) for effect in effects)

@@ -1,0 +1,71 @@
+"""How a run on the robot ended, as the exit code of the process."""
+
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """Exit codes of `experiments/deploy.py`.
+
+    Below 10 nothing was sent to a servo. From 10 on nothing was energised. From 20 on the robot was energised, the
+    run ended early for this reason, and torque was switched off and read back. 40 is the one that needs a hand on
+    the battery switch.
+    """
+
+    OK = 0
+    """The run ended as asked."""
+    USAGE = 1
+    """A wrong argument or file; one sentence says which."""
+    START_CHECK = 10
+    """A start check failed; nothing was energised."""
+    DECLINED = 11
+    """The operator did not confirm; nothing was energised."""
+    PORT = 12
+    """The port could not be opened."""
+    ENERGISE = 13
+    """A servo did not take the settings that make switching torque on safe; torque is off."""
+    FALL = 20
+    """Roll or pitch stayed beyond the limit."""
+    BUS_LOSS = 21
+    """A servo or the IMU did not answer for 96 ms."""
+    UNPLUGGED = 22
+    """The serial port went away."""
+    IMU_FROZEN = 23
+    """The IMU repeated the same block."""
+    SERVO_SHUTDOWN = 24
+    """A servo reported a hardware error and shut itself down."""
+    TEMPERATURE = 25
+    """A servo is too hot."""
+    VOLTAGE = 26
+    """The supply voltage is too low."""
+    NON_FINITE = 27
+    """The policy or the controller asked for something that is not a finite number."""
+    OVERRUN = 28
+    """The loop was held up so long that the servos' watchdogs have let go."""
+    ERROR = 30
+    """An unexpected error, printed above."""
+    NOT_VERIFIED = 40
+    """Torque off could not be read back from every servo: switch the power off by hand."""
+    REPLAY = 50
+    """Replaying a log gave other actions than were recorded."""
+    HANGUP = 129
+    """SIGHUP: the terminal went away; torque was switched off."""
+    INTERRUPTED = 130
+    """SIGINT (Ctrl-C); torque was switched off."""
+    QUIT = 131
+    """SIGQUIT; torque was switched off."""
+    TERMINATED = 143
+    """SIGTERM; torque was switched off."""
+
+
+class Stop(Exception):
+    """Ends a run for a reason.
+
+    Args:
+        code: of the process.
+        reason: one sentence for the operator.
+        damp: whether the joints are damped for a while before torque goes off.
+    """
+
+    def __init__(self, code: ExitCode, reason: str, *, damp: bool = False):
+        self.code, self.reason, self.damp = code, reason, damp
+        super().__init__(reason)

@@ -1,0 +1,137 @@
+"""The control loop: read all, safety, command, PD, clamp, write - in every tick, in this order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from op3.deploy.bus import Bus
+from op3.deploy.exit_codes import Stop
+from op3.deploy.limits import Command
+from op3.deploy.monitors import Verdict
+from op3.deploy.phases import Phase
+from op3.deploy.safety import Guard
+from op3.deploy.state import State
+from op3.deploy.ticker import PERIOD, Tick, Ticker, Timing
+
+LogRow = Callable[[str, dict[Any, Any]], None]
+"""Takes the name of a log and a row of it."""
+
+
+class Loop:
+    """Runs phases one after the other, without a break between them.
+
+    Args:
+        bus: to read from.
+        safety: judges and writes.
+        log: takes every tick's row; None for no log.
+        show: called at the end of every tick with phase, state, command, goal currents [joint], verdict and ticker.
+        period: of a tick [s].
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        safety: Guard,
+        *,
+        log: LogRow | None = None,
+        show: Callable[..., None] | None = None,
+        period: float = PERIOD,
+    ):
+        self._bus, self._safety, self._log, self._show = bus, safety, log, show
+        self._period = period
+        self._ticker: Ticker | None = None
+        self._phase = ""
+        self._name = "approach"
+        self._channels: dict[Any, Any] = {}
+        self.target: NDArray[np.float64] | None = None
+        """Targets of the last tick [joint] in rad."""
+
+    def timing(self) -> Timing:
+        """How well the deadlines have been kept so far."""
+        return Timing(0, 0, 0.0, 0.0, 0.0) if self._ticker is None else self._ticker.timing()
+
+    def run(self, phases: Sequence[Phase]) -> None:
+        """Run the phases to their end.
+
+        Raises:
+            Stop: where the run has to end early; the joints have been damped then if they should be.
+        """
+        self._ticker = Ticker(self._bus.clock, self._period)
+        waiting = list(phases)
+        phase, began = waiting.pop(0), 0
+        try:
+            while True:
+                tick = self._ticker.wait()
+                state = self._bus.read_state()
+                verdict = self._safety.assess(tick, state)
+                command = phase.command(tick.index - began, state)
+                while command is None:
+                    if not waiting:
+                        return
+                    phase, began = waiting.pop(0), tick.index
+                    command = phase.command(0, state)
+                self._phase, self._name, self._channels = phase.name, phase.log, phase.channels()
+                self._end_tick(tick, state, command, verdict)
+        except Stop as stop:
+            if stop.damp and self._safety.torque:
+                self._damp(stop)
+            raise
+
+    def _end_tick(self, tick: Tick, state: State, command: Command, verdict: Verdict) -> None:
+        counts, issued = self._safety.write(state, command, verdict)
+        self.target = issued.position
+        self._keep(tick, state, issued, counts)
+        if self._show is not None:
+            self._show(self._phase, state, issued, counts, verdict, self._ticker)
+
+    def _damp(self, reason: Stop) -> None:
+        """Brake for a while before torque goes off; a graver reason in between cuts it short."""
+        assert self._ticker is not None
+        limits = self._safety.limits
+        self._name, self._channels = "after", {}
+        for _ in range(round(limits.damp_time / self._period)):
+            tick = self._ticker.wait()
+            state = self._bus.read_state()
+            try:
+                self._safety.assess(tick, state)
+            except Stop as stop:
+                if not stop.damp:
+                    raise reason from stop
+            counts = self._safety.damp(state)
+            target = state.position if self.target is None else self.target
+            self._keep(tick, state, Command.of(target, 0.0, limits.damp_gain), counts)
+
+    def _keep(self, tick: Tick, state: State, command: Command, counts: NDArray[np.int64]) -> None:
+        if self._log is None:
+            return
+        raw = state.counts
+        row: dict[Any, Any] = {
+            "time": tick.deadline + tick.lateness,
+            ("command", "position"): command.position,
+            ("command", "p_gain"): command.p_gain,
+            ("command", "d_gain"): command.d_gain,
+            ("joint", "position"): state.position,
+            ("joint", "velocity"): state.velocity,
+            ("joint", "current"): state.current,
+            ("joint", "voltage"): state.voltage,
+            ("joint", "temperature"): state.temperature,
+            ("imu", "orientation"): state.orientation,
+            ("imu", "angular_velocity"): state.angular_velocity,
+            ("imu", "linear_acceleration"): state.linear_acceleration,
+            ("raw", "goal_current"): counts,
+            ("raw", "current"): raw.current,
+            ("raw", "velocity"): raw.velocity,
+            ("raw", "position"): raw.position,
+            ("raw", "hardware_error"): raw.hardware_error,
+            ("raw", "answered"): state.answered,
+            ("raw", "imu"): raw.imu,
+            ("raw", "lateness"): tick.lateness,
+            **self._channels,
+        }
+        if not self._safety.torque:
+            row["command", "torque_enable"] = np.zeros(len(counts))
+        self._log(self._name, row)

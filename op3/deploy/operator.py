@@ -1,0 +1,86 @@
+"""The person at the robot: asked before torque, and able to say go while the loop runs."""
+
+from __future__ import annotations
+
+import select
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Protocol
+
+
+class Operator(Protocol):
+    """Someone who answers."""
+
+    def confirm(self, text: str) -> bool:
+        """Ask, and wait for the answer."""
+        ...
+
+    def said_go(self) -> bool:
+        """Whether go was said since the last call; never waits."""
+        ...
+
+    def begins(self) -> None:
+        """The policy begins now: set the ground in motion."""
+        ...
+
+    def travelled(self) -> float | None:
+        """How far the robot has got since then [m]; None where nobody measured it."""
+        ...
+
+
+class Console:
+    """A person at the terminal."""
+
+    def __init__(self) -> None:
+        self._prompted = False
+
+    def confirm(self, text: str) -> bool:
+        """Ask for the word yes."""
+        print(f"{text} Type yes and Enter to go on: ", end="", flush=True)
+        answer = sys.stdin.readline()
+        return answer.strip().lower() in ("yes", "y")
+
+    def said_go(self) -> bool:
+        """Whether Enter was pressed."""
+        if not self._prompted:
+            self._prompted = True
+            print("In the start pose. Put the robot where it shall begin, then press Enter; Ctrl-C switches off.")
+        ready, _, _ = select.select([sys.stdin], [], [], 0)
+        return bool(ready) and sys.stdin.readline() != ""
+
+    def begins(self) -> None:
+        """A person sees it."""
+
+    def travelled(self) -> float | None:
+        """A person measures it and writes `travelled_distance` into the log's metadata."""
+        return None
+
+
+class Yes:
+    """Agrees to everything at once; for the emulated robot and for tests."""
+
+    def confirm(self, text: str) -> bool:
+        """Yes."""
+        return True
+
+    def said_go(self) -> bool:
+        """Yes."""
+        return True
+
+    def begins(self) -> None:
+        """Nothing moves."""
+
+    def travelled(self) -> float | None:
+        """Nobody measures."""
+        return None
+
+
+def told(report: Callable[[str], None]) -> Callable[[str], None]:
+    """A report that does not fail where the terminal is gone: switching off matters more than saying so."""
+
+    def say(text: str) -> None:
+        with suppress(OSError, ValueError):
+            report(text)
+
+    return say

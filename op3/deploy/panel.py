@@ -1,0 +1,95 @@
+"""A live view of the robot in the terminal."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from contextlib import suppress
+from typing import Any, TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from op3.deploy.limits import Command
+from op3.deploy.monitors import Verdict
+from op3.deploy.registers import CURRENT_UNIT
+from op3.deploy.state import State
+from op3.deploy.ticker import Ticker
+from op3.robot import JOINTS
+
+RECENT = 1250
+"""Ticks whose lateness is shown: the last ten seconds."""
+
+
+class Panel:
+    """Rewrites a block of text a few times a second; silent where the output is no terminal.
+
+    Writing is left to a thread: a terminal that stalls, such as one at the end of a slow network, must not hold up the
+    loop. What it has no time to show is skipped.
+
+    Args:
+        stream: where it is written.
+        every: ticks between two refreshes.
+    """
+
+    def __init__(self, stream: TextIO | None = None, every: int = 31):
+        self._stream = stream or sys.stdout
+        self._every = every
+        self._ticks = 0
+        self._lines = 0
+        self._next: list[str] | None = None
+        self._due = threading.Event()
+        self._thread: threading.Thread | None = None
+        self.enabled = self._stream.isatty()
+
+    def __call__(
+        self, phase: str, state: State, command: Command, counts: NDArray[Any], verdict: Verdict, ticker: Ticker
+    ) -> None:
+        """Show a tick, if it is time to."""
+        if not self.enabled:
+            return
+        self._ticks += 1
+        if self._ticks % self._every != 1:
+            return
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._serve, daemon=True)
+            self._thread.start()
+        self._next = text(phase, state, command, counts, verdict, ticker)
+        self._due.set()
+
+    def _serve(self) -> None:
+        with suppress(OSError, ValueError):  # the terminal is gone
+            while True:
+                self._due.wait()
+                self._due.clear()
+                lines, self._next = self._next, None
+                if lines is not None:
+                    self._write(lines)
+
+    def _write(self, lines: list[str]) -> None:
+        up = f"\x1b[{self._lines}A" if self._lines else ""
+        self._stream.write(up + "".join(f"\x1b[2K{line}\n" for line in lines))
+        self._stream.flush()
+        self._lines = len(lines)
+
+
+def text(
+    phase: str, state: State, command: Command, counts: NDArray[Any], verdict: Verdict, ticker: Ticker
+) -> list[str]:
+    """The lines of the view: one row per joint, time and deadlines above, worries below."""
+    timing = ticker.timing(last=RECENT)
+    roll, pitch = np.rad2deg(state.orientation[:2])
+    lines = [
+        f"{phase:8s} {timing.ticks * ticker.period:8.1f} s   roll {roll:6.1f} pitch {pitch:6.1f} deg   "
+        f"{state.supply_voltage:.1f} V   late p99 {1e3 * timing.p99:.2f} max {1e3 * timing.max:.2f} ms   "
+        f"missed {timing.misses}",
+        f"{'joint':12s} {'target':>8s} {'angle':>8s} {'Kp':>6s} {'goal A':>7s} {'is A':>7s} {'C':>4s}",
+    ]
+    for i, name in enumerate(JOINTS):
+        lost = "" if state.answered[i] else "  no answer"
+        lines.append(
+            f"{name:12s} {command.position[i]:8.3f} {state.position[i]:8.3f} {command.p_gain[i]:6.2f} "
+            f"{counts[i] * CURRENT_UNIT:7.2f} {state.current[i]:7.2f} {state.temperature[i]:4.0f}{lost}"
+        )
+    lines.append(verdict.note or "all well")
+    return lines

@@ -1,0 +1,256 @@
+"""Packets of Dynamixel Protocol 2.0, to the byte.
+
+    FF FF FD 00 | id | length (2) | instruction | parameters | crc (2)
+
+`length` counts everything behind it. Instruction and parameters are stuffed: behind every FF FF FD comes one more FD,
+so that a header cannot appear inside a packet. The CRC is taken over all bytes before it, as they are on the wire.
+Source: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+HEADER = b"\xff\xff\xfd\x00"
+"""What every packet begins with."""
+
+BROADCAST_ID = 0xFE
+"""Address of all devices."""
+
+MAX_ID = 0xFC
+"""Highest id of a device."""
+
+MAX_LENGTH = 1024
+"""Largest value of a packet's length field that is believed; the buffer of dynamixel-sdk."""
+
+ALERT = 0x80
+"""Bit of a status packet's error byte: the device has a hardware error."""
+
+_PATTERN = b"\xff\xff\xfd"
+
+
+class Instruction(IntEnum):
+    """What a packet asks for, or that it is an answer."""
+
+    PING = 0x01
+    READ = 0x02
+    WRITE = 0x03
+    REG_WRITE = 0x04
+    ACTION = 0x05
+    FACTORY_RESET = 0x06
+    REBOOT = 0x08
+    CLEAR = 0x10
+    STATUS = 0x55
+    SYNC_READ = 0x82
+    SYNC_WRITE = 0x83
+    FAST_SYNC_READ = 0x8A
+    BULK_READ = 0x92
+    BULK_WRITE = 0x93
+    FAST_BULK_READ = 0x9A
+
+
+class Error(IntEnum):
+    """Error number of a status packet, without the `ALERT` bit."""
+
+    NONE = 0
+    RESULT_FAIL = 1
+    INSTRUCTION = 2
+    CRC = 3
+    DATA_RANGE = 4
+    DATA_LENGTH = 5
+    DATA_LIMIT = 6
+    ACCESS = 7
+
+
+def _crc_table() -> tuple[int, ...]:
+    table = []
+    for byte in range(256):
+        register = byte << 8
+        for _ in range(8):
+            register = (register << 1) ^ (0x8005 if register & 0x8000 else 0)
+        table.append(register & 0xFFFF)
+    return tuple(table)
+
+
+_TABLE = _crc_table()
+
+
+def crc16(data: bytes | bytearray, crc: int = 0) -> int:
+    """CRC-16 with polynomial 0x8005, most significant bit first, no final inversion.
+
+    Args:
+        data: bytes to check.
+        crc: result over the bytes before them.
+    """
+    table = _TABLE
+    for byte in data:
+        crc = (crc << 8 & 0xFF00) ^ table[crc >> 8 ^ byte]
+    return crc
+
+
+def stuff(body: bytes) -> bytes:
+    """Instruction and parameters as they go over the wire."""
+    return body.replace(_PATTERN, b"\xff\xff\xfd\xfd") if _PATTERN in body else body
+
+
+def unstuff(body: bytes) -> bytes:
+    """The inverse of `stuff`."""
+    return body.replace(b"\xff\xff\xfd\xfd", _PATTERN) if _PATTERN in body else body
+
+
+def encode(device: int, instruction: int, parameters: bytes = b"") -> bytes:
+    """A whole packet, ready for the wire.
+
+    Args:
+        device: id of the device that it is for, or that it comes from.
+        instruction: one of `Instruction`.
+        parameters: as the instruction defines them.
+
+    Raises:
+        ValueError: if the packet would be longer than `MAX_LENGTH`, or the id is none.
+    """
+    if not 0 <= device <= BROADCAST_ID or device == 0xFD:
+        raise ValueError(f"a device's id is 0 to {MAX_ID} or {BROADCAST_ID} for all, got {device}")
+    body = stuff(bytes((instruction,)) + parameters)
+    length = len(body) + 2
+    if length > MAX_LENGTH:
+        raise ValueError(f"a packet holds at most {MAX_LENGTH - 3} bytes of parameters, got {len(parameters)}")
+    packet = HEADER + bytes((device, length & 0xFF, length >> 8)) + body
+    return packet + crc16(packet).to_bytes(2, "little")
+
+
+def encode_status(device: int, error: int, data: bytes = b"") -> bytes:
+    """A device's answer.
+
+    Args:
+        device: its id.
+        error: one of `Error`, with `ALERT` added if the device has a hardware error.
+        data: what was asked for.
+    """
+    return encode(device, Instruction.STATUS, bytes((error,)) + data)
+
+
+def encode_fast_status(parts: list[tuple[int, int, bytes]]) -> list[bytes]:
+    """One status packet that several devices build together, in answer to a fast sync or bulk read.
+
+    Each device appends its error, id, data and a CRC over everything before; the packet's id is `BROADCAST_ID`, and
+    nothing is stuffed.
+
+    Args:
+        parts: error, id and data of each device in their order.
+
+    Returns:
+        What each device sends; joined they are the packet.
+    """
+    length = 1 + sum(len(data) + 4 for _, _, data in parts)
+    head = HEADER + bytes((BROADCAST_ID, length & 0xFF, length >> 8, Instruction.STATUS))
+    sent, crc = [], 0
+    for number, (error, device, data) in enumerate(parts):
+        piece = (head if number == 0 else b"") + bytes((error, device)) + data
+        crc = crc16(piece, crc)
+        piece += crc.to_bytes(2, "little")
+        crc = crc16(piece[-2:], crc)
+        sent.append(piece)
+    return sent
+
+
+@dataclass(frozen=True, slots=True)
+class Packet:
+    """One packet that arrived whole.
+
+    Attributes:
+        device: id of the device that it is for, or that it comes from.
+        instruction: one of `Instruction`, or a number that is none.
+        parameters: without stuffing; of an answer, its error byte first.
+    """
+
+    device: int
+    instruction: int
+    parameters: bytes
+
+    @property
+    def error(self) -> int:
+        """Error number of a status packet, without the alert."""
+        return self.parameters[0] & ~ALERT
+
+    @property
+    def alert(self) -> bool:
+        """Whether the device that sent this status packet has a hardware error."""
+        return bool(self.parameters[0] & ALERT)
+
+    @property
+    def data(self) -> bytes:
+        """What a status packet carries behind its error byte."""
+        return self.parameters[1:]
+
+
+class Parser:
+    """Finds packets in a stream of bytes, whatever stands between them.
+
+    A packet is accepted if its header, id and length are possible and its CRC is right; otherwise the search goes on
+    one byte behind its header, so that a packet behind a damaged one is found.
+
+    Attributes:
+        crc_errors: how many packets with a wrong CRC there were.
+        skipped: how many bytes belonged to no packet.
+    """
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+        self.crc_errors = 0
+        self.skipped = 0
+
+    @property
+    def pending(self) -> int:
+        """Bytes of a packet that has begun and not ended."""
+        return len(self._buffer)
+
+    def reset(self) -> None:
+        """Forget what has begun."""
+        self.skipped += len(self._buffer)
+        self._buffer.clear()
+
+    def feed(self, data: bytes) -> list[Packet]:
+        """Take bytes as they come; returns the packets that they complete."""
+        buffer = self._buffer
+        buffer += data
+        found = []
+        while True:
+            self._drop(self._begin())
+            if len(buffer) < 7:
+                return found
+            length = buffer[5] | buffer[6] << 8
+            if buffer[4] in (0xFD, 0xFF) or not 3 <= length <= MAX_LENGTH:
+                self._drop(3)
+                continue
+            end = 7 + length
+            if len(buffer) < end:
+                return found
+            if crc16(buffer[: end - 2]) != buffer[end - 2] | buffer[end - 1] << 8:
+                self.crc_errors += 1
+                self._drop(3)
+                continue
+            body, device = bytes(buffer[7 : end - 2]), buffer[4]
+            del buffer[:end]
+            if not (device == BROADCAST_ID and body[0] == Instruction.STATUS):
+                body = unstuff(body)  # fast answers, and they alone, are not stuffed
+            found.append(Packet(device, body[0], body[1:]))
+
+    def _begin(self) -> int:
+        """Where a header begins, or could begin with the bytes to come."""
+        buffer = self._buffer
+        if buffer.startswith(HEADER):
+            return 0
+        at = buffer.find(HEADER)
+        if at >= 0:
+            return at
+        for kept in (3, 2, 1):
+            if buffer.endswith(HEADER[:kept]):
+                return len(buffer) - kept
+        return len(buffer)
+
+    def _drop(self, count: int) -> None:
+        if count:
+            self.skipped += count
+            del self._buffer[:count]

@@ -1,0 +1,352 @@
+"""The one object that may write to the servos.
+
+Nothing else holds a write handle, so every current that reaches a servo has passed the limits here, and whatever
+ends the program passes through `Safety.release`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from op3.deploy.bus import ATTEMPTS, Bus, BusError, Unplugged
+from op3.deploy.exit_codes import ExitCode, Stop
+from op3.deploy.limits import Command, CurrentLimiter, Limits
+from op3.deploy.monitors import Monitor, Verdict
+from op3.deploy.operator import told
+from op3.deploy.registers import OperatingMode
+from op3.deploy.start_checks import Check, StartChecks
+from op3.deploy.state import State
+from op3.deploy.ticker import PERIOD, Tick
+from op3.robot import JOINTS
+
+WATCHDOG_UNIT = 0.02
+"""Unit of the register `bus_watchdog` [s]."""
+
+WATCHDOG = 5
+"""Bus watchdog in its unit: a servo that hears nothing for 100 ms lets go by itself."""
+
+RECOVERY_TIME = 0.25
+"""How long the P gains take to come back after a loss that was long enough to damp [s]."""
+
+RELEASE_WRITES = 3
+"""How often zero current and torque off are sent before they are read back."""
+
+RELEASE_PATIENCE = 5.0
+"""How long torque off is tried on a silent bus [s]."""
+
+
+@dataclass(frozen=True)
+class Release:
+    """What became of switching torque off.
+
+    Attributes:
+        verified: joints whose torque reads off.
+        failed: joints whose torque does not, or that do not answer, and what is known of them.
+    """
+
+    verified: tuple[str, ...]
+    failed: dict[str, str]
+
+    @property
+    def ok(self) -> bool:
+        """Whether every servo's torque reads off."""
+        return not self.failed
+
+    def __str__(self) -> str:
+        count = f"torque off verified {len(self.verified)}/{len(self.verified) + len(self.failed)}"
+        if self.ok:
+            return count
+        who = ", ".join(f"{name} ({why})" for name, why in self.failed.items())
+        return f"{count}; NOT VERIFIED: {who}. Switch the robot's power off by hand"
+
+
+class Safety:
+    """Checks, energises, limits, watches and releases the robot.
+
+    Args:
+        bus: whose writer is taken.
+        limits: what the robot may do.
+        period: of the loop [s].
+        current_scale: share of the peak currents that is allowed, for a suspended robot or first trials.
+        torque: whether torque may be switched on at all; without it currents are computed and not sent.
+        report: where lines for the operator go.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        limits: Limits | None = None,
+        *,
+        period: float = PERIOD,
+        current_scale: float = 1.0,
+        torque: bool = True,
+        report: Callable[[str], None] = print,
+    ):
+        if not 0 < current_scale <= 1:
+            raise ValueError(f"current_scale must be above 0 and at most 1, got {current_scale}")
+        self.bus, self.limits, self.torque = bus, limits or Limits(), torque
+        self._writer = bus.writer()
+        self._report = told(report)
+        self._period = period
+        self._limiter = CurrentLimiter(self.limits, period, current_scale)
+        self._monitor = Monitor(self.limits, period)
+        self._energising = False
+        self._gain_share = 1.0
+        self._damped = False
+        self._written = np.zeros(len(JOINTS), dtype=np.int64)
+        self._write_time: float | None = None
+
+    @property
+    def load(self) -> NDArray[np.float64]:
+        """[joint] mean square current over what a servo carries for ever."""
+        return self._limiter.load
+
+    def check_start(self, *, sysfs: Path | None = None) -> list[Check]:
+        """Run the start checks.
+
+        Raises:
+            Stop: if one fails; nothing is energised.
+        """
+        options = {} if sysfs is None else {"sysfs": sysfs}
+        checks = StartChecks(self.bus, self._writer, self.limits, **options).run(lambda check: self._report(str(check)))
+        if failed := [check for check in checks if not check.ok]:
+            raise Stop(ExitCode.START_CHECK, f"{failed[0].name}: {failed[0].detail}")
+        return checks
+
+    def power_up(self) -> None:
+        """Switch on the servos' supply and see that all answer.
+
+        Raises:
+            Stop: if one does not.
+        """
+        checks = StartChecks(self.bus, self._writer, self.limits).run_power()
+        if failed := [check for check in checks if not check.ok]:
+            raise Stop(ExitCode.START_CHECK, f"{failed[0].name}: {failed[0].detail}")
+
+    def prepare(self) -> None:
+        """Choose how a tick is read; needs no torque."""
+        block = self._writer.prepare_block()
+        way = "fast sync read" if block.fast else "sync read"
+        self._report(f"reading {block.length} bytes per servo by {way}")
+
+    def write_settings(self, values: dict[str, int]) -> None:
+        """Write registers of all servos' EEPROM, with torque off, where they differ.
+
+        Raises:
+            Stop: if a servo does not take a value.
+        """
+        try:
+            self._set("torque_enable", 0)
+            for register, value in values.items():
+                self._set(register, value)
+        except BusError as error:
+            raise Stop(ExitCode.ENERGISE, str(error)) from error
+
+    def energise(self) -> None:
+        """Switch torque on, in the only order that is safe.
+
+        A change of the operating mode sets the goal current to the current limit, so the goal is written afterwards
+        and read back from every servo before torque. A watchdog that has tripped makes the goals read-only, so it
+        is cleared first; armed it is last, because from then on the loop has to run.
+
+        Raises:
+            Stop: if a servo does not take a value.
+        """
+        self._energising = True
+        peak = np.floor(self._limiter.limit).astype(int)
+        current_limits = {name: int(value) for name, value in zip(JOINTS, peak, strict=True)}
+        try:
+            self._set("torque_enable", 0)
+            self._set("bus_watchdog", 0)
+            self._set("operating_mode", OperatingMode.CURRENT)
+            self._set("current_limit", current_limits)
+            self._set("goal_current", 0, always=True)
+            self._set("torque_enable", 1)
+            self._set("bus_watchdog", WATCHDOG)
+        except BusError as error:
+            raise Stop(ExitCode.ENERGISE, str(error)) from error
+        self._write_time = self.bus.clock.now()
+        self._report("torque on, watchdog armed")
+
+    def _set(self, register: str, values: dict[str, int] | int, *, always: bool = False) -> None:
+        """Write a register of all servos until it reads back; values already there are not written again.
+
+        EEPROM wears out, so a servo that has the value is left alone unless `always`.
+        """
+        wanted = dict.fromkeys(JOINTS, values) if isinstance(values, int) else values
+        for attempt in range(2 * ATTEMPTS):
+            if attempt > 0 or not always:
+                there = self.bus.sync_read(register)
+                wrong = {name: value for name, value in wanted.items() if there.get(name) != value}
+                if not wrong:
+                    return
+            else:
+                wrong = wanted
+            self._writer.sync_write(register, wrong)
+        there = self.bus.sync_read(register)
+        wrong = {name: there.get(name) for name, value in wanted.items() if there.get(name) != value}
+        if wrong:
+            what = ", ".join(f"{name} ({'no answer' if value is None else value})" for name, value in wrong.items())
+            raise Stop(ExitCode.ENERGISE, f"{register} could not be set on {what}")
+
+    def assess(self, tick: Tick, state: State) -> Verdict:
+        """Judge a reading; raises `Stop` where the run has to end."""
+        self._check_gap()
+        verdict = self._monitor.judge(tick.index, tick.deadline, state)
+        if self.torque and self._damped and not verdict.damp:
+            self._check_torque()
+        self._damped = verdict.damp
+        return verdict
+
+    def _check_gap(self) -> None:
+        """A computer that was held up too long finds servos that ignore its goals until they are switched on anew."""
+        if not self.torque or self._write_time is None:
+            return
+        gap = self.bus.clock.now() - self._write_time
+        if gap >= WATCHDOG * WATCHDOG_UNIT:
+            reason = f"nothing was written for {1e3 * gap:.0f} ms, so the servos have let go by themselves"
+            raise Stop(ExitCode.OVERRUN, f"{reason}; free the computer of other work")
+
+    def _check_torque(self) -> None:
+        """After a long silence: a servo that started anew meanwhile has no torque and says nothing about it."""
+        off = [name for name, value in self.bus.sync_read("torque_enable").items() if not value]
+        if off:
+            raise Stop(ExitCode.SERVO_SHUTDOWN, f"torque is off on {', '.join(off)}: restarted by itself; check power")
+
+    def write(self, state: State, command: Command, verdict: Verdict) -> tuple[NDArray[np.int64], Command]:
+        """PD, every limit, and the goal currents on their way.
+
+        A servo that did not answer keeps its goal while coasting, and gets none while damping.
+
+        Returns:
+            Goal currents [joint] in counts, and the command as it was carried out.
+
+        Raises:
+            Stop: if a number is not finite; then nothing is written.
+            Unplugged: if the port is gone.
+        """
+        command = command.limited()
+        if verdict.damp:
+            self._gain_share = 0.0
+            command = command.damped(self.limits.damp_gain)
+        elif self._gain_share < 1:
+            self._gain_share = min(1.0, self._gain_share + self._period / RECOVERY_TIME)
+            command = Command(command.position, self._gain_share * command.p_gain, command.d_gain)
+        fresh = self._limiter.counts(state, command)
+        silent = 0 if verdict.damp else self._written
+        return self._send(np.where(state.answered, fresh, silent), state), command
+
+    def damp(self, state: State) -> NDArray[np.int64]:
+        """Goal currents that only brake; for the time between a reason to stop and torque off."""
+        command = Command.of(state.position, 0.0, self.limits.damp_gain)
+        fresh = self._limiter.counts(state, command)
+        return self._send(np.where(state.answered, fresh, 0), state)
+
+    def _send(self, counts: NDArray[np.int64], state: State) -> NDArray[np.int64]:
+        self._check_gap()
+        if self.torque:
+            self._writer.write_currents(counts)
+        self._write_time = self.bus.clock.now()
+        self._written = counts
+        self._limiter.account(counts, state)
+        return counts
+
+    @property
+    def touched(self) -> bool:
+        """Whether a servo may have torque."""
+        return self._energising
+
+    def release(self, patience: float = RELEASE_PATIENCE) -> Release:
+        """Switch torque off and read it back; tries for `patience` [s] on a bus that does not answer.
+
+        Never raises but for its own mistakes: whatever the bus does ends in the report.
+        """
+        clock = self.bus.clock
+        end = clock.now() + patience
+        while True:
+            result = self._release_once()
+            if result.ok or clock.now() >= end:
+                break
+            clock.sleep_until(clock.now() + 0.05)
+        if result.ok:
+            self._energising = False
+            # A watchdog that has tripped keeps the goals as they were. With torque off it is safe to clear, and
+            # the goals are zero then for whoever switches torque on next.
+            self._attempt(lambda: self._writer.sync_write("bus_watchdog", 0))
+            self._attempt(lambda: self._writer.sync_write("goal_current", 0))
+        self._report(str(result))
+        return result
+
+    def _release_once(self) -> Release:
+        for _ in range(RELEASE_WRITES):
+            self.bus.clear()
+            self._attempt(lambda: self._writer.sync_write("goal_current", 0))
+            self._attempt(lambda: self._writer.sync_write("torque_enable", 0))
+        there: dict[str, int] = {}
+        self._attempt(lambda: there.update(self.bus.sync_read("torque_enable")))
+        for name in JOINTS:
+            # A silent servo hides those behind it from a sync read.
+            if name not in there:
+                self._attempt(lambda name=name: there.update({name: self.bus.read(name, "torque_enable")}))
+        failed = {name: "no answer" if name not in there else "still on" for name in JOINTS if there.get(name) != 0}
+        return Release(tuple(name for name in JOINTS if name not in failed), failed)
+
+    def _attempt(self, call: Callable[[], object]) -> None:
+        """Do something on the bus; if the port has gone, try to open it again."""
+        try:
+            call()
+        except Unplugged:
+            try:
+                self.bus.open()
+            except BusError:
+                return
+        except BusError:
+            return
+
+
+class Guard(Protocol):
+    """What the loop needs of a safety object."""
+
+    limits: Limits
+    torque: bool
+
+    def assess(self, tick: Tick, state: State) -> Verdict:
+        """Judge a reading."""
+        ...
+
+    def write(self, state: State, command: Command, verdict: Verdict) -> tuple[NDArray[np.int64], Command]:
+        """Carry out a command."""
+        ...
+
+    def damp(self, state: State) -> NDArray[np.int64]:
+        """Brake."""
+        ...
+
+
+class Onlooker:
+    """A guard that has no write handle: it judges nothing and writes nothing."""
+
+    torque = False
+
+    def __init__(self, limits: Limits | None = None):
+        self.limits = limits or Limits()
+        self.load = np.zeros(len(JOINTS))
+
+    def assess(self, tick: Tick, state: State) -> Verdict:
+        """Everything is allowed, since nothing is done; losses are told."""
+        silent = [JOINTS[i] for i in np.flatnonzero(~state.answered)]
+        return Verdict(note=f"no answer from {', '.join(silent)}" if silent else "")
+
+    def write(self, state: State, command: Command, verdict: Verdict) -> tuple[NDArray[np.int64], Command]:
+        """Nothing is written."""
+        return np.zeros(len(JOINTS), dtype=np.int64), command
+
+    def damp(self, state: State) -> NDArray[np.int64]:
+        """Nothing is written."""
+        return np.zeros(len(JOINTS), dtype=np.int64)

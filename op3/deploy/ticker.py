@@ -1,0 +1,99 @@
+"""Absolute deadlines, and how well they were kept."""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass
+
+import numpy as np
+
+from op3.deploy.clock import Clock
+
+PERIOD = 0.008
+"""Period of the control loop [s]: 125 Hz (paper Sec. robot setup)."""
+
+POLICY_TICKS = 4
+"""Ticks per policy step: 31.25 Hz (paper Sec. robot setup)."""
+
+
+@dataclass(frozen=True)
+class Tick:
+    """One deadline.
+
+    Attributes:
+        index: number of the deadline, counted from 0; skipped ones count too.
+        deadline: when the tick was due [s, clock].
+        lateness: how long after that it began [s].
+    """
+
+    index: int
+    deadline: float
+    lateness: float
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How well the deadlines were kept.
+
+    Attributes:
+        ticks: how many were run.
+        misses: how many were skipped because their time had passed.
+        p50: median lateness [s].
+        p99: lateness that one tick in a hundred exceeds [s].
+        max: worst lateness [s].
+    """
+
+    ticks: int
+    misses: int
+    p50: float
+    p99: float
+    max: float
+
+    def __str__(self) -> str:
+        p50, p99, worst = (1e3 * value for value in (self.p50, self.p99, self.max))
+        return (
+            f"{self.ticks} ticks, {self.misses} missed; lateness p50 {p50:.2f} ms, p99 {p99:.2f} ms, max {worst:.2f} ms"
+        )
+
+
+class Ticker:
+    """Deadlines at whole multiples of the period from the first tick on.
+
+    Waiting for the next tick never shifts the later ones. Deadlines that passed while a tick ran are skipped and
+    counted, so that a slow tick is not followed by a burst of fast ones.
+
+    Args:
+        clock: to wait on.
+        period: between deadlines [s].
+    """
+
+    def __init__(self, clock: Clock, period: float = PERIOD):
+        self.period = period
+        self.misses = 0
+        self._clock = clock
+        self._start = clock.now()
+        self._index = -1
+        self._lateness = array("d")
+
+    def wait(self) -> Tick:
+        """Sleep until the next deadline that has not passed by a period or more."""
+        self._index += 1
+        behind = int((self._clock.now() - self._deadline) / self.period)
+        if behind > 0:
+            self._index += behind
+            self.misses += behind
+        self._clock.sleep_until(self._deadline)
+        lateness = max(0.0, self._clock.now() - self._deadline)
+        self._lateness.append(lateness)
+        return Tick(self._index, self._deadline, lateness)
+
+    @property
+    def _deadline(self) -> float:
+        return self._start + self._index * self.period
+
+    def timing(self, last: int | None = None) -> Timing:
+        """Statistics of all ticks so far, or of the last ones; `ticks` and `misses` count all."""
+        chosen = self._lateness if last is None else self._lateness[-last:]
+        values = np.array(chosen) if len(chosen) else np.zeros(1)
+        p50, p99 = np.percentile(values, [50, 99])
+        return Timing(len(self._lateness), self.misses, float(p50), float(p99), float(values.max()))

@@ -1,0 +1,20 @@
+"""Locate where simulation and logs disagree, name the missing effect, add it, show the gap shrink."""
+
+from op3.diagnose.aliasing import aliasing
+from op3.diagnose.diagnosis import Diagnosis
+from op3.diagnose.free_run import FreeRunResiduals, engine_for
+from op3.diagnose.split import LogSplit, split_logs
+from op3.diagnose.verdict import Finding, Verdict
+from op3.diagnose.windows import WindowResiduals
+
+__all__ = [
+    "Diagnosis",
+    "Finding",
+    "FreeRunResiduals",
+    "LogSplit",
+    "Verdict",
+    "WindowResiduals",
+    "aliasing",
+    "engine_for",
+    "split_logs",
+]

@@ -1,0 +1,58 @@
+"""What these logs can tell at all: which effects they show, and which look alike."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from op3.diagnose.diagnosis import Diagnosis
+from op3.diagnose.screen import Screened, cosines
+
+ALIKE = 0.7
+"""Cosine beyond which two effects are alike to these logs."""
+
+VISIBLE = 0.3
+"""Share of an effect that the base must leave for it to be seen."""
+
+
+def aliasing(diagnosis: Diagnosis, most: int = 60) -> dict[str, Any]:
+    """Visibility of every hypothesis, and pairs that look alike once the base has had its say.
+
+    Args:
+        diagnosis: not run yet; its base is refitted and the catalogue screened.
+        most: pairs that are listed.
+
+    Returns:
+        ``sentence``; ``visibility`` by effect and joint; ``hidden``, those below `VISIBLE`; ``alike``, pairs with their
+        cosine, the most alike first.
+    """
+    base = diagnosis.refit_base(diagnosis.given)
+    best: dict[str, Screened] = {}
+    for s in diagnosis.screen(base):
+        label = s.hypothesis.label(diagnosis.engine.joints)
+        if label not in best or s.strength > best[label].strength:
+            best[label] = s
+    return report(best, most)
+
+
+def report(best: Mapping[str, Screened], most: int) -> dict[str, Any]:
+    """The report of one secant per hypothesis, by its label."""
+    seen = {label: s for label, s in best.items() if s.strength > 0}
+    hidden = sorted(label for label, s in best.items() if s.visibility < VISIBLE)
+    labels = list(seen)
+    pairs: list[dict[str, Any]] = []
+    if labels:
+        cosine = cosines(list(seen.values()))
+        first, second = np.triu_indices(len(labels), 1)
+        for i in np.argsort(-np.abs(cosine[first, second])):
+            a, b = int(first[i]), int(second[i])
+            if abs(cosine[a, b]) < ALIKE or len(pairs) >= most:
+                break
+            pairs.append({"effects": [labels[a], labels[b]], "cosine": round(float(cosine[a, b]), 3)})
+    return {
+        "sentence": f"These logs show {len(best) - len(hidden)} of {len(best)} hypotheses, "
+        f"and {len(pairs)} pairs look alike to them.",
+        "visibility": {label: round(s.visibility, 3) for label, s in best.items()},
+        "hidden": hidden,
+        "alike": pairs,
+    }

@@ -1,0 +1,216 @@
+"""The numbers that a fit moves: shared parameters, deviations of single joints, and how far they may go."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import inf
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from op3.servo import Parameter, RobotModel, catalogue
+from op3.servo.conditions import split_name
+
+SPREAD: Mapping[str, float] = {
+    "torque_constant": 0.02,
+    "coulomb_friction": 0.03,
+    "viscous_friction": 0.03,
+    "static_friction_excess": 0.03,
+}
+"""How much servos of one make differ, as a standard deviation relative to the shared value."""
+
+REACH = 4.0
+"""How many times smaller or larger than its start a parameter outside the catalogue's range may become."""
+
+HELD = ("controller_gain",)
+"""Parameters that a base does not refit: the firmware's gain is known. It is a hypothesis like others."""
+
+SPREAD_LIMIT = 2.0
+"""Standard deviations that a joint may differ; what differs more is a fault of this joint, and a hypothesis."""
+
+
+CHAIN: Mapping[str, tuple[float, float, bool]] = {
+    "velocity_time_constant": (0.002, 0.0006, False),
+    "current_time_constant": (0.0005, 0.0003, False),
+    "current_offset": (0.0, 0.003, True),
+    "bristle_compliance": (0.0025, 0.0008, False),
+}
+"""What every chain of measurement has a little of: expected value, standard deviation, and whether joints differ.
+
+Unmodelled, a velocity filter of 2 ms passes for a wrong terminal resistance in nearly every case.
+"""
+
+
+def with_chain(model: RobotModel) -> RobotModel:
+    """The model with the effects of the measurement chain on, at what is expected of them."""
+    for effect in catalogue().values():
+        for known in effect.parameters:
+            if known.name in CHAIN and effect.name not in model.effect_names:
+                model = model.with_effect(effect(), {known.name: CHAIN[known.name][0]})
+    return model
+
+
+def other_forms(model: RobotModel) -> list[RobotModel]:
+    """Models that differ in the form of one effect alone: same parameters, another law for the same loss."""
+    result = []
+    for effect in model.effects:
+        if effect.name == "dte":
+            for form in ("passive", "power"):
+                if form != effect.form:  # type: ignore[attr-defined]
+                    values = {p.name: model.estimate(p.name) for p in effect.parameters}
+                    result.append(model.with_effect(replace(effect, form=form), values))  # type: ignore[call-arg]
+    return result
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """One number of a fit.
+
+    Attributes:
+        parameter: of the model.
+        joints: columns that it moves; None for all alike.
+        low: smallest value.
+        high: largest value.
+        start: where the fit starts.
+        prior: what it is expected to be.
+        deviation: standard deviation of that expectation.
+        kind: ``value``: it is the parameter. ``add``: it is added to the parameter of its joints. ``scale``: the
+            parameter of its joints is multiplied by one plus this.
+    """
+
+    parameter: str
+    joints: tuple[int, ...] | None
+    low: float
+    high: float
+    start: float
+    prior: float
+    deviation: float = inf
+    kind: str = "value"
+
+    @property
+    def name(self) -> str:
+        """Parameter and joints, such as ``coulomb_friction[3]``."""
+        where = "" if self.joints is None else f"[{','.join(map(str, self.joints))}]"
+        return f"{self.parameter}{where}" + ("" if self.kind == "value" else f" {self.kind}")
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """An ordered set of numbers and how they become parameters of a model.
+
+    Attributes:
+        model: gives everything that is not moved.
+        joints: joint names.
+        entries: the numbers.
+    """
+
+    model: RobotModel
+    joints: tuple[str, ...]
+    entries: tuple[Coordinate, ...]
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    @property
+    def start(self) -> np.ndarray:
+        """Where a fit starts, ``[coordinate]``."""
+        return np.array([entry.start for entry in self.entries])
+
+    @property
+    def low(self) -> np.ndarray:
+        """Smallest values, ``[coordinate]``."""
+        return np.array([entry.low for entry in self.entries])
+
+    @property
+    def high(self) -> np.ndarray:
+        """Largest values, ``[coordinate]``."""
+        return np.array([entry.high for entry in self.entries])
+
+    def penalties(self, points: np.ndarray) -> np.ndarray:
+        """How many standard deviations points ``[candidate, coordinate]`` are from what is expected."""
+        prior = np.array([entry.prior for entry in self.entries])
+        deviation = np.array([entry.deviation for entry in self.entries])
+        return (points - prior) / deviation
+
+    def values(self, points: np.ndarray) -> dict[str, Tensor]:
+        """Parameters by name, ``[candidate, joint]``, within what physics allows.
+
+        Args:
+            points: ``[candidate, coordinate]``.
+        """
+        known, base = self.model.parameters(), self.model.tensors(self.joints)
+        result: dict[str, Tensor] = {}
+        moved = torch.from_numpy(np.ascontiguousarray(points, dtype=np.float64))
+        for kind in ("value", "add", "scale"):
+            for i, entry in enumerate(self.entries):
+                if entry.kind != kind:
+                    continue
+                name = entry.parameter
+                if name not in result:
+                    result[name] = base[name].expand(len(points), base[name].shape[1]).clone()
+                columns = slice(None) if entry.joints is None else list(entry.joints)
+                column = moved[:, i : i + 1]
+                if kind == "value":
+                    result[name][:, columns] = column
+                elif kind == "add":
+                    result[name][:, columns] += column
+                else:
+                    result[name][:, columns] *= 1.0 + column
+        return {name: value.clamp(known[name].least, known[name].most) for name, value in result.items()}
+
+    def extended(self, model: RobotModel, more: Sequence[Coordinate]) -> "Coordinates":
+        """These numbers and more, for a model with more effects."""
+        return Coordinates(model, self.joints, (*self.entries, *more))
+
+
+def base_coordinates(model: RobotModel, joints: Sequence[str], *, fixed_base: bool) -> Coordinates:
+    """What is refitted before and beside every hypothesis: the model's own parameters, and the spread of its servos.
+
+    A forward efficiency of a current-driven servo is left out: it cannot be told from the torque constant. So are
+    masses of a base that is held.
+
+    Args:
+        model: whose parameters.
+        joints: joint names.
+        fixed_base: whether the base is held.
+    """
+    entries: list[Coordinate] = []
+    drive = next((getattr(e, "drive", "current") for e in model.effects if e.name == "motor"), "current")
+    for effect in model.effects:
+        held = bool(effect.edits) and all(edit.target == "base_body" for edit in effect.edits)
+        for known in effect.parameters:
+            if (held and fixed_base) or (known.name == "forward_efficiency" and drive == "current"):
+                continue
+            if known.name in CHAIN:
+                entries.extend(_chain(known, joints))
+                continue
+            value = model.value(known.name)
+            span = known.high - known.low
+            low, high = known.low, known.high
+            if not low <= value <= high:  # a servo of another size than the catalogue's ranges are for
+                low, high = max(known.least, value / REACH), min(known.most, value * REACH)
+                span = high - low
+            if known.name in HELD:
+                continue
+            entries.append(Coordinate(known.name, None, low, high, value, value, span))
+    if len(joints) > 1:
+        for name, deviation in SPREAD.items():
+            if name in model.parameters() and any(entry.parameter == name for entry in entries):
+                reach = SPREAD_LIMIT * deviation
+                entries.extend(
+                    Coordinate(name, (j,), -reach, reach, 0.0, 0.0, deviation, "scale") for j in range(len(joints))
+                )
+    return Coordinates(model, tuple(joints), tuple(entries))
+
+
+def _chain(known: Parameter, joints: Sequence[str]) -> list[Coordinate]:
+    """A parameter of the measurement chain, near what is expected of it."""
+    value, deviation, own = CHAIN[known.name]
+    low, high = max(known.least, value - 4 * deviation), value + 4 * deviation
+    columns = [(j,) for j in range(len(joints))] if own else [None]
+    return [Coordinate(known.name, column, low, high, value, value, deviation) for column in columns]
+
+
+def is_conditional(name: str) -> bool:
+    """Whether a parameter's name carries a condition of the recording."""
+    return split_name(name)[1] is not None

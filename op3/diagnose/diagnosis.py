@@ -1,0 +1,344 @@
+"""The workflow: refit the base, screen, refit the shortlist, decide, add, show."""
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from op3.diagnose.coordinates import base_coordinates, other_forms, with_chain
+from op3.diagnose.decide import Contender, Decision, decide
+from op3.diagnose.fitting import Engine, Fit, fit_base, intervals, linearise, refit, with_point
+from op3.diagnose.free_run import engine_for
+from op3.diagnose.hypotheses import Hypothesis, hypotheses
+from op3.diagnose.preflight import too_poor
+from op3.diagnose.screen import Screened, screen
+from op3.diagnose.show import show
+from op3.diagnose.split import LogSplit
+from op3.diagnose.verdict import Finding, Verdict
+from op3.servo import Estimate, RobotModel
+from op3.servo.effect import parameter
+from op3.sim import model_hash
+
+SHORTLIST = 6
+"""Hypotheses that are refitted, by what the screen credits them with."""
+
+SHARED = 3
+"""Hypotheses of all joints alike that are refitted besides: a base may have absorbed them."""
+
+BOUND = 1e-3
+"""A size this close to its bound, as a share of its range, is implausible."""
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Refitted:
+    """A hypothesis after its refit.
+
+    Attributes:
+        hypothesis: which.
+        screened: its best secant.
+        fit: base and hypothesis.
+        contender: its numbers for the decision.
+    """
+
+    hypothesis: Hypothesis
+    screened: Screened
+    fit: Fit
+    contender: Contender
+
+
+class Diagnosis:
+    """Finds what a model lacks from the logs of a split.
+
+    Args:
+        model: effects that are on, and the values from which the refit starts.
+        split: logs.
+        seed: of every resampling.
+        engine: gives residuals; by default windows for logs of a robot on the stand, free runs for others.
+        progress: called with the stage and the share done.
+        without: names of effects not to consider.
+        cache: folder in which the refitted base is kept, so that an interrupted diagnosis goes on behind it.
+    """
+
+    def __init__(
+        self,
+        model: RobotModel,
+        split: LogSplit,
+        *,
+        seed: int = 0,
+        engine: Engine | None = None,
+        progress: Progress | None = None,
+        without: Sequence[str] = (),
+        cache: Path | None = None,
+    ):
+        self.given = model
+        self.split = split
+        self.seed = seed
+        self._report = progress or (lambda stage, share: None)
+        self.engine: Engine = engine or engine_for(split)
+        self.fixed_base = split.fit[0].metadata.mount != "floor"
+        self.without = tuple(without)
+        self.cache = cache
+        self.base: Fit | None = None
+        self.screened: list[Screened] = []
+        self.refitted: list[Refitted] = []
+
+    def refit_base(self, model: RobotModel) -> Fit:
+        """Refit the model's own parameters, with the measurement chain and the spread of its servos."""
+        full = with_chain(model) if "current_pd" in model.effect_names else model
+        coordinates = base_coordinates(full, self.engine.joints, fixed_base=self.fixed_base)
+        forms = [full, *other_forms(full)]
+        place = None if self.cache is None else self.cache / f"base-{self._key(full)}.npz"
+        if place is not None and place.is_file():
+            with np.load(place) as kept:
+                chosen = replace(coordinates, model=forms[int(kept["form"])])
+                return linearise(self.engine, chosen, kept["point"])
+        fit = fit_base(
+            self.engine, coordinates, alternatives=forms[1:], progress=lambda share: self._report("base", share)
+        )
+        if place is not None:
+            place.parent.mkdir(parents=True, exist_ok=True)
+            np.savez(place, point=fit.point, form=[m is fit.coordinates.model for m in forms].index(True))
+        return fit
+
+    def _key(self, model: RobotModel) -> str:
+        """Sixteen hex digits of everything that decides where the base ends."""
+        digest = hashlib.sha256(f"{model_hash(model)} {len(self.engine.is_fit)} {self.engine.is_fit.sum()}".encode())
+        for logs in (self.split.fit, self.split.select):
+            for log in logs:
+                for channel in log.channels:
+                    digest.update(np.ascontiguousarray(log.array(channel)).tobytes())
+        return digest.hexdigest()[:16]
+
+    def screen(self, base: Fit) -> list[Screened]:
+        """Screen the catalogue."""
+        fitted = with_point(base.coordinates, base.point)
+        candidates = hypotheses(fitted, self.engine.joints, fixed_base=self.fixed_base, without=self.without)
+        return screen(self.engine, base, candidates, lambda share: self._report("screen", share))
+
+    def run(self, rounds: int = 1) -> Verdict:
+        """Diagnose; with more rounds, go on from what was named until nothing more is found."""
+        model, verdicts = self.given, []
+        for _ in range(rounds):
+            verdict = self._round(model)
+            verdicts.append(verdict)
+            if verdict.verdict != "named":
+                break
+            model = verdict.model
+        if len(verdicts) == 1:
+            return verdicts[0]
+        return self._together(verdicts)
+
+    def _together(self, verdicts: Sequence[Verdict]) -> Verdict:
+        """All that rounds have named, with the gap from first to last."""
+        named = [verdict for verdict in verdicts if verdict.verdict == "named"]
+        if not named:
+            return verdicts[0]
+        last = named[-1]
+        effects = tuple(effect for verdict in named for effect in verdict.effects)
+        gap = {
+            name: {**values, "before": named[0].gap[name]["before"]}
+            for name, values in last.gap.items()
+            if name in named[0].gap
+        }
+        loss = {**last.loss, "before": named[0].loss.get("before")}
+        return replace(last, effects=effects, base=named[0].base, gap=gap, loss=loss)
+
+    def _round(self, model: RobotModel) -> Verdict:
+        rng = np.random.default_rng([self.seed, 11])
+        self.base = base = self.refit_base(model)
+        fitted = with_point(base.coordinates, base.point)
+        self.screened = self.screen(base)
+        control, self.refitted = self._refit(base)
+        decision = decide([r.contender for r in self.refitted], self._losses(control), rng)
+        members = [self.refitted[i] for i in decision.candidates]
+        findings = tuple(
+            self._finding(r, base, float(decision.shares[i]))
+            for i, r in zip(decision.candidates, members, strict=True)
+            if decision.verdict in ("named", "ambiguous")
+        )
+        after = fitted
+        if decision.verdict in ("named", "ambiguous"):
+            after = _with_finding(members[0], findings[0], self.engine.joints)
+        shown = show(fitted, after, self.split, lambda share: self._report("show", share))
+        return Verdict(
+            verdict=decision.verdict,
+            effects=findings,
+            reason=decision.reason,
+            model=after,
+            base=fitted,
+            cannot_tell=too_poor(self.split),
+            separate_by=_separating(members) if decision.verdict == "ambiguous" else "",
+            gap=shown["gap"],
+            loss=shown["loss"],
+            vetoed=bool(shown["vetoed"]) and bool(findings),
+            details=self._details(decision, shown),
+        )
+
+    def _refit(self, base: Fit) -> tuple[Fit, list[Refitted]]:
+        """Refit the no-op control and the shortlist."""
+        control = refit(self.engine, base, base.coordinates, base.point, iterations=3)
+        picked = shortlist(self.screened)
+        result = []
+        for number, screened in enumerate(picked):
+            hypothesis = screened.hypothesis
+            secant = hypothesis.secants[screened.secant]
+            share = screened.share if abs(screened.share) > 0.3 else 0.5 * (np.sign(screened.share) or 1.0)
+            coordinates, more = hypothesis.coordinates(base.coordinates, secant, share)
+            fit = refit(self.engine, base, coordinates, np.concatenate([control.point, more]))
+            result.append(Refitted(hypothesis, screened, fit, self._contender(hypothesis, fit, control, base)))
+            self._report("refit", (number + 1) / len(picked))
+        return control, result
+
+    def _losses(self, fit: Fit) -> np.ndarray:
+        """Squares summed by block of a second, ``[block]``."""
+        index = np.unique(self.engine.blocks, return_inverse=True)[1]
+        return np.bincount(index, np.square(fit.residual.astype(np.float64)).sum(1))
+
+    def _contender(self, hypothesis: Hypothesis, fit: Fit, control: Fit, base: Fit) -> Contender:
+        held = ~self.engine.is_fit
+
+        def gain(where: np.ndarray) -> float:
+            before = np.square(control.residual[where].astype(np.float64)).sum()
+            return float(1 - np.square(fit.residual[where].astype(np.float64)).sum() / before)
+
+        place = self._size_at(hypothesis, fit, base)
+        entry = fit.coordinates.entries[place]
+        reach = BOUND * (entry.high - entry.low)
+        at = fit.point[place]
+        return Contender(
+            label=hypothesis.label(self.engine.joints),
+            effect=hypothesis.effect.name,
+            joints=hypothesis.joints,
+            alias_class=hypothesis.effect.alias_class,
+            gain=gain(held),
+            fit_gain=gain(self.engine.is_fit),
+            losses=self._losses(fit),
+            size=float(at),
+            smallest=_smallest(hypothesis, entry.parameter),
+            implausible=bool(entry.high - at < reach or at - entry.low < reach),
+        )
+
+    def _size_at(self, hypothesis: Hypothesis, fit: Fit, base: Fit) -> int:
+        """Which coordinate says how large the effect is: its size parameter, or the largest of those moved."""
+        entries = fit.coordinates.entries[len(base.coordinates) :]
+        names = [entry.parameter for entry in entries]
+        if hypothesis.effect.size in names:
+            return len(base.coordinates) + names.index(hypothesis.effect.size)
+        return len(base.coordinates)
+
+    def _finding(self, refitted: Refitted, base: Fit, confidence: float) -> Finding:
+        hypothesis, fit = refitted.hypothesis, refitted.fit
+        known = len(base.coordinates)
+        half = intervals(self.engine, base, fit)
+        place = self._size_at(hypothesis, fit, base)
+        entry = fit.coordinates.entries[place]
+        values = {e.parameter: float(fit.point[known + i]) for i, e in enumerate(fit.coordinates.entries[known:])}
+        # an effect that was off is told from its neutral value on; more of one that was on, as what was added
+        absolute = hypothesis.effect.name not in self.given.effect_names
+        start = hypothesis.model.value(entry.parameter) if absolute else 0.0
+        if absolute:
+            values = {
+                e.parameter: v + (hypothesis.model.value(e.parameter) if e.kind == "add" else 0.0)
+                for (_, v), e in zip(values.items(), fit.coordinates.entries[known:], strict=True)
+            }
+        size = start + float(fit.point[place])
+        width = float(half[place - known])
+        limit = parameter(entry.parameter)
+        low, high = (
+            (max(limit.least, size - width), min(limit.most, size + width))
+            if absolute
+            else (
+                size - width,
+                size + width,
+            )
+        )
+        joints = self.engine.joints
+        return Finding(
+            name=hypothesis.effect.name,
+            joints=tuple(joints) if hypothesis.joints is None else tuple(joints[j] for j in hypothesis.joints),
+            shared=hypothesis.joints is None,
+            size=size,
+            unit=limit.unit,
+            interval=(low, high),
+            confidence=confidence,
+            parameters=values,
+            gain=refitted.contender.gain,
+            parameter=entry.parameter,
+        )
+
+    def _details(self, decision: Decision, shown: Mapping[str, Any]) -> dict[str, Any]:
+        joints = self.engine.joints
+        best: dict[str, Screened] = {}
+        for s in self.screened:
+            best.setdefault(s.hypothesis.label(joints), s)
+        refitted: dict[str, tuple[int, Refitted]] = {}
+        for i, r in sorted(enumerate(self.refitted), key=lambda pair: -float(pair[1].contender.losses.sum())):
+            refitted[r.contender.label] = (i, r)  # of two forms of an effect the better one stays
+        ranking = [
+            {
+                "name": r.hypothesis.effect.name,
+                "joints": [joints[j] for j in (r.hypothesis.joints or range(len(joints)))],
+                "gain": round(r.contender.gain, 5),
+                "fit_gain": round(r.contender.fit_gain, 5),
+                "size": r.contender.size,
+                "share": round(float(decision.shares[i]), 4),
+                "score": round(r.screened.statistic, 3),
+            }
+            for i, r in sorted(refitted.values(), key=lambda pair: float(pair[1].contender.losses.sum()))
+        ]
+        ranking += [
+            {
+                "name": s.hypothesis.effect.name,
+                "joints": [joints[j] for j in (s.hypothesis.joints or range(len(joints)))],
+                "gain": round(s.gain, 5),
+                "score": round(s.statistic, 3),
+            }
+            for label, s in best.items()
+            if label not in refitted
+        ]
+        return {"ranking": ranking, "shown": shown, "joints": list(joints)}
+
+
+def shortlist(screened: Sequence[Screened]) -> list[Screened]:
+    """What is refitted: the best secant of the best hypotheses, and the best of those in all joints."""
+    best: dict[int, Screened] = {}
+    for s in sorted(screened, key=_credit, reverse=True):
+        best.setdefault(id(s.hypothesis), s)
+    ordered = [s for s in best.values() if s.strength > 0 and s.visibility > 0.02]
+    picked = ordered[:SHORTLIST]
+    shared = [s for s in ordered if s.hypothesis.joints is None and s not in picked]
+    return picked + shared[:SHARED]
+
+
+def _credit(s: Screened) -> float:
+    return 0.5 * (s.gain + s.fit_gain)
+
+
+def _smallest(hypothesis: Hypothesis, name: str) -> float:
+    """The smallest size that matters; a tenth of the range for a parameter that is not the effect's size."""
+    effect = hypothesis.effect
+    if name == effect.size:
+        return effect.smallest
+    known = parameter(name)
+    return 0.1 * (known.high - known.low)
+
+
+def _with_finding(refitted: Refitted, finding: Finding, joints: Sequence[str]) -> RobotModel:
+    """The model of a refit, the named parameter with its interval."""
+    model = with_point(refitted.fit.coordinates, refitted.fit.point)
+    estimate = model.estimates[finding.parameter]
+    if finding.shared and not estimate.joints:
+        low, high = finding.interval
+        estimate = Estimate(estimate.value, min(low, estimate.value), max(high, estimate.value))
+    return model.with_values({finding.parameter: estimate})
+
+
+def _separating(members: Sequence[Refitted]) -> str:
+    """What would tell the candidates apart, by the catalogue."""
+    said = dict.fromkeys(r.hypothesis.effect.separating_experiment for r in members)
+    return "; ".join(text for text in said if text)

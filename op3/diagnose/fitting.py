@@ -1,0 +1,305 @@
+"""Least squares on residuals with priors: the full refit of a model, and the cheap one of a hypothesis beside it."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import mujoco
+import numpy as np
+from scipy import stats
+from torch import Tensor
+
+from op3.diagnose.coordinates import Coordinates
+from op3.servo import Estimate, RobotModel
+
+STEP = 1e-2
+"""Step of finite differences, as a share of a coordinate's range: above the kinks of stiction."""
+
+LADDER = (1.0, 0.5, 0.2, 0.05)
+"""Shares of a Gauss-Newton step that are tried at once."""
+
+INFORMATION = 0.02
+"""Independent pieces of information per whitened residual. Residuals of a window, and model errors all over a run, go
+together; priors weigh against this many."""
+
+
+class Engine(Protocol):
+    """What gives residuals: `op3.diagnose.WindowResiduals` or `op3.diagnose.FreeRunResiduals`."""
+
+    joints: tuple[str, ...]
+    is_fit: np.ndarray
+    blocks: np.ndarray
+
+    def residuals(
+        self,
+        model: RobotModel,
+        parameters: Mapping[str, Tensor] | None = None,
+        candidates: int = 1,
+        fit_only: bool = False,
+        coarse: bool = False,
+    ) -> np.ndarray:
+        """Whitened residuals, ``[candidate, window, residual]``; coarse ones for differences alone."""
+        ...
+
+    def prepare(self, model: RobotModel) -> None:
+        """Fix the whitening by this model."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fitted model.
+
+    Attributes:
+        coordinates: what was moved.
+        point: where it ended, ``[coordinate]``.
+        loss: mean square of the whitened residuals of the fitted windows.
+        jacobian: of the residuals of all windows, ``[window, residual, coordinate]``; None unless asked for.
+        residual: of all windows, ``[window, residual]``.
+        columns: Jacobian of the coordinates beyond those of the base, of the fitted windows.
+    """
+
+    coordinates: Coordinates
+    point: np.ndarray
+    loss: float
+    residual: np.ndarray
+    jacobian: np.ndarray | None = None
+    columns: np.ndarray | None = None
+
+    @property
+    def parameters(self) -> dict[str, Tensor]:
+        """Parameters by name, ``[1, joint]``."""
+        return self.coordinates.values(self.point[None])
+
+
+def fit_base(
+    engine: Engine,
+    coordinates: Coordinates,
+    *,
+    rounds: int = 3,
+    start: np.ndarray | None = None,
+    alternatives: Sequence[RobotModel] = (),
+    progress: Callable[[float], None] | None = None,
+) -> Fit:
+    """Bounded Gauss-Newton over all coordinates, from the best of a grid of latencies.
+
+    Args:
+        engine: gives the residuals; it is prepared by the starting model, and again by better ones.
+        coordinates: what to move.
+        rounds: at most so many Jacobians.
+        start: where to start, ``[coordinate]``.
+        alternatives: models with the same parameters in other forms; the form that fits best is taken.
+        progress: called with the share done.
+    """
+    point = np.clip(coordinates.start if start is None else start, coordinates.low, coordinates.high)
+    engine.prepare(with_point(coordinates, point))
+    evaluate = _penalised(engine, coordinates)
+    for number in range(rounds):
+        jacobian = _with_penalty(_jacobian(engine, coordinates, point, fit_only=True), coordinates)
+        before = losses = None
+        for _ in range(1 if number == 0 else 2):
+            residual = evaluate(point[None])[0]
+            before = float(np.square(residual).sum()) if before is None else before
+            direction = bounded_step(jacobian, residual, coordinates.low - point, coordinates.high - point)
+            points = point + np.array(LADDER)[:, None] * direction
+            losses = np.square(evaluate(points)).sum(1)
+            if losses.min() >= np.square(residual).sum():
+                break
+            point = points[int(losses.argmin())]
+        if progress is not None:
+            progress((number + 1) / (rounds + 1))
+        assert before is not None
+        assert losses is not None
+        if start is None and number == 0:
+            point = _best_latency(engine, coordinates, point)
+        if number < 2 and alternatives:
+            coordinates = _best_form(engine, coordinates, alternatives, point)
+            evaluate = _penalised(engine, coordinates)
+        gained = 1 - min(losses.min(), before) / before
+        if gained < 3e-3 and number:
+            break
+        engine.prepare(with_point(coordinates, point))
+    return linearise(engine, coordinates, point)
+
+
+def linearise(engine: Engine, coordinates: Coordinates, point: np.ndarray) -> Fit:
+    """Residuals and Jacobian at a point, on all windows, whitened by the model there."""
+    engine.prepare(with_point(coordinates, point))
+    residual = engine.residuals(coordinates.model, coordinates.values(point[None]), 1)[0]
+    jacobian = _jacobian(engine, coordinates, point, fit_only=False)
+    return Fit(coordinates, point, mean_square(residual[engine.is_fit]), residual, jacobian)
+
+
+def _jacobian(engine: Engine, coordinates: Coordinates, point: np.ndarray, fit_only: bool) -> np.ndarray:
+    """Differences of the residuals, inwards at the bounds, ``[window, residual, coordinate]``."""
+    step = _steps(coordinates, point)
+    points = np.concatenate([[point], point + np.diag(step)])
+    result = engine.residuals(coordinates.model, coordinates.values(points), len(points), fit_only=fit_only)
+    return np.moveaxis(result[1:] - result[0], 0, -1) / step.astype(np.float32)
+
+
+def _steps(coordinates: Coordinates, point: np.ndarray) -> np.ndarray:
+    span = coordinates.high - coordinates.low
+    return np.where(point + 2 * STEP * span > coordinates.high, -STEP, STEP) * span
+
+
+def _with_penalty(jacobian: np.ndarray, coordinates: Coordinates) -> np.ndarray:
+    """Rows of the fitted windows and of the priors, ``[residual, coordinate]``."""
+    flat = jacobian.reshape(-1, jacobian.shape[-1]).astype(np.float64)
+    deviation = np.array([entry.deviation for entry in coordinates.entries])
+    return np.concatenate([flat, np.diag(1.0 / deviation) / np.sqrt(INFORMATION)])
+
+
+def refit(
+    engine: Engine,
+    base: Fit,
+    coordinates: Coordinates,
+    start: np.ndarray,
+    *,
+    iterations: int = 5,
+) -> Fit:
+    """Gauss-Newton over a base and a few more coordinates, the base's Jacobian kept.
+
+    Only the columns of the new coordinates are renewed, which makes an iteration cost a handful of simulations
+    however many parameters the base has; the step is searched along its length, so that a Jacobian that is no longer
+    quite right costs speed and not correctness.
+
+    Args:
+        engine: gives the residuals.
+        base: with its Jacobian; its coordinates are the first of `coordinates`.
+        coordinates: base and hypothesis.
+        start: ``[coordinate]``.
+        iterations: at most so many steps.
+    """
+    assert base.jacobian is not None
+    known = len(base.coordinates)
+    evaluate = _penalised(engine, coordinates)
+    fitted = base.jacobian[engine.is_fit]
+    rows = fitted.shape[0] * fitted.shape[1]
+    best = np.clip(start, coordinates.low, coordinates.high)
+    loss, columns = np.inf, None
+    for _ in range(iterations):
+        residual = evaluate(best[None])[0]
+        loss = float(np.square(residual).sum())
+        step = _steps(coordinates, best)[known:]
+        probes = np.concatenate([[best], best + np.eye(len(best))[known:] * step[:, None]])
+        moved = engine.residuals(coordinates.model, coordinates.values(probes), len(probes), fit_only=True).reshape(
+            len(probes), rows
+        )
+        columns = ((moved[1:] - moved[0]) / step[:, None].astype(np.float32)).T.reshape(*fitted.shape[:2], -1)
+        jacobian = _with_penalty(np.concatenate([fitted, columns], -1), coordinates)
+        direction = bounded_step(jacobian, residual, coordinates.low - best, coordinates.high - best)
+        points = best + np.array(LADDER)[:, None] * direction
+        losses = np.square(evaluate(points)).sum(1)
+        winner = int(losses.argmin())
+        if losses[winner] >= loss:
+            break
+        gained = 1 - losses[winner] / loss
+        best, loss = points[winner], float(losses[winner])
+        if gained < 2e-3:
+            break
+    residual = engine.residuals(coordinates.model, coordinates.values(best[None]), 1)[0]
+    return Fit(coordinates, best, mean_square(residual[engine.is_fit]), residual, None, columns)
+
+
+def intervals(engine: Engine, base: Fit, fit: Fit, level: float = 0.9) -> np.ndarray:
+    """Intervals of the coordinates beyond the base's, by leaving out one second after another.
+
+    The cluster jackknife of a Gauss-Newton step, as in `op3.identify.intervals`.
+
+    Args:
+        engine: gives the blocks.
+        base: with its Jacobian.
+        fit: a refit beside it.
+        level: coverage.
+
+    Returns:
+        Half widths, ``[coordinate beyond the base]``.
+    """
+    assert base.jacobian is not None
+    assert fit.columns is not None
+    fitted = np.concatenate([base.jacobian[engine.is_fit], fit.columns], -1).astype(np.float64)
+    scale = np.maximum(np.sqrt(np.square(fitted).sum((0, 1))), 1e-12)
+    fitted = fitted / scale
+    deviation = np.array([entry.deviation for entry in fit.coordinates.entries]) * scale
+    residual = fit.residual[engine.is_fit].astype(np.float64)
+    hessian = np.einsum("wri,wrj->ij", fitted, fitted, optimize=True) + np.diag(1 / deviation**2) / INFORMATION
+    hessian += 1e-9 * np.eye(len(scale))
+    names = np.unique(engine.blocks[engine.is_fit])
+    moves = []
+    for name in names:
+        inside = engine.blocks[engine.is_fit] == name
+        part = fitted[inside].reshape(-1, len(scale))
+        moves.append(np.linalg.solve(hessian - part.T @ part, part.T @ residual[inside].reshape(-1)))
+    count = len(names)
+    spread = np.sqrt((count - 1) / count * np.square(np.array(moves)).sum(0))
+    quantile = stats.t.ppf(0.5 + level / 2, max(1, count - 1))
+    return (quantile * spread / scale)[len(base.coordinates) :]
+
+
+def bounded_step(jacobian: np.ndarray, residual: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Minimiser of ``|residual + jacobian step|^2`` within bounds."""
+    scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-12)
+    scaled = jacobian / scale
+    hessian = scaled.T @ scaled + 1e-6 * np.eye(len(scale))
+    step = np.zeros((len(scale), 1))
+    size = len(scale)
+    mujoco.mju_boxQP(
+        step,
+        np.zeros((size, size + 7)),
+        None,
+        hessian,
+        (scaled.T @ residual)[:, None],
+        (np.minimum(low, 0.0) * scale)[:, None],
+        (np.maximum(high, 0.0) * scale)[:, None],
+    )
+    return step[:, 0] / scale
+
+
+def with_point(coordinates: Coordinates, point: np.ndarray) -> RobotModel:
+    """The model with the numbers of a point, per joint where they differ."""
+    estimates = {}
+    for name, value in coordinates.values(point[None]).items():
+        row = value[0]
+        shared = float(row.mean()) if len(row) > 1 else float(row[0])
+        joints = {} if bool((row == row[0]).all()) else dict(zip(coordinates.joints, row.tolist(), strict=True))
+        estimates[name] = Estimate(float(row[0]) if not joints else shared, joints=joints)
+    return coordinates.model.with_values(estimates)
+
+
+def mean_square(residual: np.ndarray) -> float:
+    """Mean of squares."""
+    return float(np.square(residual.astype(np.float64)).mean())
+
+
+def _penalised(engine: Engine, coordinates: Coordinates) -> Callable[[np.ndarray], np.ndarray]:
+    """Residuals of the fitted windows and penalties of points ``[candidate, coordinate]``, as one vector each."""
+
+    def evaluate(points: np.ndarray) -> np.ndarray:
+        result = engine.residuals(coordinates.model, coordinates.values(points), len(points), fit_only=True)
+        flat = result.reshape(len(points), -1).astype(np.float64)
+        return np.concatenate([flat, coordinates.penalties(points) / np.sqrt(INFORMATION)], 1)
+
+    return evaluate
+
+
+def _best_form(
+    engine: Engine, coordinates: Coordinates, alternatives: Sequence[RobotModel], point: np.ndarray
+) -> Coordinates:
+    """The coordinates of the model, or of an alternative, that fits best at a point."""
+    choices = [coordinates, *(replace(coordinates, model=model) for model in alternatives)]
+    losses = [float(np.square(_penalised(engine, choice)(point[None])).sum()) for choice in choices]
+    return choices[int(np.argmin(losses))]
+
+
+def _best_latency(engine: Engine, coordinates: Coordinates, point: np.ndarray) -> np.ndarray:
+    """The point with the best of a grid of latencies: the loss has several valleys along it."""
+    names = [entry.parameter for entry in coordinates.entries]
+    if "command_latency" not in names:
+        return point
+    at = names.index("command_latency")
+    grid = np.linspace(coordinates.low[at], coordinates.high[at], 9)
+    points = np.tile(point, (len(grid), 1))
+    points[:, at] = grid
+    losses = np.square(_penalised(engine, coordinates)(points)).sum(1)
+    return points[int(losses.argmin())]

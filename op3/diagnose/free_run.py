@@ -1,0 +1,117 @@
+"""Residuals of free runs: whole logs in closed loop, for logs that windows cannot take, such as those of the bench.
+
+What is compared is the same as for windows, on a uniform grid; a second of a log is one window, a whole log one block,
+because what a free run gets wrong early it drags along.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from torch import Tensor
+
+from op3.diagnose.split import LogSplit
+from op3.diagnose.windows import WindowResiduals
+from op3.rollout import LogError, Rollout
+from op3.servo import RobotModel
+from op3.tasks import Replay
+
+FLOOR = {("joint", "position"): 0.005, ("joint", "velocity"): 0.1, ("joint", "current"): 0.02, ("joint", "duty"): 0.03}
+"""Differences that do not matter in a free run, by channel [rad, rad/s, A, -]."""
+
+ROBUST = 3.0
+"""Differences beyond this many usual ones count less (pseudo-Huber): in some runs something else happened."""
+
+GRID = 0.02
+"""Time between compared samples [s]."""
+
+SECOND = 50
+"""Samples of a window."""
+
+
+class FreeRunResiduals:
+    """Free runs of the logs of a split, and the residuals of any model on them.
+
+    The servo's duty is compared where it was logged: a false controller gain, or a delay, would show in it.
+
+    Args:
+        split: the logs; all of one mount, with the same joints.
+        timestep: simulation step on the bench [s].
+
+    Raises:
+        LogError: if logs differ in joints or mount.
+    """
+
+    def __init__(self, split: LogSplit, *, timestep: float = 0.002):
+        self.split = split
+        logs = [*split.fit, *split.select]
+        first = logs[0]
+        for log in split.logs:
+            if log.joints != first.joints or log.metadata.mount != first.metadata.mount:
+                raise LogError(
+                    "the logs differ in joints or mount",
+                    "diagnose logs of one set-up at a time",
+                    source=log.metadata.recording,
+                    column="joints",
+                )
+        self.joints: tuple[str, ...] = first.joints
+        self.channels = tuple(key for key in FLOOR if all(key in log for log in logs))
+        if first.metadata.mount == "pendulum":
+            # bench logs carry a velocity that the recorders computed from positions
+            self.channels = tuple(key for key in self.channels if key != ("joint", "velocity"))
+        self._fit = Replay(split.fit, bench_timestep=timestep)
+        self._rest = Replay(split.select, bench_timestep=timestep)
+        self._seconds = [max(1, int(log.duration / (GRID * SECOND))) for log in logs]
+        self.is_fit = np.repeat([i < len(split.fit) for i in range(len(logs))], self._seconds)
+        self.blocks = np.repeat(np.arange(len(logs)), self._seconds)
+        self.scale = np.array([FLOOR[key] for key in self.channels])
+
+    def prepare(self, model: RobotModel) -> None:
+        """Take the usual size of the residuals from this model."""
+        usual = 1.4826 * np.median(np.abs(self._errors(model, {}, 1, False)), axis=(0, 1, 2, 3))
+        self.scale = np.sqrt(np.array([FLOOR[key] for key in self.channels]) ** 2 + usual**2)
+
+    def residuals(
+        self,
+        model: RobotModel,
+        parameters: Mapping[str, Tensor] | None = None,
+        candidates: int = 1,
+        fit_only: bool = False,
+        coarse: bool = False,
+    ) -> np.ndarray:
+        """Whitened residuals, ``[candidate, window, residual]``."""
+        del coarse
+        parts, size = [], 32
+        for begin in range(0, candidates, size):
+            count = min(size, candidates - begin)
+            values = {name: value[begin : begin + count] for name, value in (parameters or {}).items()}
+            error = self._errors(model, values, count, fit_only) / self.scale
+            tamed = np.sign(error) * np.sqrt(2 * ROBUST * (np.sqrt(error**2 + ROBUST**2) - ROBUST))
+            parts.append(tamed.reshape(*tamed.shape[:2], -1).astype(np.float32))
+        return np.concatenate(parts)
+
+    def _errors(self, model: RobotModel, values: Mapping[str, Tensor], count: int, fit_only: bool) -> np.ndarray:
+        """Simulated minus measured, ``[candidate, window, sample, joint, channel]``."""
+        predictions = self._fit.run(model, values, count)
+        if not fit_only:
+            predictions = [*predictions, *self._rest.run(model, values, count)]
+        parts = []
+        for prediction, seconds in zip(predictions, self._seconds, strict=False):
+            channels = prediction.channels
+            errors = [self._on_grid(channels[key].numpy(), prediction.log, key, seconds) for key in self.channels]
+            parts.append(np.stack(errors, -1))
+        return np.nan_to_num(np.concatenate(parts, 1), nan=1e3, posinf=1e3, neginf=-1e3)
+
+    def _on_grid(self, simulated: np.ndarray, log: Rollout, key: tuple[str, str], seconds: int) -> np.ndarray:
+        """Differences on the grid, ``[candidate, second, sample, joint]``."""
+        time = log.array("time")[:, 0] - log.array("time")[0, 0]
+        error = simulated - log.array(key)[: simulated.shape[1]]
+        nearest = np.clip(np.searchsorted(time, np.arange(seconds * SECOND) * GRID), 0, error.shape[1] - 1)
+        picked = error[:, nearest]
+        return picked.reshape(len(picked), seconds, SECOND, -1)
+
+
+def engine_for(split: LogSplit, fit_windows: int = 60, select_windows: int = 36) -> WindowResiduals | FreeRunResiduals:
+    """The engine that suits the logs: windows on the stand, free runs otherwise."""
+    if split.fit[0].metadata.mount == "stand":
+        return WindowResiduals(split, fit_windows=fit_windows, select_windows=select_windows)
+    return FreeRunResiduals(split)

@@ -1,0 +1,203 @@
+"""From logs to windows: smoothed states on a grid of ticks, and the rigid-body dynamics along them."""
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from op3.robot import build_scene, pose
+from op3.robot.joints import JOINTS
+from op3.rollout import LogError, Rollout
+from op3.servo import RobotModel
+from op3.sim import ServoPorts, TrajectoryDynamics, attach_servos, trajectory_dynamics
+from op3.sim.edits import edited_fields, model_field
+from op3.sim.window_simulation import ROTOR
+
+HALF_WIDTH = 3
+"""Ticks on each side that the local cubic of the smoothed state sees."""
+
+POSITION_NOISE = 0.0006
+"""Of a position reading, half a count of a 4096-step encoder and a little more [rad]."""
+
+VELOCITY_NOISE = 0.05
+"""Of a velocity reading [rad/s]."""
+
+VELOCITY_LAG = 0.002
+"""How late a velocity reading is [s]: the expected time constant of the servo's filter."""
+
+PREROLL = 4
+"""Ticks before a window in which the joints are led along the measurement."""
+
+CHANNELS = (("joint", "position"), ("joint", "velocity"), ("joint", "current"))
+"""What is compared."""
+
+INPUTS = {
+    ("command", "position"): "position_target",
+    ("command", "p_gain"): "p_gain",
+    ("command", "d_gain"): "d_gain",
+    ("command", "torque_enable"): "torque_enable",
+    ("joint", "voltage"): "bus_voltage",
+    ("joint", "temperature"): "temperature",
+}
+"""Channels that drive the servos, and the signals they become."""
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothLog:
+    """A log on a uniform grid of ticks, ``[tick, joint]``.
+
+    Attributes:
+        log: where it comes from.
+        period: between ticks [s].
+        time: of the ticks, from the log's first row [s].
+        position: smoothed [rad].
+        velocity: smoothed [rad/s].
+        acceleration: smoothed [rad/s2].
+        readings: raw channels by key.
+        inputs: by signal name.
+        tilt: roll and pitch of the stand [rad].
+    """
+
+    log: Rollout
+    period: float
+    time: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    readings: Mapping[tuple[str, str], np.ndarray]
+    inputs: Mapping[str, np.ndarray]
+    tilt: tuple[float, float]
+
+
+def kernels(period: float, half: int = HALF_WIDTH) -> np.ndarray:
+    """Weights ``[position | velocity | acceleration, reading of position | of velocity, lag]`` of a local cubic."""
+    t = np.arange(-half, half + 1) * period
+    value = np.stack([np.ones_like(t), t, t**2 / 2, t**3 / 6], 1) / POSITION_NOISE
+    late = t - VELOCITY_LAG
+    rate = np.stack([np.zeros_like(t), np.ones_like(t), late, late**2 / 2], 1) / VELOCITY_NOISE
+    inverse = np.linalg.pinv(np.concatenate([value, rate]))[:3]
+    count = len(t)
+    return np.stack([inverse[:, :count] / POSITION_NOISE, inverse[:, count:] / VELOCITY_NOISE], 1)
+
+
+def smooth(log: Rollout) -> SmoothLog:
+    """Put a log on a uniform grid and smooth its state.
+
+    Raises:
+        LogError: if it lacks positions or commands, or is too short.
+    """
+    time = log.array("time")[:, 0] - log.array("time")[0, 0]
+    period = max(1, round(1e3 * float(np.median(np.diff(time))))) * 1e-3
+    grid = np.arange(int(time[-1] / period + 1e-6) + 1) * period
+    if len(grid) < 2 * HALF_WIDTH + 2:
+        raise LogError("the log is too short", "record some seconds", source=log.metadata.recording, column="time")
+    if "joint/position" not in log or "command/position" not in log:
+        raise LogError(
+            "the log lacks joint positions or commands",
+            "record <joint>.position and <joint>.target",
+            source=log.metadata.recording,
+        )
+    # a current is held between commands: its nearest reading, not a mean of two
+    nearest = np.clip(np.searchsorted(time, grid - 0.5 * period), 0, len(time) - 1)
+    readings = {
+        key: log.array(key)[nearest] if key[1] == "current" else _interpolated(log.array(key), time, grid)
+        for key in CHANNELS
+        if key in log
+    }
+    q = readings["joint", "position"]
+    v = readings.get(("joint", "velocity"), np.gradient(q, period, axis=0))
+    weights = kernels(period)
+    padded = [np.pad(x, ((HALF_WIDTH, HALF_WIDTH), (0, 0)), mode="edge") for x in (q, v)]
+    lagged = np.stack(
+        [np.stack([x[lag : lag + len(grid)] for lag in range(2 * HALF_WIDTH + 1)]) for x in padded]
+    )  # [position | velocity, lag, tick, joint]
+    state = np.einsum("okl,kltj->otj", weights, lagged)
+    held = np.clip(np.searchsorted(time, grid + 0.3 * period, side="right") - 1, 0, len(time) - 1)
+    inputs = {signal: log.array(key)[held] for key, signal in INPUTS.items() if key in log}
+    if "bus_voltage" in inputs:
+        inputs["bus_voltage"] = _interpolated(log.array("joint/voltage"), time, grid)
+    tilt = (0.0, 0.0)
+    if "imu/orientation" in log:
+        roll, pitch = log.array("imu/orientation")[:, :2].mean(0)
+        tilt = (round(float(roll), 2) + 0.0, round(float(pitch), 2) + 0.0)
+    return SmoothLog(log, period, grid, state[0], state[1], state[2], readings, inputs, tilt)
+
+
+def _interpolated(values: np.ndarray, time: np.ndarray, grid: np.ndarray) -> np.ndarray:
+    return np.stack([np.interp(grid, time, column) for column in values.T], 1)
+
+
+class FixedBase:
+    """The limbs of a robot on a stand that are in the logs, compiled with their servos.
+
+    Args:
+        joints: of the logs.
+        tilt: roll and pitch of the stand [rad].
+    """
+
+    def __init__(self, joints: Sequence[str], tilt: tuple[float, float] = (0.0, 0.0)):
+        scene = build_scene("stand", tilt_roll=tilt[0], tilt_pitch=tilt[1])
+        unknown = [joint for joint in joints if joint not in JOINTS]
+        if unknown:
+            raise LogError(
+                f"the robot has no joint {unknown[0]!r}", "use the joint names of op3.robot", column="joints"
+            )
+        elements = {element.name: element for element in scene.joints}
+        _remove_idle_limbs(elements, set(joints))
+        moved = [elements[joint] for joint in joints]
+        attach_servos(moved)
+        self.names = [str(element.full_identifier) for element in moved]
+        self.joints = tuple(joints)
+        self.mj_model = scene.compile()
+        self.ports = ServoPorts.find(self.mj_model, self.names)
+        assert scene.robot is not None
+        self.base = self.mj_model.body(scene.robot.trunk.full_identifier).id
+        standing = dict(zip(JOINTS, pose("stand"), strict=True))
+        self.qpos = np.zeros(self.mj_model.nq)
+        for i in range(self.mj_model.njnt):
+            self.qpos[i] = standing[self.mj_model.joint(i).name.rsplit("/", 1)[-1]]
+
+    def dynamics(self, position: np.ndarray, velocity: np.ndarray, radial_force: bool = False) -> TrajectoryDynamics:
+        """Dynamics along a motion, ``[tick, joint]``."""
+        return trajectory_dynamics(self.mj_model, self.names, position, velocity, self.qpos, radial_force=radial_force)
+
+    def along(self, mj_model: mujoco.MjModel, position: np.ndarray, velocity: np.ndarray) -> TrajectoryDynamics:
+        """Mass and bias of an edited model along a motion."""
+        return trajectory_dynamics(mj_model, self.names, position, velocity, self.qpos, derivatives=False)
+
+    def changed(self, model: RobotModel, parameter: str, joint: int | None, amount: float) -> mujoco.MjModel | None:
+        """A model in which one parameter of one joint is larger by `amount`; None if nothing changes for the limbs."""
+        values = {
+            name: value.expand(1, len(self.joints) if model.parameters()[name].per_joint else 1).clone()
+            for name, value in model.tensors(self.joints).items()
+        }
+        effects = [e for e in model.effects if any(edit != ROTOR for edit in e.edits)]
+        arrays = edited_fields(self.mj_model, effects, values, self.ports, self.base, {}, 1)
+        values[parameter][:, 0 if joint is None else joint] += amount
+        moved = edited_fields(self.mj_model, effects, values, self.ports, self.base, {}, 1)
+        different = [field for field in moved if not np.array_equal(moved[field], arrays[field])]
+        if not different:
+            return None
+        changed = copy.copy(self.mj_model)
+        for field, array in moved.items():
+            if field != "dof_armature":
+                model_field(changed, field)[...] = array[0]
+        mujoco.mj_setConst(changed, mujoco.MjData(changed))
+        return changed
+
+
+def _remove_idle_limbs(elements: dict[str, Any], wanted: set[str]) -> None:
+    """Take away limbs without a joint of the logs: on a fixed base they change nothing."""
+    for name in list(elements):
+        if name not in elements:
+            continue
+        body = elements[name].parent
+        first = not any(element.parent is body.parent for element in elements.values())
+        inside = {joint.name for joint in body.find_all("joint")}
+        if first and not inside & wanted:
+            body.remove()
+            for gone in inside:
+                elements.pop(gone)

@@ -1,0 +1,164 @@
+"""The gap before and after, in free runs over logs that no earlier stage has seen."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+
+from op3.diagnose.split import LogSplit
+from op3.identify.loss import TrajectoryLoss
+from op3.robot import pose
+from op3.robot.joints import JOINTS
+from op3.rollout import Rollout
+from op3.servo import RobotModel
+from op3.tasks import Prediction, Replay
+
+RESAMPLES = 500
+"""Bootstrap resamples of runs and seconds."""
+
+CHANNELS = {("joint", "position"): "rad", ("joint", "velocity"): "rad/s", ("joint", "current"): "A"}
+"""Channels whose gap is shown, and their units."""
+
+
+def whole_robot(log: Rollout) -> Rollout:
+    """A log of some joints on the stand as one of the whole robot, the other joints held in the pose "stand"."""
+    if log.metadata.mount != "stand" or log.joints == JOINTS:
+        return log
+    columns = [JOINTS.index(joint) for joint in log.joints]
+    standing, rows = pose("stand"), log.rows
+    fill = {"position": standing, "p_gain": 6.0, "d_gain": 0.1, "torque_enable": 1.0, "temperature": 25.0}
+    arrays: dict[Any, np.ndarray] = {}
+    for key in log.channels:
+        value = log.array(key)
+        if key[0] not in ("joint", "command"):
+            arrays[key] = value
+            continue
+        other = float(value.mean()) if key[1] == "voltage" else fill.get(key[1], 0.0)
+        whole = np.tile(np.broadcast_to(other, len(JOINTS)).astype(float), (rows, 1))
+        whole[:, columns] = value
+        arrays[key] = whole
+    return Rollout.from_arrays(arrays, log.metadata.replace(joints=JOINTS))
+
+
+def free_runs(model: RobotModel, logs: Sequence[Rollout]) -> list[Prediction]:
+    """Closed-loop predictions of whole logs, from their first rows and commands alone."""
+    return Replay([whole_robot(log) for log in logs]).run(model)
+
+
+def show(
+    before: RobotModel,
+    after: RobotModel,
+    split: LogSplit,
+    progress: Callable[[float], None] | None = None,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Gaps of two models on the runs that show.
+
+    Args:
+        before: the refitted base.
+        after: the model with what was named.
+        split: whose ``show`` logs are simulated.
+        progress: called with the share done.
+        seed: of the bootstrap.
+
+    Returns:
+        ``gap`` by channel with ``before``, ``after`` and ``floor`` as root mean squares over all joints of the logs,
+        each with a 90 % interval over seconds; ``loss`` with ``paper_eq7`` before and after; ``vetoed``, whether the
+        free run did not improve; and the predictions.
+    """
+    logs = split.show
+    first = free_runs(before, logs)
+    if progress is not None:
+        progress(0.5)
+    second = first if after is before else free_runs(after, logs)
+    joints = logs[0].joints
+    loss = TrajectoryLoss(tuple(joints))
+    old, new = float(loss(first)[0]), float(loss(second)[0])
+    gap = {}
+    rng = np.random.default_rng([seed, 13])
+    improved, worsened = False, False
+    for key, unit in CHANNELS.items():
+        if not all(key in log for log in logs):
+            continue
+        blocks = [_squares(predictions, logs, key) for predictions in (first, second)]
+        low, high = _difference(blocks[0], blocks[1], rng)
+        improved |= low > 0
+        worsened |= high < 0
+        entry: dict[str, Any] = {
+            "before": _root(blocks[0]),
+            "after": _root(blocks[1]),
+            "floor": _floor(split, key),
+            "unit": unit,
+            "before_interval": _interval(blocks[0], rng),
+            "after_interval": _interval(blocks[1], rng),
+        }
+        entry["closure"] = _closure(entry)
+        gap["/".join(key)] = entry
+    return {
+        "gap": gap,
+        "loss": {"name": "paper_eq7", "before": old, "after": new},
+        "vetoed": new >= old or (worsened and not improved),
+        "before": first,
+        "after": second,
+    }
+
+
+def _squares(predictions: Sequence[Prediction], logs: Sequence[Rollout], key: tuple[str, str]) -> np.ndarray:
+    """Mean square by second of every run, ``[block]``."""
+    values = []
+    for prediction, log in zip(predictions, logs, strict=True):
+        columns = [prediction.log.joints.index(joint) for joint in log.joints]
+        simulated = prediction.channels[key][0].numpy()[:, columns]
+        error = np.square(simulated - log.array(key)[: len(simulated)]).mean(1)
+        error = np.nan_to_num(error, nan=1e6, posinf=1e6)
+        time = log.array("time")[: len(error), 0]
+        second = (time - time[0]).astype(int)
+        values.extend(error[second == s].mean() for s in np.unique(second))
+    return np.array(values)
+
+
+def _root(blocks: np.ndarray) -> float:
+    return float(np.sqrt(blocks.mean()))
+
+
+def _interval(blocks: np.ndarray, rng: np.random.Generator) -> list[float]:
+    draws = blocks[rng.integers(len(blocks), size=(RESAMPLES, len(blocks)))].mean(1)
+    return [float(np.sqrt(end)) for end in np.quantile(draws, [0.05, 0.95])]
+
+
+def _difference(one: np.ndarray, other: np.ndarray, rng: np.random.Generator) -> tuple[float, float]:
+    apart = one - other
+    draws = apart[rng.integers(len(apart), size=(RESAMPLES, len(apart)))].mean(1)
+    low, high = np.quantile(draws, [0.05, 0.95])
+    return float(low), float(high)
+
+
+def _floor(split: LogSplit, key: tuple[str, str]) -> float | None:
+    """Root mean square by which repeats of one command differ from their mean; None without repeats."""
+    squares = []
+    for group in split.repeats:
+        values = np.stack([split.show[i].array(key) for i in group])
+        squares.append(np.square(values - values.mean(0)).sum(0).mean() / (len(group) - 1))
+    return float(np.sqrt(np.mean(squares))) if squares else None
+
+
+def _closure(entry: Mapping[str, Any]) -> float | None:
+    """Share of the gap above the floor that was closed; squares are what adds up."""
+    floor = entry["floor"]
+    if floor is None:
+        return None
+    before = np.sqrt(max(entry["before"] ** 2 - floor**2, 0.0))
+    after = np.sqrt(max(entry["after"] ** 2 - floor**2, 0.0))
+    return float((before - after) / before) if before > 0 else None
+
+
+def worst_joint(predictions: Sequence[Prediction], joints: Sequence[str]) -> str:
+    """The joint whose position is predicted worst."""
+    totals = torch.zeros(len(joints), dtype=torch.float64)
+    for prediction in predictions:
+        columns = [prediction.log.joints.index(joint) for joint in joints]
+        simulated = prediction.channels["joint", "position"][0][:, columns]
+        measured = torch.from_numpy(prediction.log.array("joint/position")[: len(simulated)])[:, columns]
+        totals += (simulated - measured).square().mean(0)
+    return joints[int(totals.argmax())]

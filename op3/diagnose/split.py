@@ -1,0 +1,144 @@
+"""Which logs are fitted, which choose, and which only show."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from op3.rollout import LogError, Rollout
+
+SELECT_SHARE = 0.25
+"""Share of the runs that are not repeats by which hypotheses are chosen."""
+
+SHOW_SHARE = 0.2
+"""Share of the runs that only show, where no command was repeated."""
+
+SHORTEST = 2.0
+"""Logs shorter than this are not used [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class LogSplit:
+    """Logs by what they are used for; no log serves two purposes.
+
+    Attributes:
+        fit: parameters are fitted to these.
+        select: hypotheses are ranked and chosen by these.
+        show: the gap before and after is shown on these; nothing is chosen by them.
+        repeats: groups of logs with the same commands, as indices into `show`; empty where nothing was repeated.
+    """
+
+    fit: tuple[Rollout, ...]
+    select: tuple[Rollout, ...]
+    show: tuple[Rollout, ...]
+    repeats: tuple[tuple[int, ...], ...] = ()
+
+    @property
+    def logs(self) -> tuple[Rollout, ...]:
+        """All of them: fit, select, show."""
+        return (*self.fit, *self.select, *self.show)
+
+
+def split_logs(logs: Sequence[Rollout], seed: int = 0) -> LogSplit:
+    """Split by run; fixed before anything is fitted.
+
+    Runs that repeat the same commands show, as their spread tells the noise floor. Of the others one run of every
+    kind of motion (its name without a number at the end) is chosen by until a quarter is reached. With fewer than
+    five runs, each is cut in time: the first 60 % fit, then 20 % choose, 20 % show.
+
+    Args:
+        logs: all logs of one robot.
+        seed: of the choice among runs of one kind.
+
+    Raises:
+        LogError: if no log is long enough.
+    """
+    usable = [log for log in logs if log.duration >= SHORTEST]
+    if not usable:
+        raise LogError(
+            f"no log is {SHORTEST:g} s long",
+            "record at least a few seconds, better 100 s in several runs",
+            column="time",
+        )
+    if len(usable) < 5:
+        return _split_in_time(usable)
+    rng = np.random.default_rng([seed, 7])
+    groups = _repeats(usable)
+    repeated = [i for group in groups for i in group]
+    rest = [i for i in range(len(usable)) if i not in repeated]
+    if len(rest) < 3:
+        groups, repeated, rest = [], [], list(range(len(usable)))
+    show = list(repeated)
+    if not show:
+        show = _pick(usable, rest, max(1, round(SHOW_SHARE * len(rest))), rng)
+        rest = [i for i in rest if i not in show]
+    select = _pick(usable, rest, max(1, round(SELECT_SHARE * len(rest))), rng)
+    fit = [i for i in rest if i not in select]
+    return LogSplit(
+        fit=tuple(usable[i] for i in fit),
+        select=tuple(usable[i] for i in select),
+        show=tuple(usable[i] for i in show),
+        repeats=tuple(tuple(show.index(i) for i in group) for group in groups),
+    )
+
+
+def _repeats(logs: Sequence[Rollout]) -> list[list[int]]:
+    """Groups of logs whose commands are equal."""
+    groups: list[list[int]] = []
+    for i, log in enumerate(logs):
+        for group in groups:
+            if _same_commands(logs[group[0]], log):
+                group.append(i)
+                break
+        else:
+            groups.append([i])
+    return [group for group in groups if len(group) > 1]
+
+
+def _same_commands(one: Rollout, other: Rollout) -> bool:
+    if one.joints != other.joints or one.metadata.mount != other.metadata.mount or one.rows != other.rows:
+        return False
+    if (one.metadata.mass, one.metadata.length) != (other.metadata.mass, other.metadata.length):
+        return False
+    keys = [key for key in one.channels if key[0] == "command"]
+    if keys != [key for key in other.channels if key[0] == "command"]:
+        return False
+    if "imu/orientation" in one and "imu/orientation" in other and one.metadata.mount == "stand":
+        apart = one.array("imu/orientation")[:, :2].mean(0) - other.array("imu/orientation")[:, :2].mean(0)
+        if np.abs(apart).max() > 0.02:
+            return False
+    return all(np.array_equal(one.array(key), other.array(key)) for key in keys)
+
+
+def _kind(log: Rollout) -> str:
+    return re.sub(r"[\d_.-]+$", "", log.metadata.motion or "motion")
+
+
+def _pick(logs: Sequence[Rollout], among: Sequence[int], count: int, rng: np.random.Generator) -> list[int]:
+    """Runs drawn one of each kind in turn, the kind with the most runs left first."""
+    left: dict[str, list[int]] = {}
+    for i in among:
+        left.setdefault(_kind(logs[i]), []).append(i)
+    picked: list[int] = []
+    taken = dict.fromkeys(left, 0)
+    while len(picked) < count:
+        kind = max(left, key=lambda k: (len(left[k]) / (1 + 2 * taken[k]), k))
+        picked.append(left[kind].pop(int(rng.integers(len(left[kind])))))
+        taken[kind] += 1
+        if not left[kind]:
+            del left[kind]
+        if not left:
+            break
+    return picked
+
+
+def _split_in_time(logs: Sequence[Rollout]) -> LogSplit:
+    parts: tuple[list[Rollout], ...] = ([], [], [])
+    for log in logs:
+        time = log.array("time")[:, 0]
+        cuts = time[0] + log.duration * np.array([0.0, 0.6, 0.8, 1.0])
+        cuts[-1] += 1.0
+        for part, begin, end in zip(parts, cuts[:-1], cuts[1:], strict=True):
+            part.append(log.between(float(begin), float(end)))
+    return LogSplit(tuple(parts[0]), tuple(parts[1]), tuple(parts[2]))

@@ -1,0 +1,128 @@
+"""The verdict of a diagnosis, and how it is written."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from op3.servo import RobotModel
+
+VERDICTS = ("named", "ambiguous", "unknown", "nothing_missing")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One effect of a verdict.
+
+    Attributes:
+        name: of the catalogue.
+        joints: names of the joints in which it sits.
+        shared: whether all joints have it alike.
+        size: of its size parameter, in the unit.
+        unit: of the size.
+        interval: 90 % interval of the size.
+        confidence: share of bootstrap resamples in which it wins.
+        parameters: all numbers of the effect.
+        gain: share of the window residual of the choosing runs that it explains.
+        parameter: name of the size parameter.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    shared: bool
+    size: float
+    unit: str
+    interval: tuple[float, float]
+    confidence: float
+    parameters: Mapping[str, float]
+    gain: float
+    parameter: str = ""
+
+    def plain(self) -> dict[str, Any]:
+        """Plain values for YAML."""
+        return {
+            "name": self.name,
+            "joints": list(self.joints),
+            "shared": self.shared,
+            "size": _rounded(self.size),
+            "parameter": self.parameter,
+            "unit": self.unit,
+            "interval": [_rounded(end) for end in self.interval],
+            "confidence": round(self.confidence, 3),
+            "parameters": {name: _rounded(value) for name, value in self.parameters.items()},
+            "gain": round(self.gain, 4),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """What a diagnosis says.
+
+    Attributes:
+        verdict: ``named``, ``ambiguous``, ``unknown`` or ``nothing_missing``.
+        effects: those named, or the candidates of an ambiguous verdict.
+        reason: one sentence.
+        model: with what was named switched on and identified; the refitted base otherwise.
+        base: the refitted base model.
+        separate_by: experiment that tells candidates apart; empty unless ambiguous.
+        cannot_tell: what the logs are too poor for, and what to record next; empty if they are rich enough.
+        gap: by channel, before and after on the runs that show.
+        loss: ``paper_eq7`` before and after on the runs that show.
+        vetoed: whether the free run on the runs that show is no better, although windows are.
+        details: tables for the page: screen, contenders, base parameters, cells.
+    """
+
+    verdict: str
+    effects: tuple[Finding, ...]
+    reason: str
+    model: RobotModel
+    base: RobotModel
+    separate_by: str = ""
+    cannot_tell: tuple[str, ...] = ()
+    gap: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    loss: Mapping[str, Any] = field(default_factory=dict)
+    vetoed: bool = False
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in one sentence."""
+        found = " and ".join(_phrase(effect) for effect in self.effects)
+        if self.verdict == "named":
+            return f"The model lacks {found}."
+        if self.verdict == "ambiguous":
+            either = ", or ".join(_phrase(effect) for effect in self.effects)
+            return f"The model lacks {either}; these logs do not tell which."
+        if self.verdict == "unknown":
+            return "The model lacks something that no effect of the catalogue explains."
+        if self.cannot_tell:
+            return "Nothing can be named: these logs cannot tell, which is not to say that nothing is missing."
+        return "Nothing is missing: what the model does not explain is as small as what no effect could explain."
+
+    def plain(self) -> dict[str, Any]:
+        """The content of ``verdict.yaml``."""
+        content: dict[str, Any] = {
+            "verdict": self.verdict,
+            "sentence": self.sentence,
+            "reason": self.reason,
+            "effects": [effect.plain() for effect in self.effects],
+        }
+        if self.separate_by:
+            content["separate_by"] = self.separate_by
+        if self.cannot_tell:
+            content["cannot_tell"] = list(self.cannot_tell)
+        content["gap"] = {name: dict(values) for name, values in self.gap.items()}
+        content["loss"] = dict(self.loss)
+        content["vetoed"] = self.vetoed
+        content["ranking"] = list(self.details.get("ranking", ()))
+        return content
+
+
+def _phrase(effect: Finding) -> str:
+    where = "in all joints" if effect.shared else "in " + ", ".join(effect.joints)
+    low, high = effect.interval
+    unit = "" if effect.unit == "-" else f" {effect.unit}"
+    return f"{effect.name} {where}, {effect.size:.3g}{unit} ({low:.3g} to {high:.3g})"
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.6g}")

@@ -1,0 +1,299 @@
+"""Residuals of short windows: measured minus nothing but what a model predicts from the measured state.
+
+Windows of a fifth of a second start from the smoothed measured state and are driven by the commands of the log. Their
+residual in position, velocity and current is whitened by what is usual for its channel and time in the window, and
+what an error of the initial state would explain is taken out of it (two numbers per joint and window, with a tight
+prior), so that what is left speaks about the model.
+"""
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from op3.diagnose.motion import CHANNELS, HALF_WIDTH, PREROLL, FixedBase, SmoothLog, smooth
+from op3.diagnose.split import LogSplit
+from op3.rollout import LogError
+from op3.servo import RobotModel
+from op3.sim import MeasuredMotion, TrajectoryDynamics, Window, WindowSimulation
+from op3.sim.window_simulation import ROTOR
+
+INITIAL_POSITION = 0.0015
+"""Prior standard deviation of the initial angle's error [rad]: one count of a 4096-step encoder."""
+
+INITIAL_VELOCITY = 0.06
+"""Prior standard deviation of the initial velocity's error [rad/s]."""
+
+FLOOR = {("joint", "position"): 0.0006, ("joint", "velocity"): 0.02, ("joint", "current"): 0.006}
+"""Standard deviation of a reading, by channel [rad, rad/s, A]."""
+
+HUBER = 2.0
+"""A window whose residual is larger than this, in usual residuals, counts less."""
+
+BLOCK = 1.0
+"""Residuals closer than this are taken as dependent [s]."""
+
+
+class WindowResiduals:
+    """Windows of the logs of a split, and the residuals of any model on them.
+
+    Windows of the fitted runs come first, then those of the runs by which hypotheses are chosen.
+
+    Args:
+        split: the logs; all on a stand, with the same joints.
+        fit_windows: how many windows of the fitted runs.
+        select_windows: how many of the runs that choose.
+        ticks: length of a window.
+        timestep: of the simulation [s].
+
+    Raises:
+        LogError: if logs differ in joints or rate, or the base is free.
+    """
+
+    def __init__(
+        self,
+        split: LogSplit,
+        *,
+        fit_windows: int = 60,
+        select_windows: int = 36,
+        ticks: int = 25,
+        timestep: float = 0.001,
+    ):
+        self.split, self.ticks, self.timestep = split, ticks, timestep
+        first = split.fit[0]
+        for log in split.logs:
+            if log.metadata.mount != "stand" or log.joints != first.joints:
+                raise LogError(
+                    "windows need logs of one set of joints on the stand",
+                    "diagnose logs of one mount and one set of joints at a time",
+                    source=log.metadata.recording,
+                    column="joints",
+                )
+        self.joints = first.joints
+        logs = [smooth(log) for log in (*split.fit, *split.select)]
+        if len({round(log.period, 6) for log in logs}) > 1:
+            raise LogError("the logs have different rates", "diagnose logs of one rate at a time", column="time")
+        self.period = logs[0].period
+        fit = _choose(logs[: len(split.fit)], fit_windows, ticks)
+        select = _choose(logs[len(split.fit) :], select_windows, ticks)
+        self.windows = [*fit, *((log + len(split.fit), tick) for log, tick in select)]
+        self.is_fit = np.arange(len(self.windows)) < len(fit)
+        self.smooth_logs = logs
+        self.blocks = np.array([hash((log, int(tick * self.period / BLOCK))) for log, tick in self.windows])
+        self._stack(logs)
+        self.measured = np.stack(
+            [np.stack([logs[i].readings[key][t : t + ticks + 1] for i, t in self.windows]) for key in self.channels], -1
+        )  # [window, tick, joint, channel]
+        self.scale: np.ndarray | None = None
+        self._nuisance: np.ndarray | None = None
+        self._shrink: np.ndarray | None = None
+        self._weight = np.ones(len(self.windows))
+        self._models: dict[int, tuple[RobotModel, WindowSimulation]] = {}
+        self.simulated_rows = 0
+
+    def _stack(self, logs: Sequence[SmoothLog]) -> None:
+        """One long motion of all windows' ticks, each with its lead."""
+        self.channels = tuple(key for key in CHANNELS if all(key in log.readings for log in logs))
+        spans = [(logs[i], slice(t - PREROLL, t + self.ticks + 1)) for i, t in self.windows]
+        rows = PREROLL + self.ticks + 1
+
+        def stacked(get) -> np.ndarray:
+            return np.concatenate([get(log)[span] for log, span in spans])
+
+        self._position, self._velocity = stacked(lambda log: log.position), stacked(lambda log: log.velocity)
+        common = set.intersection(*(set(log.inputs) for log in logs))
+        inputs = {name: stacked(lambda log, n=name: log.inputs[n]) for name in sorted(common)}
+        tilts = [log.tilt for log, _ in spans]
+        started = _started(logs)
+        self._tilted: list[tuple[FixedBase, np.ndarray]] = []
+        for tilt in sorted(set(tilts)):
+            at = np.concatenate([np.arange(k * rows, (k + 1) * rows) for k, own in enumerate(tilts) if own == tilt])
+            self._tilted.append((FixedBase(self.joints, tilt), at))
+        q = stacked(lambda log: log.readings["joint", "position"])
+        v = stacked(lambda log: log.readings.get(("joint", "velocity"), log.velocity))
+        self.motion = MeasuredMotion(
+            self.period,
+            self._position,
+            self._velocity,
+            stacked(lambda log: log.acceleration),
+            q,
+            v,
+            stacked(lambda log: log.readings.get(("joint", "current"), np.zeros_like(log.position))),
+            np.concatenate([started[id(log)] + log.time[span, None] for log, span in spans]),
+            inputs,
+            self._dynamics(),
+            {},
+        )
+        self._starts = [Window(0, k * rows + PREROLL) for k in range(len(self.windows))]
+        self._edits: dict[tuple[str, int | None], TrajectoryDynamics | None] = {}
+
+    def _dynamics(self) -> TrajectoryDynamics:
+        parts = [
+            (at, base.dynamics(self._position[at], self._velocity[at], radial_force=True)) for base, at in self._tilted
+        ]
+        return _merged(parts, len(self._position))
+
+    def _change(self, model: RobotModel, name: str, joint: int | None, amount: float) -> TrajectoryDynamics | None:
+        """Dynamics added per unit of a parameter that edits bodies; None where it changes nothing here."""
+        key = (name, joint)
+        if key not in self._edits:
+            parts = []
+            for base, at in self._tilted:
+                changed = base.changed(model, name, joint, amount)
+                if changed is None:
+                    break
+                here = base.along(changed, self._position[at], self._velocity[at])
+                before = base.along(base.mj_model, self._position[at], self._velocity[at])
+                parts.append((at, _difference(here, before, amount)))
+            self._edits[key] = _merged(parts, len(self._position)) if len(parts) == len(self._tilted) else None
+        return self._edits[key]
+
+    def simulation(self, model: RobotModel, fit_only: bool = False, coarse: bool = False) -> WindowSimulation:
+        """A simulation of the windows under a model; a coarse one takes steps of twice the length."""
+        changes = {}
+        for effect in model.effects:
+            for edit in effect.edits:
+                known = model.parameters()[edit.parameter]
+                if edit == ROTOR or edit.target == "base_body":
+                    continue  # the rotor is on the diagonal; a base that is held carries whatever it weighs
+                amount = 0.25 * (known.high - known.low)
+                for joint in range(len(self.joints)) if known.per_joint else (None,):
+                    change = self._change(model, edit.parameter, joint, amount)
+                    if change is not None:
+                        changes[edit.parameter, joint] = change
+        motion = MeasuredMotion(**{**vars(self.motion), "changes": changes})
+        starts = self._starts[: int(self.is_fit.sum())] if fit_only else self._starts
+        return WindowSimulation(
+            model,
+            [motion],
+            starts,
+            self.ticks,
+            self.joints,
+            timestep=self.timestep * (2 if coarse else 1),
+            preroll=PREROLL,
+        )
+
+    def errors(
+        self,
+        model: RobotModel,
+        parameters: Mapping[str, Tensor] | None = None,
+        candidates: int = 1,
+        *,
+        fit_only: bool = False,
+        coarse: bool = False,
+        **offsets: Tensor,
+    ) -> np.ndarray:
+        """Simulated minus measured, ``[candidate, window, tick, joint, channel]``."""
+        simulation = self.simulation(model, fit_only, coarse)
+        self.simulated_rows += candidates * len(simulation.windows)
+        channels = simulation.run(
+            parameters,
+            candidates,
+            position_offset=offsets.get("position_offset"),
+            velocity_offset=offsets.get("velocity_offset"),
+        )
+        simulated = np.stack([channels[key].numpy() for key in self.channels], -1)
+        result = simulated - self.measured[None, : len(simulation.windows)]
+        return np.nan_to_num(result, nan=1e3, posinf=1e3, neginf=-1e3)
+
+    def prepare(self, model: RobotModel) -> None:
+        """Take the scale of the residuals, and what initial states explain, from this model."""
+        error = self.errors(model)[0]
+        count = len(self.joints)
+        size = torch.eye(count, dtype=torch.float64)
+        none = torch.zeros(count, count, dtype=torch.float64)
+        moved = self.errors(
+            model,
+            {},
+            2 * count,
+            position_offset=torch.cat([INITIAL_POSITION * size, none]),
+            velocity_offset=torch.cat([none, INITIAL_VELOCITY * size]),
+        )
+        sensitivity = np.moveaxis(moved - error, 0, -1)  # [window, tick, joint, channel, nuisance]
+        self.scale = self._scale(error)
+        flat = (sensitivity / self.scale[..., None]).reshape(len(self.windows), -1, 2 * count)
+        basis, strength, _ = np.linalg.svd(flat, full_matrices=False)
+        self._nuisance, self._shrink = basis, 1.0 - 1.0 / np.sqrt(1.0 + strength**2)
+        self._weight = np.ones(len(self.windows))
+        size = np.sqrt(np.square(self.whiten(error[None])[0]).mean(1))
+        self._weight = np.minimum(1.0, HUBER / np.maximum(size, 1e-9))
+
+    def _scale(self, error: np.ndarray) -> np.ndarray:
+        """Per tick and channel, ``[tick, 1, channel]``: the sensors' floor and the usual size of the residual."""
+        floor = np.array([FLOOR[key] for key in self.channels])
+        usual = 1.4826 * np.median(np.abs(error), axis=(0, 2))  # [tick, channel]
+        return np.sqrt(floor**2 + usual**2)[:, None, :]
+
+    def whiten(self, error: np.ndarray) -> np.ndarray:
+        """Whitened residual without what initial states explain, ``[candidate, window, residual]``."""
+        assert self.scale is not None
+        assert self._nuisance is not None
+        assert self._shrink is not None
+        flat = (error / self.scale).reshape(*error.shape[:2], -1)
+        basis, shrink = self._nuisance[: flat.shape[1]], self._shrink[: flat.shape[1]]
+        # [window, nuisance, candidate]
+        along = basis.transpose(0, 2, 1) @ flat.transpose(1, 2, 0)
+        kept = flat - (basis @ (shrink[..., None] * along)).transpose(2, 0, 1)
+        return kept * self._weight[: flat.shape[1], None]
+
+    def residuals(
+        self,
+        model: RobotModel,
+        parameters: Mapping[str, Tensor] | None = None,
+        candidates: int = 1,
+        fit_only: bool = False,
+        coarse: bool = False,
+    ) -> np.ndarray:
+        """Whitened residuals ``[candidate, window, residual]``; call `prepare` first.
+
+        Coarse ones, at twice the time step, cost half; their *differences* are as good as those of fine ones.
+        """
+        parts, size = [], 40
+        for begin in range(0, candidates, size):
+            piece = slice(begin, min(begin + size, candidates))
+            values = {name: value[piece] for name, value in (parameters or {}).items()}
+            error = self.errors(model, values, piece.stop - begin, fit_only=fit_only, coarse=coarse)
+            parts.append(self.whiten(error).astype(np.float32))
+        return np.concatenate(parts)
+
+
+def _choose(logs: Sequence[SmoothLog], count: int, ticks: int) -> list[tuple[int, int]]:
+    """Evenly spread starts (log, tick) of windows that do not overlap while there is room."""
+    lead, tail = max(PREROLL, HALF_WIDTH), ticks + HALF_WIDTH + 1
+    room = np.array([max(0, len(log.time) - lead - tail) for log in logs])
+    if room.sum() == 0:
+        raise LogError("the logs are shorter than a window", "record a few seconds per run", column="time")
+    total = int(room.sum())
+    stride = max(total / count, ticks / 2)
+    starts = []
+    edges = np.cumsum([0, *room])
+    for at in np.arange(stride / 2, total, stride):
+        log = int(np.searchsorted(edges, at, side="right") - 1)
+        starts.append((log, lead + int(at - edges[log])))
+    return starts
+
+
+def _started(logs: Sequence[SmoothLog]) -> dict[int, float]:
+    """When each log began after the first of them [s], by its id; 0 where the metadata do not tell."""
+    dates = {id(log): log.log.metadata.date for log in logs}
+    if any(date is None for date in dates.values()):
+        return dict.fromkeys(dates, 0.0)
+    times = {key: datetime.fromisoformat(str(date)).timestamp() for key, date in dates.items()}
+    first = min(times.values())
+    return {key: time - first for key, time in times.items()}
+
+
+def _merged(parts: Sequence[tuple[np.ndarray, TrajectoryDynamics]], rows: int) -> TrajectoryDynamics:
+    fields = {}
+    for name in ("mass", "bias", "gradient", "damping", "radial_force"):
+        whole = np.zeros((rows, *getattr(parts[0][1], name).shape[1:]))
+        for at, part in parts:
+            whole[at] = getattr(part, name)
+        fields[name] = whole
+    return TrajectoryDynamics(**fields)
+
+
+def _difference(one: TrajectoryDynamics, other: TrajectoryDynamics, amount: float) -> TrajectoryDynamics:
+    return TrajectoryDynamics(**{k: (getattr(one, k) - getattr(other, k)) / amount for k in vars(one)})

@@ -1,0 +1,218 @@
+"""Many robots at a task, stepped together: a natively batched TorchRL environment."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.envs import EnvBase
+
+from op3.envs.specs import set_specs
+from op3.policy import ActionMap
+from op3.robot import build_scene, place_tiles, tile_ids
+from op3.servo import RobotModel
+from op3.sim import BatchSimulation, attach_servos
+from op3.tasks.beginning import Beginning, begin, episode_seed
+from op3.tasks.ground import Ground
+from op3.tasks.randomisation import Randomisation
+from op3.tasks.rules import Outcome, Rules
+from op3.tasks.setups import OP3_CONTROL_PERIOD
+from op3.tasks.snapshot import Probe, Snapshot
+from op3.tasks.task import POLICY_PERIOD, TICKS, Task
+
+
+class BatchedEnv(EnvBase):
+    """``num_envs`` robots at one task, each on a ground and with parameters of its own.
+
+    A step is 32 ms: four ticks of the PD and 32 steps of the physics. Robots that are reset do not disturb the others,
+    and the k-th episode of robot i depends on the seed, i and k alone.
+
+    Args:
+        task: the task.
+        model: effects and parameter values of the robots.
+        num_envs: number of robots.
+        seed: of everything random.
+        action_map: what actions mean.
+        parameters: values by parameter name, ``[num_envs]`` or ``[num_envs, joint]`` or a number, that replace the
+            model's for good.
+        randomisation: draws each robot's parameters anew for every episode; None: they stay.
+        num_threads: threads that step the physics; 0 for all processors.
+
+    Raises:
+        ValueError: if a parameter is unknown, or one that `parameters` gives is also drawn.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        model: RobotModel,
+        num_envs: int = 64,
+        seed: int = 0,
+        *,
+        action_map: ActionMap | None = None,
+        parameters: Mapping[str, Tensor | float] | None = None,
+        randomisation: Randomisation | None = None,
+        num_threads: int = 0,
+    ):
+        super().__init__(device=torch.device("cpu"), batch_size=torch.Size([num_envs]))
+        self.task, self.model = task, model
+        self.action_map = action_map or ActionMap.around_stand()
+        self.scene = build_scene(task.scene)
+        attach_servos(self.scene.joints)
+        robot = self.scene.robot
+        assert robot is not None
+        self.simulation = BatchSimulation(
+            self.scene.compile(),
+            self.scene.joint_names,
+            model,
+            num_envs,
+            control_period=OP3_CONTROL_PERIOD,
+            base_body=robot.trunk.full_identifier,
+            num_threads=num_threads,
+        )
+        batch = self.simulation.batch
+        self._qpos, self._qvel = batch.bind("qpos"), batch.bind("qvel")
+        self._forces = batch.bind("qfrc_applied")
+        with_feet = task.cycle is not None
+        self._probe = Probe(batch.model, self.scene, with_feet)
+        self._sensordata = self.simulation.sensordata
+        self._tiles = tile_ids(batch.model)
+        self._geom_pos = batch.expand("geom_pos") if len(self._tiles) else None
+        self._randomisation = randomisation
+        self._drawn = {} if randomisation is None else randomisation.bounds(model)
+        self._fixed = dict(parameters or {})
+        clash = sorted(set(self._drawn) & set(self._fixed))
+        if clash:
+            raise ValueError(f"parameter {clash[0]!r} is both given and drawn; name it in one place")
+        self.parameters_drawn = {name: torch.zeros(num_envs, dtype=torch.float64) for name in self._drawn}
+        if self._fixed:
+            self.simulation.set_parameters(self._fixed)
+        self._beginnings: dict[int, Beginning] = {}
+        self._ground: Ground | None = None
+        self.episode_seeds = np.zeros(num_envs, dtype=np.int64)
+        self.on_tick: Callable[[int], None] | None = None
+        """Called with the number of the tick in the step, before it; a recorder looks at the robots here."""
+        set_specs(self, task, self.action_map, num_envs)
+        self.set_seed(seed)
+
+    @property
+    def num_envs(self) -> int:
+        """Number of robots."""
+        return self.simulation.num_sims
+
+    def _set_seed(self, seed: int | None) -> None:
+        self.seed = 0 if seed is None else int(seed)
+        self._episodes = np.zeros(self.num_envs, dtype=np.int64)
+        generator = torch.Generator().manual_seed(self.seed)
+        self.rules = Rules(self.task, self.action_map, self.num_envs, generator)
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDict:
+        mask = torch.ones(self.num_envs, dtype=torch.bool)
+        if tensordict is not None and tensordict.get("_reset", None) is not None:
+            mask = tensordict["_reset"].view(self.num_envs)
+        rows = mask.nonzero()[:, 0].tolist()
+        seeds = {row: episode_seed(self.seed, row, int(self._episodes[row])) for row in rows}
+        self._episodes[rows] += 1
+        return self._begin(mask, seeds)
+
+    def begin(self, episodes: Mapping[int, int]) -> TensorDict:
+        """Put some robots down for chosen episodes, in which all robots find the same beginning.
+
+        Args:
+            episodes: number of the episode, by index of the robot; the others go on undisturbed.
+
+        Returns:
+            The state of all robots, as `reset` gives it.
+        """
+        mask = torch.zeros(self.num_envs, dtype=torch.bool)
+        mask[list(episodes)] = True
+        return self._begin(mask, {row: episode_seed(self.seed, 0, number) for row, number in episodes.items()})
+
+    def set_parameters(self, values: Mapping[str, Tensor | float]) -> None:
+        """Give robots other parameters from now on, as the constructor's `parameters`."""
+        self._fixed = dict(values)
+        self.simulation.set_parameters({**self._fixed, **self.parameters_drawn})
+
+    def _begin(self, mask: Tensor, seeds: Mapping[int, int]) -> TensorDict:
+        rows = np.array(sorted(seeds))
+        for row, seed in seeds.items():
+            self.episode_seeds[row] = seed
+            self._beginnings[row] = begin(self.task, self.scene, seed)
+        self._place(rows)
+        observation = self.rules.begin(self.snapshot(), mask)
+        zeros = torch.zeros(self.num_envs, 1)
+        done = torch.zeros(self.num_envs, 1, dtype=torch.bool)
+        terms = {name: zeros.clone() for name in self.observation_spec["reward_terms"].keys(True)}
+        flags = {name: done.clone() for name in ("done", "terminated", "truncated")}
+        content = {"observation": observation.float(), "reward_terms": TensorDict(terms, self.batch_size), **flags}
+        return TensorDict(content, self.batch_size)
+
+    def _place(self, rows: np.ndarray) -> None:
+        """Put robots at their beginnings, on their grounds, with their parameters."""
+        chosen = [self._beginnings[row] for row in rows]
+        if self._randomisation is not None:
+            for row in rows:
+                drawn = self._randomisation.draw(self.model, int(self.episode_seeds[row]))
+                for name, value in drawn.items():
+                    self.parameters_drawn[name][row] = value
+            self.simulation.set_parameters({**self._fixed, **self.parameters_drawn})
+        if self._geom_pos is not None:
+            heights = [self._beginnings[row].tiles for row in range(self.num_envs)]
+            place_tiles(self._geom_pos, self._tiles, np.stack([h for h in heights if h is not None]))
+        qpos, qvel = (np.stack([getattr(b, name) for b in chosen]) for name in ("qpos", "qvel"))
+        commands = self.rules.resting_commands(len(rows))
+        self.simulation.reset(qpos, commands, qvel, rows=None if len(rows) == self.num_envs else rows)
+        if self.task.board is not None:
+            motions = [self._beginnings[row].board for row in range(self.num_envs)]
+            if self._ground is None:
+                self._ground = Ground(self.simulation.batch.model, motions)
+            self._ground.replace(rows, [motions[row] for row in rows])
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        action = tensordict["action"].double()
+        self.simulation.command(**self.rules.commands(action))
+        time = self.rules.time.numpy()
+        for tick in range(TICKS):
+            if self.on_tick is not None:
+                self.on_tick(tick)
+            if self._ground is not None:
+                now = time + tick * OP3_CONTROL_PERIOD
+                self._ground.drive(now, self._qpos, self._qvel, self._forces)
+            self.simulation.advance()
+            if self.rules.bank.depth > 1 and tick < TICKS - 1:
+                self.rules.bank.push(self.snapshot().readings)
+        snapshot = self.snapshot()
+        self.rules.bank.push(snapshot.readings)
+        return self._answer(self.rules.finish(action, snapshot, self.simulation.failed))
+
+    def _answer(self, outcome: Outcome) -> TensorDict:
+        def column(values: Tensor) -> Tensor:
+            return values.float()[:, None]
+
+        done = (outcome.terminated | outcome.truncated)[:, None]
+        terms = {name: column(term) for name, term in outcome.terms.items()}
+        return TensorDict(
+            {
+                "observation": outcome.observation.float(),
+                "reward": column(outcome.reward),
+                "reward_terms": TensorDict(terms, self.batch_size),
+                "done": done,
+                "terminated": outcome.terminated[:, None].clone(),
+                "truncated": outcome.truncated[:, None].clone(),
+            },
+            self.batch_size,
+        )
+
+    def snapshot(self) -> Snapshot:
+        """The robots now."""
+        simulation = self.simulation
+        return self._probe.read(
+            torch.from_numpy(self._qpos), torch.from_numpy(self._qvel), self._sensordata, simulation.measure()
+        )
+
+    @property
+    def policy_period(self) -> float:
+        """Time between steps [s]."""
+        return POLICY_PERIOD

@@ -1,0 +1,54 @@
+"""One function that makes any environment of the project."""
+
+from pathlib import Path
+from typing import Any
+
+from torchrl.envs import EnvBase
+
+from op3.envs.batched import BatchedEnv
+from op3.envs.composed import ComposerEnv
+from op3.servo import RobotModel
+from op3.sim import load_model
+from op3.tasks.randomisation import Randomisation
+from op3.tasks.task import Task, find_task
+
+BACKENDS = ("batched", "composer")
+
+
+def make_env(
+    task: str | Task = "balance",
+    model: str | Path | RobotModel = "paper",
+    num_envs: int | None = None,
+    seed: int = 0,
+    backend: str = "batched",
+    randomisation: str | Randomisation | None = None,
+    **options: Any,
+) -> EnvBase:
+    """An environment with the keys observation, action, reward, reward_terms, done, terminated and truncated.
+
+    Args:
+        task: a `Task`, or a name from `op3.tasks.TASKS`.
+        model: a model, the path of a model.yaml, or a name from `op3.sim.model_names`.
+        num_envs: number of robots; None: 64, and one with the composer backend, which has no more.
+        seed: of everything random.
+        backend: ``batched`` steps all robots together; ``composer`` is the same task in dm_control composer.
+        randomisation: "ranges" (Table I) or "intervals" (the model's own) draws each robot's parameters anew for every
+            episode; None: they stay.
+        **options: further arguments of the backend's class.
+
+    Raises:
+        ValueError: if a name is unknown, or the backend cannot do what is asked.
+    """
+    task = find_task(task)
+    model = model if isinstance(model, RobotModel) else load_model(model)
+    if isinstance(randomisation, str):
+        randomisation = Randomisation(randomisation)  # type: ignore[arg-type]
+    if backend == "batched":
+        return BatchedEnv(
+            task, model, 64 if num_envs is None else num_envs, seed, randomisation=randomisation, **options
+        )
+    if backend == "composer":
+        if num_envs not in (None, 1) or randomisation is not None:
+            raise ValueError("the composer backend has one robot without randomisation: use backend='batched'")
+        return ComposerEnv(task, model, seed, **options)
+    raise ValueError(f"unknown backend {backend!r}; the backends are {', '.join(BACKENDS)}")

@@ -1,0 +1,159 @@
+"""Episodes as logs: what the robots' sensors say at 125 Hz, and what the policy saw, did and got."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from op3.envs.batched import BatchedEnv
+from op3.robot import JOINTS, indices
+from op3.rollout import Metadata, Rollout
+from op3.sim import model_hash
+from op3.tasks.setups import OP3_CONTROL_PERIOD
+from op3.tasks.snapshot import Snapshot
+from op3.tasks.task import TICKS
+
+Policy = Callable[[Tensor], Tensor]
+"""From observations ``[robot, observation]`` to actions ``[robot, action]``."""
+
+
+class _Tape:
+    """Channels of all robots, tick by tick; a policy's are filled in when its step is over."""
+
+    def __init__(self, env: BatchedEnv, commander: Any | None):
+        self._env, self._commander = env, commander
+        self.ticks: list[dict[Any, Tensor]] = []
+        self.tips: list[Tensor] = []
+
+    def on_tick(self, tick: int) -> None:
+        """Log the sensors now, and the commands that hold from now."""
+        env, signals = self._env, self._env.simulation.signals
+        if self._commander is not None:
+            env.simulation.command(**self._commander.commands(env.rules.time + tick * OP3_CONTROL_PERIOD))
+        snapshot: Snapshot = env.snapshot()
+        if snapshot.tip is not None:
+            self.tips.append(snapshot.tip)
+        readings = snapshot.readings
+        row = {
+            ("joint", "position"): readings["joint_position"],
+            ("joint", "velocity"): readings["joint_velocity"],
+            ("joint", "current"): snapshot.current,
+            ("imu", "orientation"): readings["orientation"],
+            ("imu", "angular_velocity"): readings["angular_velocity"],
+            ("imu", "linear_acceleration"): snapshot.specific_force,
+            ("command", "position"): signals.position_target,
+            ("command", "p_gain"): signals.p_gain,
+            ("command", "d_gain"): signals.d_gain,
+        }
+        if self._commander is not None:
+            del row["command", "p_gain"], row["command", "d_gain"]
+            row["command", "firmware_gain"] = signals.firmware_gain
+        self.ticks.append({key: value.clone() for key, value in row.items()})
+
+    def fill(self, observation: Tensor, action: Tensor, reward: Tensor) -> None:
+        """Add what the policy saw, did and got to the ticks of the step that is over."""
+        if self._commander is not None:  # what it commanded, on the scale of actions, as if with the highest gain
+            made, legs = self._env.action_map, indices(self._env.action_map.joints)
+            target = self.ticks[-TICKS]["command", "position"][:, legs]
+            action = made.action(target, torch.full_like(target, made.gain_high))
+        for row in self.ticks[-TICKS:]:
+            row["policy", "observation"] = observation.double()
+            row["policy", "action"] = action.double()
+            row["policy", "reward"] = reward.double()
+
+
+def record_episodes(
+    env: BatchedEnv, policy: Policy | Any, episodes: int | None = None, recording: str | None = None
+) -> list[Rollout]:
+    """Run every robot for one episode and record it; then again, until there are as many as asked.
+
+    Args:
+        env: its robots are put down anew.
+        policy: a function from observations to actions, or anything with such a function ``act``, as a policy bundle.
+            With a function ``commands`` of time it commands the servos itself, as `op3.tasks.StiffWalk`.
+        episodes: how many; None: one per robot.
+        recording: identity of the recordings; the number of the episode is added.
+
+    Returns:
+        Logs at 125 Hz with the schema of `op3.rollout`; the metadata hold task, seed of the episode, travelled
+        distance (walking), duration and whether the robot fell.
+    """
+    wanted = env.num_envs if episodes is None else episodes
+    logs: list[Rollout] = []
+    act: Policy = getattr(policy, "act", policy)
+    commander = policy if hasattr(policy, "commands") else None
+    while len(logs) < wanted:
+        logs += _record_once(env, act, commander, recording, len(logs))[: wanted - len(logs)]
+    return logs
+
+
+def _record_once(
+    env: BatchedEnv, act: Policy, commander: Any | None, recording: str | None, first: int
+) -> list[Rollout]:
+    tape = _Tape(env, commander)
+    state: TensorDictBase = env.reset()
+    start = env.snapshot().tip
+    length = torch.zeros(env.num_envs, dtype=torch.int64)
+    fallen = torch.zeros(env.num_envs, dtype=torch.bool)
+    running = torch.ones(env.num_envs, dtype=torch.bool)
+    env.on_tick = tape.on_tick
+    try:
+        while running.any():
+            observation = state["observation"]
+            state["action"] = act(observation).to(torch.float32).clamp(-1.0, 1.0)
+            after = env.step(state)["next"]
+            tape.fill(observation, state["action"], after["reward"])
+            length += running * TICKS
+            fallen |= running & after["terminated"][:, 0]
+            running &= ~after["done"][:, 0]
+            state = after.exclude("reward")
+    finally:
+        env.on_tick = None
+    tips = torch.stack([*tape.tips, _last_tip(env)]) if start is not None else None
+    travelled = None if tips is None or start is None else tips - start
+    return [
+        _log(env, tape, i, int(length[i]), bool(fallen[i]), travelled, _name(recording, first + i))
+        for i in range(env.num_envs)
+    ]
+
+
+def _last_tip(env: BatchedEnv) -> Tensor:
+    tip = env.snapshot().tip
+    assert tip is not None
+    return tip
+
+
+def _log(
+    env: BatchedEnv, tape: _Tape, robot: int, rows: int, fallen: bool, travelled: Tensor | None, recording: str | None
+) -> Rollout:
+    arrays: dict[Any, Tensor] = {
+        key: torch.stack([row[key][robot] for row in tape.ticks[:rows]]) for key in tape.ticks[0]
+    }
+    arrays["time"] = torch.arange(rows, dtype=torch.float64)[:, None] * OP3_CONTROL_PERIOD
+    arrays["done"] = torch.arange(rows)[:, None] == rows - 1
+    drawn = {name: float(values[robot]) for name, values in env.parameters_drawn.items()}
+    extra: Mapping[str, Any] = {"task": env.task.name, **({"parameters": drawn} if drawn else {})}
+    metadata = Metadata(
+        joints=JOINTS,
+        robot="simulated",
+        mount=env.scene.mount,
+        rate=1.0 / OP3_CONTROL_PERIOD,
+        policy_rate=1.0 / env.policy_period,
+        battery=env.model.bus_voltage,
+        motion=env.task.name,
+        recording=recording,
+        model_hash=model_hash(env.model),
+        seed=int(env.episode_seeds[robot]),
+        # the furthest that the inner tip of a foot has got
+        travelled_distance=None if travelled is None else float(travelled[: rows + 1, robot].max()),
+        episode_duration=rows * OP3_CONTROL_PERIOD,
+        fallen=fallen,
+        extra=dict(extra),
+    )
+    return Rollout.from_arrays(arrays, metadata)
+
+
+def _name(recording: str | None, number: int) -> str | None:
+    return None if recording is None else f"{recording}/{number}"

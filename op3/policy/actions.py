@@ -1,0 +1,190 @@
+"""What an action means: target angles and P gains of the controlled joints (paper Sec. action space)."""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from op3.robot import CONTROLLED_JOINTS, SOFT_LIMITS, indices, pose
+
+Array = TypeVar("Array", NDArray[Any], torch.Tensor)
+
+GAIN_LOW = 0.1
+"""Lowest P gain [A/rad] (paper Sec. action space)."""
+
+GAIN_HIGH = 6.0
+"""Highest P gain [A/rad] (paper Sec. action space)."""
+
+D_GAIN = 0.1
+"""D gain [A s/rad] of every joint (paper Sec. action space)."""
+
+SPAN = 0.6
+"""How far a target may lie from the stand pose [rad]; the paper gives no number.
+
+It lets a leg compensate 10 degrees of tilt at hip and ankle and shorten by half of its travel, and keeps every
+controlled joint inside its soft limits, so that action 0 is the stand pose.
+"""
+
+
+@dataclasses.dataclass(frozen=True)
+class ActionMap:
+    """Actions in [-1, 1] as target angles and P gains, both linear in the action.
+
+    An action ``[..., 2 joint]`` holds first the angle of every joint, then its gain. Values beyond [-1, 1] are
+    clipped, so no action commands an angle outside the range.
+
+    Attributes:
+        joints: the controlled joints, in the order of the action.
+        position_low: target angle [rad] of each joint at action -1.
+        position_high: target angle [rad] of each joint at action +1.
+        gain_low: P gain at action -1 [A/rad].
+        gain_high: P gain at action +1 [A/rad].
+        d_gain: D gain of every joint [A s/rad].
+    """
+
+    joints: tuple[str, ...]
+    position_low: tuple[float, ...]
+    position_high: tuple[float, ...]
+    gain_low: float = GAIN_LOW
+    gain_high: float = GAIN_HIGH
+    d_gain: float = D_GAIN
+
+    def __post_init__(self):
+        for name in ("joints", "position_low", "position_high"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        indices(self.joints)
+        if not self.joints or len(set(self.joints)) != len(self.joints):
+            raise ValueError(f"action map: joints must be named once each, got {', '.join(self.joints) or 'none'}")
+        for name in ("position_low", "position_high"):
+            if len(getattr(self, name)) != len(self.joints):
+                given = len(getattr(self, name))
+                raise ValueError(f"action map: {name} has {given} angles for {len(self.joints)} joints")
+        for joint, low, high in zip(self.joints, self.position_low, self.position_high, strict=True):
+            lowest, highest = SOFT_LIMITS[joint]
+            if not lowest <= low < high <= highest:
+                raise ValueError(
+                    f"action map: {joint} ranges from {low} to {high} rad; it must rise within [{lowest}, {highest}]"
+                )
+        if not 0 <= self.gain_low < self.gain_high < math.inf:
+            raise ValueError(f"action map: gains from {self.gain_low} to {self.gain_high} A/rad must rise from >= 0")
+        if not 0 <= self.d_gain < math.inf:
+            raise ValueError(f"action map: d_gain must be at least 0 A s/rad, got {self.d_gain}")
+
+    @classmethod
+    def around_stand(cls, span: float = SPAN, joints: tuple[str, ...] = CONTROLLED_JOINTS) -> "ActionMap":
+        """Targets within `span` [rad] of the stand pose, clipped to the soft limits.
+
+        Args:
+            span: largest distance from the stand pose [rad].
+            joints: the controlled joints.
+        """
+        stand = pose("stand")[indices(joints)]
+        low, high = np.array([SOFT_LIMITS[joint] for joint in joints]).T
+        return cls(
+            tuple(joints),
+            tuple(round(float(value), 9) for value in np.clip(stand - span, low, high)),
+            tuple(round(float(value), 9) for value in np.clip(stand + span, low, high)),
+        )
+
+    @property
+    def size(self) -> int:
+        """Numbers in an action: an angle and a gain per joint."""
+        return 2 * len(self.joints)
+
+    def targets(self, action: Array) -> tuple[Array, Array]:
+        """Target angles and P gains of actions.
+
+        Args:
+            action: [..., 2 joint], numpy or torch.
+
+        Returns:
+            position_target [..., joint] in rad and p_gain [..., joint] in A/rad, of the kind given.
+
+        Raises:
+            ValueError: if the last axis has another length.
+        """
+        self._check(action, self.size, "an action")
+        low, high = self._bounds(action)
+        share = (action.clip(-1.0, 1.0) + 1.0) / 2.0
+        values = low + share * (high - low)
+        return values[..., : len(self.joints)], values[..., len(self.joints) :]
+
+    def action(self, position_target: Array, p_gain: Array) -> Array:
+        """The action that commands these targets; the inverse of `targets`.
+
+        Args:
+            position_target: [..., joint] in rad, clipped to the range.
+            p_gain: [..., joint] in A/rad, clipped to the range.
+
+        Returns:
+            [..., 2 joint] in [-1, 1].
+        """
+        for values, name in ((position_target, "position_target"), (p_gain, "p_gain")):
+            self._check(values, len(self.joints), name)
+        if isinstance(position_target, torch.Tensor):
+            values: Any = torch.cat([position_target, torch.as_tensor(p_gain).to(position_target)], -1)
+        else:
+            values = np.concatenate([position_target, p_gain], -1)
+        low, high = self._bounds(values)
+        return (2.0 * (values - low) / (high - low) - 1.0).clip(-1.0, 1.0)
+
+    def stand(self, p_gain: float | None = None) -> NDArray[np.float64]:
+        """The action [2 joint] that holds the stand pose.
+
+        Args:
+            p_gain: P gain of every joint [A/rad]; the highest where None.
+        """
+        gain = self.gain_high if p_gain is None else p_gain
+        return self.action(pose("stand")[indices(self.joints)], np.full(len(self.joints), gain))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for a manifest."""
+        values = dataclasses.asdict(self)
+        return {name: list(v) if isinstance(v, tuple) else v for name, v in values.items()}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> "ActionMap":
+        """The inverse of `to_dict`.
+
+        Raises:
+            ValueError: if a field is missing, unknown or impossible; the message names it.
+        """
+        known = {field.name for field in dataclasses.fields(cls)}
+        if not isinstance(values, Mapping) or set(values) != known:
+            given = ", ".join(map(str, values)) if isinstance(values, Mapping) else repr(values)
+            raise ValueError(f"action map: needs exactly the fields {', '.join(sorted(known))}, got {given}")
+        try:
+            low, high = (tuple(map(float, values[name])) for name in ("position_low", "position_high"))
+            gains = (float(values[name]) for name in ("gain_low", "gain_high", "d_gain"))
+            return cls(tuple(map(str, values["joints"])), low, high, *gains)
+        except TypeError as error:
+            raise ValueError(f"action map: {error}; write lists of numbers and single gains") from None
+
+    @cached_property
+    def _range(self) -> NDArray[np.float64]:
+        """Lowest and highest commands [2, 2 joint]."""
+        count = len(self.joints)
+        return np.array(
+            [
+                (*self.position_low, *[self.gain_low] * count),
+                (*self.position_high, *[self.gain_high] * count),
+            ]
+        )
+
+    def _bounds(self, like: Any) -> tuple[Any, Any]:
+        if isinstance(like, torch.Tensor):
+            low, high = torch.from_numpy(self._range).to(like)
+        else:
+            low, high = self._range
+        return low, high
+
+    def _check(self, values: Any, size: int, name: str) -> None:
+        if not values.ndim or values.shape[-1] != size:
+            raise ValueError(
+                f"{name} of {len(self.joints)} joints has {size} numbers, got an array of shape {tuple(values.shape)}"
+            )

@@ -1,0 +1,126 @@
+"""The page of a diagnosis: the verdict first, then the gap, the rivals, and the base they were weighed against."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from op3.diagnose import LogSplit, Verdict
+from op3.diagnose.show import whole_robot, worst_joint
+from op3.report.page import Page
+from op3.report.traces import traces_figure
+from op3.servo import effect_class
+
+RANKED = 12
+"""Hypotheses listed on the page."""
+
+
+def write_page(verdict: Verdict, split: LogSplit, path: Path, provenance: Mapping[str, Any]) -> Path:
+    """Write the page of a verdict.
+
+    Args:
+        verdict: of a diagnosis.
+        split: its logs.
+        path: of the page.
+        provenance: where the numbers come from, see `op3.report.run_provenance`.
+    """
+    detail = verdict.reason[:1].upper() + verdict.reason[1:] + "."
+    if verdict.vetoed:
+        detail += " Yet free runs on unseen logs are no better: better one-step physics, no better long-run prediction."
+    page = Page("Diagnosis of what the model lacks", f"{verdict.sentence} {detail}")
+    for channel, values in verdict.gap.items():
+        floor = values["floor"]
+        note = f"before {values['before']:.3g}" + ("" if floor is None else f", repeats differ by {floor:.3g}")
+        page.tile(f"Gap in {channel.split('/')[1]}", values["after"], values["unit"], note)
+    _gap(page, verdict)
+    _why(page, verdict)
+    _traces(page, verdict, split)
+    _base(page, verdict)
+    page.section("Files")
+    page.files(
+        {"verdict.yaml": "the verdict as data", "model.yaml": "the model with what was named, for every other command"}
+    )
+    page.provenance(provenance)
+    return page.write(path)
+
+
+def _gap(page: Page, verdict: Verdict) -> None:
+    page.section("The gap on logs that nothing was chosen by")
+    page.text(
+        "Free runs in closed loop, from the first row and the commands alone, over the logs that show. The floor is how"
+        " far repeats of one command differ from their mean: no model can do better."
+    )
+    rows = [
+        [
+            channel,
+            values["unit"],
+            values["before"],
+            values["after"],
+            values["floor"],
+            None if values["closure"] is None else 100 * values["closure"],
+        ]
+        for channel, values in verdict.gap.items()
+    ]
+    page.table(
+        ["channel", "unit", "before", "after", "floor", "closed [%]"], rows, "Root mean square over joints and runs"
+    )
+    if verdict.loss:
+        page.text(
+            f"Loss of the paper's eq. (7): {verdict.loss['before']:.4g} before, {verdict.loss['after']:.4g} after."
+        )
+
+
+def _why(page: Page, verdict: Verdict) -> None:
+    page.section("Why this, and what it is not")
+    for effect in verdict.effects:
+        cls = effect_class(effect.name)
+        page.text(f"`{effect.name}`: `{cls.equation}`. It shows {cls.fingerprint}.")
+    if verdict.separate_by:
+        page.text(f"To tell the candidates apart: {verdict.separate_by}.")
+    for text in verdict.cannot_tell:
+        page.text(text)
+    ranking = verdict.details.get("ranking", ())[:RANKED]
+    rows = [
+        [
+            entry["name"],
+            "all" if len(entry["joints"]) == len(verdict.details.get("joints", ())) else ", ".join(entry["joints"]),
+            100 * entry["gain"],
+            100 * entry["fit_gain"] if "fit_gain" in entry else None,
+            100 * entry["share"] if "share" in entry else None,
+            entry["score"],
+        ]
+        for entry in ranking
+    ]
+    page.table(
+        ["effect", "joints", "explains, choosing runs [%]", "fitted runs [%]", "wins [%]", "score"],
+        rows,
+        "Hypotheses, best first; those with a share of wins were refitted together with the base",
+    )
+
+
+def _traces(page: Page, verdict: Verdict, split: LogSplit) -> None:
+    shown = verdict.details.get("shown")
+    if not shown:
+        return
+    log = split.show[0]
+    joint = worst_joint(shown["before"], log.joints)
+    predictions = {"before": shown["before"][0].channels}
+    if shown["after"] is not shown["before"]:
+        predictions["after"] = shown["after"][0].channels
+    page.section("One of the logs")
+    page.figure(
+        traces_figure(whole_robot(log), predictions, [joint]), f"{joint}, the joint that the base model predicts worst"
+    )
+
+
+def _base(page: Page, verdict: Verdict) -> None:
+    page.section("The base, refitted")
+    rows = [
+        [
+            name,
+            known.unit,
+            verdict.base.value(name),
+            verdict.model.value(name) if name in verdict.model.parameters() else None,
+        ]
+        for name, known in verdict.base.parameters().items()
+    ]
+    page.table(["parameter", "unit", "base", "with what was named"], rows, "Shared values; joints may differ a little")

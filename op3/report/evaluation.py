@@ -1,0 +1,116 @@
+"""The page and numbers of a policy's evaluation."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from op3.report.page import Page
+from op3.report.result import finish, write_result
+from op3.report.style import PALETTE, dress, faded, words
+from op3.report.traces import body_figure, traces_figure
+from op3.rollout import Rollout
+from op3.tasks.behaviour import GaitProfile
+
+
+def gait_figure(profile: GaitProfile, joint: str) -> go.Figure:
+    """Target angle and P gain over the gait, mean and standard deviation, with the stance of the foot shaded."""
+    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.08)
+    rows = (
+        (np.rad2deg(profile.target), np.rad2deg(profile.target_deviation), "target angle [deg]"),
+        (profile.gain, profile.gain_deviation, "P gain [A/rad]"),
+    )
+    for row, (mean, deviation, axis) in enumerate(rows, start=1):
+        colour = PALETTE[row - 1]
+        band = dict(mode="lines", line=dict(width=0), showlegend=False, hoverinfo="skip")
+        figure.add_scatter(x=profile.phase, y=mean + deviation, **band, row=row, col=1)
+        figure.add_scatter(
+            x=profile.phase, y=mean - deviation, fill="tonexty", fillcolor=faded(colour, 0.18), **band, row=row, col=1
+        )
+        figure.add_scatter(
+            x=profile.phase, y=mean, mode="lines", line=dict(color=colour, width=2.2), name=axis, row=row, col=1
+        )
+        figure.update_yaxes(title_text=axis, row=row, col=1)
+    half = 0.5 / len(profile.phase)
+    for phase in profile.phase[profile.stance]:
+        figure.add_vrect(x0=phase - half, x1=phase + half, fillcolor="#eef1f4", line_width=0, layer="below")
+    figure.update_xaxes(title_text=f"phase of the gait [cycles]; shaded: stance of the {words(joint[:2])} foot", row=2)
+    figure.update_xaxes(range=[0, 1])
+    return dress(figure, 420, showlegend=False)
+
+
+def returns_figure(returns: Mapping[str, Sequence[float]]) -> go.Figure:
+    """Return of every episode, a column per label."""
+    figure = go.Figure()
+    for index, (label, values) in enumerate(returns.items()):
+        figure.add_box(
+            y=list(values), name=label, boxpoints="all", jitter=0.4, pointpos=0, marker=dict(size=5), line_width=1.2,
+            marker_color=PALETTE[index % len(PALETTE)], fillcolor="rgba(0,0,0,0)", showlegend=False,
+        )  # fmt: skip
+    figure.update_yaxes(title_text="R_eval per episode [-]")
+    return dress(figure, 340)
+
+
+def report_evaluation(
+    logs: Sequence[Rollout],
+    folder: Path,
+    *,
+    label: str,
+    task: str,
+    numbers: Mapping[str, Any],
+    returns: Mapping[str, Sequence[float]],
+    provenance: Mapping[str, Any],
+    profile: GaitProfile | None = None,
+    joint: str = "r_ank_pitch",
+    files: Mapping[str, str] | None = None,
+) -> dict[str, Any]:
+    """Write ``index.html`` and ``result.yaml`` and print the paths of both.
+
+    Args:
+        logs: the episodes; the first and the worst are drawn.
+        folder: of the run.
+        label: of the policy.
+        task: that was attempted.
+        numbers: for ``result.yaml``.
+        returns: R_eval of every episode by label, the policy's first and any baselines' after it.
+        provenance: see `op3.report.run_provenance`.
+        profile: of the gait, for walking.
+        joint: that the profile is of.
+        files: that lie beside the page, with what is in them.
+
+    Returns:
+        The numbers of ``result.yaml``.
+    """
+    upright, mean = numbers["evaluation.upright"], numbers["evaluation.return_mean"]
+    page = Page(
+        f"Evaluation: {label} at {task}",
+        f"The policy ends {round(upright * len(logs))} of {len(logs)} episodes upright. Its mean return under R_eval "
+        f"is {mean:.1f} (standard deviation {numbers['evaluation.return_std']:.1f}).",
+    )
+    page.tile("upright", round(upright * len(logs)), "", f"of {len(logs)} episodes")
+    page.tile("R_eval", mean, "", "mean per episode")
+    page.tile("P gain", numbers["evaluation.gain"], "A/rad", "mean of the controlled joints")
+    page.tile("tilt", float(np.rad2deg(numbers["evaluation.tilt"])), "deg", "mean of the trunk from upright")
+    page.section("Returns")
+    page.figure(returns_figure(returns), "R_eval of every episode; the box spans the quartiles.")
+    if profile is not None:
+        page.section("Gait")
+        caption = f"The {words(joint)} over the gait: mean and standard deviation over all cycles and episodes."
+        page.figure(gait_figure(profile, joint), caption)
+    page.section("One episode")
+    page.figure(body_figure(logs[0], {}), "The trunk in the first episode.")
+    joints = ["l_ank_pitch", "r_ank_pitch", "l_ank_roll", "r_ank_roll"]
+    quantities = ["joint/position", "command/p_gain", "joint/current"]
+    page.figure(traces_figure(logs[0], {}, joints, quantities), "The ankles in the first episode.")
+    if files:
+        page.section("Files")
+        page.files(files)
+    page.provenance(provenance)
+    values = {**numbers, "provenance": dict(provenance)}
+    meanings = {"evaluation": "means over episodes unless listed; gain [A/rad], tilt [rad], duration [s]"}
+    page_path = page.write(folder / "index.html")
+    finish(page_path, write_result(folder / "result.yaml", values, meanings))
+    return values

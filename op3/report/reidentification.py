@@ -1,0 +1,189 @@
+"""The page, numbers and wandb run of a re-identification (paper, Fig. "Materials for analysis")."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import optuna
+import plotly.graph_objects as go
+
+from op3.identify.reidentification import TOLERATED, Reidentified
+from op3.report.figures import ranges_figure
+from op3.report.page import Page
+from op3.report.result import finish, write_result
+from op3.report.run_logger import RunLogger
+from op3.report.style import INK, MUTED, PALETTE, dress, faded
+from op3.report.tables import number
+from op3.servo import RobotModel, parameter
+
+FOUND = "re-identified"
+BEFORE = "excitation only"
+ACTUAL = "actual"
+
+
+def report_reidentification(
+    found: Reidentified,
+    study: optuna.Study,
+    folder: Path,
+    *,
+    wall_seconds: float,
+    simulated_seconds: float,
+    provenance: Mapping[str, Any],
+    config: Mapping[str, Any] | None = None,
+    wandb_mode: str | None = None,
+) -> dict[str, Any]:
+    """Write ``index.html`` and ``result.yaml``, log to wandb, and print the paths of both files.
+
+    Args:
+        found: what the study found.
+        study: finished.
+        folder: of the run.
+        wall_seconds: duration of the run [s].
+        simulated_seconds: simulated time [s].
+        provenance: where the numbers come from, see `op3.report.run_provenance`.
+        config: settings, for wandb.
+        wandb_mode: ``offline``, ``online`` or ``disabled``.
+
+    Returns:
+        The numbers of ``result.yaml``.
+    """
+    values = _numbers(found, study, wall_seconds, simulated_seconds, provenance)
+    page_path = _page(found, study, values, provenance).write(folder / "index.html")
+    meanings = {
+        "distance": "Wasserstein-1 distance to the returns on the robot [-]",
+        "excitation": "loss of the excitation, paper eq. (7)",
+        "returns": "R_eval of every episode [-]",
+        "normalised": "parameter within its range of the catalogue, 0 to 1",
+        "front": "Pareto front: excitation loss and distance",
+    }
+    result_path = write_result(folder / "result.yaml", values, meanings)
+    with RunLogger(folder, config=config, mode=wandb_mode) as logger:
+        logger.summary({k: v for k, v in values.items() if isinstance(v, int | float)})
+    finish(page_path, result_path)
+    return values
+
+
+def _numbers(
+    found: Reidentified,
+    study: optuna.Study,
+    wall_seconds: float,
+    simulated_seconds: float,
+    provenance: Mapping[str, Any],
+) -> dict[str, Any]:
+    start, chosen = found.start, found.chosen
+    return {
+        "distance.excitation_only": start.distance,
+        "distance.reidentified": chosen.distance,
+        "distance.ratio": chosen.distance / start.distance if start.distance > 0 else None,
+        "excitation.excitation_only": start.excitation,
+        "excitation.reidentified": chosen.excitation,
+        "returns.actual": list(found.actual),
+        "returns.excitation_only": list(start.returns),
+        "returns.reidentified": list(chosen.returns),
+        "parameters": {name: {"value": value} for name, value in chosen.values.items()},
+        "normalised": {name: _normalised(name, value) for name, value in chosen.values.items()},
+        "front.excitation": [one.excitation for one in found.front],
+        "front.distance": [one.distance for one in found.front],
+        "trials": len(study.trials),
+        "trials_failed": sum(t.state == optuna.trial.TrialState.FAIL for t in study.trials),
+        "trials_skipped": sum("skipped" in t.user_attrs for t in study.trials),
+        "wall_seconds": wall_seconds,
+        "simulated_seconds": simulated_seconds,
+        "provenance": dict(provenance),
+    }
+
+
+def _normalised(name: str, value: float) -> float:
+    known = parameter(name)
+    return (value - known.low) / (known.high - known.low)
+
+
+def _page(found: Reidentified, study: optuna.Study, values: Mapping[str, Any], provenance: Mapping[str, Any]) -> Page:
+    start, chosen = found.start, found.chosen
+    change = f"from {number(start.distance, 3)} to {number(chosen.distance, 3)}"
+    cost = chosen.excitation / start.excitation
+    if chosen is start or chosen.distance >= start.distance:
+        lead = (
+            f"No candidate came closer to the robot's returns than the start, {number(start.distance, 3)} away,"
+            f" without an excitation loss above {TOLERATED:g} times its own."
+        )
+    else:
+        lead = (
+            f"Re-identification lowers the distance between simulated and actual returns {change}."
+            f" The excitation loss is {cost:.2f} times that of the model from the excitation only."
+        )
+    page = Page("Re-identification from a failed transfer", lead)
+    page.tile("distance of returns", chosen.distance, note=f"{number(start.distance, 3)} before")
+    page.tile("excitation loss", chosen.excitation, note=f"{number(start.excitation, 3)} before")
+    page.tile("mean return on the robot", float(np.mean(found.actual)))
+    page.tile("trials", values["trials"], note=f"{values['trials_skipped']} without episodes")
+    page.tile("time", values["wall_seconds"], "s")
+    page.section("Returns")
+    page.text(
+        "What the policy's episodes are worth under R_eval: on the robot, in the simulation that it was trained on, and"
+        " in the simulation after re-identification, with the same episodes for every candidate."
+    )
+    page.figure(_returns_figure(found), "Returns of the episodes, as steps of their cumulative distribution.")
+    page.section("Pareto front")
+    page.text(
+        f"The chosen point has the smallest distance among those whose excitation loss is at most {TOLERATED:g} times"
+        " that of the start."
+    )
+    page.figure(_front_figure(found, study), "Both objectives of every trial that played episodes, and the front.")
+    page.section("Parameters")
+    models = {
+        BEFORE: RobotModel(found.model.effects).with_values(dict(start.values)),
+        FOUND: RobotModel(found.model.effects).with_values(dict(chosen.values)),
+    }
+    page.figure(ranges_figure(models, list(chosen.values)), "Parameters within the ranges of Table I.")
+    page.provenance(provenance)
+    return page
+
+
+def _returns_figure(found: Reidentified) -> go.Figure:
+    figure = go.Figure()
+    lines = {
+        ACTUAL: (found.actual, INK),
+        BEFORE: (found.start.returns, PALETTE[1]),
+        FOUND: (found.chosen.returns, PALETTE[0]),
+    }
+    for label, (returns, colour) in lines.items():
+        ordered = np.sort(np.asarray(returns, dtype=float))
+        share = np.arange(1, len(ordered) + 1) / len(ordered)
+        figure.add_scatter(
+            x=ordered, y=share, mode="lines+markers", name=label, line=dict(color=colour, shape="hv", width=2.4)
+        )
+    dress(figure, 340, hovermode="closest")
+    figure.update_xaxes(title_text="return under R_eval [-]", rangemode="tozero")
+    figure.update_yaxes(title_text="share of episodes [-]", range=[0, 1.05])
+    return figure
+
+
+def _front_figure(found: Reidentified, study: optuna.Study) -> go.Figure:
+    played = [t.values for t in study.trials if t.values is not None and "returns" in t.user_attrs]
+    figure = go.Figure()
+    if played:
+        x, y = np.array(played).T
+        figure.add_scatter(x=x, y=y, mode="markers", name="trials", marker=dict(color=faded(PALETTE[0], 0.3), size=5))
+    front = [one for one in found.front if one.returns]
+    figure.add_scatter(
+        x=[one.excitation for one in front],
+        y=[one.distance for one in front],
+        mode="lines+markers",
+        name="Pareto front",
+        line=dict(color=PALETTE[2], shape="hv"),
+    )
+    for label, one, colour in ((BEFORE, found.start, PALETTE[1]), (FOUND, found.chosen, INK)):
+        figure.add_scatter(
+            x=[one.excitation],
+            y=[one.distance],
+            mode="markers",
+            name=label,
+            marker=dict(color=colour, size=13, symbol="diamond"),
+        )
+    figure.add_vline(x=TOLERATED * found.start.excitation, line=dict(color=MUTED, dash="dot"))
+    dress(figure, 400, hovermode="closest")
+    figure.update_xaxes(title_text="excitation loss [-]", type="log")
+    figure.update_yaxes(title_text="distance of returns [-]", rangemode="tozero")
+    return figure

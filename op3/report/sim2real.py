@@ -1,0 +1,145 @@
+"""The story of a transfer from simulation to a robot, on one page."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from op3.report.page import Page
+from op3.report.style import INK, PALETTE, dress
+from op3.report.tables import number
+
+WALKERS = 0.8
+"""Share of episodes that must walk for their whole time; paper, 8 of 10."""
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """One policy, in the simulation that it was trained on and on the robot.
+
+    Attributes:
+        policy: the bundle.
+        model: that it was trained on.
+        expected: returns under R_eval in simulation.
+        actual: returns on the robot.
+        upright: which of the robot's episodes ended without a fall.
+        episodes: folder of the robot's logs.
+        film: animated picture of an episode in simulation.
+        criterion: share of the expected mean return that the robot must reach.
+        walking: whether the paper's criterion of walking applies: forward without a fall in 8 of 10 episodes.
+    """
+
+    policy: Path
+    model: str
+    expected: Sequence[float]
+    actual: Sequence[float]
+    upright: Sequence[bool]
+    episodes: Path
+    film: Path
+    criterion: float = 0.8
+    walking: bool = False
+
+    @property
+    def share(self) -> float:
+        """Mean return on the robot as a share of that in simulation."""
+        return float(np.mean(self.actual) / np.mean(self.expected))
+
+    @property
+    def success(self) -> bool:
+        """Whether the transfer meets the paper's criterion."""
+        if self.walking:
+            return float(np.mean(self.upright)) >= WALKERS
+        return self.share >= self.criterion
+
+
+def story(
+    folder: Path,
+    transfers: Sequence[Transfer],
+    seconds: Mapping[str, float],
+    *,
+    condition: str,
+    budget: str,
+    provenance: Mapping[str, Any],
+) -> Page:
+    """The page.
+
+    Args:
+        folder: of the run; links are relative to it.
+        transfers: first attempt first.
+        seconds: duration of every stage [s].
+        condition: what was allowed.
+        budget: of training and search.
+        provenance: where the numbers come from, see `op3.report.run_provenance`.
+    """
+    first, last = transfers[0], transfers[-1]
+    page = Page("From simulation to the robot", _lead(transfers, condition))
+    page.tile("first transfer", 100 * first.share, "%", "of the promised return")
+    if len(transfers) > 1:
+        page.tile("last transfer", 100 * last.share, "%", "of the promised return")
+    page.tile("episodes upright", f"{sum(last.upright)} of {len(last.upright)}")
+    page.tile("time", sum(seconds.values()), "s", f"budget {budget}")
+    page.section("Transfers")
+    page.text(
+        "Every policy is trained in simulation, plays its episodes there and on the robot, and is judged by the share"
+        f" of the promised mean return that the robot reaches; {100 * first.criterion:.0f} % count as success."
+    )
+    rows = [
+        [
+            i,
+            float(np.mean(one.expected)),
+            float(np.mean(one.actual)),
+            100 * one.share,
+            f"{sum(one.upright)} of {len(one.upright)}",
+            "yes" if one.success else "no",
+        ]
+        for i, one in enumerate(transfers)
+    ]
+    header = ["round", "return promised [-]", "return on the robot [-]", "share [%]", "upright", "success"]
+    page.table(header, rows, "Transfers.")
+    page.figure(_returns(transfers), "Return of every episode, promised and on the robot.")
+    page.section("Stages")
+    page.table(["stage", "time [s]"], [[name, value] for name, value in seconds.items()], "What was run.")
+    files = {}
+    for name in seconds:
+        if (folder / name / "index.html").exists():
+            files[f"{name}/index.html"] = f"page of the stage {name.replace('_', ' ')}"
+    for i, one in enumerate(transfers):
+        if one.film.exists():
+            files[str(one.film.relative_to(folder))] = f"an episode of round {i} in simulation, animated"
+    page.files(files)
+    page.provenance(provenance)
+    return page
+
+
+def _lead(transfers: Sequence[Transfer], condition: str) -> str:
+    first, last = transfers[0], transfers[-1]
+    share = f"{100 * last.share:.0f} %"
+    if len(transfers) == 1:
+        outcome = "succeeds" if last.success else "fails"
+        return (
+            f"The first transfer {outcome}: the robot reaches {share} of the return that simulation promised."
+            f" Condition: {condition.replace('_', ' ')}."
+        )
+    outcome = "succeeds" if last.success else "still fails"
+    return (
+        f"After learning from the failed transfer the policy {outcome}: the robot reaches {share} of the promised"
+        f" return, {number(100 * first.share, 2)} % at first. Condition: {condition.replace('_', ' ')}."
+    )
+
+
+def _returns(transfers: Sequence[Transfer]) -> go.Figure:
+    figure = go.Figure()
+    for label, colour, name in (("in simulation", PALETTE[0], "expected"), ("on the robot", INK, "actual")):
+        x: list[str] = []
+        y: list[float] = []
+        for i, one in enumerate(transfers):
+            values = getattr(one, name)
+            x += [f"round {i}"] * len(values)
+            y += list(values)
+        figure.add_box(x=x, y=y, name=label, boxpoints="all", jitter=0.5, pointpos=0, marker=dict(color=colour, size=6))
+    dress(figure, 380, hovermode="closest", boxmode="group")
+    figure.update_yaxes(title_text="return under R_eval [-]", rangemode="tozero")
+    return figure

@@ -1,0 +1,261 @@
+"""What the motor's circuit does beyond the model: its constants, its supply and its current loop."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import torch
+from torch import Tensor
+
+from op3.servo.effect import Clock, Effect, Parameter, Prepared, Scope, Signals, Stage, register
+
+REFERENCE_TEMPERATURE = 25.0
+"""Temperature at which the motor's parameters hold [C]."""
+
+
+@register
+@dataclass(frozen=True)
+class TorqueConstant(Effect):
+    """Relative error of the torque constant, and with it of the back-EMF.
+
+    On a fixed base without a known weight it is exactly equivalent to all masses, inertias and frictions divided by
+    the same factor.
+    """
+
+    name: ClassVar[str] = "torque_constant"
+    stage: ClassVar[Stage] = Stage.MOTOR
+    equation: ClassVar[str] = "Kt *= 1 + e"
+    source: ClassVar[str] = "XM430: 1.79 N m/A loaded (ROBOTIS graph) against 2.35 V s/rad from its no-load speed"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("torque_constant_error", "-", -0.25, 0.25, 0.0, 0.0, "e, relative", least=-0.9),
+    )
+    size: ClassVar[str] = "torque_constant_error"
+    smallest: ClassVar[float] = 0.03
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"torque_constant_error": 0.05},)
+    fingerprint: ClassVar[str] = "in proportion to current, the same whether the motor drives or is driven"
+    confounders: ClassVar[tuple[str, ...]] = ("payload", "link_mass", "torque_constant_temperature", "dte")
+    separating_experiment: ClassVar[str] = "a known added mass, or a force gauge at the foot"
+    alias_class: ClassVar[str] = "torque_scale"
+    scopes: ClassVar[tuple[Scope, ...]] = ("joint", "shared", "side")
+
+    def adjust(self, values: Mapping[str, Tensor], sides: Tensor) -> Mapping[str, Tensor]:
+        """Scale the motor's parameter."""
+        return scaled(values, "torque_constant", values["torque_constant_error"])
+
+
+@register
+@dataclass(frozen=True)
+class TerminalResistance(Effect):
+    """Relative error of the terminal resistance, and its growth with temperature."""
+
+    name: ClassVar[str] = "terminal_resistance"
+    stage: ClassVar[Stage] = Stage.DRIVER
+    equation: ClassVar[str] = "R *= (1 + e) (1 + a (T - 25 C))"
+    source: ClassVar[str] = "copper: 0.0039 per K (IEC 60228)"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("terminal_resistance_error", "-", -0.3, 0.3, 0.0, 0.0, "e, relative", least=-0.9),
+        Parameter("resistance_temperature_coefficient", "1/K", 0.0, 0.006, 0.0, 0.0, "a, per measured K", least=0.0),
+    )
+    reads: ClassVar[tuple[str, ...]] = ("temperature",)
+    size: ClassVar[str] = "terminal_resistance_error"
+    smallest: ClassVar[float] = 0.05
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = (
+        {"terminal_resistance_error": 0.1},
+        {"resistance_temperature_coefficient": 0.004},
+    )
+    fingerprint: ClassVar[str] = "only where the bus voltage limits the current; the slope of current over speed there"
+    confounders: ClassVar[tuple[str, ...]] = ("voltage_sag", "torque_constant", "minimum_duty")
+    separating_experiment: ClassVar[str] = "saturation at two speeds and two bus voltages"
+    alias_class: ClassVar[str] = "supply"
+    scopes: ClassVar[tuple[Scope, ...]] = ("joint", "shared", "side")
+
+    def adjust(self, values: Mapping[str, Tensor], sides: Tensor) -> Mapping[str, Tensor]:
+        """Scale the motor's parameter."""
+        return scaled(values, "terminal_resistance", values["terminal_resistance_error"])
+
+    def apply(self, signals: Signals, prepared: Prepared) -> None:
+        """Tell the motor how the windings' temperature changes its resistance."""
+        warmer = signals.temperature - REFERENCE_TEMPERATURE
+        signals.factors["terminal_resistance"] = 1.0 + prepared["resistance_temperature_coefficient"] * warmer
+
+
+@register
+@dataclass(frozen=True)
+class TorqueConstantTemperature(Effect):
+    """Magnets weaken with temperature; the measured one of each servo, 25 C where none is measured."""
+
+    name: ClassVar[str] = "torque_constant_temperature"
+    stage: ClassVar[Stage] = Stage.DRIVER
+    equation: ClassVar[str] = "Kt *= 1 - a (T - 25 C)"
+    source: ClassVar[str] = "remanence of NdFeB falls 0.0011 per K, of ferrite 0.002 per K"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("magnet_temperature_coefficient", "1/K", 0.0, 0.004, 0.0, 0.0, "a, per measured K"),
+    )
+    reads: ClassVar[tuple[str, ...]] = ("temperature",)
+    size: ClassVar[str] = "magnet_temperature_coefficient"
+    smallest: ClassVar[float] = 5e-4
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"magnet_temperature_coefficient": 0.001},)
+    fingerprint: ClassVar[str] = "in proportion to current times the temperature above the reference"
+    confounders: ClassVar[tuple[str, ...]] = ("torque_constant", "payload", "friction_drift")
+    separating_experiment: ClassVar[str] = "the same motion cold (25 C) and hot (55 C or more)"
+    alias_class: ClassVar[str] = "temperature"
+    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint")
+
+    def apply(self, signals: Signals, prepared: Prepared) -> None:
+        """Tell the motor how much of its torque constant is left."""
+        warmer = signals.temperature - REFERENCE_TEMPERATURE
+        signals.factors["torque_constant"] = 1.0 - prepared["magnet_temperature_coefficient"] * warmer
+
+
+@register
+@dataclass(frozen=True)
+class VoltageSag(Effect):
+    """The supply's voltage falls with the current of all servos, through battery and harness.
+
+    Capacitors on the bus let it follow with a short time constant, which also keeps a bus stable on which all motors
+    saturate. Where a log has the measured bus voltage, that is replayed and already holds the sag in front of it.
+
+    Attributes:
+        time_constant: with which the voltage follows the current [s].
+        least_voltage: the bus falls no further [V].
+    """
+
+    name: ClassVar[str] = "voltage_sag"
+    stage: ClassVar[Stage] = Stage.TRANSPORT
+    equation: ClassVar[str] = "V_bus = V0 - Rb sum |I|"
+    source: ClassVar[str] = "inner resistance of a 3S pack with harness, 0.1 to 0.6 ohm"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("supply_resistance", "ohm", 0.0, 0.6, 0.0, 0.0, "Rb", per_joint=False, least=0.0),
+    )
+    size: ClassVar[str] = "supply_resistance"
+    smallest: ClassVar[float] = 0.05
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"supply_resistance": 0.1}, {"supply_resistance": 0.3})
+    fingerprint: ClassVar[str] = "only in saturation, and in proportion to the currents of the other joints"
+    confounders: ClassVar[tuple[str, ...]] = ("terminal_resistance", "minimum_duty")
+    separating_experiment: ClassVar[str] = "saturate one joint alone and all joints together; measured bus voltage"
+    alias_class: ClassVar[str] = "supply"
+    scopes: ClassVar[tuple[Scope, ...]] = ("robot",)
+
+    time_constant: float = 0.002
+    least_voltage: float = 1.0
+
+    def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
+        """Resistance, and the share of the old current that a step keeps."""
+        resistance = values["supply_resistance"]
+        keep = torch.exp(torch.tensor(-clock.timestep / self.time_constant, dtype=resistance.dtype))
+        return {"resistance": resistance, "keep": keep}
+
+    def reset(self, signals: Signals, prepared: Prepared) -> None:
+        """The bus has settled at the first currents."""
+        signals.state[self.name] = signals.current.abs().sum(-1, keepdim=True)
+
+    def apply(self, signals: Signals, prepared: Prepared) -> None:
+        """Lower the bus voltage of this step."""
+        drawn = signals.current.abs().sum(-1, keepdim=True)
+        drawn = drawn + prepared["keep"] * (signals.state[self.name] - drawn)
+        signals.state[self.name] = drawn
+        signals.bus_voltage = (signals.bus_voltage - prepared["resistance"] * drawn).clamp(min=self.least_voltage)
+
+
+@register
+@dataclass(frozen=True)
+class CurrentLag(Effect):
+    """The current follows its command as a first-order lag, integrated exactly.
+
+    What acts in a step is the mean over the step, so that time constants below the step count in full.
+
+    Attributes:
+        signal: what lags: the current of a current-driven servo, or the voltage of one driven by voltage, which is
+            the lag of its windings' inductance.
+    """
+
+    name: ClassVar[str] = "current_lag"
+    stage: ClassVar[Stage] = Stage.DRIVER
+    rank: ClassVar[int] = 1
+    equation: ClassVar[str] = "dI/dt = (u - I) / Tc"
+    source: ClassVar[str] = "closed current loop of a servo, 0.5 to 5 ms"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("current_time_constant", "s", 0.0, 0.01, 0.0, 0.0, "Tc", least=0.0),
+    )
+    size: ClassVar[str] = "current_time_constant"
+    smallest: ClassVar[float] = 0.0005
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = (
+        {"current_time_constant": 0.001, "command_latency": -0.001},
+        {"current_time_constant": 0.003, "command_latency": -0.003},
+        {"current_time_constant": 0.008, "command_latency": -0.008},
+        {"current_time_constant": 0.001},
+    )
+    fingerprint: ClassVar[str] = "measured current lags its command by a fraction of a sample and is rounded off"
+    confounders: ClassVar[tuple[str, ...]] = ("latency", "velocity_filter", "packet_drop")
+    separating_experiment: ClassVar[str] = "chirp of the command above 20 Hz: a shift has linear phase, a lag rolls off"
+    alias_class: ClassVar[str] = "timing"
+    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint")
+
+    signal: Literal["target_current", "voltage"] = "target_current"
+
+    def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
+        """Share of the old deviation that is left after a step, and in the mean over the step."""
+        time_constant = values["current_time_constant"]
+        left = left_after_step(time_constant, clock.timestep)
+        return {"left": left, "mean": time_constant / clock.timestep * (1.0 - left)}
+
+    def reset(self, signals: Signals, prepared: Prepared) -> None:
+        """The first command was held for long; a voltage starts from zero."""
+        start = signals.target_current if self.signal == "target_current" else torch.zeros_like(signals.position)
+        signals.state[self.name] = start.clone()
+
+    def apply(self, signals: Signals, prepared: Prepared) -> None:
+        """Let the command through as far as it has come."""
+        asked = getattr(signals, self.signal)
+        deviation = signals.state[self.name] - asked
+        signals.state[self.name] = asked + prepared["left"] * deviation
+        setattr(signals, self.signal, asked + prepared["mean"] * deviation)
+
+
+@register
+@dataclass(frozen=True)
+class CurrentOffset(Effect):
+    """The servo's current sensor reads too much by a constant, which a current loop regulates away.
+
+    So the motor carries that much less than commanded: a constant torque. A servo driven by voltage only reports it.
+    """
+
+    name: ClassVar[str] = "current_offset"
+    stage: ClassVar[Stage] = Stage.DRIVER
+    equation: ClassVar[str] = "I_measured = I + o; regulated: I = I* - o"
+    source: ClassVar[str] = "current unit of the XM430 2.69 mA; offsets of 5 to 30 mA"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("current_offset", "A", -0.05, 0.05, 0.0, 0.0, "o, reading without current"),
+    )
+    size: ClassVar[str] = "current_offset"
+    smallest: ClassVar[float] = 0.005
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"current_offset": 0.01},)
+    fingerprint: ClassVar[str] = "a constant torque in all poses, in both directions and at rest"
+    confounders: ClassVar[tuple[str, ...]] = ("asymmetric_friction", "cable_spring", "link_com", "encoder_offset")
+    separating_experiment: ClassVar[str] = "turn the base: gravity turns, the offset stays; the reading with torque off"
+    alias_class: ClassVar[str] = "torque_bias"
+    scopes: ClassVar[tuple[Scope, ...]] = ("joint", "shared", "side")
+
+    def apply(self, signals: Signals, prepared: Prepared) -> None:
+        """Take from the current what the sensor reads too much; a servo without torque regulates nothing."""
+        signals.target_current = signals.target_current - prepared["current_offset"] * signals.torque_enable
+
+    def report(self, signals: Signals, prepared: Prepared) -> None:
+        """Shift the reading."""
+        signals.measured_current = signals.measured_current + prepared["current_offset"]
+
+
+def scaled(values: Mapping[str, Tensor], name: str, error: Tensor) -> Mapping[str, Tensor]:
+    """Parameters with one of them times ``1 + error``, where the model has it."""
+    return {**values, name: values[name] * (1.0 + error)} if name in values else values
+
+
+def left_after_step(time_constant: Tensor, timestep: float) -> Tensor:
+    """Share of a deviation that a first-order lag leaves after a step; exactly none for no time constant.
+
+    Args:
+        time_constant: [s], ``[sim, joint]``.
+        timestep: [s].
+    """
+    # below a thousandth of the step the exponential is zero in float64, and its derivative stays finite
+    return torch.exp(-timestep / time_constant.clamp(min=1e-3 * timestep))

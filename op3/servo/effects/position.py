@@ -1,0 +1,138 @@
+"""Torque and friction that depend on the joint's angle."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import pi
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from op3.servo.effect import Effect, Parameter, Prepared, Scope, Signals, Stage, register
+
+
+@register
+@dataclass(frozen=True)
+class Cogging(Effect):
+    """Torque ripple of meshing teeth, periodic in the joint's angle."""
+
+    name: ClassVar[str] = "cogging"
+    stage: ClassVar[Stage] = Stage.GEAR
+    equation: ClassVar[str] = "tau += A sin(n q + phi)"
+    source: ClassVar[str] = "gear mesh, n teeth of the last stages; the rotor's own cogging lies above what a log shows"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("cogging_amplitude", "N m", -0.05, 0.05, 0.0, 0.0, "A, at the joint"),
+        Parameter("cogging_phase", "rad", -pi, pi, 0.0, None, "phi"),
+        Parameter("cogging_periods", "-", 6.0, 60.0, 24.0, None, "n, ripples per turn of the joint", least=0.0),
+    )
+    size: ClassVar[str] = "cogging_amplitude"
+    smallest: ClassVar[float] = 0.005
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = tuple(
+        {"cogging_amplitude": 0.01, "cogging_phase": phase, "cogging_periods": periods}
+        for periods in (12.0, 24.0, 36.0, 48.0)
+        for phase in (0.0, pi / 2)
+    )
+    fingerprint: ClassVar[str] = "a narrow line in the spectrum over position, which moves with speed in time"
+    confounders: ClassVar[tuple[str, ...]] = ("position_friction", "encoder_nonlinearity", "stribeck")
+    separating_experiment: ClassVar[str] = "slow sweeps at two speeds: a ripple keeps its place in angle"
+    alias_class: ClassVar[str] = "ripple"
+    scopes: ClassVar[tuple[Scope, ...]] = ("joint",)
+
+    def apply(self, signals: Signals, prepared: Prepared) -> None:
+        """Add the ripple."""
+        angle = prepared["cogging_periods"] * signals.position + prepared["cogging_phase"]
+        signals.applied_torque = signals.applied_torque + prepared["cogging_amplitude"] * torch.sin(angle)
+
+    @staticmethod
+    def strongest_period(position: Tensor, torque: Tensor, low: float = 6.0, high: float = 60.0) -> tuple[float, float]:
+        """Periods per turn and phase [rad] of the ripple that explains most of a residual torque.
+
+        Args:
+            position: angles of one joint [rad], ``[sample]``.
+            torque: residual torque [N m], ``[sample]``; its mean and slope over the angle are taken out.
+            low: fewest periods per turn.
+            high: most periods per turn.
+        """
+        level = torch.stack([torch.ones_like(position), position], 1)
+        best, found = -1.0, (low, 0.0)
+        for periods in torch.arange(low, high + 0.25, 0.5).tolist():
+            waves = torch.stack([torch.sin(periods * position), torch.cos(periods * position)], 1)
+            basis = torch.cat([level, waves], 1)
+            coefficients = torch.linalg.lstsq(basis, torque[:, None]).solution
+            explained = -(torque - (basis @ coefficients)[:, 0]).square().sum().item()
+            if best == -1.0 or explained > best:
+                best = explained
+                found = (periods, torch.atan2(coefficients[3, 0], coefficients[2, 0]).item())
+        return found
+
+
+@register
+@dataclass(frozen=True)
+class CableSpring(Effect):
+    """A cable across the joint pulls like a spring, beside the servo: the gear does not carry its torque."""
+
+    name: ClassVar[str] = "cable_spring"
+    stage: ClassVar[Stage] = Stage.PARALLEL
+    equation: ClassVar[str] = "tau -= k (q - q0)"
+    source: ClassVar[str] = "cable harness across a joint, 0.02 to 0.3 N m/rad"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("cable_stiffness", "N m/rad", 0.0, 0.3, 0.0, 0.0, "k", least=0.0),
+        Parameter("cable_rest_angle", "rad", -1.5, 1.5, 0.0, None, "q0"),
+    )
+    size: ClassVar[str] = "cable_stiffness"
+    smallest: ClassVar[float] = 0.02
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = (
+        {"cable_stiffness": 0.05, "cable_rest_angle": 0.0},
+        {"cable_stiffness": 0.05, "cable_rest_angle": 1.0},
+    )
+    fingerprint: ClassVar[str] = "a function of the angle, the same in both directions, whatever the robot's attitude"
+    confounders: ClassVar[tuple[str, ...]] = ("link_com", "com_offset", "encoder_offset", "current_offset")
+    separating_experiment: ClassVar[str] = "turn the base by a quarter: gravity turns, a spring does not"
+    alias_class: ClassVar[str] = "gravity_phase"
+    scopes: ClassVar[tuple[Scope, ...]] = ("joint", "side")
+
+    def begin(self, signals: Signals, prepared: Prepared) -> None:
+        """Take the cable's part out of what the link asks of the gear."""
+        pull = prepared["cable_stiffness"] * (prepared["cable_rest_angle"] - signals.position)
+        signals.state[self.name] = pull
+        signals.load_torque = signals.load_torque + pull
+
+    def apply(self, signals: Signals, prepared: Prepared) -> None:
+        """Pull."""
+        signals.applied_torque = signals.applied_torque + signals.state[self.name]
+
+
+@register
+@dataclass(frozen=True)
+class PositionFriction(Effect):
+    """Friction that is higher at some angles than at others: a bent shaft, a worn tooth, a rubbing cable.
+
+    Attributes:
+        periods: of the friction per turn of the joint.
+    """
+
+    name: ClassVar[str] = "position_friction"
+    stage: ClassVar[Stage] = Stage.FRICTION
+    equation: ClassVar[str] = "tau_fric += A (1 + cos(n (q - q_w))) / 2"
+    source: ClassVar[str] = "eccentric output shaft: one period per turn"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("position_friction", "N m", 0.0, 0.2, 0.0, 0.0, "A, friction added at the worst angle", least=0.0),
+        Parameter("position_friction_angle", "rad", -pi, pi, 0.0, None, "q_w, the worst angle"),
+    )
+    size: ClassVar[str] = "position_friction"
+    smallest: ClassVar[float] = 0.02
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = tuple(
+        {"position_friction": 0.05, "position_friction_angle": angle} for angle in (0.0, pi / 2, pi, -pi / 2)
+    )
+    fingerprint: ClassVar[str] = "odd in velocity, with a width of the hysteresis loop that changes over the angle"
+    confounders: ClassVar[tuple[str, ...]] = ("coulomb", "load_friction", "dte", "cogging")
+    separating_experiment: ClassVar[str] = "slow sweep over the whole range at two loads or two attitudes"
+    alias_class: ClassVar[str] = "position_friction"
+    scopes: ClassVar[tuple[Scope, ...]] = ("joint",)
+
+    periods: float = 1.0
+
+    def apply(self, signals: Signals, prepared: Prepared) -> None:
+        """Raise the bound."""
+        wave = torch.cos(self.periods * (signals.position - prepared["position_friction_angle"]))
+        signals.friction_bound = signals.friction_bound + 0.5 * prepared["position_friction"] * (1.0 + wave)

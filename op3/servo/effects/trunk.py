@@ -1,0 +1,112 @@
+"""What the trunk's IMU says that is not so."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from op3.servo.effect import Clock, Effect, Parameter, Prepared, Scope, Stage, Trunk, register
+
+
+@register
+@dataclass(frozen=True)
+class ImuMount(Effect):
+    """The IMU is mounted turned: R_imu = Rz(yaw) Ry(pitch) Rx(roll) in the trunk."""
+
+    name: ClassVar[str] = "imu_mount"
+    stage: ClassVar[Stage] = Stage.SENSING
+    equation: ClassVar[str] = "R_measured = R R_imu, w_measured = R_imu' w"
+    source: ClassVar[str] = "assembly tolerance of a board on two screws, 1 to 3 degrees"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("imu_roll", "rad", -0.06, 0.06, 0.0, 0.0, "about the trunk's x axis, forwards", per_joint=False),
+        Parameter("imu_pitch", "rad", -0.06, 0.06, 0.0, 0.0, "about its y axis, to the left", per_joint=False),
+        Parameter("imu_yaw", "rad", -0.06, 0.06, 0.0, 0.0, "about its z axis, upwards", per_joint=False),
+    )
+    size: ClassVar[str] = "imu_pitch"
+    smallest: ClassVar[float] = 0.005
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"imu_roll": 0.02}, {"imu_pitch": 0.02}, {"imu_yaw": 0.02})
+    fingerprint: ClassVar[str] = "a constant error of the direction of gravity in all poses; rates leak across axes"
+    confounders: ClassVar[tuple[str, ...]] = ("ground_tilt", "left_right_asymmetry", "com_offset", "gyro_bias")
+    separating_experiment: ClassVar[str] = "turn the robot by 180 degrees on the spot: a tilted floor changes sign"
+    alias_class: ClassVar[str] = "level"
+    scopes: ClassVar[tuple[Scope, ...]] = ("robot",)
+
+    def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
+        """The mount's quaternion, ``[sim, 4]``."""
+        turns = [about(axis, values[f"imu_{name}"]) for axis, name in enumerate(("roll", "pitch", "yaw"))]
+        return {"mount": product(product(turns[2], turns[1]), turns[0])}
+
+    def sense_trunk(self, trunk: Trunk, prepared: Prepared) -> None:
+        """Read in the frame of the mount."""
+        mount = prepared["mount"]
+        trunk.quaternion = product(trunk.quaternion, mount)
+        trunk.angular_velocity = turned_back(trunk.angular_velocity, mount)
+
+
+@register
+@dataclass(frozen=True)
+class GyroBias(Effect):
+    """The gyroscope reads a rate at rest."""
+
+    name: ClassVar[str] = "gyro_bias"
+    stage: ClassVar[Stage] = Stage.SENSING
+    rank: ClassVar[int] = 1
+    equation: ClassVar[str] = "w_measured = w + b"
+    source: ClassVar[str] = "MEMS gyroscope before calibration, 0.2 to 2 degrees/s"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("gyro_bias_x", "rad/s", -0.035, 0.035, 0.0, 0.0, "forwards", per_joint=False),
+        Parameter("gyro_bias_y", "rad/s", -0.035, 0.035, 0.0, 0.0, "to the left", per_joint=False),
+        Parameter("gyro_bias_z", "rad/s", -0.035, 0.035, 0.0, 0.0, "upwards", per_joint=False),
+    )
+    size: ClassVar[str] = "gyro_bias_y"
+    smallest: ClassVar[float] = 0.003
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = (
+        {"gyro_bias_x": 0.01},
+        {"gyro_bias_y": 0.01},
+        {"gyro_bias_z": 0.01},
+    )
+    fingerprint: ClassVar[str] = "a constant rate, at rest as well; no torque"
+    confounders: ClassVar[tuple[str, ...]] = ("imu_mount",)
+    separating_experiment: ClassVar[str] = "read the gyroscope at rest"
+    alias_class: ClassVar[str] = "gyro_bias"
+    scopes: ClassVar[tuple[Scope, ...]] = ("robot",)
+
+    def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
+        """The bias, ``[sim, 3]``."""
+        return {"bias": torch.cat([values[f"gyro_bias_{axis}"] for axis in "xyz"], -1)}
+
+    def sense_trunk(self, trunk: Trunk, prepared: Prepared) -> None:
+        """Add the bias."""
+        trunk.angular_velocity = trunk.angular_velocity + prepared["bias"]
+
+
+def about(axis: int, angle: Tensor) -> Tensor:
+    """Quaternion of a turn about an axis: angle ``[sim, 1]`` [rad] to ``[sim, 4]``, w first."""
+    parts = [torch.cos(angle / 2), *(torch.zeros_like(angle) for _ in range(3))]
+    parts[1 + axis] = torch.sin(angle / 2)
+    return torch.cat(parts, -1)
+
+
+def product(first: Tensor, second: Tensor) -> Tensor:
+    """Hamilton product of quaternions ``[..., 4]``, w first."""
+    w, x, y, z = first.unbind(-1)
+    s, i, j, k = second.unbind(-1)
+    return torch.stack(
+        [
+            w * s - x * i - y * j - z * k,
+            w * i + x * s + y * k - z * j,
+            w * j - x * k + y * s + z * i,
+            w * k + x * j - y * i + z * s,
+        ],
+        -1,
+    )
+
+
+def turned_back(vector: Tensor, quaternion: Tensor) -> Tensor:
+    """A vector ``[..., 3]`` in the frame that the quaternion ``[..., 4]`` turns to."""
+    w, axis = quaternion[..., :1], -quaternion[..., 1:]
+    axis = axis.expand_as(vector)
+    twice = 2.0 * torch.linalg.cross(axis, vector)
+    return vector + w * twice + torch.linalg.cross(axis, twice)

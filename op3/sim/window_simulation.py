@@ -1,0 +1,429 @@
+"""Short simulations around a measured motion: many hypotheses, many windows, no MuJoCo in the loop.
+
+A robot on a stand that is simulated from its own measured state for a fifth of a second stays close to what was
+measured. So the mass matrix and the bias are computed once along the measured motion, and each window solves, per step
+``h`` and with the one servo law,
+
+``(M + armature + h D) (w' - w) = h (tau - bias - friction)``,  friction in [-bound, bound], opposing w',
+
+the bias corrected to first order by how far the window has left the measurement. Friction in several coupled joints is
+a convex problem (minimise the kinetic distance plus ``h bound |w'|``); it is solved by sweeps over the joints, each
+of which is exact for its joint and leaves a held joint at exactly zero speed. Sweeps start from the last acceleration,
+so a few are enough.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from op3.servo import RobotModel, ServoLaw, Signals
+from op3.servo.effects import Motor
+from op3.sim.inputs import default_commands, expand_parameters, set_start
+from op3.sim.trajectory_dynamics import TrajectoryDynamics
+
+SWEEPS = 3
+"""Sweeps over the joints per step."""
+
+ROTOR = Motor.edits[0]
+"""The one change to the MuJoCo model that is made here: the rotor's inertia on the diagonal."""
+
+SIGNAL_NAMES = tuple(field.name for field in fields(Signals))
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredMotion:
+    """A measured motion of a fixed-base robot on a uniform grid of ticks.
+
+    Attributes:
+        period: time between ticks [s].
+        position: estimate of the true joint angles, without noise [rad], ``[tick, joint]``.
+        velocity: estimate of the joint velocities [rad/s].
+        acceleration: estimate of the joint accelerations [rad/s2].
+        read_position: what the controller read [rad].
+        read_velocity: what the controller read [rad/s].
+        current: in the motors, as far as known [A].
+        time: since the start of the recording [s], ``[tick, 1]``.
+        inputs: what drives the servos, by the name of a signal of `op3.servo.Signals`; held from tick to tick.
+        dynamics: mass matrix and bias along the motion.
+        changes: dynamics added per unit of a parameter that edits bodies, by parameter name and joint (None for a
+            parameter of the whole robot).
+    """
+
+    period: float
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    read_position: np.ndarray
+    read_velocity: np.ndarray
+    current: np.ndarray
+    time: np.ndarray
+    inputs: Mapping[str, np.ndarray]
+    dynamics: TrajectoryDynamics
+    changes: Mapping[tuple[str, int | None], TrajectoryDynamics]
+
+
+@dataclass(frozen=True)
+class Window:
+    """Where a window starts.
+
+    Attributes:
+        motion: which motion.
+        tick: its first tick.
+    """
+
+    motion: int
+    tick: int
+
+
+class WindowSimulation:
+    """Simulates windows of measured motions for many parameter sets at once.
+
+    Controllers on the computer receive the measured readings, not the simulated ones: their commands are those that
+    were sent. Before each window, for `preroll` ticks, the joints are led along the measured motion, so that
+    whatever has memory (latency, filters, contacts) starts from the data.
+
+    Args:
+        model: effects and values.
+        motions: all with the same period and joints.
+        windows: where the windows start; `preroll` ticks must lie before, `ticks` behind.
+        ticks: length of every window.
+        joints: joint names, by which the model's per-joint values address the columns.
+        timestep: of the simulation [s]; must divide the period.
+        preroll: ticks for which the joints are led.
+
+    Raises:
+        ValueError: if a window does not fit into its motion, or periods differ.
+    """
+
+    def __init__(
+        self,
+        model: RobotModel,
+        motions: Sequence[MeasuredMotion],
+        windows: Sequence[Window],
+        ticks: int,
+        joints: Sequence[str],
+        *,
+        timestep: float = 0.001,
+        preroll: int = 4,
+    ):
+        if not windows:
+            raise ValueError("there is no window to simulate: the logs are too short")
+        period = motions[0].period
+        self.substeps = round(period / timestep)
+        if self.substeps < 1 or abs(self.substeps * timestep - period) > 1e-9:
+            raise ValueError(f"the time step {timestep} s must divide the period {period} s")
+        if any(abs(motion.period - period) > 1e-9 for motion in motions):
+            raise ValueError("motions of different periods cannot be simulated together")
+        for window in windows:
+            last = len(motions[window.motion].position) - 1
+            if window.tick < preroll or window.tick + ticks > last:
+                raise ValueError(f"a window of {ticks} ticks at tick {window.tick} does not fit into {last + 1} ticks")
+        self.model = model
+        self.joints = tuple(joints)
+        self.ticks, self.preroll, self.timestep = ticks, preroll, timestep
+        self.windows = list(windows)
+        self._motions = list(motions)
+        rows = np.array([window.motion for window in windows])
+        first = np.array([window.tick for window in windows]) - preroll
+        self._at = first[None] + np.arange(preroll + ticks + 1)[:, None]  # [tick, window]
+        self._rows = rows
+        self.law = ServoLaw(model.effects, timestep, period, self.joints)
+        dynamics = [motion.dynamics for motion in motions]
+        self._mass = self._gather([d.mass for d in dynamics])
+        self._bias = self._gather([d.bias for d in dynamics])
+        self._gradient = self._gather([d.gradient for d in dynamics])
+        self._damping = self._gather([d.damping for d in dynamics])
+        self._force = self._gather([d.radial_force for d in dynamics])
+        self._position = self._gather([m.position for m in motions])
+        self._velocity = self._gather([m.velocity for m in motions])
+        self._acceleration = self._gather([m.acceleration for m in motions])
+        self._read_position = self._gather([m.read_position for m in motions])
+        self._read_velocity = self._gather([m.read_velocity for m in motions])
+        self._current = self._gather([m.current for m in motions])[0]
+        self._time = self._gather([m.time for m in motions])[0].expand_as(self._current)
+        common = set.intersection(*(set(motion.inputs) for motion in motions)) & set(SIGNAL_NAMES)
+        self._inputs = {name: self._gather([m.inputs[name] for m in motions]) for name in sorted(common)}
+        self.limbs = coupled(self._mass)
+        self._changes: dict[tuple[str, int | None], tuple[Tensor, Tensor, Tensor]] = {}
+
+    def _gather(self, arrays: Sequence[np.ndarray]) -> Tensor:
+        """Rows of the windows, ``[tick, joint, ..., window]``."""
+        flat = np.concatenate(arrays)
+        start = np.cumsum([0, *(len(array) for array in arrays)])[:-1]
+        picked = flat[start[self._rows][None] + self._at]  # [tick, window, joint, ...]
+        return torch.from_numpy(np.ascontiguousarray(np.moveaxis(picked, 1, -1)))
+
+    def run(
+        self,
+        parameters: Mapping[str, Tensor] | None = None,
+        candidates: int = 1,
+        *,
+        position_offset: Tensor | None = None,
+        velocity_offset: Tensor | None = None,
+        chunk: int = 6000,
+    ) -> dict[tuple[str, str], Tensor]:
+        """Simulate all windows for every candidate.
+
+        Args:
+            parameters: by name, ``[candidate]`` or ``[candidate, joint]``; those not named are the model's.
+            candidates: number of parameter sets.
+            position_offset: added to the initial joint angles [rad], ``[candidate, joint]``.
+            velocity_offset: added to the initial joint velocities [rad/s], ``[candidate, joint]``.
+            chunk: rows (candidates times windows) simulated at a time.
+
+        Returns:
+            Position [rad], velocity [rad/s] and current [A] as the sensors read them, by channel,
+            ``[candidate, window, tick, joint]``; the first tick is the window's start.
+        """
+        values = expand_parameters(self.model, self.joints, parameters or {}, candidates)
+        none = torch.zeros(candidates, len(self.joints), dtype=torch.float64)
+        offsets = (
+            none if position_offset is None else position_offset,
+            none if velocity_offset is None else velocity_offset,
+        )
+        size = max(1, chunk // len(self.windows))
+        parts = []
+        for begin in range(0, candidates, size):
+            piece = slice(begin, min(begin + size, candidates))
+            parts.append(
+                self._run(
+                    {name: value[piece] for name, value in values.items()},
+                    piece.stop - begin,
+                    offsets[0][piece],
+                    offsets[1][piece],
+                )
+            )
+        return {key: torch.cat([part[key] for part in parts]) for key in parts[0]}
+
+    def _run(self, values, candidates, position_offset, velocity_offset) -> dict[tuple[str, str], Tensor]:
+        run = _Run(self, values, candidates)
+        for tick in range(self.preroll):
+            run.lead(tick)
+        run.start(self.preroll, position_offset, velocity_offset)
+        samples = [run.measure()]
+        for tick in range(self.preroll, self.preroll + self.ticks):
+            run.advance(tick)
+            samples.append(run.measure())
+        return {
+            # [tick, joint, candidate, window] to [candidate, window, tick, joint]
+            key: torch.stack([sample[key] for sample in samples]).permute(2, 3, 0, 1)
+            for key in samples[0]
+        }
+
+    def changes(self, values: Mapping[str, Tensor]) -> list[tuple[Tensor, tuple[Tensor, Tensor, Tensor]]]:
+        """Body edits that differ from the dynamics' own: weight ``[candidate]``, and mass, bias, gradient per unit."""
+        result = []
+        own = self.model.tensors(self.joints)
+        for key in self._motions[0].changes:
+            name, joint = key
+            if name not in values:
+                continue
+            column = 0 if joint is None else joint
+            base = own[name][0, min(column, own[name].shape[1] - 1)]
+            weight = values[name][:, min(column, values[name].shape[1] - 1)] - base
+            if (weight == 0).all():
+                continue
+            if key not in self._changes:
+                parts = [motion.changes[key] for motion in self._motions]
+                self._changes[key] = (
+                    self._gather([p.mass for p in parts]),
+                    self._gather([p.bias for p in parts]),
+                    self._gather([p.gradient for p in parts]),
+                )
+            result.append((weight, self._changes[key]))
+        return result
+
+
+def coupled(mass: Tensor) -> list[slice]:
+    """Runs of neighbouring joints that no mass couples to the others; `mass` is ``[tick, joint, joint, window]``."""
+    linked = mass.abs().amax((0, 3)) > 1e-12
+    limbs, first = [], 0
+    for joint in range(1, len(linked) + 1):
+        if joint == len(linked) or not linked[:joint, joint:].any():
+            limbs.append(slice(first, joint))
+            first = joint
+    return limbs
+
+
+class _Run:
+    """One chunk of candidates; arrays are ``[joint, candidate, window]``, the law sees them as ``[sim, joint]``."""
+
+    def __init__(self, owner: WindowSimulation, values: Mapping[str, Tensor], candidates: int):
+        self.o = owner
+        self.count, self.candidates, self.num = len(owner.joints), candidates, len(owner.windows)
+        self.law = owner.law
+        self.law.set_parameters({name: self._per_row(value) for name, value in values.items()})
+        armature = values.get(ROTOR.parameter, torch.zeros(candidates, 1, dtype=torch.float64))
+        self.armature = armature.expand(candidates, self.count).T[:, :, None].contiguous()
+        self.changes = owner.changes(values)
+        self.signals = Signals.zeros(candidates * self.num, self.count)
+        self.q = self._block(owner._position[0]).clone()
+        self.v = self._block(owner._velocity[0]).clone()
+        self._expose()
+        default_commands(self.signals, owner.model)
+        self._inputs(0)
+        self.shift = self._undo_sensing()
+        self._lead_state(0, 0)
+        set_start(self.signals, None, self._flat(self._block(owner._current)), self._flat(self._block(owner._time)))
+        self.law.reset(self.signals)
+        self.u = torch.zeros_like(self.v)
+
+    def _per_row(self, value: Tensor) -> Tensor:
+        """``[candidate, joint]`` to ``[sim, joint]``, stored joint first."""
+        return value.T[:, :, None].expand(value.shape[1], self.candidates, self.num).reshape(value.shape[1], -1).T
+
+    def _block(self, value: Tensor) -> Tensor:
+        """``[joint, window]`` to ``[joint, candidate, window]``."""
+        return value[:, None, :].expand(self.count, self.candidates, self.num)
+
+    def _flat(self, block: Tensor) -> Tensor:
+        return block.reshape(self.count, -1).T
+
+    def _expose(self) -> None:
+        self.signals.position = self._flat(self.q)
+        self.signals.velocity = self._flat(self.v)
+
+    def _inputs(self, tick: int) -> None:
+        for name, value in self.o._inputs.items():
+            setattr(self.signals, name, self._flat(self._block(value[tick])))
+
+    def _undo_sensing(self) -> Tensor:
+        """How much the true angle differs from its reading, ``[joint, candidate, window]``."""
+        reading = self.signals.position
+        for _ in range(3):
+            self.law.sense(self.signals)
+            self.signals.position = self.signals.position + reading - self.signals.measured_position
+        return (self.signals.position - reading).T.reshape(self.q.shape)
+
+    def _tick(self, tick: int) -> None:
+        """A control period begins: the controller gets the readings of the log."""
+        self._inputs(tick)
+        self.law.tick(
+            self.signals,
+            readings=(
+                self._flat(self._block(self.o._read_position[tick])),
+                self._flat(self._block(self.o._read_velocity[tick])),
+            ),
+        )
+
+    def _dynamics(self, tick: int, share: float) -> tuple[Tensor, Tensor, Tensor]:
+        """Mass, bias and gradient between two ticks, ``[joint, joint, 1 | candidate, window]``."""
+        o = self.o
+        mass = torch.lerp(o._mass[tick], o._mass[tick + 1], share)[:, :, None, :]
+        bias = torch.lerp(o._bias[tick], o._bias[tick + 1], share)[:, None, :]
+        gradient = o._gradient[tick][:, :, None, :]
+        for weight, (mass_change, bias_change, gradient_change) in self.changes:
+            w = weight[:, None]
+            mass = mass + w * torch.lerp(mass_change[tick], mass_change[tick + 1], share)[:, :, None, :]
+            bias = bias + w * torch.lerp(bias_change[tick], bias_change[tick + 1], share)[:, None, :]
+            gradient = gradient + w * gradient_change[tick][:, :, None, :]
+        return mass, bias, gradient
+
+    def _lead_state(self, tick: int, phase: int) -> None:
+        """State and load of the measured motion."""
+        o, share = self.o, phase / self.o.substeps
+        q = torch.lerp(o._position[tick], o._position[tick + 1], share)
+        v = torch.lerp(o._velocity[tick], o._velocity[tick + 1], share)
+        a = torch.lerp(o._acceleration[tick], o._acceleration[tick + 1], share)
+        self.q, self.v = self._block(q) + self.shift, self._block(v).clone()
+        mass, bias, _ = self._dynamics(tick, share)
+        load = -((mass * a[None, :, None, :]).sum(1) + bias)
+        self.signals.load_torque = self._flat(load.expand(self.q.shape))
+        self.signals.radial_force = self._flat(self._block(o._force[tick]))
+        self._expose()
+
+    def lead(self, tick: int) -> None:
+        """One control period along the measured motion: only the law's memory moves."""
+        self._lead_state(tick, 0)
+        self._tick(tick)
+        for phase in range(self.o.substeps):
+            self._lead_state(tick, phase)
+            self.law.step(self.signals)
+
+    def start(self, tick: int, position_offset: Tensor, velocity_offset: Tensor) -> None:
+        """Let go at this tick, with offsets ``[candidate, joint]``."""
+        self._lead_state(tick, 0)
+        self.q = self.q + position_offset.T[:, :, None]
+        self.v = self.v + velocity_offset.T[:, :, None]
+        self.u = self._block(self.o._acceleration[tick]) * self.o.timestep
+        self._expose()
+
+    def advance(self, tick: int) -> None:
+        """One control period of simulation."""
+        self._tick(tick)
+        self.signals.radial_force = self._flat(self._block(self.o._force[tick]))
+        for phase in range(self.o.substeps):
+            self._step(tick, phase)
+
+    def _step(self, tick: int, phase: int) -> None:
+        o, signals, step = self.o, self.signals, self.o.timestep
+        self.law.step(signals)
+        share = phase / o.substeps
+        mass, bias, gradient = self._dynamics(tick, share)
+        away = self.q - torch.lerp(o._position[tick], o._position[tick + 1], share)[:, None, :]
+        faster = self.v - torch.lerp(o._velocity[tick], o._velocity[tick + 1], share)[:, None, :]
+        damping = o._damping[tick][:, :, None, :]
+        shape = self.q.shape
+        applied, bound = signals.applied_torque.T.reshape(shape), step * signals.friction_bound.T.reshape(shape)
+        inertia = torch.diagonal(mass).movedim(-1, 0)
+        total = inertia + self.armature + step * signals.damping.T.reshape(shape)
+        changes, loads = [], []
+        for limb in o.limbs:
+            pull = torch.addcmul(gradient[limb, limb] * away[limb], damping[limb, limb], faster[limb]).sum(1)
+            own = bias[limb] + pull
+            force = step * (applied[limb] - own)
+            block = mass[limb, limb]
+            change = solve(block, total[limb], self.v[limb], force, bound[limb], self.u[limb])
+            changes.append(change)
+            loads.append((block * change).sum(1) / step + own)
+        self.u = torch.cat(changes)
+        self.v = self.v + self.u
+        self.q = self.q + step * self.v
+        load = torch.cat(loads)
+        signals.load_torque = self._flat(-load)
+        self._expose()
+
+    def measure(self) -> dict[tuple[str, str], Tensor]:
+        """What the sensors say, ``[joint, candidate, window]``."""
+        self.law.sense(self.signals)
+        self.law.report(self.signals)
+        shape = self.q.shape
+        return {
+            ("joint", "position"): self.signals.measured_position.T.reshape(shape).clone(),
+            ("joint", "velocity"): self.signals.measured_velocity.T.reshape(shape).clone(),
+            ("joint", "current"): self.signals.measured_current.T.reshape(shape).clone(),
+        }
+
+
+def solve(mass: Tensor, total: Tensor, velocity: Tensor, force: Tensor, bound: Tensor, guess: Tensor) -> Tensor:
+    """Change of velocity in one step under coupled dry friction.
+
+    Minimises ``u' A u / 2 - u' force + bound |velocity + u|`` by sweeps over the joints, A being `mass` with
+    `total` on its diagonal.
+
+    Args:
+        mass: ``[joint, joint, ...]``, of which the off-diagonal counts [kg m^2].
+        total: diagonal of A, ``[joint, ...]``.
+        velocity: before the step [rad/s].
+        force: impulses without friction [N m s].
+        bound: largest impulses of friction [N m s].
+        guess: change of velocity to start from.
+    """
+    u = list(guess.unbind(0))
+    others = [[j for j in range(len(u)) if j != i] for i in range(len(u))]
+    reach = torch.addcmul(force, total, velocity)
+    for _ in range(SWEEPS):
+        for i, rest in enumerate(others):
+            impulse = reach[i]
+            for j in rest:
+                impulse = torch.addcmul(impulse, mass[i, j], u[j], value=-1.0)
+            u[i] = _shrink(impulse, bound[i]) / total[i] - velocity[i]
+    return torch.stack(u)
+
+
+def _shrink(impulse: Tensor, bound: Tensor) -> Tensor:
+    """The impulse less what friction takes of it, never reversed."""
+    return impulse - torch.clamp(impulse, -bound, bound)

@@ -1,0 +1,371 @@
+"""What a verdict is worth: one case against its answer, many cases as rates with intervals.
+
+It reads `verdict.yaml` as a diagnosis writes it and knows nothing of how the verdict was found:
+
+    verdict: named | ambiguous | unknown | nothing_missing
+    effects: [{name, joints, size, unit, interval, confidence}]   # of an ambiguous verdict: the candidates
+    separate_by: ...                                              # what would separate them
+    ranking: [{name, joints, gain, score}]                        # best first; score: of a score test, if made
+    gap: {<channel>: {before, after, floor, ceiling}}
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from op3.robot import LEG_JOINTS
+
+VERDICTS: tuple[str, ...] = ("named", "ambiguous", "unknown", "nothing_missing")
+"""What a diagnosis may conclude."""
+
+CONFIDENT = 0.8
+"""A stated confidence beyond this that turns out wrong has misled somebody."""
+
+SAME: dict[str, str] = {"payload": "link_mass", "com_offset": "link_com"}
+"""Names of effects of the trunk, which is fixed here, and of the link effects that they mean in one joint of a leg."""
+
+PARAMETERS: tuple[str, ...] = (
+    "static_friction_excess",
+    "load_friction",
+    "bristle_compliance",
+    "backlash_half_gap",
+    "gear_compliance",
+    "cogging_amplitude",
+    "cable_stiffness",
+    "position_friction",
+    "asymmetric_friction",
+    "quadratic_drag",
+    "friction_drift",
+    "torque_constant_error",
+    "magnet_temperature_coefficient",
+    "terminal_resistance_error",
+    "supply_resistance",
+    "current_time_constant",
+    "current_offset",
+    "command_latency",
+    "drop_probability",
+    "velocity_time_constant",
+    "encoder_offset",
+    "encoder_nonlinearity",
+    "link_mass_offset",
+    "link_com_offset_x",
+    "gyration_squared",
+)
+"""Parameters of the catalogue that mean what the bench's table calls the size of their effect."""
+
+MISSING = "no_verdict"
+"""Verdict of a case whose diagnosis failed."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One effect that a verdict names.
+
+    Attributes:
+        name: of the effect.
+        joints: where; empty: everywhere.
+        size: in the unit of the bench's table, None where not given in it.
+        interval: lowest and highest size, 90 %.
+        confidence: 0 to 1, None where not stated.
+        score: statistic of a score test, None where none was made.
+    """
+
+    name: str
+    joints: tuple[str, ...] = ()
+    size: float | None = None
+    interval: tuple[float, float] | None = None
+    confidence: float | None = None
+    score: float | None = None
+
+    def same(self, other: Claim) -> bool:
+        """Whether name and joints agree."""
+        return self.name == other.name and self.joints == other.joints
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a diagnosis concluded.
+
+    Attributes:
+        verdict: one of `VERDICTS`, or `MISSING`.
+        claims: effects named, best first.
+        ranking: all effects considered, best first.
+        gap: by channel, `before`, `after`, `floor` and perhaps `ceiling`.
+    """
+
+    verdict: str
+    claims: tuple[Claim, ...] = ()
+    ranking: tuple[Claim, ...] = ()
+    gap: Mapping[str, Mapping[str, float]] | None = None
+
+
+def read_verdict(path: str | Path) -> Verdict:
+    """Read `verdict.yaml`.
+
+    Raises:
+        ValueError: if it is not as described above; says which entry.
+    """
+    path = Path(path)
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except yaml.YAMLError as error:
+        raise ValueError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(values, Mapping) or values.get("verdict") not in VERDICTS:
+        raise ValueError(f"{path}: write `verdict:` with one of {', '.join(VERDICTS)}")
+    claims = tuple(_claim(path, "effects", entry) for entry in values.get("effects") or ())
+    if values["verdict"] in ("named", "ambiguous") and not claims:
+        raise ValueError(f"{path}: the verdict is {values['verdict']} but `effects` is empty")
+    ranking = tuple(_claim(path, "ranking", entry) for entry in values.get("ranking") or ())
+    return Verdict(values["verdict"], claims, ranking or claims, values.get("gap") or {})
+
+
+def _claim(path: Path, field: str, entry: Any) -> Claim:
+    if not isinstance(entry, Mapping) or not isinstance(entry.get("name"), str):
+        raise ValueError(f"{path}: an entry of `{field}` has no name: {entry!r}")
+    joints = entry.get("joints") or ()
+    joints = (joints,) if isinstance(joints, str) else tuple(joints)
+    confidence = entry.get("confidence")
+    if confidence is not None and not 0 <= confidence <= 1:
+        raise ValueError(f"{path}: confidence of {entry['name']} is {confidence}, not within 0 and 1")
+    size, interval = _in_table_unit(entry)
+    if interval is not None and (not isinstance(interval, list) or len(interval) != 2):
+        raise ValueError(f"{path}: interval of {entry['name']} is {interval!r}, not [low, high]")
+    if size is None or interval is None or None in interval:
+        interval = None
+    joints = _normal(joints)
+    return Claim(
+        SAME.get(str(entry["name"]), str(entry["name"])) if joints else str(entry["name"]),
+        joints,
+        None if size is None else float(size),
+        None if interval is None else (float(interval[0]), float(interval[1])),
+        None if confidence is None else float(confidence),
+        None if entry.get("score") is None else float(entry["score"]),
+    )
+
+
+def _in_table_unit(entry: Mapping[str, Any]) -> tuple[float | None, Any]:
+    """Size and interval in the unit of the bench's table; None where another parameter is given."""
+    size, interval = entry.get("size"), entry.get("interval")
+    if entry["name"] == "dte" and entry.get("parameter") == "backward_efficiency":
+        # the visible ratio, with the forward efficiency at 1; it falls as the efficiency rises
+        interval = interval and [None if end is None else 1 / end - 1 for end in reversed(interval)]
+        return None if size is None else 1 / size - 1, interval
+    if entry["name"] in ("cogging", "encoder_nonlinearity") and size is not None and size < 0:
+        # an amplitude; its sign is a matter of the phase
+        return -size, interval and [None if end is None else -end for end in reversed(interval)]
+    if entry.get("parameter") in (None, *PARAMETERS):
+        return size, interval
+    return None, None
+
+
+def _normal(joints: Sequence[str]) -> tuple[str, ...]:
+    """Joints in the leg's order; all of them, or none named, is everywhere."""
+    inside = tuple(sorted(set(joints)))
+    return () if set(inside) >= set(LEG_JOINTS) else inside
+
+
+def truth_claims(answer: Mapping[str, Any]) -> tuple[Claim, ...]:
+    """What an answer hides, as claims."""
+    return tuple(
+        Claim(effect["name"], () if effect["shared"] else _normal(effect["joints"]), float(effect["size"]))
+        for effect in answer["effects"]
+    )
+
+
+def score_case(answer: Mapping[str, Any], verdict: Verdict) -> dict[str, Any]:
+    """One case: plain values, None where a question does not arise.
+
+    Returns:
+        `named_right`: first claim's name is hidden; `exact`: its joints too; `top3`: exact among the first three of the
+        ranking; `class`: exact, or an ambiguous verdict with an exact candidate; `joint`: joints right where one
+        joint holds the effect and its name is right; `detected`; `alarm` (nulls); `unknown_right` (outsiders); `both`
+        and `one` (pairs); `extra`: a right claim beside a name that is not hidden; `confidence` and `right` of the
+        first claim; `confident_wrong`; `covered`: size within the interval; `size_ratio`; `closure`: share of the gap
+        beyond the noise floor that was closed.
+    """
+    truth = truth_claims(answer)
+    kind, claims = answer["kind"], verdict.claims if verdict.verdict in ("named", "ambiguous") else ()
+    hidden = kind in ("single", "poor", "pair")
+    first = claims[0] if claims else None
+    row: dict[str, Any] = {
+        "case": answer["case"],
+        "kind": kind,
+        "severity": answer["severity"],
+        "truth": "+".join(claim.name for claim in truth) or "nothing",
+        "truth_joints": ",".join(truth[0].joints) if len(truth) == 1 else "",
+        "verdict": verdict.verdict,
+        "claim": first.name if first else verdict.verdict,
+        "claim_joints": ",".join(first.joints) if first else "",
+        "confidence": first.confidence if first else None,
+    }
+    right = first is not None and any(first.same(claim) for claim in truth)
+    named = first is not None and any(first.name == claim.name for claim in truth)
+    candidates = claims if verdict.verdict == "ambiguous" else claims[:1]
+    in_class = any(claim.same(one) for claim in candidates for one in truth)
+    row["detected"] = verdict.verdict in ("named", "ambiguous", "unknown") if kind != "null" else None
+    row["alarm"] = verdict.verdict in ("named", "ambiguous", "unknown") if kind == "null" else None
+    row["false_name"] = bool(claims) if kind == "null" else None
+    row["unknown_right"] = verdict.verdict == "unknown" if kind == "outsider" else None
+    row["named_right"] = named if hidden else None
+    row["exact"] = right if hidden else None
+    row["class"] = in_class if hidden else None
+    row["top3"] = any(one.same(claim) for one in verdict.ranking[:3] for claim in truth) if hidden else None
+    local = [claim for claim in truth if claim.joints and first is not None and claim.name == first.name]
+    row["joint"] = first.joints == local[0].joints if local and first is not None else None
+    found = [any(one.same(claim) for one in claims) for claim in truth]
+    named_all = verdict.verdict == "named" and all(found)
+    row["both"] = named_all if kind == "pair" else None
+    row["one"] = any(found) if kind == "pair" else None
+    invented = any(all(claim.name != one.name for one in truth) for claim in claims)
+    row["extra"] = verdict.verdict == "named" and right and invented if hidden else None
+    row["right"] = right if first is not None and first.confidence is not None else None
+    confident = first is not None and (first.confidence or 0.0) > CONFIDENT
+    row["confident_wrong"] = bool(confident and not right)
+    row.update(_sizes(truth, claims))
+    row["closure"] = closure(verdict.gap or {})
+    return row
+
+
+def _sizes(truth: Sequence[Claim], claims: Sequence[Claim]) -> dict[str, Any]:
+    """Of the first claim that is right and has a size: whether its interval holds the truth, and the ratio of both."""
+    for claim in claims:
+        for one in truth:
+            if claim.same(one) and claim.size is not None and one.size:
+                covered = None if claim.interval is None else claim.interval[0] <= one.size <= claim.interval[1]
+                return {"size": one.size, "claimed_size": claim.size, "size_ratio": claim.size / one.size} | {
+                    "covered": covered
+                }
+    return {"size": None, "claimed_size": None, "size_ratio": None, "covered": None}
+
+
+def closure(gap: Mapping[str, Mapping[str, float]]) -> float | None:
+    """Share (before - after)/(before - floor) of the gap that was closed, mean over channels; None without a gap."""
+    shares = [
+        (channel["before"] - channel["after"]) / (channel["before"] - channel["floor"])
+        for channel in gap.values()
+        if isinstance(channel, Mapping)
+        and all(isinstance(channel.get(key), int | float) for key in ("before", "after", "floor"))
+        and channel["before"] > channel["floor"]
+    ]
+    return float(np.clip(np.mean(shares), -1.0, 1.0)) if shares else None
+
+
+def wilson(count: int, of: int, z: float = 1.959964) -> tuple[float, float]:
+    """Wilson's 95 % interval of a rate (Wilson 1927): count successes of `of` trials."""
+    if of == 0:
+        return 0.0, 1.0
+    share, spread = count / of, z * z / of
+    middle = (share + spread / 2) / (1 + spread)
+    half = z * math.sqrt(share * (1 - share) / of + spread / (4 * of)) / (1 + spread)
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def rate(values: Sequence[bool | None]) -> dict[str, Any] | None:
+    """Share of true values among those that are not None, with its interval; None without any."""
+    asked = [bool(value) for value in values if value is not None]
+    if not asked:
+        return None
+    low, high = wilson(sum(asked), len(asked))
+    return {"value": sum(asked) / len(asked), "low": low, "high": high, "count": sum(asked), "of": len(asked)}
+
+
+RATES: dict[str, tuple[str, tuple[str, ...]]] = {
+    "false_alarms": ("alarm", ("null",)),
+    "false_names": ("false_name", ("null",)),
+    "top1_name": ("named_right", ("single",)),
+    "top1_exact": ("exact", ("single",)),
+    "top1_class": ("class", ("single",)),
+    "top3_exact": ("top3", ("single",)),
+    "joint_localisation": ("joint", ("single", "pair", "poor")),
+    "detection": ("detected", ("single",)),
+    "extra_names": ("extra", ("single", "poor")),
+    "pairs_both": ("both", ("pair",)),
+    "pairs_one": ("one", ("pair",)),
+    "outsiders_unknown": ("unknown_right", ("outsider",)),
+    "poor_class": ("class", ("poor",)),
+    "confident_wrong": ("confident_wrong", ("single", "pair", "null", "outsider", "poor")),
+    "size_coverage": ("covered", ("single", "pair", "poor")),
+}
+"""Rates of a summary: the entry of a case's score, and the kinds of cases that count."""
+
+
+def summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Rates with Wilson's intervals, calibration, gap closure, by severity too."""
+    summary: dict[str, Any] = {"cases": len(rows), "failed": sum(row["verdict"] == MISSING for row in rows)}
+    for name, (entry, kinds) in RATES.items():
+        summary[name] = rate([row[entry] for row in rows if row["kind"] in kinds])
+    for severity in ("mild", "moderate", "strong"):
+        of = [row for row in rows if row["severity"] == severity and row["kind"] == "single"]
+        summary[f"by_severity.{severity}"] = {
+            name: rate([row[entry] for row in of])
+            for name, entry in (("detection", "detected"), ("top1_exact", "exact"), ("top1_class", "class"))
+        }
+    stated = [(row["confidence"], row["right"]) for row in rows if row["right"] is not None]
+    summary["calibration"] = calibration([c for c, _ in stated], [r for _, r in stated])
+    closed = [row["closure"] for row in rows if row["closure"] is not None and row["verdict"] in ("named", "ambiguous")]
+    summary["gap_closure_median"] = float(np.median(closed)) if closed else None
+    ratios = [row["size_ratio"] for row in rows if row["size_ratio"] is not None]
+    summary["size_ratio_median"] = float(np.median(ratios)) if ratios else None
+    return summary
+
+
+def calibration(confidence: Sequence[float], right: Sequence[bool], bins: int = 5) -> dict[str, Any]:
+    """How far stated confidence can be trusted.
+
+    Returns:
+        `ece`, the mean over claims of |confidence - share right| of their bin; `brier`, the mean squared error of the
+        confidence; `reliability`, per bin that holds claims: mean confidence, share right, number. None and an
+        empty list without claims.
+    """
+    if not len(confidence):
+        return {"ece": None, "brier": None, "reliability": [], "claims": 0}
+    stated, truth = np.asarray(confidence, dtype=float), np.asarray(right, dtype=float)
+    place = np.minimum((stated * bins).astype(int), bins - 1)
+    table = [[float(stated[place == b].mean()), float(truth[place == b].mean()), int((place == b).sum())]
+             for b in range(bins) if (place == b).any()]  # fmt: skip
+    ece = sum(n * abs(c - r) for c, r, n in table) / len(stated)
+    return {"ece": ece, "brier": float(((stated - truth) ** 2).mean()), "reliability": table, "claims": len(stated)}
+
+
+def confusion(rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[str], np.ndarray]:
+    """Counts of claims: rows of the truth, columns of the first claim or, without one, the verdict.
+
+    Returns:
+        Names of the rows, names of the columns, [row, column] counts. Cases with two hidden effects count in both rows.
+    """
+    counts: dict[tuple[str, str], int] = {}
+    for row in rows:
+        for truth in row["truth"].split("+"):
+            counts[truth, row["claim"]] = counts.get((truth, row["claim"]), 0) + 1
+    truths = sorted({truth for truth, _ in counts}, key=lambda name: (name == "nothing", name))
+    claims = sorted({claim for _, claim in counts}, key=lambda name: (name in (*VERDICTS, MISSING), name))
+    table = np.array([[counts.get((truth, claim), 0) for claim in claims] for truth in truths], dtype=int)
+    return truths, claims, table.reshape(len(truths), len(claims))
+
+
+def random_name(answer: Mapping[str, Any], names: Sequence[str], rng: np.random.Generator) -> Verdict:
+    """Baseline: three effects drawn blindly, the first named everywhere or in one joint with equal chance."""
+    drawn = rng.choice(len(names), 3, replace=False)
+    claims = tuple(
+        Claim(str(names[i]), () if rng.random() < 0.5 else (str(rng.choice(LEG_JOINTS)),), confidence=1 / len(names))
+        for i in drawn.tolist()
+    )
+    return Verdict("named", claims[:1], claims)
+
+
+def score_ranking(verdict: Verdict) -> Verdict | None:
+    """Baseline: the effect with the largest statistic of the score test; None where the ranking has no statistics."""
+    tested = sorted((claim for claim in verdict.ranking if claim.score is not None), key=lambda claim: -claim.score)  # type: ignore[operator]
+    return Verdict("named", (tested[0],), tuple(tested)) if tested else None
+
+
+def refit_only() -> Verdict:
+    """Baseline: the base model is tuned again, and nothing is ever missing."""
+    return Verdict("nothing_missing")

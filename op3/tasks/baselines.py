@@ -1,0 +1,103 @@
+"""Policies without learning: what any trained one must beat."""
+
+import dataclasses
+from math import pi
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from op3.policy import ActionMap
+from op3.robot import SinusoidalGait
+from op3.servo import RobotModel, effect_class
+
+
+class Hold:
+    """Holds the stand pose, stiffly by default.
+
+    Args:
+        p_gain: of every controlled joint [A/rad]; None: the highest, 6 A/rad.
+        action_map: what actions mean.
+    """
+
+    def __init__(self, p_gain: float | None = None, action_map: ActionMap | None = None):
+        self._action = torch.from_numpy((action_map or ActionMap.around_stand()).stand(p_gain))
+
+    def act(self, observation: Tensor) -> Tensor:
+        """The same action, whatever is seen: ``[..., action]``."""
+        return self._action.to(observation).expand(*observation.shape[:-1], -1)
+
+
+class Zero:
+    """Action zero: the stand pose with gains in the middle of their range."""
+
+    def __init__(self, action_map: ActionMap | None = None):
+        self._size = (action_map or ActionMap.around_stand()).size
+
+    def act(self, observation: Tensor) -> Tensor:
+        """Zeros ``[..., action]``."""
+        return observation.new_zeros(*observation.shape[:-1], self._size)
+
+
+class Random:
+    """Uniform actions.
+
+    Args:
+        seed: of the actions.
+        action_map: what actions mean.
+    """
+
+    def __init__(self, seed: int = 0, action_map: ActionMap | None = None):
+        self._size = (action_map or ActionMap.around_stand()).size
+        self._generator = torch.Generator().manual_seed(seed)
+
+    def act(self, observation: Tensor) -> Tensor:
+        """Uniform in [-1, 1], ``[..., action]``."""
+        shape = (*observation.shape[:-1], self._size)
+        return 2.0 * torch.rand(shape, generator=self._generator, dtype=observation.dtype) - 1.0
+
+
+POSITION_GAIN = 800.0
+"""Position P gain register of the OP3's servos as delivered."""
+
+_DUTY_PER_ERROR = 4096 / (2 * pi) / 128 / 885
+"""Duty per radian and unit of the register: counts per radian, 128 (control table), 885 for full duty."""
+
+
+class StiffWalk:
+    """The walk that the OP3 comes with, on servos in position mode; it needs a model made by `position_mode`.
+
+    Args:
+        gait: the walk; by default with steps long enough for 0.3 m/s if no foot slipped.
+        firmware_gain: position P gain register of the servos.
+    """
+
+    def __init__(self, gait: SinusoidalGait | None = None, firmware_gain: float = POSITION_GAIN):
+        self.gait = gait or SinusoidalGait(step=0.045)
+        self.firmware_gain = firmware_gain
+        self._hold = Hold()
+
+    def act(self, observation: Tensor) -> Tensor:
+        """What a policy that holds would do; `commands` goes before it."""
+        return self._hold.act(observation)
+
+    def commands(self, time: Tensor) -> dict[str, Tensor]:
+        """Goals of the servos at times since each episode's beginning, ``[sim]`` in s."""
+        targets = torch.from_numpy(self.gait.targets(time.numpy()))
+        return {"position_target": targets, "firmware_gain": torch.tensor(self.firmware_gain, dtype=torch.float64)}
+
+
+def position_mode(model: RobotModel) -> RobotModel:
+    """The same robot with its servos in position mode: own loop, driven by voltage, goals late as currents were.
+
+    Raises:
+        ValueError: if the model's servos are not driven by current.
+    """
+    motor: Any = model.effect("motor")
+    servo: Any = effect_class("position_servo")
+    made = model.without("current_pd").with_effect(dataclasses.replace(motor, drive="voltage"))
+    made = made.with_effect(servo(error_gain=_DUTY_PER_ERROR, max_duty=1.0))
+    if "latency" not in made.effect_names:
+        return made
+    latency: Any = made.effect("latency")
+    return made.with_effect(dataclasses.replace(latency, signal="goal"))

@@ -1,0 +1,62 @@
+"""How an episode begins: a pure function of a task and a seed, for every simulator alike."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from op3.robot import CONTROLLED_JOINTS, Scene, Tilts, Waves, WeightSchedule, draw_tiles, indices, pose
+from op3.tasks.task import Task
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Beginning:
+    """An episode's first state, and what will move the ground.
+
+    Attributes:
+        qpos: full position ``[nq]``.
+        qvel: full velocity ``[nv]``.
+        board: what moves the board; None where there is none.
+        tiles: heights of the terrain's tiles [m], ``[tile]``; None where there are none.
+    """
+
+    qpos: Array
+    qvel: Array
+    board: Waves | Tilts | WeightSchedule | None
+    tiles: Array | None
+
+
+def begin(task: Task, scene: Scene, seed: int) -> Beginning:
+    """The beginning of the episode of a seed: about the stand pose, on the ground, nearly at rest."""
+    rng = np.random.default_rng([seed, 1])
+    scatter, legs = task.placement, indices(CONTROLLED_JOINTS)
+    position = pose("stand")
+    position[legs] += scatter.joint_position * rng.standard_normal(len(legs))
+    qpos = scene.initial_qpos(position)
+    # a free base and twenty joints first; what else the scene holds starts at rest
+    qvel = np.zeros(len(qpos) - 1)
+    qvel[0:2] = scatter.velocity * rng.standard_normal(2)
+    qvel[3:5] = scatter.angular_velocity * rng.standard_normal(2)
+    qvel[6 + legs] = scatter.joint_velocity * rng.standard_normal(len(legs))
+    return Beginning(qpos, qvel, board_of(task, seed), draw_tiles(seed) if task.scene == "terrain" else None)
+
+
+def board_of(task: Task, seed: int) -> Waves | Tilts | WeightSchedule | None:
+    """What moves the board in the episode of a seed; None for a task without a board."""
+    if task.board == "still":
+        return Waves.still()
+    kinds = {"waves": Waves, "tilts": Tilts, "weight": WeightSchedule}
+    return None if task.board is None else kinds[task.board].draw(seed)
+
+
+def episode_seed(seed: int, index: int, episode: int) -> int:
+    """The seed of an environment's k-th episode, whatever happens in the others.
+
+    Args:
+        seed: of the whole batch.
+        index: of the environment in it.
+        episode: number of its episode.
+    """
+    return int(np.random.SeedSequence([seed, index, episode]).generate_state(1)[0])

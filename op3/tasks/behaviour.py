@@ -1,0 +1,112 @@
+"""What a policy does, read from its log: gains in stance and swing, tilt, and the gait's profile."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from op3.robot import CONTROLLED_JOINTS
+from op3.rollout import Rollout
+from op3.tasks.rewards import FOOT_OFFSETS, swing_probability
+from op3.tasks.task import Task, find_task
+
+SIDES = ("l_", "r_")
+
+
+@dataclass(frozen=True, eq=False)
+class GaitProfile:
+    """A joint over the phase of the gait, means of all cycles.
+
+    Attributes:
+        phase: middle of each bin in cycles, [bin].
+        target: commanded angle [rad], [bin].
+        target_deviation: its standard deviation [rad], [bin].
+        gain: commanded P gain [A/rad], [bin].
+        gain_deviation: its standard deviation [A/rad], [bin].
+        stance: whether the gait asks the joint's foot to carry, [bin].
+    """
+
+    phase: NDArray[np.float64]
+    target: NDArray[np.float64]
+    target_deviation: NDArray[np.float64]
+    gain: NDArray[np.float64]
+    gain_deviation: NDArray[np.float64]
+    stance: NDArray[np.bool_]
+
+
+def in_stance(log: Rollout, task: str | Task) -> NDArray[np.bool_]:
+    """Whether the gait asks the left and the right foot to carry, [time, 2]; always, in a task without a gait."""
+    task = find_task(task)
+    if task.cycle is None:
+        return np.ones((log.rows, 2), dtype=bool)
+    time = log.array("time")
+    phase = torch.from_numpy(np.remainder((time - time[0]) / task.cycle + np.array(FOOT_OFFSETS), 1.0))
+    return swing_probability(phase).numpy() < 0.5
+
+
+def gains(log: Rollout, task: str | Task) -> dict[str, float]:
+    """Mean P gain [A/rad] of the controlled joints: of all, and of each leg in its stance and its swing.
+
+    Returns:
+        ``gain``, and for walking ``gain_stance`` and ``gain_swing``.
+    """
+    p_gain, carries = log.array("command/p_gain"), in_stance(log, task)
+    sums, counts = {True: 0.0, False: 0.0}, {True: 0, False: 0}
+    for side, prefix in enumerate(SIDES):
+        columns = [log.joints.index(joint) for joint in CONTROLLED_JOINTS if joint.startswith(prefix)]
+        for stance in (True, False):
+            values = p_gain[carries[:, side] == stance][:, columns]
+            sums[stance] += float(values.sum())
+            counts[stance] += values.size
+    result = {"gain": (sums[True] + sums[False]) / (counts[True] + counts[False])}
+    if find_task(task).cycle is not None and min(counts.values()):
+        result |= {"gain_stance": sums[True] / counts[True], "gain_swing": sums[False] / counts[False]}
+    return result
+
+
+def mean_tilt(log: Rollout) -> float:
+    """Mean angle of the trunk from upright [rad], roll and pitch together."""
+    return float(np.linalg.norm(log.array("imu/orientation")[:, :2], axis=1).mean())
+
+
+def gait_profile(
+    logs: list[Rollout], task: str | Task, joint: str = "r_ank_pitch", bins: int = 25, skip: float = 1.0
+) -> GaitProfile:
+    """Target and P gain of one joint over the gait (paper, figure of the walking policy).
+
+    Args:
+        logs: episodes of walking; rows of one phase are put together.
+        task: that was attempted.
+        joint: name.
+        bins: parts of the cycle; bins without a row are NaN.
+        skip: time at the beginning that is left out [s].
+
+    Raises:
+        ValueError: if the task has no gait.
+    """
+    task = find_task(task)
+    if task.cycle is None:
+        raise ValueError(f"task {task.name!r} has no gait; a profile is of a walking task")
+    column, side = logs[0].joints.index(joint), SIDES.index(joint[:2])
+    phases, targets, stiffness = [], [], []
+    for log in logs:
+        time = log.array("time")[:, 0] - log.array("time")[0, 0]
+        late = time >= skip
+        phases.append(np.remainder(time[late] / task.cycle, 1.0))
+        targets.append(log.array("command/position")[late, column])
+        stiffness.append(log.array("command/p_gain")[late, column])
+    number = np.minimum((np.concatenate(phases) * bins).astype(int), bins - 1)
+    target, gain = (_binned(number, np.concatenate(values), bins) for values in (targets, stiffness))
+    middle = (np.arange(bins) + 0.5) / bins
+    swing = swing_probability(torch.from_numpy(np.remainder(middle + FOOT_OFFSETS[side], 1.0))).numpy()
+    return GaitProfile(middle, *target, *gain, swing < 0.5)
+
+
+def _binned(number: NDArray[np.int64], values: NDArray[np.float64], bins: int) -> tuple[NDArray, NDArray]:
+    """Mean and standard deviation [bin] of values by the number of their bin."""
+    count = np.bincount(number, minlength=bins).astype(float)
+    count[count == 0] = np.nan
+    mean = np.bincount(number, values, bins) / count
+    square = np.bincount(number, (values - mean[number]) ** 2, bins) / count
+    return mean, np.sqrt(square)

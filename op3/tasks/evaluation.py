@@ -1,0 +1,132 @@
+"""R_eval: what an episode was worth, as one function of its log, for simulation and robot alike.
+
+The paper evaluates eq. (8) with the last column of Table II. A robot knows no velocity of its body, so balance takes it
+from the body's rates, and walking from the distance travelled (paper, section "Task for Evaluation").
+"""
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from op3.robot import pose, standing_height
+from op3.rollout import LogError, Rollout
+from op3.tasks import rewards
+from op3.tasks.task import Task, find_task
+
+TRUNK_HEIGHT = standing_height(pose("stand"))
+"""Height of the trunk above the soles in the stand pose [m]: lever from its rates to its velocity."""
+
+
+def evaluation_rewards(log: Rollout, task: str | Task | None = None) -> Tensor:
+    """R_eval of every policy step.
+
+    A step is judged by the sensors at its beginning, when its action was chosen; the action before the first counts as
+    equal to it.
+
+    Args:
+        log: of one episode, with the channels of `op3.envs.record_episodes`.
+        task: that was attempted; None: the one that the metadata name in ``extra["task"]``.
+
+    Returns:
+        ``[step]``.
+
+    Raises:
+        LogError: if the log lacks a channel or a field of its metadata.
+    """
+    if log.batched:
+        raise LogError("R_eval is of one episode, but the log has many", "give log.episodes() one by one")
+    task = find_task(task if task is not None else _field(log, "task", log.metadata.extra.get("task")))
+    rows = policy_rows(log)
+
+    def channel(key: str) -> Tensor:
+        return torch.from_numpy(log.array(key))[rows]
+
+    orientation, rates, action = channel("imu/orientation"), channel("imu/angular_velocity"), channel("policy/action")
+    result = evaluation_terms(
+        task,
+        action,
+        torch.cat([action[:1], action[:-1]]),
+        channel("joint/current"),
+        orientation,
+        rates,
+        channel("imu/linear_acceleration"),
+        swayed(rates) if task.cycle is None else None,
+    )
+    return result if task.cycle is None else result + travel_term(task, _walked(log))
+
+
+def evaluation_terms(
+    task: Task,
+    action: Tensor,
+    previous: Tensor,
+    current: Tensor,
+    orientation: Tensor,
+    rates: Tensor,
+    specific_force: Tensor,
+    velocity: Tensor | None,
+) -> Tensor:
+    """R_eval of steps, ``[...]``; without the part of the velocity where that is not known yet.
+
+    Args:
+        task: that is attempted.
+        action: ``[..., action]``.
+        previous: the action before.
+        current: of all motors, ``[..., joint]`` in A.
+        orientation: roll, pitch and yaw, ``[..., 3]`` in rad.
+        rates: of the body, ``[..., 3]`` in rad/s.
+        specific_force: of the IMU, ``[..., 3]`` in m/s^2.
+        velocity: forwards and sideways, ``[..., 2]`` in m/s; None: `travel_term` adds its part later.
+    """
+    desired = torch.tensor(task.desired_velocity, dtype=torch.float64)
+    acceleration = rewards.body_acceleration(specific_force, orientation)
+    terms = rewards.weighted(
+        rewards.EVALUATION,
+        rewards.command_term(desired if velocity is None else velocity, desired, orientation, rewards.EVALUATION),
+        rewards.smooth_term(action, previous, current, rates, acceleration),
+    )
+    return rewards.total(terms)
+
+
+def travel_term(task: Task, speed: Tensor) -> Tensor:
+    """What a mean forward speed [m/s], ``[...]``, adds to every step; its sideways part is unknown and counts as 0."""
+    velocity = torch.stack([speed, torch.zeros_like(speed)], -1)
+    desired = torch.tensor(task.desired_velocity, dtype=torch.float64)
+    upright = torch.zeros_like(velocity)
+    return rewards.EVALUATION.command * rewards.command_term(velocity, desired, upright, rewards.EVALUATION)
+
+
+def evaluation_return(log: Rollout, task: str | Task | None = None) -> float:
+    """R_eval of an episode: the sum over its policy steps; an episode that ends in a fall has fewer."""
+    return float(evaluation_rewards(log, task).sum())
+
+
+def policy_rows(log: Rollout) -> slice:
+    """The rows of a log in which the policy acted."""
+    rate = _field(log, "policy_rate", log.metadata.policy_rate)
+    every = log.metadata.rate / rate
+    if every < 1 or abs(every - round(every)) > 1e-3:
+        problem = f"the log has {log.metadata.rate:g} rows per second, which is no multiple of {rate:g}"
+        raise LogError(
+            problem, "correct rate or policy_rate", source=log.metadata.recording, column="field policy_rate"
+        )
+    return slice(None, None, round(every))
+
+
+def swayed(rates: Tensor) -> Tensor:
+    """Velocity forwards and sideways of a trunk that turns about its soles, ``[..., 2]`` in m/s."""
+    return TRUNK_HEIGHT * torch.stack([rates[..., 1], -rates[..., 0]], -1)
+
+
+def _walked(log: Rollout) -> Tensor:
+    """Mean forward speed of the episode [m/s]."""
+    distance = _field(log, "travelled_distance", log.metadata.travelled_distance)
+    duration = _field(log, "episode_duration", log.metadata.episode_duration)
+    return torch.tensor(distance / duration, dtype=torch.float64)
+
+
+def _field(log: Rollout, name: str, value: Any) -> Any:
+    if value is None:
+        problem, remedy = "R_eval needs this field of the metadata", f"add `{name}:` to the metadata"
+        raise LogError(problem, remedy, source=log.metadata.recording, column=f"field {name}")
+    return value

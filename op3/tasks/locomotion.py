@@ -1,0 +1,137 @@
+"""Balancing and walking as a dm_control composer task: the batched environment's twin, one robot at a time."""
+
+from typing import Any
+
+import numpy as np
+import torch
+from dm_control import composer
+from dm_env import specs
+
+from op3.policy import ActionMap
+from op3.robot import build_scene, place_tiles, tile_ids
+from op3.servo import RobotModel
+from op3.sim import GearedServo
+from op3.tasks.beginning import begin, episode_seed
+from op3.tasks.ground import Ground
+from op3.tasks.playback import PHYSICS_TIMESTEP
+from op3.tasks.rules import Outcome, Rules
+from op3.tasks.setups import OP3_CONTROL_PERIOD
+from op3.tasks.snapshot import Probe, Snapshot
+from op3.tasks.task import POLICY_PERIOD, Task
+
+
+class LocomotionTask(composer.Task):
+    """A robot at a task; the action is the policy's.
+
+    Build an environment with ``composer.Environment(task, legacy_step=False)``: only then is the order of steps that
+    of the batched environment, whose observations and rewards this one gives to rounding.
+
+    Args:
+        task: the task.
+        model: effects and parameter values.
+        seed: of everything random; episodes are those of the batched environment's first robot.
+        action_map: what actions mean.
+    """
+
+    def __init__(self, task: Task, model: RobotModel, seed: int = 0, action_map: ActionMap | None = None):
+        self.task = task
+        self.action_map = action_map or ActionMap.around_stand()
+        self._scene = build_scene(task.scene)
+        assert self._scene.robot is not None
+        self.servo = GearedServo(self._scene.joints, model, self._scene.robot.trunk, OP3_CONTROL_PERIOD)
+        self._every = round(OP3_CONTROL_PERIOD / PHYSICS_TIMESTEP)
+        self.set_timesteps(control_timestep=POLICY_PERIOD, physics_timestep=PHYSICS_TIMESTEP)
+        self.seed(seed)
+
+    def seed(self, seed: int) -> None:
+        """Start the episodes of another seed."""
+        self._seed, self._episodes = seed, 0
+        self.rules = Rules(self.task, self.action_map, 1, torch.Generator().manual_seed(seed))
+
+    @property
+    def root_entity(self) -> composer.Entity:
+        """The arena."""
+        return self._scene.arena
+
+    def action_spec(self, physics: Any) -> specs.BoundedArray:
+        """Target angles and gains, each in [-1, 1]."""
+        del physics
+        return specs.BoundedArray((self.action_map.size,), np.float64, minimum=-1.0, maximum=1.0)
+
+    def after_compile(self, physics: Any, random_state: Any) -> None:
+        """Find servos, sensors and tiles."""
+        self.servo.after_compile(physics, random_state)
+        model = physics.model.ptr
+        self._probe = Probe(model, self._scene, self.task.cycle is not None)
+        self._tiles = tile_ids(model)
+
+    def initialize_episode(self, physics: Any, random_state: Any) -> None:
+        """Put the robot down for the next episode."""
+        beginning = begin(self.task, self._scene, episode_seed(self._seed, 0, self._episodes))
+        self._episodes += 1
+        data, model = physics.data.ptr, physics.model.ptr
+        data.qpos[:], data.qvel[:], data.qfrc_applied[:] = beginning.qpos, beginning.qvel, 0.0
+        if beginning.tiles is not None:
+            place_tiles(model.geom_pos, self._tiles, beginning.tiles)
+        self._ground = None if beginning.board is None else Ground(model, [beginning.board])
+        first = {name: value[0] for name, value in self.rules.resting_commands(1).items()}
+        self.servo.initialize_episode(physics, random_state, **first)
+        self.observation = self.rules.begin(self._snapshot(physics), torch.ones(1, dtype=torch.bool))
+        self.outcome: Outcome | None = None
+
+    def before_step(self, physics: Any, action: Any, random_state: Any) -> None:
+        """Take the policy's action."""
+        del physics, random_state
+        self._action = torch.as_tensor(action, dtype=torch.float64)[None]
+        self._commands = {name: value[0] for name, value in self.rules.commands(self._action).items()}
+        self._substep, self._start = 0, self.rules.time.numpy()
+
+    def before_substep(self, physics: Any, action: Any, random_state: Any) -> None:
+        """Drive the board and tick the servos every 8 ms; run the servo law."""
+        del action
+        if self._substep % self._every == 0:
+            if self._substep and self.rules.bank.depth > 1:
+                self.rules.bank.push(self._snapshot(physics).readings)
+            if self._ground is not None:
+                data, time = physics.data.ptr, self._start + self._substep * PHYSICS_TIMESTEP
+                self._ground.drive(time, data.qpos[None], data.qvel[None], data.qfrc_applied[None])
+            self.servo.before_step(physics, random_state, **self._commands)
+        self.servo.before_substep(physics, random_state)
+        self._substep += 1
+
+    def after_step(self, physics: Any, random_state: Any) -> None:
+        """Judge the step."""
+        del random_state
+        snapshot = self._snapshot(physics)
+        self.rules.bank.push(snapshot.readings)
+        data = physics.data.ptr
+        failed = torch.tensor([not np.isfinite(data.qacc).all() or bool(data.warning.number.any())])
+        self.outcome = self.rules.finish(self._action, snapshot, failed)
+        self.observation = self.outcome.observation
+
+    def get_reward(self, physics: Any) -> float:
+        """The training reward of the step."""
+        del physics
+        return 0.0 if self.outcome is None else float(self.outcome.reward)
+
+    def should_terminate_episode(self, physics: Any) -> bool:
+        """Whether the robot fell or the time is over."""
+        del physics
+        outcome = self.outcome
+        return outcome is not None and bool(outcome.terminated | outcome.truncated)
+
+    def get_discount(self, physics: Any) -> float:
+        """0 where the robot fell, 1 elsewhere, the time limit included."""
+        del physics
+        return 0.0 if self.outcome is not None and bool(self.outcome.terminated) else 1.0
+
+    def _snapshot(self, physics: Any) -> Snapshot:
+        data = physics.data.ptr
+        channels = {key: value[None] for key, value in self.servo.measure(physics).items()}
+        qpos, qvel, sensors = (torch.from_numpy(array)[None] for array in (data.qpos, data.qvel, data.sensordata))
+        return self._probe.read(qpos, qvel, sensors, channels)
+
+
+def locomotion_environment(task: LocomotionTask, seed: int = 0) -> composer.Environment:
+    """A composer environment whose physics steps are those of the batched environment."""
+    return composer.Environment(task, random_state=np.random.RandomState(seed), legacy_step=False)

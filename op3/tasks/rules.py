@@ -1,0 +1,140 @@
+"""The rules of a task for many robots at once, whatever simulates them: observation, commands, reward, the end."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from op3.policy import ActionMap
+from op3.policy.observation import History, observe
+from op3.robot import JOINTS, indices, pose
+from op3.tasks import rewards
+from op3.tasks.sensing import SensorBank
+from op3.tasks.snapshot import Snapshot
+from op3.tasks.task import POLICY_PERIOD, Task
+
+HELD_GAIN = 6.0
+"""P gain of the joints that the policy does not command [A/rad]; they hold the stand pose."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What a policy step led to, tensors ``[sim, ...]``.
+
+    Attributes:
+        observation: history included.
+        reward: ``[sim]``.
+        terms: weighted contributions to the reward by name, ``[sim]``; the reward is 1 plus their sum.
+        terminated: the robot fell, or its simulation failed.
+        truncated: the time is over.
+    """
+
+    observation: Tensor
+    reward: Tensor
+    terms: dict[str, Tensor]
+    terminated: Tensor
+    truncated: Tensor
+
+
+class Rules:
+    """The rules of a task, and the little memory they need.
+
+    Args:
+        task: the task.
+        action_map: what actions mean.
+        num_sims: number of robots.
+        generator: of the sensors' noise.
+    """
+
+    def __init__(self, task: Task, action_map: ActionMap, num_sims: int, generator: torch.Generator):
+        self.task = task
+        self.action_map = action_map
+        self.bank = SensorBank(task.sensors, generator)
+        self.steps = torch.zeros(num_sims, dtype=torch.int64)
+        self._history = History(task.history)
+        self._controlled = torch.from_numpy(indices(action_map.joints))
+        self._stand = torch.from_numpy(pose("stand")).expand(num_sims, -1)
+        self._first_action = torch.from_numpy(action_map.stand())
+        self._previous = self._first_action.repeat(num_sims, 1)
+        self._desired = torch.tensor(task.desired_velocity, dtype=torch.float64)
+
+    @property
+    def time(self) -> Tensor:
+        """Time since each episode's beginning [s], ``[sim]``."""
+        return self.steps.double() * POLICY_PERIOD
+
+    def begin(self, snapshot: Snapshot, rows: Tensor) -> Tensor:
+        """Episodes begin for the rows of a mask ``[sim]``; the robots hold the stand pose with the highest gain.
+
+        Returns:
+            The observation of all robots, ``[sim, observation]``.
+        """
+        self.steps[rows] = 0
+        self._previous = torch.where(rows[:, None], self._first_action, self._previous)
+        self.bank.reset(snapshot.readings, rows)
+        return self._history.reset(self._observe(), rows)
+
+    def commands(self, action: Tensor) -> dict[str, Tensor]:
+        """Commands of actions ``[sim, action]`` for all joints: targets in rad and gains, ``[sim, joint]``."""
+        target, gain = self.action_map.targets(action)
+        position, p_gain = self._stand.clone(), torch.full(self._stand.shape, HELD_GAIN, dtype=torch.float64)
+        position[:, self._controlled], p_gain[:, self._controlled] = target, gain
+        return {"position_target": position, "p_gain": p_gain}
+
+    def resting_commands(self, count: int) -> dict[str, Tensor]:
+        """Commands that are in force when an episode begins, ``[count, joint]``."""
+        first = self.commands(self._first_action.repeat(len(self._stand), 1))
+        d_gain = torch.full((count, len(JOINTS)), self.action_map.d_gain, dtype=torch.float64)
+        return {**{name: value[:1].expand(count, -1) for name, value in first.items()}, "d_gain": d_gain}
+
+    def finish(self, action: Tensor, snapshot: Snapshot, failed: Tensor) -> Outcome:
+        """A policy step is over.
+
+        Args:
+            action: taken at its beginning, ``[sim, action]``; beyond [-1, 1] it counts as clipped, as it was commanded.
+            snapshot: at its end; its readings must have been given to `bank`.
+            failed: simulations that diverged, ``[sim]``.
+        """
+        action = action.clamp(-1.0, 1.0)
+        self.steps += 1
+        orientation = snapshot.readings["orientation"]
+        terms = self._terms(action, snapshot)
+        reward = rewards.total(terms)
+        tilted = orientation[:, :2].abs().amax(1) > self.task.fall_angle
+        terminated = tilted | (snapshot.height < self.task.fall_height) | failed
+        self._previous = action
+        observation = self._history.push(self._observe())
+        if failed.any():  # what a diverged state would say is worth nothing
+            reward = torch.where(failed, 0.0, reward)
+            terms = {name: torch.where(failed, 0.0, term) for name, term in terms.items()}
+            observation = torch.where(failed[:, None], 0.0, observation)
+        truncated = (self.steps >= self.task.steps) & ~terminated
+        return Outcome(observation, reward, terms, terminated, truncated)
+
+    def _terms(self, action: Tensor, snapshot: Snapshot) -> dict[str, Tensor]:
+        weights, orientation = self.task.coefficients, snapshot.readings["orientation"]
+        bipedal = None
+        if self.task.cycle is not None and snapshot.foot_force is not None and snapshot.foot_speed is not None:
+            bipedal = rewards.bipedal_term(self._phase(), snapshot.foot_force, snapshot.foot_speed)
+        return rewards.weighted(
+            weights,
+            rewards.command_term(snapshot.velocity[:, :2], self._desired, orientation, weights),
+            rewards.smooth_term(
+                action,
+                self._previous,
+                snapshot.current,
+                snapshot.readings["angular_velocity"],
+                rewards.body_acceleration(snapshot.specific_force, orientation),
+            ),
+            bipedal,
+        )
+
+    def _phase(self) -> Tensor:
+        """Phase of the gait in cycles, ``[sim]``; it is 0 when an episode begins."""
+        assert self.task.cycle is not None
+        return torch.remainder(self.time / self.task.cycle, 1.0)
+
+    def _observe(self) -> Tensor:
+        readings = self.bank.read()
+        phase = None if self.task.cycle is None else self._phase()
+        return observe(**readings, previous_action=self._previous, phase=phase)

@@ -1,0 +1,121 @@
+"""The state of robots in a scene that tasks judge: what their sensors say, and what only a simulator knows."""
+
+# MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
+# pyright: reportAttributeAccessIssue=false
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import torch
+from torch import Tensor
+
+from op3.policy.leg_kinematics import leg_kinematics
+from op3.robot import KEY_POINTS, Scene
+from op3.sim import ServoPorts
+
+_INNER_TIPS = [KEY_POINTS.index("l_sole_inner_tip"), KEY_POINTS.index("r_sole_inner_tip")]
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """Robots at one time, tensors ``[sim, ...]``.
+
+    Attributes:
+        readings: what sensors say before quantisation, by the names of `op3.tasks.task.Sensors`.
+        current: of the motors, ``[sim, joint]`` in A.
+        specific_force: of the IMU, ``[sim, 3]`` in m/s^2.
+        height: of the trunk's origin above the ground's, ``[sim]`` in m.
+        velocity: of the trunk in the world, ``[sim, 3]`` in m/s.
+        foot_force: between ankle and foot, left and right, ``[sim, 2]`` in N; None for tasks without a gait.
+        foot_speed: mean over a foot's key points in the world, ``[sim, 2]`` in m/s.
+        tip: how far ahead the inner tip of the foremost foot is in the world, ``[sim]`` in m.
+    """
+
+    readings: dict[str, Tensor]
+    current: Tensor
+    specific_force: Tensor
+    height: Tensor
+    velocity: Tensor
+    foot_force: Tensor | None = None
+    foot_speed: Tensor | None = None
+    tip: Tensor | None = None
+
+
+class Probe:
+    """Takes snapshots of robots from the arrays of their simulation.
+
+    Args:
+        model: compiled scene with servos.
+        scene: the scene.
+        feet: whether to look at the feet, which walking needs.
+    """
+
+    def __init__(self, model: mujoco.MjModel, scene: Scene, feet: bool):
+        if scene.robot is None:
+            raise ValueError(f"scene {scene.name!r} has no robot to look at")
+        ports = ServoPorts.find(model, scene.joint_names)
+        self._qpos, self._dof = ports.qpos, ports.dof
+        trunk = model.body(scene.robot.trunk.full_identifier).id
+        root = model.jnt(int(model.body_jntadr[model.body_rootid[trunk]]))
+        self._base, self._base_dof = int(root.qposadr[0]), int(root.dofadr[0])
+        force = model.sensor(scene.robot.imu_accelerometer.full_identifier)
+        self._force = slice(int(force.adr[0]), int(force.adr[0]) + 3)
+        ankles = [name for name in scene.joint_names if name.endswith("ank_roll")]
+        first = [int(model.sensor(f"{name}_force").adr[0]) for name in ankles]
+        self._feet = np.array([[address + axis for axis in range(3)] for address in first]) if feet else None
+        self._ground = scene.ground_height
+
+    def read(
+        self, qpos: Tensor, qvel: Tensor, sensordata: Tensor, channels: Mapping[tuple[str, str], Tensor]
+    ) -> Snapshot:
+        """A snapshot.
+
+        Args:
+            qpos: ``[sim, nq]``.
+            qvel: ``[sim, nv]``.
+            sensordata: ``[sim, nsensordata]``.
+            channels: what the servos and the IMU measure, as `op3.sim.BatchSimulation.measure` gives it.
+        """
+        base, dof = self._base, self._base_dof
+        place, velocity = qpos[:, base : base + 3], qvel[:, dof : dof + 3].clone()
+        feet = {}
+        if self._feet is not None:
+            points, speeds = leg_kinematics().key_points(qpos[:, self._qpos], qvel[:, self._dof])
+            turn = rotation(qpos[:, base + 3 : base + 7])
+            spin = qvel[:, dof + 3 : dof + 6]
+            # of the points in the world: v + R (v_relative + w x p)
+            moving = (speeds + torch.linalg.cross(spin[:, None], points)) @ turn.mT + velocity[:, None]
+            tips = (points[:, _INNER_TIPS] @ turn.mT)[..., 0] + place[:, None, 0]
+            feet = dict(
+                foot_force=torch.linalg.vector_norm(sensordata[:, self._feet], dim=-1),
+                foot_speed=torch.linalg.vector_norm(moving.unflatten(1, (2, 3)).mean(2), dim=-1),
+                tip=tips.amax(1),
+            )
+        return Snapshot(
+            readings={
+                "joint_position": channels["joint", "position"],
+                "joint_velocity": channels["joint", "velocity"],
+                "orientation": channels["imu", "orientation"],
+                "angular_velocity": channels["imu", "angular_velocity"],
+            },
+            current=channels["joint", "current"],
+            specific_force=sensordata[:, self._force].clone(),
+            height=place[:, 2] - self._ground,
+            velocity=velocity,
+            **feet,
+        )
+
+
+def rotation(quaternion: Tensor) -> Tensor:
+    """Matrices ``[..., 3, 3]`` of unit quaternions ``[..., 4]``, w first."""
+    w, x, y, z = quaternion.unbind(-1)
+    return torch.stack(
+        [
+            torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
+            torch.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1),
+            torch.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1),
+        ],
+        -2,
+    )

@@ -1,0 +1,184 @@
+"""The balancing and walking tasks as data: where, how long, what is rewarded, what the policy senses."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import ceil, pi, radians
+from typing import Any
+
+from op3.policy.observation import BALANCE_LAYOUT, WALK_LAYOUT
+from op3.tasks import rewards
+from op3.tasks.rewards import Coefficients
+from op3.tasks.setups import OP3_CONTROL_PERIOD
+
+TICKS = 4
+"""Ticks of the PD control per policy step: 125 Hz and 31.25 Hz (paper)."""
+
+POLICY_PERIOD = TICKS * OP3_CONTROL_PERIOD
+"""Time between policy steps [s]."""
+
+BOARD_MOTIONS = ("still", "waves", "tilts", "weight")
+"""What moves a board: nothing, random waves, steps between two tilts, or a weight that is lowered on it."""
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """What one kind of sensor does to its quantity before the policy sees it.
+
+    Attributes:
+        unit: one step of its register, in the unit of the quantity; 0: not quantised.
+        noise: standard deviation, in the unit of the quantity.
+        delay: age of the reading beyond that of the control tick [s], a multiple of 8 ms.
+    """
+
+    unit: float = 0.0
+    noise: float = 0.0
+    delay: float = 0.0
+
+    def __post_init__(self):
+        ticks = self.delay / OP3_CONTROL_PERIOD
+        if min(self.unit, self.noise, self.delay) < 0 or abs(ticks - round(ticks)) > 1e-9:
+            raise ValueError(
+                f"a sensor's unit, noise and delay must be at least 0, and the delay a multiple of "
+                f"{OP3_CONTROL_PERIOD} s, got unit {self.unit}, noise {self.noise}, delay {self.delay} s"
+            )
+
+    @property
+    def ticks(self) -> int:
+        """The delay in control ticks."""
+        return round(self.delay / OP3_CONTROL_PERIOD)
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """The robot's sensors; units from the control tables of XM430-W350 and OpenCR (ROBOTIS e-Manual).
+
+    Attributes:
+        joint_position: encoder, 4096 counts per turn [rad].
+        joint_velocity: 0.229 rpm per count [rad/s].
+        orientation: roll, pitch and yaw, 0.1 degrees per count [rad].
+        angular_velocity: gyro, 2000 / 32800 degrees per second and count [rad/s].
+    """
+
+    joint_position: Sensor = Sensor(unit=2 * pi / 4096)
+    joint_velocity: Sensor = Sensor(unit=0.229 * 2 * pi / 60)
+    orientation: Sensor = Sensor(unit=radians(0.1))
+    angular_velocity: Sensor = Sensor(unit=radians(2000 / 32800))
+
+
+@dataclass(frozen=True)
+class Placement:
+    """How far an episode's beginning scatters about the stand pose at rest; standard deviations, ours.
+
+    Attributes:
+        joint_position: of each leg joint [rad].
+        joint_velocity: of each leg joint [rad/s].
+        velocity: of the trunk, forwards and sideways [m/s].
+        angular_velocity: of the trunk's roll and pitch [rad/s].
+    """
+
+    joint_position: float = 0.02
+    joint_velocity: float = 0.1
+    velocity: float = 0.02
+    angular_velocity: float = 0.1
+
+
+@dataclass(frozen=True)
+class Task:
+    """One task.
+
+    Attributes:
+        name: of the task.
+        scene: name for `op3.robot.build_scene`.
+        coefficients: of the training reward.
+        desired_velocity: forwards and sideways [m/s].
+        board: what moves the board, one of `BOARD_MOTIONS`; None where there is none.
+        cycle: duration of a gait cycle [s]; None for a task without a gait.
+        history: number of earlier observations that the policy sees besides the latest.
+        duration: time limit of an episode [s].
+        fall_angle: the episode ends when the trunk rolls or pitches further [rad].
+        fall_height: the episode ends when the trunk's origin is lower than this above the ground [m]; it stands at
+            0.24 m.
+        placement: scatter of the beginning.
+        sensors: the robot's sensors.
+    """
+
+    name: str
+    scene: str
+    coefficients: Coefficients
+    desired_velocity: tuple[float, float] = (0.0, 0.0)
+    board: str | None = None
+    cycle: float | None = None
+    history: int = 1
+    duration: float = 10.0
+    fall_angle: float = radians(45.0)
+    fall_height: float = 0.15
+    placement: Placement = field(default_factory=Placement)
+    sensors: Sensors = field(default_factory=Sensors)
+
+    def __post_init__(self):
+        object.__setattr__(self, "desired_velocity", tuple(self.desired_velocity))
+        if self.board is not None and self.board not in BOARD_MOTIONS:
+            raise ValueError(f"board must be one of {', '.join(BOARD_MOTIONS)}, got {self.board!r}")
+        if (self.board == "weight") != (self.scene == "board_weight") or (self.board is None) != (
+            not self.scene.startswith("board")
+        ):
+            raise ValueError(f"task {self.name!r}: scene {self.scene!r} cannot be moved by board={self.board!r}")
+        if not self.duration > 0:
+            raise ValueError(f"task {self.name!r}: the duration must be positive, got {self.duration} s")
+
+    @property
+    def steps(self) -> int:
+        """Policy steps of a full episode; 10 s are 313 steps of 32 ms."""
+        return ceil(self.duration / POLICY_PERIOD - 1e-9)
+
+    @property
+    def layout(self) -> dict[str, int]:
+        """Parts of one observation and their widths."""
+        return BALANCE_LAYOUT if self.cycle is None else WALK_LAYOUT
+
+    @property
+    def observation_size(self) -> int:
+        """Numbers that the policy sees, history included."""
+        return sum(self.layout.values()) * (self.history + 1)
+
+
+def _balance(name: str, board: str) -> Task:
+    return Task(name, "board_weight" if board == "weight" else "board", rewards.BALANCE, board=board)
+
+
+def _walk(name: str, scene: str) -> Task:
+    return Task(name, scene, rewards.WALK, desired_velocity=(0.3, 0.0), cycle=1.0, history=3)
+
+
+TASKS: Mapping[str, Task] = {
+    task.name: task
+    for task in (
+        _balance("balance", "waves"),
+        _balance("balance_eval", "tilts"),
+        _balance("balance_weight", "weight"),
+        _walk("walk", "floor"),
+        _walk("walk_terrain", "terrain"),
+        _walk("walk_bricks_a", "bricks_a"),
+        _walk("walk_bricks_b", "bricks_b"),
+        _walk("walk_bricks_c", "bricks_c"),
+    )
+}
+"""The tasks that come with the project, by name."""
+
+
+def find_task(task: str | Task, **changes: Any) -> Task:
+    """A task by name, with some of its attributes changed.
+
+    Raises:
+        ValueError: if there is no such task.
+    """
+    if isinstance(task, str):
+        if task not in TASKS:
+            raise ValueError(f"unknown task {task!r}; the tasks are {', '.join(TASKS)}")
+        task = TASKS[task]
+    if not changes:
+        return task
+    unknown = sorted(set(changes) - set(vars(task)))
+    if unknown:
+        raise ValueError(f"a task has no {unknown[0]!r}; it has {', '.join(vars(task))}")
+    return Task(**{**vars(task), **changes})

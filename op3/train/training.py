@@ -1,0 +1,289 @@
+"""The training loop: collect, update, evaluate, save."""
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Protocol
+
+import torch
+from tensordict import TensorDict
+
+from op3.policy import Manifest
+from op3.train.checkpoint import load_checkpoint, save_checkpoint, stop_requested
+from op3.train.collector import Episodes, Policy
+from op3.train.replay import Replay
+from op3.train.sac import SAC, Exploring
+
+CHECKPOINT = "checkpoint.pt"
+POLICY = "policy"
+
+Evaluate = Callable[[Policy], Mapping[str, float]]
+"""Measures of a policy without exploration; ``score`` or else ``return`` says which is best."""
+
+Log = Callable[[Mapping[str, float], int], None]
+"""Takes measures by name and the number of environment steps."""
+
+
+class Collects(Protocol):
+    """What the loop needs of a collector: `Collector` in this process, `ProcessCollector` in several."""
+
+    count: int
+
+    def restart(self, seed: int) -> None:
+        """Seed the environments and begin an episode in each."""
+        ...
+
+    def collect(self, policy: Exploring, steps: int) -> tuple[TensorDict, Episodes]:
+        """A rollout of `steps` steps of every environment, and the episodes that ended."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainSettings:
+    """Settings of a run; one step is one policy step of one environment.
+
+    Attributes:
+        steps: of the whole run.
+        warmup: steps before the first update, taken by the untrained policy.
+        noise: exploration of the boldest environment, in multiples of the policy's standard deviation; the others lie
+            between it and 1, evenly in the logarithm. It shows the critics what is wrong with larger actions.
+        warmup_noise: the same during the warm-up.
+        rollout: steps of every environment between updates.
+        updates_per_step: updates per step after the warm-up.
+        buffer: steps kept in the replay buffer.
+        normalisation: `running`, observations are measured all along, or `fixed`, during the warm-up only.
+        evaluate_every: steps between evaluations.
+        checkpoint_every: steps between checkpoints.
+        checkpoint_buffer: whether the replay buffer is saved too; without it a resumed run fills a new one first.
+        log_every: steps between log entries and progress lines.
+        seed: of everything random.
+    """
+
+    steps: int = 300_000
+    warmup: int = 5_000
+    noise: float = 1.0
+    warmup_noise: float = 1.0
+    rollout: int = 8
+    updates_per_step: float = 0.25
+    buffer: int = 300_000
+    normalisation: str = "running"
+    evaluate_every: int = 20_000
+    checkpoint_every: int = 100_000
+    checkpoint_buffer: bool = True
+    log_every: int = 5_000
+    seed: int = 0
+
+    def __post_init__(self):
+        if self.normalisation not in ("running", "fixed"):
+            raise ValueError(f"normalisation must be running or fixed, got {self.normalisation!r}")
+        for name in ("steps", "warmup", "rollout", "buffer", "evaluate_every", "checkpoint_every", "log_every"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        for name in ("noise", "warmup_noise"):
+            if not 1 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.updates_per_step < 0:
+            raise ValueError(f"updates_per_step must be at least 0, got {self.updates_per_step}")
+
+
+@dataclasses.dataclass
+class Progress:
+    """How far a run has come.
+
+    Attributes:
+        steps: environment steps taken.
+        best: highest score of an evaluation.
+        best_steps: at how many steps that was.
+        history: one entry per log entry and evaluation, with ``steps``.
+        seconds: wall time of training [s], evaluations included, over all resumptions.
+        stopped: whether a signal ended the run early.
+    """
+
+    steps: int = 0
+    best: float = float("-inf")
+    best_steps: int = 0
+    history: list[dict[str, float]] = dataclasses.field(default_factory=list)
+    seconds: float = 0.0
+    stopped: bool = False
+
+
+def train(
+    sac: SAC,
+    collector: Collects,
+    evaluate: Evaluate,
+    settings: TrainSettings,
+    manifest: Manifest,
+    folder: str | Path,
+    *,
+    log: Log | None = None,
+    say: Callable[[str], None] = print,
+    resume: bool = False,
+) -> Progress:
+    """Train, keeping the policy that evaluates best in ``<folder>/policy`` and a checkpoint beside it.
+
+    The environments begin new episodes at every checkpoint, so a run resumed from one takes the very steps that the
+    run without interruption takes. SIGTERM and SIGINT make a checkpoint and end the run.
+
+    Args:
+        sac: the learner.
+        collector: of the training environments.
+        evaluate: measures the policy.
+        settings: of the run.
+        manifest: of the policy bundle; steps and updates are filled in.
+        folder: of the run.
+        log: takes the measures, for example to wandb.
+        say: takes progress lines.
+        resume: go on from the checkpoint in the folder.
+
+    Raises:
+        ValueError: if losses are not finite, or a checkpoint does not fit.
+        FileNotFoundError: if there is no checkpoint to resume from.
+    """
+    folder = Path(folder)
+    size, action_size = manifest.observation_size, manifest.action_map.size
+    replay = Replay(settings.buffer, collector.count, size, action_size, sac.device)
+    run = _resume(folder / CHECKPOINT, sac, replay) if resume else Progress()
+    run.stopped = False
+    collector.restart(settings.seed + run.steps)
+    meter, began = _Meter(run, sac, settings), time.monotonic() - run.seconds
+    with stop_requested() as stop:
+        while run.steps < settings.steps and not stop.is_set():
+            boldest = settings.warmup_noise if run.steps < settings.warmup else settings.noise
+            rollout, episodes = collector.collect(Exploring.ranged(sac, collector.count, boldest), settings.rollout)
+            before, run.steps = run.steps, run.steps + rollout.numel()
+            replay.extend(*(rollout[name] for name in _STORED))
+            if settings.normalisation == "running" or before < settings.warmup:
+                sac.normaliser.update(rollout["observation"])
+
+            # after a resumption without the buffer it is filled first
+            ready = len(replay) >= min(settings.warmup, settings.buffer)
+            for _ in range(_due(before, run.steps, settings) if ready else 0):
+                batch = replay.sample(sac.settings.batch, sac.settings.n_step, sac.settings.discount, sac.generator)
+                meter.losses = sac.update(batch)
+
+            meter.add(rollout, episodes)
+            run.seconds = time.monotonic() - began
+            if _passed(before, run.steps, settings.log_every):
+                measures = meter.take()
+                run.history.append({"steps": run.steps, **measures})
+                say(meter.line(measures))
+                if log is not None:
+                    log(measures, run.steps)
+
+            if _passed(before, run.steps, settings.evaluate_every) or run.steps >= settings.steps:
+                _evaluate(run, sac, evaluate, manifest, folder, log, say)
+            if _passed(before, run.steps, settings.checkpoint_every) or run.steps >= settings.steps or stop.is_set():
+                run.stopped = run.steps < settings.steps and stop.is_set()
+                replay.cut()
+                _save(folder / CHECKPOINT, run, sac, replay if settings.checkpoint_buffer else None)
+                collector.restart(settings.seed + run.steps)
+    return run
+
+
+_STORED = ("observation", "action", "reward", "next_observation", "terminated", "done")
+
+
+def _due(before: int, now: int, settings: TrainSettings) -> int:
+    """Updates that a rollout from `before` to `now` steps brings."""
+    done, wanted = (int(max(steps - settings.warmup, 0) * settings.updates_per_step) for steps in (before, now))
+    return wanted - done
+
+
+def _passed(before: int, now: int, every: int) -> bool:
+    return before // every != now // every
+
+
+def _evaluate(
+    run: Progress,
+    sac: SAC,
+    evaluate: Evaluate,
+    manifest: Manifest,
+    folder: Path,
+    log: Log | None,
+    say: Callable[[str], None],
+) -> None:
+    """Measure the policy and keep its bundle where it is the best so far."""
+    measures = {f"evaluation/{k}": float(v) for k, v in evaluate(partial(sac.act, explore=0.0)).items()}
+    score = measures.get("evaluation/score", measures.get("evaluation/return", float("-inf")))
+    run.history.append({"steps": run.steps, **measures})
+    if score >= run.best:
+        run.best, run.best_steps = score, run.steps
+        training = dataclasses.replace(manifest.training, steps=run.steps, updates=sac.updates)
+        sac.bundle(dataclasses.replace(manifest, training=training)).save(folder / POLICY, overwrite=True)
+    say(f"{run.steps:>9,} steps  evaluation  " + "  ".join(f"{k[11:]} {v:.3g}" for k, v in measures.items()))
+    if log is not None:
+        log(measures, run.steps)
+
+
+def _save(path: Path, run: Progress, sac: SAC, replay: Replay | None) -> None:
+    buffer = None if replay is None else replay.state_dict()
+    save_checkpoint(path, {"run": dataclasses.asdict(run), "sac": sac.state_dict(), "replay": buffer})
+
+
+def _resume(path: Path, sac: SAC, replay: Replay) -> Progress:
+    state = load_checkpoint(path)
+    try:
+        sac.load_state_dict(state["sac"])
+        if state["replay"] is not None:
+            replay.load_state_dict(state["replay"])
+        return Progress(**state["run"])
+    except (RuntimeError, KeyError, TypeError, ValueError) as error:
+        reason = str(error).split("\n")[0]
+        raise ValueError(f"{path}: does not fit this run ({reason}); resume with the settings it had") from None
+
+
+class _Meter:
+    """Means between two log entries, and the progress line."""
+
+    def __init__(self, run: Progress, sac: SAC, settings: TrainSettings):
+        self.run, self.sac, self.settings = run, sac, settings
+        self.losses: dict[str, torch.Tensor] = {}
+        self._start()
+
+    def _start(self) -> None:
+        self._since = time.monotonic(), self.run.steps, self.sac.updates
+        self._sums: dict[str, list[float]] = {}
+
+    def add(self, rollout: TensorDict, episodes: Episodes) -> None:
+        """Take a rollout into account."""
+        action, joints = rollout["action"], rollout["action"].shape[-1] // 2
+        values = {"reward": rollout["reward"].mean(), "action/angle_spread": action[..., :joints].std()}
+        values["action/gain"] = action[..., joints:].mean()
+        values |= {name: rollout[name].mean() for name in rollout.keys() if "/" in str(name)}  # noqa: SIM118
+        if len(episodes.returns):
+            values["episode/return"] = episodes.returns.mean()
+            values["episode/length"] = episodes.lengths.float().mean()
+            values["episode/terminated"] = episodes.terminated.float().mean()
+        for name, value in values.items():
+            self._sums.setdefault(str(name), []).append(float(value))
+
+    def take(self) -> dict[str, float]:
+        """The means since the last entry, the rates, and the last update's losses.
+
+        Raises:
+            ValueError: if a loss is not finite.
+        """
+        began, steps, updates = self._since
+        seconds = max(time.monotonic() - began, 1e-9)
+        measures = {name: sum(values) / len(values) for name, values in self._sums.items()}
+        measures["speed/steps"] = (self.run.steps - steps) / seconds
+        measures["speed/updates"] = (self.sac.updates - updates) / seconds
+        measures |= {f"update/{name}": float(value) for name, value in self.losses.items()}
+        for name, value in measures.items():
+            if not torch.isfinite(torch.tensor(value)):
+                raise ValueError(f"training diverged: {name} is {value}; lower the learning rates")
+        self._start()
+        return measures
+
+    def line(self, measures: Mapping[str, float]) -> str:
+        """Steps, speed, the latest episodes and the time left."""
+        left = (self.settings.steps - self.run.steps) / max(measures["speed/steps"], 1e-9)
+        parts = [f"{self.run.steps:>9,} steps", f"{measures['speed/steps']:.0f}/s"]
+        parts.append(f"{self.sac.updates:,} updates, {measures['speed/updates']:.0f}/s")
+        if "episode/return" in measures:
+            parts.append(f"return {measures['episode/return']:.1f} in {measures['episode/length']:.0f} steps")
+        minutes, seconds = divmod(int(left), 60)
+        return "  ".join([*parts, f"{minutes}:{seconds:02d} left"])

@@ -1,0 +1,229 @@
+"""The line: how long things take, what goes wrong, and that equal seeds give equal bytes."""
+
+import dynamixel_sdk.port_handler
+import numpy as np
+import pytest
+from dynamixel_sdk import COMM_PORT_BUSY, COMM_RX_CORRUPT, COMM_RX_TIMEOUT, GroupSyncRead, GroupSyncWrite
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from serial import SerialException
+from wheels import Bench
+
+from op3.deploy.emulator import BrownOut, Faults, HardwareFault, Silent, Timing, Unplug, read_frames
+from op3.deploy.protocol import Parser, encode
+from op3.deploy.registers import HardwareError
+
+
+def tick(bench, address=126, length=10):
+    """Duration of a sync read, an IMU read and a sync write."""
+    reader, writer = (
+        GroupSyncRead(bench.port, bench.packets, address, length),
+        GroupSyncWrite(bench.port, bench.packets, 102, 2),
+    )
+    for number in range(1, 21):
+        reader.addParam(number)
+        writer.addParam(number, [0, 0])
+    start = bench.clock.now()
+    assert reader.txRxPacket() == 0
+    assert bench.packets.readTxRx(bench.port, 200, 32, 18)[1] == 0
+    assert writer.txPacket() == 0
+    return max(bench.clock.now(), bench.robot.bus.busy_until) - start
+
+
+def test_a_tick_at_2_mbit_takes_what_was_computed():
+    """571 bytes take 2.9 ms on the wire; with turnaround and USB about 5 ms, less than the 8 ms of a cycle."""
+    assert 0.0045 < tick(Bench()) < 0.0062
+
+
+def test_a_tick_with_factory_return_delays_does_not_fit():
+    """500 us before each of 21 answers: 15 to 20 ms."""
+    assert 0.014 < tick(Bench(settings={"baud_rate": 4, "return_delay_time": 250})) < 0.020
+
+
+def test_a_tick_with_linux_latency_timer_does_not_fit():
+    """16 ms until the adapter sends the last bytes of each read."""
+    assert tick(Bench(timing=Timing(latency_timer=0.016))) > 0.012
+
+
+def test_a_tick_at_1_mbit_does_not_fit_with_the_computer():
+    """Twice the time on the wire."""
+    bench = Bench(settings={"baud_rate": 3, "return_delay_time": 0}, power=False)
+    bench.robot.open_cr.put("baud_rate", 3)
+    bench.port.setBaudRate(1_000_000)
+    bench.write(200, 24, 1, 1)
+    bench.clock.sleep(0.1)
+    assert tick(bench) > 0.0072
+
+
+def test_a_missing_servo_blocks_as_long_as_the_sdk_waits(monkeypatch):
+    """34 ms with the SDK's default, 4 ms with a latency timer of 1 ms: the SDK's own timeouts hold in virtual time."""
+    bench = Bench()
+    for latency, least, most in ((16, 0.034, 0.035), (1, 0.004, 0.005)):
+        monkeypatch.setattr(dynamixel_sdk.port_handler, "LATENCY_TIMER", latency)
+        start = bench.clock.now()
+        assert bench.packets.ping(bench.port, 99)[1] == COMM_RX_TIMEOUT
+        assert least < bench.clock.now() - start < most
+
+
+@pytest.mark.parametrize(
+    ("kind", "rate"), [("lost", 0.0026), ("corrupt", 0.05), ("truncated", 0.05), ("late", 0.02), ("unheard", 0.05)]
+)
+def test_faults_hit_as_often_as_asked(kind, rate):
+    """Of many reads the asked share fails, and none returns a wrong value."""
+    bench = Bench(faults=Faults(**{kind: rate}), seed=3)
+    bench.clock.sleep(0.1)
+    count = 4000 if kind == "lost" else 800
+    failed = 0
+    for _ in range(count):
+        data, result, _ = bench.packets.readTxRx(bench.port, 7, 132, 4)
+        assert result in (0, COMM_RX_TIMEOUT, COMM_RX_CORRUPT)
+        assert result or data == [0, 8, 0, 0]
+        failed += result != 0
+        if result:
+            bench.clock.sleep(0.05)
+    assert abs(failed - rate * count) < 4 * np.sqrt(rate * count) + 1
+
+
+def test_a_silent_servo_hears_nothing_and_breaks_the_chain():
+    """In a sync read nobody answers behind it; with torque on its own watchdog frees it."""
+    bench = Bench(faults=Faults(scheduled=(Silent(3, 0.5, 1.5),)))
+    bench.energise(3, 10)
+    bench.write(3, 98, 1, 5)
+    bench.clock.sleep_until(0.4)
+    bench.packets.ping(bench.port, 1)
+    while bench.clock.now() < 0.7:
+        bench.packets.ping(bench.port, 1)
+    assert not bench.physics.current.any()
+    bench.port.clearPort()
+    bench.port.writePort(encode(254, 0x82, bytes([132, 0, 4, 0, 1, 2, 3, 4, 5])))
+    bench.clock.sleep(0.05)
+    assert [packet.device for packet in Parser().feed(bench.port.readPort(500))] == [1, 2]
+    bench.clock.sleep_until(1.6)
+    assert bench.read(3, 98, 1, signed=True) == -1
+
+
+def test_a_brown_out_is_reported_and_a_deep_one_resets():
+    """9 V: input voltage error, torque stays. 5 V: servos start anew without torque."""
+    bench = Bench(faults=Faults(scheduled=(BrownOut(0.5, 0.6, 9.0), BrownOut(1.0, 1.1, 5.0))))
+    bench.energise(4, 0)
+    bench.clock.sleep_until(0.58)
+    assert bench.read(4, 144, 2) == 90
+    assert (bench.read(4, 70, 1), bench.read(4, 64, 1)) == (HardwareError.INPUT_VOLTAGE, 1)
+    bench.clock.sleep_until(1.05)
+    assert bench.packets.ping(bench.port, 4)[1] == COMM_RX_TIMEOUT
+    bench.clock.sleep_until(1.3)
+    assert (bench.read(4, 70, 1), bench.read(4, 64, 1)) == (0, 0)
+
+
+def test_unplugging_raises_as_pyserial_does():
+    """Every use of the port fails from then on."""
+    bench = Bench(faults=Faults(scheduled=(Unplug(0.5),)))
+    bench.clock.sleep_until(0.6)
+    with pytest.raises(SerialException):
+        bench.packets.ping(bench.port, 1)
+    bench.port.is_using = False
+    with pytest.raises(SerialException):
+        bench.port.clearPort()
+
+
+def test_a_port_in_use_sends_nothing():
+    """The SDK's trap: with `is_using` left set every call returns at once."""
+    bench = Bench()
+    bench.port.is_using = True
+    assert bench.packets.ping(bench.port, 1)[1] == COMM_PORT_BUSY
+
+
+def test_two_speakers_at_once_are_not_understood():
+    """An instruction sent into an answer is lost, and so is the rest of the answer."""
+    bench = Bench()
+    bench.port.writePort(encode(1, 2, bytes([0, 0, 100, 0])))
+    bench.clock.sleep(0.0003)
+    bench.port.writePort(encode(2, 3, bytes([65, 0, 1])))
+    bench.clock.sleep(0.05)
+    assert bench.robot.servos["l_sho_pitch"].get("led") == 0
+    assert Parser().feed(bench.port.readPort(500)) == []
+    assert bench.packets.ping(bench.port, 2)[1] == 0
+
+
+def test_a_corrupt_answer_makes_the_sdk_speak_too_early():
+    """The SDK gives a group up at the first wrong CRC while others still speak; its next packet is lost in that."""
+    bench = Bench(faults=Faults(corrupt=0.1), seed=2)
+    reader = GroupSyncRead(bench.port, bench.packets, 126, 10)
+    for number in range(1, 21):
+        reader.addParam(number)
+    while reader.txRxPacket() != COMM_RX_CORRUPT:
+        bench.clock.sleep(0.01)
+    assert bench.robot.bus.busy_until > bench.clock.now()
+    assert bench.packets.ping(bench.port, 200)[1] == COMM_RX_TIMEOUT
+
+
+def session(path, seed=1):
+    bench = Bench(
+        seed=seed, faults=Faults(lost=0.02, corrupt=0.02, late=0.01, scheduled=(HardwareFault(9, 0.4),)), record=path
+    )
+    reader = GroupSyncRead(bench.port, bench.packets, 126, 10)
+    for number in range(1, 21):
+        reader.addParam(number)
+    bench.write(6, 11, 1, 0)
+    bench.write(6, 102, 2, 30)
+    bench.write(6, 64, 1, 1)
+    for number in range(60):
+        reader.txRxPacket()
+        bench.packets.readTxRx(bench.port, 200, 32, 18)
+        bench.clock.sleep_until(0.3 + 0.008 * number)
+    bench.robot.close()
+    return path.read_bytes(), bench.physics.position.copy()
+
+
+def test_equal_seeds_give_equal_bytes(tmp_path):
+    """Two sessions agree in every byte on the wire and every bit of the physics; another seed does not."""
+    first, second, other = (session(tmp_path / name, seed) for name, seed in (("a", 1), ("b", 1), ("c", 2)))
+    assert first[0] == second[0]
+    assert (first[1] == second[1]).all()
+    assert first[0] != other[0]
+
+
+def test_frames_are_recorded_with_their_times(tmp_path):
+    """The file holds what was said, in order, in both directions."""
+    session(tmp_path / "frames.txt")
+    frames = read_frames(tmp_path / "frames.txt")
+    assert {frame.direction for frame in frames} == {"<", ">"}
+    times = [frame.time for frame in frames]
+    assert times == sorted(times)
+    assert frames[0].data == encode(200, 3, bytes([24, 0, 1]))
+    (tmp_path / "frames.txt").write_text("0.1 ? 00\n")
+    with pytest.raises(ValueError, match="line 1"):
+        read_frames(tmp_path / "frames.txt")
+
+
+SHARED = Bench()
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.integers(0, 254), st.integers(0, 255), st.binary(max_size=60))
+def test_no_instruction_breaks_the_robot(device, instruction, parameters):
+    """Any instruction with any parameters is survived; afterwards the board still answers."""
+    bench = SHARED
+    if device in (0xFD, 200) or (device == 254 and instruction in (3, 4, 6, 0x83, 0x93)):
+        device = 14  # ids and speeds of all devices at once would end the session
+    bench.port.writePort(encode(device, instruction, parameters))
+    bench.clock.sleep(1.0)
+    bench.port.clearPort()
+    assert bench.packets.ping(bench.port, 200)[:2] == (29696, 0)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.binary(min_size=1, max_size=200))
+def test_no_noise_breaks_the_robot(noise):
+    """Neither does noise on the line, once it has been quiet for a moment."""
+    SHARED.port.writePort(noise)
+    SHARED.clock.sleep(0.1)
+    SHARED.port.clearPort()
+    assert SHARED.packets.ping(SHARED.port, 200)[:2] == (29696, 0)
+
+
+@pytest.mark.parametrize("wrong", [{"lost": 1.5}, {"lost": 0.6, "late": 0.6}, {"scheduled": (Silent(77),)}])
+def test_impossible_faults_are_refused(wrong):
+    """Rates are shares, and devices are on the bus."""
+    with pytest.raises(ValueError, match="faults"):
+        Faults(**wrong)

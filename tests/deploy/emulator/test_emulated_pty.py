@@ -1,0 +1,109 @@
+"""The robot on a pseudo-terminal: the same bytes for any program, in wall time."""
+
+import termios
+import time
+
+import pytest
+from dynamixel_sdk import GroupSyncRead, GroupSyncWrite, PacketHandler, PortHandler
+from serial import SerialException
+from wheels import Bench, Wheels
+
+from op3.deploy.emulator import EmulatedRobot, Faults, Unplug
+from op3.deploy.registers import OPEN_CR_ID
+
+
+def patiently(attempt, seconds=20.0):
+    """Wall time on a busy machine: an answer may come after the SDK has given up."""
+    end = time.monotonic() + seconds
+    while True:
+        outcome = attempt()
+        if outcome is not None or time.monotonic() > end:
+            return outcome
+        time.sleep(0.05)
+
+
+class PtyBench:
+    """The SDK's own port on the pseudo-terminal."""
+
+    def __init__(self, server, robot):
+        self.robot = robot
+        self.port, self.packets = PortHandler(server.path), PacketHandler(2.0)
+        assert self.port.setBaudRate(2_000_000)
+
+    def write(self, device, address, size, value):
+        data = list(value.to_bytes(size, "little"))
+
+        def attempt():
+            result, error = self.packets.writeTxRx(self.port, device, address, size, data)
+            return error if result == 0 else None
+
+        return patiently(attempt)
+
+    def read(self, device, address, size):
+        def attempt():
+            data, result, _ = self.packets.readTxRx(self.port, device, address, size)
+            return int.from_bytes(bytes(data), "little") if result == 0 else None
+
+        return patiently(attempt)
+
+
+@pytest.fixture(params=["in process", "pty"])
+def any_bench(request):
+    if request.param == "in process":
+        bench = Bench(power=False)
+        bench.wait = bench.clock.sleep
+        write = bench.write
+        bench.write = lambda *what: write(*what)[1]
+        yield bench
+    else:
+        robot = EmulatedRobot(Wheels())
+        with robot.serve_pty() as server:
+            bench = PtyBench(server, robot)
+            bench.wait = time.sleep
+            yield bench
+            bench.port.closePort()
+
+
+def test_the_unmodified_sdk_drives_it(any_bench):
+    """Power, registers, errors, sync reads and writes: the same in process and over the terminal."""
+    bench = any_bench
+    assert bench.write(OPEN_CR_ID, 24, 1, 1) == 0
+    bench.wait(0.2)
+    assert patiently(lambda: bench.packets.ping(bench.port, 7)[0] or None) == 1020
+    assert bench.write(7, 11, 1, 0) == 0
+    assert bench.read(7, 102, 2) == 1193
+    assert bench.write(7, 102, 2, 0) == 0
+    assert bench.write(7, 64, 1, 1) == 0
+    assert bench.write(7, 11, 1, 3) == 7
+    reader = GroupSyncRead(bench.port, bench.packets, 132, 4)
+    writer = GroupSyncWrite(bench.port, bench.packets, 65, 1)
+    for number in range(1, 21):
+        reader.addParam(number)
+        writer.addParam(number, [1])
+    assert patiently(lambda: True if reader.txRxPacket() == 0 else None)
+    assert {reader.getData(number, 132, 4) for number in range(1, 21)} == {2048}
+    writer.txPacket()
+    bench.wait(0.05)
+    assert {bench.read(number, 65, 1) for number in (1, 20)} == {1}
+
+
+def test_a_pulled_plug_reaches_the_program():
+    """The SDK's port fails, with pyserial's exception or with that of the call that it makes of the terminal."""
+    robot = EmulatedRobot(Wheels(), faults=Faults(scheduled=(Unplug(0.3),)))
+    with robot.serve_pty() as server:
+        bench = PtyBench(server, robot)
+        time.sleep(0.6)
+        with pytest.raises((SerialException, OSError, termios.error)):
+            bench.packets.ping(bench.port, 200)
+
+
+def test_a_program_at_another_speed_is_not_understood():
+    """The terminal's speed is the line's."""
+    robot = EmulatedRobot(Wheels())
+    with robot.serve_pty() as server:
+        port, packets = PortHandler(server.path), PacketHandler(2.0)
+        assert port.setBaudRate(1_000_000)
+        assert packets.ping(port, OPEN_CR_ID)[1] != 0
+        assert port.setBaudRate(2_000_000)
+        assert patiently(lambda: packets.ping(port, OPEN_CR_ID)[0] or None) == 29696
+        port.closePort()

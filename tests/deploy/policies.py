@@ -1,0 +1,23 @@
+"""Tiny policies for the tests."""
+
+import numpy as np
+import torch
+
+from op3.policy import ActionMap, Manifest, PolicyBundle
+from op3.policy.bundle import weight_shapes
+from op3.policy.observation import BALANCE_LAYOUT, WALK_LAYOUT
+
+
+def hold_policy(task: str = "balance", feedback: float = 0.0, seed: int = 0) -> PolicyBundle:
+    """Holds the stand pose with a P gain of 5 A/rad; with feedback, actions depend a little on every observation."""
+    layout, history = (WALK_LAYOUT, 3) if task == "walk" else (BALANCE_LAYOUT, 1)
+    action_map = ActionMap.around_stand()
+    manifest = Manifest(task=task, layout=layout, history=history, action_map=action_map, hidden=(8,))
+    generator = torch.Generator().manual_seed(seed)
+    weights = {
+        name: feedback * torch.randn(shape, generator=generator) for name, shape in weight_shapes(manifest).items()
+    }
+    weights["observation.mean"] = torch.zeros(manifest.observation_size)
+    weights["observation.scale"] = torch.ones(manifest.observation_size)
+    weights["layer_1.bias"] = torch.from_numpy(np.arctanh(action_map.stand(5.0))).float()
+    return PolicyBundle(manifest, weights)

@@ -1,0 +1,240 @@
+"""The bus over the unmodified dynamixel-sdk, against the emulated robot's bytes."""
+
+import dynamixel_sdk
+import numpy as np
+import pytest
+from deploy_rig import make_rig
+
+from op3.deploy.blocks import BLOCKS, CONTENTS, fast_answers
+from op3.deploy.bus import BOARD, NoAnswer, Refused, Unplugged
+from op3.deploy.emulator import Faults, Silent, Unplug
+from op3.deploy.protocol import ALERT, Instruction, encode_fast_status
+from op3.deploy.registers import HardwareError
+from op3.deploy.state import Calibration
+from op3.robot import JOINTS, SERVO_IDS, pose
+
+
+@pytest.fixture
+def rig(tmp_path):
+    """An emulated robot whose servos have power."""
+    return powered(make_rig(tmp_path))
+
+
+def powered(rig):
+    writer = rig.bus.writer()
+    writer.write(BOARD, "dynamixel_power", 1)
+    rig.robot.clock.sleep(0.5)
+    rig.writer = writer
+    return rig
+
+
+def test_the_sdk_is_not_patched(rig):
+    """The packets are made by the SDK as it is installed, and its latency timer is set to 1 ms."""
+    assert type(rig.bus._sdk) is dynamixel_sdk.Protocol2PacketHandler
+    assert dynamixel_sdk.port_handler.LATENCY_TIMER == 1
+
+
+def test_ping_all_finds_all_without_broadcast(rig):
+    """All twenty servos and OpenCR answer with their models, in far less than the SDK's 0.8 s."""
+    before = rig.robot.clock.now()
+    models = rig.bus.ping_all()
+    assert models == {**dict.fromkeys(JOINTS, 1020), BOARD: 29696}
+    assert rig.robot.clock.now() - before < 0.05
+
+
+def test_a_missing_device_costs_a_few_milliseconds(tmp_path):
+    """Three tries at a silent servo take under 15 ms; the SDK's own settings would take over 100."""
+    rig = powered(make_rig(tmp_path, faults=Faults(scheduled=(Silent(SERVO_IDS["l_knee"], 0.6),))))
+    rig.robot.clock.sleep(0.3)
+    before = rig.robot.clock.now()
+    with pytest.raises(NoAnswer, match=r"l_knee \(id 14\) did not answer a read of id"):
+        rig.bus.read("l_knee", "id")
+    assert rig.robot.clock.now() - before < 0.015
+
+
+def test_read_and_write_by_name(rig):
+    """A register written by joint name reads back, sign included."""
+    rig.writer.write("r_el", "goal_current", -321)
+    assert rig.bus.read("r_el", "goal_current") == -321
+    rig.writer.sync_write("goal_current", {"l_knee": -5, "head_pan": 7})
+    values = rig.bus.sync_read("goal_current")
+    assert (values["l_knee"], values["head_pan"], values["r_el"]) == (-5, 7, -321)
+
+
+def test_a_refusal_names_the_device(rig):
+    """An EEPROM register with torque on is refused, in words."""
+    rig.writer.write("l_knee", "torque_enable", 1)
+    with pytest.raises(Refused, match=r"l_knee \(id 14\) refused 0 for operating_mode"):
+        rig.writer.write("l_knee", "operating_mode", 0)
+
+
+def test_the_writer_is_given_out_once(rig):
+    """A second owner of the write handle is a mistake."""
+    with pytest.raises(RuntimeError, match="given out its writer"):
+        rig.bus.writer()
+
+
+def test_indirect_block(rig):
+    """The fast block is 14 bytes at indirect data, set up with the addresses of the six registers."""
+    block = rig.writer.prepare_block()
+    assert (block.length, block.fast, block.indirect) == (14, True, True)
+    assert sum(np.dtype(kind).itemsize for _, _, kind in CONTENTS) == 14
+    pointers = [rig.robot.servos["l_knee"].get(f"indirect_address_{i}") for i in range(1, 15)]
+    assert pointers == [126, 127, 128, 129, 130, 131, 132, 133, 134, 135, 70, 146, 144, 145]
+
+
+@pytest.mark.parametrize("block", BLOCKS, ids=["fast", "plain", "direct"])
+def test_state_is_the_same_by_every_block(rig, block):
+    """Fast, plain and direct reading give the same SI values: those of the physics, on the registers' grids."""
+    rig.writer.prepare_block()
+    rig.bus.block = block
+    state = rig.bus.read_state()
+    assert state.answered.all()
+    assert state.imu_answered
+    assert np.abs(state.position - pose("stand")).max() <= np.pi / 4096 + 1e-12
+    assert np.allclose(state.voltage, 12.0)
+    assert (state.temperature == 30).all()
+    assert state.supply_voltage == pytest.approx(12.0)
+    assert np.allclose(state.linear_acceleration, [0, 0, 9.81], atol=0.1)
+
+
+def test_fallbacks(rig, monkeypatch):
+    """Without fast reads the plain sync read serves; without indirect addresses too, the plain registers."""
+    dispatcher = rig.robot._dispatcher
+    monkeypatch.setattr(dispatcher, "_fast", lambda items: [])
+    assert (rig.writer.prepare_block().fast, rig.bus.block.indirect) == (False, True)
+    for servo in rig.robot.servos.values():
+        servo.put("indirect_address_1", 224)
+        monkeypatch.setattr(servo, "_write_many", lambda targets, data: 7)
+    block = rig.writer.prepare_block()
+    assert (block.fast, block.indirect, block.address, block.length) == (False, False, 126, 21)
+    assert rig.bus.read_state().answered.all()
+
+
+def test_imu_axes(rig):
+    """OpenCR's x and y are minus the trunk's: a trunk rolled by 60 deg reads +60 deg, its raw register -600."""
+    rig.physics.tilt_from = 0.0
+    rig.robot.clock.sleep(0.05)
+    state = rig.bus.read_state()
+    assert state.orientation[0] == pytest.approx(np.deg2rad(60), abs=np.deg2rad(0.11))
+    assert state.counts.imu[6] in (-600, -599)
+
+
+def test_velocity_sign_and_unit(rig):
+    """A joint turning at -2 rad/s reads -83 counts of 0.229 rpm, which is -1.99 rad/s."""
+    rig.physics.velocity = np.full(20, -2.0)
+    rig.physics.load[:] = 0.8
+    rig.physics.clamped = False
+    rig.writer.prepare_block()
+    state = rig.bus.read_state()
+    assert (state.counts.velocity == -83).all()
+    assert np.allclose(state.velocity, -83 * 0.229 * 2 * np.pi / 60)
+
+
+def test_calibration_shifts_angles(rig):
+    """An offset of 0.1 rad is added to the servo's angle."""
+    rig.bus.calibration = Calibration(np.full(20, 0.1))
+    rig.writer.prepare_block()
+    assert np.allclose(rig.bus.read_state().position, pose("stand") + 0.1, atol=1e-3)
+
+
+def test_calibration_file_round_trip(tmp_path):
+    """What is saved is read back; a joint that does not exist and an offset of a tooth are refused by name."""
+    offset = np.linspace(-0.2, 0.2, 20)
+    path = Calibration(offset).save(tmp_path / "calibration.yaml")
+    assert np.allclose(Calibration.load(path).offset, offset, atol=1e-6)
+    path.write_text("offset_rad: {l_kneee: 0.1}")
+    with pytest.raises(ValueError, match="unknown joint 'l_kneee'"):
+        Calibration.load(path)
+    path.write_text("offset_rad: {l_knee: 0.9}")
+    with pytest.raises(ValueError, match=r"l_knee is off by 0\.900 rad"):
+        Calibration.load(path)
+
+
+def test_the_alert_bit_is_seen(rig):
+    """A hardware error raises the alert of that servo alone, and its register tells the cause, by every block."""
+    rig.writer.prepare_block()
+    rig.robot.servos["r_knee"].fail(HardwareError.OVERLOAD)
+    for block in BLOCKS:
+        rig.bus.block = block
+        state = rig.bus.read_state()
+        assert [JOINTS[i] for i in np.flatnonzero(state.alert)] == ["r_knee"]
+        assert state.hardware_error[JOINTS.index("r_knee")] == HardwareError.OVERLOAD
+
+
+def test_a_silent_servo_hides_the_others_for_one_tick_only(tmp_path):
+    """Servos wait for the one before them; the next tick asks the silent one last and hears the other nineteen."""
+    rig = powered(make_rig(tmp_path, faults=Faults(scheduled=(Silent(SERVO_IDS["l_knee"], 0.65),))))
+    rig.writer.prepare_block()
+    whole = rig.bus.read_state()
+    rig.robot.clock.sleep_until(0.7)
+    first, second = rig.bus.read_state(), rig.bus.read_state()
+    index = JOINTS.index("l_knee")
+    assert not first.answered[index:].any()
+    assert second.answered.sum() == 19
+    assert not second.answered[index]
+    assert second.position[index] == whole.position[index]
+
+
+def test_a_locked_port_is_freed(rig):
+    """After an interrupted call the SDK sends nothing; `clear` mends that."""
+    rig.bus.port.is_using = True
+    with pytest.raises(NoAnswer, match="Port is in use"):
+        rig.bus.read("l_knee", "id")
+    rig.bus.clear()
+    assert rig.bus.read("l_knee", "id") == 14
+
+
+def test_unplugging_is_one_error(tmp_path):
+    """A pulled plug raises `Unplugged` from every verb, and leaves the port unlocked."""
+    rig = powered(make_rig(tmp_path, faults=Faults(scheduled=(Unplug(0.6),))))
+    rig.robot.clock.sleep_until(0.61)
+    for call in (rig.bus.read_state, rig.bus.ping_all, lambda: rig.writer.write_currents(np.zeros(20))):
+        with pytest.raises(Unplugged, match="check the USB cable"):
+            call()
+        assert not rig.bus.port.is_using
+
+
+@pytest.mark.parametrize("faults", [Faults(lost=0.3), Faults(corrupt=0.3), Faults(truncated=0.3), Faults(late=0.05)])
+def test_spoilt_answers_never_become_values(tmp_path, faults):
+    """Whatever is lost, changed, cut or late, every position is that of the physics; what is missing is told."""
+    rig = powered(make_rig(tmp_path))
+    rig.writer.prepare_block()
+    rig.bus.read_state()
+    rig.robot.bus.faults = faults
+    rig.robot.bus._faulty = True
+    missing = 0
+    for _ in range(60):
+        state = rig.bus.read_state()
+        missing += int((~state.answered).sum())
+        assert np.abs(state.position - pose("stand")).max() < 1e-3
+        rig.robot.clock.sleep(0.004)
+    assert missing > 0
+
+
+def test_parts_of_a_fast_answer_before_a_bad_one_are_good():
+    """Of three parts with the second one damaged, the first is used and the third is not."""
+    sent = encode_fast_status([(0, 1, b"aa"), (ALERT, 2, b"bb"), (0, 3, b"cc")])
+    assert fast_answers(b"".join(sent), [1, 2, 3], 2) == {1: (0, b"aa"), 2: (ALERT, b"bb"), 3: (0, b"cc")}
+    sent[1] = sent[1][:2] + b"xx" + sent[1][4:]
+    assert fast_answers(b"".join(sent), [1, 2, 3], 2) == {1: (0, b"aa")}
+    assert fast_answers(b"", [1], 2) == {}
+
+
+def test_a_tick_fits_into_its_period(rig):
+    """Reading 20 servos and the IMU and writing 20 currents takes less than 8 ms at 2 Mbit/s."""
+    rig.writer.prepare_block()
+    before = rig.robot.clock.now()
+    rig.bus.read_state()
+    rig.writer.write_currents(np.zeros(20))
+    assert rig.robot.clock.now() - before < 0.006
+
+
+def test_currents_on_the_wire(rig):
+    """Goal currents are one sync write of two bytes per servo, in two's complement."""
+    rig.writer.write_currents(np.arange(20) - 10)
+    last = rig.packets()[-1][1]
+    assert last.instruction == Instruction.SYNC_WRITE
+    assert last.parameters[:4] == bytes((102, 0, 2, 0))
+    assert last.parameters[4:7] == bytes((19,)) + (-10).to_bytes(2, "little", signed=True)
+    assert rig.register("goal_current") == list(range(-10, 10))

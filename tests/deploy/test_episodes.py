@@ -1,0 +1,33 @@
+"""Episodes of a policy on the emulated robot, on the ground of a task."""
+
+import numpy as np
+import pytest
+
+from op3.deploy import Player
+from op3.tasks.evaluation import evaluation_return
+from tests.envs.holding import holding_bundle
+
+SOURCES = ({"world": "default"}, {"model": "paper"})
+
+
+@pytest.mark.parametrize("source", SOURCES, ids=["stand_in", "model"])
+def test_the_board_tilts_when_the_policy_begins(source, tmp_path):
+    """Level for a second, then the board takes the trunk along; the log is judged by R_eval as it is."""
+    player = Player(folder=tmp_path, confirm=False, seed=3, report=lambda _: None, **source)
+    log = player.run_policy(holding_bundle("balance", 5.5), 2.6, task="balance_eval", recording="a")
+    pitch = log.array("imu/orientation")[:, 1]
+    assert np.ptp(pitch[:100]) < np.deg2rad(1.5)
+    assert abs(pitch[-1] - pitch[0]) > np.deg2rad(5.0)
+    assert not log.metadata.fallen
+    assert log.metadata.extra["task"] == "balance_eval"
+    steps = round(log.metadata.episode_duration * 31.25)
+    assert 0.6 * steps < evaluation_return(log) < steps
+
+
+@pytest.mark.parametrize("source", SOURCES, ids=["stand_in", "model"])
+def test_a_walk_is_measured(source, tmp_path):
+    """A policy that stands has travelled nothing, and R_eval of the walk says so."""
+    player = Player(folder=tmp_path, confirm=False, seed=1, report=lambda _: None, **source)
+    log = player.run_policy(holding_bundle("walk", 5.5), 1.0, task="walk_bricks_a", cycle=1.0, recording="a")
+    assert 0.0 <= log.metadata.travelled_distance < 0.01
+    assert evaluation_return(log) < 0.8 * 31

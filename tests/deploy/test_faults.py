@@ -1,0 +1,322 @@
+"""What happens to the robot when something goes wrong: coast, damp, off, and the exit code that says so."""
+
+import numpy as np
+import pytest
+from deploy_rig import make_rig
+
+from op3.deploy.emulator import BrownOut, Faults, FrozenImu, HardwareFault, Overheat, Silent, Unplug
+from op3.deploy.exit_codes import ExitCode, Stop
+from op3.deploy.limits import HIGH, LOW, Command, CurrentLimiter, Limits
+from op3.deploy.phases import GainRamp, Hold
+from op3.deploy.registers import HardwareError
+from op3.robot import JOINTS, SERVO_IDS, indices, pose
+from op3.rollout import Rollout
+
+KNEE, START = SERVO_IDS["l_knee"], 3.0
+"""The servo that goes wrong, and when [s]; torque comes on at about 0.9 s."""
+
+PHASES = (GainRamp, lambda: Hold(pose("stand"), duration=4.0, log="run"))
+
+
+def faulty(tmp_path, *scheduled, **rates):
+    return make_rig(tmp_path, faults=Faults(scheduled=scheduled, **rates))
+
+
+def go(rig, **options):
+    return rig.run([make() for make in PHASES], **options)
+
+
+def goals(rig, joint="l_knee", start=START - 0.05, end=START + 0.25):
+    """Times and values of a joint's goal currents on the wire."""
+    found = [(time, values[joint]) for time, values in rig.written("goal_current") if start < time < end]
+    return np.array([time for time, _ in found]), np.array([value for _, value in found])
+
+
+def assert_released(rig, outcome):
+    assert outcome.release is not None
+    assert outcome.release.ok
+    assert rig.register("torque_enable") == [0] * 20
+    assert "torque off verified 20/20" in rig.lines
+
+
+def test_a_short_silence_is_coasted(tmp_path):
+    """Three lost ticks: the silent servo's goal is repeated, the others go on, and the run ends as asked."""
+    rig = faulty(tmp_path, Silent(200, START, START + 0.02))
+    outcome = go(rig)
+    assert outcome.code == ExitCode.OK
+    times, values = goals(rig)
+    # nothing is damped: holding the load needs about 62 counts of the knee throughout
+    assert (np.abs(values) > 50).all()
+    assert np.diff(times).max() < 0.017
+
+
+def test_coast_damp_off(tmp_path):
+    """A servo that stays silent: 3 ticks its goal stands, from the 4th it gets none and the others damp, then off."""
+    rig = faulty(tmp_path, Silent(KNEE, START))
+    outcome = go(rig)
+    assert outcome.code == ExitCode.NOT_VERIFIED  # the cable is still off: 19 of 20 can be read back
+    assert "no answer from l_knee" in outcome.reason
+    assert "torque off verified 19/20; NOT VERIFIED: l_knee (no answer)" in outcome.reason
+    times, values = goals(rig, end=START + 0.2)
+    none = int(np.flatnonzero(values == 0)[0])
+    # silent in ticks 1 to 3: the last goal before stands; tick 4, 24 to 32 ms and the tick's own 6 ms after START
+    assert (values[none - 3 : none] == values[none - 4]).all()
+    assert values[none - 4] != 0
+    assert START + 0.024 < times[none] < START + 0.040
+    assert (values[none:] == 0).all()
+    others = goals(rig, "r_knee", end=START + 0.2)[1]
+    assert np.abs(others[none - 3 : none]).min() > 30
+    assert np.abs(others[none + 1 : none + 6]).max() < 30
+    off = [time for time, values in rig.written("torque_enable") if time > START and not any(values.values())]
+    assert START + 0.090 < off[0] < START + 0.112
+
+
+def test_all_silent_stops_at_96_ms(tmp_path):
+    """When nothing answers any more, torque off is sent 96 ms (12 ticks) after the last answer."""
+    rig = faulty(tmp_path, *(Silent(number, START, START + 1.0) for number in [*SERVO_IDS.values(), 200]))
+    outcome = go(rig)
+    assert outcome.code == ExitCode.BUS_LOSS
+    assert "no answer from anything on the bus for 12 ticks (96 ms)" in outcome.reason
+    assert_released(rig, outcome)
+    off = [time for time, values in rig.written("torque_enable") if time > START and not any(values.values())]
+    assert START + 0.088 < off[0] < START + 0.112
+
+
+def test_the_robot_comes_back_softly_after_damping(tmp_path):
+    """After six silent ticks the stiffness comes back over 0.25 s, not at once."""
+    rig = faulty(tmp_path, Silent(200, START, START + 0.045))
+    assert go(rig, folder=tmp_path / "logs").code == ExitCode.OK
+    log = Rollout.load(tmp_path / "logs" / "run")
+    gain = log.array("command/p_gain")[:, 0]
+    damped = np.flatnonzero(gain == 0)
+    assert 2 <= len(damped) <= 4
+    after = gain[damped[-1] + 1 : damped[-1] + 35]
+    assert after[0] == pytest.approx(6 * 0.008 / 0.25)
+    assert (np.diff(after) >= 0).all()
+    assert np.diff(after).max() < 0.25
+    assert after[-1] == 6
+
+
+@pytest.mark.parametrize(
+    ("bit", "cause"),
+    [
+        (HardwareError.OVERLOAD, "overload"),
+        (HardwareError.OVERHEATING, "overheating"),
+        (HardwareError.ELECTRICAL_SHOCK, "electrical shock"),
+    ],
+)
+def test_a_servo_that_shuts_down_stops_the_run_within_two_ticks(tmp_path, bit, cause):
+    """It is named with its cause, and torque off is on the wire within two ticks (16 ms)."""
+    rig = faulty(tmp_path, HardwareFault(KNEE, START, bit))
+    outcome = go(rig)
+    assert outcome.code == ExitCode.SERVO_SHUTDOWN
+    assert f"shut down by itself: l_knee ({cause})" in outcome.reason
+    assert_released(rig, outcome)
+    off = [time for time, values in rig.written("torque_enable") if time > START and not any(values.values())]
+    assert off[0] - START <= 0.016
+
+
+def test_overheating(tmp_path):
+    """At 72 C, before the servo's own limit of 80 C, the run is damped and ends; the joint is named."""
+    rig = faulty(tmp_path, Overheat(KNEE, START - 1.0, rate=40.0))
+    outcome = go(rig)
+    assert outcome.code == ExitCode.TEMPERATURE
+    assert outcome.reason == "l_knee has 72 C; let it cool"
+    assert_released(rig, outcome)
+
+
+def test_low_supply(tmp_path):
+    """Below 10.0 V for 80 ms the run ends; a dip of 40 ms does not end it."""
+    rig = faulty(tmp_path, BrownOut(START, voltage=9.8))
+    outcome = go(rig)
+    assert outcome.code == ExitCode.VOLTAGE
+    assert "9.8 V" in outcome.reason
+    assert_released(rig, outcome)
+    (tmp_path / "dip").mkdir()
+    dip = faulty(tmp_path / "dip", BrownOut(START, START + 0.04, voltage=9.8))
+    assert go(dip).code == ExitCode.OK
+
+
+def test_voltage_out_of_the_servos_range(tmp_path):
+    """At 9 V the servos raise an input voltage error; that is told as voltage, not as a shutdown."""
+    rig = faulty(tmp_path, BrownOut(START, voltage=9.0))
+    outcome = go(rig)
+    assert outcome.code == ExitCode.VOLTAGE
+    assert_released(rig, outcome)
+
+
+def test_a_restart_in_the_run_is_seen(tmp_path):
+    """Servos that lost power for 30 ms come back without torque and indirect addresses; that stops the run."""
+    rig = faulty(tmp_path, BrownOut(START, START + 0.03, voltage=3.0))
+    outcome = go(rig)
+    assert outcome.code in (ExitCode.SERVO_SHUTDOWN, ExitCode.BUS_LOSS)
+    assert_released(rig, outcome)
+
+
+def test_frozen_imu(tmp_path):
+    """After 25 identical blocks, 0.2 s, the run is damped and ends."""
+    rig = faulty(tmp_path, FrozenImu(START))
+    outcome = go(rig)
+    assert outcome.code == ExitCode.IMU_FROZEN
+    assert "25 identical blocks" in outcome.reason
+    assert_released(rig, outcome)
+    off = [time for time, values in rig.written("torque_enable") if time > START and not any(values.values())]
+    # 25 blocks of 8 ms, then half a second of damping
+    assert off[0] - START == pytest.approx(0.2 + 0.5, abs=0.03)
+
+
+def test_fall(tmp_path):
+    """60 deg for 100 ms: damped (no stiffness, only braking) for half a second, then off."""
+    rig = faulty(tmp_path)
+    rig.physics.tilt_from = START
+    outcome = go(rig, folder=tmp_path / "logs")
+    assert outcome.code == ExitCode.FALL
+    assert "tilted by 60 deg" in outcome.reason
+    assert_released(rig, outcome)
+    off = [time for time, values in rig.written("torque_enable") if time > START and not any(values.values())]
+    assert off[0] - START == pytest.approx(0.1 + 0.5, abs=0.03)
+    after = Rollout.load(tmp_path / "logs" / "after")
+    assert (after.array("command/p_gain") == 0).all()
+    assert (after.array("command/d_gain") == 0.2).all()
+    assert Rollout.load(tmp_path / "logs" / "run").metadata.fallen is True
+
+
+def test_a_stumble_is_no_fall(tmp_path):
+    """90 ms beyond 45 deg do not end the run."""
+    rig = faulty(tmp_path)
+    rig.physics.tilt_from = START
+    rig.robot.at(START + 0.09, lambda: setattr(rig.physics, "tilt_from", np.inf))
+    assert go(rig).code == ExitCode.OK
+
+
+def test_unplugged(tmp_path):
+    """Without the port nothing can be sent: the run says so, and the watchdogs free all servos 100 ms later."""
+    rig = faulty(tmp_path, Unplug(START))
+    outcome = go(rig)
+    assert outcome.code == ExitCode.NOT_VERIFIED
+    assert "check the USB cable" in outcome.reason
+    assert "NOT VERIFIED" in outcome.reason
+    assert rig.register("bus_watchdog") == [-1] * 20
+    assert not rig.robot._firmware.enabled.any()
+
+
+def test_plugged_in_again(tmp_path):
+    """If the plug is back within five seconds, the port is opened again and torque off is verified."""
+    rig = faulty(tmp_path, Unplug(START))
+    rig.robot.at(START + 2.0, lambda: setattr(rig.robot, "unplugged", False))
+    outcome = go(rig)
+    assert outcome.code == ExitCode.UNPLUGGED
+    assert_released(rig, outcome)
+
+
+@pytest.mark.parametrize("what", ["position", "p_gain", "d_gain"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_what_is_not_finite_never_reaches_a_servo(tmp_path, what, value):
+    """A NaN or an infinity in a target or gain ends the run, damped, and the wire never carries it."""
+
+    class Broken:
+        name, log = "broken", "run"
+
+        def command(self, elapsed, state):
+            command = Command.of(pose("stand"), 6.0, 0.1)
+            if elapsed >= 5:
+                getattr(command, what)[3] = value
+            return command
+
+        def channels(self):
+            return {}
+
+    rig = faulty(tmp_path)
+    outcome = rig.run([GainRamp(), Broken()])
+    assert outcome.code == ExitCode.NON_FINITE
+    assert f"{what} of l_sho_roll" in outcome.reason
+    assert_released(rig, outcome)
+    assert max(abs(v) for _, values in rig.written("goal_current") for v in values.values()) < 200
+
+
+def test_a_held_up_loop_is_told_from_a_running_one(tmp_path):
+    """A stall of 150 ms, in which the watchdogs let go, ends the run instead of commanding servos that ignore it."""
+    stalled = []
+
+    class Stalling(Hold):
+        def command(self, elapsed, state):
+            if elapsed > 100 and not stalled:
+                stalled.append(True)
+                rig.robot.clock.sleep(0.15)
+            return super().command(elapsed, state)
+
+    rig = faulty(tmp_path)
+    outcome = rig.run([GainRamp(), Stalling(pose("stand"), duration=2.0)])
+    assert outcome.code == ExitCode.OVERRUN
+    assert_released(rig, outcome)
+
+
+def limiter_state(rig):
+    rig.bus.writer().write("opencr", "dynamixel_power", 1)
+    rig.robot.clock.sleep(0.5)
+    return rig.bus.read_state()
+
+
+def test_peak_currents(tmp_path):
+    """However far the target, a leg gets at most 855 counts and an arm 430."""
+    state = limiter_state(faulty(tmp_path))
+    far = CurrentLimiter(Limits(), 0.008).counts(state, Command.of(state.position + 10.0, 6.0, 0.1))
+    assert far[JOINTS.index("l_knee")] == 855
+    assert far[JOINTS.index("l_el")] == 430
+    assert far[JOINTS.index("head_pan")] == 430
+
+
+def test_continuous_current(tmp_path):
+    """855 counts are allowed for about 2.4 s, 171 for ever: the limit sinks to 171 and no further."""
+    state = limiter_state(faulty(tmp_path))
+    limiter = CurrentLimiter(Limits(), 0.008)
+    knee = JOINTS.index("l_knee")
+    carried = []
+    for _ in range(4000):
+        counts = limiter.counts(state, Command.of(state.position + 10.0, 6.0, 0.1))
+        limiter.account(counts, state)
+        carried.append(counts[knee])
+    # the mean square reaches 0.9 of 171^2 after -60 ln(1 - 0.9 x 0.04) = 2.2 s
+    assert np.flatnonzero(np.array(carried) < 855)[0] * 0.008 == pytest.approx(2.2, abs=0.05)
+    assert 171 <= carried[-1] < 185
+    assert limiter.load[knee] <= 1.0
+    steady = CurrentLimiter(Limits(), 0.008)
+    for _ in range(20000):
+        steady.account(np.full(20, 160), state)
+    assert steady.limit[knee] == 855
+
+
+def test_soft_limits(tmp_path):
+    """Targets are clipped to the soft limits, and beyond one no current pushes further out."""
+    command = Command.of(np.full(20, 5.0), 6.0, 0.1).limited()
+    assert np.array_equal(command.position, HIGH)
+    assert np.array_equal(Command.of(np.full(20, -5.0), 6.0, 0.1).limited().position, LOW)
+    position = pose("stand")
+    position[indices(["l_knee"])] = HIGH[JOINTS.index("l_knee")] + 0.02
+    rig = make_rig(tmp_path, position=position)
+    state = limiter_state(rig)
+    # a moving joint whose damping term would push outwards
+    rig.physics.velocity = np.full(20, -3.0)
+    knee = JOINTS.index("l_knee")
+    outwards = CurrentLimiter(Limits(), 0.008).counts(state, Command.of(state.position + 0.5, 6.0, 0.1))
+    assert outwards[knee] == 0
+    assert outwards[knee - 1] > 0
+    back = CurrentLimiter(Limits(), 0.008).counts(state, Command.of(state.position - 0.5, 6.0, 0.1))
+    assert back[knee] < 0
+
+
+def test_limits_that_contradict_each_other_are_refused():
+    """A peak below the continuous current or above the servo's own, and a start below the stop, are refused by name."""
+    for name in ("leg_current_counts", "arm_current_counts"):
+        with pytest.raises(ValueError, match=name):
+            Limits(**{name: 100})
+        with pytest.raises(ValueError, match=name):
+            Limits(**{name: 2000})
+    with pytest.raises(ValueError, match="start_voltage"):
+        Limits(start_voltage=9.5)
+
+
+def test_a_stop_carries_code_and_reason():
+    """`Stop` is what every layer raises to end a run."""
+    stop = Stop(ExitCode.FALL, "fallen", damp=True)
+    assert (stop.code, str(stop), stop.damp) == (ExitCode.FALL, "fallen", True)

@@ -1,0 +1,160 @@
+"""Policies on the robot: the observation of training, every fourth tick, and the same actions from the log."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from deploy_rig import make_rig
+from policies import hold_policy
+
+from op3.deploy.emulator import Faults
+from op3.deploy.exit_codes import ExitCode
+from op3.deploy.phases import GainRamp
+from op3.deploy.policy_runner import FollowPolicy, PolicyRunner
+from op3.deploy.replay import replay
+from op3.envs import make_env
+from op3.policy import PolicyBundle
+from op3.robot import JOINTS, indices
+from op3.rollout import Rollout
+
+ORDER = ("joint_position", "joint_velocity", "orientation", "angular_velocity")
+
+
+@pytest.mark.parametrize("task", ["balance", "walk"])
+def test_observation_is_that_of_training(task):
+    """Fed with the sensors' readings of a training environment, the robot's observation is that environment's."""
+    env = make_env(task, num_envs=1, seed=3, num_threads=1)
+    runner = PolicyRunner(hold_policy(task, feedback=0.3))
+    state = env.reset()
+    worst = 0.0
+    for step in range(25):
+        now = {name: value[0].numpy() for name, value in env.rules.bank.read().items()}
+        observation = runner.observe(*(now[name] for name in ORDER), step)
+        worst = max(worst, float(np.abs(observation - state["observation"][0].double().numpy()).max()))
+        # the environment keeps single precision, of the phase before its sine is taken; nothing else may differ
+        same = observation.astype(np.float32) == state["observation"][0].numpy()
+        assert same.all() or task == "walk"
+        state["action"] = torch.from_numpy(runner.act(observation))[None].float()
+        runner.previous = state["action"][0].double().numpy()
+        state = env.step(state)["next"].exclude("reward")
+    assert worst < 1e-6
+
+
+@pytest.mark.parametrize("task", ["balance", "walk"])
+def test_commands_are_those_of_training(task):
+    """All twenty targets and gains of an action equal the environment's, those of held joints too."""
+    env = make_env(task, num_envs=1, seed=0, num_threads=1)
+    runner = PolicyRunner(hold_policy(task))
+    action = np.random.default_rng(0).uniform(-1, 1, 20)
+    command, wanted = runner.command(action), env.rules.commands(torch.from_numpy(action)[None])
+    assert np.array_equal(command.position, wanted["position_target"][0].numpy())
+    assert np.array_equal(command.p_gain, wanted["p_gain"][0].numpy())
+    assert (command.d_gain == 0.1).all()
+
+
+def test_yaw_counts_from_the_beginning():
+    """The heading at the first step is zero, and passing half a turn does not jump."""
+    runner = PolicyRunner(hold_policy())
+    rest = (np.zeros(20), np.zeros(20))
+    first = runner.observe(*rest, [0.0, 0.0, 3.10], np.zeros(3), 0)
+    second = runner.observe(*rest, [0.0, 0.0, -3.10], np.zeros(3), 1)
+    at = slice(18 + 18 + 20, 18 + 18 + 20 + 3)
+    assert np.allclose(first[at], 0)
+    assert np.allclose(second[at], [0, 0, 2 * np.pi - 6.2])
+
+
+def run_policy(tmp_path, bundle, duration=1.0, **options):
+    rig = make_rig(tmp_path, **options)
+    runner = PolicyRunner(bundle)
+    outcome = rig.run([GainRamp(), FollowPolicy(runner, duration)], folder=tmp_path / "logs")
+    return rig, outcome
+
+
+def test_every_fourth_tick(tmp_path):
+    """In the log, observation and action change at most every fourth row, and targets follow the action at once."""
+    _, outcome = run_policy(tmp_path, hold_policy(feedback=0.2))
+    assert outcome.code == ExitCode.OK
+    log = outcome.logs["run"].check()
+    action = log.array("policy/action")
+    changed = np.flatnonzero((np.diff(action, axis=0) != 0).any(1)) + 1
+    assert len(changed) > 20
+    assert (changed % 4 == 0).all()
+    target, gain = hold_policy().manifest.action_map.targets(action)
+    controlled = indices(hold_policy().manifest.action_map.joints)
+    assert np.array_equal(log.array("command/position")[:, controlled], target)
+    assert np.array_equal(log.array("command/p_gain")[:, controlled], gain)
+
+
+@pytest.mark.parametrize("faults", [0.0, 0.02])
+def test_replay_gives_the_same_actions(tmp_path, faults):
+    """From the log alone, with lost readings or without, the policy gives the actions that were taken."""
+    bundle = hold_policy(feedback=0.2)
+    _, outcome = run_policy(tmp_path, bundle, 2.0, faults=Faults(lost=faults))
+    assert outcome.code == ExitCode.OK
+    log = Rollout.load(tmp_path / "logs" / "run")
+    result = replay(log, PolicyRunner(bundle))
+    assert result.ok
+    assert result.steps in (62, 63)
+    assert result.action_difference < 1e-12
+    assert result.observation_difference < 1e-12
+
+
+def test_replay_tells_another_policy(tmp_path):
+    """Another policy's actions are told from step 0 on."""
+    run_policy(tmp_path, hold_policy(feedback=0.2))
+    log = Rollout.load(tmp_path / "logs" / "run")
+    result = replay(log, PolicyRunner(hold_policy(feedback=0.2, seed=1)))
+    assert not result.ok
+    assert result.first == 0
+    assert "other actions from step 0 on" in str(result)
+
+
+def test_replay_refuses_what_it_cannot_replay(tmp_path):
+    """A log without a policy is refused with the remedy."""
+    rig = make_rig(tmp_path)
+    log = rig.run(duration=0.2, folder=tmp_path / "logs").logs["run"]
+    with pytest.raises(ValueError, match="no policy/action"):
+        replay(log, PolicyRunner(hold_policy()))
+
+
+def test_a_policy_that_breaks_is_refused(tmp_path):
+    """An action that is not finite ends the run, damped, with its exit code; no current of it is sent."""
+    bundle = hold_policy()
+    steps = []
+
+    def broken(observation):
+        steps.append(observation)
+        return np.full(20, np.nan) if len(steps) > 5 else np.zeros(20)
+
+    bundle.act = broken
+    rig, outcome = run_policy(tmp_path, bundle)
+    assert outcome.code == ExitCode.NON_FINITE
+    assert "the policy's action is not finite" in outcome.reason
+    assert outcome.release.ok
+    assert max(abs(v) for _, values in rig.written("goal_current") for v in values.values()) < 300
+
+
+def test_a_policy_for_another_loop_is_refused():
+    """A bundle with other rates, another layout, or a phase without a known cycle names the field."""
+    bundle = hold_policy()
+    bundle.manifest = dataclasses.replace(bundle.manifest, policy_rate=62.5)
+    with pytest.raises(ValueError, match=r"field command_rate.*every 2"):
+        PolicyRunner(bundle)
+    bundle.manifest = dataclasses.replace(hold_policy().manifest, layout={"joint_position": 20})
+    with pytest.raises(ValueError, match="field layout"):
+        PolicyRunner(bundle)
+    bundle.manifest = dataclasses.replace(hold_policy("walk").manifest, task="hop")
+    with pytest.raises(ValueError, match="give cycle"):
+        PolicyRunner(bundle)
+
+
+def test_bundles_from_disk(tmp_path):
+    """A saved bundle runs as the one in memory, and the logs say which policy rate and joints it had."""
+    folder = hold_policy(feedback=0.2).save(tmp_path / "bundle")
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    _, first = run_policy(tmp_path / "a", PolicyBundle.load(folder))
+    _, second = run_policy(tmp_path / "b", hold_policy(feedback=0.2))
+    assert np.array_equal(first.logs["run"].array("policy/action"), second.logs["run"].array("policy/action"))
+    assert first.logs["run"].joints == JOINTS

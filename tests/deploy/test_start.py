@@ -1,0 +1,249 @@
+"""Start checks, and switching torque on in the only order that is safe."""
+
+import re
+
+import numpy as np
+import pytest
+from deploy_rig import make_rig
+
+from op3.deploy.emulator import OP3_SETTINGS, BrownOut, Faults, FrozenImu, Silent
+from op3.deploy.exit_codes import ExitCode
+from op3.deploy.limits import IS_LEG, Limits
+from op3.deploy.phases import GainRamp, Hold, minimum_jerk
+from op3.deploy.protocol import Error, Instruction
+from op3.deploy.registers import XM430_W350, HardwareError
+from op3.robot import JOINTS, SERVO_IDS, indices, pose
+from op3.rollout import Rollout
+
+
+def lean(robot):
+    robot.physics.tilt_from = 0.0
+
+
+def outside(robot):
+    robot.physics.position[indices(["l_knee"])] = 2.4
+
+
+def old_firmware(robot):
+    robot.servos["l_el"].put("firmware_version", 30)
+
+
+def other_model(robot):
+    robot.servos["l_el"].put("model_number", 1060)
+
+
+def overloaded(robot):
+    robot.at(0.3, lambda: robot.servos["r_knee"].fail(HardwareError.OVERLOAD))
+
+
+FAILURES = {
+    "silent": (dict(faults=Faults(scheduled=(Silent(14),))), r"ping: no answer from l_knee \(id 14\)"),
+    "opencr": (dict(faults=Faults(scheduled=(Silent(200),))), r"servo power: opencr \(id 200\) did not answer"),
+    "model": (dict(prepare=other_model), "l_el is model 1060, expected 1020"),
+    "firmware": (dict(prepare=old_firmware), "without bus watchdog: l_el 30"),
+    "delay": (dict(settings={**OP3_SETTINGS, "return_delay_time": 250}), "return delay: too long: head_pan 500 us"),
+    "error": (dict(prepare=overloaded), r"hardware errors: r_knee \(overload\)"),
+    "voltage": (dict(faults=Faults(scheduled=(BrownOut(0.0, voltage=10.2),))), "10.2 V at .* charge to at least 10.5"),
+    "angle": (dict(prepare=outside), "l_knee is at 2.40 rad, outside its soft limits"),
+    "frozen": (dict(faults=Faults(scheduled=(FrozenImu(0.0),))), "IMU: 25 readings hold 1 different block"),
+    "tilted": (dict(prepare=lean), "IMU: roll 60 deg.* put the robot upright"),
+}
+
+
+@pytest.mark.parametrize("failure", sorted(FAILURES))
+def test_a_failed_check_energises_nothing(tmp_path, failure):
+    """Each failing start check ends the run with its exit code and reason, and no torque was ever switched on."""
+    options, reason = FAILURES[failure]
+    rig = make_rig(tmp_path, **options)
+    outcome = rig.run()
+    assert outcome.code == ExitCode.START_CHECK
+    assert outcome.release is None
+    assert re.search(reason, outcome.reason), outcome.reason
+    assert rig.written("torque_enable") == []
+    assert rig.written("goal_current") == []
+    assert not any(rig.register("torque_enable"))
+
+
+def test_the_latency_timer_comes_first(tmp_path):
+    """An adapter at 16 ms is refused with the command that mends it, before a byte is sent."""
+    rig = make_rig(tmp_path)
+    (tmp_path / "sys" / "virtual").mkdir(parents=True)
+    file = tmp_path / "sys" / "virtual" / "latency_timer"
+    file.write_text("16\n")
+    outcome = rig.run(sysfs=tmp_path / "sys")
+    assert outcome.code == ExitCode.START_CHECK
+    assert f"echo 1 | sudo tee {file}" in outcome.reason
+    assert rig.packets() == []
+
+
+def test_the_checks_pass_at_1_ms_and_are_all_told(tmp_path):
+    """With the timer at 1 ms the ten checks pass, in their order."""
+    rig = make_rig(tmp_path)
+    (tmp_path / "sys" / "virtual").mkdir(parents=True)
+    (tmp_path / "sys" / "virtual" / "latency_timer").write_text("1\n")
+    assert rig.run(duration=0.1, sysfs=tmp_path / "sys").code == ExitCode.OK
+    told = [line.split(":")[0].removeprefix("ok").strip() for line in rig.lines if line.startswith("ok  ")]
+    assert told == [
+        *("latency timer", "servo power", "ping", "models and firmware", "return delay"),
+        *("status return level", "hardware errors", "supply voltage", "joint angles", "IMU"),
+    ]
+
+
+def test_not_confirmed(tmp_path):
+    """An operator who does not say yes ends the run before torque."""
+
+    class No:
+        def confirm(self, text):
+            return False
+
+        def said_go(self):
+            return False
+
+    rig = make_rig(tmp_path)
+    outcome = rig.run(operator=No())
+    assert outcome.code == ExitCode.DECLINED
+    assert rig.written("torque_enable") == []
+
+
+def test_order_of_switching_on(tmp_path):
+    """On the wire: mode, current limit, goal current 0 and its reading back, torque, watchdog - in this order."""
+    rig = make_rig(tmp_path)
+    rig.run(duration=0.1)
+    addresses = {64: "torque", 11: "mode", 38: "limit", 102: "goal", 98: "watchdog"}
+    events = []
+    for _, packet in rig.packets():
+        address = int.from_bytes(packet.parameters[:2], "little")
+        if packet.instruction == Instruction.SYNC_WRITE and address in addresses:
+            events.append(f"write {addresses[address]}")
+        elif packet.instruction == Instruction.SYNC_READ and address in addresses:
+            events.append(f"read {addresses[address]}")
+    # torque and watchdog are off already and read so; what differs is written and read back
+    assert events[:12] == [
+        *("read torque", "read watchdog"),
+        *("read mode", "write mode", "read mode"),
+        *("read limit", "write limit", "read limit"),
+        *("write goal", "read goal"),
+        *("read torque", "write torque"),
+    ]
+    assert events[12:15] == ["read torque", "read watchdog", "write watchdog"]
+
+
+def test_no_current_flows_when_torque_comes_on(tmp_path):
+    """At the moment torque is enabled every goal current is 0, though the mode change had set it to the limit."""
+    rig = make_rig(tmp_path)
+    seen = []
+    for servo in rig.robot.servos.values():
+        written = servo.written
+
+        def spy(register, value, servo=servo, written=written):
+            if register.name == "torque_enable" and value == 1:
+                seen.append(servo.get("goal_current"))
+            if register.name == "operating_mode":
+                seen.append("mode")
+            written(register, value)
+
+        servo.written = spy
+    rig.run(duration=0.1)
+    assert seen.count("mode") == 20
+    assert [value for value in seen if value != "mode"] == [0] * 20
+
+
+def test_settings_in_the_servos(tmp_path):
+    """While it runs: current mode, limits 855 and 430, watchdog 5 (100 ms), torque on all twenty."""
+    rig = make_rig(tmp_path)
+    found = {}
+
+    def look():
+        for name in ("operating_mode", "current_limit", "bus_watchdog", "torque_enable"):
+            found[name] = rig.register(name)
+        return True
+
+    rig.run([GainRamp(), Hold(pose("stand"), until=look)])
+    assert found["operating_mode"] == [0] * 20
+    assert found["current_limit"] == np.where(IS_LEG, 855, 430).tolist()
+    assert found["bus_watchdog"] == [5] * 20
+    assert found["torque_enable"] == [1] * 20
+
+
+def test_eeprom_is_not_worn(tmp_path):
+    """A second run writes no EEPROM register that has its value already, but for nothing at all."""
+    rig = make_rig(tmp_path)
+    assert rig.run(duration=0.1).code == ExitCode.OK
+    before = len(rig.packets())
+    rig.bus._writer = None
+    assert rig.run(duration=0.1).code == ExitCode.OK
+    later = rig.packets()[before:]
+    writes = {int.from_bytes(p.parameters[:2], "little") for _, p in later if p.instruction == Instruction.SYNC_WRITE}
+    assert writes.isdisjoint({11, 38})
+
+
+def test_a_goal_that_cannot_be_set_stops_before_torque(tmp_path):
+    """If one servo keeps another goal current than 0, nothing is energised and it is named."""
+
+    def stubborn(robot):
+        servo = robot.servos["l_knee"]
+        write, goal = servo.write, XM430_W350["goal_current"].address
+        servo.write = lambda address, data: Error.DATA_RANGE if address == goal else write(address, data)
+
+    rig = make_rig(tmp_path, prepare=stubborn)
+    outcome = rig.run()
+    assert outcome.code == ExitCode.ENERGISE
+    assert "goal_current could not be set on l_knee (1193)" in outcome.reason
+    assert all(value == 0 for _, values in rig.written("torque_enable") for value in values.values())
+    assert outcome.release is not None
+    assert outcome.release.ok
+
+
+def test_a_tripped_watchdog_of_an_earlier_run_is_cleared(tmp_path):
+    """Servos whose watchdog has tripped have read-only goals; the start clears it and runs."""
+    rig = make_rig(tmp_path)
+
+    def trip():
+        for servo in rig.robot.servos.values():
+            servo.trip()
+
+    rig.robot.at(0.55, trip)
+    assert rig.run(duration=0.1).code == ExitCode.OK
+
+
+def test_the_ramp_begins_softly(tmp_path):
+    """The current starts at almost nothing and the P gain reaches full after 1 s; no jump of a goal exceeds 3 %."""
+    rig = make_rig(tmp_path)
+    rig.run(duration=0.5, folder=tmp_path / "logs")
+    log = Rollout.load(tmp_path / "logs" / "approach")
+    gain = log.array("command/p_gain")[:, 0]
+    assert gain[0] == 0
+    assert gain[124] == pytest.approx(6 * 124 / 125)
+    assert gain[126:].min() == 6
+    assert np.abs(log.array("raw/goal_current")[0]).max() < 10
+    assert np.abs(np.diff(log.array("raw/goal_current"), axis=0)).max() <= 0.03 * 855
+
+
+def test_the_move_takes_two_seconds_or_more(tmp_path):
+    """A short move takes 2 s; a long one is slowed to 1 rad/s; both end where they should, without a corner."""
+    rig = make_rig(tmp_path, position=pose("zero"))
+    rig.run(duration=0.4, folder=tmp_path / "logs")
+    log = Rollout.load(tmp_path / "logs" / "approach")
+    target = log.array("command/position")
+    moving = np.flatnonzero(np.abs(np.diff(target, axis=0)).max(1) > 0)
+    # the knee goes 1.13 rad: 1.875 x 1.13 s = 2.12 s at 1 rad/s
+    assert (moving[-1] - moving[0] + 2) * 0.008 == pytest.approx(2.12, abs=0.1)
+    assert np.abs(np.diff(target, axis=0)).max() / 0.008 <= 1.01
+    assert np.allclose(target[-1], pose("stand"))
+
+
+def test_minimum_jerk():
+    """From 0 to 1, half way at half time, at rest at both ends."""
+    shares = np.array([minimum_jerk(s) for s in np.linspace(0, 1, 1001)])
+    assert (shares[0], shares[500], shares[-1]) == (0, 0.5, 1)
+    assert np.diff(shares)[[0, -1]].max() < 1e-7
+    assert np.diff(shares).max() == pytest.approx(1.875e-3, rel=1e-3)
+
+
+def test_ids_and_limits_belong_together():
+    """Legs are the twelve leg joints; ids are odd on the right."""
+    assert {name for name, leg in zip(JOINTS, IS_LEG, strict=True) if not leg} == {
+        *("head_pan", "head_tilt", "l_sho_pitch", "l_sho_roll", "l_el", "r_sho_pitch", "r_sho_roll", "r_el")
+    }
+    assert Limits().peak[JOINTS.index("l_el")] == 430
+    assert all(SERVO_IDS[name] % 2 == 1 for name in JOINTS if name.startswith("r_"))

@@ -1,0 +1,86 @@
+"""The decision on synthetic numbers."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from op3.diagnose.decide import Contender, decide, difference_interval, pick_shares
+
+BLOCKS = 60
+
+
+def contender(label: str, gain: float, *, seed: int = 0, size: float = 1.0, noise: float = 0.02) -> Contender:
+    rng = np.random.default_rng(seed)
+    losses = 1.0 - gain + noise * rng.normal(size=BLOCKS)
+    effect, _, joint = label.partition("@")
+    joints = (int(joint),) if joint else None
+    return Contender(label, effect, joints, effect, gain, gain, losses, size, 0.1, False)
+
+
+@pytest.fixture
+def control() -> np.ndarray:
+    """The base explains nothing more."""
+    return np.ones(BLOCKS)
+
+
+def test_nothing_missing_where_all_gains_are_small(control, rng):
+    """Effects that explain two percent are what cases without a missing effect give."""
+    decision = decide([contender("backlash@3", 0.02), contender("dte", 0.01, seed=1)], control, rng)
+    assert decision.verdict == "nothing_missing"
+
+
+def test_clear_winner_is_named(control, rng):
+    """One that explains five times what the next does wins every resample."""
+    decision = decide([contender("dte", 0.06, seed=1), contender("backlash@3", 0.3)], control, rng)
+    assert decision.verdict == "named"
+    assert decision.candidates == (1,)
+    assert decision.shares[1] > 0.99
+
+
+def test_equals_are_ambiguous(control, rng):
+    """Two that explain the same, each better in other seconds, are both candidates."""
+    pair = [contender("dte", 0.2, noise=0.1), contender("load_friction", 0.2, seed=1, noise=0.1)]
+    decision = decide(pair, control, rng)
+    assert decision.verdict == "ambiguous"
+    assert set(decision.candidates) == {0, 1}
+
+
+def test_look_alikes_need_more_certainty(control, rng):
+    """Of one alias class, a second that explains nearly as much is a candidate too; one of a third is not."""
+    first = contender("encoder_offset@1", 0.30, noise=0.15)
+    for gain, verdict in ((0.26, "ambiguous"), (0.10, "named")):
+        second = dataclasses.replace(contender("link_com@2", gain, seed=1, noise=0.15), alias_class=first.alias_class)
+        assert decide([first, second], control, rng).verdict == verdict
+
+
+def test_size_that_does_not_matter_is_not_named(control, rng):
+    """However well it explains, an effect of a tenth of the smallest size that matters is passed over."""
+    decision = decide([contender("dte", 0.3, size=0.01)], control, rng)
+    assert decision.verdict == "nothing_missing"
+
+
+def test_black_box_that_explains_much_more_is_unknown(control, rng):
+    """Where a black box explains half and the catalogue a twentieth, the cause is not in the catalogue."""
+    assert decide([contender("dte", 0.05)], control, rng, ceiling=0.5).verdict == "unknown"
+    assert decide([contender("dte", 0.01)], control, rng, ceiling=0.5).verdict == "unknown"
+    assert decide([contender("dte", 0.40)], control, rng, ceiling=0.5).verdict == "named"
+
+
+def test_shares_sum_to_one_and_follow_the_loss(rng):
+    """Every resample has one winner, and a contender that is better in every block wins all."""
+    losses = np.stack([np.full(BLOCKS, 2.0), np.full(BLOCKS, 1.0)])
+    assert pick_shares(losses, rng).tolist() == [0.0, 1.0]
+
+
+def test_interval_of_a_difference_covers_it(rng):
+    """The difference of two losses lies in its interval."""
+    better, worse = np.ones(BLOCKS), 1.2 + 0.1 * np.random.default_rng(3).normal(size=BLOCKS)
+    low, high = difference_interval(better, worse, rng)
+    assert low < (worse - better).sum() < high
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """Of the resampling."""
+    return np.random.default_rng(0)

@@ -1,0 +1,105 @@
+"""The linear algebra of the screen and of refits, on a linear engine whose answers are known."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from op3.diagnose.coordinates import Coordinate, Coordinates, base_coordinates, with_chain
+from op3.diagnose.fitting import Fit, bounded_step
+from op3.diagnose.motion import HALF_WIDTH, VELOCITY_LAG, kernels
+from op3.diagnose.screen import Projector, _score
+from op3.sim import load_model
+
+WINDOWS, RESIDUALS = 40, 30
+
+
+@pytest.fixture
+def linear():
+    """A base of two columns, and residuals that hold half of a third one and some noise."""
+    rng = np.random.default_rng(0)
+    jacobian = rng.normal(size=(WINDOWS, RESIDUALS, 2)).astype(np.float32)
+    column = rng.normal(size=(WINDOWS, RESIDUALS)) + 2.0 * jacobian[..., 0]
+    residual = -0.5 * (column - 2.0 * jacobian[..., 0]) + 0.1 * rng.normal(size=column.shape)
+    entries = tuple(Coordinate(name, None, -9.0, 9.0, 0.0, 0.0) for name in ("torque_constant", "armature"))
+    base = Fit(
+        Coordinates(load_model("paper"), ("a",), entries), np.zeros(2), 1.0, residual.astype(np.float32), jacobian
+    )
+    is_fit = np.arange(WINDOWS) < 25
+    return base, column, is_fit
+
+
+def test_projection_is_orthogonal_to_the_base(linear):
+    """What is left of a column on the fitted windows has nothing in common with any column of the base."""
+    base, column, is_fit = linear
+    left, _ = Projector(base, is_fit).split(column)
+    np.testing.assert_allclose(base.jacobian[is_fit].reshape(-1, 2).T @ left, 0.0, atol=1e-6 * np.abs(left).sum())
+
+
+def test_screen_finds_share_and_gain(linear):
+    """Half the secant is in the data: the share is a half, and nearly all of the unseen residual is explained."""
+    base, column, is_fit = linear
+    known = SimpleNamespace(name="x", neutral=0.0, low=-1.0, least=-1.0, most=1.0)
+    hypothesis = SimpleNamespace(
+        secants=({"x": 0.1},),
+        effect=SimpleNamespace(parameters=(known,)),
+        model=SimpleNamespace(value=lambda name: 0.0),
+    )
+    blocks = np.arange(is_fit.sum())
+    found = _score(Projector(base, is_fit), column.astype(np.float32), hypothesis, 0, blocks)
+    assert found.share == pytest.approx(0.5, abs=0.02)
+    assert found.gain > 0.9
+    assert found.statistic > 10.0
+    assert found.visibility < 1.0
+
+
+def test_bounded_step_solves_least_squares_within_bounds():
+    """Without active bounds it is the least-squares step, with them it stops there."""
+    rng = np.random.default_rng(1)
+    jacobian, truth = rng.normal(size=(50, 3)), np.array([0.3, -0.2, 0.1])
+    residual = -jacobian @ truth
+    wide = bounded_step(jacobian, residual, np.full(3, -1.0), np.full(3, 1.0))
+    np.testing.assert_allclose(wide, truth, atol=1e-4)
+    narrow = bounded_step(jacobian, residual, np.full(3, -0.1), np.full(3, 0.1))
+    assert np.abs(narrow).max() <= 0.1 + 1e-9
+
+
+def test_kernels_reproduce_a_cubic():
+    """The local cubic gives position, velocity and acceleration of a cubic exactly, its velocity read late."""
+    period = 0.008
+    t = np.arange(-HALF_WIDTH, HALF_WIDTH + 1) * period
+    coefficients = np.array([0.4, -2.0, 30.0, 200.0])
+
+    def position(time: np.ndarray) -> np.ndarray:
+        return coefficients @ np.stack([np.ones_like(time), time, time**2 / 2, time**3 / 6])
+
+    def velocity(time: np.ndarray) -> np.ndarray:
+        return coefficients[1:] @ np.stack([np.ones_like(time), time, time**2 / 2])
+
+    weights = kernels(period)
+    found = weights[:, 0] @ position(t) + weights[:, 1] @ velocity(t - VELOCITY_LAG)
+    np.testing.assert_allclose(found, coefficients[:3], rtol=1e-6)
+
+
+def test_coordinates_move_what_they_name():
+    """Shared values replace, amounts add, scales multiply; nothing else moves, nor leaves what physics allows."""
+    model = load_model("paper")
+    joints = ("a", "b")
+    entries = (
+        Coordinate("coulomb_friction", None, 0.0, 1.0, 0.1, 0.1),
+        Coordinate("coulomb_friction", (1,), -1.0, 1.0, 0.0, 0.0, kind="add"),
+        Coordinate("coulomb_friction", (0,), -1.0, 1.0, 0.0, 0.0, kind="scale"),
+    )
+    values = Coordinates(model, joints, entries).values(np.array([[0.2, 0.05, 0.5], [0.1, -0.9, 0.0]]))
+    assert list(values) == ["coulomb_friction"]
+    np.testing.assert_allclose(values["coulomb_friction"].numpy(), [[0.3, 0.25], [0.1, 0.0]])
+
+
+def test_base_of_a_held_robot_leaves_out_what_cannot_be_seen():
+    """On the stand neither the trunk's mass nor, with current control, the forward efficiency is refitted."""
+    names = {
+        e.parameter for e in base_coordinates(with_chain(load_model("paper")), ("a", "b"), fixed_base=True).entries
+    }
+    assert "base_mass_offset" not in names
+    assert "forward_efficiency" not in names
+    assert {"torque_constant", "backward_efficiency", "velocity_time_constant", "bristle_compliance"} <= names

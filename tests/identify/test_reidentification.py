@@ -1,0 +1,90 @@
+"""Re-identification from the returns of episodes."""
+
+import numpy as np
+import pytest
+import torch
+from optuna.distributions import FloatDistribution
+
+from op3.envs import BatchedEnv, record_episodes
+from op3.identify.reidentification import PLAUSIBLE, Reidentification
+from op3.identify.study import run_study
+from op3.robot import squat
+from op3.sim import load_model
+from op3.tasks import play, squat_task
+from op3.tasks.task import find_task
+from tests.envs.holding import holding_bundle
+
+TASK = find_task("balance_eval", duration=1.6)
+NAMES = ("torque_constant", "coulomb_friction")
+
+
+@pytest.fixture(scope="module")
+def problem():
+    """A robot with a weaker motor than the model's, one second of its squat, and four of its episodes."""
+    model, policy = load_model("paper"), holding_bundle(p_gain=2.0)
+    robot = model.with_values({"torque_constant": 0.0049})
+    motion = squat()
+    short = type(motion)(motion.time[:126], motion.position[:126], motion.joints, motion.name)
+    excitation = [play(squat_task(robot, short))]
+    env = BatchedEnv(TASK, robot, 4, 3, action_map=policy.manifest.action_map)
+    env.reset = lambda *_, **__: env.begin({i: i for i in range(4)})  # the episodes that candidates play
+    return Reidentification(
+        model, excitation, record_episodes(env, policy), policy, NAMES, task=TASK, repeats=4, seed=3
+    )
+
+
+def test_the_truth_is_closer_in_both_objectives(problem):
+    """At the robot's parameters the same episodes are worth the same, and the excitation loss is far smaller."""
+    start, truth = problem.evaluate(
+        [
+            {"parameters.torque_constant": problem.model.value("torque_constant"), "parameters.coulomb_friction": 0.09},
+            {
+                "parameters.torque_constant": 0.0049,
+                "parameters.coulomb_friction": problem.model.value("coulomb_friction"),
+            },
+        ]
+    )
+    assert truth.values[0] < 0.05 * start.values[0]
+    assert truth.values[1] < 1e-9 < start.values[1]
+
+
+def test_implausible_candidates_cost_no_episode(problem):
+    """A candidate whose excitation loss is beyond all reason is told as worth nothing, without episodes."""
+    values = {"parameters.torque_constant": 0.0046, "parameters.coulomb_friction": 0.226}
+    before = problem.bench.simulated_seconds
+    start = problem.start
+    problem.start = type(start)(start.values, 1e-6, start.distance, start.returns)
+    try:
+        outcome = problem.evaluate([values])[0]
+    finally:
+        problem.start = start
+    assert problem.bench.simulated_seconds == before
+    assert "skipped" in outcome.attributes
+    assert outcome.values[0] > PLAUSIBLE * 1e-6
+    assert outcome.values[1] == pytest.approx(float(np.mean(problem.actual)))
+
+
+def test_a_study_moves_towards_the_robot(problem):
+    """A small NSGA-II study finds a model that is closer to the robot's returns and excitation than the start."""
+    space = {
+        "parameters.torque_constant": FloatDistribution(0.0046, 0.0084),
+        "parameters.coulomb_friction": FloatDistribution(0.034, 0.226),
+    }
+    nominal = {f"parameters.{name}": problem.model.value(name) for name in NAMES}
+    study = run_study(
+        problem.evaluate,
+        space,
+        sampler="nsga2",
+        directions=("minimize", "minimize"),
+        n_trials=24,
+        population=8,
+        nominal=nominal,
+        seed=0,
+        progress=False,
+    )
+    found = problem.finish(study)
+    assert found.chosen.distance < found.start.distance
+    assert found.chosen.excitation <= 1.25 * found.start.excitation
+    assert found.model.value("torque_constant") == found.chosen.values["torque_constant"]
+    assert len(found.front) >= 1
+    assert torch.isfinite(torch.tensor([c.distance for c in found.front])).all()

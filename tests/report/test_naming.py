@@ -1,0 +1,57 @@
+"""The page of a hidden-effect bench, from plain scores."""
+
+import numpy as np
+from report_logs import PageReader
+
+from op3.report.naming import LABELS, confusion_figure, naming_page, rates_figure, reliability_figure
+
+
+def rate(count: int, of: int) -> dict[str, float]:
+    return {"value": count / of, "low": 0.1, "high": 0.9, "count": count, "of": of}
+
+
+def summary(exact: int) -> dict:
+    empty = {"ece": None, "brier": None, "reliability": [], "claims": 0}
+    calibration = {"ece": 0.1, "brier": 0.2, "reliability": [[0.9, 0.8, 10]], "claims": 10} if exact else empty
+    rates = {"top1_exact": rate(exact, 4), "false_alarms": rate(1, 2), "pairs_both": None}
+    return {"cases": 6, "failed": 0, "calibration": calibration, **rates}
+
+
+ROW = {
+    "case": "case_1", "kind": "single", "severity": "strong", "truth": "backlash", "truth_joints": "r_knee",
+    "verdict": "named", "claim": "dte", "claim_joints": "", "confidence": 0.5, "size_ratio": None,
+}  # fmt: skip
+
+
+def test_the_page_says_the_counts_first():
+    """The verdict sentence has both counts; every case is in the table; the page is well-formed."""
+    table = (["backlash"], ["dte"], np.array([[1]]))
+    page = naming_page([ROW], {"diagnosis": summary(3), "random name": summary(0)}, table, "Bench", "0f" * 32)
+    html = page.html()
+    assert PageReader(html).open == []
+    assert "3 of 4 hidden effects were named exactly, and 1 of 2 empty cases raised a false alarm." in html
+    assert "case_1" in html
+    assert "0f" * 32 in html
+
+
+def test_rates_are_drawn_with_their_intervals():
+    """A rate of 75 % in [10, 90] % has bars of 15 and 65; a rate that was not asked for has no row."""
+    figure = rates_figure({"diagnosis": summary(3)})
+    (points,) = figure.data
+    assert list(figure.layout.yaxis.ticktext) == [LABELS["false_alarms"][0], LABELS["top1_exact"][0]]
+    assert points.x[1] == 75
+    assert np.allclose(points.error_x.array[1], 15)
+    assert np.allclose(points.error_x.arrayminus[1], 65)
+
+
+def test_the_confusion_matrix_is_coloured_by_share_of_its_row():
+    """Counts 3 and 1 of one effect are shares of 0.75 and 0.25; zeros carry no text."""
+    figure = confusion_figure(["a", "b"], ["a", "unknown"], np.array([[3, 1], [0, 2]]))
+    assert np.allclose(figure.data[0].z, [[0.75, 0.25], [0, 1]])
+    assert figure.data[0].text[1][0] == ""
+
+
+def test_nothing_stated_draws_no_reliability():
+    """Without confidences there is no curve."""
+    assert reliability_figure({"diagnosis": summary(0)["calibration"]}) is None
+    assert reliability_figure({"diagnosis": summary(3)["calibration"]}) is not None

@@ -1,0 +1,380 @@
+"""Laws of effects on signals alone, against closed forms."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from op3.servo import Effect, RobotModel, ServoLaw, Signals, catalogue, parameter, secant_values
+from op3.servo.effect import Trunk
+from op3.servo.effects import (
+    AsymmetricFriction,
+    Cogging,
+    Coulomb,
+    CurrentLag,
+    CurrentOffset,
+    CurrentPD,
+    EncoderNonlinearity,
+    FrictionDrift,
+    GyroBias,
+    ImuMount,
+    LeftRightAsymmetry,
+    LuGre,
+    Motor,
+    PacketDrop,
+    PositionFriction,
+    QuadraticDrag,
+    Stribeck,
+    TerminalResistance,
+    TorqueConstant,
+    TorqueConstantTemperature,
+    VelocityFilter,
+    Viscous,
+    VoltageSag,
+)
+
+MOTOR = {"torque_constant": 0.006, "terminal_resistance": 5.0, "armature": 0.005}
+CONSTANT = 0.006 * 353.5
+"""Joint-side torque constant of that motor [N m/A]."""
+ALWAYS_ON = {"motor", "current_pd"}
+
+
+def law_of(*effects: Effect, joints=("a",), **values) -> tuple[ServoLaw, Signals]:
+    """A current-driven servo with these effects, at rest, and its signals."""
+    on = (CurrentPD(), Motor(), *effects)
+    law = ServoLaw(on, 0.001, 0.008, joints)
+    law.set_parameters(RobotModel(on).with_values({**MOTOR, **values}).tensors(joints))
+    signals = Signals.zeros(1, len(joints))
+    signals.torque_enable, signals.bus_voltage = signals.torque_enable + 1.0, signals.bus_voltage + 11.1
+    signals.temperature = signals.temperature + 25.0
+    return law, signals
+
+
+def command(signals: Signals, current) -> None:
+    """Ask for a current [A] through the PD."""
+    signals.p_gain = torch.ones_like(signals.position)
+    signals.position_target = signals.position + torch.as_tensor(current, dtype=torch.float64)
+
+
+def drive(law: ServoLaw, signals: Signals, steps: int = 1) -> list[float]:
+    """Currents of the steps of one tick."""
+    law.tick(signals)
+    currents = []
+    for _ in range(steps):
+        law.step(signals)
+        currents.append(signals.current[0, 0].item())
+    return currents
+
+
+@pytest.mark.parametrize("name", sorted(set(catalogue()) - ALWAYS_ON))
+def test_every_effect_tells_the_diagnosis_how_to_find_it(name):
+    """Size, smallest, secants, fingerprint, confounders, experiment, class and scopes are there and consistent."""
+    effect = catalogue()[name]
+    own = {p.name: p for p in effect.parameters}
+    assert own[effect.size].neutral is not None
+    assert effect.smallest > 0
+    assert effect.secants
+    for secant in effect.secants:
+        assert set(secant) & set(own)
+        for known in map(parameter, secant):
+            assert known.name in own or known.neutral is not None
+        for key, value in secant_values(secant, {"command_latency": 0.006}).items():
+            assert parameter(key).least <= value <= parameter(key).most
+    assert any(abs(secant.get(effect.size, 0.0)) >= effect.smallest for secant in effect.secants)
+    for words in (effect.fingerprint, effect.separating_experiment, effect.alias_class):
+        assert words
+    assert set(effect.confounders) <= set(catalogue()) - {name}
+    assert effect.confounders
+    assert effect.scopes
+    assert ("robot" in effect.scopes) != own[effect.size].per_joint
+
+
+def test_secants_add_to_what_there_is_and_stay_in_bounds():
+    """A latency of 6 ms less 8 ms is none; what has no neutral value is taken as it stands."""
+    moved = secant_values({"current_time_constant": 0.008, "command_latency": -0.008}, {"command_latency": 0.006})
+    assert moved == {"current_time_constant": 0.008, "command_latency": 0.0}
+    moved = secant_values({"static_friction_excess": 0.03, "stribeck_velocity": 0.5}, {"static_friction_excess": 0.1})
+    assert moved == pytest.approx({"static_friction_excess": 0.13, "stribeck_velocity": 0.5})
+
+
+@pytest.mark.parametrize("name", sorted(set(catalogue()) - ALWAYS_ON - {"position_servo", "minimum_duty"}))
+def test_the_law_can_be_differentiated_at_neutral_values(name):
+    """Derivatives of what the law hands to the physics are finite, at rest and in motion."""
+    on = (CurrentPD(), Motor(), Coulomb(), Viscous())
+    on = (*(e for e in on if e.name != name), catalogue()[name]())
+    law = ServoLaw(on, 0.001, 0.008, ("l_a", "r_b"))
+    values = RobotModel(on).with_values(MOTOR).tensors(("l_a", "r_b"))
+    known = RobotModel(on).parameters()
+    for key, value in values.items():
+        neutral = known[key].neutral
+        values[key] = (value if neutral is None else torch.full_like(value, neutral)).requires_grad_(True)
+    law.set_parameters(values)
+    signals = Signals.zeros(1, 2)
+    signals.torque_enable, signals.bus_voltage = signals.torque_enable + 1.0, signals.bus_voltage + 11.1
+    signals.velocity = torch.tensor([[0.0, 1.0]], dtype=torch.float64)
+    command(signals, 0.5)
+    law.reset(signals)
+    drive(law, signals, 4)
+    handed = signals.applied_torque + signals.damping + signals.friction_bound
+    trunk = law.sense_trunk(
+        Trunk(torch.tensor([[1.0, 0, 0, 0]], dtype=torch.float64), torch.zeros(1, 3, dtype=torch.float64))
+    )
+    (handed.sum() + signals.measured_velocity.sum() + trunk.quaternion.sum() + trunk.angular_velocity.sum()).backward()
+    for key, value in values.items():
+        assert value.grad is None or torch.isfinite(value.grad).all(), key
+
+
+def test_torque_constant_and_resistance_errors_are_those_of_the_motor():
+    """1 + e on either parameter gives the torque and current of a motor that has the product, saturated or not."""
+    for current in (0.5, 5.0):
+        law, signals = law_of(
+            TorqueConstant(), TerminalResistance(), torque_constant_error=0.1, terminal_resistance_error=-0.2
+        )
+        other, expected = law_of(torque_constant=0.0066, terminal_resistance=4.0)
+        for each, its in ((law, signals), (other, expected)):
+            its.velocity = its.velocity + 1.0
+            command(its, current)
+            drive(each, its)
+        torch.testing.assert_close(signals.applied_torque, expected.applied_torque)
+        torch.testing.assert_close(signals.damping, expected.damping)
+
+
+def test_a_hot_motor_gives_less_torque_per_current_and_draws_less():
+    """At 65 C a magnet with 0.001/K has 4 % less torque constant; copper with 0.0039/K has 15.6 % more resistance."""
+    law, signals = law_of(TorqueConstantTemperature(), magnet_temperature_coefficient=0.001)
+    signals.temperature = signals.temperature + 40.0
+    command(signals, 0.5)
+    drive(law, signals)
+    assert signals.motor_torque.item() == pytest.approx(0.5 * CONSTANT * 0.96)
+    law, signals = law_of(TerminalResistance(), resistance_temperature_coefficient=0.0039)
+    signals.temperature = signals.temperature + 40.0
+    command(signals, 5.0)
+    law.tick(signals)
+    signals.target_current = signals.target_current + 50.0
+    law.step(signals)
+    assert signals.current.item() == pytest.approx(11.1 / (5.0 * 1.156))
+
+
+def test_a_sagging_supply_settles_where_battery_and_motors_agree():
+    """Two stalled motors on 0.3 ohm: I = V0 / (R + 2 Rb) each."""
+    law, signals = law_of(VoltageSag(), joints=("a", "b"), supply_resistance=0.3)
+    signals.position_target = signals.position + 100.0
+    signals.p_gain = signals.p_gain + 100.0
+    law.reset(signals)
+    law.tick(signals)
+    signals.target_current = signals.target_current * 100
+    for _ in range(100):
+        law.step(signals)
+        signals.phase = 1
+    torch.testing.assert_close(signals.current, torch.full((1, 2), 11.1 / (5.0 + 0.6), dtype=torch.float64))
+    assert (signals.bus_voltage == 11.1).all()
+
+
+def test_lagging_current_is_the_mean_of_an_exponential():
+    """After a step of the command the current of each step is the mean of 1 - exp(-t / Tc) over it."""
+    law, signals = law_of(CurrentLag(), current_time_constant=0.003)
+    command(signals, 0.0)
+    law.reset(signals)
+    command(signals, 1.0)
+    currents = drive(law, signals, 8)
+    edges = np.arange(9) * 0.001
+    integral = edges + 0.003 * np.exp(-edges / 0.003)
+    np.testing.assert_allclose(currents, np.diff(integral) / 0.001, rtol=1e-12)
+
+
+def test_a_current_offset_is_regulated_into_a_torque():
+    """The servo reports what was asked for and carries less by the offset."""
+    law, signals = law_of(CurrentOffset(), current_offset=0.03)
+    command(signals, 0.5)
+    drive(law, signals, 8)
+    law.report(signals)
+    assert signals.measured_current.item() == pytest.approx(0.5)
+    assert signals.motor_torque.item() == pytest.approx(CONSTANT * 0.47)
+
+
+def test_lost_packets_hold_the_last_command_and_repeat_with_the_seed():
+    """One packet in five is lost; which, follows from the seed; a lost one leaves the command of the tick before."""
+
+    def arrived(seed: int) -> np.ndarray:
+        law, signals = law_of(PacketDrop(seed=seed), drop_probability=0.2)
+        law.reset(signals)
+        seen = []
+        for tick in range(2000):
+            command(signals, 1e-4 * (tick + 1))
+            seen += drive(law, signals)
+        return np.round(np.array(seen) / 1e-4).astype(int)
+
+    first = arrived(1)
+    sent = np.arange(1, 2001)
+    lost = first != sent
+    assert 0.17 < lost.mean() < 0.23
+    np.testing.assert_array_equal(first[1:][lost[1:]], first[:-1][lost[1:]])
+    np.testing.assert_array_equal(first, arrived(1))
+    assert (first != arrived(2)).any()
+
+
+def test_filtered_velocity_of_a_ramp_lags_by_its_time_constant():
+    """On w = a t the filter reads a (t - T (1 - exp(-t / T))), exactly, however often the sensors are read."""
+    law, signals = law_of(VelocityFilter(), velocity_time_constant=0.005)
+    law.reset(signals)
+    for step in range(100):
+        signals.velocity = torch.full_like(signals.velocity, 0.02 * step)
+        if step % 8 == 0:
+            law.tick(signals)
+        law.sense(signals)
+        time = 0.001 * step
+        assert signals.measured_velocity.item() == pytest.approx(20 * (time - 0.005 * (1 - np.exp(-time / 0.005))))
+        law.step(signals)
+
+
+def test_a_bent_encoder_reads_a_velocity_that_fits_its_angle():
+    """The reported velocity is the derivative of the reported angle."""
+    law, signals = law_of(EncoderNonlinearity(), encoder_nonlinearity=0.02, encoder_nonlinearity_phase=0.4)
+    readings = []
+    for position in (0.7 - 1e-6, 0.7 + 1e-6):
+        signals.position = torch.full_like(signals.position, position)
+        signals.velocity = torch.ones_like(signals.velocity)
+        law.sense(signals)
+        readings.append(signals.measured_position.item())
+        assert readings[-1] == pytest.approx(position + 0.02 * np.sin(position + 0.4))
+    assert signals.measured_velocity.item() == pytest.approx((readings[1] - readings[0]) / 2e-6, rel=1e-6)
+
+
+def bound(effect: Effect, position: float, velocity: float, load: float = 0.0, **values) -> float:
+    law, signals = law_of(effect, **values)
+    signals.position = signals.position + position
+    signals.velocity = signals.velocity + velocity
+    signals.load_torque = signals.load_torque + load
+    drive(law, signals)
+    return signals.friction_bound.item()
+
+
+def test_frictions_of_speed_direction_and_place_are_their_formulas():
+    """Drag is c w^2; asymmetric friction acts one way; friction of place is full at its angle and none opposite."""
+    assert bound(QuadraticDrag(), 0.0, -3.0, quadratic_drag=0.01) == pytest.approx(0.09)
+    for value, velocity, expected in ((0.05, 1.0, 0.05), (0.05, -1.0, 0.0), (-0.05, -1.0, 0.05), (-0.05, 1.0, 0.0)):
+        assert bound(AsymmetricFriction(), 0.0, velocity, asymmetric_friction=value) == pytest.approx(expected)
+    # at rest the push of motor and load counts
+    assert bound(AsymmetricFriction(), 0.0, 0.0, load=0.1, asymmetric_friction=0.05) == pytest.approx(0.05)
+    assert bound(AsymmetricFriction(), 0.0, 0.0, load=-0.1, asymmetric_friction=0.05) == 0.0
+    for position, expected in ((0.3, 0.06), (0.3 + np.pi / 2, 0.03), (0.3 + np.pi, 0.0)):
+        values = {"position_friction": 0.06, "position_friction_angle": 0.3}
+        assert bound(PositionFriction(), position, 1.0, **values) == pytest.approx(expected, abs=1e-12)
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    position=st.floats(-3, 3),
+    velocity=st.floats(-10, 10),
+    load=st.floats(-3, 3),
+    value=st.floats(0, 1),
+    kind=st.sampled_from([AsymmetricFriction, QuadraticDrag, PositionFriction, FrictionDrift]),
+)
+def test_friction_like_effects_never_drive(position, velocity, load, value, kind):
+    """Whatever the state, the bound that they leave is not negative: a friction can only oppose."""
+    known = parameter(kind.size)
+    law, signals = law_of(kind(), Coulomb(), Viscous(), **{kind.size: known.low + value * (known.high - known.low)})
+    signals.position, signals.velocity = signals.position + position, signals.velocity + velocity
+    signals.load_torque, signals.time = signals.load_torque + load, signals.time + 1000.0
+    drive(law, signals)
+    assert signals.friction_bound.item() >= 0
+
+
+def test_warm_friction_is_what_is_left_of_it():
+    """After one time constant 1 - c (1 - 1/e) of Coulomb and viscous friction is left; static excess stays."""
+    values = {"coulomb_friction": 0.1, "viscous_friction": 0.02, "static_friction_excess": 0.05}
+    law, signals = law_of(
+        FrictionDrift(), Coulomb(), Viscous(), Stribeck(), friction_drift=0.4, friction_drift_time=60.0, **values
+    )
+    signals.velocity = signals.velocity + 2.0
+    signals.time = signals.time + 60.0
+    drive(law, signals)
+    left = 1 - 0.4 * (1 - np.exp(-1))
+    expected = left * (0.1 + 0.02 * 2.0) + 0.05 * np.exp(-2.0 / 0.1)
+    assert signals.friction_bound.item() == pytest.approx(expected)
+    assert signals.time.item() == pytest.approx(60.001)
+
+
+def test_sides_differ_by_the_antisymmetric_part():
+    """Left 1 + a, right 1 - a, the head as it is; the same for torque."""
+    joints = ("l_knee", "r_knee", "head_pan")
+    law, signals = law_of(
+        LeftRightAsymmetry(),
+        Coulomb(),
+        joints=joints,
+        friction_asymmetry=0.2,
+        torque_asymmetry=-0.1,
+        coulomb_friction=0.1,
+    )
+    command(signals, 0.5)
+    drive(law, signals)
+    np.testing.assert_allclose(signals.friction_bound[0].numpy(), [0.12, 0.08, 0.1])
+    np.testing.assert_allclose(signals.motor_torque[0].numpy(), 0.5 * CONSTANT * np.array([0.9, 1.1, 1.0]))
+
+
+def test_a_ripple_is_found_in_a_residual_torque():
+    """Periods and phase of a ripple in a noisy residual are read off again."""
+    generator = torch.Generator().manual_seed(0)
+    position = torch.linspace(-1.0, 1.2, 800, dtype=torch.float64)
+    torque = 0.02 * torch.sin(17.0 * position + 0.7) + 0.1 + 0.05 * position
+    torque = torque + 0.01 * torch.randn(800, generator=generator, dtype=torch.float64)
+    periods, phase = Cogging.strongest_period(position, torque)
+    assert periods == pytest.approx(17.0, abs=0.5)
+    assert phase == pytest.approx(0.7, abs=0.2)
+
+
+def slid(compliance: float, motion: np.ndarray) -> np.ndarray:
+    """Friction torque of bristles moved by hand."""
+    law, signals = law_of(LuGre(), Coulomb(), bristle_compliance=compliance, coulomb_friction=0.1)
+    law.reset(signals)
+    law.tick(signals)
+    torques = []
+    for velocity in motion:
+        signals.velocity = torch.full_like(signals.velocity, velocity)
+        law.step(signals)
+        signals.phase = 1
+        torques.append(signals.applied_torque.item())
+    return np.array(torques)
+
+
+def test_bristles_bend_then_slip():
+    """Over 0.2 mrad the torque is that of the spring, over 30 mrad that of Coulomb friction; back it has memory."""
+    torques = slid(0.01, np.r_[np.full(20, 0.01), np.full(1000, 0.03), np.full(10, -0.01)])
+    assert torques[19] == pytest.approx(-20 * 1e-5 / 0.01, rel=0.12)
+    assert torques[1019] == pytest.approx(-0.1, rel=1e-3)
+    assert torques[-1] == pytest.approx(-0.1 + 10 * 1e-5 / 0.01, rel=0.15)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from([1e-3, 5e-3, 2e-2, 5e-2]))
+def test_bristles_give_back_no_more_than_was_put_in(seed, compliance):
+    """Over any motion the work done on the bristles is at least minus the rounding of one step."""
+    generator = np.random.default_rng(seed)
+    motion = np.cumsum(generator.normal(0, 0.05, 400))
+    work = -np.cumsum(slid(compliance, motion) * motion * 0.001)
+    assert work.min() > -1e-6
+
+
+def test_imu_reads_in_its_own_frame_and_the_gyroscope_adds_its_bias():
+    """Against rotation matrices made by hand."""
+    effects = (ImuMount(), GyroBias())
+    values = {"imu_roll": 0.03, "imu_pitch": -0.02, "imu_yaw": 0.05, "gyro_bias_y": 0.01}
+    law, _ = law_of(*effects, **values)
+
+    def turn(axis: int, angle: float) -> np.ndarray:
+        matrix, (i, j) = np.eye(3), [k for k in range(3) if k != axis]
+        sign = -1.0 if axis == 1 else 1.0
+        matrix[i, i] = matrix[j, j] = np.cos(angle)
+        matrix[i, j], matrix[j, i] = -sign * np.sin(angle), sign * np.sin(angle)
+        return matrix
+
+    mount = turn(2, 0.05) @ turn(1, -0.02) @ turn(0, 0.03)
+    body = turn(0, 0.4)
+    rates = np.array([0.3, -0.2, 0.5])
+    quaternion = torch.tensor([[np.cos(0.2), np.sin(0.2), 0.0, 0.0]], dtype=torch.float64)
+    seen = law.sense_trunk(Trunk(quaternion, torch.from_numpy(rates)[None]))
+    np.testing.assert_allclose(seen.angular_velocity[0].numpy(), mount.T @ rates + [0, 0.01, 0], atol=1e-12)
+    w, x, y, z = seen.quaternion[0].tolist()
+    up = [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z]
+    np.testing.assert_allclose(up, (body @ mount).T @ [0, 0, 1], atol=1e-12)

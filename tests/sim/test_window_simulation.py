@@ -1,0 +1,131 @@
+"""Windows around a motion: the same trajectories as MuJoCo's, and friction that holds."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from op3.robot import JOINTS, pose
+from op3.sim import (
+    BatchSimulation,
+    MeasuredMotion,
+    Window,
+    WindowSimulation,
+    load_model,
+    trajectory_dynamics,
+)
+from op3.sim.window_simulation import solve
+from op3.tasks.setups import Setup
+
+LEG = ("r_hip_yaw", "r_hip_roll", "r_hip_pitch", "r_knee", "r_ank_pitch", "r_ank_roll")
+PERIOD = 0.008
+TICKS = 120
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    """A leg on the stand that follows three sines, as MuJoCo simulates it: setup, model, motion."""
+    setup, model = Setup.of_mount("stand"), load_model("paper")
+    time = np.arange(TICKS) * PERIOD
+    columns = [JOINTS.index(joint) for joint in LEG]
+    target = np.tile(pose("stand"), (TICKS, 1))
+    for k, column in enumerate(columns):
+        target[:, column] += 0.2 * np.sin(2 * np.pi * (0.7 + 0.3 * k) * time)
+    simulation = BatchSimulation(
+        setup.mj_model, setup.scene.joint_names, model, 1, base_body=setup.base_body, joint_names=setup.joints
+    )
+    gains = {"p_gain": torch.full((1, 20), 4.0), "d_gain": torch.full((1, 20), 0.1)}
+    simulation.reset(target[0], {"position_target": torch.tensor(target[:1]), **gains})
+    rows = []
+    for tick in range(TICKS):
+        rows.append(
+            {key[1]: value.numpy()[0, columns] for key, value in simulation.measure().items() if key[0] == "joint"}
+        )
+        simulation.command(position_target=torch.tensor(target[tick : tick + 1]))
+        simulation.advance()
+    q, v, i = (np.stack([row[name] for row in rows]) for name in ("position", "velocity", "current"))
+    names = [setup.scene.joint_names[column] for column in columns]
+    motion = MeasuredMotion(
+        period=PERIOD,
+        position=q,
+        velocity=v,
+        acceleration=np.gradient(v, PERIOD, axis=0),
+        read_position=q,
+        read_velocity=v,
+        current=i,
+        time=time[:, None],
+        inputs={
+            "position_target": target[:, columns],
+            "p_gain": np.full_like(q, 4.0),
+            "d_gain": np.full_like(q, 0.1),
+            "bus_voltage": np.full_like(q, model.bus_voltage),
+        },
+        dynamics=trajectory_dynamics(setup.mj_model, names, q, v, setup.scene.initial_qpos(target[0])),
+        changes={},
+    )
+    return model, motion
+
+
+def test_windows_follow_mujoco(recorded):
+    """A fifth of a second from MuJoCo's own states ends within 0.3 mrad and 5 mrad/s of MuJoCo's trajectory."""
+    model, motion = recorded
+    windows = [Window(0, tick) for tick in range(8, TICKS - 26, 9)]
+    channels = WindowSimulation(model, [motion], windows, 25, LEG).run()
+    for name, truth, tolerance in (("position", motion.position, 3e-4), ("velocity", motion.velocity, 5e-3)):
+        want = np.stack([truth[w.tick : w.tick + 26] for w in windows])
+        error = channels["joint", name].numpy()[0] - want
+        assert np.sqrt(np.square(error).mean()) < tolerance
+
+
+def test_candidates_are_what_they_are_alone(recorded):
+    """A candidate's windows are the same bytes whether it is simulated alone or among others, in chunks or at once."""
+    model, motion = recorded
+    simulation = WindowSimulation(model, [motion], [Window(0, 20), Window(0, 60)], 10, LEG)
+    friction = torch.tensor([0.05, 0.1, 0.2], dtype=torch.float64)
+    together = simulation.run({"coulomb_friction": friction}, 3)
+    alone = simulation.run({"coulomb_friction": friction[1:2]}, 1)
+    pieces = simulation.run({"coulomb_friction": friction}, 3, chunk=2)
+    key = ("joint", "position")
+    assert torch.equal(together[key][1], alone[key][0])
+    assert torch.equal(together[key], pieces[key])
+
+
+def test_window_must_fit(recorded):
+    """A window that begins before its lead, or ends behind the motion, is refused with both numbers."""
+    model, motion = recorded
+    with pytest.raises(ValueError, match="does not fit"):
+        WindowSimulation(model, [motion], [Window(0, TICKS - 5)], 25, LEG)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_friction_solution_is_the_minimum(seed):
+    """The sweeps minimise kinetic distance plus friction: no small move of any joint does better."""
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(3, 3)) * 0.05
+    matrix = root @ root.T + np.diag(rng.uniform(0.005, 0.01, 3))
+    velocity, force, bound = rng.normal(size=3) * 0.01, rng.normal(size=3) * 1e-3, rng.uniform(0, 2e-3, 3)
+    mass = torch.from_numpy(matrix)[..., None, None]
+    total = torch.from_numpy(np.diag(matrix).copy())[:, None, None]
+    tensors = [torch.from_numpy(x)[:, None, None] for x in (velocity, force, bound)]
+    u = torch.zeros(3, 1, 1, dtype=torch.float64)
+    for _ in range(60):
+        u = solve(mass, total, *tensors, u)
+    found = u[:, 0, 0].numpy()
+
+    def cost(change: np.ndarray) -> float:
+        return float(0.5 * change @ matrix @ change - change @ force + bound @ np.abs(velocity + change))
+
+    for joint in range(3):
+        for move in (1e-6, -1e-6):
+            assert cost(found) <= cost(found + move * np.eye(3)[joint]) + 1e-12
+
+
+def test_held_joint_stays_at_zero():
+    """Where friction can take the whole impulse, the joint's speed is exactly zero, coupled or not."""
+    mass = torch.tensor([[0.01, 0.004], [0.004, 0.02]], dtype=torch.float64)[..., None, None]
+    total = torch.tensor([0.01, 0.02], dtype=torch.float64)[:, None, None]
+    zero = torch.zeros(2, 1, 1, dtype=torch.float64)
+    force = torch.tensor([1e-4, -2e-4], dtype=torch.float64)[:, None, None]
+    assert torch.equal(solve(mass, total, zero, force, torch.full_like(force, 3e-4), zero), zero)

@@ -1,0 +1,108 @@
+"""The reward terms against values worked out by hand, their limits, and the smoothed gait phase."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from op3.robot.kinematics import rotation_matrix
+from op3.tasks import rewards
+
+number = st.floats(-50, 50)
+
+
+def tensor(*values):
+    return torch.tensor(values, dtype=torch.float64)
+
+
+def test_table_two():
+    """The coefficients are those of the paper's Table II."""
+    assert vars(rewards.BALANCE) == dict(bipedal=0.0, command=0.6, smooth=0.1, forward=2.0, sideways=2.0)
+    assert vars(rewards.WALK) == dict(bipedal=0.4, command=0.3, smooth=0.1, forward=15.0, sideways=1.0)
+    assert vars(rewards.EVALUATION) == dict(bipedal=0.0, command=0.6, smooth=0.1, forward=2.0, sideways=2.0)
+
+
+def test_command_term_by_hand():
+    """0.1 m/s too slow, 0.2 m/s sideways, tilted by (0.3, 0.4) rad, whose norm is 0.5; yaw does not count."""
+    value = rewards.command_term(tensor(0.2, 0.2), tensor(0.3, 0.0), tensor(0.3, 0.4, 9.0), rewards.WALK)
+    # K_xd = 15, K_yd = 1
+    expected = -(1 - math.exp(-15 * 0.1)) - (1 - math.exp(-1 * 0.2)) - (1 - math.exp(-4 * 0.5))
+    assert value.item() == pytest.approx(expected)
+
+
+def test_smooth_term_by_hand():
+    """Action moved by (0.3, 0.4), currents (0.3, 0.4) A, body rate 3 rad/s and acceleration 4 m/s^2."""
+    value = rewards.smooth_term(
+        tensor(0.5, 0.4), tensor(0.2, 0.0), tensor(0.3, 0.4), tensor(0.0, 3.0, 0.0), tensor(0.0, 0.0, -4.0)
+    )
+    expected = -(1 - math.exp(-0.1 * 0.5)) - (1 - math.exp(-0.05 * 5.0)) - (1 - math.exp(-0.1 * 7.0))
+    assert value.item() == pytest.approx(expected)
+
+
+def test_bipedal_term_by_hand():
+    """In mid-swing of the left foot its force counts and its speed does not; with the right foot it is the reverse."""
+    swing_middle = torch.tensor(0.15, dtype=torch.float64)
+    value = rewards.bipedal_term(swing_middle, tensor(10.0, 17.0), tensor(2.0, 0.5))
+    # the left foot's phase is 0.15, the middle of its swing; the right one's is 0.65, the middle of its stance
+    expected = -(1 - math.exp(-(10.0**2) / 100)) - (1 - math.exp(-2 * 0.5**2))
+    assert value.item() == pytest.approx(expected, abs=2e-3)
+
+
+def test_swing_probability_is_a_smoothed_interval():
+    """The series equals the convolution of the interval [0, 0.3] with a von Mises density, done numerically."""
+    grid = np.linspace(0, 1, 4000, endpoint=False)
+    density = np.exp(rewards.PHASE_CONCENTRATION * np.cos(2 * np.pi * grid))
+    density /= density.sum()
+    interval = (grid < 0.3).astype(float)
+    expected = np.fft.ifft(np.fft.fft(interval) * np.fft.fft(density)).real
+    computed = rewards.swing_probability(torch.from_numpy(grid)).numpy()
+    np.testing.assert_allclose(computed, expected, atol=2e-3)  # the sum is exact to half a step of the grid
+    assert computed.mean() == pytest.approx(0.3, abs=1e-3)
+
+
+def test_gait_is_symmetric():
+    """Half a cycle later, with the feet exchanged, the term is the same."""
+    phase, force, speed = (
+        torch.rand(20, dtype=torch.float64),
+        torch.rand(20, 2).double() * 20,
+        torch.rand(20, 2).double(),
+    )
+    here = rewards.bipedal_term(phase, force, speed)
+    there = rewards.bipedal_term((phase + 0.5) % 1, force.flip(-1), speed.flip(-1))
+    torch.testing.assert_close(here, there)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(number, min_size=16, max_size=16))
+def test_terms_are_bounded(values):
+    """R_cmd and R_smt lie in [-3, 0], so that the reward of balancing lies in [1 - 1.8 - 0.3, 1]."""
+    v = torch.tensor(values, dtype=torch.float64)
+    command = rewards.command_term(v[:2], v[2:4], v[4:7], rewards.BALANCE)
+    smooth = rewards.smooth_term(v[:4], v[4:8], v[8:10], v[10:13], v[13:16])
+    assert -3 <= command <= 0
+    assert -3 <= smooth <= 0
+    reward = rewards.total(rewards.weighted(rewards.BALANCE, command, smooth))
+    assert -1.1 - 1e-12 <= reward <= 1
+
+
+def test_perfect_is_one():
+    """At rest, level, without current, the reward is 1."""
+    zero = torch.zeros(3, dtype=torch.float64)
+    terms = rewards.weighted(
+        rewards.BALANCE,
+        rewards.command_term(zero[:2], zero[:2], zero, rewards.BALANCE),
+        rewards.smooth_term(zero, zero, zero, zero, zero),
+    )
+    assert rewards.total(terms) == 1.0
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(-3, 3), st.floats(-1.5, 1.5), st.floats(-3, 3))
+def test_body_at_rest_does_not_accelerate(roll, pitch, yaw):
+    """In any attitude, gravity's specific force is an acceleration of zero."""
+    force = rotation_matrix(roll, pitch, yaw).T @ [0.0, 0.0, 9.81]
+    acceleration = rewards.body_acceleration(torch.from_numpy(force), tensor(roll, pitch, yaw))
+    np.testing.assert_allclose(acceleration.numpy(), 0.0, atol=1e-12)
