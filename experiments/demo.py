@@ -39,9 +39,7 @@ def squat(out: Path) -> dict:
     for motion in ("squat", "squat_heldout"):
         run("Collect", "collect.py", "robot=stand_in", f"motion={motion}", f"hydra.run.dir={out / motion}")
     data = [f"data={out / 'squat' / 'squat-0'}", f"heldout={out / 'squat_heldout' / 'squat_heldout-0'}"]
-    return identify(
-        "Identify the robot", out / "robot", *data, "method=lsq", "refine.starts=2", "refine.max_iterations=10"
-    )
+    return identify("Identify the robot", out / "robot", *data, "method=lsq")
 
 
 def page(out: Path, robot: dict, servo: dict | None, seconds: float) -> Page:

@@ -63,7 +63,7 @@ class Fit:
         bounds: the range searched, by parameter name.
         starts: the model's values before the search, by parameter name.
         trials: loss of every trial of the study, in order; NaN where it failed.
-        refined: loss after every iteration of least squares; empty without.
+        refined: loss before what follows the trials, then after every round and iteration; empty without.
         identifiability: what the logs tell apart, and what not.
         simulated_seconds: simulated time spent [s].
     """
@@ -228,7 +228,7 @@ class Identification:
             result = refine(
                 residuals, bounds, candidates[:starts], max_iterations=max_iterations, race=race, progress=progress
             )
-            refined += result.history
+            refined += result.history[1:] if rounds else result.history
             if result.loss < best:
                 values = result.values
         sensitivity = sensitivity_at(residuals, bounds, values, failed_loss)

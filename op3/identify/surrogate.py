@@ -5,8 +5,7 @@ their squares: over much of the ranges they change almost linearly. So a Gaussia
 residual vectors that were simulated, and the squares are taken of its prediction. One kernel serves all residuals: a
 linear part, as in Gauss-Newton, and a Matern part for what bends. A prediction is then a weighted sum of simulated
 residuals, and its expected square needs nothing but their products with each other, however long the logs are
-(composite
-Bayesian optimisation; Astudillo & Frazier, Bayesian Optimization of Composite Functions, ICML 2019).
+(composite Bayesian optimisation; Astudillo & Frazier, Bayesian Optimization of Composite Functions, ICML 2019).
 """
 
 from collections.abc import Callable, Sequence
@@ -86,7 +85,7 @@ def explore(
     """
     if not len(points) or rounds < 0 or batch < 1:
         raise ValueError(f"explore needs points, rounds and a batch, got {len(points)}, {rounds} and {batch}")
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng([seed, 3])
     first, count = len(points), points.shape[1]
     losses = np.square(residual).sum(1)
     if losses.min() >= failed_loss:
