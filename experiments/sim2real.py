@@ -161,7 +161,9 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
     return report(cfg, name, folder, stages, transfers, time.monotonic() - started)
 
 
-def report(cfg: DictConfig, folder: Path, stages: Stages, transfers: list[Transfer], seconds: float) -> dict[str, Any]:
+def report(
+    cfg: DictConfig, budget: str, folder: Path, stages: Stages, transfers: list[Transfer], seconds: float
+) -> dict[str, Any]:
     """Write the story of the run and its numbers."""
     provenance = run_provenance(seed=cfg.seed)
     values: dict[str, Any] = {
