@@ -15,6 +15,7 @@ from op3.identify.problem import Problem
 from op3.identify.refine import refine
 from op3.identify.sensitivity import sensitivity_at
 from op3.identify.study import Outcome
+from op3.identify.surrogate import MOST_POINTS, explore
 from op3.rollout import LogError, Rollout
 from op3.servo import Estimate, RobotModel
 from op3.servo.conditions import split_name
@@ -62,7 +63,7 @@ class Fit:
         bounds: the range searched, by parameter name.
         starts: the model's values before the search, by parameter name.
         trials: loss of every trial of the study, in order; NaN where it failed.
-        refined: loss after every iteration of least squares; empty without.
+        refined: loss before what follows the trials, then after every round and iteration; empty without.
         identifiability: what the logs tell apart, and what not.
         simulated_seconds: simulated time spent [s].
     """
@@ -173,45 +174,64 @@ class Identification:
         starts: int = 0,
         max_iterations: int = 25,
         race: int | None = None,
+        rounds: int = 0,
+        batch: int = 12,
+        seed: int = 0,
         progress: Callable[[int, float], None] | None = None,
     ) -> Fit:
-        """Choose the best trial, refine it by least squares if asked, and score it.
+        """Choose the best trial, search on from the trials and refine the best by least squares if asked, and score it.
 
         Args:
             study: finished.
             starts: how many of the best trials least squares starts from; 0 for no refinement.
             max_iterations: of least squares.
             race: iterations after which only the best start goes on; None: all go on.
+            rounds: of a search with a surrogate of the residuals, before least squares; it begins with the trials.
+            batch: points simulated per round.
+            seed: of what the rounds draw.
             progress: called with iteration and loss.
 
         Raises:
             ValueError: if no trial of the study completed.
         """
-        if starts < 0 or max_iterations < 1:
-            raise ValueError(f"refine: starts must be at least 0 and max_iterations 1, got {starts}, {max_iterations}")
+        if starts < 0 or max_iterations < 1 or rounds < 0 or batch < 1:
+            raise ValueError(
+                "refine: starts and rounds must be at least 0, max_iterations and batch 1,"
+                f" got {starts}, {rounds}, {max_iterations} and {batch}"
+            )
         complete = sorted(
             (t for t in study.trials if t.state == optuna.trial.TrialState.COMPLETE), key=lambda t: t.value or 0.0
         )
         if not complete:
             raise ValueError("no trial of the study completed: every simulation failed; check the log and the model")
-        values = self._values(complete[0])
+        candidates = [self._values(trial) for trial in complete[: max(starts, MOST_POINTS if rounds else 1)]]
+        best, values = complete[0].value or 0.0, candidates[0]
         ranges = {key.removeprefix(PREFIX): d for key, d in complete[0].distributions.items()}
         bounds = {name: (float(ranges[name].low), float(ranges[name].high)) for name in self.names}
-        refined: Sequence[float] = ()
+        refined: list[float] = []
         residuals = self._residuals(bounds)
+        failed_loss = self.loss.failed_loss(len(self.problem.replay.logs))
+        if rounds:
+            low = np.array([bounds[name][0] for name in self.names])
+            span = np.array([bounds[name][1] for name in self.names]) - low
+            points = (np.array([[c[name] for name in self.names] for c in candidates]) - low) / span
+            known = self.problem.residuals_of(candidates).numpy()
+            found = explore(
+                residuals, points, known, rounds=rounds, batch=batch, seed=seed, failed_loss=failed_loss,
+                progress=progress,
+            )  # fmt: skip
+            refined += found.history
+            best = float(found.losses[0])
+            candidates = [dict(zip(self.names, (low + u * span).tolist(), strict=True)) for u in found.points]
+            values = candidates[0]
         if starts:
             result = refine(
-                residuals,
-                bounds,
-                [self._values(trial) for trial in complete[:starts]],
-                max_iterations=max_iterations,
-                race=race,
-                progress=progress,
+                residuals, bounds, candidates[:starts], max_iterations=max_iterations, race=race, progress=progress
             )
-            refined = result.history
-            if result.loss < (complete[0].value or 0.0):
+            refined += result.history[1:] if rounds else result.history
+            if result.loss < best:
                 values = result.values
-        sensitivity = sensitivity_at(residuals, bounds, values, self.loss.failed_loss(len(self.problem.replay.logs)))
+        sensitivity = sensitivity_at(residuals, bounds, values, failed_loss)
         blocks, channels = self._blocks()
         intervals = intervals_of(sensitivity, blocks)
         model = self.problem.model.with_values({name: Estimate(values[name], *intervals[name]) for name in self.names})

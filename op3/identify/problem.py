@@ -11,6 +11,9 @@ from op3.rollout import Rollout
 from op3.servo import RobotModel
 from op3.tasks import Prediction, Replay
 
+KEPT = 128
+"""Evaluated parameter sets whose residuals are kept, the latest ones."""
+
 
 @dataclass(frozen=True)
 class Evaluation:
@@ -40,6 +43,7 @@ class Problem:
         self.loss = loss
         self.replay = Replay(logs, **replay)
         self.simulated_seconds = 0.0
+        self._kept: dict[tuple[tuple[str, float], ...], Tensor] = {}
 
     def predict(self, parameters: Mapping[str, Tensor] | None = None, candidates: int = 1) -> list[Prediction]:
         """Simulate the logs; parameters as ``[candidate]`` or ``[candidate, joint]``."""
@@ -58,6 +62,7 @@ class Problem:
         }
         predictions = self.predict(values, len(population))
         losses = self.loss(predictions)
+        self._keep(population, self.loss.residuals(predictions))
         terms = [self.loss.terms(prediction) for prediction in predictions]
         keys = {key for term in terms for key in term}
         evaluations = []
@@ -69,6 +74,22 @@ class Problem:
             evaluations.append(Evaluation(None if failed else loss, {} if failed else means))
         return evaluations
 
+    def _keep(self, population: Sequence[Mapping[str, float]], residual: Tensor) -> None:
+        for member, row in list(zip(population, residual, strict=True))[-KEPT:]:
+            self._kept[_key(member)] = row.clone()
+        for key in list(self._kept)[:-KEPT]:
+            del self._kept[key]
+
+    def residuals_of(self, population: Sequence[Mapping[str, float]]) -> Tensor:
+        """Residuals of parameter sets, ``[candidate, residual]``; only those not evaluated lately are simulated."""
+        missing = [member for member in population if _key(member) not in self._kept]
+        found = {_key(member): self._kept[_key(member)] for member in population if member not in missing}
+        if missing:
+            values = {name: torch.tensor([float(m[name]) for m in missing], dtype=torch.float64) for name in missing[0]}
+            rows = self.loss.residuals(self.predict(values, len(missing)))
+            found.update({_key(member): row for member, row in zip(missing, rows, strict=True)})
+        return torch.stack([found[_key(member)] for member in population])
+
     def residual_function(self, names: Sequence[str], low: Tensor, high: Tensor) -> Callable[[Tensor], Tensor]:
         """Residuals of points in the unit box, ``[candidate, parameter] -> [candidate, residual]``."""
 
@@ -77,3 +98,7 @@ class Problem:
             return self.loss.residuals(self.predict(values, len(unit)))
 
         return residuals
+
+
+def _key(member: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
+    return tuple(sorted((name, float(value)) for name, value in member.items()))

@@ -32,6 +32,8 @@ class Sensitivity:
         unit: the point, as a share of the range, ``[parameter]``.
         residual: ``[residual]``.
         jacobian: change of the residual per range, ``[residual, parameter]``.
+        roughness: square of what single jumps do to the residual, from second differences, ``[parameter]``.
+        jump_noise: what jumps add to the squared columns of the jacobian, ``[parameter]``.
         unseen: parameters that move nothing, or next to which a simulation diverged, ``[parameter]``.
     """
 
@@ -41,6 +43,8 @@ class Sensitivity:
     unit: Array
     residual: Array
     jacobian: Array
+    roughness: Array
+    jump_noise: Array
     unseen: NDArray[np.bool_]
 
 
@@ -69,8 +73,13 @@ def sensitivity_at(
     result = residuals(torch.from_numpy(points)).numpy()
     size = len(names)
     jacobian = ((result[1 : size + 1] - result[size + 1 :]) / (forward - backward)[:, None]).T
+    # a smooth residual lies on the chord between its neighbours; what it misses by is jumps (and a little curvature)
+    share = (unit - backward) / (forward - backward)
+    chord = share[:, None] * result[1 : size + 1] + (1 - share)[:, None] * result[size + 1 :]
+    roughness = np.square(chord - result[0]).sum(1) / (1 + share**2 + (1 - share) ** 2)
+    jump_noise = 2 * roughness / (forward - backward) ** 2
     length = np.square(jacobian).sum(0)
     diverged = np.square(result).sum(1) >= failed_loss
     unseen = length <= 1e-9 * max(1e-12, length.max())
     unseen |= diverged[0] | diverged[1 : size + 1] | diverged[size + 1 :]
-    return Sensitivity(names, low, span, unit, result[0], jacobian, unseen)
+    return Sensitivity(names, low, span, unit, result[0], jacobian, roughness, jump_noise, unseen)

@@ -25,7 +25,7 @@ def history_figure(
 
     Args:
         trials: loss of every trial by label, in order; None or NaN where the simulation failed.
-        refined: loss after every iteration of least squares by label, drawn beside.
+        refined: loss after every round and iteration that followed the trials, by label, drawn beside.
         loss: title of the loss axis.
     """
     refined = {label: values for label, values in (refined or {}).items() if len(values)}
@@ -59,7 +59,7 @@ def history_figure(
     figure.update_yaxes(title_text=loss, col=1)
     figure.update_xaxes(title_text="trial [-]", col=1)
     if refined:
-        figure.update_xaxes(title_text="iteration of least squares [-]", col=2)
+        figure.update_xaxes(title_text="round or iteration [-]", col=2)
     return figure
 
 

@@ -142,7 +142,7 @@ def _page(fits: Sequence[Fit], joints: Sequence[str], values: Mapping[str, Any],
         history_figure(
             {f.label: list(f.trials) for f in fits}, {f.label: list(f.refined) for f in fits if f.refined} or None
         ),
-        "Best so far as a line, single trials as dots, least squares from the best trials behind them.",
+        "Best so far as a line, single trials as dots, then rounds of the surrogate and iterations of least squares.",
     )
     terms = {"fit": {f.label: {**f.fit.terms, "paper eq. (7)": f.fit.paper_eq7} for f in fits}}
     if fit.heldout is not None:

@@ -78,3 +78,33 @@ def test_parameters_of_effects_that_are_off_are_refused(model, logs):
     """A group without its effect is named, with what to do."""
     with pytest.raises(ValueError, match=r"backward_efficiency.*leave the group out"):
         Identification(model.without("dte"), logs, [], list(TRUTH))
+
+
+def test_rounds_of_the_surrogate_find_the_parameters_without_least_squares(model, logs):
+    """Twelve trials and rounds of four squats come to the truth; what the trials simulated is not simulated again."""
+    problem = Identification(model, logs[:1], [], list(TRUTH), joints=CONTROLLED_JOINTS)
+    study = run_study(problem.evaluate, SPACE, sampler="random", n_trials=12, population=12, seed=0, progress=False)
+    fit = problem.finish(study, rounds=3, batch=4)
+    for name, value in TRUTH.items():
+        assert fit.model.estimates[name].value == pytest.approx(value, rel=0.02)
+    assert list(fit.refined) == sorted(fit.refined, reverse=True)
+    # twelve trials, three rounds of four, the score, the blocks and the differences behind the intervals
+    assert fit.simulated_seconds <= (12 + 3 * 4 + 2 + 5) * problem.problem.replay.seconds + 1e-6
+
+
+def test_residuals_of_trials_are_those_of_a_simulation(identification):
+    """Residuals that were kept equal simulated ones, and only missing ones cost simulated time."""
+    problem = identification.problem
+    known, missing = {**TRUTH, "torque_constant": 0.005}, {**TRUTH, "torque_constant": 0.006}
+    loss = problem.evaluate([known])[0].loss
+    before = problem.simulated_seconds
+    residual = problem.residuals_of([missing, known])
+    assert problem.simulated_seconds - before == pytest.approx(problem.replay.seconds)
+    assert float(residual[1].square().sum()) == pytest.approx(loss)
+    assert float(residual[0].square().sum()) == pytest.approx(problem.evaluate([missing])[0].loss)
+
+
+def test_nonsense_settings_of_the_search_are_refused(identification, study):
+    """Less than nothing cannot be searched."""
+    with pytest.raises(ValueError, match="rounds"):
+        identification.finish(study, rounds=-1)

@@ -62,3 +62,25 @@ def test_a_diverging_neighbourhood_is_no_knowledge():
     intervals = jackknife_intervals(cliff, BOX, estimate, np.split(np.arange(200), 10), failed_loss=1e6)
     assert intervals["a"] == (-10.0, 10.0)
     assert intervals["b"][1] - intervals["b"][0] < 2.0
+
+
+def test_jumps_are_not_taken_for_knowledge():
+    """Where little more than a sum of two parameters matters, jumps of the residual widen the interval of each."""
+    rng = np.random.default_rng(3)
+    design = rng.normal(size=(400, 1)) * np.array([[1.0, 1.0]]) + 0.02 * rng.normal(size=(400, 2))
+    noise = 0.002 * rng.normal(size=400)
+    waves, phase = rng.normal(size=(400, 2)), rng.uniform(0, 6, 400)
+    box = {"a": (-1.0, 1.0), "b": (-1.0, 1.0)}
+    blocks = np.split(np.arange(400), 10)
+    widths = {}
+    for jump in (0.0, 0.05):
+
+        def residuals(unit: torch.Tensor, jump: float = jump) -> torch.Tensor:
+            value = unit.numpy() * 2 - 1
+            return torch.from_numpy(value @ design.T - noise + jump * np.sign(np.sin(3e3 * value @ waves.T + phase)))
+
+        low, high = jackknife_intervals(residuals, box, {"a": 0.0, "b": 0.0}, blocks)["a"]
+        assert low <= 0.0 <= high
+        widths[jump] = high - low
+    assert widths[0.0] < 0.05
+    assert widths[0.05] > 2 * widths[0.0]
