@@ -8,16 +8,19 @@ from typing import Any
 
 import numpy as np
 
+from op3.diagnose.ceiling import Ceiling, ceiling, where
 from op3.diagnose.coordinates import base_coordinates, other_forms, with_chain
-from op3.diagnose.decide import Contender, Decision, decide
+from op3.diagnose.decide import CEILING, LOOK_ALIKE, Contender, Decision, decide
 from op3.diagnose.fitting import Engine, Fit, fit_base, intervals, linearise, refit, with_point
 from op3.diagnose.free_run import engine_for
 from op3.diagnose.hypotheses import Hypothesis, hypotheses
+from op3.diagnose.locate import locate, remaining
 from op3.diagnose.preflight import too_poor
 from op3.diagnose.screen import Screened, screen
 from op3.diagnose.show import show
 from op3.diagnose.split import LogSplit
 from op3.diagnose.verdict import Finding, Verdict
+from op3.diagnose.windows import WindowResiduals
 from op3.servo import Estimate, RobotModel
 from op3.servo.effect import parameter
 from op3.sim import model_hash
@@ -25,8 +28,14 @@ from op3.sim import model_hash
 SHORTLIST = 6
 """Hypotheses that are refitted, by what the screen credits them with."""
 
-SHARED = 3
+SHARED = 2
 """Hypotheses of all joints alike that are refitted besides: a base may have absorbed them."""
+
+PARTNERS = 2
+"""Look-alikes of the leader that are refitted besides, if the screen credits them with half of what it has."""
+
+CELLS = 20
+"""Cells of residual torque that are kept."""
 
 BOUND = 1e-3
 """A size this close to its bound, as a share of its range, is implausible."""
@@ -154,7 +163,16 @@ class Diagnosis:
         fitted = with_point(base.coordinates, base.point)
         self.screened = self.screen(base)
         control, self.refitted = self._refit(base)
-        decision = decide([r.contender for r in self.refitted], self._losses(control), rng)
+        windows = isinstance(self.engine, WindowResiduals)
+        located = locate(self.engine, base, self.seed) if windows else []
+        box = ceiling(self.engine, base, control.residual, self.seed) if windows else None
+        decision = decide(
+            [r.contender for r in self.refitted],
+            self._losses(control),
+            rng,
+            ceiling=None if box is None else box.gain,
+            left=self._left(control),
+        )
         members = [self.refitted[i] for i in decision.candidates]
         findings = tuple(
             self._finding(r, base, float(decision.shares[i]))
@@ -168,7 +186,7 @@ class Diagnosis:
         return Verdict(
             verdict=decision.verdict,
             effects=findings,
-            reason=decision.reason,
+            reason=self._reason(decision, control, box),
             model=after,
             base=fitted,
             cannot_tell=too_poor(self.split),
@@ -176,12 +194,26 @@ class Diagnosis:
             gap=shown["gap"],
             loss=shown["loss"],
             vetoed=bool(shown["vetoed"]) and bool(findings),
-            details=self._details(decision, shown),
+            details={**self._details(decision, shown), "located": [cell.plain() for cell in located[:CELLS]]},
         )
+
+    def _left(self, fit: Fit) -> np.ndarray:
+        """Residual velocity by joint, in standard deviations of a reading; empty for free runs."""
+        return remaining(self.engine, fit.residual) if isinstance(self.engine, WindowResiduals) else np.zeros(0)
+
+    def _reason(self, decision: Decision, control: Fit, box: Ceiling | None) -> str:
+        """The reason; of an unknown verdict also where the gap is and on what it depends."""
+        if decision.verdict != "unknown":
+            return decision.reason
+        left = self._left(control)
+        place = f"; the gap is largest in {self.engine.joints[int(left.argmax())]}" if left.size else ""
+        if box is not None and box.gain > CEILING:
+            place += f"; a black box finds it {where(box, self.engine.joints)}"
+        return decision.reason + place
 
     def _refit(self, base: Fit) -> tuple[Fit, list[Refitted]]:
         """Refit the no-op control and the shortlist."""
-        control = refit(self.engine, base, base.coordinates, base.point, iterations=3)
+        control = refit(self.engine, base, base.coordinates, base.point)
         picked = shortlist(self.screened)
         result = []
         for number, screened in enumerate(picked):
@@ -190,7 +222,9 @@ class Diagnosis:
             share = screened.share if abs(screened.share) > 0.3 else 0.5 * (np.sign(screened.share) or 1.0)
             coordinates, more = hypothesis.coordinates(base.coordinates, secant, share)
             fit = refit(self.engine, base, coordinates, np.concatenate([control.point, more]))
-            result.append(Refitted(hypothesis, screened, fit, self._contender(hypothesis, fit, control, base)))
+            result.append(
+                Refitted(hypothesis, screened, fit, self._contender(hypothesis, fit, control, base, screened.direction))
+            )
             self._report("refit", (number + 1) / len(picked))
         return control, result
 
@@ -199,7 +233,7 @@ class Diagnosis:
         index = np.unique(self.engine.blocks, return_inverse=True)[1]
         return np.bincount(index, np.square(fit.residual.astype(np.float64)).sum(1))
 
-    def _contender(self, hypothesis: Hypothesis, fit: Fit, control: Fit, base: Fit) -> Contender:
+    def _contender(self, hypothesis: Hypothesis, fit: Fit, control: Fit, base: Fit, direction: np.ndarray) -> Contender:
         held = ~self.engine.is_fit
 
         def gain(where: np.ndarray) -> float:
@@ -221,6 +255,8 @@ class Diagnosis:
             size=float(at),
             smallest=_smallest(hypothesis, entry.parameter),
             implausible=bool(entry.high - at < reach or at - entry.low < reach),
+            left=self._left(fit),
+            direction=direction,
         )
 
     def _size_at(self, hypothesis: Hypothesis, fit: Fit, base: Fit) -> int:
@@ -311,6 +347,12 @@ def shortlist(screened: Sequence[Screened]) -> list[Screened]:
         best.setdefault(id(s.hypothesis), s)
     ordered = [s for s in best.values() if s.strength > 0 and s.visibility > 0.02]
     picked = ordered[:SHORTLIST]
+    partners = [
+        s
+        for s in ordered[SHORTLIST:]
+        if _credit(s) > 0.5 * _credit(picked[0]) and abs(float(s.direction @ picked[0].direction)) > LOOK_ALIKE
+    ]
+    picked = picked + partners[:PARTNERS]
     shared = [s for s in ordered if s.hypothesis.joints is None and s not in picked]
     return picked + shared[:SHARED]
 

@@ -77,6 +77,13 @@ class Projector:
         step = self._solve(self._fit.T @ fit)
         return fit - self._fit @ step, rest - self._rest @ step
 
+    def split_many(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The same of columns ``[window, residual, column]``, as matrices ``[residual, column]``."""
+        count = columns.shape[-1]
+        fit, rest = (columns[where].reshape(-1, count) for where in (self._is_fit, ~self._is_fit))
+        step = self._scale[:, None] * linalg.cho_solve(self._factor, self._scale[:, None] * (self._fit.T @ fit))
+        return fit - self._fit @ step, rest - self._rest @ step
+
 
 def screen(
     engine: Engine,

@@ -17,6 +17,9 @@ from op3.tasks import Prediction, Replay
 RESAMPLES = 500
 """Bootstrap resamples of runs and seconds."""
 
+REPEATS = 2
+"""Repeats of one command that are simulated; all of them tell the floor."""
+
 CHANNELS = {("joint", "position"): "rad", ("joint", "velocity"): "rad/s", ("joint", "current"): "A"}
 """Channels whose gap is shown, and their units."""
 
@@ -67,7 +70,7 @@ def show(
         each with a 90 % interval over seconds; ``loss`` with ``paper_eq7`` before and after; ``vetoed``, whether the
         free run did not improve; and the predictions.
     """
-    logs = split.show
+    logs = shown_logs(split)
     first = free_runs(before, logs)
     if progress is not None:
         progress(0.5)
@@ -102,6 +105,12 @@ def show(
         "before": first,
         "after": second,
     }
+
+
+def shown_logs(split: LogSplit) -> tuple[Rollout, ...]:
+    """Logs that are simulated: no more than `REPEATS` of one command, as their free runs are nearly the same."""
+    left_out = {i for group in split.repeats for i in group[REPEATS:]}
+    return tuple(log for i, log in enumerate(split.show) if i not in left_out)
 
 
 def _squares(predictions: Sequence[Prediction], logs: Sequence[Rollout], key: tuple[str, str]) -> np.ndarray:
