@@ -19,6 +19,14 @@ SPREAD: Mapping[str, float] = {
 }
 """How much servos of one make differ, as a standard deviation relative to the shared value."""
 
+FAULTS: Mapping[str, str] = {
+    "torque_constant": "torque_constant",
+    "coulomb_friction": "coulomb",
+    "viscous_friction": "viscous",
+    "static_friction_excess": "stribeck",
+}
+"""Effects of single joints that the spread of a parameter may hide."""
+
 REACH = 4.0
 """How many times smaller or larger than its start a parameter outside the catalogue's range may become."""
 
@@ -28,6 +36,9 @@ HELD = ("controller_gain",)
 SPREAD_LIMIT = 2.0
 """Standard deviations that a joint may differ; what differs more is a fault of this joint, and a hypothesis."""
 
+
+OUTLIER = 1.5
+"""Standard deviations from the median of all joints beyond which a joint's own fault is looked into."""
 
 CHAIN: Mapping[str, tuple[float, float, bool]] = {
     "velocity_time_constant": (0.002, 0.0006, False),
@@ -157,6 +168,26 @@ class Coordinates:
                 else:
                     result[name][:, columns] *= 1.0 + column
         return {name: value.clamp(known[name].least, known[name].most) for name, value in result.items()}
+
+    def suspects(self, point: np.ndarray) -> list[tuple[str, int, float]]:
+        """Joints that stand out by more than their servos' spread: effect, joint, and by how much, most first.
+
+        A fault of one joint draws the spread of all joints to its bounds: its own to one, the others' to the other.
+
+        Args:
+            point: of a refitted base, ``[coordinate]``.
+        """
+        found = []
+        for parameter, effect in FAULTS.items():
+            at = [i for i, e in enumerate(self.entries) if e.parameter == parameter and e.kind == "scale"]
+            if len(at) < 3:
+                continue
+            apart = (point[at] - np.median(point[at])) / self.entries[at[0]].deviation
+            worst = int(np.abs(apart).argmax())
+            columns = self.entries[at[worst]].joints
+            if abs(apart[worst]) > OUTLIER and columns is not None:
+                found.append((effect, columns[0], float(apart[worst])))
+        return sorted(found, key=lambda suspect: -abs(suspect[2]))
 
     def extended(self, model: RobotModel, more: Sequence[Coordinate]) -> "Coordinates":
         """These numbers and more, for a model with more effects."""

@@ -11,7 +11,7 @@ legs gave up to 0.04 beyond the other two rules below."""
 
 SMALLEST_T = 3.0
 """Gain over its standard error, seconds being independent, that an effect must reach. A few odd windows give a large
-gain with a t of 1 to 2; empty development legs reached 2.9 at a gain of 0.04, hidden effects of moderate size 4 and more."""
+gain with a t of 1 to 2; empty development legs reached 2.9 at a gain of 0.04."""
 
 TRIMMED = 3
 """Seconds with the largest gain that are left out for the next rule."""
@@ -19,11 +19,11 @@ TRIMMED = 3
 TRIMMED_GAIN = 0.02
 """Share of the residual that must still be explained without them: an effect acts in more than a few seconds."""
 
-LARGE_GAP = 4.0
+LARGE_GAP = 6.0
 """Residual velocity of a joint, in standard deviations of a reading (root mean square over windows of 0.2 s), beyond
-which something is missing whatever the catalogue says. Empty development legs stayed below 2.6 in every joint."""
+which something is missing whatever the catalogue says. Empty development legs stayed below 4.0 in every joint."""
 
-USUAL_GAP = 2.2
+USUAL_GAP = 3.0
 """The same where nothing is missing: what lies above it is reducible."""
 
 SMALLEST_SIZE = 0.7

@@ -214,7 +214,7 @@ class Diagnosis:
     def _refit(self, base: Fit) -> tuple[Fit, list[Refitted]]:
         """Refit the no-op control and the shortlist."""
         control = refit(self.engine, base, base.coordinates, base.point)
-        picked = shortlist(self.screened)
+        picked = shortlist(self.screened, base.coordinates.suspects(base.point))
         result = []
         for number, screened in enumerate(picked):
             hypothesis = screened.hypothesis
@@ -340,8 +340,16 @@ class Diagnosis:
         return {"ranking": ranking, "shown": shown, "joints": list(joints)}
 
 
-def shortlist(screened: Sequence[Screened]) -> list[Screened]:
-    """What is refitted: the best secant of the best hypotheses, and the best of those in all joints."""
+def shortlist(screened: Sequence[Screened], suspects: Sequence[tuple[str, int, float]] = ()) -> list[Screened]:
+    """What is refitted.
+
+    The best secants of the best hypotheses, look-alikes of the leader, the best in all joints, and faults of single
+    joints that the spread of the base's servos hides.
+
+    Args:
+        screened: every secant of every hypothesis.
+        suspects: see `op3.diagnose.coordinates.Coordinates.suspects`.
+    """
     best: dict[int, Screened] = {}
     for s in sorted(screened, key=_credit, reverse=True):
         best.setdefault(id(s.hypothesis), s)
@@ -354,7 +362,12 @@ def shortlist(screened: Sequence[Screened]) -> list[Screened]:
     ]
     picked = picked + partners[:PARTNERS]
     shared = [s for s in ordered if s.hypothesis.joints is None and s not in picked]
-    return picked + shared[:SHARED]
+    picked = picked + shared[:SHARED]
+    for name, joint, apart in suspects:
+        for s in best.values():
+            if s.hypothesis.effect.name == name and s.hypothesis.joints == (joint,) and s not in picked:
+                picked.append(replace(s, share=float(np.sign(apart)) * max(1.0, abs(s.share))))
+    return picked
 
 
 def _credit(s: Screened) -> float:
