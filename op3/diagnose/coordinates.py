@@ -37,6 +37,9 @@ SPREAD_LIMIT = 2.0
 """Standard deviations that a joint may differ; what differs more is a fault of this joint, and a hypothesis."""
 
 
+NEAR = 0.1
+"""Relative difference from the median up to which joints are taken to have one value and a spread."""
+
 OUTLIER = 1.5
 """Standard deviations from the median of all joints beyond which a joint's own fault is looked into."""
 
@@ -223,7 +226,10 @@ def base_coordinates(model: RobotModel, joints: Sequence[str], *, fixed_base: bo
                 span = high - low
             if known.name in HELD:
                 continue
-            entries.append(Coordinate(known.name, None, low, high, value, value, span))
+            entries.extend(
+                Coordinate(known.name, columns, low, high, start, start, span)
+                for columns, start in _alike(model, known, joints)
+            )
     if len(joints) > 1:
         for name, deviation in SPREAD.items():
             if name in model.parameters() and any(entry.parameter == name for entry in entries):
@@ -232,6 +238,20 @@ def base_coordinates(model: RobotModel, joints: Sequence[str], *, fixed_base: bo
                     Coordinate(name, (j,), -reach, reach, 0.0, 0.0, deviation, "scale") for j in range(len(joints))
                 )
     return Coordinates(model, tuple(joints), tuple(entries))
+
+
+def _alike(model: RobotModel, known: Parameter, joints: Sequence[str]) -> list[tuple[tuple[int, ...] | None, float]]:
+    """Joints that share a value, and the value: all; or those near the median, and each of the others by itself.
+
+    Joints in which an effect is off stay so.
+    """
+    own = model.tensors(joints)[known.name][0].numpy()
+    if len(own) == 1 or np.ptp(own) < 1e-12:
+        return [(None, float(own[0]))]
+    middle = float(np.median(own))
+    near = np.abs(own - middle) <= NEAR * abs(middle) + 1e-12
+    groups = [] if middle == known.neutral else [(tuple(np.flatnonzero(near).tolist()), float(own[near].mean()))]
+    return [*groups, *(((int(j),), float(own[j])) for j in np.flatnonzero(~near))]
 
 
 def _chain(known: Parameter, joints: Sequence[str]) -> list[Coordinate]:

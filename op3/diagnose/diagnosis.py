@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from op3.diagnose.backward import NEEDED, still_needed, with_findings
 from op3.diagnose.ceiling import Ceiling, ceiling, where
 from op3.diagnose.coordinates import base_coordinates, other_forms, with_chain
 from op3.diagnose.decide import CEILING, LOOK_ALIKE, Contender, Decision, decide
@@ -114,6 +115,12 @@ class Diagnosis:
             np.savez(place, point=fit.point, form=[m is fit.coordinates.model for m in forms].index(True))
         return fit
 
+    def linearised(self) -> Fit:
+        """The given model as it is, with the Jacobian of everything that a base would refit."""
+        full = with_chain(self.given) if "current_pd" in self.given.effect_names else self.given
+        coordinates = base_coordinates(full, self.engine.joints, fixed_base=self.fixed_base)
+        return linearise(self.engine, coordinates, coordinates.start)
+
     def _key(self, model: RobotModel) -> str:
         """Sixteen hex digits of everything that decides where the base ends."""
         digest = hashlib.sha256(f"{model_hash(model)} {len(self.engine.is_fit)} {self.engine.is_fit.sum()}".encode())
@@ -135,18 +142,37 @@ class Diagnosis:
         for _ in range(rounds):
             verdict = self._round(model)
             verdicts.append(verdict)
-            if verdict.verdict != "named":
+            if verdict.verdict != "named" or verdict.vetoed:
                 break
             model = verdict.model
-        if len(verdicts) == 1:
+        if sum(verdict.verdict == "named" and not verdict.vetoed for verdict in verdicts) < 2:
             return verdicts[0]
-        return self._together(verdicts)
+        return self._backward(self._together(verdicts))
+
+    def _backward(self, verdict: Verdict) -> Verdict:
+        """Drop what later names have made superfluous, and what is alike to them in the other order."""
+        shares = still_needed(self.engine, self.given, verdict.effects, verdict.model, fixed_base=self.fixed_base)
+        kept = tuple(e for e, share in zip(verdict.effects, shares, strict=True) if share >= NEEDED)
+        if len(kept) == len(verdict.effects):
+            return verdict
+        gone = [e.name for e, share in zip(verdict.effects, shares, strict=True) if share < NEEDED]
+        base = self.refit_base(with_findings(self.given, kept, verdict.model, self.engine.joints))
+        model = with_point(base.coordinates, base.point)
+        shown = show(verdict.base, model, self.split, lambda share: self._report("show", share))
+        return replace(
+            verdict,
+            effects=kept,
+            reason=f"{verdict.reason}; beside what was named later, {', '.join(gone)} is not needed",
+            model=verdict.base if shown["vetoed"] else model,
+            gap=shown["gap"],
+            loss=shown["loss"],
+            vetoed=bool(shown["vetoed"]),
+            details={**verdict.details, "shown": shown},
+        )
 
     def _together(self, verdicts: Sequence[Verdict]) -> Verdict:
         """All that rounds have named, with the gap from first to last."""
-        named = [verdict for verdict in verdicts if verdict.verdict == "named"]
-        if not named:
-            return verdicts[0]
+        named = [verdict for verdict in verdicts if verdict.verdict == "named" and not verdict.vetoed]
         last = named[-1]
         effects = tuple(effect for verdict in named for effect in verdict.effects)
         gap = {
@@ -163,9 +189,9 @@ class Diagnosis:
         fitted = with_point(base.coordinates, base.point)
         self.screened = self.screen(base)
         control, self.refitted = self._refit(base)
-        windows = isinstance(self.engine, WindowResiduals)
-        located = locate(self.engine, base, self.seed) if windows else []
-        box = ceiling(self.engine, base, control.residual, self.seed) if windows else None
+        windows = self.engine if isinstance(self.engine, WindowResiduals) else None
+        located = locate(windows, base, self.seed) if windows else []
+        box = ceiling(windows, base, control.residual, self.seed) if windows else None
         decision = decide(
             [r.contender for r in self.refitted],
             self._losses(control),
@@ -183,17 +209,18 @@ class Diagnosis:
         if decision.verdict in ("named", "ambiguous"):
             after = _with_finding(members[0], findings[0], self.engine.joints)
         shown = show(fitted, after, self.split, lambda share: self._report("show", share))
+        vetoed = bool(shown["vetoed"]) and bool(findings)
         return Verdict(
             verdict=decision.verdict,
             effects=findings,
             reason=self._reason(decision, control, box),
-            model=after,
+            model=fitted if vetoed else after,
             base=fitted,
             cannot_tell=too_poor(self.split),
             separate_by=_separating(members) if decision.verdict == "ambiguous" else "",
             gap=shown["gap"],
             loss=shown["loss"],
-            vetoed=bool(shown["vetoed"]) and bool(findings),
+            vetoed=vetoed,
             details={**self._details(decision, shown), "located": [cell.plain() for cell in located[:CELLS]]},
         )
 

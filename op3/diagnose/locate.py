@@ -149,7 +149,8 @@ def locate(engine: WindowResiduals, base: Fit, seed: int = 0) -> list[Cell]:
     v, i, load = (by_piece(x) for x in (engine.motion.velocity, engine.motion.current, engine.motion.dynamics.bias))
     oriented = torque * np.sign(v)
     second = np.unique(engine.blocks, return_inverse=True)[1]
-    cells, sums = [], []
+    cells: list[tuple[tuple[str, str, str, str], float]] = []
+    sums = []
     heavy = np.abs(load) > np.median(np.abs(load), (0, 1))
     for j, joint in enumerate(engine.joints):
         for speed, (low, high) in SPEEDS.items():
@@ -162,7 +163,7 @@ def locate(engine: WindowResiduals, base: Fit, seed: int = 0) -> list[Cell]:
                     if seen.sum() < FEWEST:
                         continue
                     sums.append(np.bincount(second, (oriented[..., j] * inside).sum(1)))
-                    cells.append((joint, speed, driven, weight, float(oriented[..., j][inside].mean())))
+                    cells.append(((joint, speed, driven, weight), float(oriented[..., j][inside].mean())))
     if not cells:
         return []
     total = np.stack(sums)  # [cell, second]
@@ -171,7 +172,7 @@ def locate(engine: WindowResiduals, base: Fit, seed: int = 0) -> list[Cell]:
     signs = np.random.default_rng([seed, 19]).choice([-1.0, 1.0], size=(total.shape[1], FLIPS))
     largest = np.abs(total @ signs / scale[:, None]).max(0)
     found = [
-        Cell(*cell, float(t), float((1 + (largest >= abs(t)).sum()) / (1 + FLIPS)))
-        for cell, t in zip(cells, statistic, strict=True)
+        Cell(*regime, mean, float(t), float((1 + (largest >= abs(t)).sum()) / (1 + FLIPS)))
+        for (regime, mean), t in zip(cells, statistic, strict=True)
     ]
     return sorted(found, key=lambda cell: -abs(cell.statistic))
