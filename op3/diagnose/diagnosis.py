@@ -10,7 +10,7 @@ import numpy as np
 
 from op3.diagnose.backward import NEEDED, still_needed, with_findings
 from op3.diagnose.ceiling import Ceiling, ceiling, where
-from op3.diagnose.coordinates import base_coordinates, other_forms, with_chain
+from op3.diagnose.coordinates import FAULTS, base_coordinates, other_forms, with_chain
 from op3.diagnose.decide import CEILING, LOOK_ALIKE, Contender, Decision, decide
 from op3.diagnose.fitting import Engine, Fit, fit_base, intervals, linearise, refit, with_point
 from op3.diagnose.free_run import engine_for
@@ -279,7 +279,7 @@ class Diagnosis:
             gain=gain(held),
             fit_gain=gain(self.engine.is_fit),
             losses=self._losses(fit),
-            size=float(at),
+            size=_apart(hypothesis, fit, float(at)),
             smallest=_smallest(hypothesis, entry.parameter),
             implausible=bool(entry.high - at < reach or at - entry.low < reach),
             left=self._left(fit),
@@ -309,7 +309,7 @@ class Diagnosis:
                 e.parameter: v + (hypothesis.model.value(e.parameter) if e.kind == "add" else 0.0)
                 for (_, v), e in zip(values.items(), fit.coordinates.entries[known:], strict=True)
             }
-        size = start + float(fit.point[place])
+        size = _apart(hypothesis, fit, start + float(fit.point[place]))
         width = float(half[place - known])
         limit = parameter(entry.parameter)
         low, high = (
@@ -408,6 +408,22 @@ def _smallest(hypothesis: Hypothesis, name: str) -> float:
         return effect.smallest
     known = parameter(name)
     return 0.1 * (known.high - known.low)
+
+
+def _apart(hypothesis: Hypothesis, fit: Fit, size: float) -> float:
+    """The size; of a fault of one joint, how far the joint is from the others: the spread has a share in it."""
+    effect, joints = hypothesis.effect.name, hypothesis.joints
+    if effect not in FAULTS.values() or joints is None or len(joints) > 1:
+        return size
+    values = {name: value[0].numpy() for name, value in fit.parameters.items()}
+    parameter = next(name for name, fault in FAULTS.items() if fault == effect)
+    if parameter not in values or len(values[parameter]) < 3:
+        return size
+    whole = values[parameter]
+    if effect == "torque_constant":
+        whole = whole * (1.0 + values["torque_constant_error"])
+    others = float(np.median(np.delete(whole, joints[0])))
+    return float(whole[joints[0]] / others - 1.0) if effect == "torque_constant" else float(whole[joints[0]] - others)
 
 
 def _with_finding(refitted: Refitted, finding: Finding, joints: Sequence[str]) -> RobotModel:

@@ -78,7 +78,7 @@ def fit_base(
     engine: Engine,
     coordinates: Coordinates,
     *,
-    rounds: int = 3,
+    rounds: int = 4,
     start: np.ndarray | None = None,
     alternatives: Sequence[RobotModel] = (),
     progress: Callable[[float], None] | None = None,

@@ -14,7 +14,7 @@ from op3.diagnose.coordinates import CHAIN
 from op3.diagnose.fitting import INFORMATION, Engine, Fit
 from op3.diagnose.hypotheses import Hypothesis, stacked
 
-FURTHEST = 2.5
+FURTHEST = 5.0
 """How far beyond its secant a hypothesis is extrapolated, in secants."""
 
 
