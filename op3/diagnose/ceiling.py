@@ -18,10 +18,14 @@ from op3.diagnose.motion import PREROLL
 from op3.diagnose.screen import Projector
 from op3.diagnose.windows import WindowResiduals
 
-FEATURES = 56
+FEATURES = 72
 """Random features per joint."""
 
-LENGTHS = (2.0, 0.6)
+ALONE = 0.6
+"""Share of the features that depend on one input alone; the others depend on two. Functions of all inputs at once learn
+the fitted runs by heart."""
+
+LENGTHS = (1.5, 0.5)
 """Length scales of the features, in standard deviations of their inputs: half of them broad, half narrow."""
 
 RIDGES = (0.03, 0.3, 3.0, 30.0)
@@ -64,7 +68,7 @@ def ceiling(engine: WindowResiduals, base: Fit, residual: np.ndarray, seed: int 
     inputs = _inputs(engine)
     joints, count = len(engine.joints), inputs.shape[-1]
     projector = Projector(base, engine.is_fit)
-    waves = rng.normal(size=(count, FEATURES)) / np.repeat(LENGTHS, FEATURES // len(LENGTHS))
+    waves = _waves(count, rng)
     phases = rng.uniform(0, 2 * np.pi, FEATURES)
     response = Response(engine, base)
 
@@ -101,6 +105,15 @@ def ceiling(engine: WindowResiduals, base: Fit, residual: np.ndarray, seed: int 
         by_joint=alone,
         inputs=dict(sorted(used.items(), key=lambda pair: -pair[1])),
     )
+
+
+def _waves(count: int, rng: np.random.Generator) -> np.ndarray:
+    """Wave numbers of the features, ``[input, feature]``, each of one or two inputs."""
+    waves = np.zeros((count, FEATURES))
+    for feature in range(FEATURES):
+        used = [feature % count] if feature < ALONE * FEATURES else rng.choice(count, 2, replace=False)
+        waves[used, feature] = rng.normal(size=len(used)) / LENGTHS[rng.integers(len(LENGTHS))]
+    return waves
 
 
 def _inputs(engine: WindowResiduals) -> np.ndarray:

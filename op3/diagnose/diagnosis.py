@@ -221,7 +221,13 @@ class Diagnosis:
             gap=shown["gap"],
             loss=shown["loss"],
             vetoed=vetoed,
-            details={**self._details(decision, shown), "located": [cell.plain() for cell in located[:CELLS]]},
+            details={
+                **self._details(decision, shown),
+                "located": [cell.plain() for cell in located[:CELLS]],
+                "ceiling": {}
+                if box is None
+                else {"gain": round(box.gain, 4), "inputs": where(box, self.engine.joints)},
+            },
         )
 
     def _left(self, fit: Fit) -> np.ndarray:
@@ -413,8 +419,9 @@ def _smallest(hypothesis: Hypothesis, name: str) -> float:
 def _apart(hypothesis: Hypothesis, fit: Fit, size: float) -> float:
     """The size; of a fault of one joint, how far the joint is from the others: the spread has a share in it."""
     effect, joints = hypothesis.effect.name, hypothesis.joints
-    if effect not in FAULTS.values() or joints is None or len(joints) > 1:
+    if effect not in FAULTS.values() or joints is None or len(joints) != 1:
         return size
+    (own,) = joints
     values = {name: value[0].numpy() for name, value in fit.parameters.items()}
     parameter = next(name for name, fault in FAULTS.items() if fault == effect)
     if parameter not in values or len(values[parameter]) < 3:
@@ -422,8 +429,8 @@ def _apart(hypothesis: Hypothesis, fit: Fit, size: float) -> float:
     whole = values[parameter]
     if effect == "torque_constant":
         whole = whole * (1.0 + values["torque_constant_error"])
-    others = float(np.median(np.delete(whole, joints[0])))
-    return float(whole[joints[0]] / others - 1.0) if effect == "torque_constant" else float(whole[joints[0]] - others)
+    others = float(np.median(np.delete(whole, own)))
+    return float(whole[own] / others - 1.0) if effect == "torque_constant" else float(whole[own] - others)
 
 
 def _with_finding(refitted: Refitted, finding: Finding, joints: Sequence[str]) -> RobotModel:
