@@ -11,7 +11,7 @@ import numpy as np
 from op3.diagnose.backward import NEEDED, still_needed, with_findings
 from op3.diagnose.ceiling import Ceiling, ceiling, where
 from op3.diagnose.coordinates import FAULTS, base_coordinates, other_forms, with_chain
-from op3.diagnose.decide import CEILING, LOOK_ALIKE, Contender, Decision, decide
+from op3.diagnose.decide import CEILING, LOOK_ALIKE, Contender, Decision, decide, local_ceiling
 from op3.diagnose.fitting import Engine, Fit, fit_base, intervals, linearise, refit, with_point
 from op3.diagnose.free_run import engine_for
 from op3.diagnose.hypotheses import Hypothesis, hypotheses
@@ -196,7 +196,7 @@ class Diagnosis:
             [r.contender for r in self.refitted],
             self._losses(control),
             rng,
-            ceiling=None if box is None else box.gain,
+            ceiling=None if box is None else local_ceiling(box.gain, box.by_joint),
             left=self._left(control),
         )
         members = [self.refitted[i] for i in decision.candidates]
@@ -240,7 +240,7 @@ class Diagnosis:
             return decision.reason
         left = self._left(control)
         place = f"; the gap is largest in {self.engine.joints[int(left.argmax())]}" if left.size else ""
-        if box is not None and box.gain > CEILING:
+        if box is not None and (local_ceiling(box.gain, box.by_joint) or 0.0) > CEILING:
             place += f"; a black box finds it {where(box, self.engine.joints)}"
         return decision.reason + place
 

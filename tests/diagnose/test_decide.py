@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from op3.diagnose.decide import Contender, decide, difference_interval, pick_shares
+from op3.diagnose.decide import Contender, decide, difference_interval, local_ceiling, pick_shares
 
 BLOCKS = 60
 
@@ -88,6 +88,13 @@ def test_gap_of_one_joint_that_no_effect_closes_is_unknown(control, rng):
 def test_gap_that_all_joints_share_is_no_outsider(control, rng):
     """Where the residuals of all joints are large, no joint stands out, and the gap alone says nothing."""
     assert decide([contender("dte", 0.01)], control, rng, left=np.full(6, 9.0)).verdict == "nothing_missing"
+
+
+def test_black_box_counts_where_one_joint_carries_it():
+    """Torque that a black box finds in all joints alike is a law that is a little wrong, not an outsider."""
+    assert local_ceiling(0.3, np.array([0.05, 0.06, 0.1, 0.09])) is None
+    assert local_ceiling(0.2, np.array([0.0, 0.18, 0.01])) == pytest.approx(0.18)
+    assert local_ceiling(0.0, np.zeros(3)) is None
 
 
 def test_size_beyond_what_is_plausible_is_not_a_name(control, rng):
