@@ -52,7 +52,7 @@ CEILING = 0.12
 it explains nothing on runs that it has not seen."""
 
 CONCENTRATED = 0.6
-"""Share of what the black box explains that one joint's torque must carry: a law of friction that is a little wrong shows
+"""Share of what the black box explains that one joint must carry: a law of friction that is a little wrong shows
 in all joints. An empty development leg with little friction gave 0.39 (of 32 % explained), local outsiders 0.9."""
 
 LOOK_ALIKE = 0.7
