@@ -3,6 +3,8 @@
 python experiments/diagnose.py data=<folder of logs> model=<model.yaml or name in conf/servo>
 python experiments/diagnose.py data=<folder of logs> model=paper mode=loop      # several effects, one after another
 python experiments/diagnose.py data=<folder of logs> model=paper mode=aliasing  # what these logs can tell
+python experiments/diagnose.py planned=leg_suite mode=aliasing   # what a suite would tell
+python experiments/diagnose.py "planned=[squat_fast,multisine_legs]" mode=aliasing
 """
 
 import sys
@@ -14,12 +16,13 @@ import torch
 import yaml
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
-from support import one_sentence
+from support import library_motion, one_sentence, plain
 
-from op3.diagnose import Diagnosis, aliasing, engine_for, split_logs
+from op3.diagnose import Diagnosis, aliasing, engine_for, planned_motions, planned_suite, split_logs
 from op3.report import run_provenance
 from op3.report.diagnosis import write_page
-from op3.rollout import read_logs
+from op3.robot import leg_suite
+from op3.rollout import Rollout, read_logs
 from op3.sim import load_model, save_model
 
 
@@ -29,13 +32,24 @@ def progress(stage: str, share: float) -> None:
         print(f"\r{stage:>8} {'#' * round(30 * share):<30} {share:4.0%}", end="", file=sys.stderr, flush=True)
 
 
+def planned_logs(cfg: DictConfig) -> list[Rollout]:
+    """What the planned excitation would give, by the model."""
+    model = load_model(cfg.model)
+    if cfg.planned == "leg_suite":
+        return planned_suite(model, leg_suite(cfg.seed))
+    names = [cfg.planned] if isinstance(cfg.planned, str) else plain(cfg.planned)
+    return planned_motions(model, [library_motion(name) for name in names])
+
+
 def diagnose(cfg: DictConfig) -> dict[str, Any]:
     """Diagnose, and write verdict, model and page into the run's folder."""
     folder = Path(HydraConfig.get().runtime.output_dir)
     if cfg.mode not in ("once", "loop", "aliasing"):
         raise ValueError(f"mode must be once, loop or aliasing, got {cfg.mode!r}")
-    data: Any = OmegaConf.to_container(cfg.data) if OmegaConf.is_config(cfg.data) else cfg.data
-    split = split_logs(read_logs(data), seed=cfg.seed)
+    if cfg.planned and cfg.mode != "aliasing":
+        raise ValueError("planned= has no measurement to diagnose: add mode=aliasing, or give data= instead")
+    data: Any = None if cfg.planned else plain(cfg.data)
+    split = split_logs(planned_logs(cfg) if cfg.planned else read_logs(data), seed=cfg.seed)
     engine = engine_for(split, cfg.fit_windows, cfg.select_windows)
     diagnosis = Diagnosis(
         load_model(cfg.model),
@@ -47,7 +61,7 @@ def diagnose(cfg: DictConfig) -> dict[str, Any]:
         cache=folder / ".diagnosis",
     )
     if cfg.mode == "aliasing":
-        content = aliasing(diagnosis)
+        content = aliasing(diagnosis, planned=bool(cfg.planned))
         (folder / "aliasing.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
         print(f"\n{content['sentence']}\n{folder / 'aliasing.yaml'}")
         return content
@@ -66,8 +80,8 @@ def main(cfg: DictConfig) -> None:
     """Compose the config and diagnose."""
     with one_sentence():
         torch.set_num_threads(1)
-        if OmegaConf.is_missing(cfg, "data"):
-            raise ValueError("data is missing: add data=<folder of logs>")
+        if OmegaConf.is_missing(cfg, "data") and not cfg.planned:
+            raise ValueError("data is missing: add data=<folder of logs>, or planned=<motions> mode=aliasing")
         diagnose(cfg)
 
 

@@ -3,6 +3,7 @@
 from op3.diagnose.aliasing import aliasing
 from op3.diagnose.diagnosis import Diagnosis
 from op3.diagnose.free_run import FreeRunResiduals, engine_for
+from op3.diagnose.planned import planned_motions, planned_suite
 from op3.diagnose.split import LogSplit, split_logs
 from op3.diagnose.verdict import Finding, Verdict
 from op3.diagnose.windows import WindowResiduals
@@ -16,5 +17,7 @@ __all__ = [
     "WindowResiduals",
     "aliasing",
     "engine_for",
+    "planned_motions",
+    "planned_suite",
     "split_logs",
 ]

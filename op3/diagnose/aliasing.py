@@ -15,18 +15,19 @@ VISIBLE = 0.3
 """Share of an effect that the base must leave for it to be seen."""
 
 
-def aliasing(diagnosis: Diagnosis, most: int = 60) -> dict[str, Any]:
+def aliasing(diagnosis: Diagnosis, most: int = 60, *, planned: bool = False) -> dict[str, Any]:
     """Visibility of every hypothesis, and pairs that look alike once the base has had its say.
 
     Args:
         diagnosis: not run yet; its base is refitted and the catalogue screened.
         most: pairs that are listed.
+        planned: whether the logs were simulated by the model, which is then not refitted.
 
     Returns:
         ``sentence``; ``visibility`` by effect and joint; ``hidden``, those below `VISIBLE`; ``alike``, pairs with their
         cosine, the most alike first.
     """
-    base = diagnosis.refit_base(diagnosis.given)
+    base = diagnosis.linearised() if planned else diagnosis.refit_base(diagnosis.given)
     best: dict[str, Screened] = {}
     for s in diagnosis.screen(base):
         label = s.hypothesis.label(diagnosis.engine.joints)

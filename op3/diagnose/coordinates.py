@@ -19,6 +19,14 @@ SPREAD: Mapping[str, float] = {
 }
 """How much servos of one make differ, as a standard deviation relative to the shared value."""
 
+FAULTS: Mapping[str, str] = {
+    "torque_constant": "torque_constant",
+    "coulomb_friction": "coulomb",
+    "viscous_friction": "viscous",
+    "static_friction_excess": "stribeck",
+}
+"""Effects of single joints that the spread of a parameter may hide."""
+
 REACH = 4.0
 """How many times smaller or larger than its start a parameter outside the catalogue's range may become."""
 
@@ -28,6 +36,12 @@ HELD = ("controller_gain",)
 SPREAD_LIMIT = 2.0
 """Standard deviations that a joint may differ; what differs more is a fault of this joint, and a hypothesis."""
 
+
+NEAR = 0.1
+"""Relative difference from the median up to which joints are taken to have one value and a spread."""
+
+OUTLIER = 1.5
+"""Standard deviations from the median of all joints beyond which a joint's own fault is looked into."""
 
 CHAIN: Mapping[str, tuple[float, float, bool]] = {
     "velocity_time_constant": (0.002, 0.0006, False),
@@ -158,6 +172,26 @@ class Coordinates:
                     result[name][:, columns] *= 1.0 + column
         return {name: value.clamp(known[name].least, known[name].most) for name, value in result.items()}
 
+    def suspects(self, point: np.ndarray) -> list[tuple[str, int, float]]:
+        """Joints that stand out by more than their servos' spread: effect, joint, and by how much, most first.
+
+        A fault of one joint draws the spread of all joints to its bounds: its own to one, the others' to the other.
+
+        Args:
+            point: of a refitted base, ``[coordinate]``.
+        """
+        found = []
+        for parameter, effect in FAULTS.items():
+            at = [i for i, e in enumerate(self.entries) if e.parameter == parameter and e.kind == "scale"]
+            if len(at) < 3:
+                continue
+            apart = (point[at] - np.median(point[at])) / self.entries[at[0]].deviation
+            worst = int(np.abs(apart).argmax())
+            columns = self.entries[at[worst]].joints
+            if abs(apart[worst]) > OUTLIER and columns is not None:
+                found.append((effect, columns[0], float(apart[worst])))
+        return sorted(found, key=lambda suspect: -abs(suspect[2]))
+
     def extended(self, model: RobotModel, more: Sequence[Coordinate]) -> "Coordinates":
         """These numbers and more, for a model with more effects."""
         return Coordinates(model, self.joints, (*self.entries, *more))
@@ -192,7 +226,10 @@ def base_coordinates(model: RobotModel, joints: Sequence[str], *, fixed_base: bo
                 span = high - low
             if known.name in HELD:
                 continue
-            entries.append(Coordinate(known.name, None, low, high, value, value, span))
+            entries.extend(
+                Coordinate(known.name, columns, low, high, start, start, span)
+                for columns, start in _alike(model, known, joints)
+            )
     if len(joints) > 1:
         for name, deviation in SPREAD.items():
             if name in model.parameters() and any(entry.parameter == name for entry in entries):
@@ -201,6 +238,20 @@ def base_coordinates(model: RobotModel, joints: Sequence[str], *, fixed_base: bo
                     Coordinate(name, (j,), -reach, reach, 0.0, 0.0, deviation, "scale") for j in range(len(joints))
                 )
     return Coordinates(model, tuple(joints), tuple(entries))
+
+
+def _alike(model: RobotModel, known: Parameter, joints: Sequence[str]) -> list[tuple[tuple[int, ...] | None, float]]:
+    """Joints that share a value, and the value: all; or those near the median, and each of the others by itself.
+
+    Joints in which an effect is off stay so.
+    """
+    own = model.tensors(joints)[known.name][0].numpy()
+    if len(own) == 1 or np.ptp(own) < 1e-12:
+        return [(None, float(own[0]))]
+    middle = float(np.median(own))
+    near = np.abs(own - middle) <= NEAR * abs(middle) + 1e-12
+    groups = [] if middle == known.neutral else [(tuple(np.flatnonzero(near).tolist()), float(own[near].mean()))]
+    return [*groups, *(((int(j),), float(own[j])) for j in np.flatnonzero(~near))]
 
 
 def _chain(known: Parameter, joints: Sequence[str]) -> list[Coordinate]:

@@ -8,16 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from op3.diagnose.coordinates import base_coordinates, other_forms, with_chain
-from op3.diagnose.decide import Contender, Decision, decide
+from op3.diagnose.backward import NEEDED, still_needed, with_findings
+from op3.diagnose.ceiling import Ceiling, ceiling, where
+from op3.diagnose.coordinates import FAULTS, base_coordinates, other_forms, with_chain
+from op3.diagnose.decide import CEILING, LOOK_ALIKE, Contender, Decision, decide, local_ceiling
 from op3.diagnose.fitting import Engine, Fit, fit_base, intervals, linearise, refit, with_point
 from op3.diagnose.free_run import engine_for
 from op3.diagnose.hypotheses import Hypothesis, hypotheses
+from op3.diagnose.locate import locate, remaining
 from op3.diagnose.preflight import too_poor
 from op3.diagnose.screen import Screened, screen
 from op3.diagnose.show import show
 from op3.diagnose.split import LogSplit
 from op3.diagnose.verdict import Finding, Verdict
+from op3.diagnose.windows import WindowResiduals
 from op3.servo import Estimate, RobotModel
 from op3.servo.effect import parameter
 from op3.sim import model_hash
@@ -25,8 +29,21 @@ from op3.sim import model_hash
 SHORTLIST = 6
 """Hypotheses that are refitted, by what the screen credits them with."""
 
-SHARED = 3
+SHARED = 2
 """Hypotheses of all joints alike that are refitted besides: a base may have absorbed them."""
+
+PARTNERS = 2
+"""Look-alikes of the leader that are refitted besides, if the screen credits them with half of what it has."""
+
+CELLS = 20
+"""Cells of residual torque that are kept."""
+
+FORM_ERROR = 0.2
+"""Standard deviation of a size, relative, from laws that are not quite the robot's: what separates sizes from
+the truth on development legs. Leaving out seconds does not show it."""
+
+QUANTILE = 1.645
+"""Of a 90 % interval."""
 
 BOUND = 1e-3
 """A size this close to its bound, as a share of its range, is implausible."""
@@ -105,6 +122,12 @@ class Diagnosis:
             np.savez(place, point=fit.point, form=[m is fit.coordinates.model for m in forms].index(True))
         return fit
 
+    def linearised(self) -> Fit:
+        """The given model as it is, with the Jacobian of everything that a base would refit."""
+        full = with_chain(self.given) if "current_pd" in self.given.effect_names else self.given
+        coordinates = base_coordinates(full, self.engine.joints, fixed_base=self.fixed_base)
+        return linearise(self.engine, coordinates, coordinates.start)
+
     def _key(self, model: RobotModel) -> str:
         """Sixteen hex digits of everything that decides where the base ends."""
         digest = hashlib.sha256(f"{model_hash(model)} {len(self.engine.is_fit)} {self.engine.is_fit.sum()}".encode())
@@ -126,18 +149,37 @@ class Diagnosis:
         for _ in range(rounds):
             verdict = self._round(model)
             verdicts.append(verdict)
-            if verdict.verdict != "named":
+            if verdict.verdict != "named" or verdict.vetoed:
                 break
             model = verdict.model
-        if len(verdicts) == 1:
+        if sum(verdict.verdict == "named" and not verdict.vetoed for verdict in verdicts) < 2:
             return verdicts[0]
-        return self._together(verdicts)
+        return self._backward(self._together(verdicts))
+
+    def _backward(self, verdict: Verdict) -> Verdict:
+        """Drop what later names have made superfluous, and what is alike to them in the other order."""
+        shares = still_needed(self.engine, self.given, verdict.effects, verdict.model, fixed_base=self.fixed_base)
+        kept = tuple(e for e, share in zip(verdict.effects, shares, strict=True) if share >= NEEDED)
+        if len(kept) == len(verdict.effects):
+            return verdict
+        gone = [e.name for e, share in zip(verdict.effects, shares, strict=True) if share < NEEDED]
+        base = self.refit_base(with_findings(self.given, kept, verdict.model, self.engine.joints))
+        model = with_point(base.coordinates, base.point)
+        shown = show(verdict.base, model, self.split, lambda share: self._report("show", share))
+        return replace(
+            verdict,
+            effects=kept,
+            reason=f"{verdict.reason}; beside what was named later, {', '.join(gone)} is not needed",
+            model=verdict.base if shown["vetoed"] else model,
+            gap=shown["gap"],
+            loss=shown["loss"],
+            vetoed=bool(shown["vetoed"]),
+            details={**verdict.details, "shown": shown},
+        )
 
     def _together(self, verdicts: Sequence[Verdict]) -> Verdict:
         """All that rounds have named, with the gap from first to last."""
-        named = [verdict for verdict in verdicts if verdict.verdict == "named"]
-        if not named:
-            return verdicts[0]
+        named = [verdict for verdict in verdicts if verdict.verdict == "named" and not verdict.vetoed]
         last = named[-1]
         effects = tuple(effect for verdict in named for effect in verdict.effects)
         gap = {
@@ -154,7 +196,16 @@ class Diagnosis:
         fitted = with_point(base.coordinates, base.point)
         self.screened = self.screen(base)
         control, self.refitted = self._refit(base)
-        decision = decide([r.contender for r in self.refitted], self._losses(control), rng)
+        windows = self.engine if isinstance(self.engine, WindowResiduals) else None
+        located = locate(windows, base, self.seed) if windows else []
+        box = ceiling(windows, base, control.residual, self.seed) if windows else None
+        decision = decide(
+            [r.contender for r in self.refitted],
+            self._losses(control),
+            rng,
+            ceiling=None if box is None else local_ceiling(box.gain, box.by_joint),
+            left=self._left(control),
+        )
         members = [self.refitted[i] for i in decision.candidates]
         findings = tuple(
             self._finding(r, base, float(decision.shares[i]))
@@ -165,24 +216,45 @@ class Diagnosis:
         if decision.verdict in ("named", "ambiguous"):
             after = _with_finding(members[0], findings[0], self.engine.joints)
         shown = show(fitted, after, self.split, lambda share: self._report("show", share))
+        vetoed = bool(shown["vetoed"]) and bool(findings)
         return Verdict(
             verdict=decision.verdict,
             effects=findings,
-            reason=decision.reason,
-            model=after,
+            reason=self._reason(decision, control, box),
+            model=fitted if vetoed else after,
             base=fitted,
             cannot_tell=too_poor(self.split),
             separate_by=_separating(members) if decision.verdict == "ambiguous" else "",
             gap=shown["gap"],
             loss=shown["loss"],
-            vetoed=bool(shown["vetoed"]) and bool(findings),
-            details=self._details(decision, shown),
+            vetoed=vetoed,
+            details={
+                **self._details(decision, shown),
+                "located": [cell.plain() for cell in located[:CELLS]],
+                "ceiling": {}
+                if box is None
+                else {"gain": round(box.gain, 4), "inputs": where(box, self.engine.joints)},
+            },
         )
+
+    def _left(self, fit: Fit) -> np.ndarray:
+        """Residual velocity by joint, in standard deviations of a reading; empty for free runs."""
+        return remaining(self.engine, fit.residual) if isinstance(self.engine, WindowResiduals) else np.zeros(0)
+
+    def _reason(self, decision: Decision, control: Fit, box: Ceiling | None) -> str:
+        """The reason; of an unknown verdict also where the gap is and on what it depends."""
+        if decision.verdict != "unknown":
+            return decision.reason
+        left = self._left(control)
+        place = f"; the gap is largest in {self.engine.joints[int(left.argmax())]}" if left.size else ""
+        if box is not None and (local_ceiling(box.gain, box.by_joint) or 0.0) > CEILING:
+            place += f"; a black box finds it {where(box, self.engine.joints)}"
+        return decision.reason + place
 
     def _refit(self, base: Fit) -> tuple[Fit, list[Refitted]]:
         """Refit the no-op control and the shortlist."""
-        control = refit(self.engine, base, base.coordinates, base.point, iterations=3)
-        picked = shortlist(self.screened)
+        control = refit(self.engine, base, base.coordinates, base.point)
+        picked = shortlist(self.screened, base.coordinates.suspects(base.point))
         result = []
         for number, screened in enumerate(picked):
             hypothesis = screened.hypothesis
@@ -190,7 +262,9 @@ class Diagnosis:
             share = screened.share if abs(screened.share) > 0.3 else 0.5 * (np.sign(screened.share) or 1.0)
             coordinates, more = hypothesis.coordinates(base.coordinates, secant, share)
             fit = refit(self.engine, base, coordinates, np.concatenate([control.point, more]))
-            result.append(Refitted(hypothesis, screened, fit, self._contender(hypothesis, fit, control, base)))
+            result.append(
+                Refitted(hypothesis, screened, fit, self._contender(hypothesis, fit, control, base, screened.direction))
+            )
             self._report("refit", (number + 1) / len(picked))
         return control, result
 
@@ -199,7 +273,7 @@ class Diagnosis:
         index = np.unique(self.engine.blocks, return_inverse=True)[1]
         return np.bincount(index, np.square(fit.residual.astype(np.float64)).sum(1))
 
-    def _contender(self, hypothesis: Hypothesis, fit: Fit, control: Fit, base: Fit) -> Contender:
+    def _contender(self, hypothesis: Hypothesis, fit: Fit, control: Fit, base: Fit, direction: np.ndarray) -> Contender:
         held = ~self.engine.is_fit
 
         def gain(where: np.ndarray) -> float:
@@ -218,9 +292,11 @@ class Diagnosis:
             gain=gain(held),
             fit_gain=gain(self.engine.is_fit),
             losses=self._losses(fit),
-            size=float(at),
+            size=_apart(hypothesis, fit, float(at)),
             smallest=_smallest(hypothesis, entry.parameter),
             implausible=bool(entry.high - at < reach or at - entry.low < reach),
+            left=self._left(fit),
+            direction=direction,
         )
 
     def _size_at(self, hypothesis: Hypothesis, fit: Fit, base: Fit) -> int:
@@ -246,8 +322,8 @@ class Diagnosis:
                 e.parameter: v + (hypothesis.model.value(e.parameter) if e.kind == "add" else 0.0)
                 for (_, v), e in zip(values.items(), fit.coordinates.entries[known:], strict=True)
             }
-        size = start + float(fit.point[place])
-        width = float(half[place - known])
+        size = _apart(hypothesis, fit, start + float(fit.point[place]))
+        width = float(np.hypot(half[place - known], FORM_ERROR * QUANTILE * (size - start)))
         limit = parameter(entry.parameter)
         low, high = (
             (max(limit.least, size - width), min(limit.most, size + width))
@@ -304,15 +380,34 @@ class Diagnosis:
         return {"ranking": ranking, "shown": shown, "joints": list(joints)}
 
 
-def shortlist(screened: Sequence[Screened]) -> list[Screened]:
-    """What is refitted: the best secant of the best hypotheses, and the best of those in all joints."""
+def shortlist(screened: Sequence[Screened], suspects: Sequence[tuple[str, int, float]] = ()) -> list[Screened]:
+    """What is refitted.
+
+    The best secants of the best hypotheses, look-alikes of the leader, the best in all joints, and faults of single
+    joints that the spread of the base's servos hides.
+
+    Args:
+        screened: every secant of every hypothesis.
+        suspects: see `op3.diagnose.coordinates.Coordinates.suspects`.
+    """
     best: dict[int, Screened] = {}
     for s in sorted(screened, key=_credit, reverse=True):
         best.setdefault(id(s.hypothesis), s)
     ordered = [s for s in best.values() if s.strength > 0 and s.visibility > 0.02]
     picked = ordered[:SHORTLIST]
+    partners = [
+        s
+        for s in ordered[SHORTLIST:]
+        if _credit(s) > 0.5 * _credit(picked[0]) and abs(float(s.direction @ picked[0].direction)) > LOOK_ALIKE
+    ]
+    picked = picked + partners[:PARTNERS]
     shared = [s for s in ordered if s.hypothesis.joints is None and s not in picked]
-    return picked + shared[:SHARED]
+    picked = picked + shared[:SHARED]
+    for name, joint, apart in suspects:
+        for s in best.values():
+            if s.hypothesis.effect.name == name and s.hypothesis.joints == (joint,) and s not in picked:
+                picked.append(replace(s, share=float(np.sign(apart)) * max(1.0, abs(s.share))))
+    return picked
 
 
 def _credit(s: Screened) -> float:
@@ -326,6 +421,23 @@ def _smallest(hypothesis: Hypothesis, name: str) -> float:
         return effect.smallest
     known = parameter(name)
     return 0.1 * (known.high - known.low)
+
+
+def _apart(hypothesis: Hypothesis, fit: Fit, size: float) -> float:
+    """The size; of a fault of one joint, how far the joint is from the others: the spread has a share in it."""
+    effect, joints = hypothesis.effect.name, hypothesis.joints
+    if effect not in FAULTS.values() or joints is None or len(joints) != 1:
+        return size
+    (own,) = joints
+    values = {name: value[0].numpy() for name, value in fit.parameters.items()}
+    parameter = next(name for name, fault in FAULTS.items() if fault == effect)
+    if parameter not in values or len(values[parameter]) < 3:
+        return size
+    whole = values[parameter]
+    if effect == "torque_constant":
+        whole = whole * (1.0 + values["torque_constant_error"])
+    others = float(np.median(np.delete(whole, own)))
+    return float(whole[own] / others - 1.0) if effect == "torque_constant" else float(whole[own] - others)
 
 
 def _with_finding(refitted: Refitted, finding: Finding, joints: Sequence[str]) -> RobotModel:

@@ -15,7 +15,7 @@ from op3.servo import Estimate, RobotModel
 STEP = 1e-2
 """Step of finite differences, as a share of a coordinate's range: above the kinks of stiction."""
 
-LADDER = (1.0, 0.5, 0.2, 0.05)
+LADDER = (1.0, 0.6, 0.3, 0.08)
 """Shares of a Gauss-Newton step that are tried at once."""
 
 INFORMATION = 0.02
@@ -57,6 +57,7 @@ class Fit:
         jacobian: of the residuals of all windows, ``[window, residual, coordinate]``; None unless asked for.
         residual: of all windows, ``[window, residual]``.
         columns: Jacobian of the coordinates beyond those of the base, of the fitted windows.
+        coarse_error: what a coarse simulation at the point adds to the residual, ``[window, residual]``.
     """
 
     coordinates: Coordinates
@@ -65,6 +66,7 @@ class Fit:
     residual: np.ndarray
     jacobian: np.ndarray | None = None
     columns: np.ndarray | None = None
+    coarse_error: np.ndarray | None = None
 
     @property
     def parameters(self) -> dict[str, Tensor]:
@@ -76,7 +78,7 @@ def fit_base(
     engine: Engine,
     coordinates: Coordinates,
     *,
-    rounds: int = 3,
+    rounds: int = 4,
     start: np.ndarray | None = None,
     alternatives: Sequence[RobotModel] = (),
     progress: Callable[[float], None] | None = None,
@@ -125,16 +127,20 @@ def fit_base(
 def linearise(engine: Engine, coordinates: Coordinates, point: np.ndarray) -> Fit:
     """Residuals and Jacobian at a point, on all windows, whitened by the model there."""
     engine.prepare(with_point(coordinates, point))
-    residual = engine.residuals(coordinates.model, coordinates.values(point[None]), 1)[0]
+    values = coordinates.values(point[None])
+    residual = engine.residuals(coordinates.model, values, 1)[0]
+    coarse = engine.residuals(coordinates.model, values, 1, coarse=True)[0]
     jacobian = _jacobian(engine, coordinates, point, fit_only=False)
-    return Fit(coordinates, point, mean_square(residual[engine.is_fit]), residual, jacobian)
+    return Fit(
+        coordinates, point, mean_square(residual[engine.is_fit]), residual, jacobian, coarse_error=coarse - residual
+    )
 
 
 def _jacobian(engine: Engine, coordinates: Coordinates, point: np.ndarray, fit_only: bool) -> np.ndarray:
     """Differences of the residuals, inwards at the bounds, ``[window, residual, coordinate]``."""
     step = _steps(coordinates, point)
     points = np.concatenate([[point], point + np.diag(step)])
-    result = engine.residuals(coordinates.model, coordinates.values(points), len(points), fit_only=fit_only)
+    result = engine.residuals(coordinates.model, coordinates.values(points), len(points), fit_only, coarse=True)
     return np.moveaxis(result[1:] - result[0], 0, -1) / step.astype(np.float32)
 
 
@@ -156,13 +162,14 @@ def refit(
     coordinates: Coordinates,
     start: np.ndarray,
     *,
-    iterations: int = 5,
+    iterations: int = 3,
 ) -> Fit:
     """Gauss-Newton over a base and a few more coordinates, the base's Jacobian kept.
 
-    Only the columns of the new coordinates are renewed, which makes an iteration cost a handful of simulations
+    Only the columns of the new coordinates are renewed, which makes an iteration cost two small batches of simulations
     however many parameters the base has; the step is searched along its length, so that a Jacobian that is no longer
-    quite right costs speed and not correctness.
+    quite right costs speed and not correctness. Simulations are coarse: what is added to the base's residual is the
+    difference of two coarse ones.
 
     Args:
         engine: gives the residuals.
@@ -172,34 +179,44 @@ def refit(
         iterations: at most so many steps.
     """
     assert base.jacobian is not None
-    known = len(base.coordinates)
-    evaluate = _penalised(engine, coordinates)
-    fitted = base.jacobian[engine.is_fit]
-    rows = fitted.shape[0] * fitted.shape[1]
-    best = np.clip(start, coordinates.low, coordinates.high)
-    loss, columns = np.inf, None
+    assert base.coarse_error is not None
+    known, is_fit = len(base.coordinates), engine.is_fit
+    fitted = base.jacobian[is_fit]
+
+    def simulate(points: np.ndarray) -> np.ndarray:
+        values = coordinates.values(points)
+        return engine.residuals(coordinates.model, values, len(points), coarse=True) - base.coarse_error
+
+    def losses(points: np.ndarray, residuals: np.ndarray) -> np.ndarray:
+        data = np.square(residuals[:, is_fit].astype(np.float64)).sum((1, 2))
+        return data + np.square(coordinates.penalties(points)).sum(1) / INFORMATION
+
+    best, columns = np.clip(start, coordinates.low, coordinates.high), None
+    residual, loss = None, np.inf
     for _ in range(iterations):
-        residual = evaluate(best[None])[0]
-        loss = float(np.square(residual).sum())
         step = _steps(coordinates, best)[known:]
         probes = np.concatenate([[best], best + np.eye(len(best))[known:] * step[:, None]])
-        moved = engine.residuals(coordinates.model, coordinates.values(probes), len(probes), fit_only=True).reshape(
-            len(probes), rows
-        )
-        columns = ((moved[1:] - moved[0]) / step[:, None].astype(np.float32)).T.reshape(*fitted.shape[:2], -1)
+        moved = simulate(probes)
+        if residual is None:
+            residual, loss = moved[0], float(losses(best[None], moved[:1])[0])
+        columns = np.moveaxis((moved[1:] - moved[0])[:, is_fit], 0, -1) / step.astype(np.float32)
         jacobian = _with_penalty(np.concatenate([fitted, columns], -1), coordinates)
-        direction = bounded_step(jacobian, residual, coordinates.low - best, coordinates.high - best)
+        now = np.concatenate(
+            [moved[0, is_fit].reshape(-1).astype(np.float64), coordinates.penalties(best) / np.sqrt(INFORMATION)]
+        )
+        direction = bounded_step(jacobian, now, coordinates.low - best, coordinates.high - best)
         points = best + np.array(LADDER)[:, None] * direction
-        losses = np.square(evaluate(points)).sum(1)
-        winner = int(losses.argmin())
-        if losses[winner] >= loss:
+        tried = simulate(points)
+        reached = losses(points, tried)
+        winner = int(reached.argmin())
+        if reached[winner] >= loss:
             break
-        gained = 1 - losses[winner] / loss
-        best, loss = points[winner], float(losses[winner])
+        gained = 1 - reached[winner] / loss
+        best, loss, residual = points[winner], float(reached[winner]), tried[winner]
         if gained < 2e-3:
             break
-    residual = engine.residuals(coordinates.model, coordinates.values(best[None]), 1)[0]
-    return Fit(coordinates, best, mean_square(residual[engine.is_fit]), residual, None, columns)
+    assert residual is not None
+    return Fit(coordinates, best, mean_square(residual[is_fit]), residual, None, columns)
 
 
 def intervals(engine: Engine, base: Fit, fit: Fit, level: float = 0.9) -> np.ndarray:

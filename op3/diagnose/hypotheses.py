@@ -16,6 +16,9 @@ from op3.sim.pendulum_simulation import LINK, ROTOR
 CHAIN_TIMING = ("latency", "current_lag", "velocity_filter")
 """Effects of firmware and bus, which all joints share."""
 
+OF_THE_MOTOR = ("torque_constant", "terminal_resistance")
+"""Errors of what the motor has as parameters: in all joints they are what a base refits anyway."""
+
 POSITION_ONLY = ("position_servo", "minimum_duty")
 """Effects of servos with a position loop of their own."""
 
@@ -136,6 +139,7 @@ def _places(base: RobotModel, model: RobotModel, effect: type[Effect], joints: S
     secants = tuple(secant for secant in secants if secant)
     known = [p.name in CHAIN or p.name in HELD for p in effect.parameters]
     refitted = name in base.effect_names and not any(known)
+    refitted |= name in OF_THE_MOTOR and "motor" in base.effect_names
     if {"shared", "robot"} & set(effect.scopes) and not refitted:
         yield Hypothesis(effect, None, model, secants)
     if "joint" in effect.scopes and name not in CHAIN_TIMING and len(joints) > 1:

@@ -14,7 +14,7 @@ from op3.diagnose.coordinates import CHAIN
 from op3.diagnose.fitting import INFORMATION, Engine, Fit
 from op3.diagnose.hypotheses import Hypothesis, stacked
 
-FURTHEST = 2.5
+FURTHEST = 5.0
 """How far beyond its secant a hypothesis is extrapolated, in secants."""
 
 
@@ -75,6 +75,13 @@ class Projector:
         fit = column[self._is_fit].reshape(-1).astype(np.float64)
         rest = column[~self._is_fit].reshape(-1).astype(np.float64)
         step = self._solve(self._fit.T @ fit)
+        return fit - self._fit @ step, rest - self._rest @ step
+
+    def split_many(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The same of columns ``[window, residual, column]``, as matrices ``[residual, column]``."""
+        count = columns.shape[-1]
+        fit, rest = (columns[where].reshape(-1, count) for where in (self._is_fit, ~self._is_fit))
+        step = self._scale[:, None] * linalg.cho_solve(self._factor, self._scale[:, None] * (self._fit.T @ fit))
         return fit - self._fit @ step, rest - self._rest @ step
 
 

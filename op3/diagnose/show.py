@@ -17,6 +17,9 @@ from op3.tasks import Prediction, Replay
 RESAMPLES = 500
 """Bootstrap resamples of runs and seconds."""
 
+REPEATS = 2
+"""Repeats of one command that are simulated; all of them tell the floor."""
+
 CHANNELS = {("joint", "position"): "rad", ("joint", "velocity"): "rad/s", ("joint", "current"): "A"}
 """Channels whose gap is shown, and their units."""
 
@@ -63,11 +66,12 @@ def show(
         seed: of the bootstrap.
 
     Returns:
-        ``gap`` by channel with ``before``, ``after`` and ``floor`` as root mean squares over all joints of the logs,
+        ``gap`` by channel with ``before``, ``after``, ``floor`` and ``systematic`` (what all repeats have in common,
+        under the first model) as root mean squares over all joints of the logs,
         each with a 90 % interval over seconds; ``loss`` with ``paper_eq7`` before and after; ``vetoed``, whether the
         free run did not improve; and the predictions.
     """
-    logs = split.show
+    logs = shown_logs(split)
     first = free_runs(before, logs)
     if progress is not None:
         progress(0.5)
@@ -89,6 +93,7 @@ def show(
             "before": _root(blocks[0]),
             "after": _root(blocks[1]),
             "floor": _floor(split, key),
+            "systematic": _systematic(split, first, logs, key),
             "unit": unit,
             "before_interval": _interval(blocks[0], rng),
             "after_interval": _interval(blocks[1], rng),
@@ -102,6 +107,12 @@ def show(
         "before": first,
         "after": second,
     }
+
+
+def shown_logs(split: LogSplit) -> tuple[Rollout, ...]:
+    """Logs that are simulated: no more than `REPEATS` of one command, as their free runs are nearly the same."""
+    left_out = {i for group in split.repeats for i in group[REPEATS:]}
+    return tuple(log for i, log in enumerate(split.show) if i not in left_out)
 
 
 def _squares(predictions: Sequence[Prediction], logs: Sequence[Rollout], key: tuple[str, str]) -> np.ndarray:
@@ -141,6 +152,28 @@ def _floor(split: LogSplit, key: tuple[str, str]) -> float | None:
         values = np.stack([split.show[i].array(key) for i in group])
         squares.append(np.square(values - values.mean(0)).sum(0).mean() / (len(group) - 1))
     return float(np.sqrt(np.mean(squares))) if squares else None
+
+
+def _systematic(
+    split: LogSplit, predictions: Sequence[Prediction], logs: Sequence[Rollout], key: tuple[str, str]
+) -> float | None:
+    """Root of the squared gap that every repeat has, without what noise adds to it; None without repeats.
+
+    The mean of R repeats less the prediction, squared, holds a share 1/R of the noise's variance, which is taken off.
+    """
+    places, squares = {id(log): i for i, log in enumerate(logs)}, []
+    for group in split.repeats:
+        values = np.stack([split.show[i].array(key) for i in group])
+        noise = np.square(values - values.mean(0)).sum(0).mean() / (len(group) - 1)
+        simulated = []
+        for i in group:
+            at = places.get(id(split.show[i]))
+            if at is not None:
+                columns = [predictions[at].log.joints.index(joint) for joint in logs[at].joints]
+                simulated.append(predictions[at].channels[key][0].numpy()[:, columns])
+        gap = np.square(values.mean(0) - np.mean(simulated, 0)).mean()
+        squares.append(np.nan_to_num(gap - noise / len(group), nan=1e6))
+    return float(np.sqrt(max(float(np.mean(squares)), 0.0))) if squares else None
 
 
 def _closure(entry: Mapping[str, Any]) -> float | None:

@@ -68,7 +68,7 @@ class Verdict:
         gap: by channel, before and after on the runs that show.
         loss: ``paper_eq7`` before and after on the runs that show.
         vetoed: whether the free run on the runs that show is no better, although windows are.
-        details: tables for the page: screen, contenders, base parameters, cells.
+        details: tables for the page: ranking, cells of residual torque, what a black box explains.
     """
 
     verdict: str
@@ -87,6 +87,8 @@ class Verdict:
     def sentence(self) -> str:
         """The verdict in one sentence."""
         found = " and ".join(_phrase(effect) for effect in self.effects)
+        if self.verdict == "named" and self.vetoed:
+            return f"Windows ask for {found}, but free runs are no better with it; the model was left without."
         if self.verdict == "named":
             return f"The model lacks {found}."
         if self.verdict == "ambiguous":
@@ -113,6 +115,8 @@ class Verdict:
         content["gap"] = {name: dict(values) for name, values in self.gap.items()}
         content["loss"] = dict(self.loss)
         content["vetoed"] = self.vetoed
+        content["located"] = list(self.details.get("located", ()))
+        content["ceiling"] = dict(self.details.get("ceiling", {}))
         content["ranking"] = list(self.details.get("ranking", ()))
         return content
 

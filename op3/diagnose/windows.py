@@ -128,6 +128,7 @@ class WindowResiduals:
         )
         self._starts = [Window(0, k * rows + PREROLL) for k in range(len(self.windows))]
         self._edits: dict[tuple[str, int | None], TrajectoryDynamics | None] = {}
+        self._unchanged: dict[int, TrajectoryDynamics] = {}
 
     def _dynamics(self) -> TrajectoryDynamics:
         parts = [
@@ -145,7 +146,9 @@ class WindowResiduals:
                 if changed is None:
                     break
                 here = base.along(changed, self._position[at], self._velocity[at])
-                before = base.along(base.mj_model, self._position[at], self._velocity[at])
+                if id(base) not in self._unchanged:
+                    self._unchanged[id(base)] = base.along(base.mj_model, self._position[at], self._velocity[at])
+                before = self._unchanged[id(base)]
                 parts.append((at, _difference(here, before, amount)))
             self._edits[key] = _merged(parts, len(self._position)) if len(parts) == len(self._tilted) else None
         return self._edits[key]
@@ -237,6 +240,12 @@ class WindowResiduals:
         along = basis.transpose(0, 2, 1) @ flat.transpose(1, 2, 0)
         kept = flat - (basis @ (shrink[..., None] * along)).transpose(2, 0, 1)
         return kept * self._weight[: flat.shape[1], None]
+
+    def unwhitened(self, residual: np.ndarray) -> np.ndarray:
+        """Whitened residuals ``[window, residual]`` in their units, ``[window, tick, joint, channel]``."""
+        assert self.scale is not None
+        plain = residual / self._weight[:, None]
+        return plain.reshape(len(residual), self.ticks + 1, len(self.joints), len(self.channels)) * self.scale
 
     def residuals(
         self,

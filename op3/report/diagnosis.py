@@ -10,6 +10,9 @@ from op3.report.page import Page
 from op3.report.traces import traces_figure
 from op3.servo import effect_class
 
+LOCATED = 10
+"""Cells of residual torque on the page."""
+
 RANKED = 12
 """Hypotheses listed on the page."""
 
@@ -32,6 +35,7 @@ def write_page(verdict: Verdict, split: LogSplit, path: Path, provenance: Mappin
         note = f"before {values['before']:.3g}" + ("" if floor is None else f", repeats differ by {floor:.3g}")
         page.tile(f"Gap in {channel.split('/')[1]}", values["after"], values["unit"], note)
     _gap(page, verdict)
+    _where(page, verdict)
     _why(page, verdict)
     _traces(page, verdict, split)
     _base(page, verdict)
@@ -66,6 +70,29 @@ def _gap(page: Page, verdict: Verdict) -> None:
     if verdict.loss:
         page.text(
             f"Loss of the paper's eq. (7): {verdict.loss['before']:.4g} before, {verdict.loss['after']:.4g} after."
+        )
+
+
+def _where(page: Page, verdict: Verdict) -> None:
+    """Cells of residual torque, and what a black box makes of them."""
+    cells = verdict.details.get("located", ())[:LOCATED]
+    if not cells:
+        return
+    page.section("Where the refitted base lacks torque")
+    rows = [
+        [c["joint"], c["speed"], c["driven"], c["load"], 1e3 * c["torque"], c["t"], 100 * c["chance"]] for c in cells
+    ]
+    page.table(
+        ["joint", "speed", "motor", "load", "torque [mN m]", "t", "by chance [%]"],
+        rows,
+        "Mean residual torque in the direction of motion, the surest first; the last column is how often the largest of"
+        " all cells is as large when the signs of whole seconds are drawn at random",
+    )
+    box = verdict.details.get("ceiling", {})
+    if box:
+        page.text(
+            f"A black box learned on the fitted runs explains {max(box['gain'], 0.0):.0%} of the residual of the"
+            f" choosing runs, {box['inputs']}."
         )
 
 

@@ -68,6 +68,7 @@ def trajectory_dynamics(
     dof = np.arange(model.nv)[ports.dof]
     address = np.arange(model.nq)[ports.qpos]
     full_mass, bias = np.zeros((model.nv, model.nv)), np.zeros(model.nv)
+    rows = dof[:, None]
     armature = np.diag(model.dof_armature[dof])
     result = TrajectoryDynamics(
         mass=np.zeros((ticks, count, count)),
@@ -91,7 +92,7 @@ def trajectory_dynamics(
         result.bias[tick] = torque()
         mujoco.mj_crb(model, data)
         mujoco.mj_fullM(model, data, full_mass)
-        result.mass[tick] = full_mass[np.ix_(dof, dof)] - armature
+        result.mass[tick] = full_mass[rows, dof] - armature
         if radial_force:
             mujoco.mj_forward(model, data)
             data.qacc[:] = 0.0

@@ -412,18 +412,15 @@ def solve(mass: Tensor, total: Tensor, velocity: Tensor, force: Tensor, bound: T
         bound: largest impulses of friction [N m s].
         guess: change of velocity to start from.
     """
-    u = list(guess.unbind(0))
-    others = [[j for j in range(len(u)) if j != i] for i in range(len(u))]
+    u = guess.clone()
+    others = mass.clone()  # without its diagonal, so that a sum over a row is over the other joints
+    torch.diagonal(others).zero_()
     reach = torch.addcmul(force, total, velocity)
+    mobility, lowest, rest = 1.0 / total, -bound, -velocity
     for _ in range(SWEEPS):
-        for i, rest in enumerate(others):
-            impulse = reach[i]
-            for j in rest:
-                impulse = torch.addcmul(impulse, mass[i, j], u[j], value=-1.0)
-            u[i] = _shrink(impulse, bound[i]) / total[i] - velocity[i]
-    return torch.stack(u)
-
-
-def _shrink(impulse: Tensor, bound: Tensor) -> Tensor:
-    """The impulse less what friction takes of it, never reversed."""
-    return impulse - torch.clamp(impulse, -bound, bound)
+        for i in range(len(u)):
+            impulse = reach[i] - (others[i] * u).sum(0)
+            # what friction leaves of the impulse, never reversed
+            impulse -= torch.clamp(impulse, lowest[i], bound[i])
+            torch.addcmul(rest[i], impulse, mobility[i], out=u[i])
+    return u

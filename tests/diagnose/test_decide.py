@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from op3.diagnose.decide import Contender, decide, difference_interval, pick_shares
+from op3.diagnose.decide import Contender, decide, difference_interval, local_ceiling, pick_shares
 
 BLOCKS = 60
 
@@ -65,6 +65,50 @@ def test_black_box_that_explains_much_more_is_unknown(control, rng):
     assert decide([contender("dte", 0.05)], control, rng, ceiling=0.5).verdict == "unknown"
     assert decide([contender("dte", 0.01)], control, rng, ceiling=0.5).verdict == "unknown"
     assert decide([contender("dte", 0.40)], control, rng, ceiling=0.5).verdict == "named"
+
+
+def test_gain_of_a_few_odd_seconds_is_not_a_name(control, rng):
+    """A tenth of the residual explained, all of it in three seconds: t is below two, and nothing is named."""
+    odd = contender("compliance@4", 0.10)
+    losses = np.ones(BLOCKS)
+    losses[:3] -= 2.0
+    decision = decide([dataclasses.replace(odd, losses=losses)], control, rng)
+    assert decision.verdict == "nothing_missing"
+
+
+def test_gap_of_one_joint_that_no_effect_closes_is_unknown(control, rng):
+    """A joint whose residual is five times that of the others: unknown, unless the best effect brings it down."""
+    left = np.array([2.0, 2.0, 10.0, 2.0])
+    for after, verdict in ((9.5, "unknown"), (2.5, "named")):
+        best = dataclasses.replace(contender("viscous@2", 0.3), left=np.array([2.0, 2.0, after, 2.0]))
+        assert decide([best], control, rng, left=left).verdict == verdict
+    assert decide([], control, rng, left=left).verdict == "unknown"
+
+
+def test_gap_that_all_joints_share_is_no_outsider(control, rng):
+    """Where the residuals of all joints are large, no joint stands out, and the gap alone says nothing."""
+    assert decide([contender("dte", 0.01)], control, rng, left=np.full(6, 9.0)).verdict == "nothing_missing"
+
+
+def test_black_box_counts_where_one_joint_carries_it():
+    """Torque that a black box finds in all joints alike is a law that is a little wrong, not an outsider."""
+    assert local_ceiling(0.3, np.array([0.05, 0.06, 0.1, 0.09])) is None
+    assert local_ceiling(0.2, np.array([0.0, 0.18, 0.01])) == pytest.approx(0.18)
+    assert local_ceiling(0.0, np.zeros(3)) is None
+
+
+def test_size_beyond_what_is_plausible_is_not_a_name(control, rng):
+    """An effect that explains much but only at the bound of its range is unknown."""
+    assert decide([dataclasses.replace(contender("dte", 0.3), implausible=True)], control, rng).verdict == "unknown"
+
+
+def test_look_alikes_by_cosine_are_candidates(control, rng):
+    """Effects of different classes whose secants point the same way are both candidates; else the better is named."""
+    first = dataclasses.replace(contender("link_com@1", 0.30, noise=0.15), direction=np.array([1.0, 0.0]))
+    for direction, verdict in (([0.9, 0.436], "ambiguous"), ([0.0, 1.0], "named")):
+        second = contender("encoder_offset@2", 0.26, seed=1, noise=0.15)
+        second = dataclasses.replace(second, direction=np.array(direction))
+        assert decide([first, second], control, rng).verdict == verdict
 
 
 def test_shares_sum_to_one_and_follow_the_loss(rng):

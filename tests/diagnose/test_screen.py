@@ -5,10 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from op3.diagnose.backward import with_findings
 from op3.diagnose.coordinates import Coordinate, Coordinates, base_coordinates, with_chain
 from op3.diagnose.fitting import Fit, bounded_step
 from op3.diagnose.motion import HALF_WIDTH, VELOCITY_LAG, kernels
 from op3.diagnose.screen import Projector, _score
+from op3.diagnose.verdict import Finding
+from op3.servo import Estimate, effect_class
 from op3.sim import load_model
 
 WINDOWS, RESIDUALS = 40, 30
@@ -103,3 +106,45 @@ def test_base_of_a_held_robot_leaves_out_what_cannot_be_seen():
     assert "base_mass_offset" not in names
     assert "forward_efficiency" not in names
     assert {"torque_constant", "backward_efficiency", "velocity_time_constant", "bristle_compliance"} <= names
+
+
+def test_joint_that_stands_out_of_the_spread_is_suspected():
+    """A fault draws its own joint's spread to one bound and the others' to the other; equal joints raise none."""
+    coordinates = base_coordinates(load_model("paper"), ("a", "b", "c", "d"), fixed_base=True)
+    point = coordinates.start.copy()
+    assert coordinates.suspects(point) == []
+    for i, entry in enumerate(coordinates.entries):
+        if entry.parameter == "coulomb_friction" and entry.kind == "scale":
+            point[i] = 0.06 if entry.joints == (2,) else -0.06
+    ((effect, joint, apart),) = coordinates.suspects(point)
+    assert (effect, joint) == ("coulomb", 2)
+    assert apart == pytest.approx(4.0)
+
+
+def test_named_fault_of_one_joint_stays_in_its_joint():
+    """In the next round a faulty joint keeps its own value, and the gap of one joint does not spread to others."""
+    joints = ("a", "b", "c")
+    model = load_model("paper").with_effect(effect_class("backlash")())
+    own = {"coulomb_friction": {"b": 0.2}, "backlash_half_gap": {"b": 0.003}}
+    for name, values in own.items():
+        rest = 0.1 if name == "coulomb_friction" else 0.0
+        model = model.with_values({name: Estimate(rest, joints={j: values.get(j, rest) for j in joints})})
+    entries = base_coordinates(model, joints, fixed_base=True).entries
+    places = {n: [e.joints for e in entries if e.parameter == n and e.kind == "value"] for n in own}
+    assert places == {"coulomb_friction": [(0, 2), (1,)], "backlash_half_gap": [(1,)]}
+
+
+def test_findings_add_up_in_a_model():
+    """What was found is switched on in its joint; what was found beside a parameter of the base is added to it."""
+    joints = ("a", "b")
+    given = load_model("paper")
+
+    def finding(name: str, parameter: str, value: float) -> Finding:
+        return Finding(name, ("b",), False, value, "", (value, value), 1.0, {parameter: value}, 0.1, parameter)
+
+    found = [finding("coulomb", "coulomb_friction", 0.05), finding("encoder_offset", "encoder_offset", 0.02)]
+    like = given.with_effect(effect_class("encoder_offset")())
+    values = with_findings(given, found, like, joints).tensors(joints)
+    now = given.value("coulomb_friction")
+    np.testing.assert_allclose(values["coulomb_friction"].numpy(), [[now, now + 0.05]])
+    np.testing.assert_allclose(values["encoder_offset"].numpy(), [[0.0, 0.02]])

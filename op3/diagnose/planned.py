@@ -1,0 +1,99 @@
+"""Logs that a planned excitation would give, by the model itself: what it can tell, before robot time is spent."""
+
+import datetime
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from op3.diagnose.coordinates import with_chain
+from op3.diagnose.preflight import STILL
+from op3.diagnose.show import whole_robot
+from op3.robot import LEG_JOINTS, Excitation, Motion
+from op3.rollout import Metadata, Rollout
+from op3.servo import RobotModel
+from op3.tasks import Replay, simulate_motion
+
+COLD, WARM = 28.0, 58.0
+"""Temperatures of servos before and after long work [C]."""
+
+PAUSE = 6.0
+"""Between two runs [s]."""
+
+BEGIN = datetime.datetime(2026, 1, 1)
+"""When the first of the planned runs begins; only differences count."""
+
+SIMULATED = (("joint", "position"), ("joint", "velocity"), ("joint", "current"))
+"""Channels that are taken from the simulation."""
+
+
+def planned_suite(model: RobotModel, suite: Sequence[Excitation]) -> list[Rollout]:
+    """Logs of one leg on the stand under the runs of a suite, each command once.
+
+    Args:
+        model: of the robot.
+        suite: see `op3.robot.leg_suite`.
+    """
+    once = list({run.motion.name: run for run in suite}.values())
+    commands, begin = [], BEGIN
+    for number, run in enumerate(once):
+        commands.append(_command(run, number, begin))
+        begin += datetime.timedelta(seconds=run.motion.duration + PAUSE)
+    predictions = Replay([whole_robot(log) for log in commands]).run(with_chain(model))
+    logs = []
+    for log, prediction in zip(commands, predictions, strict=True):
+        columns = [prediction.log.joints.index(joint) for joint in log.joints]
+        arrays = {key: log.array(key) for key in log.channels}
+        arrays.update({key: prediction.channels[key][0].numpy()[:, columns] for key in SIMULATED})
+        logs.append(Rollout.from_arrays(arrays, log.metadata))
+    return logs
+
+
+def planned_motions(model: RobotModel, motions: Sequence[Motion]) -> list[Rollout]:
+    """Logs of the joints that move, of motions of the library on the stand.
+
+    Args:
+        model: of the robot.
+        motions: all of which can be played on the stand.
+    """
+    logs = [simulate_motion(with_chain(model), motion, "stand") for motion in motions]
+    reach = np.max([np.ptp(log.array("joint/position"), axis=0) for log in logs], axis=0)
+    columns = np.flatnonzero(reach > STILL)
+    if not columns.size:
+        raise ValueError(f"no joint moves more than {STILL:g} rad in these motions")
+    joints = tuple(logs[0].joints[column] for column in columns)
+    result = []
+    for log in logs:
+        arrays: dict[Any, np.ndarray] = {
+            key: log.array(key)[:, columns] if key[0] in ("joint", "command") else log.array(key)
+            for key in log.channels
+        }
+        result.append(Rollout.from_arrays(arrays, log.metadata.replace(joints=joints)))
+    return result
+
+
+def _command(run: Excitation, number: int, begin: datetime.datetime) -> Rollout:
+    """A log that holds the commands of a run, and a leg that stands still where it begins."""
+    target = run.motion.position
+    ones = np.ones_like(target)
+    arrays: dict[Any, np.ndarray] = {
+        "time": run.motion.time,
+        ("joint", "position"): target[:1] * ones,
+        ("joint", "velocity"): 0.0 * ones,
+        ("joint", "current"): 0.0 * ones,
+        ("joint", "temperature"): (WARM if run.warm else COLD) * ones,
+        ("command", "position"): target,
+        ("command", "p_gain"): run.p_gain * ones,
+        ("command", "d_gain"): run.d_gain * ones,
+        ("imu", "orientation"): np.tile([*run.tilt, 0.0], (len(target), 1)),
+    }
+    metadata = Metadata(
+        joints=LEG_JOINTS,
+        robot="simulated",
+        mount="stand",
+        rate=round(1 / float(np.median(np.diff(run.motion.time))), 6),
+        motion=run.motion.name,
+        recording=f"planned/{number:02d}",
+        date=begin.isoformat(timespec="seconds"),
+    )
+    return Rollout.from_arrays(arrays, metadata)
