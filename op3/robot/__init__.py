@@ -2,7 +2,6 @@
 
 from op3.robot.assets import asset_path, named_configs
 from op3.robot.board import BoardDrive, BoardMotion, Tilts, Waves, WeightDrive, WeightSchedule, board_drive
-from op3.robot.excitation import LEG_JOINTS, Excitation, leg_suite, leg_walking
 from op3.robot.excitations import chirp, multisine, push_down, soften, staircase, sway, triangle
 from op3.robot.joints import (
     CONTROLLED_JOINTS,
@@ -17,6 +16,7 @@ from op3.robot.joints import (
     mirror,
 )
 from op3.robot.kinematics import KEY_POINTS, center_of_mass, key_points, quaternion, sole_corners
+from op3.robot.leg_excitations import LEG_JOINTS, Excitation, leg_suite, leg_walking
 from op3.robot.motions import Motion, hold, squat
 from op3.robot.op3_entity import OP3
 from op3.robot.poses import POSES, pose, standing_height
