@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from op3.diagnose.coordinates import base_coordinates, with_chain
+from op3.diagnose.coordinates import base_coordinates
 from op3.diagnose.fitting import Engine, fit_base, mean_square, with_point
 from op3.diagnose.verdict import Finding
 from op3.servo import Estimate, RobotModel
@@ -44,6 +44,31 @@ def with_findings(
     return model
 
 
+def left_out(given: RobotModel, finding: Finding, final: RobotModel, joints: Sequence[str]) -> RobotModel:
+    """The final model without one finding; everything else keeps its fitted value, from which a refit starts.
+
+    Args:
+        given: model before any finding.
+        finding: that is taken out.
+        final: with all findings.
+        joints: names.
+    """
+    if finding.name not in given.effect_names:
+        return final.without(finding.name)
+    model = final
+    for name, value in finding.parameters.items():
+        now = model.tensors(joints)[name][0]
+        if len(now) == 1:
+            model = model.with_values({name: Estimate(float(now[0]) - value)})
+            continue
+        own = {
+            joint: float(old) - (value if finding.shared or joint in finding.joints else 0.0)
+            for joint, old in zip(joints, now, strict=True)
+        }
+        model = model.with_values({name: Estimate(float(now[0]), joints=own)})
+    return model
+
+
 def still_needed(
     engine: Engine, given: RobotModel, findings: Sequence[Finding], final: RobotModel, *, fixed_base: bool
 ) -> list[float]:
@@ -60,10 +85,8 @@ def still_needed(
     """
     shares = []
     for k in range(len(findings) - 1):
-        rest = [*findings[:k], *findings[k + 1 :]]
-        without = with_findings(given, rest, final, engine.joints)
-        full = with_chain(without) if "current_pd" in without.effect_names else without
-        fit = fit_base(engine, base_coordinates(full, engine.joints, fixed_base=fixed_base), rounds=2)
+        without = left_out(given, findings[k], final, engine.joints)
+        fit = fit_base(engine, base_coordinates(without, engine.joints, fixed_base=fixed_base), rounds=2)
         engine.prepare(final)
         left = [mean_square(engine.residuals(m, {}, 1)[0]) for m in (final, with_point(fit.coordinates, fit.point))]
         shares.append(1.0 - left[0] / left[1])

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from op3.diagnose.backward import with_findings
+from op3.diagnose.backward import left_out, with_findings
 from op3.diagnose.coordinates import Coordinate, Coordinates, base_coordinates, with_chain
 from op3.diagnose.fitting import Fit, bounded_step
 from op3.diagnose.motion import HALF_WIDTH, VELOCITY_LAG, kernels
@@ -144,7 +144,11 @@ def test_findings_add_up_in_a_model():
 
     found = [finding("coulomb", "coulomb_friction", 0.05), finding("encoder_offset", "encoder_offset", 0.02)]
     like = given.with_effect(effect_class("encoder_offset")())
-    values = with_findings(given, found, like, joints).tensors(joints)
+    whole = with_findings(given, found, like, joints)
+    values = whole.tensors(joints)
     now = given.value("coulomb_friction")
     np.testing.assert_allclose(values["coulomb_friction"].numpy(), [[now, now + 0.05]])
     np.testing.assert_allclose(values["encoder_offset"].numpy(), [[0.0, 0.02]])
+    for finding_out, name in zip(found, ("coulomb_friction", "encoder_offset"), strict=True):
+        rest = left_out(given, finding_out, whole, joints)
+        assert name not in rest.parameters() or np.ptp(rest.tensors(joints)[name].numpy()) < 1e-12
