@@ -150,7 +150,8 @@ def train(
     collector.restart(settings.seed + run.steps)
     meter, began = _Meter(run, sac, settings), time.monotonic() - run.seconds
     with stop_requested() as stop:
-        while run.steps < settings.steps and not stop.is_set():
+        stopping = False
+        while run.steps < settings.steps and not stopping:
             boldest = settings.warmup_noise if run.steps < settings.warmup else settings.noise
             rollout, episodes = collector.collect(Exploring.ranged(sac, collector.count, boldest), settings.rollout)
             before, run.steps = run.steps, run.steps + rollout.numel()
@@ -175,8 +176,10 @@ def train(
 
             if _passed(before, run.steps, settings.evaluate_every) or run.steps >= settings.steps:
                 _evaluate(run, sac, evaluate, manifest, folder, log, say)
-            if _passed(before, run.steps, settings.checkpoint_every) or run.steps >= settings.steps or stop.is_set():
-                run.stopped = run.steps < settings.steps and stop.is_set()
+            # asked once: a signal that comes later ends the run after the next rollout
+            stopping = stop.is_set()
+            if _passed(before, run.steps, settings.checkpoint_every) or run.steps >= settings.steps or stopping:
+                run.stopped = run.steps < settings.steps and stopping
                 replay.cut()
                 _save(folder / CHECKPOINT, run, sac, replay if settings.checkpoint_buffer else None)
                 collector.restart(settings.seed + run.steps)
