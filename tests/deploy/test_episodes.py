@@ -4,6 +4,10 @@ import numpy as np
 import pytest
 
 from op3.deploy import Player
+from op3.envs.returns import ReturnsBench
+from op3.policy import PolicyBundle
+from op3.robot import asset_path
+from op3.sim import load_model
 from op3.tasks.evaluation import evaluation_return
 from tests.envs.holding import holding_bundle
 
@@ -31,3 +35,14 @@ def test_a_walk_is_measured(source, tmp_path):
     log = player.run_policy(holding_bundle("walk", 5.5), 1.0, task="walk_bricks_a", cycle=1.0, recording="a")
     assert 0.0 <= log.metadata.travelled_distance < 0.01
     assert evaluation_return(log) < 0.8 * 31
+
+
+@pytest.mark.slow
+def test_the_bus_costs_the_shipped_policy_little(tmp_path):
+    """Through the whole emulated bus the balancing policy reaches its return in the plain environment within 5 %."""
+    policy = PolicyBundle.load(asset_path("policies/balance/manifest.yaml").parent)
+    player = Player(folder=tmp_path, confirm=False, seed=0, report=lambda _: None, model="paper")
+    logs = [player.run_policy(policy, 10.0, task="balance_eval", recording=str(number)) for number in range(3)]
+    through = np.mean([evaluation_return(log) for log in logs])
+    plain = float(ReturnsBench(policy, load_model("paper"), "balance_eval", episodes=6).run().returns.mean())
+    assert through == pytest.approx(plain, rel=0.05)
