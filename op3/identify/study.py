@@ -139,9 +139,9 @@ def _run(session: "_Session", evaluate: Evaluate, n_trials: int, population: int
                 # The last trials are with another worker: take them over if it dies.
                 time.sleep(POLL_SECONDS)
                 continue
-            nominal = session.nominal_due() and not any(record["nominal"] for record in others)
-            worker.claim(min(free, population), nominal)
-            trials = session.ask(min(free, population), nominal, worker.name, shared=bool(others))
+            size = min(free, population)
+            nominal = _takes_nominal(session, worker, size)
+            trials = session.ask(size, nominal, worker.name, shared=bool(others))
             outcomes = evaluate_population(evaluate, [dict(trial.params) for trial in trials])
             session.tell(trials, outcomes)
             worker.claim(0, False)
@@ -154,6 +154,28 @@ def _run(session: "_Session", evaluate: Evaluate, n_trials: int, population: int
                 )
     finally:
         worker.stop()
+
+
+def _takes_nominal(session: "_Session", worker: Worker, trials: int) -> bool:
+    """Claim `trials` trials, the nominal one among them if it is due and no other worker has it; say so.
+
+    Claims are written before those of the others are read, so of two that claim in the same moment at
+    least one sees the other and gives way. Where both see each other the first by name looks again.
+    """
+    nominal = session.nominal_due() and not worker.nominal_rivals()
+    worker.claim(trials, nominal)
+    if not nominal:
+        return False
+    rivals = worker.nominal_rivals()
+    if rivals and worker.name < min(rivals):
+        time.sleep(POLL_SECONDS)
+        rivals = worker.nominal_rivals()
+    # A rival that claims no more may have stored the trial meanwhile.
+    session.pull()
+    if not rivals and session.nominal_due():
+        return True
+    worker.claim(trials, nominal=False)
+    return False
 
 
 def evaluate_population(evaluate: Evaluate, population: list[dict[str, Any]]) -> list[Outcome]:

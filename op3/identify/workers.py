@@ -54,9 +54,15 @@ class Worker:
 
     def others(self) -> list[dict[str, Any]]:
         """Records of the other workers that are alive."""
-        own = _PREFIX + self.name
-        records = {k: v for k, v in self._study.user_attrs.items() if k.startswith(_PREFIX) and k != own}
-        return [record for record in records.values() if record and is_alive(record)]
+        return list(self._alive().values())
+
+    def nominal_rivals(self) -> list[str]:
+        """Names of the other workers that are alive and claim the nominal trial."""
+        return [name for name, record in self._alive().items() if record["nominal"]]
+
+    def _alive(self) -> dict[str, dict[str, Any]]:
+        records = {k.removeprefix(_PREFIX): v for k, v in self._study.user_attrs.items() if k.startswith(_PREFIX)}
+        return {name: r for name, r in records.items() if r and name != self.name and is_alive(r)}
 
     def _beat(self) -> None:
         while not self._stopped.wait(HEARTBEAT_SECONDS):
