@@ -14,7 +14,7 @@ import hydra
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
-from support import git_hash, one_sentence
+from support import one_sentence
 
 from op3.deploy import (
     Calibration,
@@ -36,7 +36,7 @@ from op3.deploy.bus import Unplugged
 from op3.deploy.deploy import EMULATED, HANG_SCALE, POLICY_RATE
 from op3.policy import PolicyBundle
 from op3.robot import pose
-from op3.rollout import read_log
+from op3.rollout import git_hash, read_log
 
 MODES = ("run", "dry_run", "read_only", "hang", "setup", "calibrate", "replay")
 

@@ -1,7 +1,6 @@
 """What the experiment scripts share."""
 
 import dataclasses
-import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -33,15 +32,6 @@ def one_sentence() -> Iterator[None]:
             "\nInterrupted. The same command with the same hydra.run.dir goes on from the trials done.", file=sys.stderr
         )
         raise SystemExit(130) from None
-
-
-def git_hash() -> str | None:
-    """The commit of this checkout, None outside one."""
-    command = ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"]
-    try:
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip() or None
-    except (OSError, subprocess.CalledProcessError):
-        return None
 
 
 def plain(node: Any) -> Any:

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from op3.deploy.limits import Command
 from op3.deploy.monitors import Verdict
-from op3.deploy.registers import CURRENT_UNIT
 from op3.deploy.state import State
 from op3.deploy.ticker import Ticker
 from op3.robot import JOINTS
+from op3.robot.units import CURRENT_UNIT
 
 RECENT = 1250
 """Ticks whose lateness is shown: the last ten seconds."""

@@ -12,7 +12,8 @@ import numpy as np
 from op3.deploy.emulator.device import Device
 from op3.deploy.emulator.physics import Readings
 from op3.deploy.protocol import Error, Instruction
-from op3.deploy.registers import ACCELERATION_UNIT, ANGLE_UNIT, GYRO_UNIT, OPEN_CR, OPEN_CR_AXES, OPEN_CR_ID, Register
+from op3.deploy.registers import OPEN_CR, OPEN_CR_AXES, OPEN_CR_ID, Register
+from op3.robot.units import ACCELERATION_UNIT, ANGLE_UNIT, GYRO_UNIT
 
 INSTRUCTIONS = (
     Instruction.PING,

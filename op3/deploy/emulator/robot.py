@@ -34,16 +34,13 @@ from op3.deploy.emulator.pty_server import PtyServer
 from op3.deploy.emulator.servo import Servo
 from op3.deploy.protocol import Instruction, Packet
 from op3.deploy.registers import (
-    CURRENT_UNIT,
-    POSITION_UNIT,
     POSITION_ZERO,
     PWM_UNIT,
-    VELOCITY_UNIT,
-    VOLTAGE_UNIT,
     XM430_W350,
     HardwareError,
 )
 from op3.robot import SERVO_IDS
+from op3.robot.units import CURRENT_UNIT, POSITION_UNIT, VELOCITY_UNIT, VOLTAGE_UNIT
 
 OP3_SETTINGS: dict[str, int] = {"baud_rate": 4, "return_delay_time": 0}
 """EEPROM of the OP3's servos where it differs from the factory's: 2 Mbit/s, no return delay."""

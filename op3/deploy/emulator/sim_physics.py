@@ -27,6 +27,7 @@ from op3.robot import (
     tile_ids,
 )
 from op3.robot.scenes import Scene
+from op3.robot.units import GRAVITY
 from op3.servo import Effect, RobotModel, Stage, Trunk
 from op3.sim import BatchSimulation, attach_servos
 from op3.stand_in.sensors import roll_pitch_yaw
@@ -142,7 +143,7 @@ class SimPhysics(BatchSimulation):
             self._force = np.asarray(self.scene.mounted_specific_force)
         self._felt = np.concatenate([self._rates, self._force])
         if self.scene.floating:
-            self._felt[3:] = 0.0, 0.0, 9.80665
+            self._felt[3:] = 0.0, 0.0, GRAVITY
         self._latch_imu()
 
     def _latch_imu(self) -> None:
