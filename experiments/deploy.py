@@ -89,7 +89,7 @@ def deploy(cfg: DictConfig) -> ExitCode:
             return calibrate(connection, cfg.calibration_out, pose_name=cfg.pose)
         outcome = run_on(connection, runner, plan, cfg.duration)
     finally:
-        connection.bus.close()
+        connection.close()
     for log in outcome.logs:
         print(folder / log)
     return outcome.code

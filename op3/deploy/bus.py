@@ -363,12 +363,8 @@ class Writer:
         """
         bus = self._bus
         for block in BLOCKS:
-            if block.indirect:
-                pointers = block.pointers()
-                self._send(block.pointer_address, len(pointers), ((name, pointers) for name in JOINTS))
-                there = bus.read_block_ids(block.pointer_address, len(pointers))
-                if any(data != pointers for data in there.values()) or len(there) < len(JOINTS):
-                    continue
+            if block.indirect and not self._point(block):
+                continue
             for _ in range(ATTEMPTS):
                 data, _ = bus._read_many(block.address, block.length, fast=block.fast)
                 if len(data) == len(JOINTS):
@@ -376,6 +372,16 @@ class Writer:
                     bus._data.clear()
                     return block
         raise NoAnswer("the servos do not answer a sync read of any block; check cables and ids")
+
+    def _point(self, block: Block) -> bool:
+        """Set up the indirect addresses of a block; whether all servos have them. An answer may be lost."""
+        pointers = block.pointers()
+        for _ in range(ATTEMPTS):
+            self._send(block.pointer_address, len(pointers), ((name, pointers) for name in JOINTS))
+            there = self._bus.read_block_ids(block.pointer_address, len(pointers))
+            if len(there) == len(JOINTS) and all(data == pointers for data in there.values()):
+                return True
+        return False
 
     def _send(self, address: int, size: int, values: Iterable[tuple[str, bytes]]) -> None:
         bus = self._bus

@@ -163,7 +163,7 @@ class Hands(Yes):
     def __init__(self, physics: HandHeld):
         self._physics = physics
 
-    def said_go(self) -> bool:
+    def said_go(self, say: Callable[[str], None] = print) -> bool:
         """Put the robot down and say go."""
         self._physics.put_down()
         return True
