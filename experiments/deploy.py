@@ -14,7 +14,7 @@ import hydra
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
-from support import one_sentence
+from support import one_sentence, seeded_faults
 
 from op3.deploy import (
     Calibration,
@@ -46,7 +46,8 @@ def open_robot(cfg: DictConfig) -> Connection:
     emulation: dict[str, Any] = {}
     if cfg.port == EMULATED:
         emulation = {name: cfg[name] for name in ("world", "world_seed", "model", "seed", "scene")} | {
-            "record": cfg.frames
+            "record": cfg.frames,
+            "faults": seeded_faults(cfg.faults),
         }
     mount = "stand" if cfg.mode == "hang" else cfg.mount
     calibration = None if cfg.calibration is None or cfg.mode == "calibrate" else Calibration.load(cfg.calibration)

@@ -9,7 +9,7 @@ from typing import Any
 
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
-from hydra.errors import CompactHydraException
+from hydra.errors import CompactHydraException, InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
@@ -32,6 +32,20 @@ def one_sentence() -> Iterator[None]:
             "\nInterrupted. The same command with the same hydra.run.dir goes on from the trials done.", file=sys.stderr
         )
         raise SystemExit(130) from None
+
+
+def seeded_faults(node: DictConfig) -> Any:
+    """Faults of an emulated robot from a config node.
+
+    Raises:
+        ValueError: if they are impossible; the message says which.
+    """
+    from op3.deploy.emulator import Faults  # brings MuJoCo
+
+    try:
+        return Faults(**instantiate(node, _convert_="all"))
+    except InstantiationException as error:
+        raise ValueError(str(error.__cause__ or error)) from error
 
 
 def plain(node: Any) -> Any:

@@ -304,12 +304,13 @@ class SimPhysics(BatchSimulation):
         elif self.battery is None:
             self._voltage = self.model.bus_voltage
         self._windings.step(self._temperature, self._resistance * current**2, duration)
-        signals.bus_voltage = torch.full_like(signals.position, self._voltage)
-        signals.temperature = torch.from_numpy(self._temperature.copy())[None]
         if self._compiled is not None:
-            for name in ("bus_voltage", "temperature"):
-                if name in self._compiled.inputs:
-                    self._compiled.inputs[name][...] = getattr(signals, name).numpy()
+            slow = {"bus_voltage": self._voltage, "temperature": self._temperature}
+            for name in slow.keys() & self._compiled.inputs.keys():
+                self._compiled.inputs[name][...] = slow[name]
+        if self._compiled is None or self._senses or self._reports:
+            signals.bus_voltage = torch.full_like(signals.position, self._voltage)
+            signals.temperature = torch.from_numpy(self._temperature.copy())[None]
 
     def read(self) -> Readings:
         """What all sensors say now."""
