@@ -48,6 +48,7 @@ def open_robot(cfg: DictConfig) -> Connection:
         emulation = {name: cfg[name] for name in ("world", "world_seed", "model", "seed", "scene")} | {
             "record": cfg.frames,
             "faults": seeded_faults(cfg.faults),
+            "powered": cfg.mode in ("read_only", "calibrate"),  # these may not switch the supply on
         }
     mount = "stand" if cfg.mode == "hang" else cfg.mount
     calibration = None if cfg.calibration is None or cfg.mode == "calibrate" else Calibration.load(cfg.calibration)

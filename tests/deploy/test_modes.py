@@ -36,9 +36,7 @@ def connected(rig):
 
 def switch_on(rig):
     """The servos' supply, as a mode that may not do so finds it on a running robot."""
-    rig.robot.open_cr.put("dynamixel_power", 1)
-    rig.robot._switch(True)
-    rig.robot.clock.sleep(0.2)
+    rig.robot.switch_on()
 
 
 def test_a_whole_run(tmp_path):
@@ -124,6 +122,20 @@ def test_hang(tmp_path):
     limits = [p.parameters[4:] for p in packets if p.instruction == Instruction.SYNC_WRITE and p.parameters[0] == 38]
     values = {int.from_bytes(limits[0][i + 1 : i + 3], "little") for i in range(0, len(limits[0]), 3)}
     assert values == {427, 215}
+
+
+def test_read_only_and_calibrate_on_the_emulated_robot(tmp_path):
+    """Someone has pressed its power button: both modes can be rehearsed, and the last frame is an answer."""
+    common = ("deploy.py", "port=emulated", "model=paper", "mount=stand", "panel=false")
+    frames = tmp_path / "frames.txt"
+    look = script(*common, "mode=read_only", "duration=0.1", f"frames={frames}", f"hydra.run.dir={tmp_path / 'look'}")
+    assert look.returncode == 0, look.stdout + look.stderr
+    assert "FAIL" not in look.stdout
+    assert read_frames(frames)[-1].direction == "<"
+    file = tmp_path / "op3.yaml"
+    held = script(*common, "mode=calibrate", "pose=stand", f"calibration_out={file}", f"hydra.run.dir={tmp_path / 'c'}")
+    assert held.returncode == 0, held.stdout + held.stderr
+    assert np.abs(Calibration.load(file).offset).max() < 0.01
 
 
 def test_setup_makes_a_factory_robot_start(tmp_path):

@@ -31,7 +31,7 @@ from op3.deploy.emulator.open_cr import BUTTONS, OpenCR
 from op3.deploy.emulator.physics import Physics, Readings
 from op3.deploy.emulator.port import Clock, VirtualPort
 from op3.deploy.emulator.pty_server import PtyServer
-from op3.deploy.emulator.servo import Servo
+from op3.deploy.emulator.servo import BOOT_TIME, Servo
 from op3.deploy.protocol import BROADCAST_ID, Instruction, Packet
 from op3.deploy.registers import (
     POSITION_ZERO,
@@ -243,6 +243,12 @@ class EmulatedRobot:
         for servo in self._all:
             servo.power(on, self.time)
         self._reconsider()
+
+    def switch_on(self) -> None:
+        """Give the servos power, as the robot's power button does, and let them boot."""
+        self.open_cr.put("dynamixel_power", 1)
+        self._switch(True)
+        self.clock.sleep(2 * BOOT_TIME)
 
     def press(self, button: str, duration: float = 0.05) -> None:
         """Press a button of the OpenCR for a while [s]; "reset", held for 0.1 s, cuts the servos' power."""
