@@ -22,14 +22,14 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from support import git_hash, library_motion, one_sentence, plain
+from support import library_motion, one_sentence, plain
 
 from op3.deploy import Stop
 from op3.deploy.bus import Unplugged
 from op3.deploy.exit_codes import ExitCode
 from op3.policy import PolicyBundle
 from op3.robot import Motion, check_motion
-from op3.rollout import MOUNTS, Rollout
+from op3.rollout import MOUNTS, Rollout, git_hash
 
 
 def build(node: DictConfig) -> Any:

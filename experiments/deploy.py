@@ -14,7 +14,7 @@ import hydra
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
-from support import git_hash, one_sentence
+from support import one_sentence, seeded_faults
 
 from op3.deploy import (
     Calibration,
@@ -36,7 +36,7 @@ from op3.deploy.bus import Unplugged
 from op3.deploy.deploy import EMULATED, HANG_SCALE, POLICY_RATE
 from op3.policy import PolicyBundle
 from op3.robot import pose
-from op3.rollout import read_log
+from op3.rollout import git_hash, read_log
 
 MODES = ("run", "dry_run", "read_only", "hang", "setup", "calibrate", "replay")
 
@@ -46,7 +46,9 @@ def open_robot(cfg: DictConfig) -> Connection:
     emulation: dict[str, Any] = {}
     if cfg.port == EMULATED:
         emulation = {name: cfg[name] for name in ("world", "world_seed", "model", "seed", "scene")} | {
-            "record": cfg.frames
+            "record": cfg.frames,
+            "faults": seeded_faults(cfg.faults),
+            "powered": cfg.mode in ("read_only", "calibrate"),  # these may not switch the supply on
         }
     mount = "stand" if cfg.mode == "hang" else cfg.mount
     calibration = None if cfg.calibration is None or cfg.mode == "calibrate" else Calibration.load(cfg.calibration)
@@ -89,7 +91,7 @@ def deploy(cfg: DictConfig) -> ExitCode:
             return calibrate(connection, cfg.calibration_out, pose_name=cfg.pose)
         outcome = run_on(connection, runner, plan, cfg.duration)
     finally:
-        connection.bus.close()
+        connection.close()
     for log in outcome.logs:
         print(folder / log)
     return outcome.code

@@ -5,15 +5,12 @@ python experiments/emulate_robot.py model=paper scene=floor
 """
 
 import hydra
-from hydra.errors import InstantiationException
-from hydra.utils import instantiate
 from omegaconf import DictConfig
-from support import one_sentence
+from support import one_sentence, seeded_faults
 
 from op3.deploy.emulator import (
     Battery,
     EmulatedRobot,
-    Faults,
     Physics,
     SimPhysics,
     StandInPhysics,
@@ -36,14 +33,10 @@ def physics(cfg: DictConfig) -> Physics:
 
 def robot(cfg: DictConfig) -> EmulatedRobot:
     """The robot, its bus and what goes wrong."""
-    try:
-        faults = Faults(**{name: value for name, value in instantiate(cfg.faults, _convert_="all").items()})
-    except InstantiationException as error:
-        raise ValueError(str(error.__cause__ or error)) from error
     return EmulatedRobot(
         physics(cfg),
         seed=cfg.seed,
-        faults=faults,
+        faults=seeded_faults(cfg.faults),
         timing=Timing(latency_timer=float(cfg.latency_timer)),
         settings={"baud_rate": 4, "return_delay_time": int(cfg.return_delay_time)},
         record=cfg.record,

@@ -1,7 +1,6 @@
 """What the experiment scripts share."""
 
 import dataclasses
-import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -10,7 +9,7 @@ from typing import Any
 
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
-from hydra.errors import CompactHydraException
+from hydra.errors import CompactHydraException, InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
@@ -35,13 +34,18 @@ def one_sentence() -> Iterator[None]:
         raise SystemExit(130) from None
 
 
-def git_hash() -> str | None:
-    """The commit of this checkout, None outside one."""
-    command = ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"]
+def seeded_faults(node: DictConfig) -> Any:
+    """Faults of an emulated robot from a config node.
+
+    Raises:
+        ValueError: if they are impossible; the message says which.
+    """
+    from op3.deploy.emulator import Faults  # brings MuJoCo
+
     try:
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip() or None
-    except (OSError, subprocess.CalledProcessError):
-        return None
+        return Faults(**instantiate(node, _convert_="all"))
+    except InstantiationException as error:
+        raise ValueError(str(error.__cause__ or error)) from error
 
 
 def plain(node: Any) -> Any:

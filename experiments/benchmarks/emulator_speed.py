@@ -16,9 +16,10 @@ import torch
 from dynamixel_sdk import GroupSyncRead, GroupSyncWrite, PacketHandler
 
 from op3.deploy.emulator import EmulatedRobot, Physics, SimPhysics, StandInPhysics
-from op3.deploy.registers import CURRENT_UNIT, OPEN_CR_ID, POSITION_UNIT, POSITION_ZERO, VELOCITY_UNIT
+from op3.deploy.registers import OPEN_CR_ID, POSITION_ZERO
 from op3.report import machine
 from op3.robot import JOINTS, SERVO_IDS, pose
+from op3.robot.units import CURRENT_UNIT, POSITION_UNIT, VELOCITY_UNIT
 from op3.sim import load_model
 
 TICK = 0.008

@@ -28,17 +28,11 @@ from op3.identify.search_space import parse_search_space
 from op3.identify.study import run_study
 from op3.report import Page, finish, run_provenance, write_result
 from op3.robot import CONTROLLED_JOINTS, Motion
+from op3.robot.units import CURRENT_UNIT, POSITION_UNIT, VELOCITY_UNIT
 from op3.rollout import Rollout
 from op3.servo import RobotModel
 from op3.sim import load_model
 from op3.tasks import simulate_motion
-
-POSITION_UNIT = 2 * np.pi / 4096
-"""Register of the XM430-W350 [rad]; ROBOTIS e-Manual, as the two below."""
-VELOCITY_UNIT = 0.229 * 2 * np.pi / 60
-"""[rad/s]"""
-CURRENT_UNIT = 0.00269
-"""[A]"""
 
 NOISE = {
     ("joint", "position"): 0.0,

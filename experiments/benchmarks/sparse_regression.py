@@ -21,6 +21,7 @@ from scipy.signal import savgol_filter
 
 from op3.robot import LEG_JOINTS, build_scene
 from op3.robot.kinematics import rotation_matrix
+from op3.robot.units import GRAVITY
 from op3.rollout import Rollout, read_logs
 from op3.sim import load_model
 
@@ -47,7 +48,7 @@ def leg_model(foot_mass: float = 0.0) -> mujoco.MjModel:
 
 def inverse_dynamics(model: mujoco.MjModel, log: Rollout, q: Array, v: Array, a: Array) -> Array:
     """Torques [time, joint] that a motion asks for."""
-    model.opt.gravity[:] = rotation_matrix(*log.metadata.extra["tilt"]).T @ np.array([0.0, 0.0, -9.81])
+    model.opt.gravity[:] = rotation_matrix(*log.metadata.extra["tilt"]).T @ np.array([0.0, 0.0, -GRAVITY])
     data, torque = mujoco.MjData(model), np.empty_like(q)
     for row in range(len(q)):
         data.qpos[:], data.qvel[:], data.qacc[:] = q[row], v[row], a[row]

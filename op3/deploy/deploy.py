@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,12 +20,15 @@ from op3.deploy.panel import Panel
 from op3.deploy.phases import D_GAIN, HELD_P_GAIN, GainRamp, Hold, Move, Phase, Relax
 from op3.deploy.policy_runner import FollowPolicy
 from op3.deploy.safety import Onlooker, Safety
-from op3.deploy.session import Logs, Outcome, Session
+from op3.deploy.session import Logs, Outcome, Phases, Session
 from op3.deploy.start_checks import StartChecks
 from op3.deploy.state import Calibration, State
 from op3.deploy.ticker import PERIOD, POLICY_TICKS
 from op3.robot import JOINTS, pose
 from op3.rollout import Metadata
+
+if TYPE_CHECKING:
+    from op3.deploy.emulator import EmulatedRobot
 
 EMULATED = "emulated"
 """Name of the port behind which an emulated robot is made in this process."""
@@ -48,6 +51,7 @@ class Connection:
         mount: `floor` or `stand`.
         extra: further metadata.
         seed: of an emulated robot.
+        emulated: the robot in this process, if it is one.
     """
 
     bus: Bus
@@ -56,6 +60,13 @@ class Connection:
     mount: str
     extra: dict[str, Any] = field(default_factory=dict)
     seed: int | None = None
+    emulated: EmulatedRobot | None = None
+
+    def close(self) -> None:
+        """Close the port, and finish the recording of an emulated robot's frames."""
+        self.bus.close()
+        if self.emulated is not None:
+            self.emulated.close()
 
 
 def connect(
@@ -90,7 +101,7 @@ def connect(
         emulated, hands, identity = emulate(scene=scene, **emulation)
         bus = Bus(emulated.port_handler(), emulated.clock, calibration=calibration)
         seed = emulation.get("seed", 0)
-        return Connection(bus, hands, "emulated", mount, {"world": identity}, seed)
+        return Connection(bus, hands, "emulated", mount, {"world": identity}, seed, emulated)
     kind = robot or ("emulated" if port.startswith("/dev/pts/") else "real")
     bus = Bus(SerialPort(port), MonotonicClock(), calibration=calibration)
     return Connection(bus, Console() if confirm else Yes(), kind, mount)
@@ -128,7 +139,7 @@ def run(
     p_gain: ArrayLike = HELD_P_GAIN,
     d_gain: ArrayLike = D_GAIN,
     recording: str | None = None,
-    report: Callable[[str], None] = print,
+    report: Callable[[str], None] | None = None,
     **metadata: Any,
 ) -> Outcome:
     """Check, energise, ramp, move to the start pose, wait for go, run, sit down, switch off.
@@ -141,10 +152,12 @@ def run(
         p_gain: P gains while getting there [A/rad].
         d_gain: D gains while getting there [A s/rad].
         recording: identity of the recording.
-        report: where lines for the operator go.
+        report: where lines for the operator go; None for the terminal, above the live view.
         metadata: further fields of the log's metadata.
     """
     plan = plan or Plan()
+    show = Panel() if plan.panel else None
+    say = report or (print if show is None else show.say)
     first = pose("stand") if start is None else np.asarray(start, dtype=float)
 
     def phases(loop: Loop) -> list[Phase]:
@@ -160,15 +173,23 @@ def run(
         run_up: list[Phase] = [
             GainRamp(p_gain, d_gain),
             Move(first, p_gain, d_gain, start=last),
-            Hold(first, p_gain, d_gain, until=connection.operator.said_go),
+            Hold(first, p_gain, d_gain, until=lambda: connection.operator.said_go(say)),
             Hold(first, p_gain, d_gain, duration=SETTLE_TIME),
         ]
         rest = pose("stand") if plan.end_pose is None else pose(plan.end_pose)
         return [*run_up, driver, Move(rest, start=last, log="after"), Relax(rest)]
 
-    safety = Safety(connection.bus, plan.limits, current_scale=plan.current_scale, torque=not plan.dry, report=report)
-    session = _session(connection, safety, plan, recording, report, metadata)
-    return session.run(phases)
+    safety = Safety(connection.bus, plan.limits, current_scale=plan.current_scale, torque=not plan.dry, report=say)
+    session = _session(connection, safety, plan, recording, say, show, metadata)
+    return _run(session, phases, show)
+
+
+def _run(session: Session, phases: Phases, show: Panel | None) -> Outcome:
+    try:
+        return session.run(phases)
+    finally:
+        if show is not None:
+            show.close()
 
 
 def _session(
@@ -177,6 +198,7 @@ def _session(
     plan: Plan,
     recording: str | None,
     report: Callable[[str], None],
+    show: Panel | None,
     metadata: dict[str, Any],
 ) -> Session:
     logs = None
@@ -195,7 +217,6 @@ def _session(
             **metadata,
         )
         logs = Logs(plan.folder, facts, plan.only)
-    show = Panel() if plan.panel else None
     return Session(connection.bus, safety, connection.operator, logs=logs, show=show, report=report)
 
 
@@ -222,17 +243,18 @@ class Watch:
 
 
 def read_only(
-    connection: Connection, duration: float, plan: Plan | None = None, *, report: Callable[[str], None] = print
+    connection: Connection, duration: float, plan: Plan | None = None, *, report: Callable[[str], None] | None = None
 ) -> Outcome:
     """Show and record what the robot says; nothing at all is written to it."""
     plan = plan or Plan()
-    for check in StartChecks(connection.bus, None, plan.limits).run():
-        report(str(check))
-    session = _session(connection, Onlooker(plan.limits), plan, None, report, {})
-    return session.run(lambda loop: [Watch(duration)])
+    show = Panel() if plan.panel else None
+    say = report or (print if show is None else show.say)
+    StartChecks(connection.bus, None, plan.limits).run(lambda check: say(str(check)))
+    session = _session(connection, Onlooker(plan.limits), plan, None, say, show, {})
+    return _run(session, lambda loop: [Watch(duration)], show)
 
 
-SETTINGS = {"return_delay_time": 0}
+SETTINGS = {"return_delay_time": 0, "drive_mode": 0}
 """Registers of the EEPROM that a robot needs once."""
 
 

@@ -163,7 +163,7 @@ class Hands(Yes):
     def __init__(self, physics: HandHeld):
         self._physics = physics
 
-    def said_go(self) -> bool:
+    def said_go(self, say: Callable[[str], None] = print) -> bool:
         """Put the robot down and say go."""
         self._physics.put_down()
         return True
@@ -190,6 +190,7 @@ def emulate(
     timing: Timing | None = None,
     settings: dict[str, int] | None = None,
     record: str | Path | None = None,
+    powered: bool = False,
 ) -> tuple[EmulatedRobot, Hands, str]:
     """An emulated robot in virtual time.
 
@@ -205,6 +206,7 @@ def emulate(
         timing: of the bus.
         settings: EEPROM of the servos.
         record: file for the frames on the wire.
+        powered: whether someone has pressed the robot's power button; otherwise the servos' supply is off.
 
     Returns:
         The robot, the operator who holds it, and what identifies the robot without telling its truth.
@@ -227,4 +229,6 @@ def emulate(
     physics = HandHeld(make, place, joint_position)
     held = cast(Physics, physics)  # the checker does not take a property for the attribute `supply`
     robot = EmulatedRobot(held, seed=seed, faults=faults, timing=timing, settings=settings, record=record)
+    if powered:
+        robot.switch_on()
     return robot, Hands(physics), identity

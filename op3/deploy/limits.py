@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from op3.deploy.exit_codes import ExitCode, Stop
-from op3.deploy.registers import CURRENT_UNIT
 from op3.deploy.state import State
 from op3.robot import JOINTS, SOFT_LIMITS
+from op3.robot.units import CURRENT_UNIT
 
 Array = NDArray[np.float64]
 

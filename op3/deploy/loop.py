@@ -29,6 +29,7 @@ class Loop:
         safety: judges and writes.
         log: takes every tick's row; None for no log.
         show: called at the end of every tick with phase, state, command, goal currents [joint], verdict and ticker.
+        check: called at the beginning of every tick; raises `Stop` where something outside the loop asks for it.
         period: of a tick [s].
     """
 
@@ -39,8 +40,10 @@ class Loop:
         *,
         log: LogRow | None = None,
         show: Callable[..., None] | None = None,
+        check: Callable[[], None] | None = None,
         period: float = PERIOD,
     ):
+        self._check = check
         self._bus, self._safety, self._log, self._show = bus, safety, log, show
         self._period = period
         self._ticker: Ticker | None = None
@@ -68,6 +71,8 @@ class Loop:
         try:
             while True:
                 tick = self._ticker.wait()
+                if self._check is not None:
+                    self._check()
                 state = self._bus.read_state()
                 verdict = self._safety.assess(tick, state)
                 command = phase.command(tick.index - began, state)

@@ -16,8 +16,12 @@ class Operator(Protocol):
         """Ask, and wait for the answer."""
         ...
 
-    def said_go(self) -> bool:
-        """Whether go was said since the last call; never waits."""
+    def said_go(self, say: Callable[[str], None] = print) -> bool:
+        """Whether go was said since the last call; never waits.
+
+        Args:
+            say: shows a line to the person while the loop runs.
+        """
         ...
 
     def begins(self) -> None:
@@ -41,11 +45,11 @@ class Console:
         answer = sys.stdin.readline()
         return answer.strip().lower() in ("yes", "y")
 
-    def said_go(self) -> bool:
+    def said_go(self, say: Callable[[str], None] = print) -> bool:
         """Whether Enter was pressed."""
         if not self._prompted:
             self._prompted = True
-            print("In the start pose. Put the robot where it shall begin, then press Enter; Ctrl-C switches off.")
+            say("In the start pose. Put the robot where it shall begin, then press Enter; Ctrl-C switches off.")
         ready, _, _ = select.select([sys.stdin], [], [], 0)
         return bool(ready) and sys.stdin.readline() != ""
 
@@ -64,7 +68,7 @@ class Yes:
         """Yes."""
         return True
 
-    def said_go(self) -> bool:
+    def said_go(self, say: Callable[[str], None] = print) -> bool:
         """Yes."""
         return True
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
+from collections import deque
 from contextlib import suppress
 from typing import Any, TextIO
 
@@ -12,10 +14,10 @@ from numpy.typing import NDArray
 
 from op3.deploy.limits import Command
 from op3.deploy.monitors import Verdict
-from op3.deploy.registers import CURRENT_UNIT
 from op3.deploy.state import State
 from op3.deploy.ticker import Ticker
 from op3.robot import JOINTS
+from op3.robot.units import CURRENT_UNIT
 
 RECENT = 1250
 """Ticks whose lateness is shown: the last ten seconds."""
@@ -25,7 +27,7 @@ class Panel:
     """Rewrites a block of text a few times a second; silent where the output is no terminal.
 
     Writing is left to a thread: a terminal that stalls, such as one at the end of a slow network, must not hold up the
-    loop. What it has no time to show is skipped.
+    loop. What it has no time to show is skipped; what is said appears above the block and stays there.
 
     Args:
         stream: where it is written.
@@ -38,7 +40,9 @@ class Panel:
         self._ticks = 0
         self._lines = 0
         self._next: list[str] | None = None
+        self._said: deque[str] = deque()
         self._due = threading.Event()
+        self._closing = False
         self._thread: threading.Thread | None = None
         self.enabled = self._stream.isatty()
 
@@ -51,10 +55,32 @@ class Panel:
         self._ticks += 1
         if self._ticks % self._every != 1:
             return
+        self._next = text(phase, state, command, counts, verdict, ticker)
+        self._wake()
+
+    def say(self, line: str) -> None:
+        """Print a line that stays; while nothing is shown in place, at once."""
+        if self._thread is None:
+            self._stream.write(line + "\n")
+            self._stream.flush()
+            return
+        self._said.append(line)
+        self._wake()
+
+    def close(self, patience: float = 1.0) -> None:
+        """Write what is left, if the terminal takes it within a time [s]."""
+        if self._thread is None:
+            return
+        self._closing = True
+        self._due.set()
+        self._thread.join(patience)
+        if not self._thread.is_alive():
+            self._thread = None
+
+    def _wake(self) -> None:
         if self._thread is None:
             self._thread = threading.Thread(target=self._serve, daemon=True)
             self._thread.start()
-        self._next = text(phase, state, command, counts, verdict, ticker)
         self._due.set()
 
     def _serve(self) -> None:
@@ -62,27 +88,43 @@ class Panel:
             while True:
                 self._due.wait()
                 self._due.clear()
+                last = self._closing
                 lines, self._next = self._next, None
                 if lines is not None:
                     self._write(lines)
+                while self._said:
+                    self._stream.write(self._said.popleft() + "\n")
+                    self._stream.flush()
+                    self._lines = 0  # the next block begins below
+                if last:
+                    return
 
     def _write(self, lines: list[str]) -> None:
+        # A line that is wrapped, or one above the top of the window, could not be rewritten in place.
+        columns, rows = self._size()
+        shown = lines if len(lines) < rows else [*lines[: rows - 2], lines[-1]]
+        lines = [line[: columns - 1] for line in shown]
         up = f"\x1b[{self._lines}A" if self._lines else ""
         self._stream.write(up + "".join(f"\x1b[2K{line}\n" for line in lines))
         self._stream.flush()
         self._lines = len(lines)
 
+    def _size(self) -> tuple[int, int]:
+        try:
+            return tuple(os.get_terminal_size(self._stream.fileno()))  # type: ignore[return-value]
+        except (OSError, ValueError):
+            return 80, 24
+
 
 def text(
     phase: str, state: State, command: Command, counts: NDArray[Any], verdict: Verdict, ticker: Ticker
 ) -> list[str]:
-    """The lines of the view: one row per joint, time and deadlines above, worries below."""
+    """The lines of the view: one row per joint, time and attitude above, deadlines and worries below."""
     timing = ticker.timing(last=RECENT)
     roll, pitch = np.rad2deg(state.orientation[:2])
     lines = [
         f"{phase:8s} {timing.ticks * ticker.period:8.1f} s   roll {roll:6.1f} pitch {pitch:6.1f} deg   "
-        f"{state.supply_voltage:.1f} V   late p99 {1e3 * timing.p99:.2f} max {1e3 * timing.max:.2f} ms   "
-        f"missed {timing.misses}",
+        f"{state.supply_voltage:.1f} V",
         f"{'joint':12s} {'target':>8s} {'angle':>8s} {'Kp':>6s} {'goal A':>7s} {'is A':>7s} {'C':>4s}",
     ]
     for i, name in enumerate(JOINTS):
@@ -91,5 +133,6 @@ def text(
             f"{name:12s} {command.position[i]:8.3f} {state.position[i]:8.3f} {command.p_gain[i]:6.2f} "
             f"{counts[i] * CURRENT_UNIT:7.2f} {state.current[i]:7.2f} {state.temperature[i]:4.0f}{lost}"
         )
-    lines.append(verdict.note or "all well")
+    late = f"late p99 {1e3 * timing.p99:.2f} max {1e3 * timing.max:.2f} ms, missed {timing.misses}"
+    lines.append(f"{late}: {verdict.note or 'all well'}")
     return lines

@@ -35,6 +35,7 @@ class Player:
         confirm: whether a person is asked before torque.
         end_pose: pose in which the robot is let go.
         seed: of an emulated robot; the k-th recording adds k.
+        report: where lines for the operator go; None for the terminal, above the live view.
         emulation: further options of `op3.deploy.emulated.emulate`.
     """
 
@@ -49,7 +50,7 @@ class Player:
         confirm: bool = True,
         end_pose: str | None = None,
         seed: int = 0,
-        report: Callable[[str], None] = print,
+        report: Callable[[str], None] | None = None,
         **emulation: Any,
     ):
         self._port, self._mount, self._confirm = port, mount, confirm
@@ -120,7 +121,7 @@ class Player:
         try:
             outcome = run(connection, make, plan, recording=recording, report=self._report, **options)
         finally:
-            connection.bus.close()
+            connection.close()
         self._count += 1
         if "task" in options.get("extra", {}):
             return _episode(outcome, recording, connection.operator.travelled())

@@ -9,8 +9,12 @@ Source: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0".
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import dataclass
 from enum import IntEnum
+from struct import unpack
+
+import numpy as np
 
 HEADER = b"\xff\xff\xfd\x00"
 """What every packet begins with."""
@@ -63,17 +67,18 @@ class Error(IntEnum):
     ACCESS = 7
 
 
-def _crc_table() -> tuple[int, ...]:
-    table = []
-    for byte in range(256):
-        register = byte << 8
+def _crc_tables() -> tuple[list[int], array[int]]:
+    """What becomes of a register that holds one byte, or two, when as many bytes of zero follow."""
+    register = np.arange(65536, dtype=np.uint32)
+    halves = []
+    for _ in range(2):
         for _ in range(8):
-            register = (register << 1) ^ (0x8005 if register & 0x8000 else 0)
-        table.append(register & 0xFFFF)
-    return tuple(table)
+            register = (register << 1 ^ np.where(register & 0x8000, 0x8005, 0)) & 0xFFFF
+        halves.append(register)
+    return halves[0][::256].tolist(), array("H", halves[1].tolist())
 
 
-_TABLE = _crc_table()
+_BY_BYTE, _BY_WORD = _crc_tables()
 
 
 def crc16(data: bytes | bytearray, crc: int = 0) -> int:
@@ -83,9 +88,11 @@ def crc16(data: bytes | bytearray, crc: int = 0) -> int:
         data: bytes to check.
         crc: result over the bytes before them.
     """
-    table = _TABLE
-    for byte in data:
-        crc = (crc << 8 & 0xFF00) ^ table[crc >> 8 ^ byte]
+    size, table = len(data), _BY_WORD
+    for word in unpack(f">{size >> 1}H", data[: size & ~1]):
+        crc = table[crc ^ word]
+    if size & 1:
+        crc = (crc << 8 & 0xFF00) ^ _BY_BYTE[crc >> 8 ^ data[-1]]
     return crc
 
 

@@ -9,37 +9,25 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import pi
 from typing import Any
 
 import numpy as np
 
-POSITION_UNIT = 2 * pi / 4096
-"""One count of the encoder [rad]."""
+from op3.robot.units import (
+    ACCELERATION_UNIT,
+    ANGLE_UNIT,
+    CURRENT_UNIT,
+    GYRO_UNIT,
+    POSITION_UNIT,
+    VELOCITY_UNIT,
+    VOLTAGE_UNIT,
+)
 
 POSITION_ZERO = 2048
 """Reading of the encoder where the OP3's joint angle is zero."""
 
-VELOCITY_UNIT = 0.229 * 2 * pi / 60
-"""One unit of velocity, 0.229 rpm [rad/s]."""
-
-CURRENT_UNIT = 0.00269
-"""One unit of current [A]."""
-
 PWM_UNIT = 1 / 885
 """One unit of PWM, as a duty cycle."""
-
-VOLTAGE_UNIT = 0.1
-"""One unit of voltage [V]."""
-
-GYRO_UNIT = 2000 / 32800 * pi / 180
-"""One unit of the gyro [rad/s]."""
-
-ACCELERATION_UNIT = 2 * 9.80665 / 32768
-"""One unit of the accelerometer, which clips at 2 g [m/s^2]."""
-
-ANGLE_UNIT = 0.1 * pi / 180
-"""One unit of roll, pitch and yaw [rad]."""
 
 BAUD_RATES: dict[int, int] = {
     0: 9600,

@@ -128,7 +128,8 @@ class Session:
     ):
         self._bus, self._safety, self._operator = bus, safety, operator
         self._logs, self._report, self._sysfs = logs, told(report), sysfs
-        self._loop = Loop(bus, safety, log=logs, show=show)
+        self._signals = StopSignals()
+        self._loop = Loop(bus, safety, log=logs, show=show, check=self._signals.check)
         self._release: Release | None = None
 
     def run(self, phases: Phases) -> Outcome:
@@ -137,7 +138,7 @@ class Session:
         Anything that is no `Exception` (such as `SystemExit`) passes on after torque has been switched off.
         """
         code, reason = ExitCode.OK, "done"
-        with StopSignals() as signals:
+        with self._signals as signals:
             try:
                 try:
                     self._work(phases)
@@ -181,6 +182,7 @@ class Session:
         with _collected_garbage():
             if armed:
                 assert isinstance(safety, Safety)
+                self._signals.check()
                 safety.energise()
             self._loop.run(made)
 

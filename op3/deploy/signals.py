@@ -23,12 +23,15 @@ class StopSignals:
     So an impatient second Ctrl-C cannot interrupt switching off. `hush` says that from now on even the first signal
     is only counted: the exit path has begun. In a thread other than the main one signals are left alone.
 
+    Foreign code may swallow what is raised in it, as a finaliser or a bare `except` does; `check` raises it again.
+
     Attributes:
         count: signals so far.
     """
 
     def __init__(self) -> None:
         self.count = 0
+        self._stop: Stop | None = None
         self._quiet = False
         self._before: dict[signal.Signals, Any] = {}
 
@@ -46,9 +49,15 @@ class StopSignals:
         """Let no signal interrupt what follows."""
         self._quiet = True
 
+    def check(self) -> None:
+        """Raise the first signal's `Stop` once more, if there was a signal and the program still goes on."""
+        if self._stop is not None and not self._quiet:
+            raise self._stop
+
     def _receive(self, number: int, _: FrameType | None) -> None:
         self.count += 1
         if self.count > 1 or self._quiet:
             return
         name = signal.Signals(number)
-        raise Stop(_CODES[name], f"stopped by {name.name}")
+        self._stop = Stop(_CODES[name], f"stopped by {name.name}")
+        raise self._stop

@@ -13,6 +13,7 @@ from op3.deploy.limits import HIGH, LOW, Limits
 from op3.deploy.registers import OPEN_CR, XM430_W350, HardwareError
 from op3.deploy.state import State
 from op3.robot import JOINTS
+from op3.robot.units import VOLTAGE_UNIT
 
 POWER_UP_TIME = 0.5
 """How long servos take to start after their supply is switched on [s]."""
@@ -78,7 +79,10 @@ class StartChecks:
             ("models and firmware", self._firmware),
             ("return delay", self._return_delay),
             ("status return level", self._return_level),
+            ("drive mode", self._drive_mode),
+            ("servo limits", self._servo_limits),
             ("hardware errors", self._hardware_errors),
+            ("temperature", self._temperature),
             ("supply voltage", self._voltage),
             ("joint angles", self._angles),
             ("IMU", self._imu),
@@ -160,6 +164,39 @@ class StartChecks:
             return False, f"{', '.join(wrong)} do not answer every packet; switch the power off and on"
         return True, "every packet is answered"
 
+    def _drive_mode(self) -> tuple[bool, str]:
+        # A reversed servo turns every correction into a push the wrong way.
+        odd = [f"{name} {value}" for name, value in self._all("drive_mode").items() if value]
+        if odd:
+            return False, f"not normal: {', '.join(odd)}; write it once with mode=setup, then calibrate"
+        return True, "normal"
+
+    def _servo_limits(self) -> tuple[bool, str]:
+        """The run has to end before a servo lets go by itself."""
+        limits = self._limits
+        cool = [
+            f"{name} {value} C" for name, value in self._all("temperature_limit").items() if value <= limits.temperature
+        ]
+        if cool:
+            return False, (
+                f"{', '.join(cool)}: a servo would shut down before the run ends at {limits.temperature:g} C;"
+                " raise its register temperature_limit, or lower limits.temperature"
+            )
+        volts = {name: VOLTAGE_UNIT * value for name, value in self._all("min_voltage_limit").items()}
+        high = [f"{name} {value:.1f} V" for name, value in volts.items() if value > limits.voltage + 1e-9]
+        if high:
+            return False, (
+                f"{', '.join(high)}: a servo would report an error before the run ends at {limits.voltage:g} V;"
+                " lower its register min_voltage_limit, or raise limits.voltage"
+            )
+        return True, f"beyond {limits.temperature:g} C and {limits.voltage:g} V"
+
+    def _temperature(self) -> tuple[bool, str]:
+        warm = self._all("present_temperature")
+        name = max(warm, key=lambda key: warm[key])
+        detail = f"{warm[name]} C at {name}, the highest"
+        return (True, detail) if warm[name] < self._limits.temperature else (False, f"{detail}; let it cool")
+
     def _hardware_errors(self) -> tuple[bool, str]:
         errors = {name: value for name, value in self._all("hardware_error_status").items() if value}
         if errors:
@@ -169,8 +206,8 @@ class StartChecks:
 
     def _voltage(self) -> tuple[bool, str]:
         least = self._limits.start_voltage
-        volts = {name: 0.1 * value for name, value in self._all("present_input_voltage").items()}
-        volts[BOARD] = 0.1 * self._bus.read(BOARD, "present_voltage")
+        volts = {name: VOLTAGE_UNIT * value for name, value in self._all("present_input_voltage").items()}
+        volts[BOARD] = VOLTAGE_UNIT * self._bus.read(BOARD, "present_voltage")
         name = min(volts, key=lambda key: volts[key])
         detail = f"{volts[name]:.1f} V at {name}, the lowest"
         return (True, detail) if volts[name] >= least - 1e-9 else (False, f"{detail}; charge to at least {least} V")

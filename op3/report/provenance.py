@@ -3,13 +3,14 @@
 import os
 import platform
 import shlex
-import subprocess
 import sys
 from collections.abc import Sequence
 from datetime import datetime
 from importlib import metadata
 from pathlib import Path
 from typing import Any
+
+from op3.rollout.code_version import git_changes, git_hash
 
 PACKAGES = ("torch", "torchrl", "tensordict", "mujoco", "dm-control", "hydra-core", "optuna", "numpy", "scipy")
 """Packages whose versions can change a result."""
@@ -59,15 +60,10 @@ def command_line() -> str:
 
 def git_state() -> dict[str, Any]:
     """Commit of the code, and whether files differ from it; ``unknown`` where it is not in its own repository."""
-    folder = Path(__file__).resolve().parents[1]
-    try:
-        # a package installed inside another project's repository must not take that project's commit
-        _git(folder, "ls-files", "--error-unmatch", "__init__.py")
-        commit = _git(folder, "rev-parse", "HEAD")
-        changed = bool(_git(folder, "status", "--porcelain", "--untracked-files=no"))
-    except (OSError, subprocess.SubprocessError):
+    commit, changed = git_hash(), git_changes()
+    if commit is None:
         return {"git_hash": "unknown"}
-    return {"git_hash": commit, "git_changes": changed}
+    return {"git_hash": commit} if changed is None else {"git_hash": commit, "git_changes": changed}
 
 
 def versions() -> dict[str, str]:
@@ -79,8 +75,3 @@ def versions() -> dict[str, str]:
         except metadata.PackageNotFoundError:
             continue
     return found
-
-
-def _git(folder: Path, *arguments: str) -> str:
-    command = ["git", "-C", str(folder), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()

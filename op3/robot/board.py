@@ -17,6 +17,8 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from op3.robot.units import GRAVITY
+
 Array = NDArray[np.float64]
 
 AXIS_HEIGHT = 0.12
@@ -221,7 +223,7 @@ class WeightDrive:
         """Write the hand's force at the times into ``qfrc_applied`` [..., nv]."""
         lowered = LOWERING_SPEED * np.maximum(np.asarray(time, dtype=float) - schedule.start, 0.0)
         speed = np.where(lowered > 0, LOWERING_SPEED, 0.0)
-        force = WEIGHT_MASS * 9.81 + HAND_STIFFNESS * (-lowered - qpos[..., self._qpos])
+        force = WEIGHT_MASS * GRAVITY + HAND_STIFFNESS * (-lowered - qpos[..., self._qpos])
         force = force + _HAND_DAMPING * (-speed - qvel[..., self._dof])
         qfrc_applied[..., self._dof] = np.maximum(force, 0.0)
 

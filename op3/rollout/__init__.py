@@ -1,5 +1,6 @@
 """The one log format: a TensorDict schema, recorder, files, importers and the comparison of two logs."""
 
+from op3.rollout.code_version import git_changes, git_hash
 from op3.rollout.compare import ChannelError, Comparison, compare
 from op3.rollout.errors import LogError
 from op3.rollout.metadata import MOUNTS, ROBOTS, Metadata
@@ -22,6 +23,8 @@ __all__ = [
     "Rollout",
     "column_names",
     "compare",
+    "git_changes",
+    "git_hash",
     "read_log",
     "read_logs",
     "schema_table",

@@ -12,15 +12,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from op3.robot.units import GRAVITY
 from op3.servo import RobotModel, ServoLaw, Signals
 from op3.servo.effects import LinkInertia, Motor
 from op3.sim.inputs import default_commands, expand_parameters, set_commands, set_start
 
 PD_PERIOD = 0.008
 """Time between ticks of a PD that commands current [s]; paper, 125 Hz."""
-
-GRAVITY = 9.81
-"""[m/s2], as in the scenes."""
 
 ROTOR, LINK = Motor.edits[0], LinkInertia.edits[0]
 """The changes to a MuJoCo model that mean something here: of the rotor's inertia and of the link's."""

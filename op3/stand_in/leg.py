@@ -22,13 +22,14 @@ from numpy.typing import NDArray
 
 from op3.robot import LEG_JOINTS, Excitation, build_scene
 from op3.robot.kinematics import rotation_matrix
+from op3.robot.units import ACCELERATION_UNIT, ANGLE_UNIT, CURRENT_UNIT, GRAVITY, GYRO_UNIT
 from op3.rollout import Metadata, Rollout
 from op3.stand_in.hidden import Hidden
 from op3.stand_in.leg_sensors import LegSensors
 from op3.stand_in.leg_servos import LegServos, LegTruth
 from op3.stand_in.play import CONTROL_PERIOD, NOMINAL_BATTERY
 from op3.stand_in.robot import CURRENT_LIMIT
-from op3.stand_in.sensors import ACCELERATION_UNIT, ANGLE_UNIT, CURRENT_UNIT, GYRO_UNIT, quantise
+from op3.stand_in.sensors import quantise
 from op3.stand_in.servos import SLOW_PERIOD
 
 TIMESTEP = 0.00025
@@ -83,7 +84,7 @@ class _Session:
         self.day_time, temperature = self._day()
         self.servos = LegServos(truth, temperature, self.day_time, TIMESTEP)
         self.batch = Batch(self._model(), len(suite), nthread=1)
-        gravity = np.array([0.0, 0.0, -9.81])
+        gravity = np.array([0.0, 0.0, -GRAVITY])
         self.batch.expand("opt.gravity")[...] = [rotation_matrix(*run.tilt).T @ gravity for run in suite]
         self.sensors = LegSensors(truth, len(suite))
         self._arrivals: deque[tuple[Array, Array]] = deque()
@@ -218,7 +219,7 @@ class _Session:
         world = self.truth.world
         rng = self._sensor_rng
         rates = world.gyro_noise * 0.3 * rng.standard_normal((rows, 3))
-        force = rotation_matrix(*excitation.tilt).T @ np.array([0.0, 0.0, 9.81])
+        force = rotation_matrix(*excitation.tilt).T @ np.array([0.0, 0.0, GRAVITY])
         force = force + 0.3 * world.accelerometer_noise * rng.standard_normal((rows, 3))
         return {
             ("imu", "orientation"): np.tile(quantise(np.array([*excitation.tilt, 0.0]), ANGLE_UNIT), (rows, 1)),

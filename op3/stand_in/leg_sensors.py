@@ -8,16 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from op3.robot import LEG_JOINTS
+from op3.robot.units import CURRENT_UNIT, POSITION_UNIT, TEMPERATURE_UNIT, VELOCITY_UNIT, VOLTAGE_UNIT
 from op3.stand_in.leg_effects import places
 from op3.stand_in.leg_servos import LegServos, LegTruth
-from op3.stand_in.sensors import (
-    CURRENT_UNIT,
-    POSITION_UNIT,
-    TEMPERATURE_UNIT,
-    VELOCITY_UNIT,
-    VOLTAGE_UNIT,
-    quantise,
-)
+from op3.stand_in.sensors import quantise
 from op3.stand_in.servos import SLOW_PERIOD
 
 Array = NDArray[np.float64]

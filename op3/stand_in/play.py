@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from op3.robot import JOINTS, SOFT_LIMITS, Motion, indices, pose
+from op3.robot.units import CURRENT_UNIT
 from op3.rollout import Metadata, Rollout
-from op3.stand_in.sensors import CURRENT_UNIT, Sensors
+from op3.stand_in.sensors import Sensors
 
 if TYPE_CHECKING:
     from op3.stand_in.robot import StandIn

@@ -25,19 +25,10 @@ from op3.robot import (
     tile_ids,
 )
 from op3.robot.scenes import Scene
+from op3.robot.units import CURRENT_UNIT, POSITION_UNIT, TEMPERATURE_UNIT, VELOCITY_UNIT, VOLTAGE_UNIT
 from op3.rollout import Rollout
 from op3.stand_in.play import play
-from op3.stand_in.sensors import (
-    CURRENT_UNIT,
-    POSITION_UNIT,
-    TEMPERATURE_UNIT,
-    VELOCITY_UNIT,
-    VOLTAGE_UNIT,
-    Imu,
-    Sensors,
-    VelocityFilter,
-    quantise,
-)
+from op3.stand_in.sensors import Imu, Sensors, VelocityFilter, quantise
 from op3.stand_in.servos import SLOW_PERIOD, ServoBank
 from op3.stand_in.world import World
 

@@ -10,25 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from op3.robot.units import (
+    ACCELERATION_UNIT,
+    ANGLE_UNIT,
+    GYRO_UNIT,
+)
 from op3.stand_in.servos import SLOW_PERIOD
 from op3.stand_in.world import World
-
-POSITION_UNIT = 2 * np.pi / 4096
-"""One count of the encoder [rad]."""
-VELOCITY_UNIT = 0.229 * 2 * np.pi / 60
-"""One unit of present velocity, 0.229 rpm [rad/s]."""
-CURRENT_UNIT = 0.00269
-"""One unit of present and goal current [A]."""
-VOLTAGE_UNIT = 0.1
-"""One unit of input voltage [V]."""
-TEMPERATURE_UNIT = 1.0
-"""One unit of temperature [C]."""
-ANGLE_UNIT = np.deg2rad(0.1)
-"""One unit of roll, pitch and yaw [rad]."""
-GYRO_UNIT = np.deg2rad(2000 / 32800)
-"""One unit of the gyro [rad/s]."""
-ACCELERATION_UNIT = 2 * 9.80665 / 32768
-"""One unit of the accelerometer, which clips at 2 g [m/s^2]."""
 
 IMU_EVERY = 5
 """The IMU's registers change every 5 ms, its loop running at 200 Hz [slow steps]."""

@@ -10,8 +10,7 @@ import torch
 from scipy.special import ive
 from torch import Tensor
 
-GRAVITY = 9.81
-"""[m/s^2]"""
+from op3.robot.units import GRAVITY
 
 STANCE_SHARE = 0.7
 """Share of the cycle in which a foot carries the robot; paper, 0.7:0.3."""

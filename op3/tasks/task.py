@@ -2,10 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import ceil, pi, radians
+from math import ceil, radians
 from typing import Any
 
 from op3.policy.observation import BALANCE_LAYOUT, WALK_LAYOUT
+from op3.robot.units import ANGLE_UNIT, GYRO_UNIT, POSITION_UNIT, VELOCITY_UNIT
 from op3.tasks import rewards
 from op3.tasks.rewards import Coefficients
 from op3.tasks.setups import OP3_CONTROL_PERIOD
@@ -59,10 +60,10 @@ class Sensors:
         angular_velocity: gyro, 2000 / 32800 degrees per second and count [rad/s].
     """
 
-    joint_position: Sensor = Sensor(unit=2 * pi / 4096)
-    joint_velocity: Sensor = Sensor(unit=0.229 * 2 * pi / 60)
-    orientation: Sensor = Sensor(unit=radians(0.1))
-    angular_velocity: Sensor = Sensor(unit=radians(2000 / 32800))
+    joint_position: Sensor = Sensor(unit=POSITION_UNIT)
+    joint_velocity: Sensor = Sensor(unit=VELOCITY_UNIT)
+    orientation: Sensor = Sensor(unit=ANGLE_UNIT)
+    angular_velocity: Sensor = Sensor(unit=GYRO_UNIT)
 
 
 @dataclass(frozen=True)

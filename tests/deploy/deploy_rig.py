@@ -111,6 +111,7 @@ class Rig:
         folder: Path | None = None,
         duration: float = 1.0,
         torque: bool = True,
+        current_scale: float = 1.0,
         sysfs: Path | None = None,
     ) -> Outcome:
         """A session; by default ramp, move to the stand pose, hold it."""
@@ -118,7 +119,7 @@ class Rig:
         logs = None
         if folder is not None:
             logs = Logs(folder, Metadata(joints=JOINTS, robot="emulated", mount="stand", rate=125.0))
-        self.safety = Safety(self.bus, limits, torque=torque, report=self.lines.append)
+        self.safety = Safety(self.bus, limits, current_scale=current_scale, torque=torque, report=self.lines.append)
         session = Session(self.bus, self.safety, operator or Yes(), logs=logs, report=self.lines.append, sysfs=sysfs)
 
         def make(loop: Loop) -> Sequence[Phase]:

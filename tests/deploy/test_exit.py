@@ -1,5 +1,6 @@
 """However a run ends: torque off, three times sent and read back from all twenty servos."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -110,6 +111,81 @@ def test_ctrl_c_on_a_silent_bus(tmp_path):
     assert len(pressed) >= 4
     assert_off(rig, outcome)
     assert back < rig.robot.clock.now() < back + 1.0
+
+
+class Energising:
+    """Sends Ctrl-C when half of the servos have got torque."""
+
+    def __init__(self, rig):
+        self.count = 0
+        for servo in rig.robot.servos.values():
+            written = servo.written
+
+            def spy(register, value, written=written):
+                written(register, value)
+                if register.name == "torque_enable" and value:
+                    self.count += 1
+                    if self.count == 10:
+                        signal.raise_signal(signal.SIGINT)
+
+            servo.written = spy
+
+
+def test_ctrl_c_between_two_servos(tmp_path):
+    """Ten servos have torque and ten have not when Ctrl-C comes: all are off afterwards, verified."""
+    rig = make_rig(tmp_path)
+    energising = Energising(rig)
+    outcome = rig.run()
+    assert energising.count >= 10
+    assert outcome.code == ExitCode.INTERRUPTED
+    assert_off(rig, outcome)
+
+
+@pytest.mark.parametrize("moment", [0.2, 0.6, 1.3, 2.5, 4.2, 4.9])
+def test_ctrl_c_at_any_moment(tmp_path, moment):
+    """In the checks, in the ramp, on the way, while holding: 130, and no servo has torque."""
+    rig = make_rig(tmp_path)
+    rig.robot.at(moment, lambda: signal.raise_signal(signal.SIGINT))
+    outcome = rig.run(duration=3.0)
+    assert outcome.code == ExitCode.INTERRUPTED
+    assert rig.register("torque_enable") == [0] * 20
+    assert outcome.release is None or outcome.release.ok
+
+
+def test_a_swallowed_signal_is_not_lost(tmp_path):
+    """Code that swallows every exception, as finalisers do, cannot swallow Ctrl-C: the next tick ends the run."""
+
+    def swallow():
+        with contextlib.suppress(Exception):
+            signal.raise_signal(signal.SIGINT)
+
+    rig = make_rig(tmp_path)
+    began = []
+    outcome = rig.run([GainRamp(), At(50, lambda: (began.append(rig.robot.clock.now()), swallow()))])
+    assert outcome.code == ExitCode.INTERRUPTED
+    assert_off(rig, outcome)
+    off = next(time for time, values in rig.written("torque_enable") if not any(values.values()))
+    assert off - began[0] < 0.012
+
+
+def test_a_program_that_dies_frees_all_servos_within_120_ms(tmp_path):
+    """After the last packet of a program that is gone, as with kill -9, all twenty are free 100 to 120 ms later."""
+    rig = make_rig(tmp_path)
+    seen = {}
+
+    def die():
+        last = rig.robot._heard
+        rig.robot.clock.sleep_until(last + 0.098)
+        seen["before"] = int(rig.robot._firmware.enabled.sum())
+        rig.robot.clock.sleep_until(last + 0.120)
+        seen["after"] = int(rig.robot._firmware.enabled.sum())
+        seen["watchdog"] = rig.register("bus_watchdog")
+        seen["current"] = float(abs(rig.physics._current).max())
+        raise SystemExit(137)
+
+    with pytest.raises(SystemExit):
+        rig.run([GainRamp(), At(50, die)])
+    assert seen == {"before": 20, "after": 0, "watchdog": [-1] * 20, "current": 0.0}
 
 
 def test_a_bus_that_stays_silent(tmp_path):
@@ -225,13 +301,17 @@ def test_kill_9_frees_all_servos(tmp_path):
 def test_ctrl_c_on_a_pty(tmp_path):
     """The script on a serial port at 125 Hz in wall time: it runs, and Ctrl-C ends it verified, with its exit code."""
     robot = EmulatedRobot(CheapPhysics())
+    idle = os.getloadavg()[0] < 0.5
     with PtyServer(robot) as server:
         process = start(server.path, tmp_path, robot)
-        time.sleep(1.0)
+        time.sleep(2.0)
         process.send_signal(signal.SIGINT)
         output, _ = process.communicate(timeout=30)
     assert "torque off verified 20/20" in output
     # a machine that stutters may have held the loop up for more than 100 ms before the signal came
     assert process.returncode in (ExitCode.INTERRUPTED, ExitCode.OVERRUN, ExitCode.BUS_LOSS), output
-    ticks = next(line for line in output.splitlines() if "lateness p50" in line)
-    assert int(ticks.split()[0]) >= 10, ticks
+    timing = next(line for line in output.splitlines() if "lateness p50" in line)
+    ticks, missed = int(timing.split()[0]), int(timing.split()[2])
+    assert ticks >= 10, timing
+    # on an idle machine one tick in a hundred is late; ten leave room for a neighbour
+    assert not idle or (ticks >= 100 and missed <= 0.1 * ticks), timing

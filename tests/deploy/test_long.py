@@ -10,9 +10,9 @@ from op3.deploy.phases import GainRamp, Hold
 from op3.robot import pose
 
 
-def hold_with_losses(tmp_path, duration):
-    """Hold the stand pose while 0.26 % of the answers are lost; returns outcome, largest jump and share of losses."""
-    rig = make_rig(tmp_path, faults=Faults(lost=0.0026), record=False)
+def hold_with_losses(tmp_path, duration, lost):
+    """Hold the stand pose while answers are lost; returns outcome, largest jump and share of lost readings."""
+    rig = make_rig(tmp_path, faults=Faults(lost=lost), record=False)
     last, jump, lost, ticks = None, 0, 0, 0
 
     class Watched(Hold):
@@ -29,24 +29,24 @@ def hold_with_losses(tmp_path, duration):
     return rig, outcome, jump, lost / (20 * ticks)
 
 
-def check(tmp_path, minutes):
-    rig, outcome, jump, share = hold_with_losses(tmp_path, 60 * minutes)
+def check(tmp_path, minutes, lost):
+    rig, outcome, jump, share = hold_with_losses(tmp_path, 60 * minutes, lost)
     assert outcome.code == ExitCode.OK, outcome.reason
     assert outcome.release.ok
     # one lost part of a fast answer hides those behind it: on average ten more
-    assert 0.001 < share < 0.06
+    assert 0.5 * lost < share < 20 * lost
     # holding takes about 62 counts; noise of the readings alone makes goals differ by a few counts from tick to tick
     assert jump <= 12
-    assert outcome.timing.misses < 0.02 * outcome.timing.ticks
+    assert outcome.timing.misses < 0.05 * outcome.timing.ticks
     assert rig.robot.clock.now() > 60 * minutes
 
 
-def test_two_minutes_with_lost_reads(tmp_path):
-    """Two virtual minutes of holding with 0.26 % lost reads: no exit, no jump in torque."""
-    check(tmp_path, 2)
+def test_a_minute_with_many_lost_reads(tmp_path):
+    """With 1 % lost, four times what the field has seen, every fifth tick misses someone, and nobody four in a row."""
+    check(tmp_path, 1, lost=0.01)
 
 
 @pytest.mark.slow
 def test_an_hour_with_lost_reads(tmp_path):
     """Sixty virtual minutes of holding with 0.26 % lost reads: no exit, no jump in torque."""
-    check(tmp_path, 60)
+    check(tmp_path, 60, lost=0.0026)

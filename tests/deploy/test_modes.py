@@ -14,7 +14,7 @@ from policies import hold_policy
 
 from op3.deploy import Calibration, Connection, Plan, Player, calibrate, connect, read_only, run, setup
 from op3.deploy.bus import Unplugged
-from op3.deploy.emulator import OP3_SETTINGS
+from op3.deploy.emulator import OP3_SETTINGS, read_frames
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command
 from op3.deploy.monitors import Verdict
@@ -22,7 +22,7 @@ from op3.deploy.operator import Yes
 from op3.deploy.panel import Panel
 from op3.deploy.phases import FollowMotion
 from op3.deploy.policy_runner import FollowPolicy, PolicyRunner
-from op3.deploy.protocol import Instruction
+from op3.deploy.protocol import Instruction, Parser
 from op3.deploy.ticker import Ticker
 from op3.robot import JOINTS, Motion, pose, squat
 from op3.rollout import Rollout
@@ -36,9 +36,7 @@ def connected(rig):
 
 def switch_on(rig):
     """The servos' supply, as a mode that may not do so finds it on a running robot."""
-    rig.robot.open_cr.put("dynamixel_power", 1)
-    rig.robot._switch(True)
-    rig.robot.clock.sleep(0.2)
+    rig.robot.switch_on()
 
 
 def test_a_whole_run(tmp_path):
@@ -112,11 +110,40 @@ def test_read_only_tells_that_the_supply_is_off(tmp_path):
     assert not rig.robot.open_cr.power
 
 
+def test_hang(tmp_path):
+    """From the command line: the servos' current limits are halved on the wire."""
+    frames = tmp_path / "frames.txt"
+    result = script(
+        *("deploy.py", "port=emulated", "model=paper", "mode=hang", "duration=0.1", "panel=false"),
+        *(f"frames={frames}", f"hydra.run.dir={tmp_path / 'run'}"),
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+    packets = [p for f in read_frames(frames) if f.direction == ">" for p in Parser().feed(f.data)]
+    limits = [p.parameters[4:] for p in packets if p.instruction == Instruction.SYNC_WRITE and p.parameters[0] == 38]
+    values = {int.from_bytes(limits[0][i + 1 : i + 3], "little") for i in range(0, len(limits[0]), 3)}
+    assert values == {427, 215}
+
+
+def test_read_only_and_calibrate_on_the_emulated_robot(tmp_path):
+    """Someone has pressed its power button: both modes can be rehearsed, and the last frame is an answer."""
+    common = ("deploy.py", "port=emulated", "model=paper", "mount=stand", "panel=false")
+    frames = tmp_path / "frames.txt"
+    look = script(*common, "mode=read_only", "duration=0.1", f"frames={frames}", f"hydra.run.dir={tmp_path / 'look'}")
+    assert look.returncode == 0, look.stdout + look.stderr
+    assert "FAIL" not in look.stdout
+    assert read_frames(frames)[-1].direction == "<"
+    file = tmp_path / "op3.yaml"
+    held = script(*common, "mode=calibrate", "pose=stand", f"calibration_out={file}", f"hydra.run.dir={tmp_path / 'c'}")
+    assert held.returncode == 0, held.stdout + held.stderr
+    assert np.abs(Calibration.load(file).offset).max() < 0.01
+
+
 def test_setup_makes_a_factory_robot_start(tmp_path):
     """A robot with the factory's return delay fails the start checks, and passes them after setup."""
-    rig = make_rig(tmp_path, settings={**OP3_SETTINGS, "return_delay_time": 250})
+    rig = make_rig(tmp_path, settings={**OP3_SETTINGS, "return_delay_time": 250, "drive_mode": 1})
     assert setup(connected(rig), report=rig.lines.append) == ExitCode.OK
     assert rig.register("return_delay_time") == [0] * 20
+    assert rig.register("drive_mode") == [0] * 20
     assert rig.written("goal_current") == []
     rig.bus._writer = None
     assert rig.run(duration=0.1).code == ExitCode.OK
@@ -185,6 +212,41 @@ def test_panel(tmp_path):
     assert sum("l_knee" in line for line in lines) == 2
     assert "all odd" in lines[-1]
     assert "\x1b[23A" in lines[23]
+
+
+class Window(io.StringIO):
+    """A terminal of 80 columns and 24 rows that keeps what was written."""
+
+    def isatty(self):
+        return True
+
+
+def shown(panel, rig):
+    state, ticker = rig.bus.read_state(), Ticker(rig.robot.clock)
+    ticker.wait()
+    panel("hold", state, Command.of(pose("stand"), 5.0, 0.1), np.zeros(20), Verdict(), ticker)
+
+
+def test_what_is_said_stays_above_the_panel(tmp_path):
+    """A question is not overwritten: the next block begins below it, and fits into 80 columns and 24 rows."""
+    rig, window = make_rig(tmp_path), Window()
+    switch_on(rig)
+    panel = Panel(window, every=2)
+    panel.say("before")
+    assert window.getvalue() == "before\n"
+    for _ in range(3):
+        shown(panel, rig)
+        time.sleep(0.05)
+    panel.say("press Enter")
+    for _ in range(2):
+        shown(panel, rig)
+    panel.close()
+    lines = window.getvalue().splitlines()
+    at = lines.index("press Enter")
+    assert any(line.startswith("\x1b[23A") for line in lines[:at])
+    assert not any("\x1b[23A" in line for line in lines[at : at + 23])
+    assert len(lines[at + 1 :]) >= 23
+    assert max(len(line.replace("\x1b[23A", "").replace("\x1b[2K", "")) for line in lines) < 80
 
 
 def test_a_stalled_terminal_does_not_hold_up_the_loop(tmp_path):

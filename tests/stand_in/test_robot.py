@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from op3.robot import JOINTS, build_bench, build_scene, pose, squat
-from op3.stand_in import StandIn, World
-from op3.stand_in.sensors import (
+from op3.robot.units import (
     ACCELERATION_UNIT,
     ANGLE_UNIT,
     CURRENT_UNIT,
@@ -16,6 +15,7 @@ from op3.stand_in.sensors import (
     VELOCITY_UNIT,
     VOLTAGE_UNIT,
 )
+from op3.stand_in import StandIn, World
 
 QUIET = World(
     joint_spread=0.0,

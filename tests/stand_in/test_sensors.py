@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from op3.robot import quaternion
+from op3.robot.units import ACCELERATION_UNIT, GYRO_UNIT
 from op3.stand_in import World
-from op3.stand_in.sensors import ACCELERATION_UNIT, GYRO_UNIT, Imu, VelocityFilter, quantise, roll_pitch_yaw
+from op3.stand_in.sensors import Imu, VelocityFilter, quantise, roll_pitch_yaw
 
 QUIET = World(gyro_noise=0.0, gyro_bias=0.0, accelerometer_noise=0.0)
 LEVEL = np.array([1.0, 0, 0, 0])

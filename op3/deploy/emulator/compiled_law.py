@@ -149,7 +149,7 @@ def _trace(
 
 
 class _Program:
-    """A traced graph as a list of numpy calls into fixed arrays."""
+    """A traced graph as a list of numpy calls into fixed arrays; what depends on parameters alone is computed once."""
 
     def __init__(self, module: GraphModule, given: Sequence[Array]):
         graph: Graph = module.graph
@@ -158,6 +158,7 @@ class _Program:
         self.arguments: dict[int, Array] = {}
         self._known: dict[tuple[Any, ...], Any] = {}
         self._values: dict[Node, Any] = {}
+        self._fixed: dict[int, Array] = {}
         arguments = 0
         for node in graph.nodes:
             if node.op == "placeholder":
@@ -165,7 +166,7 @@ class _Program:
                     self.arguments[arguments] = self._values[node] = given[arguments]
                 arguments += 1
             elif node.op == "get_attr":
-                self._values[node] = getattr(module, str(node.target)).detach().numpy()
+                self._values[node] = self._fix(getattr(module, str(node.target)).detach().numpy())
             elif node.op == "call_function":
                 self._values[node] = self._call(node)
             elif node.op == "output":
@@ -176,7 +177,7 @@ class _Program:
     def _call(self, node: Node) -> Any:
         arguments = tuple(self._look_up(each) for each in node.args)
         if node.target is operator.getitem:
-            return arguments[0][arguments[1]]
+            return arguments[0][arguments[1]]  # of what `unbind` gave
         name, _, overload = str(node.target).removeprefix("aten.").partition(".")
         if node.kwargs.get("alpha", 1) != 1 or node.kwargs.get("rounding_mode") is not None:
             raise Untranslatable(f"aten.{name} with {dict(node.kwargs)}")
@@ -192,9 +193,10 @@ class _Program:
 
     def _emit(self, name: str, arguments: tuple[Any, ...]) -> Any:
         if name in _VIEWS:
-            return _VIEWS[name](*arguments)
+            view = _VIEWS[name](*arguments)
+            return self._fix(view) if self._is_fixed(arguments[0]) else view
         if name in ("zeros_like", "ones_like", "full_like", "scalar_tensor"):
-            return _constant(name, arguments)
+            return self._fix(_constant(name, arguments))
         if name in _UNARY:
             return self._add(_UNARY[name], arguments[:1])
         if name in _BINARY:
@@ -229,6 +231,8 @@ class _Program:
 
     def _where(self, condition: Array, then: Any, otherwise: Any) -> Any:
         shape = np.broadcast_shapes(np.shape(condition), np.shape(then), np.shape(otherwise))
+        if all(self._is_fixed(each) for each in (condition, then, otherwise)):
+            return self._fix(np.where(condition, then, otherwise))
         out = np.zeros(shape)
         self.calls += [partial(np.copyto, out, otherwise), partial(np.copyto, out, then, where=condition)]
         return out
@@ -237,8 +241,22 @@ class _Program:
         if not any(isinstance(each, np.ndarray | list) for each in arguments):
             return function(*arguments)
         out = function(*arguments)
+        if all(self._is_fixed(each) for each in arguments):
+            return self._fix(out)
         self.calls.append(partial(function, *arguments, out=out))
         return out
+
+    def _fix(self, value: Any) -> Any:
+        """Note that arrays hold the same numbers in every step."""
+        for each in value if isinstance(value, list) else [value]:
+            if isinstance(each, np.ndarray):
+                self._fixed[id(each)] = each
+        return value
+
+    def _is_fixed(self, argument: Any) -> bool:
+        if isinstance(argument, list):
+            return all(self._is_fixed(each) for each in argument)
+        return not isinstance(argument, np.ndarray) or id(argument) in self._fixed
 
 
 def _identity(argument: Any) -> Any:

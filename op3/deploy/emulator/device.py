@@ -21,7 +21,7 @@ class Device:
 
     def __init__(self, table: ControlTable, device_id: int):
         self.table = table
-        self.memory = bytearray(table.size)
+        self.memory: bytearray | memoryview = bytearray(table.size)
         self.ready = 0.0
         self.pending: tuple[int, bytes] | None = None
         self._slices = {register.name: slice(register.address, register.end) for register in table}

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.deploy.registers import CURRENT_UNIT, POSITION_UNIT, POSITION_ZERO, PWM_UNIT, VELOCITY_UNIT, OperatingMode
+from op3.deploy.registers import POSITION_ZERO, PWM_UNIT, OperatingMode
+from op3.robot.units import CURRENT_UNIT, POSITION_UNIT, VELOCITY_UNIT
 
 PERIOD = 0.001
 """Period of the servos' own loops [s] (inferred: the register `realtime_tick` counts in it)."""

@@ -12,7 +12,8 @@ import numpy as np
 from op3.deploy.emulator.device import Device
 from op3.deploy.emulator.physics import Readings
 from op3.deploy.protocol import Error, Instruction
-from op3.deploy.registers import ACCELERATION_UNIT, ANGLE_UNIT, GYRO_UNIT, OPEN_CR, OPEN_CR_AXES, OPEN_CR_ID, Register
+from op3.deploy.registers import OPEN_CR, OPEN_CR_AXES, OPEN_CR_ID, Register
+from op3.robot.units import ACCELERATION_UNIT, ANGLE_UNIT, GYRO_UNIT
 
 INSTRUCTIONS = (
     Instruction.PING,
@@ -31,6 +32,10 @@ BUTTONS: tuple[str, ...] = ("mode", "start", "user", "reset")
 _IMU = slice(32, 50)
 _VOLTAGE, _BUTTON = 31, 30
 
+_UNITS = np.repeat([GYRO_UNIT, ACCELERATION_UNIT, ANGLE_UNIT], 3)
+# The firmware cuts off the fraction of an angle; a reading on the grid must not fall below it by rounding.
+_COUNTS_PER_SI = np.tile(OPEN_CR_AXES, 3) / _UNITS * np.repeat([1.0, 1.0, 1 + 1e-9], 3)
+
 
 class OpenCR(Device):
     """The board's registers.
@@ -42,6 +47,7 @@ class OpenCR(Device):
     def __init__(self) -> None:
         super().__init__(OPEN_CR, OPEN_CR_ID)
         self.frozen = False
+        self._counts = np.zeros(9)
 
     @property
     def power(self) -> bool:
@@ -67,15 +73,13 @@ class OpenCR(Device):
         rates, force = readings.angular_velocity, readings.linear_acceleration
         assert rates is not None
         assert force is not None
-        counts = np.concatenate(
-            [
-                np.rint(rates * OPEN_CR_AXES / GYRO_UNIT),
-                np.rint(force * OPEN_CR_AXES / ACCELERATION_UNIT),
-                # the firmware cuts off the fraction; a reading on the grid must not fall below it by rounding
-                np.trunc(readings.orientation * OPEN_CR_AXES / ANGLE_UNIT * (1 + 1e-9)),
-            ]
-        )
-        self.memory[_IMU] = np.minimum(np.maximum(counts, -32768), 32767).astype("<i2").tobytes()
+        counts = self._counts
+        counts[:3], counts[3:6], counts[6:] = rates, force, readings.orientation
+        counts *= _COUNTS_PER_SI
+        np.rint(counts[:6], out=counts[:6])
+        np.trunc(counts[6:], out=counts[6:])
+        np.minimum(np.maximum(counts, -32768, out=counts), 32767, out=counts)
+        self.memory[_IMU] = counts.astype("<i2").tobytes()
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
         """Error and data of a read."""

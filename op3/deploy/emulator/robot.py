@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import count
 from math import floor, inf
 from pathlib import Path
@@ -31,19 +31,16 @@ from op3.deploy.emulator.open_cr import BUTTONS, OpenCR
 from op3.deploy.emulator.physics import Physics, Readings
 from op3.deploy.emulator.port import Clock, VirtualPort
 from op3.deploy.emulator.pty_server import PtyServer
-from op3.deploy.emulator.servo import Servo
-from op3.deploy.protocol import Instruction, Packet
+from op3.deploy.emulator.servo import BOOT_TIME, Servo
+from op3.deploy.protocol import BROADCAST_ID, Instruction, Packet
 from op3.deploy.registers import (
-    CURRENT_UNIT,
-    POSITION_UNIT,
     POSITION_ZERO,
     PWM_UNIT,
-    VELOCITY_UNIT,
-    VOLTAGE_UNIT,
     XM430_W350,
     HardwareError,
 )
 from op3.robot import SERVO_IDS
+from op3.robot.units import CURRENT_UNIT, POSITION_UNIT, VELOCITY_UNIT, VOLTAGE_UNIT
 
 OP3_SETTINGS: dict[str, int] = {"baud_rate": 4, "return_delay_time": 0}
 """EEPROM of the OP3's servos where it differs from the factory's: 2 Mbit/s, no return delay."""
@@ -65,6 +62,14 @@ _PRESENT = np.dtype(
         if _FIRST <= register.address < _LAST
     ]
 )
+
+
+def _shared_memory(servos: Sequence[Servo]) -> NDArray[np.uint8]:
+    """[servo, address]: from now on the servos' memory, so that all measurements are written at once."""
+    memory = np.array([np.frombuffer(servo.memory, np.uint8) for servo in servos])
+    for row, servo in zip(memory, servos, strict=True):
+        servo.memory = memoryview(row)
+    return memory
 
 
 class EmulatedRobot:
@@ -111,6 +116,7 @@ class EmulatedRobot:
             servo.measure = self._refresh
         self.open_cr = OpenCR()
         self._all = tuple(self.servos.values())
+        self._memory = _shared_memory(self._all)
         self._dispatcher = Dispatcher((*self._all, self.open_cr), timing.turnaround, self._hears)
         self.recorder = None if record is None else FrameRecorder(record)
         self.clock = Clock(self)
@@ -119,6 +125,8 @@ class EmulatedRobot:
         self.unplugged = False
         self._ticks = 0
         self._stale = True
+        self._board_stale = True
+        self._refreshed = 0.0
         self._powered = False
         self._silent: dict[int, float] = {}
         self._heat: dict[int, tuple[float, float]] = {}
@@ -195,7 +203,7 @@ class EmulatedRobot:
             physics.advance(steps)
         firmware.changed = False
         self._ticks += steps
-        self._stale = True
+        self._stale = self._board_stale = True
 
     # -- instructions
 
@@ -209,7 +217,7 @@ class EmulatedRobot:
     def _answers(self, packet: Packet, end: float) -> list[tuple[float, bytes]]:
         self.advance(end)
         if packet.instruction not in _WRITES:
-            self._refresh()
+            self._measure(packet)
         self._heard = end
         answers = self._dispatcher.answers(packet, end)
         if self._loads != self._firmware.loads:
@@ -235,6 +243,12 @@ class EmulatedRobot:
         for servo in self._all:
             servo.power(on, self.time)
         self._reconsider()
+
+    def switch_on(self) -> None:
+        """Give the servos power, as the robot's power button does, and let them boot."""
+        self.open_cr.put("dynamixel_power", 1)
+        self._switch(True)
+        self.clock.sleep(2 * BOOT_TIME)
 
     def press(self, button: str, duration: float = 0.05) -> None:
         """Press a button of the OpenCR for a while [s]; "reset", held for 0.1 s, cuts the servos' power."""
@@ -268,11 +282,28 @@ class EmulatedRobot:
 
     # -- sensors
 
+    def _measure(self, packet: Packet) -> None:
+        """Bring the registers up to date that an instruction may ask for."""
+        board = self.open_cr.id
+        if packet.device == board:
+            self._refresh_board()
+            return
+        self._refresh()
+        if packet.device == BROADCAST_ID:
+            self._refresh_board()
+
+    def _refresh_board(self) -> None:
+        """Bring the OpenCR's registers up to date with the physics."""
+        if self._board_stale:
+            self._board_stale = False
+            readings = self.physics.read()
+            self.open_cr.feel(readings, float(readings.voltage.max()))
+
     def _refresh(self) -> None:
-        """Bring the registers of all devices up to date with the physics."""
+        """Bring the servos' registers up to date with the physics."""
         if not self._stale:
             return
-        self._stale = False
+        self._stale, self._refreshed = False, self.time
         readings, present = self.physics.read(), self._present
         velocity = np.rint(readings.velocity / VELOCITY_UNIT)
         present["realtime_tick"] = (self._ticks - self._booted) % 32768
@@ -283,10 +314,7 @@ class EmulatedRobot:
         present["present_position"] = np.rint(readings.position / POSITION_UNIT) + self._zero
         present["present_input_voltage"] = np.rint(readings.voltage / VOLTAGE_UNIT)
         present["present_temperature"] = np.minimum(np.rint(self._temperature(readings)), 255)
-        content, width = present.tobytes(), _PRESENT.itemsize
-        for index, servo in enumerate(self._all):
-            servo.memory[_FIRST:_LAST] = content[index * width : (index + 1) * width]
-        self.open_cr.feel(readings, float(readings.voltage.max()))
+        self._memory[:, _FIRST:_LAST] = present.view(np.uint8).reshape(len(self._all), -1)
 
     def _temperature(self, readings: Readings) -> NDArray[np.float64]:
         if not self._heat:
@@ -302,8 +330,9 @@ class EmulatedRobot:
         self.at(self.time + CHECK_PERIOD, self._check_servos)
         if not self._powered:
             return
-        self._stale = True
-        self._refresh()
+        if self.time - self._refreshed >= CHECK_PERIOD:
+            self._stale = True
+            self._refresh()
         volts, celsius = self._present["present_input_voltage"], self._present["present_temperature"]
         hot, odd = celsius > self._limits[0], (volts < self._limits[1]) | (volts > self._limits[2])
         for index in np.flatnonzero(hot | odd):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import inf
+from struct import unpack_from
 
 from op3.deploy.emulator.device import Device
 from op3.deploy.emulator.firmware import Firmware
@@ -40,6 +41,7 @@ _GOAL_CURRENT, _CURRENT_LIMIT = XM430_W350["goal_current"].address, XM430_W350["
 _FULL_CURRENT = XM430_W350["goal_current"].high or 0
 _MODE, _WATCHDOG = XM430_W350["operating_mode"].address, XM430_W350["bus_watchdog"].address
 _TORQUE, _HARDWARE_ERROR = XM430_W350["torque_enable"].address, XM430_W350["hardware_error_status"].address
+_END_FIRST_DATA = FIRST_INDIRECT_DATA + INDIRECT_COUNT
 _KEPT_BY_RESET = {0xFF: (), 0x01: ("id",), 0x02: ("id", "baud_rate")}
 
 
@@ -74,6 +76,8 @@ class Servo(Device):
         self.watchdog = inf
         self.booted = 0.0
         self.measure: Callable[[], None] = _nothing
+        self._looked_up = b"", 0, 0
+        self._places: tuple[int, ...] = ()
 
     @property
     def alert(self) -> bool:
@@ -157,8 +161,19 @@ class Servo(Device):
             return Error.ACCESS, b""
         if end <= FIRST_INDIRECT_DATA:
             return Error.NONE, bytes(self.memory[address:end])
+        if end <= _END_FIRST_DATA and address >= FIRST_INDIRECT_DATA:
+            return Error.NONE, self._read_first_block(address - FIRST_INDIRECT_DATA, length)
         memory = self.memory
         return Error.NONE, bytes([memory[self._pointed(at)] for at in range(address, end)])
+
+    def _read_first_block(self, first: int, length: int) -> bytes:
+        """The same, for the block that is read in every tick: where its bytes lie is looked up once."""
+        pointers = bytes(self.memory[FIRST_INDIRECT_ADDRESS:FIRST_INDIRECT_DATA])
+        if (pointers, first, length) != self._looked_up:
+            self._looked_up = pointers, first, length
+            self._places = unpack_from(f"<{length}H", pointers, 2 * first)
+        memory = self.memory
+        return bytes([memory[at] for at in self._places])
 
     def write(self, address: int, data: bytes) -> int:
         """Write registers; if one of them is refused none is written. Returns the error."""

@@ -27,6 +27,7 @@ from op3.robot import (
     tile_ids,
 )
 from op3.robot.scenes import Scene
+from op3.robot.units import GRAVITY
 from op3.servo import Effect, RobotModel, Stage, Trunk
 from op3.sim import BatchSimulation, attach_servos
 from op3.stand_in.sensors import roll_pitch_yaw
@@ -142,7 +143,7 @@ class SimPhysics(BatchSimulation):
             self._force = np.asarray(self.scene.mounted_specific_force)
         self._felt = np.concatenate([self._rates, self._force])
         if self.scene.floating:
-            self._felt[3:] = 0.0, 0.0, 9.80665
+            self._felt[3:] = 0.0, 0.0, GRAVITY
         self._latch_imu()
 
     def _latch_imu(self) -> None:
@@ -303,12 +304,13 @@ class SimPhysics(BatchSimulation):
         elif self.battery is None:
             self._voltage = self.model.bus_voltage
         self._windings.step(self._temperature, self._resistance * current**2, duration)
-        signals.bus_voltage = torch.full_like(signals.position, self._voltage)
-        signals.temperature = torch.from_numpy(self._temperature.copy())[None]
         if self._compiled is not None:
-            for name in ("bus_voltage", "temperature"):
-                if name in self._compiled.inputs:
-                    self._compiled.inputs[name][...] = getattr(signals, name).numpy()
+            slow = {"bus_voltage": self._voltage, "temperature": self._temperature}
+            for name in slow.keys() & self._compiled.inputs.keys():
+                self._compiled.inputs[name][...] = slow[name]
+        if self._compiled is None or self._senses or self._reports:
+            signals.bus_voltage = torch.full_like(signals.position, self._voltage)
+            signals.temperature = torch.from_numpy(self._temperature.copy())[None]
 
     def read(self) -> Readings:
         """What all sensors say now."""

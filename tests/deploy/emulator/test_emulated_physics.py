@@ -7,8 +7,8 @@ from wheels import Bench
 
 from op3.deploy.emulator import Battery, SimPhysics, StandInPhysics, Windings
 from op3.deploy.emulator.firmware import Drive
-from op3.deploy.registers import VELOCITY_UNIT
 from op3.robot import JOINTS, build_scene, pose
+from op3.robot.units import VELOCITY_UNIT
 from op3.servo import catalogue, secant_values
 from op3.sim import BatchSimulation, attach_servos, load_model
 from op3.stand_in import StandIn, World
