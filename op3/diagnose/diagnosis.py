@@ -16,13 +16,15 @@ from op3.diagnose.fitting import Engine, Fit, fit_base, intervals, linearise, re
 from op3.diagnose.free_run import engine_for
 from op3.diagnose.hypotheses import Hypothesis, hypotheses
 from op3.diagnose.locate import locate, remaining
-from op3.diagnose.preflight import too_poor
+from op3.diagnose.preflight import CAPPED, Caution, preflight
 from op3.diagnose.screen import Screened, screen
+from op3.diagnose.setups import SetupHypothesis, setup_hypotheses
 from op3.diagnose.show import show
 from op3.diagnose.split import LogSplit
 from op3.diagnose.verdict import Finding, Verdict
 from op3.diagnose.windows import WindowResiduals
 from op3.servo import Estimate, RobotModel
+from op3.servo.conditions import split_name
 from op3.servo.effect import parameter
 from op3.sim import model_hash
 
@@ -100,6 +102,7 @@ class Diagnosis:
         self.fixed_base = split.fit[0].metadata.mount != "floor"
         self.without = tuple(without)
         self.cache = cache
+        self.cautions: tuple[Caution, ...] = ()
         self.base: Fit | None = None
         self.screened: list[Screened] = []
         self.refitted: list[Refitted] = []
@@ -141,10 +144,14 @@ class Diagnosis:
         """Screen the catalogue."""
         fitted = with_point(base.coordinates, base.point)
         candidates = hypotheses(fitted, self.engine.joints, fixed_base=self.fixed_base, without=self.without)
+        candidates += setup_hypotheses(fitted, self.split.logs, self.without)
         return screen(self.engine, base, candidates, lambda share: self._report("screen", share))
 
     def run(self, rounds: int = 1) -> Verdict:
         """Diagnose; with more rounds, go on from what was named until nothing more is found."""
+        self.cautions = preflight(self.split, self.given)
+        if any(caution.void for caution in self.cautions):
+            return self._void()
         model, verdicts = self.given, []
         for _ in range(rounds):
             verdict = self._round(model)
@@ -155,6 +162,29 @@ class Diagnosis:
         if sum(verdict.verdict == "named" and not verdict.vetoed for verdict in verdicts) < 2:
             return verdicts[0]
         return self._backward(self._together(verdicts))
+
+    def _void(self) -> Verdict:
+        """Logs that contradict themselves: nothing is fitted to them, and nothing named."""
+        shown = show(self.given, self.given, self.split, lambda share: self._report("show", share))
+        return Verdict(
+            verdict="unknown",
+            effects=(),
+            reason="the logs contradict themselves or the robot, so nothing was fitted to them",
+            model=self.given,
+            base=self.given,
+            cannot_tell=tuple(caution.text for caution in self.cautions),
+            gap=shown["gap"],
+            loss=shown["loss"],
+            details={"shown": shown, "joints": list(self.engine.joints)},
+        )
+
+    def _weak(self, findings: Sequence[Finding]) -> bool:
+        """Whether the logs cannot carry these names."""
+        return any(
+            caution.weakens(() if finding.shared else finding.joints)
+            for caution in self.cautions
+            for finding in findings
+        )
 
     def _backward(self, verdict: Verdict) -> Verdict:
         """Drop what later names have made superfluous, and what is alike to them in the other order."""
@@ -212,18 +242,22 @@ class Diagnosis:
             for i, r in zip(decision.candidates, members, strict=True)
             if decision.verdict in ("named", "ambiguous")
         )
+        weak = self._weak(findings)
+        if weak:
+            findings = tuple(replace(f, confidence=min(f.confidence, CAPPED)) for f in findings)
         after = fitted
-        if decision.verdict in ("named", "ambiguous"):
+        if findings and not weak:
             after = _with_finding(members[0], findings[0], self.engine.joints)
         shown = show(fitted, after, self.split, lambda share: self._report("show", share))
-        vetoed = bool(shown["vetoed"]) and bool(findings)
+        vetoed = bool(shown["vetoed"]) and after is not fitted
         return Verdict(
-            verdict=decision.verdict,
+            verdict="ambiguous" if weak else decision.verdict,
             effects=findings,
             reason=self._reason(decision, control, box),
             model=fitted if vetoed else after,
             base=fitted,
-            cannot_tell=too_poor(self.split),
+            cannot_tell=tuple(caution.text for caution in self.cautions),
+            weak=weak,
             separate_by=_separating(members) if decision.verdict == "ambiguous" else "",
             gap=shown["gap"],
             loss=shown["loss"],
@@ -311,6 +345,8 @@ class Diagnosis:
         hypothesis, fit = refitted.hypothesis, refitted.fit
         known = len(base.coordinates)
         half = intervals(self.engine, base, fit)
+        if isinstance(hypothesis, SetupHypothesis):
+            return self._setup_finding(hypothesis, refitted, fit.point[known:], half, confidence)
         place = self._size_at(hypothesis, fit, base)
         entry = fit.coordinates.entries[place]
         values = {e.parameter: float(fit.point[known + i]) for i, e in enumerate(fit.coordinates.entries[known:])}
@@ -345,6 +381,27 @@ class Diagnosis:
             parameters=values,
             gain=refitted.contender.gain,
             parameter=entry.parameter,
+        )
+
+    def _setup_finding(
+        self, hypothesis: SetupHypothesis, refitted: Refitted, values: np.ndarray, half: np.ndarray, confidence: float
+    ) -> Finding:
+        """What differs between set-ups; its size is how far the largest and the smallest value are apart."""
+        known = parameter(split_name(hypothesis.names[0])[0])
+        size, ends = float(np.ptp(values)), [int(values.argmin()), int(values.argmax())]
+        width = float(np.hypot(np.linalg.norm(half[ends]), FORM_ERROR * QUANTILE * size))
+        return Finding(
+            name=hypothesis.effect.name,
+            joints=tuple(self.engine.joints),
+            shared=True,
+            size=size,
+            unit=known.unit,
+            interval=(max(0.0, size - width), size + width),
+            confidence=confidence,
+            parameters=dict(zip(hypothesis.names, values.tolist(), strict=True)),
+            gain=refitted.contender.gain,
+            parameter=known.name,
+            by=hypothesis.field,
         )
 
     def _details(self, decision: Decision, shown: Mapping[str, Any]) -> dict[str, Any]:
@@ -416,7 +473,7 @@ def _credit(s: Screened) -> float:
 
 def _smallest(hypothesis: Hypothesis, name: str) -> float:
     """The smallest size that matters; a tenth of the range for a parameter that is not the effect's size."""
-    effect = hypothesis.effect
+    effect, name = hypothesis.effect, split_name(name)[0]
     if name == effect.size:
         return effect.smallest
     known = parameter(name)
@@ -426,6 +483,8 @@ def _smallest(hypothesis: Hypothesis, name: str) -> float:
 def _apart(hypothesis: Hypothesis, fit: Fit, size: float) -> float:
     """The size; of a fault of one joint, how far the joint is from the others: the spread has a share in it."""
     effect, joints = hypothesis.effect.name, hypothesis.joints
+    if isinstance(hypothesis, SetupHypothesis):
+        return float(np.ptp(fit.point[-len(hypothesis.names) :]))
     if effect not in FAULTS.values() or joints is None or len(joints) != 1:
         return size
     (own,) = joints
@@ -443,6 +502,8 @@ def _apart(hypothesis: Hypothesis, fit: Fit, size: float) -> float:
 def _with_finding(refitted: Refitted, finding: Finding, joints: Sequence[str]) -> RobotModel:
     """The model of a refit, the named parameter with its interval."""
     model = with_point(refitted.fit.coordinates, refitted.fit.point)
+    if finding.by:
+        return model
     estimate = model.estimates[finding.parameter]
     if finding.shared and not estimate.joints:
         low, high = finding.interval

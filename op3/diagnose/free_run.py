@@ -4,7 +4,7 @@ What is compared is the same as for windows, on a uniform grid; a second of a lo
 because what a free run gets wrong early it drags along.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from torch import Tensor
@@ -26,6 +26,16 @@ GRID = 0.02
 
 SECOND = 50
 """Samples of a window."""
+
+
+SETTLE = 0.2
+"""Time for which the first command is held before a replay begins [s]."""
+
+
+def settle_time(logs: Sequence[Rollout]) -> float:
+    """How long the first command of logs is held before their replay [s]: not at all where nothing holds the joints."""
+    held = [bool((log.array("command/torque_enable")[0] > 0.5).all()) for log in logs if "command/torque_enable" in log]
+    return SETTLE if all(held) else 0.0
 
 
 class FreeRunResiduals:
@@ -58,8 +68,8 @@ class FreeRunResiduals:
         if first.metadata.mount == "pendulum":
             # bench logs carry a velocity that the recorders computed from positions
             self.channels = tuple(key for key in self.channels if key != ("joint", "velocity"))
-        self._fit = Replay(split.fit, bench_timestep=timestep)
-        self._rest = Replay(split.select, bench_timestep=timestep)
+        self._fit = Replay(split.fit, settle=settle_time(logs), bench_timestep=timestep)
+        self._rest = Replay(split.select, settle=settle_time(logs), bench_timestep=timestep)
         self._seconds = [max(1, int(log.duration / (GRID * SECOND))) for log in logs]
         self.is_fit = np.repeat([i < len(split.fit) for i in range(len(logs))], self._seconds)
         self.blocks = np.repeat(np.arange(len(logs)), self._seconds)

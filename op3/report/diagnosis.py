@@ -17,7 +17,9 @@ RANKED = 12
 """Hypotheses listed on the page."""
 
 
-def write_page(verdict: Verdict, split: LogSplit, path: Path, provenance: Mapping[str, Any]) -> Path:
+def write_page(
+    verdict: Verdict, split: LogSplit, path: Path, provenance: Mapping[str, Any], swing: Verdict | None = None
+) -> Path:
     """Write the page of a verdict.
 
     Args:
@@ -25,6 +27,7 @@ def write_page(verdict: Verdict, split: LogSplit, path: Path, provenance: Mappin
         split: its logs.
         path: of the page.
         provenance: where the numbers come from, see `op3.report.run_provenance`.
+        swing: verdict on the free swings alone, of a bench whose servo was switched off.
     """
     detail = verdict.reason[:1].upper() + verdict.reason[1:] + "."
     if verdict.vetoed:
@@ -38,6 +41,8 @@ def write_page(verdict: Verdict, split: LogSplit, path: Path, provenance: Mappin
     _where(page, verdict)
     _why(page, verdict)
     _traces(page, verdict, split)
+    if swing is not None:
+        _swing(page, swing)
     _base(page, verdict)
     page.section("Files")
     page.files(
@@ -137,6 +142,23 @@ def _traces(page: Page, verdict: Verdict, split: LogSplit) -> None:
     page.figure(
         traces_figure(whole_robot(log), predictions, [joint]), f"{joint}, the joint that the base model predicts worst"
     )
+
+
+def _swing(page: Page, swing: Verdict) -> None:
+    """The verdict on free swings."""
+    page.section("While torque is off")
+    page.text(
+        "The parts in which the servo was switched off and the pendulum swung free, diagnosed by themselves from the"
+        f" same model: {swing.sentence} {swing.reason[:1].upper() + swing.reason[1:]}."
+    )
+    for effect in swing.effects:
+        cls = effect_class(effect.name)
+        values = ", ".join(f"{name} {value:.3g}" for name, value in effect.parameters.items())
+        page.text(f"`{effect.name}`: `{cls.equation}`. It shows {cls.fingerprint}. Found: {values} [{effect.unit}].")
+    if swing.separate_by:
+        page.text(f"To tell the candidates apart: {swing.separate_by}.")
+    rows = [[key, v["unit"], v["before"], v["after"]] for key, v in swing.gap.items()]
+    page.table(["channel", "unit", "before", "after"], rows, "Root mean square over swings that nothing was chosen by")
 
 
 def _base(page: Page, verdict: Verdict) -> None:
