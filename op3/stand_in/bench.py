@@ -20,12 +20,30 @@ SETS: tuple[str, ...] = ("development", "test")
 """Sets of cases with seeds of their own; thresholds are chosen on the first, the second is opened once a release."""
 
 
+_WHOLE = (
+    "single",
+    "single",
+    "null",
+    "single",
+    "single",
+    "pair",
+    "single",
+    "single",
+    "null",
+    "single",
+    "single",
+    "outsider",
+)
+"""Kinds of the cases of the whole robot, in turn."""
+
+
 def draw_mix(mix: Mapping[str, Any], which: str = "development", first_seed: int = 0) -> list[Case]:
     """The cases of a bench, each with its own seed, kinds interleaved.
 
     Args:
         mix: `singles`, cases per effect and severity, by severity; `effects`, which (None: all of the catalogue);
-            `nulls`, `pairs`, `outsiders`, `poor`, numbers of cases.
+            `nulls`, `pairs`, `outsiders`, `poor`, numbers of cases; `op3`, cases of the whole robot, of which two
+            thirds hide one effect, a sixth none, and the others a pair or an outsider.
         which: "development" or "test".
         first_seed: of the set.
     """
@@ -43,6 +61,9 @@ def draw_mix(mix: Mapping[str, Any], which: str = "development", first_seed: int
     plan += [("outsider", levels[1 + i % 2], OUTSIDERS[i % len(OUTSIDERS)]) for i in range(mix["outsiders"])]
     plan += [("poor", levels[1 + i % 2], None) for i in range(mix["poor"])]
     cases = [draw_case(seed + i, kind, severity, name) for i, (kind, severity, name) in enumerate(plan)]
+    whole = [_WHOLE[i % len(_WHOLE)] for i in range(mix.get("op3", 0))]
+    for i, kind in enumerate(whole):
+        cases.append(draw_case(seed + len(plan) + i, kind, levels[1 + i % 2], robot="op3"))
     # the names are hashes of the seeds: in their order a run that is stopped early has seen a fair sample
     return sorted(cases, key=lambda case: case.name)
 

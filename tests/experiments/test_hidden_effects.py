@@ -38,7 +38,7 @@ def test_a_bench_seals_diagnoses_scores_and_goes_on(tmp_path):
     assert (run / "index.html").is_file()
 
 
-@pytest.mark.parametrize(("bench", "cases"), [("full", 664), ("laptop", 100), ("ci", 12)])
+@pytest.mark.parametrize(("bench", "cases"), [("full", 688), ("laptop", 100), ("ci", 12), ("op3", 24)])
 def test_every_bench_can_be_drawn(bench, cases):
     """Each mix names effects that can be hidden and has as many cases as its first line says."""
     path = ROOT / "conf" / "bench" / f"{bench}.yaml"
