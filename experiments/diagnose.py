@@ -3,6 +3,7 @@
 python experiments/diagnose.py data=<folder of logs> model=<model.yaml or name in conf/servo>
 python experiments/diagnose.py data=<folder of logs> model=paper mode=loop      # several effects, one after another
 python experiments/diagnose.py data=<folder of logs> model=paper mode=aliasing  # what these logs can tell
+python experiments/diagnose.py data=<folder> model=paper policy=assets/policies/balance [actual=<logs of its episodes>]
 python experiments/diagnose.py planned=leg_suite mode=aliasing   # what a suite would tell
 python experiments/diagnose.py "planned=[squat_fast,multisine_legs]" mode=aliasing
 """
@@ -20,14 +21,17 @@ from support import library_motion, one_sentence, plain
 
 from op3.diagnose import (
     Diagnosis,
+    Verdict,
     aliasing,
     diagnose_swings,
+    downstream,
     engine_for,
     planned_motions,
     planned_suite,
     split_logs,
     suited,
 )
+from op3.policy import PolicyBundle
 from op3.report import run_provenance
 from op3.report.diagnosis import write_page
 from op3.robot import leg_suite
@@ -48,6 +52,15 @@ def planned_logs(cfg: DictConfig) -> list[Rollout]:
         return planned_suite(model, leg_suite(cfg.seed))
     names = [cfg.planned] if isinstance(cfg.planned, str) else plain(cfg.planned)
     return planned_motions(model, [library_motion(name) for name in names])
+
+
+def returns(cfg: DictConfig, verdict: Verdict) -> dict[str, Any]:
+    """What a policy would return before and after, and what it did where its episodes are given."""
+    policy = PolicyBundle.load(cfg.policy)
+    actual = () if cfg.actual is None else read_logs(plain(cfg.actual))
+    episodes = [episode for log in actual for episode in (log.episodes() if log.batched else [log])]
+    options = {"task": cfg.task, "episodes": cfg.episodes, "seed": cfg.seed, "progress": progress}
+    return {"policy": str(cfg.policy)} | downstream(policy, verdict.base, verdict.model, actual=episodes, **options)
 
 
 def diagnose(cfg: DictConfig) -> dict[str, Any]:
@@ -82,7 +95,16 @@ def diagnose(cfg: DictConfig) -> dict[str, Any]:
     swing = diagnose_swings(model, logs, **options)
     content = verdict.plain() | ({} if swing is None else {"free_swing": swing.plain()})
     save_model(verdict.model, folder / "model.yaml")
-    write_page(verdict, split, folder / "index.html", run_provenance(seed=cfg.seed, data=data), swing)
+    if cfg.policy is not None:
+        content["downstream"] = returns(cfg, verdict)
+    write_page(
+        verdict,
+        split,
+        folder / "index.html",
+        run_provenance(seed=cfg.seed, data=data),
+        swing,
+        content.get("downstream"),
+    )
     # last, so that a verdict means that all is there
     (folder / "verdict.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
     print(f"\n{verdict.sentence}")

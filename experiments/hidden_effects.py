@@ -13,17 +13,19 @@ from pathlib import Path
 
 import hydra
 import numpy as np
+import yaml
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from support import one_sentence
 
 from op3.report import finish, run_provenance, write_result
 from op3.report.naming import naming_page
-from op3.stand_in import CATALOGUE, make_case, open_answers
-from op3.stand_in.bench import commit, draw_mix, run_all
+from op3.stand_in import CATALOGUE, Case, make_case, open_answers
+from op3.stand_in.bench import commit, draw_mix, run_all, run_oracle
 from op3.stand_in.score import (
     MISSING,
     Verdict,
+    by_robot,
     confusion,
     random_name,
     read_verdict,
@@ -34,33 +36,50 @@ from op3.stand_in.score import (
 )
 
 
-def score(verdicts: dict[str, Path | None], answers: dict, folder: Path, cfg: DictConfig, commitment: str) -> None:
+def told(verdicts: dict[str, Path | None], cases: list[Case], folder: Path, answers: Path, cfg: DictConfig) -> dict:
+    """The gap of every case under a model that knows its answer, computed once the answers are open."""
+    command = [sys.executable if part == "python" else part for part in cfg.oracle or ()]
+    gaps = {}
+    for case in cases:
+        if command and verdicts[case.name] is not None and case.kind in ("single", "pair"):
+            found = run_oracle(case, folder / "cases", answers, command, cfg.timeout, cfg.keep_data)
+            gaps[case.name] = None if found is None else yaml.safe_load(found.read_text(encoding="utf-8"))
+    return gaps
+
+
+def score(
+    verdicts: dict[str, Path | None], answers: dict, gaps: dict, folder: Path, cfg: DictConfig, commitment: str
+) -> None:
     """Open the answers, score diagnosis and baselines, write result.yaml, scores.yaml and the page."""
     read = {name: Verdict(MISSING) if path is None else read_verdict(path) for name, path in verdicts.items()}
-    rows = [score_case(answers[name], verdict) for name, verdict in read.items()]
+    every = [score_case(answers[name], verdict, gaps.get(name)) for name, verdict in read.items()]
+    rows, whole = by_robot(every)
     rng = np.random.default_rng([cfg.first_seed, 50])
-    blind = [score_case(answers[name], random_name(answers[name], CATALOGUE, rng)) for name in read]
-    refit = [score_case(answers[name], refit_only()) for name in read]
+    legs = [name for name in read if answers[name].get("robot") != "op3"]
+    blind = [score_case(answers[name], random_name(answers[name], CATALOGUE, rng)) for name in legs]
+    refit = [score_case(answers[name], refit_only()) for name in legs]
     summaries = {
         "diagnosis": summarise(rows),
         "random name": summarise(blind),
         "base refit only": summarise(refit),
     }
-    by_score = {name: score_ranking(verdict) for name, verdict in read.items()}
+    by_score = {name: score_ranking(read[name]) for name in legs}
     if any(by_score.values()):
         ranked = [score_case(answers[name], verdict) for name, verdict in by_score.items() if verdict is not None]
         summaries["score ranking"] = summarise(ranked)
-    table = confusion(rows)
-    page = naming_page(rows, summaries, table, f"Hidden effects, {cfg.set} set, {len(rows)} cases", commitment)
+    if whole:
+        summaries["diagnosis, whole robot"] = summarise(whole)
+    table = confusion(every)
+    page = naming_page(every, summaries, table, f"Hidden effects, {cfg.set} set, {len(every)} cases", commitment)
     provenance = run_provenance(seed=cfg.first_seed)
     page.provenance(provenance)
     page.files({"scores.yaml": "every case", "result.yaml": "all numbers", "answers.sha256": "the sealed answers"})
     index = page.write(folder / "index.html")
-    (folder / "scores.yaml").write_text(OmegaConf.to_yaml(OmegaConf.create(rows)), encoding="utf-8")
+    (folder / "scores.yaml").write_text(OmegaConf.to_yaml(OmegaConf.create(every)), encoding="utf-8")
     result = {
         "set": cfg.set,
         "answers_sha256": commitment,
-        **{label.replace(" ", "_"): summary for label, summary in summaries.items()},
+        **{label.replace(",", "").replace(" ", "_"): summary for label, summary in summaries.items()},
         "confusion": {"truths": table[0], "claims": table[1], "counts": table[2]},
         "provenance": provenance,
     }
@@ -87,7 +106,9 @@ def main(cfg: DictConfig) -> None:
         command = [sys.executable if part == "python" else part for part in cfg.command]
         options = {"timeout": cfg.timeout, "keep_data": cfg.keep_data}
         verdicts = run_all(cases, folder / "cases", answers, command, **options)
-        score(verdicts, open_answers(answers, folder / "answers.sha256"), folder, cfg, commitment)
+        opened = open_answers(answers, folder / "answers.sha256")
+        gaps = told(verdicts, cases, folder, answers, cfg)
+        score(verdicts, opened, gaps, folder, cfg, commitment)
 
 
 if __name__ == "__main__":

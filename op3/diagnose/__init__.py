@@ -3,6 +3,7 @@
 from op3.diagnose.aliasing import aliasing
 from op3.diagnose.bench_model import suited
 from op3.diagnose.diagnosis import Diagnosis
+from op3.diagnose.downstream import downstream
 from op3.diagnose.free_run import FreeRunResiduals, engine_for
 from op3.diagnose.planned import planned_motions, planned_suite
 from op3.diagnose.split import LogSplit, split_logs
@@ -19,6 +20,7 @@ __all__ = [
     "WindowResiduals",
     "aliasing",
     "diagnose_swings",
+    "downstream",
     "engine_for",
     "planned_motions",
     "planned_suite",

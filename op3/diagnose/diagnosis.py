@@ -180,11 +180,11 @@ class Diagnosis:
 
     def _weak(self, findings: Sequence[Finding]) -> bool:
         """Whether the logs cannot carry these names."""
-        return any(
-            caution.weakens(() if finding.shared else finding.joints)
-            for caution in self.cautions
-            for finding in findings
-        )
+        return any(_speaks(caution, findings) for caution in self.cautions)
+
+    def _said(self, findings: Sequence[Finding]) -> tuple[Caution, ...]:
+        """Cautions of all effects, and those of the effects that were found."""
+        return tuple(caution for caution in self.cautions if not caution.effects or _speaks(caution, findings))
 
     def _backward(self, verdict: Verdict) -> Verdict:
         """Drop what later names have made superfluous, and what is alike to them in the other order."""
@@ -238,7 +238,7 @@ class Diagnosis:
         )
         members = [self.refitted[i] for i in decision.candidates]
         findings = tuple(
-            self._finding(r, base, float(decision.shares[i]))
+            self.finding_of(r, base, float(decision.shares[i]))
             for i, r in zip(decision.candidates, members, strict=True)
             if decision.verdict in ("named", "ambiguous")
         )
@@ -247,7 +247,7 @@ class Diagnosis:
             findings = tuple(replace(f, confidence=min(f.confidence, CAPPED)) for f in findings)
         after = fitted
         if findings and not weak:
-            after = _with_finding(members[0], findings[0], self.engine.joints)
+            after = with_finding(members[0], findings[0], self.engine.joints)
         shown = show(fitted, after, self.split, lambda share: self._report("show", share))
         vetoed = bool(shown["vetoed"]) and after is not fitted
         return Verdict(
@@ -256,7 +256,7 @@ class Diagnosis:
             reason=self._reason(decision, control, box),
             model=fitted if vetoed else after,
             base=fitted,
-            cannot_tell=tuple(caution.text for caution in self.cautions),
+            cannot_tell=tuple(caution.text for caution in self._said(findings)),
             weak=weak,
             separate_by=_separating(members) if decision.verdict == "ambiguous" else "",
             gap=shown["gap"],
@@ -289,6 +289,13 @@ class Diagnosis:
         """Refit the no-op control and the shortlist."""
         control = refit(self.engine, base, base.coordinates, base.point)
         picked = shortlist(self.screened, base.coordinates.suspects(base.point))
+        return control, self._refit_each(base, control, picked)
+
+    def refit_of(self, base: Fit, picked: Sequence[Screened]) -> list[Refitted]:
+        """Refit some hypotheses beside a base."""
+        return self._refit_each(base, refit(self.engine, base, base.coordinates, base.point), picked)
+
+    def _refit_each(self, base: Fit, control: Fit, picked: Sequence[Screened]) -> list[Refitted]:
         result = []
         for number, screened in enumerate(picked):
             hypothesis = screened.hypothesis
@@ -300,7 +307,7 @@ class Diagnosis:
                 Refitted(hypothesis, screened, fit, self._contender(hypothesis, fit, control, base, screened.direction))
             )
             self._report("refit", (number + 1) / len(picked))
-        return control, result
+        return result
 
     def _losses(self, fit: Fit) -> np.ndarray:
         """Squares summed by block of a second, ``[block]``."""
@@ -341,7 +348,8 @@ class Diagnosis:
             return len(base.coordinates) + names.index(hypothesis.effect.size)
         return len(base.coordinates)
 
-    def _finding(self, refitted: Refitted, base: Fit, confidence: float) -> Finding:
+    def finding_of(self, refitted: Refitted, base: Fit, confidence: float) -> Finding:
+        """What a refit has found, with its interval."""
         hypothesis, fit = refitted.hypothesis, refitted.fit
         known = len(base.coordinates)
         half = intervals(self.engine, base, fit)
@@ -437,6 +445,11 @@ class Diagnosis:
         return {"ranking": ranking, "shown": shown, "joints": list(joints)}
 
 
+def _speaks(caution: Caution, findings: Sequence[Finding]) -> bool:
+    """Whether a caution speaks against one of these names."""
+    return any(caution.weakens(() if f.shared else f.joints, f.name) for f in findings)
+
+
 def shortlist(screened: Sequence[Screened], suspects: Sequence[tuple[str, int, float]] = ()) -> list[Screened]:
     """What is refitted.
 
@@ -499,7 +512,7 @@ def _apart(hypothesis: Hypothesis, fit: Fit, size: float) -> float:
     return float(whole[own] / others - 1.0) if effect == "torque_constant" else float(whole[own] - others)
 
 
-def _with_finding(refitted: Refitted, finding: Finding, joints: Sequence[str]) -> RobotModel:
+def with_finding(refitted: Refitted, finding: Finding, joints: Sequence[str]) -> RobotModel:
     """The model of a refit, the named parameter with its interval."""
     model = with_point(refitted.fit.coordinates, refitted.fit.point)
     if finding.by:

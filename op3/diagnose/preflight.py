@@ -41,6 +41,9 @@ UNREACHED = (0.1, 0.3)
 FULL_DUTY = 0.97
 """A servo at this duty gives all it has."""
 
+FIRMWARE = ("position_servo", "latency")
+"""Effects of a servo's own loop that its duty would confirm or contradict."""
+
 CAPPED = 0.5
 """Confidence that a candidate has at most where the logs cannot carry a name."""
 
@@ -52,15 +55,19 @@ class Caution:
     Attributes:
         text: a sentence of each.
         joints: of which it is said; empty where it is said of all.
+        effects: of which it is said; empty where it is said of all.
         void: whether the logs contradict themselves, so that fitting them means nothing.
     """
 
     text: str
     joints: tuple[str, ...] = ()
+    effects: tuple[str, ...] = ()
     void: bool = False
 
-    def weakens(self, joints: Sequence[str]) -> bool:
-        """Whether a name in these joints, or in all where there are none, is not to be trusted."""
+    def weakens(self, joints: Sequence[str], effect: str = "") -> bool:
+        """Whether the name of an effect in these joints, or in all where there are none, is not to be trusted."""
+        if self.effects and effect not in self.effects:
+            return False
         return self.void or not self.joints or (bool(joints) and set(joints) <= set(self.joints))
 
 
@@ -74,7 +81,8 @@ def preflight(split: LogSplit, model: RobotModel) -> tuple[Caution, ...]:
     wrong = mislabelled(split.logs, model)
     if wrong:
         return tuple(Caution(text, void=True) for text in wrong)
-    return tuple(caution for caution in (_short(split.fit), *_excitation(split.fit), _saturated(split.fit)) if caution)
+    said = (_short(split.fit), *_excitation(split.fit), _saturated(split.fit), _unseen_duty(split.fit))
+    return tuple(caution for caution in said if caution)
 
 
 def _short(logs: Sequence[Rollout]) -> Caution | None:
@@ -150,6 +158,17 @@ def _saturated(logs: Sequence[Rollout]) -> Caution | None:
         f"{_listed(found, joints)} could not give what was asked in {shares.max():.0%} of the rows, by current limit or"
         " voltage, so that gear and friction hardly show; record at lower gains or amplitudes, with a charged battery.",
         () if len(found) == len(joints) else found,
+    )
+
+
+def _unseen_duty(logs: Sequence[Rollout]) -> Caution | None:
+    """Servos with a loop of their own whose duty was not recorded."""
+    if "command/firmware_gain" not in logs[0] or all("joint/duty" in log for log in logs):
+        return None
+    return Caution(
+        "The servo's duty was not recorded, and it alone tells a wrong controller gain or a delay from friction: read"
+        " the present PWM beside the position.",
+        effects=FIRMWARE,
     )
 
 

@@ -18,7 +18,12 @@ RANKED = 12
 
 
 def write_page(
-    verdict: Verdict, split: LogSplit, path: Path, provenance: Mapping[str, Any], swing: Verdict | None = None
+    verdict: Verdict,
+    split: LogSplit,
+    path: Path,
+    provenance: Mapping[str, Any],
+    swing: Verdict | None = None,
+    returns: Mapping[str, Any] | None = None,
 ) -> Path:
     """Write the page of a verdict.
 
@@ -28,6 +33,7 @@ def write_page(
         path: of the page.
         provenance: where the numbers come from, see `op3.report.run_provenance`.
         swing: verdict on the free swings alone, of a bench whose servo was switched off.
+        returns: of a policy before and after, see `op3.diagnose.downstream`.
     """
     detail = verdict.reason[:1].upper() + verdict.reason[1:] + "."
     if verdict.vetoed:
@@ -43,6 +49,8 @@ def write_page(
     _traces(page, verdict, split)
     if swing is not None:
         _swing(page, swing)
+    if returns is not None:
+        _returns(page, returns)
     _base(page, verdict)
     page.section("Files")
     page.files(
@@ -159,6 +167,22 @@ def _swing(page: Page, swing: Verdict) -> None:
         page.text(f"To tell the candidates apart: {swing.separate_by}.")
     rows = [[key, v["unit"], v["before"], v["after"]] for key, v in swing.gap.items()]
     page.table(["channel", "unit", "before", "after"], rows, "Root mean square over swings that nothing was chosen by")
+
+
+def _returns(page: Page, returns: Mapping[str, Any]) -> None:
+    """What a policy returns under the two models, and on the robot."""
+    page.section("What it means for a policy")
+    page.text(
+        f"Return R_eval of `{returns['policy']}` on `{returns['task']}`, {returns['episodes']} episodes under each"
+        " model, the same ones; intervals of 90 % over episodes."
+    )
+    rows = []
+    for key, label in (("before", "base"), ("after", "with what was named"), ("actual", "the robot")):
+        if key in returns:
+            value = returns[key]
+            low, high = value["interval"] or (None, None)
+            rows.append([label, value["mean"], low, high, 100 * value["fallen"], returns.get(f"error_{key}")])
+    page.table(["model", "return", "from", "to", "falls [%]", "off the robot by"], rows, "Returns of one policy")
 
 
 def _base(page: Page, verdict: Verdict) -> None:

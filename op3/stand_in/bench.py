@@ -16,6 +16,7 @@ from op3.stand_in.hidden import CATALOGUE, OUTSIDERS, SEVERITIES
 
 VERDICT_FILE = "verdict.yaml"
 LOG_FILE = "diagnose.log"
+ORACLE_FILE = "oracle.yaml"
 SETS: tuple[str, ...] = ("development", "test")
 """Sets of cases with seeds of their own; thresholds are chosen on the first, the second is opened once a release."""
 
@@ -115,6 +116,39 @@ def run_case(
     if not keep_data:
         shutil.rmtree(place / DATA_FOLDER)
     return verdict if verdict.is_file() else None
+
+
+def run_oracle(
+    case: Case, folder: str | Path, answers: str | Path, command: Sequence[str], timeout: float, keep_data: bool
+) -> Path | None:
+    """Let a process to which the answer is told say how far the gap can be closed; to be called after all verdicts.
+
+    Args:
+        case: what is hidden.
+        folder: of the cases. What is there already is taken as it is.
+        answers: folder of the answers.
+        command: `{data}`, `{model}`, `{run}` as for `run_case`, and `{answer}`, the file of the answer.
+        timeout: after which it is stopped [s].
+        keep_data: whether the logs stay on the disk afterwards.
+
+    Returns:
+        Path of `oracle.yaml`, None if none was written.
+    """
+    place = Path(folder) / case.name
+    result = place / "run" / ORACLE_FILE
+    if result.is_file():
+        return result
+    if not (place / DATA_FOLDER).is_dir():
+        make_case(case, folder, answers)
+    answer = Path(answers) / f"{case.name}.yaml"
+    filled = [
+        part.format(data=place / DATA_FOLDER, model=case.base, run=place / "run", answer=answer) for part in command
+    ]
+    with (place / "oracle.log").open("w", encoding="utf-8") as log:
+        _run(filled, log, timeout)
+    if not keep_data:
+        shutil.rmtree(place / DATA_FOLDER)
+    return result if result.is_file() else None
 
 
 def _run(command: Sequence[str], log: Any, timeout: float) -> None:
