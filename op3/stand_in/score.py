@@ -196,13 +196,19 @@ def truth_claims(answer: Mapping[str, Any]) -> tuple[Claim, ...]:
     )
 
 
-def score_case(answer: Mapping[str, Any], verdict: Verdict, oracle: Mapping[str, Any] | None = None) -> dict[str, Any]:
+def score_case(
+    answer: Mapping[str, Any],
+    verdict: Verdict,
+    oracle: Mapping[str, Any] | None = None,
+    actual: float | None = None,
+) -> dict[str, Any]:
     """One case: plain values, None where a question does not arise.
 
     Args:
         answer: what was hidden.
         verdict: of the diagnosis.
         oracle: gap under a model to which the answer was told, if that was computed.
+        actual: mean return of a policy in the hidden truth, if it was run there.
 
     Returns:
         `named_right`: first claim's name is hidden; `exact`: its joints too; `top3`: exact among the first three of the
@@ -258,7 +264,7 @@ def score_case(answer: Mapping[str, Any], verdict: Verdict, oracle: Mapping[str,
     row["explained"] = first.gain if first is not None else 0.0
     row["black_box"] = verdict.black_box
     row["cannot_tell"] = verdict.cannot_tell
-    row["returns"] = returns_error(verdict.returns)
+    row["returns"] = returns_error(verdict.returns, actual)
     return row
 
 
@@ -281,11 +287,14 @@ def oracle_closure(gap: Mapping[str, Mapping[str, float]], best: Mapping[str, Ma
     return float(gained / possible) if channels and possible > 0.01 * len(channels) else None
 
 
-def returns_error(returns: Mapping[str, Any] | None) -> dict[str, float] | None:
-    """How far the predicted returns of a policy are from its true one, `before` and `after`; None if not known."""
-    if not returns or returns.get("error_before") is None or returns.get("error_after") is None:
+def returns_error(returns: Mapping[str, Any] | None, actual: float | None) -> dict[str, float] | None:
+    """How far the returns of a policy that a verdict predicts, `before` and `after`, are from the `actual` one."""
+    if not returns or actual is None:
         return None
-    return {"before": float(returns["error_before"]), "after": float(returns["error_after"])}
+    before, after = ((returns.get(label) or {}).get("mean") for label in ("before", "after"))
+    if before is None or after is None:
+        return None
+    return {"actual": actual, "before": abs(float(before) - actual), "after": abs(float(after) - actual)}
 
 
 def _sizes(truth: Sequence[Claim], claims: Sequence[Claim]) -> dict[str, Any]:
