@@ -134,7 +134,7 @@ def main(cfg: DictConfig) -> None:
         folder = Path(HydraConfig.get().runtime.output_dir)
         mix = OmegaConf.to_container(cfg.mix, resolve=True)
         assert isinstance(mix, dict)
-        cases = draw_mix({str(key): value for key, value in mix.items()}, cfg.set, cfg.first_seed)
+        cases = draw_mix({str(key): value for key, value in mix.items()}, cfg.set, cfg.first_seed)[: cfg.limit]
         answers = Path(cfg.answers or folder / "answers")
         sealed = commit(cases, answers)
         (folder / "answers.sha256").write_bytes(sealed.read_bytes())

@@ -4,11 +4,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from op3.diagnose import LogSplit, Verdict
+from op3.diagnose.preflight import FIRMWARE
 from op3.diagnose.show import whole_robot, worst_joint
 from op3.report.page import Page
 from op3.report.traces import traces_figure
 from op3.servo import effect_class
+from op3.tasks import Prediction
 
 LOCATED = 10
 """Cells of residual torque on the page."""
@@ -46,6 +50,8 @@ def write_page(
     _gap(page, verdict)
     _where(page, verdict)
     _why(page, verdict)
+    _firmware(page, verdict, split)
+    _motions(page, verdict, split)
     _traces(page, verdict, split)
     if swing is not None:
         _swing(page, swing)
@@ -135,6 +141,42 @@ def _why(page: Page, verdict: Verdict) -> None:
         rows,
         "Hypotheses, best first; those with a share of wins were refitted together with the base",
     )
+
+
+def _firmware(page: Page, verdict: Verdict, split: LogSplit) -> None:
+    """What the measured duty says of a servo's own loop."""
+    named = {effect.name for effect in verdict.effects}
+    gains = {entry["name"]: max(entry["gain"], 0.0) for entry in verdict.details.get("ranking", ())}
+    if "joint/duty" not in split.show[0] or named & set(FIRMWARE) or not set(FIRMWARE) <= set(gains):
+        return
+    page.text(
+        f"It is neither a wrong controller gain, which explains {gains['position_servo']:.0%} of the residual, nor a"
+        f" delay, {gains['latency']:.0%}: the servo's duty was measured and is compared too."
+    )
+
+
+def _motions(page: Page, verdict: Verdict, split: LogSplit) -> None:
+    """The gap in angle by motion and by firmware gain, where the runs differ in them."""
+    shown = verdict.details.get("shown")
+    if not shown:
+        return
+    for title, of in (("motion", lambda log: log.metadata.motion), ("gain", lambda log: log.metadata.firmware_gain)):
+        errors: dict[Any, list[tuple[float, float]]] = {}
+        for before, after in zip(shown["before"], shown["after"], strict=True):
+            errors.setdefault(of(before.log), []).append((_angle_error(before), _angle_error(after)))
+        if split.show[0].metadata.mount != "pendulum" or len(errors) < 2:
+            continue
+        rows = [
+            [kind, len(each), *(1e3 * float(np.sqrt(np.mean(np.square(column)))) for column in zip(*each, strict=True))]
+            for kind, each in sorted(errors.items(), key=lambda item: str(item[0]))
+        ]
+        page.table([title, "runs", "before [mrad]", "after [mrad]"], rows, f"Root mean square of the angle, by {title}")
+
+
+def _angle_error(prediction: Prediction) -> float:
+    """Root mean square of a prediction's angle [rad]."""
+    simulated = prediction.channels["joint", "position"][0].numpy()
+    return float(np.sqrt(np.square(simulated - prediction.log.array("joint/position")[: len(simulated)]).mean()))
 
 
 def _traces(page: Page, verdict: Verdict, split: LogSplit) -> None:
