@@ -47,7 +47,7 @@ UNITS = {
 
 BETTER = 1.15
 """How many times more of the currents must be left unexplained under the names given than under others for the names to
-be doubted. Twelve legs with effects hidden in them gave at most 1.00; exchanged or turned names 1.06 to 2.5."""
+be doubted. Ten legs with and without hidden effects gave at most 1.00; exchanged or turned names 1.06 to 2.5."""
 
 TICKS = 150
 """Moments at which the rigid body is asked."""
