@@ -3,6 +3,7 @@
 python experiments/diagnose.py data=<folder of logs> model=<model.yaml or name in conf/servo>
 python experiments/diagnose.py data=<folder of logs> model=paper mode=loop      # several effects, one after another
 python experiments/diagnose.py data=<folder of logs> model=paper mode=aliasing  # what these logs can tell
+python experiments/diagnose.py data=<folder> model=paper policy=assets/policies/balance [actual=<logs of its episodes>]
 python experiments/diagnose.py planned=leg_suite mode=aliasing   # what a suite would tell
 python experiments/diagnose.py "planned=[squat_fast,multisine_legs]" mode=aliasing
 """
@@ -18,7 +19,19 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from support import library_motion, one_sentence, plain
 
-from op3.diagnose import Diagnosis, aliasing, engine_for, planned_motions, planned_suite, split_logs
+from op3.diagnose import (
+    Diagnosis,
+    Verdict,
+    aliasing,
+    diagnose_swings,
+    downstream,
+    engine_for,
+    planned_motions,
+    planned_suite,
+    split_logs,
+    suited,
+)
+from op3.policy import PolicyBundle
 from op3.report import run_provenance
 from op3.report.diagnosis import write_page
 from op3.robot import leg_suite
@@ -41,6 +54,15 @@ def planned_logs(cfg: DictConfig) -> list[Rollout]:
     return planned_motions(model, [library_motion(name) for name in names])
 
 
+def returns(cfg: DictConfig, verdict: Verdict) -> dict[str, Any]:
+    """What a policy would return before and after, and what it did where its episodes are given."""
+    policy = PolicyBundle.load(cfg.policy)
+    actual = () if cfg.actual is None else read_logs(plain(cfg.actual))
+    episodes = [episode for log in actual for episode in (log.episodes() if log.batched else [log])]
+    options = {"task": cfg.task, "episodes": cfg.episodes, "seed": cfg.seed, "progress": progress}
+    return {"policy": str(cfg.policy)} | downstream(policy, verdict.base, verdict.model, actual=episodes, **options)
+
+
 def diagnose(cfg: DictConfig) -> dict[str, Any]:
     """Diagnose, and write verdict, model and page into the run's folder."""
     folder = Path(HydraConfig.get().runtime.output_dir)
@@ -49,10 +71,12 @@ def diagnose(cfg: DictConfig) -> dict[str, Any]:
     if cfg.planned and cfg.mode != "aliasing":
         raise ValueError("planned= has no measurement to diagnose: add mode=aliasing, or give data= instead")
     data: Any = None if cfg.planned else plain(cfg.data)
-    split = split_logs(planned_logs(cfg) if cfg.planned else read_logs(data), seed=cfg.seed)
+    logs = planned_logs(cfg) if cfg.planned else read_logs(data)
+    model = suited(load_model(cfg.model), logs)
+    split = split_logs(logs, seed=cfg.seed)
     engine = engine_for(split, cfg.fit_windows, cfg.select_windows)
     diagnosis = Diagnosis(
-        load_model(cfg.model),
+        model,
         split,
         seed=cfg.seed,
         engine=engine,
@@ -65,13 +89,28 @@ def diagnose(cfg: DictConfig) -> dict[str, Any]:
         (folder / "aliasing.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
         print(f"\n{content['sentence']}\n{folder / 'aliasing.yaml'}")
         return content
-    verdict = diagnosis.run(cfg.rounds if cfg.mode == "loop" else 1)
-    content = verdict.plain()
+    rounds = cfg.rounds if cfg.mode == "loop" else 1
+    verdict = diagnosis.run(rounds)
+    options = {"seed": cfg.seed, "rounds": rounds, "without": tuple(cfg.without), "progress": progress}
+    swing = diagnose_swings(model, logs, **options)
+    content = verdict.plain() | ({} if swing is None else {"free_swing": swing.plain()})
     save_model(verdict.model, folder / "model.yaml")
-    write_page(verdict, split, folder / "index.html", run_provenance(seed=cfg.seed, data=data))
+    if cfg.policy is not None:
+        content["downstream"] = returns(cfg, verdict)
+    write_page(
+        verdict,
+        split,
+        folder / "index.html",
+        run_provenance(seed=cfg.seed, data=data),
+        swing,
+        content.get("downstream"),
+    )
     # last, so that a verdict means that all is there
     (folder / "verdict.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
-    print(f"\n{verdict.sentence}\n{folder / 'index.html'}")
+    print(f"\n{verdict.sentence}")
+    if swing is not None:
+        print(f"While torque is off: {swing.sentence}")
+    print(folder / "index.html")
     return content
 
 

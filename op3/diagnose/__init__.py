@@ -1,10 +1,13 @@
 """Locate where simulation and logs disagree, name the missing effect, add it, show the gap shrink."""
 
 from op3.diagnose.aliasing import aliasing
+from op3.diagnose.bench_model import suited
 from op3.diagnose.diagnosis import Diagnosis
+from op3.diagnose.downstream import downstream
 from op3.diagnose.free_run import FreeRunResiduals, engine_for
 from op3.diagnose.planned import planned_motions, planned_suite
 from op3.diagnose.split import LogSplit, split_logs
+from op3.diagnose.swing import diagnose_swings
 from op3.diagnose.verdict import Finding, Verdict
 from op3.diagnose.windows import WindowResiduals
 
@@ -16,8 +19,11 @@ __all__ = [
     "Verdict",
     "WindowResiduals",
     "aliasing",
+    "diagnose_swings",
+    "downstream",
     "engine_for",
     "planned_motions",
     "planned_suite",
     "split_logs",
+    "suited",
 ]

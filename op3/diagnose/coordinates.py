@@ -161,7 +161,8 @@ class Coordinates:
                     continue
                 name = entry.parameter
                 if name not in result:
-                    result[name] = base[name].expand(len(points), base[name].shape[1]).clone()
+                    whole = base[split_name(name)[0]]
+                    result[name] = whole.expand(len(points), whole.shape[1]).clone()
                 columns = slice(None) if entry.joints is None else list(entry.joints)
                 column = moved[:, i : i + 1]
                 if kind == "value":
@@ -170,7 +171,8 @@ class Coordinates:
                     result[name][:, columns] += column
                 else:
                     result[name][:, columns] *= 1.0 + column
-        return {name: value.clamp(known[name].least, known[name].most) for name, value in result.items()}
+        limits = {name: known[split_name(name)[0]] for name in result}
+        return {name: value.clamp(limits[name].least, limits[name].most) for name, value in result.items()}
 
     def suspects(self, point: np.ndarray) -> list[tuple[str, int, float]]:
         """Joints that stand out by more than their servos' spread: effect, joint, and by how much, most first.
@@ -230,6 +232,9 @@ def base_coordinates(model: RobotModel, joints: Sequence[str], *, fixed_base: bo
                 Coordinate(known.name, columns, low, high, start, start, span)
                 for columns, start in _alike(model, known, joints)
             )
+            for condition, special in model.estimate(known.name).by.items():
+                name, start = f"{known.name}@{condition}", special.value
+                entries.append(Coordinate(name, None, start - span, start + span, start, start, span))
     if len(joints) > 1:
         for name, deviation in SPREAD.items():
             if name in model.parameters() and any(entry.parameter == name for entry in entries):

@@ -16,13 +16,15 @@ from op3.diagnose.fitting import Engine, Fit, fit_base, intervals, linearise, re
 from op3.diagnose.free_run import engine_for
 from op3.diagnose.hypotheses import Hypothesis, hypotheses
 from op3.diagnose.locate import locate, remaining
-from op3.diagnose.preflight import too_poor
+from op3.diagnose.preflight import CAPPED, Caution, preflight
 from op3.diagnose.screen import Screened, screen
+from op3.diagnose.setups import SetupHypothesis, setup_hypotheses
 from op3.diagnose.show import show
 from op3.diagnose.split import LogSplit
 from op3.diagnose.verdict import Finding, Verdict
 from op3.diagnose.windows import WindowResiduals
 from op3.servo import Estimate, RobotModel
+from op3.servo.conditions import split_name
 from op3.servo.effect import parameter
 from op3.sim import model_hash
 
@@ -100,6 +102,7 @@ class Diagnosis:
         self.fixed_base = split.fit[0].metadata.mount != "floor"
         self.without = tuple(without)
         self.cache = cache
+        self.cautions: tuple[Caution, ...] = ()
         self.base: Fit | None = None
         self.screened: list[Screened] = []
         self.refitted: list[Refitted] = []
@@ -141,10 +144,14 @@ class Diagnosis:
         """Screen the catalogue."""
         fitted = with_point(base.coordinates, base.point)
         candidates = hypotheses(fitted, self.engine.joints, fixed_base=self.fixed_base, without=self.without)
+        candidates += setup_hypotheses(fitted, self.split.logs, self.without)
         return screen(self.engine, base, candidates, lambda share: self._report("screen", share))
 
     def run(self, rounds: int = 1) -> Verdict:
         """Diagnose; with more rounds, go on from what was named until nothing more is found."""
+        self.cautions = preflight(self.split, self.given)
+        if any(caution.void for caution in self.cautions):
+            return self._void()
         model, verdicts = self.given, []
         for _ in range(rounds):
             verdict = self._round(model)
@@ -155,6 +162,29 @@ class Diagnosis:
         if sum(verdict.verdict == "named" and not verdict.vetoed for verdict in verdicts) < 2:
             return verdicts[0]
         return self._backward(self._together(verdicts))
+
+    def _void(self) -> Verdict:
+        """Logs that contradict themselves: nothing is fitted to them, and nothing named."""
+        shown = show(self.given, self.given, self.split, lambda share: self._report("show", share))
+        return Verdict(
+            verdict="unknown",
+            effects=(),
+            reason="the logs contradict themselves or the robot, so nothing was fitted to them",
+            model=self.given,
+            base=self.given,
+            cannot_tell=tuple(caution.text for caution in self.cautions),
+            gap=shown["gap"],
+            loss=shown["loss"],
+            details={"shown": shown, "joints": list(self.engine.joints)},
+        )
+
+    def _weak(self, findings: Sequence[Finding]) -> bool:
+        """Whether the logs cannot carry these names."""
+        return any(_speaks(caution, findings) for caution in self.cautions)
+
+    def _said(self, findings: Sequence[Finding]) -> tuple[Caution, ...]:
+        """Cautions of all effects, and those of the effects that were found."""
+        return tuple(caution for caution in self.cautions if not caution.effects or _speaks(caution, findings))
 
     def _backward(self, verdict: Verdict) -> Verdict:
         """Drop what later names have made superfluous, and what is alike to them in the other order."""
@@ -208,22 +238,26 @@ class Diagnosis:
         )
         members = [self.refitted[i] for i in decision.candidates]
         findings = tuple(
-            self._finding(r, base, float(decision.shares[i]))
+            self.finding_of(r, base, float(decision.shares[i]))
             for i, r in zip(decision.candidates, members, strict=True)
             if decision.verdict in ("named", "ambiguous")
         )
+        weak = self._weak(findings)
+        if weak:
+            findings = tuple(replace(f, confidence=min(f.confidence, CAPPED)) for f in findings)
         after = fitted
-        if decision.verdict in ("named", "ambiguous"):
-            after = _with_finding(members[0], findings[0], self.engine.joints)
+        if findings and not weak:
+            after = with_finding(members[0], findings[0], self.engine.joints)
         shown = show(fitted, after, self.split, lambda share: self._report("show", share))
-        vetoed = bool(shown["vetoed"]) and bool(findings)
+        vetoed = bool(shown["vetoed"]) and after is not fitted
         return Verdict(
-            verdict=decision.verdict,
+            verdict="ambiguous" if weak else decision.verdict,
             effects=findings,
             reason=self._reason(decision, control, box),
             model=fitted if vetoed else after,
             base=fitted,
-            cannot_tell=too_poor(self.split),
+            cannot_tell=tuple(caution.text for caution in self._said(findings)),
+            weak=weak,
             separate_by=_separating(members) if decision.verdict == "ambiguous" else "",
             gap=shown["gap"],
             loss=shown["loss"],
@@ -255,6 +289,13 @@ class Diagnosis:
         """Refit the no-op control and the shortlist."""
         control = refit(self.engine, base, base.coordinates, base.point)
         picked = shortlist(self.screened, base.coordinates.suspects(base.point))
+        return control, self._refit_each(base, control, picked)
+
+    def refit_of(self, base: Fit, picked: Sequence[Screened]) -> list[Refitted]:
+        """Refit some hypotheses beside a base."""
+        return self._refit_each(base, refit(self.engine, base, base.coordinates, base.point), picked)
+
+    def _refit_each(self, base: Fit, control: Fit, picked: Sequence[Screened]) -> list[Refitted]:
         result = []
         for number, screened in enumerate(picked):
             hypothesis = screened.hypothesis
@@ -266,7 +307,7 @@ class Diagnosis:
                 Refitted(hypothesis, screened, fit, self._contender(hypothesis, fit, control, base, screened.direction))
             )
             self._report("refit", (number + 1) / len(picked))
-        return control, result
+        return result
 
     def _losses(self, fit: Fit) -> np.ndarray:
         """Squares summed by block of a second, ``[block]``."""
@@ -307,10 +348,13 @@ class Diagnosis:
             return len(base.coordinates) + names.index(hypothesis.effect.size)
         return len(base.coordinates)
 
-    def _finding(self, refitted: Refitted, base: Fit, confidence: float) -> Finding:
+    def finding_of(self, refitted: Refitted, base: Fit, confidence: float) -> Finding:
+        """What a refit has found, with its interval."""
         hypothesis, fit = refitted.hypothesis, refitted.fit
         known = len(base.coordinates)
         half = intervals(self.engine, base, fit)
+        if isinstance(hypothesis, SetupHypothesis):
+            return self._setup_finding(hypothesis, refitted, fit.point[known:], half, confidence)
         place = self._size_at(hypothesis, fit, base)
         entry = fit.coordinates.entries[place]
         values = {e.parameter: float(fit.point[known + i]) for i, e in enumerate(fit.coordinates.entries[known:])}
@@ -347,6 +391,27 @@ class Diagnosis:
             parameter=entry.parameter,
         )
 
+    def _setup_finding(
+        self, hypothesis: SetupHypothesis, refitted: Refitted, values: np.ndarray, half: np.ndarray, confidence: float
+    ) -> Finding:
+        """What differs between set-ups; its size is how far the largest and the smallest value are apart."""
+        known = parameter(split_name(hypothesis.names[0])[0])
+        size, ends = float(np.ptp(values)), [int(values.argmin()), int(values.argmax())]
+        width = float(np.hypot(np.linalg.norm(half[ends]), FORM_ERROR * QUANTILE * size))
+        return Finding(
+            name=hypothesis.effect.name,
+            joints=tuple(self.engine.joints),
+            shared=True,
+            size=size,
+            unit=known.unit,
+            interval=(max(0.0, size - width), size + width),
+            confidence=confidence,
+            parameters=dict(zip(hypothesis.names, values.tolist(), strict=True)),
+            gain=refitted.contender.gain,
+            parameter=known.name,
+            by=hypothesis.field,
+        )
+
     def _details(self, decision: Decision, shown: Mapping[str, Any]) -> dict[str, Any]:
         joints = self.engine.joints
         best: dict[str, Screened] = {}
@@ -378,6 +443,11 @@ class Diagnosis:
             if label not in refitted
         ]
         return {"ranking": ranking, "shown": shown, "joints": list(joints)}
+
+
+def _speaks(caution: Caution, findings: Sequence[Finding]) -> bool:
+    """Whether a caution speaks against one of these names."""
+    return any(caution.weakens(() if f.shared else f.joints, f.name) for f in findings)
 
 
 def shortlist(screened: Sequence[Screened], suspects: Sequence[tuple[str, int, float]] = ()) -> list[Screened]:
@@ -416,7 +486,7 @@ def _credit(s: Screened) -> float:
 
 def _smallest(hypothesis: Hypothesis, name: str) -> float:
     """The smallest size that matters; a tenth of the range for a parameter that is not the effect's size."""
-    effect = hypothesis.effect
+    effect, name = hypothesis.effect, split_name(name)[0]
     if name == effect.size:
         return effect.smallest
     known = parameter(name)
@@ -426,6 +496,8 @@ def _smallest(hypothesis: Hypothesis, name: str) -> float:
 def _apart(hypothesis: Hypothesis, fit: Fit, size: float) -> float:
     """The size; of a fault of one joint, how far the joint is from the others: the spread has a share in it."""
     effect, joints = hypothesis.effect.name, hypothesis.joints
+    if isinstance(hypothesis, SetupHypothesis):
+        return float(np.ptp(fit.point[-len(hypothesis.names) :]))
     if effect not in FAULTS.values() or joints is None or len(joints) != 1:
         return size
     (own,) = joints
@@ -440,9 +512,11 @@ def _apart(hypothesis: Hypothesis, fit: Fit, size: float) -> float:
     return float(whole[own] / others - 1.0) if effect == "torque_constant" else float(whole[own] - others)
 
 
-def _with_finding(refitted: Refitted, finding: Finding, joints: Sequence[str]) -> RobotModel:
+def with_finding(refitted: Refitted, finding: Finding, joints: Sequence[str]) -> RobotModel:
     """The model of a refit, the named parameter with its interval."""
     model = with_point(refitted.fit.coordinates, refitted.fit.point)
+    if finding.by:
+        return model
     estimate = model.estimates[finding.parameter]
     if finding.shared and not estimate.joints:
         low, high = finding.interval

@@ -1,10 +1,10 @@
 """Residuals of free runs: whole logs in closed loop, for logs that windows cannot take, such as those of the bench.
 
-What is compared is the same as for windows, on a uniform grid; a second of a log is one window, a whole log one block,
-because what a free run gets wrong early it drags along.
+What is compared is the same as for windows, on a uniform grid; a second of a log is one window, two seconds are one
+block.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from torch import Tensor
@@ -26,6 +26,22 @@ GRID = 0.02
 
 SECOND = 50
 """Samples of a window."""
+
+BLOCK = 2
+"""Seconds that are taken as dependent: a servo in closed loop, or a pendulum with friction, forgets within them."""
+
+COARSER = 2
+"""How many times longer the steps of a coarse simulation on the bench are."""
+
+
+SETTLE = 0.2
+"""Time for which the first command is held before a replay begins [s]."""
+
+
+def settle_time(logs: Sequence[Rollout]) -> float:
+    """How long the first command of logs is held before their replay [s]: not at all where nothing holds the joints."""
+    held = [bool((log.array("command/torque_enable")[0] > 0.5).all()) for log in logs if "command/torque_enable" in log]
+    return SETTLE if all(held) else 0.0
 
 
 class FreeRunResiduals:
@@ -58,16 +74,24 @@ class FreeRunResiduals:
         if first.metadata.mount == "pendulum":
             # bench logs carry a velocity that the recorders computed from positions
             self.channels = tuple(key for key in self.channels if key != ("joint", "velocity"))
-        self._fit = Replay(split.fit, bench_timestep=timestep)
-        self._rest = Replay(split.select, bench_timestep=timestep)
+        settle, coarse = settle_time(logs), COARSER * timestep
+        self._fit = Replay(split.fit, settle=settle, bench_timestep=timestep)
+        self._all = Replay(logs, settle=settle, bench_timestep=timestep)
+        self._coarse, self._coarse_fit = self._all, self._fit
+        if first.metadata.mount == "pendulum":
+            self._coarse = Replay(logs, settle=settle, bench_timestep=coarse)
+            self._coarse_fit = Replay(split.fit, settle=settle, bench_timestep=coarse)
         self._seconds = [max(1, int(log.duration / (GRID * SECOND))) for log in logs]
         self.is_fit = np.repeat([i < len(split.fit) for i in range(len(logs))], self._seconds)
-        self.blocks = np.repeat(np.arange(len(logs)), self._seconds)
+        begins = np.cumsum([0, *(-(-seconds // BLOCK) for seconds in self._seconds)])
+        self.blocks = np.concatenate(
+            [first + np.arange(seconds) // BLOCK for first, seconds in zip(begins, self._seconds, strict=False)]
+        )
         self.scale = np.array([FLOOR[key] for key in self.channels])
 
     def prepare(self, model: RobotModel) -> None:
         """Take the usual size of the residuals from this model."""
-        usual = 1.4826 * np.median(np.abs(self._errors(model, {}, 1, False)), axis=(0, 1, 2, 3))
+        usual = 1.4826 * np.median(np.abs(self._errors(self._all, model, {}, 1)), axis=(0, 1, 2, 3))
         self.scale = np.sqrt(np.array([FLOOR[key] for key in self.channels]) ** 2 + usual**2)
 
     def residuals(
@@ -78,22 +102,21 @@ class FreeRunResiduals:
         fit_only: bool = False,
         coarse: bool = False,
     ) -> np.ndarray:
-        """Whitened residuals, ``[candidate, window, residual]``."""
-        del coarse
+        """Whitened residuals, ``[candidate, window, residual]``; coarse ones, of longer steps, for differences."""
+        choices = (self._coarse, self._coarse_fit) if coarse else (self._all, self._fit)
+        replay = choices[1] if fit_only else choices[0]
         parts, size = [], 32
         for begin in range(0, candidates, size):
             count = min(size, candidates - begin)
             values = {name: value[begin : begin + count] for name, value in (parameters or {}).items()}
-            error = self._errors(model, values, count, fit_only) / self.scale
+            error = self._errors(replay, model, values, count) / self.scale
             tamed = np.sign(error) * np.sqrt(2 * ROBUST * (np.sqrt(error**2 + ROBUST**2) - ROBUST))
             parts.append(tamed.reshape(*tamed.shape[:2], -1).astype(np.float32))
         return np.concatenate(parts)
 
-    def _errors(self, model: RobotModel, values: Mapping[str, Tensor], count: int, fit_only: bool) -> np.ndarray:
+    def _errors(self, replay: Replay, model: RobotModel, values: Mapping[str, Tensor], count: int) -> np.ndarray:
         """Simulated minus measured, ``[candidate, window, sample, joint, channel]``."""
-        predictions = self._fit.run(model, values, count)
-        if not fit_only:
-            predictions = [*predictions, *self._rest.run(model, values, count)]
+        predictions = replay.run(model, values, count)
         parts = []
         for prediction, seconds in zip(predictions, self._seconds, strict=False):
             channels = prediction.channels

@@ -51,6 +51,10 @@ class Hypothesis:
             return self.effect.name
         return f"{self.effect.name}@{'+'.join(names[j] for j in self.joints)}"
 
+    def neutral(self, joints: Sequence[str]) -> dict[str, Tensor]:
+        """Parameters at which it changes nothing, those of the base included, ``[1, joint]``."""
+        return self.model.tensors(joints)
+
     def columns(self, known: Parameter) -> tuple[int, ...] | None:
         """Columns in which one of its parameters is moved."""
         return self.joints if known.per_joint else None

@@ -13,6 +13,7 @@ from scipy import linalg
 from op3.diagnose.coordinates import CHAIN
 from op3.diagnose.fitting import INFORMATION, Engine, Fit
 from op3.diagnose.hypotheses import Hypothesis, stacked
+from op3.servo.conditions import split_name
 
 FURTHEST = 5.0
 """How far beyond its secant a hypothesis is extrapolated, in secants."""
@@ -117,7 +118,7 @@ def screen(
 
 def _neutral(hypothesis: Hypothesis, base: Fit) -> dict:
     """Parameters of the hypothesis' model that the base does not have, ``[1, joint]``."""
-    return hypothesis.model.tensors(base.coordinates.joints)
+    return hypothesis.neutral(base.coordinates.joints)
 
 
 def _score(projector: Projector, column: np.ndarray, h: Hypothesis, secant: int, blocks: np.ndarray) -> Screened:
@@ -152,12 +153,12 @@ def _score(projector: Projector, column: np.ndarray, h: Hypothesis, secant: int,
 
 def _one_sided(h: Hypothesis, name: str) -> bool:
     """Whether the hypothesis may move only along its secant: its parameter stands at a bound of what is possible."""
-    known = next(p for p in h.effect.parameters if p.name == name)
+    known = next(p for p in h.effect.parameters if p.name == split_name(name)[0])
     if known.neutral is None:
         return True
     if name in CHAIN and not CHAIN[name][2]:
         return True
-    now = h.model.value(name)
+    now = h.model.value(known.name)
     return (
         now <= max(known.least, known.low if known.low == known.neutral else known.least) + 1e-12 or now >= known.most
     )

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from op3.diagnose.free_run import settle_time
 from op3.diagnose.split import LogSplit
 from op3.identify.loss import TrajectoryLoss
 from op3.robot import pose
@@ -46,7 +47,7 @@ def whole_robot(log: Rollout) -> Rollout:
 
 def free_runs(model: RobotModel, logs: Sequence[Rollout]) -> list[Prediction]:
     """Closed-loop predictions of whole logs, from their first rows and commands alone."""
-    return Replay([whole_robot(log) for log in logs]).run(model)
+    return Replay([whole_robot(log) for log in logs], settle=settle_time(logs)).run(model)
 
 
 def show(

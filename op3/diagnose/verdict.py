@@ -24,6 +24,7 @@ class Finding:
         parameters: all numbers of the effect.
         gain: share of the window residual of the choosing runs that it explains.
         parameter: name of the size parameter.
+        by: field of the metadata by which logs differ in it; the size is then how far the values are apart.
     """
 
     name: str
@@ -36,11 +37,13 @@ class Finding:
     parameters: Mapping[str, float]
     gain: float
     parameter: str = ""
+    by: str = ""
 
     def plain(self) -> dict[str, Any]:
         """Plain values for YAML."""
         return {
             "name": self.name,
+            **({"by": self.by} if self.by else {}),
             "joints": list(self.joints),
             "shared": self.shared,
             "size": _rounded(self.size),
@@ -65,6 +68,7 @@ class Verdict:
         base: the refitted base model.
         separate_by: experiment that tells candidates apart; empty unless ambiguous.
         cannot_tell: what the logs are too poor for, and what to record next; empty if they are rich enough.
+        weak: whether `cannot_tell` speaks against the names, which are candidates then, and the model is left without.
         gap: by channel, before and after on the runs that show.
         loss: ``paper_eq7`` before and after on the runs that show.
         vetoed: whether the free run on the runs that show is no better, although windows are.
@@ -78,6 +82,7 @@ class Verdict:
     base: RobotModel
     separate_by: str = ""
     cannot_tell: tuple[str, ...] = ()
+    weak: bool = False
     gap: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     loss: Mapping[str, Any] = field(default_factory=dict)
     vetoed: bool = False
@@ -87,6 +92,9 @@ class Verdict:
     def sentence(self) -> str:
         """The verdict in one sentence."""
         found = " and ".join(_phrase(effect) for effect in self.effects)
+        if self.weak:
+            either = ", or ".join(_phrase(effect) for effect in self.effects)
+            return f"These logs cannot tell what is missing; what they have points to {either}."
         if self.verdict == "named" and self.vetoed:
             return f"Windows ask for {found}, but free runs are no better with it; the model was left without."
         if self.verdict == "named":
@@ -94,6 +102,8 @@ class Verdict:
         if self.verdict == "ambiguous":
             either = ", or ".join(_phrase(effect) for effect in self.effects)
             return f"The model lacks {either}; these logs do not tell which."
+        if self.verdict == "unknown" and not self.details.get("ranking"):
+            return "These logs cannot tell what is missing: " + " ".join(self.cannot_tell)
         if self.verdict == "unknown":
             return "The model lacks something that no effect of the catalogue explains."
         if self.cannot_tell:
@@ -123,6 +133,10 @@ class Verdict:
 
 def _phrase(effect: Finding) -> str:
     where = "in all joints" if effect.shared else "in " + ", ".join(effect.joints)
+    if len(effect.joints) == 1 and effect.shared:
+        where = "in the servo"
+    if effect.by:
+        where = f"that differs by {effect.by}"
     low, high = effect.interval
     unit = "" if effect.unit == "-" else f" {effect.unit}"
     return f"{effect.name} {where}, {effect.size:.3g}{unit} ({low:.3g} to {high:.3g})"

@@ -4,11 +4,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from op3.diagnose import LogSplit, Verdict
+from op3.diagnose.preflight import FIRMWARE
 from op3.diagnose.show import whole_robot, worst_joint
 from op3.report.page import Page
 from op3.report.traces import traces_figure
 from op3.servo import effect_class
+from op3.tasks import Prediction
 
 LOCATED = 10
 """Cells of residual torque on the page."""
@@ -17,7 +21,14 @@ RANKED = 12
 """Hypotheses listed on the page."""
 
 
-def write_page(verdict: Verdict, split: LogSplit, path: Path, provenance: Mapping[str, Any]) -> Path:
+def write_page(
+    verdict: Verdict,
+    split: LogSplit,
+    path: Path,
+    provenance: Mapping[str, Any],
+    swing: Verdict | None = None,
+    returns: Mapping[str, Any] | None = None,
+) -> Path:
     """Write the page of a verdict.
 
     Args:
@@ -25,6 +36,8 @@ def write_page(verdict: Verdict, split: LogSplit, path: Path, provenance: Mappin
         split: its logs.
         path: of the page.
         provenance: where the numbers come from, see `op3.report.run_provenance`.
+        swing: verdict on the free swings alone, of a bench whose servo was switched off.
+        returns: of a policy before and after, see `op3.diagnose.downstream`.
     """
     detail = verdict.reason[:1].upper() + verdict.reason[1:] + "."
     if verdict.vetoed:
@@ -37,7 +50,13 @@ def write_page(verdict: Verdict, split: LogSplit, path: Path, provenance: Mappin
     _gap(page, verdict)
     _where(page, verdict)
     _why(page, verdict)
+    _firmware(page, verdict, split)
+    _motions(page, verdict, split)
     _traces(page, verdict, split)
+    if swing is not None:
+        _swing(page, swing)
+    if returns is not None:
+        _returns(page, returns)
     _base(page, verdict)
     page.section("Files")
     page.files(
@@ -124,6 +143,42 @@ def _why(page: Page, verdict: Verdict) -> None:
     )
 
 
+def _firmware(page: Page, verdict: Verdict, split: LogSplit) -> None:
+    """What the measured duty says of a servo's own loop."""
+    named = {effect.name for effect in verdict.effects}
+    gains = {entry["name"]: max(entry["gain"], 0.0) for entry in verdict.details.get("ranking", ())}
+    if "joint/duty" not in split.show[0] or named & set(FIRMWARE) or not set(FIRMWARE) <= set(gains):
+        return
+    page.text(
+        f"It is neither a wrong controller gain, which explains {gains['position_servo']:.0%} of the residual, nor a"
+        f" delay, {gains['latency']:.0%}: the servo's duty was measured and is compared too."
+    )
+
+
+def _motions(page: Page, verdict: Verdict, split: LogSplit) -> None:
+    """The gap in angle by motion and by firmware gain, where the runs differ in them."""
+    shown = verdict.details.get("shown")
+    if not shown:
+        return
+    for title, of in (("motion", lambda log: log.metadata.motion), ("gain", lambda log: log.metadata.firmware_gain)):
+        errors: dict[Any, list[tuple[float, float]]] = {}
+        for before, after in zip(shown["before"], shown["after"], strict=True):
+            errors.setdefault(of(before.log), []).append((_angle_error(before), _angle_error(after)))
+        if split.show[0].metadata.mount != "pendulum" or len(errors) < 2:
+            continue
+        rows = [
+            [kind, len(each), *(1e3 * float(np.sqrt(np.mean(np.square(column)))) for column in zip(*each, strict=True))]
+            for kind, each in sorted(errors.items(), key=lambda item: str(item[0]))
+        ]
+        page.table([title, "runs", "before [mrad]", "after [mrad]"], rows, f"Root mean square of the angle, by {title}")
+
+
+def _angle_error(prediction: Prediction) -> float:
+    """Root mean square of a prediction's angle [rad]."""
+    simulated = prediction.channels["joint", "position"][0].numpy()
+    return float(np.sqrt(np.square(simulated - prediction.log.array("joint/position")[: len(simulated)]).mean()))
+
+
 def _traces(page: Page, verdict: Verdict, split: LogSplit) -> None:
     shown = verdict.details.get("shown")
     if not shown:
@@ -137,6 +192,39 @@ def _traces(page: Page, verdict: Verdict, split: LogSplit) -> None:
     page.figure(
         traces_figure(whole_robot(log), predictions, [joint]), f"{joint}, the joint that the base model predicts worst"
     )
+
+
+def _swing(page: Page, swing: Verdict) -> None:
+    """The verdict on free swings."""
+    page.section("While torque is off")
+    page.text(
+        "The parts in which the servo was switched off and the pendulum swung free, diagnosed by themselves from the"
+        f" same model: {swing.sentence} {swing.reason[:1].upper() + swing.reason[1:]}."
+    )
+    for effect in swing.effects:
+        cls = effect_class(effect.name)
+        values = ", ".join(f"{name} {value:.3g}" for name, value in effect.parameters.items())
+        page.text(f"`{effect.name}`: `{cls.equation}`. It shows {cls.fingerprint}. Found: {values} [{effect.unit}].")
+    if swing.separate_by:
+        page.text(f"To tell the candidates apart: {swing.separate_by}.")
+    rows = [[key, v["unit"], v["before"], v["after"]] for key, v in swing.gap.items()]
+    page.table(["channel", "unit", "before", "after"], rows, "Root mean square over swings that nothing was chosen by")
+
+
+def _returns(page: Page, returns: Mapping[str, Any]) -> None:
+    """What a policy returns under the two models, and on the robot."""
+    page.section("What it means for a policy")
+    page.text(
+        f"Return R_eval of `{returns['policy']}` on `{returns['task']}`, {returns['episodes']} episodes under each"
+        " model, the same ones; intervals of 90 % over episodes."
+    )
+    rows = []
+    for key, label in (("before", "base"), ("after", "with what was named"), ("actual", "the robot")):
+        if key in returns:
+            value = returns[key]
+            low, high = value["interval"] or (None, None)
+            rows.append([label, value["mean"], low, high, 100 * value["fallen"], returns.get(f"error_{key}")])
+    page.table(["model", "return", "from", "to", "falls [%]", "off the robot by"], rows, "Returns of one policy")
 
 
 def _base(page: Page, verdict: Verdict) -> None:

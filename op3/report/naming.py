@@ -11,6 +11,25 @@ import plotly.graph_objects as go
 from op3.report.page import Page
 from op3.report.style import INK, MUTED, colours, dress, plain, words
 
+CLEAR: Mapping[str, tuple[str, str]] = {
+    "clear_top1_exact": ("right name and joints first", "at least 88 %"),
+    "clear_top1_class": ("right, or among the candidates called ambiguous", "at least 95 %"),
+    "clear_top3_exact": ("right among the first three", "at least 98 %"),
+    "clear_joint": ("right joint where the name is right", "at least 95 %"),
+}
+"""Rates of single effects that are moderate or strong: what each is called, and the aim."""
+
+MEDIANS: Mapping[str, tuple[str, str]] = {
+    "oracle_closure_median": ("gap closed, of what a model that knows the hidden effects closes", "at least 0.95"),
+    "gap_closure_median": ("gap closed, of what is above the spread of repeats", ""),
+    "explained_median": ("residual explained by the first claim", ""),
+    "black_box_median": ("residual explained by a black box, which names nothing", ""),
+    "size_ratio_median": ("size found, of the true one", ""),
+    "return_error_before_median": ("policy: return predicted by the base, off the true one by", ""),
+    "return_error_after_median": ("policy: the same with what was named", ""),
+}
+"""Medians over cases: what each is called, and the aim."""
+
 LABELS: Mapping[str, tuple[str, str]] = {
     "false_alarms": ("false alarms on empty cases", "at most 3 %"),
     "false_names": ("names given to empty cases", "at most 3 %"),
@@ -132,6 +151,7 @@ def naming_page(
                 [label, rate["count"], rate["of"], *(100 * rate[k] for k in ("value", "low", "high")), aim or None]
             )
     page.table(["rate", "count", "of", "%", "from %", "to %", "aim"], rows_of, "Rates of the diagnosis", digits=3)
+    _medians(page, summary)
     page.section("What was called what")
     page.figure(confusion_figure(*table), "Hidden effects against the first claim, or the verdict that names nothing.")
     page.section("Confidence")
@@ -145,6 +165,35 @@ def naming_page(
     page.table(header, [[row[key] for key in entries] + [row["size_ratio"]] for row in rows], "All cases", digits=3)
     page.text(f"The list of sealed answers has the SHA-256 `{commitment}`; it was written before the first diagnosis.")
     return page
+
+
+def _medians(page: Page, summary: Mapping[str, Any]) -> None:
+    """Clear cases, `dte` by severity, medians and the calibration error, with their intervals."""
+    clear = [
+        [label, s["count"], s["of"], *(100 * s[k] for k in ("value", "low", "high")), aim]
+        for key, (label, aim) in CLEAR.items()
+        if (s := summary.get(key))
+    ]
+    for severity, s in summary.get("dte_named", {}).items():
+        if s:
+            values = (100 * s[k] for k in ("value", "low", "high"))
+            clear.append([f"dte named, {severity}", s["count"], s["of"], *values, "always"])
+    if clear:
+        columns = ["rate", "count", "of", "%", "from %", "to %", "aim"]
+        page.table(columns, clear, "Single effects, moderate and strong, rich excitation; dte by severity", digits=3)
+    rows = [
+        [label, s["value"], s["low"], s["high"], s["of"], aim or None]
+        for key, (label, aim) in MEDIANS.items()
+        if (s := summary.get(key))
+    ]
+    calibration = summary["calibration"]
+    if calibration["ece"] is not None:
+        low, high = calibration.get("ece_interval") or (None, None)
+        rows.append(["calibration error of stated confidence", calibration["ece"], low, high, calibration["claims"],
+                     "at most 0.06"])  # fmt: skip
+    if rows:
+        page.table(["median over cases", "value", "from", "to", "cases", "aim"], rows, "With 95 % bootstrap intervals",
+                   digits=3)  # fmt: skip
 
 
 def _lead(summary: Mapping[str, Any]) -> str:

@@ -20,6 +20,7 @@ from op3.robot.leg_excitations import LEG_JOINTS, Excitation, leg_suite, leg_wal
 from op3.robot.motions import Motion, hold, squat
 from op3.robot.op3_entity import OP3
 from op3.robot.poses import POSES, pose, standing_height
+from op3.robot.robot_excitations import robot_suite, robot_walking
 from op3.robot.safety import SPEED_LIMIT, check_motion, motion_faults
 from op3.robot.scenes import SCENES, Scene, build_bench, build_scene
 from op3.robot.surfaces import draw_tiles, place_tiles, tile_ids
@@ -71,6 +72,8 @@ __all__ = [
     "pose",
     "push_down",
     "quaternion",
+    "robot_suite",
+    "robot_walking",
     "soften",
     "sole_corners",
     "squat",

@@ -12,12 +12,31 @@ from pathlib import Path
 from typing import Any
 
 from op3.stand_in.cases import DATA_FOLDER, SEAL_FILE, TEST_SEEDS, Case, draw_case, make_case, seal, write_answer
-from op3.stand_in.hidden import CATALOGUE, OUTSIDERS, SEVERITIES
+from op3.stand_in.hidden import BASES, CATALOGUE, OUTSIDERS, SEVERITIES
 
 VERDICT_FILE = "verdict.yaml"
 LOG_FILE = "diagnose.log"
+ORACLE_FILE = "run/oracle.yaml"
+WORLD_FILE = "world.yaml"
 SETS: tuple[str, ...] = ("development", "test")
 """Sets of cases with seeds of their own; thresholds are chosen on the first, the second is opened once a release."""
+
+
+_WHOLE = (
+    "single",
+    "single",
+    "null",
+    "single",
+    "single",
+    "pair",
+    "single",
+    "single",
+    "null",
+    "single",
+    "single",
+    "outsider",
+)
+"""Kinds of the cases of the whole robot, in turn."""
 
 
 def draw_mix(mix: Mapping[str, Any], which: str = "development", first_seed: int = 0) -> list[Case]:
@@ -25,7 +44,8 @@ def draw_mix(mix: Mapping[str, Any], which: str = "development", first_seed: int
 
     Args:
         mix: `singles`, cases per effect and severity, by severity; `effects`, which (None: all of the catalogue);
-            `nulls`, `pairs`, `outsiders`, `poor`, numbers of cases.
+            `nulls`, `pairs`, `outsiders`, `poor`, numbers of cases; `op3`, cases of the whole robot, of which two
+            thirds hide one effect, a sixth none, and the others a pair or an outsider.
         which: "development" or "test".
         first_seed: of the set.
     """
@@ -43,6 +63,11 @@ def draw_mix(mix: Mapping[str, Any], which: str = "development", first_seed: int
     plan += [("outsider", levels[1 + i % 2], OUTSIDERS[i % len(OUTSIDERS)]) for i in range(mix["outsiders"])]
     plan += [("poor", levels[1 + i % 2], None) for i in range(mix["poor"])]
     cases = [draw_case(seed + i, kind, severity, name) for i, (kind, severity, name) in enumerate(plan)]
+    whole = [_WHOLE[i % len(_WHOLE)] for i in range(mix.get("op3", 0))]
+    for i, kind in enumerate(whole):
+        # every third single is one of which a whole world can be made, so that a policy can be run in it
+        name = list(BASES)[i // 3 % len(BASES)] if kind == "single" and i % 3 == 0 else None
+        cases.append(draw_case(seed + len(plan) + i, kind, levels[1 + i % 2], name, robot="op3"))
     # the names are hashes of the seeds: in their order a run that is stopped early has seen a fair sample
     return sorted(cases, key=lambda case: case.name)
 
@@ -96,6 +121,78 @@ def run_case(
     return verdict if verdict.is_file() else None
 
 
+def run_beside(
+    case: Case,
+    folder: str | Path,
+    answers: str | Path,
+    command: Sequence[str],
+    result: str,
+    timeout: float,
+    keep_data: bool,
+) -> Path | None:
+    """Let a further process work on a case's logs: a baseline, or one to which the answer is told.
+
+    It is to be called after all verdicts have been written.
+
+    Args:
+        case: what is hidden.
+        folder: of the cases. What is there already is taken as it is.
+        answers: folder of the answers.
+        command: `{data}`, `{model}`, `{run}` as for `run_case`, `{answer}`, the file of the answer, and `{beside}`,
+            the folder of `result`.
+        result: file, in the case's folder, that the process is to write.
+        timeout: after which it is stopped [s].
+        keep_data: whether the logs stay on the disk afterwards.
+
+    Returns:
+        Path of the result, None if none was written.
+    """
+    place = Path(folder) / case.name
+    path = place / result
+    if path.is_file():
+        return path
+    if not (place / DATA_FOLDER).is_dir():
+        make_case(case, folder, answers)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    names = {
+        "data": place / DATA_FOLDER,
+        "model": case.base,
+        "run": place / "run",
+        "answer": Path(answers) / f"{case.name}.yaml",
+        "beside": path.parent,
+    }
+    with path.with_suffix(".log").open("w", encoding="utf-8") as log:
+        _run([part.format(**names) for part in command], log, timeout)
+    if not keep_data:
+        shutil.rmtree(place / DATA_FOLDER)
+    return path if path.is_file() else None
+
+
+def run_policy(case: Case, folder: str | Path, command: Sequence[str], timeout: float) -> Path | None:
+    """Let another process run a policy on the whole robot with its hidden truth; to be called after all verdicts.
+
+    The robot that walks about has what a world holds: base parameters, and of the hidden effects those of `BASES`.
+
+    Args:
+        case: of the whole robot.
+        folder: of the cases. Episodes that are there already are taken as they are.
+        command: `{world}` and `{run}` stand for a file of the truth and for where the episodes go.
+        timeout: after which it is stopped [s].
+
+    Returns:
+        Folder of the episodes; None where the truth is more than a world, or the process failed.
+    """
+    if case.robot != "op3" or any(hidden.name not in BASES for hidden in case.truth.hidden):
+        return None
+    episodes = Path(folder) / case.name / "episodes"
+    if not episodes.is_dir():
+        episodes.mkdir(parents=True)
+        world = case.truth.world.save(episodes / WORLD_FILE)
+        with (episodes / "policy.log").open("w", encoding="utf-8") as log:
+            _run([part.format(world=world, run=episodes) for part in command], log, timeout)
+    return episodes if any(episodes.glob("*/metadata.yaml")) else None
+
+
 def _run(command: Sequence[str], log: Any, timeout: float) -> None:
     """Run to the end or for `timeout` [s], with all processes that it starts."""
     process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, start_new_session=True)
@@ -117,9 +214,12 @@ def run_all(
     *,
     timeout: float = 1800.0,
     keep_data: bool = True,
+    whole_robot: Sequence[str] = (),
     say: Callable[[str], None] = print,
 ) -> dict[str, Path | None]:
     """Run every case that has no verdict yet; one line per case says how far it is.
+
+    Arguments are those of `run_case`; `whole_robot` are parts of the command for cases of the whole robot besides.
 
     Returns:
         Path of the verdict by case name, None where the diagnosis wrote none.
@@ -128,7 +228,8 @@ def run_all(
     begin, done = time.monotonic(), 0
     for number, case in enumerate(cases, start=1):
         known = (Path(folder) / case.name / "run" / VERDICT_FILE).is_file()
-        found[case.name] = run_case(case, folder, answers, command, timeout, keep_data)
+        own = [*command, *(whole_robot if case.robot == "op3" else ())]
+        found[case.name] = run_case(case, folder, answers, own, timeout, keep_data)
         if known:
             continue
         done += 1

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from op3.robot import LEG_JOINTS, leg_suite, leg_walking
+from op3.robot import JOINTS, LEG_JOINTS, MIRROR, leg_suite, leg_walking, robot_suite, robot_walking
 from op3.stand_in.hidden import ALIAS_PAIRS, BASES, CATALOGUE, KINDS, OUTSIDERS, SEVERITIES, Hidden
 from op3.stand_in.leg import record_leg
 from op3.stand_in.leg_servos import LegTruth
@@ -25,6 +25,9 @@ from op3.stand_in.world import World
 
 CASE_KINDS: tuple[str, ...] = ("single", "pair", "null", "outsider", "poor")
 """One catalogue effect; two; none; something no catalogue holds; one effect seen by a poor excitation only."""
+
+ROBOTS: dict[str, tuple[str, ...]] = {"leg": LEG_JOINTS, "op3": JOINTS}
+"""Joints of what a case is recorded on: the right leg, or the whole robot, on the stand."""
 
 TEST_SEEDS = 1_000_000
 """First seed of the test set."""
@@ -57,6 +60,7 @@ class Case:
         base: model that the diagnosis starts from.
         truth: the leg.
         bare: the same leg with nothing hidden in it.
+        robot: one of `ROBOTS`.
     """
 
     name: str
@@ -66,13 +70,14 @@ class Case:
     base: str
     truth: LegTruth
     bare: LegTruth
+    robot: str = "leg"
 
     def answer(self) -> dict[str, Any]:
         """The sealed answer, as plain values."""
         effects = [
             {
                 "name": hidden.name,
-                "joints": list(hidden.joints) or list(LEG_JOINTS),
+                "joints": list(hidden.joints) or list(self.truth.joints),
                 "shared": not hidden.joints,
                 "size": hidden.size,
                 "unit": KINDS[hidden.name].unit,
@@ -87,6 +92,7 @@ class Case:
             "case": self.name,
             "seed": self.seed,
             "kind": self.kind,
+            "robot": self.robot,
             "severity": self.severity,
             "base": self.base,
             "effects": effects,
@@ -97,7 +103,12 @@ class Case:
 
 
 def draw_case(
-    seed: int, kind: str = "single", severity: str = "moderate", effect: str | None = None, scale: float = 1.0
+    seed: int,
+    kind: str = "single",
+    severity: str = "moderate",
+    effect: str | None = None,
+    scale: float = 1.0,
+    robot: str = "leg",
 ) -> Case:
     """Decide what one case hides.
 
@@ -107,7 +118,10 @@ def draw_case(
         severity: one of `SEVERITIES`; null cases have none.
         effect: hide this one (singles, outsiders, poor cases, and the first of a pair); drawn if None.
         scale: factor on every hidden size, 0 for a leg that differs from this case in nothing else.
+        robot: one of `ROBOTS`; on the whole robot, effects of single joints sit in either leg.
     """
+    if robot not in ROBOTS:
+        raise ValueError(f"there is no robot {robot!r}; choose {', '.join(ROBOTS)}")
     if kind not in CASE_KINDS:
         raise ValueError(f"there is no kind of case {kind!r}; choose {', '.join(CASE_KINDS)}")
     if severity not in SEVERITIES:
@@ -117,8 +131,14 @@ def draw_case(
     rng = np.random.default_rng([int(seed), 40])
     names = _names(rng, kind, effect)
     hidden = tuple(_hide(rng, name, SEVERITIES[severity] * scale) for name in names)
+    if robot == "op3":
+        sides = np.random.default_rng([int(seed), 41])
+        hidden = tuple(_other_side(one) if one.joints and sides.random() < 0.5 else one for one in hidden)
     world = World.random(int(seed))
-    forms = {"gear_form": _form(rng, ("power", "m6")), "fade_form": _form(rng, ("gaussian", "exponential"))}
+    forms: dict[str, Any] = {
+        "gear_form": _form(rng, ("power", "m6")),
+        "fade_form": _form(rng, ("gaussian", "exponential")),
+    }
     missing = next((name for name in names if name in BASES), None)
     if missing is None and rng.random() < LESS_SHARE:
         missing = str(rng.choice(list(BASES)))
@@ -132,9 +152,15 @@ def draw_case(
         kind=kind,
         severity=None if kind == "null" else severity,
         base=PLAIN_BASE if missing is None else BASES[missing],
-        truth=LegTruth(_without(world, missing, sizes), hidden, **forms),
-        bare=LegTruth(_without(world, missing, {}), (), **forms),
+        truth=LegTruth(_without(world, missing, sizes), hidden, joints=ROBOTS[robot], **forms),
+        bare=LegTruth(_without(world, missing, {}), (), joints=ROBOTS[robot], **forms),
+        robot=robot,
     )
+
+
+def _other_side(hidden: Hidden) -> Hidden:
+    """The same effect in the partners of its joints."""
+    return dataclasses.replace(hidden, joints=tuple(MIRROR[joint][0] for joint in hidden.joints))
 
 
 def _without(world: World, missing: str | None, sizes: dict[str, float]) -> World:
@@ -203,7 +229,8 @@ def make_case(case: Case, folder: str | Path, answers: str | Path) -> Path:
         The case's folder.
     """
     place = Path(folder) / case.name
-    suite = leg_walking(case.seed) if case.kind == "poor" else leg_suite(case.seed)
+    rich, poor = (robot_suite, robot_walking) if case.robot == "op3" else (leg_suite, leg_walking)
+    suite = poor(case.seed) if case.kind == "poor" else rich(case.seed)
     write_answer(case, answers)
     for number, log in enumerate(record_leg(case.truth, suite, case.seed, case.name)):
         log.save(place / DATA_FOLDER / f"{number:02d}_{log.metadata.motion}", overwrite=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from op3.robot import LEG_JOINTS
+from op3.robot import JOINTS, LEG_JOINTS
 
 SEVERITIES: dict[str, float] = {"mild": 1.0, "moderate": 2.5, "strong": 5.0}
 """Multiples of the smallest size that matters."""
@@ -137,6 +137,6 @@ class Hidden:
         object.__setattr__(self, "form", self.form or kind.forms[0])
         if self.form not in kind.forms:
             raise ValueError(f"{self.name} has no form {self.form!r}; it has {', '.join(kind.forms)}")
-        unknown = set(self.joints) - set(LEG_JOINTS)
+        unknown = set(self.joints) - set(JOINTS)
         if unknown:
-            raise ValueError(f"the leg has no joint {sorted(unknown)[0]!r}; it has {', '.join(LEG_JOINTS)}")
+            raise ValueError(f"the robot has no joint {sorted(unknown)[0]!r}; it has {', '.join(JOINTS)}")

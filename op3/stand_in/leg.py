@@ -60,7 +60,7 @@ def record_leg(truth: LegTruth, suite: Sequence[Excitation], seed: int, robot_id
         robot_id: identity of the leg in the logs' metadata.
 
     Returns:
-        One rollout of the six joints per run, at 125 Hz.
+        One rollout of the truth's joints per run, at 125 Hz.
     """
     return _Session(truth, suite, seed).record(robot_id)
 
@@ -71,8 +71,8 @@ class _Session:
     def __init__(self, truth: LegTruth, suite: Sequence[Excitation], seed: int):
         if len({len(run.motion.time) for run in suite}) != 1:
             raise ValueError("the runs of a suite are recorded side by side and must be of equal length")
-        if any(run.motion.joints != LEG_JOINTS for run in suite):
-            raise ValueError(f"the runs of a leg move {', '.join(LEG_JOINTS)}")
+        if any(run.motion.joints != truth.joints for run in suite):
+            raise ValueError(f"the runs must move {', '.join(truth.joints)}")
         self.truth, self.suite = truth, suite
         streams = np.random.SeedSequence([seed, 30]).spawn(5)
         self._slow_rng, self._sensor_rng, self._timing_rng, self._day_rng, self._loss_rng = map(
@@ -100,15 +100,16 @@ class _Session:
         return start, np.where(warm, hot, cold)
 
     def _model(self) -> mujoco.MjModel:
-        """The right leg alone, with what is hidden in its links."""
+        """The right leg alone, or the whole robot, with what is hidden in its links."""
         scene = build_scene("stand")
         root: Any = scene.mjcf_model
-        for name in ("head_pan_link", "l_sho_pitch_link", "r_sho_pitch_link", "l_hip_yaw_link"):
-            root.find("body", f"op3/{name}").remove()
+        if self.truth.joints == LEG_JOINTS:
+            for name in ("head_pan_link", "l_sho_pitch_link", "r_sho_pitch_link", "l_hip_yaw_link"):
+                root.find("body", f"op3/{name}").remove()
         model = scene.compile()
         names = tuple(model.joint(i).name.removeprefix("op3/") for i in range(model.njnt))
-        if names != LEG_JOINTS:
-            raise ValueError(f"the leg's joints are {', '.join(names)} where {', '.join(LEG_JOINTS)} belong")
+        if names != self.truth.joints:
+            raise ValueError(f"the joints are {', '.join(names)} where {', '.join(self.truth.joints)} belong")
         model.opt.timestep = TIMESTEP
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_SENSOR)
@@ -128,7 +129,7 @@ class _Session:
         position[...] = self.sensors.true_position(placed)
         self.servos.reset(position, self._slow_rng)
         self.sensors.reset()
-        goal = np.zeros((runs, len(LEG_JOINTS)))
+        goal = np.zeros((runs, len(self.truth.joints)))
         settling = round(SETTLE / CONTROL_PERIOD)
         ticks = self._tick_steps(settling + len(self.targets) + 1)
         latency, lost = self._transmission(len(ticks))
@@ -193,7 +194,7 @@ class _Session:
         return goal, now
 
     def _rollout(self, run: int, time: Array, rows: list[dict[str, Array]], robot_id: str) -> Rollout:
-        excitation, ones = self.suite[run], np.ones((len(time), len(LEG_JOINTS)))
+        excitation, ones = self.suite[run], np.ones((len(time), len(self.truth.joints)))
         arrays: dict[Any, Array] = {("joint", name): np.stack([row[name][run] for row in rows]) for name in rows[0]}
         arrays["command", "position"] = self.targets[:, run]
         arrays["command", "p_gain"] = excitation.p_gain * ones
@@ -201,7 +202,7 @@ class _Session:
         arrays.update(self._imu(excitation, len(time)))
         begin = MORNING + datetime.timedelta(seconds=float(self.day_time[run]))
         metadata = Metadata(
-            joints=LEG_JOINTS,
+            joints=self.truth.joints,
             robot="simulated",
             mount="stand",
             rate=1 / CONTROL_PERIOD,

@@ -1,12 +1,13 @@
 """Hidden effects that add friction or torque, each as a small function of a leg's state.
 
 Forms differ from those of the project's catalogue wherever one can differ. A maker takes the hidden effect, the places
-where it sits `[joint]` (1 or 0) and the world, and gives a function of the state: torques `[run, joint]` in N m.
+where it sits `[joint]` (1 or 0) and the names of the joints, and gives a function of the state: torques `[run, joint]`
+in N m.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,6 @@ from numpy.typing import NDArray
 
 from op3.robot import LEG_JOINTS, indices, pose
 from op3.stand_in.hidden import Hidden
-from op3.stand_in.world import World
 
 Array = NDArray[np.float64]
 
@@ -53,10 +53,10 @@ class LegState:
 
 
 Term = Callable[[LegState], Array]
-Maker = Callable[[Hidden, Array, World], Term]
+Maker = Callable[[Hidden, Array, Sequence[str]], Term]
 
 
-def _load_friction(hidden: Hidden, where: Array, world: World) -> Term:
+def _load_friction(hidden: Hidden, where: Array, joints: Sequence[str]) -> Term:
     """Friction per torque in the gear: from the torques on both its sides, or twice that on the motor's."""
     share = hidden.size * where
     if hidden.form == "motor":
@@ -64,23 +64,23 @@ def _load_friction(hidden: Hidden, where: Array, world: World) -> Term:
     return lambda s: share * (np.abs(s.torque) + np.abs(s.transmitted))
 
 
-def _position_friction(hidden: Hidden, where: Array, world: World) -> Term:
+def _position_friction(hidden: Hidden, where: Array, joints: Sequence[str]) -> Term:
     """Friction of an oval seat, highest at two angles of a turn, or growing along the way."""
-    centre = _centre(hidden)
+    centre = _centre(hidden, joints)
     if hidden.form == "ramp":
         return lambda s: where * hidden.size * np.clip(0.5 + (s.position - centre) / 1.2, 0, 1)
     return lambda s: where * hidden.size * np.cos(s.position - centre - 0.3 * np.pi) ** 2
 
 
-def _asymmetric_friction(hidden: Hidden, where: Array, world: World) -> Term:
+def _asymmetric_friction(hidden: Hidden, where: Array, joints: Sequence[str]) -> Term:
     """Friction that differs with the direction: half more one way, half less the other, blended at 10 mrad/s."""
     half = 0.5 * hidden.size * where
     return lambda s: half * np.tanh(s.velocity / 0.01)
 
 
-def _sticky_patch(hidden: Hidden, where: Array, world: World) -> Term:
+def _sticky_patch(hidden: Hidden, where: Array, joints: Sequence[str]) -> Term:
     """Friction within a narrow range of angles."""
-    centre = _centre(hidden)
+    centre = _centre(hidden, joints)
     return lambda s: where * hidden.size * np.exp(-(((s.position - centre) / 0.03) ** 2))
 
 
@@ -93,12 +93,12 @@ FRICTION: dict[str, Maker] = {
 """Effects that raise the bound of friction, by name."""
 
 
-def _quadratic_drag(hidden: Hidden, where: Array, world: World) -> Term:
+def _quadratic_drag(hidden: Hidden, where: Array, joints: Sequence[str]) -> Term:
     """Drag of grease, with the square of speed."""
     return lambda s: -hidden.size * where * s.velocity * np.abs(s.velocity)
 
 
-def _cogging(hidden: Hidden, where: Array, world: World) -> Term:
+def _cogging(hidden: Hidden, where: Array, joints: Sequence[str]) -> Term:
     """Torque ripple over the angle, with 12 to 40 periods a turn."""
     periods, phase = round(12 + 28 * hidden.shape[0]), 2 * np.pi * hidden.shape[1]
 
@@ -111,7 +111,7 @@ def _cogging(hidden: Hidden, where: Array, world: World) -> Term:
     return ripple
 
 
-def _chipped_tooth(hidden: Hidden, where: Array, world: World) -> Term:
+def _chipped_tooth(hidden: Hidden, where: Array, joints: Sequence[str]) -> Term:
     """A share of the motor's torque that is lost while one damaged tooth is in mesh, every 0.35 rad."""
     phase = hidden.shape[0]
 
@@ -130,9 +130,9 @@ MOTOR_SIDE: dict[str, Maker] = {
 """Effects that put a torque on the motor's side of the gear, by name."""
 
 
-def _cable_spring(hidden: Hidden, where: Array, world: World) -> Term:
+def _cable_spring(hidden: Hidden, where: Array, joints: Sequence[str]) -> Term:
     """A cable that pulls back to one angle; its hysteretic form rubs against itself."""
-    stiffness, rest = hidden.size * where, _centre(hidden)
+    stiffness, rest = hidden.size * where, _centre(hidden, joints)
     if hidden.form == "linear":
         return lambda s: -stiffness * (s.link_position - rest)
     rubbing: list[Array] = []
@@ -147,7 +147,7 @@ def _cable_spring(hidden: Hidden, where: Array, world: World) -> Term:
     return pull
 
 
-def _vibration(hidden: Hidden, where: Array, world: World) -> Term:
+def _vibration(hidden: Hidden, where: Array, joints: Sequence[str]) -> Term:
     """A torque of 7 to 15 Hz, whatever the joint does."""
     frequency, phase = 7 + 8 * hidden.shape[0], 2 * np.pi * hidden.shape[1]
     return lambda s: (
@@ -155,14 +155,14 @@ def _vibration(hidden: Hidden, where: Array, world: World) -> Term:
     )
 
 
-def _hard_stop(hidden: Hidden, where: Array, world: World) -> Term:
+def _hard_stop(hidden: Hidden, where: Array, joints: Sequence[str]) -> Term:
     """A stiff obstacle beyond one angle, on the side away from the pose in which the leg rests."""
     side = 1.0 if hidden.shape[1] < 0.5 else -1.0
-    edge = _stand() + side * (0.12 + 0.12 * hidden.shape[0])
+    edge = _stand(joints) + side * (0.12 + 0.12 * hidden.shape[0])
     return lambda s: -hidden.size * where * side * np.maximum(side * (s.link_position - edge), 0.0)
 
 
-def _creep(hidden: Hidden, where: Array, world: World) -> Term:
+def _creep(hidden: Hidden, where: Array, joints: Sequence[str]) -> Term:
     """A spring whose rest angle follows the joint within a second or two (Maxwell)."""
     rate = 1 / (0.8 + 1.5 * hidden.shape[0])
     rest: list[Array] = []
@@ -185,17 +185,17 @@ LINK_SIDE: dict[str, Maker] = {
 """Effects that put a torque on the joint itself, by name."""
 
 
-def _stand() -> Array:
-    return pose("stand")[indices(LEG_JOINTS)]
+def _stand(joints: Sequence[str]) -> Array:
+    return pose("stand")[indices(joints)]
 
 
-def _centre(hidden: Hidden) -> Array:
+def _centre(hidden: Hidden, joints: Sequence[str]) -> Array:
     """An angle within 0.12 rad of the pose about which the leg moves [joint] in rad."""
-    return _stand() + 0.24 * (hidden.shape[0] - 0.5)
+    return _stand(joints) + 0.24 * (hidden.shape[0] - 0.5)
 
 
-def places(hidden: Hidden) -> Array:
+def places(hidden: Hidden, joints: Sequence[str] = LEG_JOINTS) -> Array:
     """1 where the effect sits, 0 elsewhere [joint]."""
     if not hidden.joints:
-        return np.ones(len(LEG_JOINTS))
-    return np.array([float(joint in hidden.joints) for joint in LEG_JOINTS])
+        return np.ones(len(joints))
+    return np.array([float(joint in hidden.joints) for joint in joints])

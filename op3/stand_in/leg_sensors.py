@@ -1,4 +1,4 @@
-"""The sensors of a leg's six servos, for all runs of a case at once."""
+"""The sensors of a leg's servos, or of all of a robot's, for all runs of a case at once."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.robot import LEG_JOINTS
 from op3.robot.units import CURRENT_UNIT, POSITION_UNIT, TEMPERATURE_UNIT, VELOCITY_UNIT, VOLTAGE_UNIT
 from op3.stand_in.leg_effects import places
 from op3.stand_in.leg_servos import LegServos, LegTruth
@@ -27,7 +26,7 @@ class LegSensors:
 
     def __init__(self, truth: LegTruth, runs: int):
         self.truth = truth
-        shape = (runs, len(LEG_JOINTS))
+        shape = (runs, len(truth.joints))
         self._blend = 1 - np.exp(-SLOW_PERIOD / truth.world.velocity_lag)
         self._velocity = np.zeros(shape)
         self._slower = np.zeros(shape)
@@ -60,11 +59,11 @@ class LegSensors:
         """What the encoders say before rounding [run, joint] in rad."""
         reading = position
         if self._offset is not None:
-            reading = reading + self._offset.size * places(self._offset)
+            reading = reading + self._offset.size * places(self._offset, self.truth.joints)
         if self._bent is not None:
             phase = 2 * np.pi * self._bent.shape[0]
             wave = np.sin(position + phase) + 0.3 * np.sin(2 * position + 2 * phase)
-            reading = reading + self._bent.size * places(self._bent) * wave
+            reading = reading + self._bent.size * places(self._bent, self.truth.joints) * wave
         return reading
 
     def _speed(self, position: Array, velocity: Array) -> Array:
@@ -73,7 +72,7 @@ class LegSensors:
             return velocity
         phase = 2 * np.pi * self._bent.shape[0]
         slope = np.cos(position + phase) + 0.6 * np.cos(2 * position + 2 * phase)
-        return velocity * (1 + self._bent.size * places(self._bent) * slope)
+        return velocity * (1 + self._bent.size * places(self._bent, self.truth.joints) * slope)
 
     def true_position(self, reading: Array) -> Array:
         """Where joints are that read `reading` [run, joint] in rad."""

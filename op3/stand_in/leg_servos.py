@@ -1,4 +1,4 @@
-"""The six servos of a leg, for all runs of a case at once, with whatever is hidden in them.
+"""The servos of a leg or of the whole robot, for all runs of a case at once, with whatever is hidden in them.
 
 The same forms as `servos.ServoBank` (loss by the sign of power, friction as an elastic element that slides), over
 [run, joint], and what a hidden effect changes: parameters, terms of friction and torque, or a motor side of its own
@@ -42,19 +42,21 @@ GEAR_DAMPING = 0.06
 
 @dataclass(frozen=True)
 class LegTruth:
-    """Everything that is true of one leg.
+    """Everything that is true of one leg, or of all servos of a robot on the stand.
 
     Attributes:
         world: numbers of its servos and sensors.
         hidden: what is hidden in it.
         gear_form: "power", loss in proportion to torque where the load drives; "m6", more of it near rest.
         fade_form: "gaussian" or "exponential" fade of static friction.
+        joints: names of the servos.
     """
 
     world: World
     hidden: tuple[Hidden, ...] = ()
     gear_form: str = "power"
     fade_form: str = "gaussian"
+    joints: tuple[str, ...] = LEG_JOINTS
 
     def find(self, name: str) -> Hidden | None:
         """The hidden effect of this name, if its size is not 0."""
@@ -101,7 +103,7 @@ class LegServos:
     def __init__(self, truth: LegTruth, temperature: Array, day_time: Array, timestep: float):
         self.truth, self.timestep = truth, timestep
         world = truth.world
-        shape = (len(day_time), len(LEG_JOINTS))
+        shape = (len(day_time), len(truth.joints))
         self._set_parameters(world, shape)
         self._friction = _terms(FRICTION, truth)
         self._motor_side = _terms(MOTOR_SIDE, truth)
@@ -157,7 +159,7 @@ class LegServos:
         hidden = loose or soft
         if hidden is None:
             return None
-        columns = [i for i, here in enumerate(places(hidden)) if here]
+        columns = [i for i, here in enumerate(places(hidden, self.truth.joints)) if here]
         inertia = self.truth.world.armature - OUTPUT_INERTIA
         stiffness = 1 / soft.size if soft else GEAR_STIFFNESS
         return _Gear(
@@ -172,7 +174,7 @@ class LegServos:
     @property
     def armature(self) -> Array:
         """Inertia that turns with each joint for certain [joint] in kg m^2."""
-        armature = np.full(len(LEG_JOINTS), self.truth.world.armature)
+        armature = np.full(len(self.truth.joints), self.truth.world.armature)
         if self._gear is not None:
             armature[self._gear.columns] = OUTPUT_INERTIA
         return armature
@@ -297,8 +299,9 @@ def _size(truth: LegTruth, name: str) -> float:
 
 def _more(truth: LegTruth, name: str) -> Array:
     """What an effect adds to a number of each servo [joint]."""
-    return np.sum([e.size * places(e) for e in truth.hidden if e.name == name] or [np.zeros(len(LEG_JOINTS))], axis=0)
+    none = np.zeros(len(truth.joints))
+    return np.sum([none, *(e.size * places(e, truth.joints) for e in truth.hidden if e.name == name)], axis=0)
 
 
 def _terms(makers: dict, truth: LegTruth) -> Sequence[Term]:
-    return [makers[e.name](e, places(e), truth.world) for e in truth.hidden if e.name in makers]
+    return [makers[e.name](e, places(e, truth.joints), truth.joints) for e in truth.hidden if e.name in makers]

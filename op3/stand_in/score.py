@@ -75,6 +75,7 @@ class Claim:
         interval: lowest and highest size, 90 %.
         confidence: 0 to 1, None where not stated.
         score: statistic of a score test, None where none was made.
+        gain: share of the residual that it explains, None where not stated.
     """
 
     name: str
@@ -83,6 +84,7 @@ class Claim:
     interval: tuple[float, float] | None = None
     confidence: float | None = None
     score: float | None = None
+    gain: float | None = None
 
     def same(self, other: Claim) -> bool:
         """Whether name and joints agree."""
@@ -98,12 +100,18 @@ class Verdict:
         claims: effects named, best first.
         ranking: all effects considered, best first.
         gap: by channel, `before`, `after`, `floor` and perhaps `ceiling`.
+        black_box: share of the residual that a black box explains, without a name; None if not said.
+        returns: of a policy, see `returns_error`.
+        cannot_tell: whether it says that the logs are too poor.
     """
 
     verdict: str
     claims: tuple[Claim, ...] = ()
     ranking: tuple[Claim, ...] = ()
     gap: Mapping[str, Mapping[str, float]] | None = None
+    black_box: float | None = None
+    returns: Mapping[str, Any] | None = None
+    cannot_tell: bool = False
 
 
 def read_verdict(path: str | Path) -> Verdict:
@@ -123,7 +131,15 @@ def read_verdict(path: str | Path) -> Verdict:
     if values["verdict"] in ("named", "ambiguous") and not claims:
         raise ValueError(f"{path}: the verdict is {values['verdict']} but `effects` is empty")
     ranking = tuple(_claim(path, "ranking", entry) for entry in values.get("ranking") or ())
-    return Verdict(values["verdict"], claims, ranking or claims, values.get("gap") or {})
+    return Verdict(
+        values["verdict"],
+        claims,
+        ranking or claims,
+        values.get("gap") or {},
+        (values.get("ceiling") or {}).get("gain"),
+        values.get("downstream"),
+        bool(values.get("cannot_tell")),
+    )
 
 
 def _claim(path: Path, field: str, entry: Any) -> Claim:
@@ -147,6 +163,7 @@ def _claim(path: Path, field: str, entry: Any) -> Claim:
         None if interval is None else (float(interval[0]), float(interval[1])),
         None if confidence is None else float(confidence),
         None if entry.get("score") is None else float(entry["score"]),
+        None if entry.get("gain") is None else float(entry["gain"]),
     )
 
 
@@ -179,8 +196,19 @@ def truth_claims(answer: Mapping[str, Any]) -> tuple[Claim, ...]:
     )
 
 
-def score_case(answer: Mapping[str, Any], verdict: Verdict) -> dict[str, Any]:
+def score_case(
+    answer: Mapping[str, Any],
+    verdict: Verdict,
+    oracle: Mapping[str, Any] | None = None,
+    actual: float | None = None,
+) -> dict[str, Any]:
     """One case: plain values, None where a question does not arise.
+
+    Args:
+        answer: what was hidden.
+        verdict: of the diagnosis.
+        oracle: gap under a model to which the answer was told, if that was computed.
+        actual: mean return of a policy in the hidden truth, if it was run there.
 
     Returns:
         `named_right`: first claim's name is hidden; `exact`: its joints too; `top3`: exact among the first three of the
@@ -188,7 +216,8 @@ def score_case(answer: Mapping[str, Any], verdict: Verdict) -> dict[str, Any]:
         joint holds the effect and its name is right; `detected`; `alarm` (nulls); `unknown_right` (outsiders); `both`
         and `one` (pairs); `extra`: a right claim beside a name that is not hidden; `confidence` and `right` of the
         first claim; `confident_wrong`; `covered`: size within the interval; `size_ratio`; `closure`: share of the gap
-        beyond the noise floor that was closed.
+        beyond the noise floor that was closed; `oracle_closure`: of what the oracle closes; `explained` and
+        `black_box`: share of the residual that the first claim, and a black box, explain.
     """
     truth = truth_claims(answer)
     kind, claims = answer["kind"], verdict.claims if verdict.verdict in ("named", "ambiguous") else ()
@@ -197,6 +226,7 @@ def score_case(answer: Mapping[str, Any], verdict: Verdict) -> dict[str, Any]:
     row: dict[str, Any] = {
         "case": answer["case"],
         "kind": kind,
+        "robot": answer.get("robot", "leg"),
         "severity": answer["severity"],
         "truth": "+".join(claim.name for claim in truth) or "nothing",
         "truth_joints": ",".join(truth[0].joints) if len(truth) == 1 else "",
@@ -230,7 +260,41 @@ def score_case(answer: Mapping[str, Any], verdict: Verdict) -> dict[str, Any]:
     row["confident_wrong"] = bool(confident and not right)
     row.update(_sizes(truth, claims))
     row["closure"] = closure(verdict.gap or {})
+    row["oracle_closure"] = None if oracle is None else oracle_closure(verdict.gap or {}, oracle.get("gap") or {})
+    row["explained"] = first.gain if first is not None else 0.0
+    row["black_box"] = verdict.black_box
+    row["cannot_tell"] = verdict.cannot_tell
+    row["returns"] = returns_error(verdict.returns, actual)
     return row
+
+
+def oracle_closure(gap: Mapping[str, Mapping[str, float]], best: Mapping[str, Mapping[str, float]]) -> float | None:
+    """Share of the oracle's improvement on unseen runs that a verdict's model has.
+
+    Relative improvements are summed over the channels that both have, so that channels in which nothing was to be
+    gained weigh nothing.
+
+    Args:
+        gap: of a verdict, by channel `before` and `after`.
+        best: the same under a model that knows which effects are there.
+
+    Returns:
+        1 where both close the same; None where the oracle improves less than 1 % on average.
+    """
+    channels = [name for name in gap if name in best and best[name]["before"] > 0]
+    gained = sum(1 - gap[name]["after"] / gap[name]["before"] for name in channels)
+    possible = sum(1 - best[name]["after"] / best[name]["before"] for name in channels)
+    return float(gained / possible) if channels and possible > 0.01 * len(channels) else None
+
+
+def returns_error(returns: Mapping[str, Any] | None, actual: float | None) -> dict[str, float] | None:
+    """How far the returns of a policy that a verdict predicts, `before` and `after`, are from the `actual` one."""
+    if not returns or actual is None:
+        return None
+    before, after = ((returns.get(label) or {}).get("mean") for label in ("before", "after"))
+    if before is None or after is None:
+        return None
+    return {"actual": actual, "before": abs(float(before) - actual), "after": abs(float(after) - actual)}
 
 
 def _sizes(truth: Sequence[Claim], claims: Sequence[Claim]) -> dict[str, Any]:
@@ -295,12 +359,27 @@ RATES: dict[str, tuple[str, tuple[str, ...]]] = {
 }
 """Rates of a summary: the entry of a case's score, and the kinds of cases that count."""
 
+CLEAR_RATES: Mapping[str, str] = {
+    "clear_top1_exact": "exact",
+    "clear_top1_class": "class",
+    "clear_top3_exact": "top3",
+    "clear_joint": "joint",
+}
+"""Rates of single effects that are moderate or strong, seen by a rich excitation: the entry of a case's score."""
+
 
 def summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Rates with Wilson's intervals, calibration, gap closure, by severity too."""
+    """Rates with Wilson's intervals, calibration, gap closure, by severity too; other figures with bootstrap's."""
     summary: dict[str, Any] = {"cases": len(rows), "failed": sum(row["verdict"] == MISSING for row in rows)}
     for name, (entry, kinds) in RATES.items():
         summary[name] = rate([row[entry] for row in rows if row["kind"] in kinds])
+    clear = [row for row in rows if row["kind"] == "single" and row["severity"] in ("moderate", "strong")]
+    for name, entry in CLEAR_RATES.items():
+        summary[name] = rate([row[entry] for row in clear])
+    summary["dte_named"] = {
+        severity: rate([row["exact"] for row in rows if row["truth"] == "dte" and row["severity"] == severity])
+        for severity in ("mild", "moderate", "strong")
+    }
     for severity in ("mild", "moderate", "strong"):
         of = [row for row in rows if row["severity"] == severity and row["kind"] == "single"]
         summary[f"by_severity.{severity}"] = {
@@ -310,28 +389,59 @@ def summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     stated = [(row["confidence"], row["right"]) for row in rows if row["right"] is not None]
     summary["calibration"] = calibration([c for c, _ in stated], [r for _, r in stated])
     closed = [row["closure"] for row in rows if row["closure"] is not None and row["verdict"] in ("named", "ambiguous")]
-    summary["gap_closure_median"] = float(np.median(closed)) if closed else None
+    summary["gap_closure_median"] = median(closed)
+    told = [row["oracle_closure"] for row in rows if row["kind"] in ("single", "pair")]
+    summary["oracle_closure_median"] = median([value for value in told if value is not None])
+    hidden = [row for row in rows if row["kind"] in ("single", "pair", "outsider")]
+    for entry in ("explained", "black_box"):
+        summary[f"{entry}_median"] = median([row[entry] for row in hidden if row[entry] is not None])
+    returned = [row["returns"] for row in rows if row["returns"] is not None]
+    for label in ("before", "after"):
+        summary[f"return_error_{label}_median"] = median([values[label] for values in returned])
     ratios = [row["size_ratio"] for row in rows if row["size_ratio"] is not None]
-    summary["size_ratio_median"] = float(np.median(ratios)) if ratios else None
+    summary["size_ratio_median"] = median(ratios)
     return summary
+
+
+def median(values: Sequence[float], resamples: int = 1000) -> dict[str, Any] | None:
+    """Median with its 95 % bootstrap interval over cases; None without any."""
+    if not len(values):
+        return None
+    array = np.asarray(values, dtype=float)
+    rng = np.random.default_rng(len(array))
+    draws = np.median(array[rng.integers(len(array), size=(resamples, len(array)))], axis=1)
+    low, high = np.quantile(draws, [0.025, 0.975])
+    return {"value": float(np.median(array)), "low": float(low), "high": float(high), "of": len(array)}
 
 
 def calibration(confidence: Sequence[float], right: Sequence[bool], bins: int = 5) -> dict[str, Any]:
     """How far stated confidence can be trusted.
 
     Returns:
-        `ece`, the mean over claims of |confidence - share right| of their bin; `brier`, the mean squared error of the
+        `ece`, the mean over claims of |confidence - share right| of their bin; `ece_interval`, its 95 % bootstrap
+        interval; `brier`, the mean squared error of the
         confidence; `reliability`, per bin that holds claims: mean confidence, share right, number. None and an
         empty list without claims.
     """
     if not len(confidence):
-        return {"ece": None, "brier": None, "reliability": [], "claims": 0}
+        return {"ece": None, "ece_interval": None, "brier": None, "reliability": [], "claims": 0}
     stated, truth = np.asarray(confidence, dtype=float), np.asarray(right, dtype=float)
     place = np.minimum((stated * bins).astype(int), bins - 1)
     table = [[float(stated[place == b].mean()), float(truth[place == b].mean()), int((place == b).sum())]
              for b in range(bins) if (place == b).any()]  # fmt: skip
-    ece = sum(n * abs(c - r) for c, r, n in table) / len(stated)
-    return {"ece": ece, "brier": float(((stated - truth) ** 2).mean()), "reliability": table, "claims": len(stated)}
+    ece = _calibration_error(stated, truth, bins)
+    draws = np.random.default_rng(len(stated)).integers(len(stated), size=(500, len(stated)))
+    low, high = np.quantile([_calibration_error(stated[draw], truth[draw], bins) for draw in draws], [0.025, 0.975])
+    brier = float(((stated - truth) ** 2).mean())
+    interval = [float(low), float(high)]
+    return {"ece": ece, "ece_interval": interval, "brier": brier, "reliability": table, "claims": len(stated)}
+
+
+def _calibration_error(stated: np.ndarray, truth: np.ndarray, bins: int) -> float:
+    """Mean over claims of |confidence - share right| of their bin."""
+    place = np.minimum((stated * bins).astype(int), bins - 1)
+    apart = [(place == b).sum() * abs(stated[place == b].mean() - truth[place == b].mean()) for b in np.unique(place)]
+    return float(sum(apart) / len(stated))
 
 
 def confusion(rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[str], np.ndarray]:
@@ -358,6 +468,12 @@ def random_name(answer: Mapping[str, Any], names: Sequence[str], rng: np.random.
         for i in drawn.tolist()
     )
     return Verdict("named", claims[:1], claims)
+
+
+def by_robot(rows: Sequence[Mapping[str, Any]]) -> tuple[list[Mapping[str, Any]], list[Mapping[str, Any]]]:
+    """Cases of the leg, and cases of the whole robot, which are reported apart."""
+    whole = [row for row in rows if row["robot"] == "op3"]
+    return [row for row in rows if row["robot"] != "op3"], whole
 
 
 def score_ranking(verdict: Verdict) -> Verdict | None:

@@ -1,29 +1,169 @@
 """Logs that cannot carry a verdict."""
 
 import numpy as np
+import pytest
 
-from op3.diagnose.preflight import too_poor
+from op3.diagnose import Diagnosis, split_logs
+from op3.diagnose.labels import mislabelled
+from op3.diagnose.preflight import Caution, preflight
 from op3.diagnose.split import LogSplit
+from op3.robot import leg_suite
 from op3.rollout import Metadata, Rollout
+from op3.sim import load_model
+from op3.stand_in.cases import draw_case
+from op3.stand_in.leg import record_leg
 
 
-def log(duration: float, reach: float) -> Rollout:
-    """Two joints, of which the second moves by `reach` [rad]."""
+def log(duration: float, reach: float, speed: float = 3.0) -> Rollout:
+    """Two joints, of which the second moves by `reach` [rad]; they turn `speed` times a second, over 2 pi."""
     time = np.arange(round(duration * 125)) / 125
-    position = np.stack([np.sin(time), reach * np.sin(time)], 1)
+    position = np.stack([np.sin(speed * time), reach * np.sin(speed * time)], 1)
     metadata = Metadata(joints=("r_knee", "r_hip_pitch"), robot="simulated", mount="stand", rate=125.0)
     return Rollout.from_arrays({"time": time, "joint/position": position, "command/position": position}, metadata)
 
 
+def said(*logs: Rollout) -> tuple[Caution, ...]:
+    """What preflight has to say of logs that are fitted."""
+    return preflight(LogSplit(logs, (), ()), load_model("paper"))
+
+
+def changed(logs, change) -> list[Rollout]:
+    """Logs after `change(arrays)`."""
+    result = []
+    for one in logs:
+        arrays = {key: one.array(key).copy() for key in one.channels}
+        change(arrays)
+        result.append(Rollout.from_arrays(arrays, one.metadata))
+    return result
+
+
+@pytest.fixture(scope="module")
+def leg() -> list[Rollout]:
+    """Logs of a leg with nothing hidden in it."""
+    return record_leg(draw_case(9001, "null").truth, leg_suite(9001)[::2], 9001)
+
+
 def test_short_logs_and_still_joints_are_told():
     """Five seconds in which one joint hardly moves: both are said, with the joint's name."""
-    said = too_poor(LogSplit((log(5.0, 0.005),), (), ()))
-    assert len(said) == 2
-    assert "5 s" in said[0]
-    assert "r_hip_pitch" in said[1]
-    assert "r_knee" not in said[1]
+    short, still, *_ = said(log(5.0, 0.005))
+    assert "5 s" in short.text
+    assert short.joints == ()
+    assert still.joints == ("r_hip_pitch",)
+    assert "r_knee" not in still.text
 
 
 def test_rich_logs_pass():
-    """Twenty seconds with all joints in motion say nothing."""
-    assert too_poor(LogSplit((log(20.0, 0.5),), (), ())) == ()
+    """Twenty seconds with all joints in motion, slow at their turns and fast between, say nothing."""
+    assert said(log(20.0, 0.5)) == ()
+
+
+def test_slow_motion_alone_is_told():
+    """Joints that never move fast tell nothing of viscous friction or delay."""
+    (caution,) = said(log(40.0, 0.8, speed=0.5))
+    assert "faster than" in caution.text
+    assert caution.joints == ()
+
+
+def test_a_caution_weakens_names_in_its_joints_only():
+    """A still joint speaks against a fault of its own, and not against what all joints share."""
+    caution = Caution("still", joints=("r_knee", "r_hip_pitch"))
+    assert caution.weakens(("r_knee",))
+    assert not caution.weakens(("r_knee", "r_ank_pitch"))
+    assert not caution.weakens(())
+    assert Caution("short").weakens(())
+
+
+def test_a_leg_with_right_labels_passes(leg):
+    """Its deliberate exhaustion of the voltage is no saturation, and its names are its own."""
+    assert preflight(split_logs(leg), load_model("paper")) == ()
+
+
+def test_servos_at_their_limit_are_told(leg):
+    """A knee that draws a tenth of what its gains ask for is told, with what to record."""
+
+    def starve(arrays):
+        arrays["command", "p_gain"][:, 3] *= 10
+        arrays["command", "d_gain"][:, 3] *= 10
+
+    cautions = preflight(split_logs(changed(leg, starve)), load_model("paper"))
+    assert any(caution.joints == ("r_knee",) and "lower gains" in caution.text for caution in cautions)
+
+
+@pytest.mark.parametrize(
+    ("channel", "factor", "unit"),
+    [
+        (("joint", "velocity"), 57.296, "degrees per second"),
+        (("joint", "velocity"), 9.549, "rpm"),
+        (("joint", "current"), 1000.0, "milliamperes"),
+        (("joint", "velocity"), -1.0, "sign is turned"),
+        (("joint", "current"), -1.0, "sign is turned"),
+    ],
+)
+def test_units_and_signs_are_told(leg, channel, factor, unit):
+    """One joint's channel in another unit, or turned, is told with its name."""
+
+    def scale(arrays):
+        arrays[channel][:, 2] *= factor
+
+    (text,) = mislabelled(changed(leg, scale), load_model("paper"))
+    assert "r_hip_pitch" in text
+    assert unit in text
+
+
+@pytest.mark.parametrize("channel", [("joint", "position"), ("joint", "current")])
+def test_exchanged_columns_of_one_channel_are_told(leg, channel):
+    """Knee and hip exchanged in one channel contradict the others."""
+
+    def exchange(arrays):
+        arrays[channel][:, [2, 3]] = arrays[channel][:, [3, 2]]
+
+    found = mislabelled(changed(leg, exchange), load_model("paper"))
+    assert found
+    assert "r_knee" in " ".join(found)
+
+
+def test_names_exchanged_in_all_channels_are_told(leg):
+    """Channels that agree with each other, but not with the body that they are said to move."""
+
+    def exchange(arrays):
+        for key in arrays:
+            if key[0] in ("joint", "command"):
+                arrays[key][:, [2, 3]] = arrays[key][:, [3, 2]]
+
+    (text,) = mislabelled(changed(leg, exchange), load_model("paper"))
+    assert "r_hip_pitch and r_knee were exchanged" in text
+
+
+def test_a_joint_whose_axis_is_turned_in_all_channels_is_told(leg):
+    """A knee that bends the other way in every channel does not carry the leg."""
+
+    def turn(arrays):
+        for key in (("joint", "position"), ("joint", "velocity"), ("joint", "current"), ("command", "position")):
+            arrays[key][:, 3] *= -1
+
+    (text,) = mislabelled(changed(leg, turn), load_model("paper"))
+    assert "sign of r_knee" in text
+
+
+@pytest.mark.slow
+def test_mislabelled_logs_are_not_diagnosed(leg):
+    """No name, no fit, and what to mend in the sentence."""
+
+    def turn(arrays):
+        arrays["joint", "current"][:, 2] *= -1
+
+    verdict = Diagnosis(load_model("paper"), split_logs(changed(leg, turn))).run()
+    assert (verdict.verdict, verdict.effects) == ("unknown", ())
+    assert "cannot tell" in verdict.sentence
+    assert "r_hip_pitch" in verdict.sentence
+
+
+@pytest.mark.slow
+def test_short_logs_give_no_confident_name():
+    """Ten seconds of a leg with much more friction in one joint: a candidate at most, and what to record next."""
+    case = draw_case(9003, "single", "strong", "coulomb")
+    logs = record_leg(case.truth, leg_suite(9003), 9003)
+    verdict = Diagnosis(load_model(case.base), split_logs(logs[:4])).run()
+    assert verdict.verdict != "named"
+    assert all(effect.confidence <= 0.5 for effect in verdict.effects)
+    assert any("record at least" in text for text in verdict.cannot_tell)

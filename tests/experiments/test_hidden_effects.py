@@ -25,7 +25,8 @@ def test_a_bench_seals_diagnoses_scores_and_goes_on(tmp_path):
     run = tmp_path / "run"
     command = [
         sys.executable, "experiments/hidden_effects.py", "bench=ci", "mix.singles.moderate=0", "mix.nulls=1",
-        "mix.pairs=0", "mix.poor=0", "keep_data=false", f"command=[python,{script},'{{run}}']", f"hydra.run.dir={run}",
+        "mix.pairs=0", "mix.poor=0", "keep_data=false", "limit=2",
+        f"command=[python,{script},'{{run}}']", f"hydra.run.dir={run}",
     ]  # fmt: skip
     for _ in range(2):  # the second time finds both verdicts and only scores
         done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
@@ -35,10 +36,11 @@ def test_a_bench_seals_diagnoses_scores_and_goes_on(tmp_path):
     assert (result["diagnosis.false_alarms"]["count"], result["diagnosis.false_alarms"]["of"]) == (1, 1)
     assert (result["diagnosis.outsiders_unknown"]["count"], result["diagnosis.outsiders_unknown"]["of"]) == (1, 1)
     assert result["base_refit_only.false_alarms"]["count"] == 0
+    assert result["sparse_regression.false_alarms"]["of"] == 1
     assert (run / "index.html").is_file()
 
 
-@pytest.mark.parametrize(("bench", "cases"), [("full", 664), ("laptop", 100), ("ci", 12)])
+@pytest.mark.parametrize(("bench", "cases"), [("full", 688), ("laptop", 100), ("ci", 12), ("op3", 24)])
 def test_every_bench_can_be_drawn(bench, cases):
     """Each mix names effects that can be hidden and has as many cases as its first line says."""
     path = ROOT / "conf" / "bench" / f"{bench}.yaml"

@@ -1,17 +1,20 @@
 """Cases: drawn from seeds, sealed before they are opened, told by nothing that the diagnosis sees."""
 
+import dataclasses
 import hashlib
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
-from op3.robot import LEG_JOINTS, leg_suite, leg_walking
+from op3.robot import JOINTS, LEG_JOINTS, leg_suite, leg_walking, robot_suite
 from op3.rollout import read_logs
-from op3.stand_in import CATALOGUE, OUTSIDERS, draw_case, make_case, open_answers, record_leg, seal
-from op3.stand_in.bench import commit, draw_mix, run_all
+from op3.stand_in import CATALOGUE, OUTSIDERS, Hidden, draw_case, make_case, open_answers, record_leg, seal
+from op3.stand_in.bench import commit, draw_mix, run_all, run_beside, run_policy
 from op3.stand_in.cases import ALIAS_PAIRS, BASES, TEST_SEEDS, answer_bytes, write_answer
+from op3.stand_in.world import World
 
 MIX = {
     "singles": {"mild": 0, "moderate": 1, "strong": 1},
@@ -170,3 +173,54 @@ def test_a_bench_runs_another_process_once_per_case(tmp_path, short):
     assert made
     again = run_all(cases, folder, answers, command, timeout=60, say=lines.append)
     assert {name: path.stat().st_mtime_ns for name, path in again.items() if path} == made
+
+
+def test_the_whole_robot_hides_effects_in_either_leg():
+    """Its cases have twenty joints; one seed hides the same on the leg, in the right leg alone."""
+    cases = [draw_case(seed, "single", "strong", "backlash", robot="op3") for seed in range(20)]
+    places = {case.truth.hidden[0].joints[0][:2] for case in cases}
+    assert places == {"l_", "r_"}
+    assert all(case.truth.joints == JOINTS for case in cases)
+    for seed, case in enumerate(cases):
+        leg = draw_case(seed, "single", "strong", "backlash").truth.hidden[0]
+        assert leg.size == case.truth.hidden[0].size
+        assert leg.joints[0][2:] == case.truth.hidden[0].joints[0][2:]
+
+
+def test_the_whole_robot_is_recorded_with_what_is_hidden():
+    """An encoder offset in the left knee shows in the left knee alone, where the robot holds still."""
+    case = draw_case(3, "null", robot="op3")
+    hidden = Hidden("encoder_offset", 0.05, ("l_knee",))
+    suite = robot_suite(3, duration=0.4)[:1]
+    shifted = dataclasses.replace(case.truth, hidden=(hidden,))
+    plain, moved = (record_leg(truth, suite, 3)[0] for truth in (case.truth, shifted))
+    assert plain.joints == JOINTS
+    apart = np.abs(moved.array("joint/current") - plain.array("joint/current")).max(0)
+    assert apart[JOINTS.index("l_knee")] > 5 * apart[JOINTS.index("r_knee")]
+    assert len(leg_suite(3)) == len(robot_suite(3, duration=0.4))
+
+
+def test_processes_beside_the_diagnosis_are_told_where_things_are(tmp_path):
+    """The answer's file, the logs and the result's folder are handed over; a result that is there is kept."""
+    case = draw_case(5, "null")
+    (tmp_path / "cases" / case.name / "data").mkdir(parents=True)
+    write_answer(case, tmp_path / "answers")
+    script = "import sys; open(sys.argv[2] + '/out.yaml', 'a').write(open(sys.argv[1]).read())"
+    command = [sys.executable, "-c", script, "{answer}", "{beside}"]
+    for _ in range(2):
+        path = run_beside(case, tmp_path / "cases", tmp_path / "answers", command, "other/out.yaml", 60.0, True)
+        assert path == tmp_path / "cases" / case.name / "other" / "out.yaml"
+        assert path.read_bytes() == answer_bytes(case)
+    assert run_beside(case, tmp_path / "cases", tmp_path / "answers", ["true"], "none.yaml", 60.0, True) is None
+
+
+def test_a_policy_runs_in_the_truth_where_a_world_holds_it(tmp_path):
+    """A hidden dte is part of the world that is handed over; backlash is not, and a leg does not balance."""
+    script = "import os, sys; os.makedirs(sys.argv[2] + '/0'); open(sys.argv[2] + '/0/metadata.yaml', 'w')"
+    command = [sys.executable, "-c", script, "{world}", "{run}"]
+    lossy = draw_case(6, "single", "strong", "dte", robot="op3")
+    episodes = run_policy(lossy, tmp_path, command, 60.0)
+    assert episodes is not None
+    assert World.load(episodes / "world.yaml") == lossy.truth.world
+    assert run_policy(draw_case(6, "single", "strong", "backlash", robot="op3"), tmp_path, command, 60.0) is None
+    assert run_policy(draw_case(6, "single", "strong", "dte"), tmp_path, command, 60.0) is None

@@ -11,9 +11,12 @@ from op3.stand_in.score import (
     MISSING,
     Claim,
     Verdict,
+    by_robot,
     calibration,
     closure,
     confusion,
+    median,
+    oracle_closure,
     random_name,
     rate,
     read_verdict,
@@ -240,3 +243,30 @@ def test_a_wrong_verdict_file_is_refused(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(ValueError, match=f"verdict.yaml.*{message}"):
         read_verdict(path)
+
+
+def test_the_oracle_sets_the_scale_of_the_gap():
+    """Position 10 -> 4 where the oracle reaches 2, current untouched by both: (0.6 + 0) / (0.8 + 0) = 0.75."""
+    gap = {"joint/position": {"before": 10.0, "after": 4.0}, "joint/current": {"before": 1.0, "after": 1.0}}
+    best = {"joint/position": {"before": 10.0, "after": 2.0}, "joint/current": {"before": 1.0, "after": 1.0}}
+    assert oracle_closure(gap, best) == pytest.approx(0.75)
+    assert oracle_closure(best, best) == pytest.approx(1.0)
+    assert oracle_closure(gap, {"joint/position": {"before": 10.0, "after": 9.95}}) is None
+
+
+def test_a_median_carries_an_interval():
+    """Of 1 to 9 the middle is 5; the interval holds it and is not a point. Nothing gives nothing."""
+    found = median([float(value) for value in range(1, 10)])
+    assert found is not None
+    assert found["value"] == 5.0
+    assert found["low"] < 5.0 < found["high"]
+    assert median([]) is None
+
+
+def test_cases_of_the_whole_robot_are_counted_apart():
+    """An answer without a robot is of a leg."""
+    rows = [score_case(answer("null"), Verdict("nothing_missing"))]
+    rows += [score_case({**answer("null"), "robot": "op3"}, Verdict("unknown"))]
+    legs, whole = by_robot(rows)
+    assert [row["alarm"] for row in legs] == [False]
+    assert [row["alarm"] for row in whole] == [True]

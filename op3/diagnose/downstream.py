@@ -1,0 +1,73 @@
+"""What a diagnosis is worth to a policy: its return predicted before and after, and as it was."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from op3.envs.returns import ReturnsBench
+from op3.policy import PolicyBundle
+from op3.rollout import Rollout
+from op3.servo import RobotModel
+from op3.tasks.evaluation import evaluation_return
+
+RESAMPLES = 1000
+"""Bootstrap resamples over episodes."""
+
+
+def downstream(
+    policy: PolicyBundle,
+    before: RobotModel,
+    after: RobotModel,
+    *,
+    task: str = "balance_eval",
+    episodes: int = 10,
+    actual: Sequence[Rollout] = (),
+    seed: int = 0,
+    progress: Callable[[str, float], None] | None = None,
+) -> dict[str, Any]:
+    """The return R_eval of a policy under two models, and on the robot where its episodes were recorded.
+
+    Args:
+        policy: that acts.
+        before: the refitted base.
+        after: the model with what was named.
+        task: that is attempted; the same as on the robot.
+        episodes: under each model, the same ones.
+        actual: logs of single episodes of the same policy and task on the robot.
+        seed: of episodes and bootstrap.
+        progress: called with the stage and the share done.
+
+    Returns:
+        ``task``, ``episodes``, and under ``before``, ``after`` and, if given, ``actual``: ``mean``, its 90 %
+        ``interval`` over episodes, ``fallen``, the share of falls. With ``actual`` also ``error_before`` and
+        ``error_after``, how far the predictions are from it.
+    """
+    rng = np.random.default_rng([seed, 19])
+    result: dict[str, Any] = {"task": task, "episodes": episodes}
+    for number, (label, model) in enumerate((("before", before), ("after", after))):
+        if label == "after" and after is before:
+            result["after"] = dict(result["before"])
+            continue
+        returns = ReturnsBench(policy, model, task, episodes, seed, num_threads=1).run()
+        values = returns.returns[0].numpy()
+        result[label] = _summary(values[np.isfinite(values)], float(returns.fallen[0].double().mean()), rng)
+        if progress is not None:
+            progress("returns", 0.5 * (number + 1))
+    if actual:
+        values = np.array([evaluation_return(log, task) for log in actual])
+        fallen = float(np.mean([bool(log.metadata.fallen) for log in actual]))
+        result["actual"] = _summary(values, fallen, rng)
+        for label in ("before", "after"):
+            mean = result[label]["mean"]
+            result[f"error_{label}"] = None if mean is None else abs(mean - result["actual"]["mean"])
+    return result
+
+
+def _summary(values: np.ndarray, fallen: float, rng: np.random.Generator) -> dict[str, Any]:
+    """Mean and interval of returns; None where every simulation failed."""
+    if not len(values):
+        return {"mean": None, "interval": None, "fallen": fallen}
+    draws = values[rng.integers(len(values), size=(RESAMPLES, len(values)))].mean(1)
+    low, high = np.quantile(draws, [0.05, 0.95])
+    return {"mean": float(values.mean()), "interval": [float(low), float(high)], "fallen": fallen}
