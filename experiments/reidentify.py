@@ -48,6 +48,7 @@ def build(cfg: DictConfig) -> Reidentification:
         names,
         task=None if cfg.get("task") is None else instantiate(cfg.task),
         repeats=cfg.repeats,
+        race=cfg.race,
         seed=cfg.seed,
     )
 
@@ -79,7 +80,12 @@ def main(cfg: DictConfig) -> Any:
                 wandb_mode=os.environ.get("WANDB_MODE", cfg.wandb),
             )
 
-        return sweep_or_report(cfg, problem.evaluate, report)
+        def propose(count: int) -> list[dict[str, float]]:
+            space = parse_search_space(plain(HydraConfig.get().sweeper.params))
+            bounds = {name: (space[PREFIX + name].low, space[PREFIX + name].high) for name in problem.names}
+            return problem.propose(count, bounds, seed=cfg.seed)
+
+        return sweep_or_report(cfg, problem.evaluate, report, propose)
 
 
 if __name__ == "__main__":
