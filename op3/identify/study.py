@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import optuna
 from optuna.distributions import BaseDistribution
+from optuna.samplers import BaseGASampler
 from optuna.storages import BaseStorage
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, Trial, TrialState
@@ -315,6 +316,12 @@ class _Session:
         trials = [self._mirror.ask(self._search_space) for _ in range(size)]
         for trial in trials:
             trial.set_user_attr("worker", worker)
+        sampler = self._mirror.sampler
+        if isinstance(sampler, BaseGASampler):
+            # Optuna leaves trials with given parameters out of every generation, so that they would have no children.
+            frozen = self._mirror.get_trials(deepcopy=False)
+            for trial in trials[: len(given)]:
+                sampler.get_trial_generation(self._mirror, frozen[trial.number])
         return trials
 
     def tell(self, trials: Sequence[Trial], outcomes: Sequence[Outcome]) -> None:

@@ -112,6 +112,20 @@ def test_starts_follow_the_nominal_trial_and_come_once(tmp_path):
     assert [trial.user_attrs.get("start") for trial in whole.trials] == [None, 0, 1, 2, 3, 4, *[None] * 6]
 
 
+def test_starts_have_children():
+    """NSGA-II breeds from the starts: around a narrow valley that random points miss, its next points lie near them."""
+    space = {f"x{i}": FloatDistribution(0, 1) for i in range(6)}
+    rng = np.random.default_rng(0)
+    starts = [{name: float(0.3 + 0.01 * rng.standard_normal()) for name in space} for _ in range(8)]
+
+    def valley(population):
+        return [sum((value - 0.3) ** 2 for value in p.values()) for p in population]
+
+    sampler = {"name": "nsga2", "population_size": 10, "crossover": "sbx", "mutation": "polynomial"}
+    study = quick_study(valley, space, sampler=sampler, starts=starts, n_trials=36, population=12)
+    assert np.median([trial.value for trial in study.trials[24:]]) < 0.02
+
+
 def test_a_start_outside_the_ranges_is_refused():
     """It is named before anything runs."""
     with pytest.raises(SearchSpaceError, match=r"a\.x"):
