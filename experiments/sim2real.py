@@ -27,6 +27,8 @@ from op3.tasks.task import find_task
 
 JUDGED = {"balance": "balance_eval", "walk": "walk"}
 """Task of the evaluation by task of the training."""
+ROBOTS = ("emulated", "real")
+"""Robots that play policies."""
 FILM_RATE = 125 / 12
 """Frames per second of the films of the robot [Hz]."""
 
@@ -80,8 +82,9 @@ def draw(log: Rollout, task: str, path: Path) -> Path | None:
 
 def on_robot(cfg: DictConfig) -> list[str]:
     """Overrides of collect.py for the robot."""
-    where = [f"robot={cfg.robot}", f"seed={cfg.seed}"]
-    if cfg.robot == "emulated":
+    robot = chosen("robot")
+    where = [f"robot={robot}", f"seed={cfg.seed}"]
+    if robot == "emulated":
         return [*where, f"world={cfg.world}", f"world_seed={cfg.world_seed}"]
     return [*where, f"port={cfg.port}"]
 
@@ -106,6 +109,8 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
             f"condition must be one of {', '.join(cfg.conditions)} and task one of {', '.join(JUDGED)};"
             f" got {cfg.condition}, {chosen('task')}"
         )
+    if chosen("robot") not in ROBOTS:
+        raise ValueError(f"robot must be {' or '.join(ROBOTS)}: it has to play a policy; got {chosen('robot')}")
     name = chosen("budget")
     budget: dict = OmegaConf.to_container(cfg.budgets[name], resolve=True)  # type: ignore[assignment]
     condition = cfg.conditions[cfg.condition]
