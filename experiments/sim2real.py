@@ -12,6 +12,7 @@ from typing import Any
 
 import hydra
 import numpy as np
+import yaml
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from stages import Stages
@@ -89,6 +90,13 @@ def on_robot(cfg: DictConfig) -> list[str]:
     return [*where, f"port={cfg.port}"]
 
 
+def on_stand(stages: Stages, cfg: DictConfig) -> Path:
+    """Record what the diagnosis reads, with the robot in its stand."""
+    plan = stages.folder / "stand_plan.yaml"
+    plan.write_text(yaml.safe_dump({"plan": [{"motion": name, "mount": "stand"} for name in cfg.diagnosis]}))
+    return stages.run("stand", "collect.py", *on_robot(cfg), f"plan={plan}")
+
+
 def train(stages: Stages, cfg: DictConfig, budget: dict, number: int, model: str, start: Path | None) -> Path:
     """Train a policy on a model, from an earlier policy's networks where there is one; returns the bundle."""
     how = budget["train" if start is None else "retrain"]
@@ -131,7 +139,7 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
         if transfers[-1].success or not (condition.get("reidentify") or condition.get("diagnose")):
             break
         if condition.get("diagnose"):
-            where = [f"data=[{squat},{heldout}]", f"model={model}", f"seed={cfg.seed}"]
+            where = [f"data={on_stand(stages, cfg)}", f"model={model}", f"seed={cfg.seed}"]
             model = str(stages.run(f"{number}_diagnose", "diagnose.py", *where) / "model.yaml")
         if condition.get("reidentify"):
             where = [f"policy={policy}", f"model={model}", f"data={squat}", f"episodes={transfers[-1].episodes}"]

@@ -31,7 +31,7 @@ CONDITIONS = (
 def sim2real(folder, *overrides):
     script = ROOT / "experiments" / "sim2real.py"
     tiny = [f"budgets.demo.{stage}=[{','.join(map(repr, values))}]" for stage, values in TINY.items()]
-    tiny.append("budgets.demo.episodes=2")
+    tiny += ["budgets.demo.episodes=2", "diagnosis=[squat_fast,squat_shallow]"]
     command = [sys.executable, str(script), "budget=demo", *tiny, *overrides, f"hydra.run.dir={folder}"]
     return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
 
