@@ -314,12 +314,12 @@ def test_rivals_for_the_baseline_agree(tmp_path, monkeypatch, first):
     rival.name = "zzz" if first else ""
     claim = Worker.claim
 
-    def claim_together(worker, trials, nominal):
+    def claim_together(worker, trials, given):
         """Write the rival's claim just before this worker's, and let it give way soon after."""
-        if nominal and worker is not rival:
-            claim(rival, 0, True)
-            threading.Timer(0.05, claim, (rival, 0, False)).start()
-        claim(worker, trials, nominal)
+        if given and worker is not rival:
+            claim(rival, 0, [0])
+            threading.Timer(0.05, claim, (rival, 0, [])).start()
+        claim(worker, trials, given)
 
     monkeypatch.setattr(Worker, "claim", claim_together)
     trials = quick_study(storage=tmp_path / "study.journal", n_trials=16, nominal={"a.x": 0.5, "a.y": 1.0}).trials
