@@ -24,7 +24,7 @@ from op3.tasks.baselines import Hold, Random, Zero
 from op3.tasks.behaviour import gains, gait_profile, mean_tilt
 from op3.tasks.evaluation import evaluation_return
 
-FRAME_EVERY = 2
+FRAME_EVERY = 3
 """Policy steps between two frames of the film."""
 
 
@@ -104,7 +104,8 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     if cfg.video:
         steps = round(logs[0].metadata.episode_duration / env.policy_period)  # type: ignore[operator]
         states = np.stack(watched.states[:steps:FRAME_EVERY])
-        if film(env.simulation.batch.model, states, folder / "episode.png", 1 / (FRAME_EVERY * env.policy_period)):
+        rate = 1 / (FRAME_EVERY * env.policy_period)
+        if film(env.simulation.batch.model, states, folder / "episode.png", rate, follow=task.cycle is not None):
             files["episode.png"] = "the first episode, animated"
     long_enough = [log for log in logs if log.duration > 1.5]
     return report_evaluation(

@@ -13,6 +13,7 @@ import hydra
 import optuna
 import torch
 from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from support import one_sentence, plain
@@ -25,6 +26,7 @@ from op3.identify.sweeper import sweep_or_report
 from op3.policy import PolicyBundle
 from op3.report import run_provenance
 from op3.report.reidentification import report_reidentification
+from op3.report.reidentification_seeds import write_seeds
 from op3.rollout import read_logs
 from op3.sim import load_model, save_model
 
@@ -48,6 +50,7 @@ def build(cfg: DictConfig) -> Reidentification:
         names,
         task=None if cfg.get("task") is None else instantiate(cfg.task),
         repeats=cfg.repeats,
+        race=cfg.race,
         seed=cfg.seed,
     )
 
@@ -66,9 +69,9 @@ def main(cfg: DictConfig) -> Any:
         folder = Path(HydraConfig.get().runtime.output_dir)
 
         def report(study: optuna.Study) -> dict[str, Any]:
-            found = problem.finish(study)
+            found = problem.finish(study, cfg.finalists)
             save_model(found.model, folder / "model.yaml")
-            return report_reidentification(
+            numbers = report_reidentification(
                 found,
                 study,
                 folder,
@@ -78,8 +81,16 @@ def main(cfg: DictConfig) -> Any:
                 config=plain(cfg),
                 wandb_mode=os.environ.get("WANDB_MODE", cfg.wandb),
             )
+            if HydraConfig.get().mode == RunMode.MULTIRUN:
+                write_seeds(folder.parent)  # grows with every cell
+            return numbers
 
-        return sweep_or_report(cfg, problem.evaluate, report)
+        def propose(count: int) -> list[dict[str, float]]:
+            space = parse_search_space(plain(HydraConfig.get().sweeper.params))
+            bounds = {name: (space[PREFIX + name].low, space[PREFIX + name].high) for name in problem.names}
+            return problem.propose(count, bounds, seed=cfg.seed)
+
+        return sweep_or_report(cfg, problem.evaluate, report, propose)
 
 
 if __name__ == "__main__":

@@ -7,66 +7,36 @@ Every stage is an experiment of its own in a folder of its own. The same command
 where an interrupted one stopped.
 """
 
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import hydra
 import numpy as np
+import yaml
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
+from stages import Stages
 from support import one_sentence
 
 from op3.report import finish, read_result, run_provenance, write_result
 from op3.report.sim2real import Transfer, story
-from op3.rollout import read_logs
+from op3.report.video import film, states_of_log
+from op3.robot import build_scene
+from op3.rollout import Rollout, read_logs
 from op3.tasks.evaluation import evaluation_return
+from op3.tasks.task import find_task
 
-HERE = Path(__file__).resolve().parent
-DONE = "done"
 JUDGED = {"balance": "balance_eval", "walk": "walk"}
 """Task of the evaluation by task of the training."""
+ROBOTS = ("emulated", "real")
+"""Robots that play policies."""
+FILM_RATE = 125 / 12
+"""Frames per second of the films of the robot [Hz]."""
 
 
 def chosen(group: str) -> str:
     """The file of a config group that the command line chose."""
     return HydraConfig.get().runtime.choices[group]
-
-
-class Stages:
-    """Runs experiments one after another, each once.
-
-    Args:
-        folder: of the whole run; each stage gets a folder in it.
-    """
-
-    def __init__(self, folder: Path):
-        self.folder = folder
-        self.seconds: dict[str, float] = {}
-
-    def run(self, name: str, script: str, *overrides: str) -> Path:
-        """Run one experiment, unless it has been finished before; returns its folder.
-
-        Raises:
-            ValueError: if it fails.
-        """
-        place = self.folder / name
-        mark = place / DONE
-        if mark.exists():
-            self.seconds[name] = float(mark.read_text(encoding="utf-8"))
-            print(f"{name}: done before", flush=True)
-            return place
-        command = [sys.executable, str(HERE / script), *overrides, f"hydra.run.dir={place}"]
-        print(f"{name}: python experiments/{script} {' '.join(command[2:])}", flush=True)
-        started = time.monotonic()
-        code = subprocess.run(command, check=False).returncode
-        if code:
-            raise ValueError(f"stage {name} ended with exit code {code}; mend it and run the same command again")
-        self.seconds[name] = time.monotonic() - started
-        mark.write_text(f"{self.seconds[name]:.1f}\n", encoding="utf-8")
-        return place
 
 
 def transfer(stages: Stages, cfg: DictConfig, budget: dict, number: int, policy: Path, model: str) -> Transfer:
@@ -87,25 +57,44 @@ def transfer(stages: Stages, cfg: DictConfig, budget: dict, number: int, policy:
         f"{number}_robot", "collect.py", *on_robot(cfg), f"policy={policy}", f"task={task}", f"repeats={episodes}"
     )
     logs = read_logs(played)
+    returns = [evaluation_return(log, task) for log in logs]
     return Transfer(
         policy=policy,
         model=model,
         expected=tuple(read_result(expected / "result.yaml")["evaluation.returns"]),
-        actual=tuple(evaluation_return(log, task) for log in logs),
+        actual=tuple(returns),
         upright=tuple(not log.metadata.fallen for log in logs),
         episodes=played,
         film=expected / "episode.png",
+        robot_film=draw(logs[int(np.argmin(returns))], task, played / "episode.png"),
         criterion=cfg.criterion,
         walking=chosen("task") == "walk",
     )
 
 
+def draw(log: Rollout, task: str, path: Path) -> Path | None:
+    """A film of an episode on the robot, once; None where MuJoCo cannot render here."""
+    if path.exists():
+        return path
+    scene = build_scene(find_task(task).scene)
+    walks = find_task(task).cycle is not None
+    return film(scene.compile(), states_of_log(log, scene, FILM_RATE), path, FILM_RATE, follow=walks)
+
+
 def on_robot(cfg: DictConfig) -> list[str]:
     """Overrides of collect.py for the robot."""
-    where = [f"robot={cfg.robot}", f"seed={cfg.seed}"]
-    if cfg.robot == "emulated":
+    robot = chosen("robot")
+    where = [f"robot={robot}", f"seed={cfg.seed}"]
+    if robot == "emulated":
         return [*where, f"world={cfg.world}", f"world_seed={cfg.world_seed}"]
     return [*where, f"port={cfg.port}"]
+
+
+def on_stand(stages: Stages, cfg: DictConfig) -> Path:
+    """Record what the diagnosis reads, with the robot in its stand."""
+    plan = stages.folder / "stand_plan.yaml"
+    plan.write_text(yaml.safe_dump({"plan": [{"motion": name, "mount": "stand"} for name in cfg.diagnosis]}))
+    return stages.run("stand", "collect.py", *on_robot(cfg), f"plan={plan}")
 
 
 def train(stages: Stages, cfg: DictConfig, budget: dict, number: int, model: str, start: Path | None) -> Path:
@@ -128,7 +117,8 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
             f"condition must be one of {', '.join(cfg.conditions)} and task one of {', '.join(JUDGED)};"
             f" got {cfg.condition}, {chosen('task')}"
         )
-    started = time.monotonic()
+    if chosen("robot") not in ROBOTS:
+        raise ValueError(f"robot must be {' or '.join(ROBOTS)}: it has to play a policy; got {chosen('robot')}")
     name = chosen("budget")
     budget: dict = OmegaConf.to_container(cfg.budgets[name], resolve=True)  # type: ignore[assignment]
     condition = cfg.conditions[cfg.condition]
@@ -144,11 +134,12 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
         model = str(stages.run("identify", "identify.py", *data, *method, *budget["identify"]) / "model.yaml")
     policy = train(stages, cfg, budget, 0, model, None)
     transfers = [transfer(stages, cfg, budget, 0, policy, model)]
+    learned = []
     for number in range(1, cfg.rounds + 1):
         if transfers[-1].success or not (condition.get("reidentify") or condition.get("diagnose")):
             break
         if condition.get("diagnose"):
-            where = [f"data=[{squat},{heldout}]", f"model={model}", f"seed={cfg.seed}"]
+            where = [f"data={on_stand(stages, cfg)}", f"model={model}", f"seed={cfg.seed}"]
             model = str(stages.run(f"{number}_diagnose", "diagnose.py", *where) / "model.yaml")
         if condition.get("reidentify"):
             where = [f"policy={policy}", f"model={model}", f"data={squat}", f"episodes={transfers[-1].episodes}"]
@@ -161,13 +152,14 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
                 *budget["reidentify"],
             )
             model = str(found / "model.yaml")
+            learned.append(read_result(found / "result.yaml"))
         policy = train(stages, cfg, budget, number, model, policy)
         transfers.append(transfer(stages, cfg, budget, number, policy, model))
-    return report(cfg, name, folder, stages, transfers, time.monotonic() - started)
+    return report(cfg, name, folder, stages, transfers, learned)
 
 
 def report(
-    cfg: DictConfig, budget: str, folder: Path, stages: Stages, transfers: list[Transfer], seconds: float
+    cfg: DictConfig, budget: str, folder: Path, stages: Stages, transfers: list[Transfer], learned: list[dict]
 ) -> dict[str, Any]:
     """Write the story of the run and its numbers."""
     provenance = run_provenance(seed=cfg.seed)
@@ -176,7 +168,7 @@ def report(
         "rounds": len(transfers) - 1,
         "condition": cfg.condition,
         "budget": budget,
-        "wall_seconds": seconds,
+        "wall_seconds": sum(stages.seconds.values()),
     }
     for number, one in enumerate(transfers):
         values |= {
@@ -187,10 +179,26 @@ def report(
             f"transfer_{number}.success": one.success,
         }
     values |= {f"stage_seconds.{name}": value for name, value in stages.seconds.items()}
+    values |= {f"processor_seconds.{name}": value for name, value in stages.processor_seconds.items()}
     values["provenance"] = provenance
-    page = story(folder, transfers, stages.seconds, condition=cfg.condition, budget=budget, provenance=provenance)
+    page = story(
+        folder,
+        transfers,
+        stages.seconds,
+        condition=cfg.condition,
+        budget=budget,
+        provenance=provenance,
+        learned=learned,
+        processor_seconds=stages.processor_seconds,
+    )
     path = write_result(
-        folder / "result.yaml", values, {"transfer": "returns under R_eval", "stage_seconds": "duration of stages [s]"}
+        folder / "result.yaml",
+        values,
+        {
+            "transfer": "returns under R_eval",
+            "stage_seconds": "duration of stages [s]",
+            "processor_seconds": "time of all processors spent on stages [s]",
+        },
     )
     finish(page.write(folder / "index.html"), path)
     return values

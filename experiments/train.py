@@ -150,7 +150,8 @@ def run(cfg: DictConfig) -> dict[str, Any]:
         logger.summary({name: value for name, value in numbers.items() if isinstance(value, int | float)})
     files = {"policy/manifest.yaml": "the policy bundle", "checkpoint.pt": "to go on from with resume"}
     rate = 1.0 / (FRAME_EVERY * judge.policy_period)
-    if cfg.evaluation.video and film(judge.simulation.batch.model, states, folder / "episode.png", rate):
+    walks = judge_task.cycle is not None
+    if cfg.evaluation.video and film(judge.simulation.batch.model, states, folder / "episode.png", rate, follow=walks):
         files["episode.png"] = "one episode of the kept policy, animated"
     return report_training(
         progress.history,

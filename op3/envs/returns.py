@@ -1,8 +1,9 @@
 """Returns under R_eval of one policy on many candidate models at once, without recording the episodes."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
+from math import ceil
 
 import torch
 from tensordict import TensorDictBase
@@ -74,6 +75,7 @@ class ReturnsBench:
         parameters: Mapping[str, Tensor] | None = None,
         candidates: int = 1,
         progress: Callable[[float], None] | None = None,
+        episodes: Sequence[int] | None = None,
     ) -> Returns:
         """The returns of all candidates.
 
@@ -81,14 +83,16 @@ class ReturnsBench:
             parameters: by name, ``[candidate]``.
             candidates: number of models.
             progress: called with the share of episodes done.
+            episodes: numbers of the episodes that are played; None: all of them, 0 to the bench's number of them.
         """
+        numbers = range(self.episodes) if episodes is None else episodes
         parameters = {name: torch.as_tensor(v, dtype=torch.float64) for name, v in (parameters or {}).items()}
-        total = candidates * self.episodes
-        env = self._environment(min(ROWS, total))
+        total = candidates * len(numbers)
+        env = self._environment(_rows(total))
         tally = _Tally(env, self.task, total)
         waiting = iter(range(total))
-        first = [next(waiting) for _ in range(env.num_envs)]
-        state = self._place(env, tally, torch.arange(env.num_envs), first, parameters)
+        first = list(islice(waiting, env.num_envs))
+        state = self._place(env, tally, torch.arange(len(first)), first, parameters, numbers)
         while tally.running.any():
             before = env.snapshot()
             action = self.policy.act(state["observation"]).clamp(-1.0, 1.0)
@@ -101,10 +105,10 @@ class ReturnsBench:
                 tally.finish(done, env.snapshot(), state)
                 jobs = list(islice(waiting, len(done)))
                 if jobs:
-                    state = self._place(env, tally, done[: len(jobs)], jobs, parameters)
+                    state = self._place(env, tally, done[: len(jobs)], jobs, parameters, numbers)
                 if progress is not None:
                     progress(1.0 - (len(jobs) + int(tally.running.sum())) / total if not jobs else jobs[-1] / total)
-        shape = (candidates, self.episodes)
+        shape = (candidates, len(numbers))
         return Returns(tally.returns.view(shape), tally.steps.view(shape), tally.fallen.view(shape))
 
     def _environment(self, rows: int) -> BatchedEnv:
@@ -120,15 +124,26 @@ class ReturnsBench:
         return self._env
 
     def _place(
-        self, env: BatchedEnv, tally: "_Tally", rows: Tensor, jobs: list[int], parameters: Mapping[str, Tensor]
+        self,
+        env: BatchedEnv,
+        tally: "_Tally",
+        rows: Tensor,
+        jobs: list[int],
+        parameters: Mapping[str, Tensor],
+        numbers: Sequence[int],
     ) -> TensorDictBase:
         """Give rows the next episodes; returns the state of all rows."""
         tally.jobs[rows] = torch.tensor(jobs)
         tally.running[rows] = True
-        candidate = tally.jobs.clamp(min=0) // self.episodes
+        candidate = tally.jobs.clamp(min=0) // len(numbers)
         if parameters:
             env.set_parameters({name: values[candidate] for name, values in parameters.items()})
-        return env.begin({int(row): job % self.episodes for row, job in zip(rows, jobs, strict=True)})
+        return env.begin({int(row): numbers[job % len(numbers)] for row, job in zip(rows, jobs, strict=True)})
+
+
+def _rows(total: int) -> int:
+    """Robots side by side such that the last round of episodes leaves few of them idle."""
+    return ceil(total / ceil(total / ROWS))
 
 
 class _Tally:

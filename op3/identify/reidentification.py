@@ -5,18 +5,22 @@ that a policy got on the robot and those that it gets in simulation.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from math import ceil
 
 import numpy as np
 import optuna
 import torch
+from numpy.typing import NDArray
 from scipy.stats import wasserstein_distance
 from torch import Tensor
 
-from op3.envs.returns import Returns, ReturnsBench
+from op3.envs.returns import ReturnsBench
 from op3.identify.identification import PREFIX
+from op3.identify.level_set import draw_level_set
 from op3.identify.loss import TrajectoryLoss
 from op3.identify.problem import Problem
+from op3.identify.sensitivity import sensitivity_at
 from op3.identify.study import Outcome
 from op3.policy import PolicyBundle
 from op3.robot import CONTROLLED_JOINTS
@@ -25,11 +29,19 @@ from op3.servo import RobotModel
 from op3.tasks.evaluation import evaluation_return
 from op3.tasks.task import Task, find_task
 
-PLAUSIBLE = 3.0
+Array = NDArray[np.float64]
+
+PLAUSIBLE = 2.0
 """Candidates whose excitation loss is more than so many times that of the start are not worth an episode."""
+
+TRIED = 0.3
+"""Share of the episodes that every plausible candidate plays before it is decided which ones play the rest."""
 
 TOLERATED = 1.25
 """The chosen candidate's excitation loss may be so many times that of the start."""
+
+RISES = (0.1, 0.25, 0.6)
+"""How much the excitation loss of the first candidates is expected to be above that of the start, as shares of it."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +68,13 @@ class Reidentified:
     Attributes:
         model: with the chosen candidate's values.
         start: the model that the policy was trained on.
-        chosen: smallest distance among those whose excitation loss is at most `TOLERATED` times the start's.
+        chosen: see `Reidentification.finish`.
         front: the Pareto front, by rising excitation loss.
         actual: returns on the robot.
+        fresh_start: the start over episodes that neither the search nor the choice has seen.
+        fresh_chosen: the chosen candidate over the same.
+        noise: distance to be expected between the robot's returns and as many simulated ones if the chosen model were
+            the robot: what chance alone leaves.
     """
 
     model: RobotModel
@@ -66,6 +82,9 @@ class Reidentified:
     chosen: Candidate
     front: Sequence[Candidate]
     actual: Sequence[float]
+    fresh_start: Candidate
+    fresh_chosen: Candidate
+    noise: float
 
 
 class Reidentification:
@@ -79,6 +98,7 @@ class Reidentification:
         names: parameters to search.
         task: that was attempted; None: as the episodes say.
         repeats: episodes of each candidate, K in the paper.
+        race: whether a candidate whose first episodes promise nothing is spared the others; else all play all.
         seed: of the simulated episodes.
         joints: focusing joints of the excitation loss; those of a log where it has others.
 
@@ -97,6 +117,7 @@ class Reidentification:
         *,
         task: str | Task | None = None,
         repeats: int = 10,
+        race: bool = True,
         seed: int = 0,
         joints: Sequence[str] = CONTROLLED_JOINTS,
     ):
@@ -108,7 +129,7 @@ class Reidentification:
             raise ValueError(f"the model has no parameter {unknown[0]!r}; it has {', '.join(known)}")
         attempted = task if task is not None else episodes[0].metadata.extra.get("task", policy.manifest.task)
         self.names = tuple(names)
-        self.model = model
+        self.model, self.race = model, race
         self.actual = [evaluation_return(log, attempted) for log in episodes]
         self.problem = Problem(model, excitation, TrajectoryLoss(tuple(joints)))
         self.bench = ReturnsBench(policy, model, find_task(attempted), repeats, seed)
@@ -118,39 +139,104 @@ class Reidentification:
         """Both objectives of trials whose parameters are config keys, as the study asks them."""
         trials = [{key.removeprefix(PREFIX): float(value) for key, value in trial.items()} for trial in population]
         outcomes = []
-        for one in self._measure(trials, PLAUSIBLE * self.start.excitation):
+        for one in self._measure(trials, PLAUSIBLE * self.start.excitation, self.race):
             if not np.isfinite(one.excitation):
                 outcomes.append(Outcome(None, error="diverged"))
                 continue
-            attributes = {"returns": list(one.returns)} if one.returns else {"skipped": "implausible excitation loss"}
+            attributes: dict[str, object] = {"episodes": len(one.returns)}
+            if len(one.returns) == self.bench.episodes:
+                attributes["returns"] = list(one.returns)
+            elif not one.returns:
+                attributes["skipped"] = "implausible excitation loss"
             outcomes.append(Outcome((one.excitation, one.distance), attributes))
         return outcomes
 
-    def _measure(self, trials: Sequence[Mapping[str, float]], plausible: float = np.inf) -> list[Candidate]:
+    def propose(
+        self, count: int, bounds: Mapping[str, tuple[float, float]], seed: int = 0, rises: Sequence[float] = RISES
+    ) -> list[dict[str, float]]:
+        """Starts for a study: parameter sets, by config key, that the excitation hardly tells from the identified ones.
+
+        Args:
+            count: number of them.
+            bounds: range that the study searches, by parameter name.
+            seed: of the draws.
+            rises: expected rises of the excitation loss, as shares; as many starts from within each.
+        """
+        low = torch.tensor([bounds[name][0] for name in self.names], dtype=torch.float64)
+        high = torch.tensor([bounds[name][1] for name in self.names], dtype=torch.float64)
+        residuals = self.problem.residual_function(self.names, low, high)
+        sensitivity = sensitivity_at(residuals, {name: bounds[name] for name in self.names}, self.start.values)
+        rng = np.random.default_rng([seed, 7])
+        shares = np.array_split(np.arange(count), len(rises))
+        points = [draw_level_set(sensitivity, rise, len(own), rng) for rise, own in zip(rises, shares, strict=True)]
+        values = sensitivity.low + np.concatenate(points) * sensitivity.span
+        return [{PREFIX + name: float(v) for name, v in zip(self.names, row, strict=True)} for row in values]
+
+    def _measure(
+        self, trials: Sequence[Mapping[str, float]], plausible: float = np.inf, race: bool = False
+    ) -> list[Candidate]:
         """Both objectives; beyond a plausible excitation loss the distance is that of episodes worth nothing."""
         values = {name: torch.tensor([trial[name] for trial in trials], dtype=torch.float64) for name in self.names}
         losses = self.problem.loss(self.problem.predict(values, len(trials)))
         worth = (losses <= plausible).nonzero()[:, 0]
-        returns: dict[int, Tensor] = {}
-        if len(worth):
-            result: Returns = self.bench.run({name: value[worth] for name, value in values.items()}, len(worth))
-            returns = dict(zip(worth.tolist(), result.returns, strict=True))
+        returns = self._play({name: value[worth] for name, value in values.items()}, losses[worth], race)
+        played = dict(zip(worth.tolist(), returns, strict=True))
         worthless = float(np.abs(self.actual).mean())
         measured = []
         for i, trial in enumerate(trials):
-            own = returns.get(i)
-            loss = float(losses[i])
+            loss, own = float(losses[i]), played.get(i)
             if own is None:
                 measured.append(Candidate(trial, loss, worthless))
-            elif not bool(torch.isfinite(own).all()):
+            elif not np.isfinite(own).all():
                 measured.append(Candidate(trial, float("nan"), worthless))
             else:
-                distance = float(wasserstein_distance(self.actual, own.numpy()))
-                measured.append(Candidate(trial, loss, distance, tuple(own.tolist())))
+                measured.append(Candidate(trial, loss, self._distance(own), tuple(own.tolist())))
         return measured
 
-    def finish(self, study: optuna.Study) -> Reidentified:
-        """Choose a point of the front.
+    def _play(self, values: Mapping[str, Tensor], losses: Tensor, race: bool) -> list[Array]:
+        """Returns of candidates: of all episodes, or in a race of the first ones alone where those did badly.
+
+        Every candidate plays the first episodes. What the others would be worth is foreseen from the start's, since all
+        play the same: they differ as the first ones do. Only the better half, and of it those that the start does not
+        beat in both objectives, play on.
+        """
+        count, episodes = len(losses), self.bench.episodes
+        first = ceil(TRIED * episodes) if race else episodes
+        if not count:
+            return []
+        returns = self.bench.run(values, count, episodes=range(first)).returns.numpy()
+        if first == episodes:
+            return list(returns)
+        foreseen = [self._distance(self._foresee(own)) for own in returns]
+        chosen = _better_half(losses.numpy(), np.array(foreseen), (self.start.excitation, self.start.distance))
+        result = list(returns)
+        if len(chosen):
+            rows = torch.from_numpy(chosen)
+            some = {name: value[rows] for name, value in values.items()}
+            rest = self.bench.run(some, len(chosen), episodes=range(first, episodes)).returns.numpy()
+            for row, more in zip(chosen, rest, strict=True):
+                result[row] = np.concatenate([returns[row], more])
+        return result
+
+    def _foresee(self, first: Array) -> Array:
+        """All returns of a candidate, those not played as the start's would have to be to differ alike."""
+        start = np.array(self.start.returns)
+        return np.concatenate([first, start[len(first) :] + (first - start[: len(first)]).mean()])
+
+    def _distance(self, returns: Array) -> float:
+        """Wasserstein-1 distance to the robot's returns; where only the first were played, as far as foreseen."""
+        return self._distance_over(returns if len(returns) == self.bench.episodes else self._foresee(returns))
+
+    def finish(self, study: optuna.Study, finalists: int = 8) -> Reidentified:
+        """Choose a point of the front, and look at it with other random numbers.
+
+        Among the candidates whose excitation loss is at most `TOLERATED` times the start's, the closest few play as
+        many episodes again: the best of hundreds has been lucky with those it was chosen by. The smallest distance over
+        both halves wins; the start takes part. A third set of episodes then says what that is worth.
+
+        Args:
+            study: finished.
+            finalists: how many play again.
 
         Raises:
             ValueError: if no trial of the study completed.
@@ -158,19 +244,73 @@ class Reidentification:
         complete = [t for t in study.trials if t.state == optuna.trial.TrialState.COMPLETE]
         if not complete:
             raise ValueError("no trial of the study completed: every simulation failed; check the logs and the model")
-        candidates = [self._candidate(trial) for trial in complete]
-        near = [c for c in candidates if c.returns and c.excitation <= TOLERATED * self.start.excitation]
-        chosen = min([self.start, *near], key=lambda c: (c.distance, c.excitation))
-        front = sorted((self._candidate(trial) for trial in study.best_trials), key=lambda c: c.excitation)
+        played = [one for one in map(self._candidate, complete) if one.returns]
+        front = [one for one in played if not any(_beats(other, one) for other in played)]
+        near = [one for one in played if one.excitation <= TOLERATED * self.start.excitation]
+        # the study holds the start as its nominal trial
+        near = [one for one in near if dict(one.values) != dict(self.start.values)]
+        final = [self.start, *sorted(near, key=lambda one: one.distance)[:finalists]]
+        again = self._replay(final, 1)
+        both = [self._distance_over((*one.returns, *more.returns)) for one, more in zip(final, again, strict=True)]
+        chosen = final[int(np.argmin(both))]
+        fresh_start, fresh_chosen = self._replay([self.start, chosen], 2)
+        simulated = (*chosen.returns, *again[int(np.argmin(both))].returns, *fresh_chosen.returns)
         return Reidentified(
             model=self.model.with_values(dict(chosen.values)),
             start=self.start,
             chosen=chosen,
-            front=front,
+            front=sorted(front, key=lambda one: one.excitation),
             actual=self.actual,
+            fresh_start=fresh_start,
+            fresh_chosen=fresh_chosen,
+            noise=chance_distance(np.array(simulated), len(self.actual), self.bench.episodes),
         )
+
+    def _replay(self, candidates: Sequence[Candidate], times: int) -> list[Candidate]:
+        """The candidates over further episodes; `times` sets of episodes lie before them."""
+        values = {name: torch.tensor([one.values[name] for one in candidates]).double() for name in self.names}
+        numbers = range(times * self.bench.episodes, (times + 1) * self.bench.episodes)
+        returns = self.bench.run(values, len(candidates), episodes=numbers).returns.numpy()
+        return [
+            replace(one, returns=tuple(own.tolist()), distance=self._distance_over(own))
+            for one, own in zip(candidates, returns, strict=True)
+        ]
+
+    def _distance_over(self, returns: Sequence[float] | Array) -> float:
+        known = np.asarray(returns)
+        return float(wasserstein_distance(self.actual, known)) if np.isfinite(known).all() else float("inf")
 
     def _candidate(self, trial: optuna.trial.FrozenTrial) -> Candidate:
         values = {key.removeprefix(PREFIX): float(value) for key, value in trial.params.items()}
         excitation, distance = trial.values
         return Candidate(values, excitation, distance, tuple(trial.user_attrs.get("returns", ())))
+
+
+def chance_distance(returns: Array, actual: int, simulated: int, draws: int = 400) -> float:
+    """Mean Wasserstein-1 distance of two samples of the same returns: what no model can be expected to undercut.
+
+    Args:
+        returns: to draw from, with replacement.
+        actual: size of one sample.
+        simulated: size of the other.
+        draws: pairs of samples.
+    """
+    rng = np.random.default_rng(0)
+    known = returns[np.isfinite(returns)]
+    return float(
+        np.mean([wasserstein_distance(rng.choice(known, actual), rng.choice(known, simulated)) for _ in range(draws)])
+    )
+
+
+def _beats(one: Candidate, other: Candidate) -> bool:
+    """Whether a candidate is nowhere worse than another, and better in one objective."""
+    pairs = ((one.excitation, other.excitation), (one.distance, other.distance))
+    return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
+
+
+def _better_half(losses: Array, distances: Array, start: tuple[float, float]) -> NDArray[np.int64]:
+    """Indices, rising, of the candidates that fewest others beat in both objectives; none that the start beats."""
+    beaten = (losses[None] < losses[:, None]) & (distances[None] < distances[:, None])
+    hopeless = (losses > start[0]) & (distances >= start[1])
+    order = np.lexsort((distances, beaten.sum(1)))[: (len(losses) + 1) // 2]
+    return np.sort(order[~hopeless[order] & np.isfinite(distances[order])])

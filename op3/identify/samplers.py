@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import optuna
-from optuna.samplers import BaseSampler
+from optuna.samplers import BaseSampler, nsgaii
 
 SamplerFactory = Callable[[int], BaseSampler]
 """Makes the sampler of one population from its seed."""
@@ -36,7 +36,8 @@ def make_sampler_factory(
 
     Args:
         sampler: a name (`tpe`, `cmaes`, `nsga2`, `gp`, `random`); a mapping `{name: tpe, **options}` or
-            `{_target_: optuna.samplers.TPESampler, **options}`; or a function from a seed to a sampler.
+            `{_target_: optuna.samplers.TPESampler, **options}`; or a function from a seed to a sampler. The options
+            `crossover` (uniform, blx, sbx, spx, undx, vsbx) and `mutation` (polynomial) of nsga2 may be names.
         population: how many trials are asked at once. CMA-ES and NSGA-II take a generation of 7/8 of it,
             so that a few failed trials do not cost a generation.
         directions: number of objectives.
@@ -65,6 +66,11 @@ def make_sampler_factory(
         )
     if directions > 1 and build in (optuna.samplers.CmaEsSampler,):
         raise SamplerError(f"The sampler {name!r} takes one objective, the study has {directions}: use nsga2.")
+    for kind, known in _OPERATORS.items():
+        if isinstance(options.get(kind), str):
+            if options[kind] not in known:
+                raise SamplerError(f"The {kind} {options[kind]!r} is unknown: use one of {', '.join(known)}.")
+            options[kind] = _quiet(known[options[kind]])
     factory = functools.partial(_build, build, options)
     try:
         factory(0)
@@ -74,11 +80,15 @@ def make_sampler_factory(
 
 
 def _build(build: Callable[..., BaseSampler], options: Mapping[str, Any], seed: int) -> BaseSampler:
+    return _quiet(functools.partial(build, seed=seed, **options))
+
+
+def _quiet(make: Callable[[], Any]) -> Any:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
         # CmaEsSampler's x0 is deprecated without a replacement for the version that this project is pinned to
         warnings.filterwarnings("ignore", message=".*`x0` has been deprecated.*", category=FutureWarning)
-        return build(seed=seed, **options)
+        return make()
 
 
 def _locate(target: Any) -> Callable[..., BaseSampler]:
@@ -126,6 +136,19 @@ def _nsga2_defaults(population: int, nominal: Mapping[str, Any] | None) -> dict[
 def _gp_defaults(population: int, nominal: Mapping[str, Any] | None) -> dict[str, Any]:
     return {"warn_independent_sampling": False}
 
+
+_OPERATORS: Mapping[str, Mapping[str, Callable[[], Any]]] = {
+    "crossover": {
+        "uniform": nsgaii.UniformCrossover,
+        "blx": nsgaii.BLXAlphaCrossover,
+        "sbx": nsgaii.SBXCrossover,
+        "spx": nsgaii.SPXCrossover,
+        "undx": nsgaii.UNDXCrossover,
+        "vsbx": nsgaii.VSBXCrossover,
+    },
+    "mutation": {"polynomial": nsgaii.PolynomialMutation},
+}
+"""Operators of NSGA-II by the names that a config may give."""
 
 _Defaults = Callable[[int, Mapping[str, Any] | None], dict[str, Any]]
 _BY_NAME: dict[str, tuple[Callable[..., BaseSampler], _Defaults]] = {

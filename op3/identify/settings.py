@@ -1,5 +1,6 @@
 """The settings of a study: Hydra's config under `hydra.sweeper`, and what is read from it."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,8 @@ class PopulationSweeperConf:
     parallel_populations: int = 1
     # whether the config's own values are the first trial
     nominal: bool = True
+    # trials that the experiment itself proposes after that, before the sampler; 0: none
+    starts: int = 0
     # null: drawn anew for each new study
     seed: int | None = None
     # config key -> range, such as interval(0.003, 0.009)
@@ -62,6 +65,7 @@ class StudySettings:
     population: int
     parallel_populations: int
     seed: int | None
+    starts: int = 0
 
     def check(self) -> None:
         """Find out before the first trial whether the sampler and the storage can be used."""
@@ -73,8 +77,8 @@ class StudySettings:
         )
         open_storage(self.storage)
 
-    def run(self, evaluate: Evaluate) -> optuna.Study:
-        """Run the study, or go on with it."""
+    def run(self, evaluate: Evaluate, starts: Sequence[Mapping[str, Any]] = ()) -> optuna.Study:
+        """Run the study, or go on with it, from these starts."""
         return run_study(
             evaluate,
             self.search_space,
@@ -85,6 +89,7 @@ class StudySettings:
             n_trials=self.n_trials,
             population=self.population * self.parallel_populations,
             nominal=self.nominal,
+            starts=starts,
             seed=self.seed,
         )
 
@@ -112,8 +117,10 @@ def read_settings(config: DictConfig, sweeper: DictConfig, folder: Path, cell: s
     values = {key: _config_value(config, key) for key in search_space}
     direction = plain["direction"]
     storage, name = plain["storage"], plain["study_name"] or "study"
-    if plain["parallel_populations"] < 1 or plain["population"] < 1 or plain["n_trials"] < 1:
-        raise StudyError("hydra.sweeper: population, parallel_populations and n_trials must be at least 1.")
+    if plain["parallel_populations"] < 1 or plain["population"] < 1 or plain["n_trials"] < 1 or plain["starts"] < 0:
+        raise StudyError(
+            "hydra.sweeper: population, parallel_populations and n_trials must be at least 1, starts at least 0."
+        )
     return StudySettings(
         search_space=search_space,
         nominal=check_nominal(search_space, values) if plain["nominal"] else None,
@@ -125,6 +132,7 @@ def read_settings(config: DictConfig, sweeper: DictConfig, folder: Path, cell: s
         population=plain["population"],
         parallel_populations=plain["parallel_populations"],
         seed=plain["seed"],
+        starts=plain["starts"],
     )
 
 

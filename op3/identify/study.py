@@ -15,7 +15,7 @@ import re
 import secrets
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import optuna
 from optuna.distributions import BaseDistribution
+from optuna.samplers import BaseGASampler
 from optuna.storages import BaseStorage
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, Trial, TrialState
@@ -60,6 +61,19 @@ class Outcome:
     error: str | None = None
 
 
+@dataclass(frozen=True)
+class Given:
+    """A trial whose parameters are not the sampler's to propose.
+
+    Attributes:
+        mark: user attribute by which the stored trial is known again.
+        values: its parameters.
+    """
+
+    mark: Mapping[str, Any]
+    values: Mapping[str, Any]
+
+
 Evaluate = Callable[[list[dict[str, Any]]], Sequence[float | Sequence[float] | Outcome | None]]
 """Evaluates a population: parameters of each trial -> result of each trial, in the same order."""
 
@@ -75,6 +89,7 @@ def run_study(
     n_trials: int = 256,
     population: int = 64,
     nominal: Mapping[str, Any] | None = None,
+    starts: Sequence[Mapping[str, Any]] = (),
     seed: int | None = None,
     progress: bool = True,
 ) -> optuna.Study:
@@ -96,6 +111,8 @@ def run_study(
         n_trials: finished trials, complete or failed, that the study shall have in all.
         population: trials asked and evaluated together.
         nominal: parameters of the first trial, the baseline; None starts without one.
+        starts: parameters of the trials that follow it, before the sampler proposes any; each is
+            evaluated once, also over interruptions and among workers. A resumed study needs the same.
         seed: seed of the study; None keeps the stored seed, or draws one for a new study.
         progress: show trials, best value, rate and time left.
 
@@ -107,14 +124,16 @@ def run_study(
             the population, or if no trial completes and `FUTILE_POPULATIONS` in a row raise.
         op3.identify.samplers.SamplerError: if the sampler is unknown or does not fit the study.
         op3.identify.storage.StorageError: if the storage cannot be used.
-        op3.identify.search_space.SearchSpaceError: if the nominal parameters are outside the ranges.
+        op3.identify.search_space.SearchSpaceError: if nominal parameters or starts are outside the ranges.
     """
     if population < 1 or n_trials < 1:
         raise StudyError(f"population={population} and n_trials={n_trials} must both be at least 1.")
     baseline = None if nominal is None else check_nominal(search_space, nominal)
+    given = [] if baseline is None else [Given({"nominal": True}, baseline)]
+    given += [Given({"start": number}, check_nominal(search_space, values)) for number, values in enumerate(starts)]
     factory = make_sampler_factory(sampler, population=population, directions=len(directions), nominal=baseline)
     study = _open_study(storage, study_name, directions, search_space, seed)
-    session = _Session(study, search_space, factory, baseline)
+    session = _Session(study, search_space, factory, given)
     session.pull()
     if session.finished >= n_trials:
         return study
@@ -140,11 +159,11 @@ def _run(session: "_Session", evaluate: Evaluate, n_trials: int, population: int
                 time.sleep(POLL_SECONDS)
                 continue
             size = min(free, population)
-            nominal = _takes_nominal(session, worker, size)
-            trials = session.ask(size, nominal, worker.name, shared=bool(others))
+            given = _takes_given(session, worker, size)
+            trials = session.ask(size, given, worker.name, shared=bool(others))
             outcomes = evaluate_population(evaluate, [dict(trial.params) for trial in trials])
             session.tell(trials, outcomes)
-            worker.claim(0, False)
+            worker.claim(0, [])
             raised = all(outcome.error for outcome in outcomes)
             futile = futile + 1 if raised and not session.any_complete() else 0
             if futile >= FUTILE_POPULATIONS:
@@ -156,26 +175,26 @@ def _run(session: "_Session", evaluate: Evaluate, n_trials: int, population: int
         worker.stop()
 
 
-def _takes_nominal(session: "_Session", worker: Worker, trials: int) -> bool:
-    """Claim `trials` trials, the nominal one among them if it is due and no other worker has it; say so.
+def _takes_given(session: "_Session", worker: Worker, size: int) -> list[int]:
+    """Claim `size` trials, among them the given ones that are due and no other worker has; return their numbers.
 
     Claims are written before those of the others are read, so of two that claim in the same moment at
     least one sees the other and gives way. Where both see each other the first by name looks again.
     """
-    nominal = session.nominal_due() and not worker.nominal_rivals()
-    worker.claim(trials, nominal)
-    if not nominal:
-        return False
-    rivals = worker.nominal_rivals()
+    given = session.due(worker.taken())[:size]
+    worker.claim(size, given)
+    if not given:
+        return []
+    rivals = worker.rivals(given)
     if rivals and worker.name < min(rivals):
         time.sleep(POLL_SECONDS)
-        rivals = worker.nominal_rivals()
-    # A rival that claims no more may have stored the trial meanwhile.
+        rivals = worker.rivals(given)
+    # A rival that claims no more may have stored its trials meanwhile.
     session.pull()
-    if not rivals and session.nominal_due():
-        return True
-    worker.claim(trials, nominal=False)
-    return False
+    own = [] if rivals else [number for number in session.due(()) if number in given]
+    if own != given:
+        worker.claim(size, own)
+    return own
 
 
 def evaluate_population(evaluate: Evaluate, population: list[dict[str, Any]]) -> list[Outcome]:
@@ -236,12 +255,13 @@ class _Session:
         study: optuna.Study,
         search_space: Mapping[str, BaseDistribution],
         factory: SamplerFactory,
-        nominal: Mapping[str, Any] | None,
+        given: Sequence[Given],
     ) -> None:
         self.study = study
         self._search_space = dict(search_space)
         self._factory = factory
-        self._nominal = nominal
+        self._given = list(given)
+        self._open = set(range(len(self._given)))
         self._seed: int = study.user_attrs["seed"]
         self._own_name: str | None = None
         self._pulled: set[int] = set()
@@ -272,22 +292,36 @@ class _Session:
             return None
         return self._mirror.best_value
 
-    def nominal_due(self) -> bool:
-        """Say whether the nominal trial is still to be evaluated."""
-        return self._nominal is not None and not any(t.user_attrs.get("nominal") for t in self._trials())
+    def due(self, claimed: Collection[int]) -> list[int]:
+        """Numbers of the given trials that are neither finished nor claimed by another worker."""
+        if self._open:
+            found = [t.user_attrs for t in self._trials()]
+            done = {key: {attributes.get(key) for attributes in found} for key in ("nominal", "start")}
+            self._open = {
+                number
+                for number in self._open
+                if not any(value in done[key] for key, value in self._given[number].mark.items())
+            }
+        return sorted(self._open - set(claimed))
 
-    def ask(self, size: int, nominal: bool, worker: str, shared: bool) -> list[Trial]:
-        """Ask for a population; the nominal trial, if due, is its first."""
+    def ask(self, size: int, given: Sequence[int], worker: str, shared: bool) -> list[Trial]:
+        """Ask for a population; given trials, by number, come first."""
         self._own_name = worker
         # Two workers that have seen the same trials must not propose the same points.
         entropy = [self._seed, self.finished, *(worker.encode() if shared else b"")]
         self._mirror.sampler = self._factory(int(np.random.SeedSequence(entropy).generate_state(1)[0] >> 1))
-        if nominal:
-            assert self._nominal is not None
-            self._mirror.enqueue_trial(dict(self._nominal), user_attrs={"nominal": True})
+        for number in given:
+            one = self._given[number]
+            self._mirror.enqueue_trial(dict(one.values), user_attrs=dict(one.mark))
         trials = [self._mirror.ask(self._search_space) for _ in range(size)]
         for trial in trials:
             trial.set_user_attr("worker", worker)
+        sampler = self._mirror.sampler
+        if isinstance(sampler, BaseGASampler):
+            # Optuna leaves trials with given parameters out of every generation, so that they would have no children.
+            frozen = self._mirror.get_trials(deepcopy=False)
+            for trial in trials[: len(given)]:
+                sampler.get_trial_generation(self._mirror, frozen[trial.number])
         return trials
 
     def tell(self, trials: Sequence[Trial], outcomes: Sequence[Outcome]) -> None:

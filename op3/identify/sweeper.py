@@ -68,12 +68,17 @@ from op3.identify.study import Evaluate, Outcome, StudyError, as_outcome, evalua
 log = logging.getLogger(__name__)
 
 POPULATION_FILE = "population.json"
+STARTS_FILE = "starts.json"
+
+Propose = Callable[[int], Sequence[Mapping[str, Any]]]
+"""Proposes as many parameter sets, by config key, as asked for."""
 
 
 def sweep_or_report(
     cfg: DictConfig,
     evaluate: Evaluate,
     report: Callable[[optuna.Study], Any] | None = None,
+    propose: Propose | None = None,
 ) -> Any:
     """Do an experiment's part of a study: evaluate a population, or run the study and report it.
 
@@ -81,13 +86,19 @@ def sweep_or_report(
         cfg: the config that `@hydra.main` passes.
         evaluate: evaluates a population, see `op3.identify.study.Evaluate`.
         report: makes the report of a finished study.
+        propose: proposes the `hydra.sweeper.starts` trials that come first; they are kept in `starts.json`, so that a
+            study that goes on begins with the same.
 
     Returns:
-        In a population job, the list of its results; else what `report` returns, or the study's summary.
+        In a population job, the list of its results, or the starts that it asks for; else what
+        `report` returns, or the study's summary.
     """
     path = OmegaConf.select(cfg, "population")
     if path is not None:
-        return evaluate_population(evaluate, json.loads(Path(path).read_text()))
+        asked = json.loads(Path(path).read_text())
+        if isinstance(asked, dict):
+            return _propose(propose, asked["starts"])
+        return evaluate_population(evaluate, asked)
     hydra_config = HydraConfig.get()
     folder = Path(hydra_config.runtime.output_dir)
     with _one_sentence():
@@ -97,10 +108,30 @@ def sweep_or_report(
             chunks = settings.split(population)
             return [outcome for chunk in chunks for outcome in evaluate_population(evaluate, chunk)]
 
-        study = settings.run(evaluate_chunks)
+        starts = _kept_starts(folder, settings, lambda: _propose(propose, settings.starts))
+        study = settings.run(evaluate_chunks, starts)
     summary = summarize(study)
     write_yaml(folder / RESULTS_FILE, summary)
     return summary if report is None else report(study)
+
+
+def _propose(propose: Propose | None, count: int) -> list[dict[str, Any]]:
+    if propose is None:
+        raise StudyError("hydra.sweeper.starts: this experiment proposes no starts: set it to 0.")
+    return [dict(values) for values in propose(count)]
+
+
+def _kept_starts(
+    folder: Path, settings: StudySettings, make: Callable[[], Sequence[Mapping[str, Any]]]
+) -> Sequence[Mapping[str, Any]]:
+    """The starts in a study's folder, made where there are none."""
+    if settings.starts == 0:
+        return ()
+    path = folder / STARTS_FILE
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, json.dumps(list(make()), indent=1))
+    return json.loads(path.read_text())
 
 
 class PopulationSweeper(Sweeper):
@@ -142,7 +173,8 @@ class PopulationSweeper(Sweeper):
             returns: list[Sequence[JobReturn]] = []
             for number, (overrides, (folder, settings)) in enumerate(zip(grid, cells, strict=True)):
                 log.info("Study %d of %d: %s", number + 1, len(grid), " ".join(overrides) or "(no overrides)")
-                study = settings.run(lambda p, o=overrides, f=folder, s=settings: self._launch(p, o, f, s))
+                starts = _kept_starts(folder, settings, lambda o=overrides, f=folder, s=settings: self._starts(o, f, s))
+                study = settings.run(lambda p, o=overrides, f=folder, s=settings: self._launch(p, o, f, s), starts)
                 summaries.append({"folder": folder.name, "overrides": list(overrides), **summarize(study)})
                 write_yaml(sweep_dir / RESULTS_FILE, _sweep_summary(summaries, len(grid)))
                 returns.append(self._report(overrides, folder, settings, number))
@@ -171,13 +203,7 @@ class PopulationSweeper(Sweeper):
         """Evaluate what was asked: one job per population, all launched together."""
         assert self.launcher is not None
         chunks = settings.split(population)
-        first = _reserve_folders(folder / "populations", len(chunks))
-        jobs = []
-        for number, chunk in enumerate(chunks, start=first):
-            path = folder / "populations" / str(number) / POPULATION_FILE
-            write_atomically(path, json.dumps(chunk, indent=1))
-            place = _place_overrides(folder / "populations", "${hydra.job.num}")
-            jobs.append([*overrides, *place, f"++population={_quoted(path)}"])
+        first, jobs = _write_jobs(chunks, overrides, folder)
         try:
             returns = self.launcher.launch(jobs, initial_job_idx=first)
         except Exception as error:
@@ -185,6 +211,12 @@ class PopulationSweeper(Sweeper):
             log.exception("The launcher failed.")
             return [Outcome(None, error=f"launcher: {type(error).__name__}: {error}") for _ in population]
         return [o for chunk, job in zip(chunks, returns, strict=True) for o in _job_outcomes(chunk, job)]
+
+    def _starts(self, overrides: list[str], folder: Path, settings: StudySettings) -> list[dict[str, Any]]:
+        """Ask the experiment for starts, in a job of their own."""
+        assert self.launcher is not None
+        first, jobs = _write_jobs([{"starts": settings.starts}], overrides, folder)
+        return list(self.launcher.launch(jobs, initial_job_idx=first)[0].return_value)
 
     def _report(self, overrides: list[str], folder: Path, settings: StudySettings, number: int) -> Sequence[JobReturn]:
         """Run the experiment once more, in the cell's own folder, where it finds its study finished."""
@@ -230,6 +262,18 @@ def _reserve_folders(parent: Path, count: int) -> int:
         except FileExistsError:
             for folder in made:
                 folder.rmdir()
+
+
+def _write_jobs(contents: Sequence[Any], overrides: list[str], folder: Path) -> tuple[int, list[list[str]]]:
+    """Write what jobs shall evaluate; return the number of the first and the overrides of each."""
+    first = _reserve_folders(folder / "populations", len(contents))
+    jobs = []
+    for number, content in enumerate(contents, start=first):
+        path = folder / "populations" / str(number) / POPULATION_FILE
+        write_atomically(path, json.dumps(content, indent=1))
+        place = _place_overrides(folder / "populations", "${hydra.job.num}")
+        jobs.append([*overrides, *place, f"++population={_quoted(path)}"])
+    return first, jobs
 
 
 def _place_overrides(sweep_dir: Path, subdir: str) -> list[str]:

@@ -11,6 +11,7 @@ import socket
 import threading
 import time
 import uuid
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ class Worker:
     def __init__(self, study: optuna.Study) -> None:
         self.name = f"{socket.gethostname()}:{os.getpid()}:{uuid.uuid4().hex[:8]}"
         self._study = study
-        self._claim: dict[str, Any] = {"trials": 0, "nominal": False}
+        self._claim: dict[str, Any] = {"trials": 0, "given": []}
         self._lock = threading.Lock()
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._beat, name="study-heartbeat", daemon=True)
@@ -39,10 +40,10 @@ class Worker:
         self._write()
         self._thread.start()
 
-    def claim(self, trials: int, nominal: bool) -> None:
-        """Announce how many trials this worker has in flight, and whether the nominal one is among them."""
+    def claim(self, trials: int, given: Sequence[int]) -> None:
+        """Announce how many trials this worker has in flight, and which of the given ones are among them."""
         with self._lock:
-            self._claim = {"trials": trials, "nominal": nominal}
+            self._claim = {"trials": trials, "given": list(given)}
         self._write()
 
     def stop(self) -> None:
@@ -56,9 +57,13 @@ class Worker:
         """Records of the other workers that are alive."""
         return list(self._alive().values())
 
-    def nominal_rivals(self) -> list[str]:
-        """Names of the other workers that are alive and claim the nominal trial."""
-        return [name for name, record in self._alive().items() if record["nominal"]]
+    def taken(self) -> set[int]:
+        """Numbers of the given trials that the other workers alive have in flight."""
+        return {number for record in self.others() for number in record["given"]}
+
+    def rivals(self, given: Sequence[int]) -> list[str]:
+        """Names of the other workers that are alive and claim one of these given trials."""
+        return [name for name, record in self._alive().items() if set(record["given"]) & set(given)]
 
     def _alive(self) -> dict[str, dict[str, Any]]:
         records = {k.removeprefix(_PREFIX): v for k, v in self._study.user_attrs.items() if k.startswith(_PREFIX)}

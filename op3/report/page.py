@@ -11,7 +11,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
-from op3.report.picture import png_element
+from op3.report.picture import film_element, png_element
 from op3.report.tables import Cell, number
 from op3.rollout.files import write_text
 
@@ -85,6 +85,15 @@ class Page:
     def picture(self, image: np.ndarray, caption: str) -> None:
         """Add an image, uint8 ``[height, width, 3]``, for example a rendered frame."""
         self._body.append(f"<figure>{png_element(image, caption)}<figcaption>{_inline(caption)}</figcaption></figure>")
+
+    def films(self, films: Sequence[tuple[bytes, str]]) -> None:
+        """Add animated PNGs with a caption each, side by side where there is room."""
+        shown = "".join(
+            f"<figure>{film_element(data, caption)}<figcaption>{_inline(caption)}</figcaption></figure>"
+            for data, caption in films
+        )
+        if shown:
+            self._body.append(f'<div class="films">{shown}</div>')
 
     def table(self, header: Sequence[str], rows: Sequence[Sequence[Cell]], caption: str = "", digits: int = 4) -> None:
         """Add a table; numbers are aligned at the decimal point.

@@ -1,6 +1,6 @@
 """The page, numbers and wandb run of a re-identification (paper, Fig. "Materials for analysis")."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,8 @@ from op3.report.figures import ranges_figure
 from op3.report.page import Page
 from op3.report.result import finish, write_result
 from op3.report.run_logger import RunLogger
-from op3.report.style import INK, MUTED, PALETTE, dress, faded
-from op3.report.tables import number
+from op3.report.style import INK, MUTED, PALETTE, dress, faded, words
+from op3.report.tables import Cell, number
 from op3.servo import RobotModel, parameter
 
 FOUND = "re-identified"
@@ -54,7 +54,8 @@ def report_reidentification(
         "distance": "Wasserstein-1 distance to the returns on the robot [-]",
         "excitation": "loss of the excitation, paper eq. (7)",
         "returns": "R_eval of every episode [-]",
-        "normalised": "parameter within its range of the catalogue, 0 to 1",
+        "normalised": "parameter within its range of the catalogue (paper Table I), 0 to 1",
+        "fresh": "distance over episodes that neither the search nor the choice has seen, and what chance alone leaves",
         "front": "Pareto front: excitation loss and distance",
     }
     result_path = write_result(folder / "result.yaml", values, meanings)
@@ -76,18 +77,27 @@ def _numbers(
         "distance.excitation_only": start.distance,
         "distance.reidentified": chosen.distance,
         "distance.ratio": chosen.distance / start.distance if start.distance > 0 else None,
+        "fresh.excitation_only": found.fresh_start.distance,
+        "fresh.reidentified": found.fresh_chosen.distance,
+        "fresh.noise": found.noise,
+        "fresh.ratio": found.fresh_chosen.distance / found.fresh_start.distance if found.fresh_start.distance else None,
         "excitation.excitation_only": start.excitation,
         "excitation.reidentified": chosen.excitation,
         "returns.actual": list(found.actual),
         "returns.excitation_only": list(start.returns),
         "returns.reidentified": list(chosen.returns),
+        "excitation.ratio": chosen.excitation / start.excitation if start.excitation > 0 else None,
+        "returns.fresh_excitation_only": list(found.fresh_start.returns),
+        "returns.fresh_reidentified": list(found.fresh_chosen.returns),
         "parameters": {name: {"value": value} for name, value in chosen.values.items()},
-        "normalised": {name: _normalised(name, value) for name, value in chosen.values.items()},
+        "normalised.excitation_only": {name: _normalised(name, value) for name, value in start.values.items()},
+        "normalised.reidentified": {name: _normalised(name, value) for name, value in chosen.values.items()},
         "front.excitation": [one.excitation for one in found.front],
         "front.distance": [one.distance for one in found.front],
         "trials": len(study.trials),
         "trials_failed": sum(t.state == optuna.trial.TrialState.FAIL for t in study.trials),
         "trials_skipped": sum("skipped" in t.user_attrs for t in study.trials),
+        "trials_played": sum("returns" in t.user_attrs for t in study.trials),
         "wall_seconds": wall_seconds,
         "simulated_seconds": simulated_seconds,
         "provenance": dict(provenance),
@@ -117,18 +127,29 @@ def _page(found: Reidentified, study: optuna.Study, values: Mapping[str, Any], p
     page.tile("distance of returns", chosen.distance, note=f"{number(start.distance, 3)} before")
     page.tile("excitation loss", chosen.excitation, note=f"{number(start.excitation, 3)} before")
     page.tile("mean return on the robot", float(np.mean(found.actual)))
-    page.tile("trials", values["trials"], note=f"{values['trials_skipped']} without episodes")
+    page.tile("fresh episodes", found.fresh_chosen.distance, note=f"{number(found.fresh_start.distance, 3)} before")
+    page.tile("trials", values["trials"], note=f"{values['trials_played']} played all episodes")
     page.tile("time", values["wall_seconds"], "s")
     page.section("Returns")
     page.text(
         "What the policy's episodes are worth under R_eval: on the robot, in the simulation that it was trained on, and"
         " in the simulation after re-identification, with the same episodes for every candidate."
+        f" Over fresh episodes, which neither the search nor the choice has seen, the distance is"
+        f" {number(found.fresh_start.distance, 3)} before and {number(found.fresh_chosen.distance, 3)} after; if the"
+        f" model were the robot, chance alone would leave {number(found.noise, 3)}."
     )
     page.figure(_returns_figure(found), "Returns of the episodes, as steps of their cumulative distribution.")
+    rows: list[list[Cell]] = [
+        [ACTUAL, *_summary(found.actual), None, None],
+        [BEFORE, *_summary(start.returns), start.distance, found.fresh_start.distance],
+        [FOUND, *_summary(chosen.returns), chosen.distance, found.fresh_chosen.distance],
+    ]
+    header = ["episodes", "mean return [-]", "deviation [-]", "distance [-]", "distance, fresh episodes [-]"]
+    page.table(header, rows, "Returns and their Wasserstein-1 distance to the robot's.")
     page.section("Pareto front")
     page.text(
-        f"The chosen point has the smallest distance among those whose excitation loss is at most {TOLERATED:g} times"
-        " that of the start."
+        f"Rule: among the candidates whose excitation loss is at most {TOLERATED:g} times that of the start (dotted"
+        " line), the closest few play as many episodes again, and the smallest distance over both halves is chosen."
     )
     page.figure(_front_figure(found, study), "Both objectives of every trial that played episodes, and the front.")
     page.section("Parameters")
@@ -137,8 +158,18 @@ def _page(found: Reidentified, study: optuna.Study, values: Mapping[str, Any], p
         FOUND: RobotModel(found.model.effects).with_values(dict(chosen.values)),
     }
     page.figure(ranges_figure(models, list(chosen.values)), "Parameters within the ranges of Table I.")
+    header = ["parameter", BEFORE, FOUND, f"{BEFORE}, of its range", f"{FOUND}, of its range"]
+    rows = [
+        [words(name), start.values[name], value, _normalised(name, start.values[name]), _normalised(name, value)]
+        for name, value in chosen.values.items()
+    ]
+    page.table(header, rows, "Parameters, and normalised by Table I.")
     page.provenance(provenance)
     return page
+
+
+def _summary(returns: Sequence[float]) -> tuple[float, float]:
+    return float(np.mean(returns)), float(np.std(returns))
 
 
 def _returns_figure(found: Reidentified) -> go.Figure:

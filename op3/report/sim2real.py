@@ -9,8 +9,8 @@ import numpy as np
 import plotly.graph_objects as go
 
 from op3.report.page import Page
-from op3.report.style import INK, PALETTE, dress
-from op3.report.tables import number
+from op3.report.style import INK, PALETTE, dress, words
+from op3.report.tables import Cell, number
 
 WALKERS = 0.8
 """Share of episodes that must walk for their whole time; paper, 8 of 10."""
@@ -27,7 +27,8 @@ class Transfer:
         actual: returns on the robot.
         upright: which of the robot's episodes ended without a fall.
         episodes: folder of the robot's logs.
-        film: animated picture of an episode in simulation.
+        film: animated picture of an episode in simulation; None or no such file: not shown.
+        robot_film: the same of an episode on the robot.
         criterion: share of the expected mean return that the robot must reach.
         walking: whether the paper's criterion of walking applies: forward without a fall in 8 of 10 episodes.
     """
@@ -38,7 +39,8 @@ class Transfer:
     actual: Sequence[float]
     upright: Sequence[bool]
     episodes: Path
-    film: Path
+    film: Path | None = None
+    robot_film: Path | None = None
     criterion: float = 0.8
     walking: bool = False
 
@@ -63,6 +65,8 @@ def story(
     condition: str,
     budget: str,
     provenance: Mapping[str, Any],
+    learned: Sequence[Mapping[str, Any]] = (),
+    processor_seconds: Mapping[str, float] | None = None,
 ) -> Page:
     """The page.
 
@@ -73,6 +77,8 @@ def story(
         condition: what was allowed.
         budget: of training and search.
         provenance: where the numbers come from, see `op3.report.run_provenance`.
+        learned: numbers of the re-identification of each round, as its ``result.yaml`` has them.
+        processor_seconds: time of all processors spent on every stage [s].
     """
     first, last = transfers[0], transfers[-1]
     page = Page("From simulation to the robot", _lead(transfers, condition))
@@ -81,6 +87,7 @@ def story(
         page.tile("last transfer", 100 * last.share, "%", "of the promised return")
     page.tile("episodes upright", f"{sum(last.upright)} of {len(last.upright)}")
     page.tile("time", sum(seconds.values()), "s", f"budget {budget}")
+    _films(page, transfers)
     page.section("Transfers")
     page.text(
         "Every policy is trained in simulation, plays its episodes there and on the robot, and is judged by the share"
@@ -100,18 +107,66 @@ def story(
     header = ["round", "return promised [-]", "return on the robot [-]", "share [%]", "upright", "success"]
     page.table(header, rows, "Transfers.")
     page.figure(_returns(transfers), "Return of every episode, promised and on the robot.")
+    for i, one in enumerate(learned, start=1):
+        _lesson(page, i, one)
     page.section("Stages")
-    page.table(["stage", "time [s]"], [[name, value] for name, value in seconds.items()], "What was run.")
+    spent = processor_seconds or {}
+    stages: list[list[Cell]] = [[name, value, spent.get(name)] for name, value in seconds.items()]
+    page.table(["stage", "time [s]", "processor time [s]"], stages, "What was run.")
     files = {}
     for name in seconds:
         if (folder / name / "index.html").exists():
             files[f"{name}/index.html"] = f"page of the stage {name.replace('_', ' ')}"
     for i, one in enumerate(transfers):
-        if one.film.exists():
-            files[str(one.film.relative_to(folder))] = f"an episode of round {i} in simulation, animated"
+        for film, where in ((one.film, "in simulation"), (one.robot_film, "on the robot")):
+            if film is not None and film.exists():
+                files[str(film.relative_to(folder))] = f"an episode of round {i} {where}, animated"
     page.files(files)
     page.provenance(provenance)
     return page
+
+
+def _films(page: Page, transfers: Sequence[Transfer]) -> None:
+    """The first transfer and the last, in simulation and on the robot."""
+    films = []
+    for i in sorted({0, len(transfers) - 1}):
+        one = transfers[i]
+        shares = f"{100 * one.share:.0f} % of the return promised"
+        for film, text in (
+            (one.film, f"Round {i}, in simulation: mean return {np.mean(one.expected):.0f}."),
+            (one.robot_film, f"Round {i}, on the robot, its worst episode: {shares} on average."),
+        ):
+            if film is not None and film.exists():
+                films.append((film.read_bytes(), text))
+    if films:
+        page.section("Films")
+        page.films(films)
+        page.text("Films of the robot are drawn from its encoders and IMU; the board is laid under its soles.")
+
+
+def _lesson(page: Page, round_number: int, learned: Mapping[str, Any]) -> None:
+    """What a round's re-identification found."""
+    page.section(f"Learned in round {round_number}")
+    before, after = "excitation only", "re-identified"
+    page.text(
+        "The same policy, in the simulation it was trained on and in the re-identified one: distance of its returns to"
+        " those on the robot, over the episodes searched with and over fresh ones, and the loss of the excitation."
+        f" Chance alone would leave a distance of {number(learned['fresh.noise'], 3)}."
+    )
+    keys = (("distance", "distance of returns [-]"), ("fresh", "the same, fresh episodes [-]"), ("excitation", "loss"))
+    rows: list[list[Cell]] = [
+        [text, learned[f"{key}.excitation_only"], learned[f"{key}.reidentified"]] for key, text in keys
+    ]
+    page.table(["", before, after], rows, "Both objectives.")
+    prefix = "normalised.reidentified."
+    names = [key.removeprefix(prefix) for key in learned if key.startswith(prefix)]
+    figure = go.Figure()
+    for label, key, colour in ((before, "excitation_only", PALETTE[1]), (after, "reidentified", PALETTE[0])):
+        values = [learned[f"normalised.{key}.{name}"] for name in names]
+        figure.add_bar(x=[words(name) for name in names], y=values, name=label, marker_color=colour)
+    dress(figure, 340, barmode="group")
+    figure.update_yaxes(title_text="share of the range [-]", range=[0, 1.02])
+    page.figure(figure, "Parameters normalised by Table I.")
 
 
 def _lead(transfers: Sequence[Transfer], condition: str) -> str:

@@ -62,6 +62,24 @@ def test_a_torn_line_is_left_out(tmp_path):
     assert [line["world"] for line in script.read_lines(path)] == [0, 2]
 
 
+def robot(ratio: float, fresh: float, rise: float) -> dict:
+    """What a re-identification of a robot gives."""
+    return {"distance.ratio": ratio, "fresh.ratio": fresh, "excitation.ratio": rise, "trials": 100,
+            "reidentify_processor_seconds": 250.0}  # fmt: skip
+
+
+def test_re_identification_is_judged_by_the_median_distance_and_the_largest_loss():
+    """Ratios 0.1, 0.3, 0.9 have the median 0.3: met, unless one robot's excitation loss rises by 30 %."""
+    script = load_script("reidentification")
+    robots = {"a": robot(0.3, 0.5, 1.1), "b": robot(0.1, 0.4, 1.2), "c": robot(0.9, 0.6, 1.0)}
+    numbers = script.summarise(robots)
+    assert numbers["median.distance_ratio"] == 0.3
+    assert numbers["median.fresh_ratio"] == 0.5
+    assert numbers["processor_seconds_per_trial"] == 2.5
+    assert numbers["met"]
+    assert not script.summarise({**robots, "c": robot(0.9, 0.6, 1.3)})["met"]
+
+
 @pytest.mark.slow
 def test_one_world_and_resume(tmp_path):
     """A world is drawn, recorded, identified and written; the same command again has nothing left to do."""

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from hydra import compose, initialize_config_dir
 
 from op3.report import read_result
 
@@ -30,17 +31,32 @@ CONDITIONS = (
 def sim2real(folder, *overrides):
     script = ROOT / "experiments" / "sim2real.py"
     tiny = [f"budgets.demo.{stage}=[{','.join(map(repr, values))}]" for stage, values in TINY.items()]
-    tiny.append("budgets.demo.episodes=2")
+    tiny += ["budgets.demo.episodes=2", "diagnosis=[squat_fast,squat_shallow]"]
     command = [sys.executable, str(script), "budget=demo", *tiny, *overrides, f"hydra.run.dir={folder}"]
     return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
 
 
 def test_unknown_names_are_refused(tmp_path):
-    """A condition that does not exist is named in one sentence, before anything is done."""
-    done = sim2real(tmp_path / "run", "condition=nonsense")
-    assert done.returncode != 0
-    assert "condition must be one of excitation_only" in done.stderr
-    assert not (tmp_path / "run" / "squat").exists()
+    """What does not exist is named in one sentence, before anything is done; else as `make demo` writes it."""
+    demo = ("robot=emulated", "task=balance", "world=robot_4")
+    for arguments, sentence in (
+        ((*demo, "condition=nonsense"), "condition must be one of excitation_only"),
+        ((*demo[1:], "robot=stand_in"), "robot must be emulated or real"),
+    ):
+        done = sim2real(tmp_path / "run", *arguments)
+        assert done.returncode != 0
+        assert sentence in done.stderr
+        assert not (tmp_path / "run" / "squat").exists()
+
+
+def test_make_demo_is_a_command_that_the_script_takes():
+    """The overrides of the Makefile's demo compose, so that a new user's first command does not end in an error."""
+    line = next(row for row in (ROOT / "Makefile").read_text().splitlines() if "experiments/sim2real.py" in row)
+    overrides = line.split("experiments/sim2real.py")[1].split()
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        composed = compose("sim2real", overrides)
+    assert composed.world == "robot_4"
+    assert composed.condition == "reidentified"
 
 
 @pytest.mark.slow

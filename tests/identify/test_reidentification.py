@@ -64,6 +64,47 @@ def test_implausible_candidates_cost_no_episode(problem):
     assert outcome.values[1] == pytest.approx(float(np.mean(problem.actual)))
 
 
+def test_a_race_spares_the_worse_half_and_changes_no_winner(problem):
+    """Half of a population plays two of four episodes; the others get what they get where all play all."""
+    constants = (0.0049, 0.0050, 0.0052, 0.0056, 0.0060, 0.0064)
+    friction = problem.model.value("coulomb_friction")
+    population = [{"parameters.torque_constant": kt, "parameters.coulomb_friction": friction} for kt in constants]
+    raced = problem.evaluate(population)
+    problem.race = False
+    try:
+        whole = problem.evaluate(population)
+    finally:
+        problem.race = True
+    played = [outcome.attributes["episodes"] for outcome in raced]
+    assert sorted(played) == [2, 2, 2, 4, 4, 4]
+    assert played[0] == 4  # the truth
+    for one, other, episodes in zip(raced, whole, played, strict=True):
+        assert ("returns" in one.attributes) == (episodes == 4)
+        if episodes == 4:
+            assert one.values == pytest.approx(other.values, rel=1e-9)
+
+
+def test_starts_are_those_that_the_excitation_hardly_tells_from_the_identified(problem):
+    """Around the truth the loss rises about as expected; the same seed gives the same starts."""
+    start = problem.start
+    truth = problem.model.with_values({"torque_constant": 0.0049})
+    here = {name: truth.value(name) for name in NAMES}
+    problem.start = problem._measure([here])[0]
+    try:
+        bounds = {"torque_constant": (0.003, 0.009), "coulomb_friction": (0.01, 0.25)}
+        starts = problem.propose(6, bounds, seed=1)
+        again = problem.propose(6, bounds, seed=1)
+        excess = [one.values[0] / problem.start.excitation - 1 for one in problem.evaluate(starts)]
+    finally:
+        problem.start = start
+    assert starts == again
+    assert len({tuple(values.values()) for values in starts}) == 6
+    assert max(excess) < 1.5
+    for values in starts:
+        for name, (low, high) in bounds.items():
+            assert low <= values[f"parameters.{name}"] <= high
+
+
 def test_a_study_moves_towards_the_robot(problem):
     """A small NSGA-II study finds a model that is closer to the robot's returns and excitation than the start."""
     space = {

@@ -99,6 +99,39 @@ def test_the_nominal_trial_is_the_first_and_comes_once(tmp_path):
     assert [t.number for t in study.trials if t.user_attrs.get("nominal")] == [0]
 
 
+def test_starts_follow_the_nominal_trial_and_come_once(tmp_path):
+    """Five starts over populations of four, interrupted in between: each once, in order, before the sampler's own."""
+    nominal = {"a.x": 0.25, "a.y": 2.0}
+    starts = [{"a.x": 0.1 * k, "a.y": 1.0} for k in range(1, 6)]
+    whole = quick_study(nominal=nominal, starts=starts, storage=tmp_path / "whole.journal")
+    parts = tmp_path / "parts.journal"
+    quick_study(nominal=nominal, starts=starts, n_trials=4, storage=parts)
+    resumed = quick_study(nominal=nominal, starts=starts, storage=parts)
+    assert points(resumed) == points(whole)
+    assert [trial.params for trial in whole.trials[:6]] == [nominal, *starts]
+    assert [trial.user_attrs.get("start") for trial in whole.trials] == [None, 0, 1, 2, 3, 4, *[None] * 6]
+
+
+def test_starts_have_children():
+    """NSGA-II breeds from the starts: around a narrow valley that random points miss, its next points lie near them."""
+    space = {f"x{i}": FloatDistribution(0, 1) for i in range(6)}
+    rng = np.random.default_rng(0)
+    starts = [{name: float(0.3 + 0.01 * rng.standard_normal()) for name in space} for _ in range(8)]
+
+    def valley(population):
+        return [sum((value - 0.3) ** 2 for value in p.values()) for p in population]
+
+    sampler = {"name": "nsga2", "population_size": 10, "crossover": "sbx", "mutation": "polynomial"}
+    study = quick_study(valley, space, sampler=sampler, starts=starts, n_trials=36, population=12)
+    assert np.median([trial.value for trial in study.trials[24:]]) < 0.02
+
+
+def test_a_start_outside_the_ranges_is_refused():
+    """It is named before anything runs."""
+    with pytest.raises(SearchSpaceError, match=r"a\.x"):
+        quick_study(starts=[{"a.x": 1.5, "a.y": 1.0}])
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf, None, (math.nan,)])
 def test_a_trial_without_a_finite_value_fails_alone(bad):
     """One bad objective is one failed trial with its parameters; the study goes on to its end."""
@@ -281,12 +314,12 @@ def test_rivals_for_the_baseline_agree(tmp_path, monkeypatch, first):
     rival.name = "zzz" if first else ""
     claim = Worker.claim
 
-    def claim_together(worker, trials, nominal):
+    def claim_together(worker, trials, given):
         """Write the rival's claim just before this worker's, and let it give way soon after."""
-        if nominal and worker is not rival:
-            claim(rival, 0, True)
-            threading.Timer(0.05, claim, (rival, 0, False)).start()
-        claim(worker, trials, nominal)
+        if given and worker is not rival:
+            claim(rival, 0, [0])
+            threading.Timer(0.05, claim, (rival, 0, [])).start()
+        claim(worker, trials, given)
 
     monkeypatch.setattr(Worker, "claim", claim_together)
     trials = quick_study(storage=tmp_path / "study.journal", n_trials=16, nominal={"a.x": 0.5, "a.y": 1.0}).trials
@@ -298,7 +331,7 @@ def test_trials_of_a_dead_worker_are_taken_over(tmp_path):
     """A record that claims all trials, left by a process that is gone, holds nobody up."""
     path = tmp_path / "study.journal"
     study = quick_study(storage=path, n_trials=4)
-    gone = {"trials": 8, "nominal": False, "host": socket.gethostname(), "pid": 2**22 + 1, "started": 5}
+    gone = {"trials": 8, "given": [], "host": socket.gethostname(), "pid": 2**22 + 1, "started": 5}
     study.set_user_attr("worker:gone", {**gone, "seen": time.time()})
     assert len(quick_study(storage=path).trials) == 12
 
@@ -309,7 +342,7 @@ def test_the_last_trials_are_awaited_from_a_living_worker(tmp_path):
     study = quick_study(storage=path, n_trials=8)
     other = Worker(study)
     other.start()
-    other.claim(4, nominal=False)
+    other.claim(4, [])
 
     def finish():
         time.sleep(0.5)

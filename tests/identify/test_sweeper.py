@@ -73,6 +73,17 @@ def test_the_same_trials_with_and_without_multirun(sampler, tmp_path):
     assert (multi / "report.txt").read_text() == (single / "report.txt").read_text() == "study 20\n"
 
 
+def test_starts_come_from_the_experiment_and_are_kept(tmp_path):
+    """In process or as jobs the starts follow the nominal trial, and a file in the folder remembers them."""
+    run(tmp_path, "groups=flat", "hydra.sweeper.starts=3", "hydra.run.dir=single")
+    run(tmp_path, "-m", "groups=flat", "hydra.sweeper.starts=3", "hydra.sweep.dir=multi")
+    single, multi = tmp_path / "single", tmp_path / "multi" / "0"
+    assert points(load(multi)) == points(load(single))
+    kept = json.loads((single / "starts.json").read_text())
+    assert [trial.params for trial in load(single).trials[1:4]] == kept
+    assert [start["bowl.x"] for start in kept] == [0.5, 0.51, 0.52]
+
+
 def test_the_folders_of_jobs_are_numbers_and_hold_their_population(tmp_path):
     """20 trials in populations of 8 are three jobs; the first trial is the config's own values."""
     run(tmp_path, "-m", "groups=deep")

@@ -1,15 +1,19 @@
 """Transfers and their story."""
 
+import base64
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from op3.report.picture import animated_png
 from op3.report.sim2real import Transfer, story
 
 
 def transfer(expected, actual, upright=(True,), walking=False):
     paths = (Path("policy"), "model.yaml")
-    return Transfer(*paths, expected, actual, upright, Path("robot"), Path("film.png"), walking=walking)
+    return Transfer(*paths, expected, actual, upright, Path("robot"), walking=walking)
 
 
 def test_balancing_succeeds_at_four_fifths():
@@ -35,3 +39,31 @@ def test_the_story_begins_with_the_outcome(tmp_path):
     assert "the policy succeeds: the robot reaches 96 % of the promised return, 40 % at first" in text
     failed = story(tmp_path, transfers[:1], {}, condition="excitation_only", budget="demo", provenance={})
     assert "The first transfer fails" in failed.write(tmp_path / "failed.html").read_text()
+
+
+def test_the_page_shows_films_and_what_was_learned(tmp_path):
+    """Films of the first and the last transfer are part of the page, as are distances and parameters."""
+    films = {}
+    for name in ("a", "b", "c"):
+        films[name] = tmp_path / f"{name}.png"
+        films[name].write_bytes(animated_png([np.full((4, 4, 3), ord(name), np.uint8)] * 2, 10.0))
+    transfers = [
+        replace(transfer([250.0], [100.0]), film=films["a"], robot_film=films["b"]),
+        replace(transfer([250.0], [240.0]), film=films["c"], robot_film=tmp_path / "missing.png"),
+    ]
+    learned = {
+        **{f"{key}.{when}": value for key, value in (("distance", 2.0), ("fresh", 3.0), ("excitation", 0.5))
+           for when in ("excitation_only", "reidentified")},
+        "fresh.noise": 1.0,
+        "normalised.excitation_only.torque_constant": 0.2,
+        "normalised.reidentified.torque_constant": 0.3,
+    }  # fmt: skip
+    page = story(tmp_path, transfers, {"0_train": 10.0}, condition="reidentified", budget="demo", provenance={},
+                 learned=[learned], processor_seconds={"0_train": 17.0})  # fmt: skip
+    text = page.write(tmp_path / "index.html").read_text()
+    for name, film in films.items():
+        assert base64.b64encode(film.read_bytes()).decode() in text, name
+    assert "Learned in round 1" in text
+    assert "torque constant" in text
+    assert "a distance of 1" in text
+    assert "17" in text

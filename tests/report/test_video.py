@@ -6,7 +6,7 @@ import zlib
 import numpy as np
 import pytest
 
-from op3.report.picture import animated_png, png
+from op3.report.picture import animated_png
 
 
 def chunks(data: bytes) -> list[tuple[bytes, bytes]]:
@@ -32,18 +32,44 @@ def test_every_frame_is_there_in_order():
     assert delays == [(50, 1000)] * 3
     numbers = [struct.unpack(">I", body[:4])[0] for kind, body in found if kind in (b"fcTL", b"fdAT")]
     assert numbers == list(range(5))
+    for frame, shown in zip(frames, play(found, 4, 5), strict=True):
+        np.testing.assert_array_equal(shown, frame)
+
+
+def play(found, height, width):
+    """What a viewer shows, frame after frame: pixels of the palette over what was there, unless they are clear."""
+    palette = np.frombuffer(dict(found)[b"PLTE"], np.uint8).reshape(-1, 3)
+    clear = np.frombuffer(dict(found)[b"tRNS"], np.uint8) == 0
     data = [body if kind == b"IDAT" else body[4:] for kind, body in found if kind in (b"IDAT", b"fdAT")]
-    for frame, packed in zip(frames, data, strict=True):
-        rows = np.frombuffer(zlib.decompress(packed), np.uint8).reshape(4, 16)
+    shown = np.zeros((height, width, 3), np.uint8)
+    for packed in data:
+        rows = np.frombuffer(zlib.decompress(packed), np.uint8).reshape(height, width + 1)
         assert not rows[:, 0].any()
-        np.testing.assert_array_equal(rows[:, 1:].reshape(4, 5, 3), frame)
+        shown = np.where(clear[rows[:, 1:]][..., None], shown, palette[rows[:, 1:]])
+        yield shown
 
 
-def test_a_reader_without_animation_sees_the_first_frame():
-    """The first frame lies in the IDAT chunk, as in a still picture of it."""
-    frame = np.arange(60, dtype=np.uint8).reshape(4, 5, 3)
-    still, moving = (dict(chunks(data)) for data in (png(frame), animated_png([frame, frame], 10.0)))
-    assert zlib.decompress(still[b"IDAT"]) == zlib.decompress(moving[b"IDAT"])
+def test_pixels_that_stay_are_not_written_again():
+    """A square that moves before a still ground: it is shown where it is, and the later frames are mostly clear."""
+    frames = [np.full((16, 16, 3), 240, dtype=np.uint8) for _ in range(3)]
+    for k, frame in enumerate(frames):
+        frame[4:8, 2 + 4 * k : 6 + 4 * k] = (200, 40, 0)
+    found = chunks(animated_png(frames, 10.0))
+    for frame, shown in zip(frames, play(found, 16, 16), strict=True):
+        np.testing.assert_array_equal(shown, frame)
+    later = [zlib.decompress(body[4:]) for kind, body in found if kind == b"fdAT"]
+    clear = dict(found)[b"tRNS"].index(0)
+    for packed in later:
+        rows = np.frombuffer(packed, np.uint8).reshape(16, 17)[:, 1:]
+        assert (rows != clear).sum() == 32  # 4 x 4 pixels appear, as many give the ground free
+
+
+def test_many_colours_are_brought_to_the_nearest_of_a_palette():
+    """4096 colours in a frame: 255 remain, and a pixel is off by a few steps of 256."""
+    rng = np.random.default_rng(0)
+    frame = np.clip(rng.normal(128, 30, (64, 64, 3)), 0, 255).astype(np.uint8)
+    shown = next(play(chunks(animated_png([frame, frame], 10.0)), 64, 64))
+    assert np.abs(shown.astype(int) - frame).mean() < 12
 
 
 def test_frames_of_different_sizes_are_refused():

@@ -40,7 +40,11 @@ def main(cfg):
         (folder / "report.txt").write_text(f"{study.study_name} {len(study.trials)}\n")
         return len(study.trials)
 
-    return sweep_or_report(cfg, evaluate, report)
+    def propose(count):
+        keys = sorted(HydraConfig.get().sweeper.params)
+        return [{key: 0.5 + 0.01 * number for key in keys} for number in range(count)]
+
+    return sweep_or_report(cfg, evaluate, report, propose)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,132 @@
+"""How far re-identification closes the gap of returns on hidden robots, and what that costs.
+
+python experiments/benchmarks/reidentification.py [robots=[robot_1,robot_2]] [trials=3000] [policy=<bundle>]
+
+Each robot squats, is identified (method=lsq), plays ten episodes of a policy behind its emulated bus, and is
+re-identified from them. The policy is trained for each on its identified model, unless one is given. Every stage is an
+experiment in a folder of its own; the same command with the same hydra.run.dir goes on where it stopped.
+"""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import hydra
+import numpy as np
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from stages import Stages
+from support import one_sentence, plain
+
+from op3.report import Page, finish, read_result, run_provenance, write_result
+from op3.report.tables import Cell
+
+TOLERATED = 1.25
+"""The excitation loss may rise by a quarter."""
+
+AIM = 0.4
+"""What the median distance shall fall to, as a share of that after excitation only."""
+
+
+def one_robot(cfg: DictConfig, stages: Stages, robot: str) -> dict[str, Any]:
+    """All stages of a robot; returns what its re-identification found, and the cost of that."""
+    hidden = ["robot=emulated", f"world={robot}", f"seed={cfg.seed}"]
+    squat = stages.run(f"{robot}/squat", "collect.py", *hidden, "motion=squat")
+    how = ["method=lsq", "ablate=[]", "wandb=disabled", *plain(cfg.identify)]
+    model = stages.run(f"{robot}/identify", "identify.py", f"data={squat}", f"seed={cfg.seed}", *how) / "model.yaml"
+    policy = cfg.policy
+    if policy is None:
+        how = [f"model={model}", f"seed={cfg.seed}", *plain(cfg.train)]
+        policy = stages.run(f"{robot}/train", "train.py", "task=balance", *how) / "policy"
+    plays = [f"policy={policy}", f"task={cfg.task}", f"repeats={cfg.episodes}"]
+    episodes = stages.run(f"{robot}/episodes", "collect.py", *hidden, *plays)
+    where = [f"policy={policy}", f"model={model}", f"data={squat}", f"episodes={episodes}", f"task={cfg.task}"]
+    how = [f"hydra.sweeper.n_trials={cfg.trials}", f"repeats={cfg.episodes}", f"seed={cfg.seed}", "wandb=disabled"]
+    found = stages.run(f"{robot}/reidentify", "reidentify.py", *where, *how, *plain(cfg.reidentify))
+    numbers = read_result(found / "result.yaml")
+    return {
+        **{key: numbers[key] for key in KEYS},
+        "return.actual": float(np.mean(numbers["returns.actual"])),
+        "return.excitation_only": float(np.mean(numbers["returns.excitation_only"])),
+        "return.reidentified": float(np.mean(numbers["returns.reidentified"])),
+        "reidentify_seconds": stages.seconds[f"{robot}/reidentify"],
+        "reidentify_processor_seconds": stages.processor_seconds[f"{robot}/reidentify"],
+    }
+
+
+KEYS = (
+    "distance.excitation_only",
+    "distance.reidentified",
+    "distance.ratio",
+    "fresh.excitation_only",
+    "fresh.reidentified",
+    "fresh.ratio",
+    "fresh.noise",
+    "excitation.ratio",
+    "trials",
+    "trials_played",
+    "trials_skipped",
+)
+"""Numbers of a re-identification that are compared."""
+
+
+def summarise(robots: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Medians over robots, and whether they meet the aim."""
+
+    def median(key: str) -> float:
+        return float(np.median([one[key] for one in robots.values()]))
+
+    rises = [one["excitation.ratio"] for one in robots.values()]
+    return {
+        "robots": len(robots),
+        "median.distance_ratio": median("distance.ratio"),
+        "median.fresh_ratio": median("fresh.ratio"),
+        "largest.excitation_ratio": max(rises),
+        "met": median("distance.ratio") <= AIM and max(rises) <= TOLERATED,
+        "processor_seconds_per_trial": sum(one["reidentify_processor_seconds"] for one in robots.values())
+        / sum(one["trials"] for one in robots.values()),
+        **{f"{robot}.{key}": value for robot, one in robots.items() for key, value in one.items()},
+    }
+
+
+def report(folder: Path, robots: dict[str, dict[str, Any]], seed: int) -> None:
+    """Write page and numbers."""
+    numbers = summarise(robots)
+    provenance = run_provenance(seed=seed)
+    meanings = {"median": "over robots; distances are Wasserstein-1, as shares of those after excitation only"}
+    result = write_result(folder / "result.yaml", {**numbers, "provenance": provenance}, meanings)
+    page = Page(
+        "Re-identification on hidden robots",
+        f"The distance of returns falls to {numbers['median.distance_ratio']:.2f} of its value after excitation only"
+        f" (median of {len(robots)} robots). Over fresh episodes it falls to {numbers['median.fresh_ratio']:.2f}."
+        f" The excitation loss rises to {numbers['largest.excitation_ratio']:.2f} times its value at most.",
+    )
+    header = ["robot", "mean return on it", "excitation only", "re-identified", "distance before", "after", "ratio",
+              "fresh before", "fresh after", "chance leaves", "excitation loss, times", "trials",
+              "of them played"]  # fmt: skip
+    keys = ("return.actual", "return.excitation_only", "return.reidentified", "distance.excitation_only",
+            "distance.reidentified", "distance.ratio", "fresh.excitation_only", "fresh.reidentified", "fresh.noise",
+            "excitation.ratio", "trials", "trials_played")  # fmt: skip
+    rows: list[list[Cell]] = [[robot, *(one[key] for key in keys)] for robot, one in robots.items()]
+    page.table(header, rows, "Returns under R_eval and their Wasserstein-1 distance to the robot's.", digits=3)
+    page.files({f"{robot}/reidentify/index.html": f"re-identification of {robot}" for robot in robots})
+    page.provenance(provenance)
+    finish(page.write(folder / "index.html"), result)
+
+
+@hydra.main(config_path="../../conf/benchmark", config_name="reidentification", version_base="1.3")
+def main(cfg: DictConfig) -> None:
+    """Go through the robots, and report after each what is known."""
+    with one_sentence():
+        folder = Path(HydraConfig.get().runtime.output_dir).absolute()
+        stages = Stages(folder)
+        robots: dict[str, dict[str, Any]] = {}
+        for robot in cfg.robots:
+            robots[robot] = one_robot(cfg, stages, robot)
+            report(folder, robots, cfg.seed)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,64 @@
+"""Points that a log can hardly tell from the best one: draws from a level set of its loss."""
+
+import numpy as np
+
+from op3.identify.sensitivity import Array, Sensitivity
+
+STEPS_PER_PARAMETER = 10
+"""Moves of the walk between two draws, per parameter: its draws hardly depend on one another."""
+
+
+def draw_level_set(sensitivity: Sensitivity, rise: float, count: int, rng: np.random.Generator) -> Array:
+    """Draw points around an optimum at which a least-squares loss is expected to have risen by a given share at most.
+
+    Within the box the loss is taken as ``|r + J d|^2`` about the point, r the residual and J its jacobian; the set in
+    which it is at most ``(1 + rise) |r|^2`` is an ellipsoid, long where parameters compensate each other. Its overlap
+    with the box is drawn from uniformly by hit-and-run (Smith 1984): from a point inside, go along a random direction
+    to a uniform place between the two ends of the set.
+
+    Args:
+        sensitivity: at the optimum.
+        rise: of the loss, as a share of that at the optimum; positive.
+        count: number of points.
+        rng: for everything random.
+
+    Returns:
+        Points of the unit box, ``[point, parameter]``.
+    """
+    if rise <= 0:
+        raise ValueError(f"the rise of the loss must be positive, got {rise}")
+    jacobian, unit = sensitivity.jacobian, sensitivity.unit
+    hessian = jacobian.T @ jacobian
+    gradient = jacobian.T @ sensitivity.residual
+    allowed = rise * float(sensitivity.residual @ sensitivity.residual)
+    # directions as long as the set, else the walk creeps along a long ellipsoid
+    curvature, axes = np.linalg.eigh(hessian)
+    lengths = np.minimum(1.0, np.sqrt(allowed / np.maximum(curvature, 1e-12)))
+    step, points = np.zeros(len(unit)), []
+    for _ in range(count):
+        for _ in range(STEPS_PER_PARAMETER * len(unit)):
+            direction = axes @ (lengths * rng.standard_normal(len(unit)))
+            low, high = _chord(step, direction, hessian, gradient, allowed, unit)
+            step = step + rng.uniform(low, high) * direction
+        points.append(np.clip(unit + step, 0.0, 1.0))
+    return np.array(points).reshape(count, len(unit))
+
+
+def _chord(
+    step: Array, direction: Array, hessian: Array, gradient: Array, allowed: float, unit: Array
+) -> tuple[float, float]:
+    """How far one may go along a direction from a step inside the set, backwards and forwards."""
+    # the loss along the line, a t^2 + 2 b t + c <= 0
+    a = float(direction @ hessian @ direction)
+    b = float(direction @ (hessian @ step + gradient))
+    c = float(step @ hessian @ step + 2 * gradient @ step) - allowed
+    low, high = -np.inf, np.inf
+    if a > 0:
+        root = np.sqrt(max(b * b - a * c, 0.0))
+        low, high = (-b - root) / a, (-b + root) / a
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = np.stack([(0.0 - unit - step) / direction, (1.0 - unit - step) / direction])
+    moves = np.abs(direction) > 1e-12
+    low = max(low, float(ends.min(0)[moves].max(initial=-np.inf)))
+    high = min(high, float(ends.max(0)[moves].min(initial=np.inf)))
+    return (min(low, 0.0), max(high, 0.0))
