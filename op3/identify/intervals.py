@@ -23,7 +23,8 @@ def intervals_of(
 
     **Sticking.** Where it makes the residual jump, the loss has many hollows, and which of them is the deepest is
     chance. Second differences are samples e of these jumps over the length of an interval; each would move the estimate
-    by ``H^-1 J' e``, and their mean square is the covariance. No independence in time is asked for.
+    by ``H^-1 J' e``. The covariance is twice their mean square: what was measured has jumps of its own, and the
+    simulation has others. No independence in time is asked for.
 
     Student's t with one degree of freedom less than there are blocks; clipped to the bounds.
 
@@ -44,7 +45,7 @@ def intervals_of(
         moves.append(np.linalg.lstsq(hessian - part.T @ part + ridge, part.T @ residual[block], rcond=None)[0])
     covariance = (len(blocks) - 1) / len(blocks) * _squares(np.array(moves))
     jumped = np.linalg.solve(hessian + ridge, jacobian.T @ sensitivity.jumps.T).T
-    covariance = covariance + _squares(jumped) / len(jumped) + _unknown(hessian)
+    covariance = covariance + 2 * _squares(jumped) / len(jumped) + _unknown(hessian)
     quantile = stats.t.ppf(0.5 + level / 2, max(1, len(blocks) - 1))
     # a parameter that moves nothing, or whose neighbourhood diverges, is not determined: its interval is the range
     half = np.where(sensitivity.unseen, 1.0, quantile * np.sqrt(np.maximum(np.diag(covariance), 0.0)))
