@@ -56,7 +56,7 @@ def build(cfg: DictConfig, model: RobotModel, label: str) -> Identification:
     names = [name for name in cfg.parameters if PREFIX + name in space and split_name(name)[0] not in gone(cfg, model)]
     joints = focus_joints(plain(cfg.joints), fit_logs)
     weights = UNIT_WEIGHTS if cfg.weights is None else {tuple(k.split("/")): v for k, v in cfg.weights.items()}
-    loss = TrajectoryLoss(joints, weights, cfg.robust_scale)
+    loss = TrajectoryLoss(joints, weights, cfg.robust_scale, cfg.skip)
     return Identification(
         model, fit_logs, heldout_logs, names, joints=joints, loss=loss, label=label, bench_timestep=cfg.bench_timestep
     )

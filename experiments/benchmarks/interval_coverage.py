@@ -24,6 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from support import library_motion, one_sentence, plain
 
 from op3.identify.identification import PREFIX, Identification
+from op3.identify.loss import TrajectoryLoss
 from op3.identify.search_space import parse_search_space
 from op3.identify.study import run_study
 from op3.report import Page, finish, run_provenance, write_result
@@ -79,7 +80,8 @@ def one_world(cfg: DictConfig, number: int, motions: list[Motion]) -> dict[str, 
         kept = [log for log in logs if log is not None]
         if len(kept) == len(motions):
             break
-    problem = Identification(base, kept, [], list(ranges), joints=CONTROLLED_JOINTS)
+    loss = TrajectoryLoss(CONTROLLED_JOINTS, skip=cfg.skip)
+    problem = Identification(base, kept, [], list(ranges), joints=CONTROLLED_JOINTS, loss=loss)
     space = parse_search_space({PREFIX + name: f"interval({p.low}, {p.high})" for name, p in ranges.items()})
     nominal = {PREFIX + name: p.nominal for name, p in ranges.items()}
     study = run_study(
@@ -182,7 +184,8 @@ def main(cfg: DictConfig) -> None:
         lines = folder / "worlds.jsonl"
         motions = [library_motion(name) for name in cfg.motions]
         done = {world["world"] for world in read_lines(lines)}
-        for number in range(cfg.worlds):
+        numbers = range(cfg.first, cfg.first + cfg.worlds)
+        for number in numbers:
             if number in done:
                 continue
             world = one_world(cfg, number, motions)
@@ -190,7 +193,7 @@ def main(cfg: DictConfig) -> None:
             hits = sum(world["covered"].values())
             text = f"world {number}: {hits} of {len(world['covered'])} covered, {world['wall_seconds']:.0f} s"
             print(text, flush=True)
-        worlds = sorted(read_lines(lines), key=lambda world: world["world"])[: cfg.worlds]
+        worlds = sorted((w for w in read_lines(lines) if w["world"] in numbers), key=lambda world: world["world"])
         report(folder, worlds, list(cfg.parameters), cfg.seed)
 
 

@@ -11,9 +11,9 @@ from torch import Tensor
 from op3.identify.identifiability import Identifiability, identifiability
 from op3.identify.intervals import intervals_of
 from op3.identify.loss import TrajectoryLoss, position_error
+from op3.identify.polish import polish as polish_off
 from op3.identify.problem import Problem
 from op3.identify.refine import refine
-from op3.identify.sensitivity import sensitivity_at
 from op3.identify.study import Outcome
 from op3.identify.surrogate import MOST_POINTS, explore
 from op3.rollout import LogError, Rollout
@@ -176,6 +176,7 @@ class Identification:
         race: int | None = None,
         rounds: int = 0,
         batch: int = 12,
+        polish: int = 0,
         seed: int = 0,
         progress: Callable[[int, float], None] | None = None,
     ) -> Fit:
@@ -188,16 +189,17 @@ class Identification:
             race: iterations after which only the best start goes on; None: all go on.
             rounds: of a search with a surrogate of the residuals, before least squares; it begins with the trials.
             batch: points simulated per round.
+            polish: Gauss-Newton steps along combinations of parameters, last of all.
             seed: of what the rounds draw.
             progress: called with iteration and loss.
 
         Raises:
             ValueError: if no trial of the study completed.
         """
-        if starts < 0 or max_iterations < 1 or rounds < 0 or batch < 1:
+        if starts < 0 or max_iterations < 1 or rounds < 0 or batch < 1 or polish < 0:
             raise ValueError(
-                "refine: starts and rounds must be at least 0, max_iterations and batch 1,"
-                f" got {starts}, {rounds}, {max_iterations} and {batch}"
+                "refine: starts, rounds and polish must be at least 0, max_iterations and batch 1,"
+                f" got {starts}, {rounds}, {polish}, {max_iterations} and {batch}"
             )
         complete = sorted(
             (t for t in study.trials if t.state == optuna.trial.TrialState.COMPLETE), key=lambda t: t.value or 0.0
@@ -209,6 +211,7 @@ class Identification:
         ranges = {key.removeprefix(PREFIX): d for key, d in complete[0].distributions.items()}
         bounds = {name: (float(ranges[name].low), float(ranges[name].high)) for name in self.names}
         refined: list[float] = []
+        curvature: np.ndarray | None = None
         residuals = self._residuals(bounds)
         failed_loss = self.loss.failed_loss(len(self.problem.replay.logs))
         if rounds:
@@ -221,6 +224,7 @@ class Identification:
                 progress=progress,
             )  # fmt: skip
             refined += found.history
+            curvature = found.curvature
             best = float(found.losses[0])
             candidates = [dict(zip(self.names, (low + u * span).tolist(), strict=True)) for u in found.points]
             values = candidates[0]
@@ -231,7 +235,11 @@ class Identification:
             refined += result.history[1:] if rounds else result.history
             if result.loss < best:
                 values = result.values
-        sensitivity = sensitivity_at(residuals, bounds, values, failed_loss)
+        polished = polish_off(
+            residuals, bounds, values, steps=polish, curvature=curvature, failed_loss=failed_loss, progress=progress
+        )
+        values, sensitivity = polished.values, polished.sensitivity
+        refined += polished.history[1:] if refined or not polish else polished.history
         blocks, channels = self._blocks()
         intervals = intervals_of(sensitivity, blocks)
         model = self.problem.model.with_values({name: Estimate(values[name], *intervals[name]) for name in self.names})
@@ -289,7 +297,7 @@ class Identification:
         channels: dict[str, list[np.ndarray]] = {}
         offset = 0
         for prediction in self.problem.predict({}, 1):
-            time = prediction.log.array("time")[:, 0]
+            time = prediction.log.array("time")[self.loss.first_row(prediction.log) :, 0]
             share = (time - time[0]) / (time[-1] - time[0])
             number = np.minimum((share * stretches).astype(int), stretches - 1)
             members: list[list[np.ndarray]] = [[] for _ in range(stretches)]

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -38,11 +39,14 @@ class TrajectoryLoss:
         joints: focusing joints; all joints of a log where empty.
         weights: by channel. The paper's are one.
         robust_scale: c, in the unit of the channels; None for squares.
+        skip: rows before this time do not count [s]. How legs and feet pressed against each other before a log began is
+            not in it, and decides how the joints first break away.
     """
 
     joints: Sequence[str] = ()
     weights: Mapping[tuple[str, str], float] = field(default_factory=lambda: UNIT_WEIGHTS)
     robust_scale: float | None = None
+    skip: float = 0.0
 
     def __post_init__(self):
         unknown = [key for key in self.weights if key not in CHANNELS]
@@ -54,6 +58,8 @@ class TrajectoryLoss:
             raise ValueError(f"weights must not be negative, got {wrong}")
         if self.robust_scale is not None and not self.robust_scale > 0:
             raise ValueError(f"robust_scale must be positive, got {self.robust_scale}; null for squares")
+        if not self.skip >= 0:
+            raise ValueError(f"skip must not be negative, got {self.skip}")
 
     def columns(self, log: Rollout) -> list[int]:
         """Places of the focusing joints in a log's joint axis.
@@ -71,21 +77,37 @@ class TrajectoryLoss:
             )
         return [log.joints.index(joint) for joint in self.joints] or list(range(len(log.joints)))
 
+    def first_row(self, log: Rollout) -> int:
+        """The first row that counts.
+
+        Raises:
+            LogError: if none does.
+        """
+        time = log.array("time")[:, 0]
+        row = int(np.searchsorted(time, time[0] + self.skip - 1e-9))
+        if row >= len(time):
+            raise LogError(
+                f"the log lasts {time[-1] - time[0]:.2f} s, of which the first {self.skip:g} s do not count",
+                "lower `skip`, or record for longer",
+                source=log.metadata.recording,
+            )
+        return row
+
     def differences(self, prediction: Prediction) -> dict[tuple[str, str], Tensor]:
-        """Simulated minus measured, by channel, ``[candidate, time, joint | axis]``.
+        """Simulated minus measured, by channel, ``[candidate, time, joint | axis]``, from the first row that counts.
 
         Raises:
             LogError: if the log has none of the weighted channels.
         """
         log = prediction.log
-        columns = self.columns(log)
+        columns, first = self.columns(log), self.first_row(log)
         result = {}
         for key in self.weights:
             if key not in log or key not in prediction.channels:
                 continue
             simulated = prediction.channels[key]
             measured = torch.from_numpy(log.array(key)[: simulated.shape[1]])
-            difference = simulated - measured
+            difference = simulated[:, first:] - measured[first:]
             if key[0] == "joint":
                 difference = difference[..., columns]
             elif key == ("imu", "orientation"):

@@ -47,11 +47,14 @@ class Exploration:
         points: in the unit box, best first, ``[point, parameter]``.
         losses: squared lengths of the residuals, ``[point]``.
         history: best loss before the first round and after every one.
+        curvature: product of the smoothed residual's Jacobian with itself at the best point,
+            ``[parameter, parameter]``.
     """
 
     points: Array
     losses: Array
     history: Sequence[float]
+    curvature: Array
 
 
 def explore(
@@ -93,11 +96,7 @@ def explore(
     history = [float(losses.min())]
     scales = None
     while len(history) <= rounds and not _stuck(history):
-        order = np.argsort(losses, kind="stable")
-        # far from the data other laws hold (falls, stops): learn from the better ones
-        order = order[: min(MOST_POINTS, max(2 * count + 4, len(losses) - 2 * first // 5))]
-        limit = max(30 * losses[order[0]], losses[order[min(2 * count, len(order) - 1)]])
-        order = order[(losses[order] <= limit) & (losses[order] < failed_loss)]
+        order = _worth_learning(losses, count, first, failed_loss)
         surrogate = Surrogate(points[order], residual[order], scales)
         scales = surrogate.scales
         proposals = _propose(surrogate, batch, rng)
@@ -107,8 +106,18 @@ def explore(
         history.append(float(losses.min()))
         if progress is not None:
             progress(len(history) - 1, history[-1])
+    order = _worth_learning(losses, count, first, failed_loss)
+    curvature = Surrogate(points[order], residual[order], scales).curvature(torch.from_numpy(points[order[0]]))
     order = np.argsort(losses, kind="stable")
-    return Exploration(points[order], losses[order], history)
+    return Exploration(points[order], losses[order], history, curvature)
+
+
+def _worth_learning(losses: Array, count: int, first: int, failed_loss: float) -> NDArray[np.intp]:
+    """Points that a surrogate learns from, best first: far from the data other laws hold (falls, stops)."""
+    order = np.argsort(losses, kind="stable")
+    order = order[: min(MOST_POINTS, max(2 * count + 4, len(losses) - 2 * first // 5))]
+    limit = max(30 * losses[order[0]], losses[order[min(2 * count, len(order) - 1)]])
+    return order[(losses[order] <= limit) & (losses[order] < failed_loss)]
 
 
 class Surrogate:

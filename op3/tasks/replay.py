@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import groupby
 
 import numpy as np
@@ -186,7 +187,7 @@ class _Group:
         for name, values in commands.items():
             if constants or len(values) > 1:
                 row = values[min(tick, len(values) - 1)]
-                result[name] = row.expand(candidates, *row.shape).reshape(-1, row.shape[-1])
+                result[name] = row.repeat(candidates, 1)
         return result
 
     def run(self, model, parameters, candidates, progress) -> dict[int, Prediction]:
@@ -211,17 +212,35 @@ class _Group:
     def _predictions(self, simulation, samples, candidates) -> dict[int, Prediction]:
         recorded = np.arange(len(samples)) * self.every * self.period
         failed = simulation.failed.view(candidates, len(self.logs))
-        keys = samples[0].keys()
-        stacked = {key: torch.stack([sample[key] for sample in samples], 1) for key in keys}
+        samples_of = cache(lambda key: torch.stack([sample[key] for sample in samples], 1))
         predictions = {}
         for i, (log, time) in enumerate(zip(self.logs, self.times, strict=True)):
-            channels = {
-                key: _interpolate(value.view(candidates, len(self.logs), *value.shape[1:])[:, i], recorded, time)
-                for key, value in stacked.items()
-            }
+            channels = _Channels(samples[0], samples_of, slice(i, None, len(self.logs)), recorded, time)
             seconds = (self.ticks + self.settle) * self.period * candidates
             predictions[self.members[i]] = Prediction(log, channels, failed[:, i], seconds)
         return predictions
+
+
+class _Channels(Mapping[tuple[str, str], Tensor]):
+    """Channels at a log's own times, each interpolated when it is first asked for: most callers want few of them."""
+
+    def __init__(self, keys, samples_of, rows: slice, recorded: np.ndarray, time: np.ndarray):
+        self._keys, self._samples_of, self._rows = tuple(keys), samples_of, rows
+        self._recorded, self._time = recorded, time
+        self._known: dict[tuple[str, str], Tensor] = {}
+
+    def __getitem__(self, key: tuple[str, str]) -> Tensor:
+        if key not in self._keys:
+            raise KeyError(key)
+        if key not in self._known:
+            self._known[key] = _interpolate(self._samples_of(key)[self._rows], self._recorded, self._time)
+        return self._known[key]
+
+    def __iter__(self):
+        return iter(self._keys)
+
+    def __len__(self) -> int:
+        return len(self._keys)
 
 
 def _mount(log: Rollout) -> tuple[str, float, float]:

@@ -60,6 +60,18 @@ def test_only_focusing_joints_count():
     assert TrajectoryLoss(("b",))([off]).item() == pytest.approx(1.0)
 
 
+def test_the_beginning_may_be_left_out():
+    """Rows before `skip` count neither in the loss nor in the residuals; a log that is all beginning is refused."""
+    late = prediction()
+    late.channels[("joint", "position")][:, :2] = 1.0  # at 0 and 8 ms
+    assert TrajectoryLoss()([late]).item() == pytest.approx(0.5)
+    assert TrajectoryLoss(skip=0.016)([late]).item() == 0.0
+    assert TrajectoryLoss(skip=0.008)([late]).item() == pytest.approx(1 / 3)
+    assert TrajectoryLoss(skip=0.008).residuals([late]).square().sum().item() == pytest.approx(1 / 3)
+    with pytest.raises(LogError, match="do not count"):
+        TrajectoryLoss(skip=1.0)([late])
+
+
 def test_orientation_wraps():
     """Roll of 359 degrees is one degree from zero."""
     turned = prediction(imu_orientation=np.deg2rad(359))

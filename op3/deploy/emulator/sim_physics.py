@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from op3.deploy.emulator.compiled_law import CompiledLaw, Untranslatable
 from op3.deploy.emulator.firmware import PERIOD, Drive
 from op3.deploy.emulator.physics import Readings
 from op3.deploy.emulator.power import Battery, Windings
@@ -28,7 +27,8 @@ from op3.robot import (
 )
 from op3.robot.scenes import Scene
 from op3.robot.units import GRAVITY
-from op3.servo import Effect, RobotModel, Stage, Trunk
+from op3.servo import Effect, RobotModel, Signals, Stage, Trunk
+from op3.servo.compiled_step import CompiledStep, Untranslatable
 from op3.sim import BatchSimulation, attach_servos
 from op3.stand_in.sensors import roll_pitch_yaw
 
@@ -36,6 +36,9 @@ Array = NDArray[np.float64]
 
 HANDED_OVER = ("applied_torque", "damping", "friction_bound")
 """What the law hands to MuJoCo."""
+
+FILLED = ("position", "velocity", "load_torque", "radial_force")
+"""Signals that the simulation fills before every step of the law."""
 
 SLOW_EVERY = 10
 """Battery and temperatures move on, and divergence is looked for, once in this many periods."""
@@ -247,7 +250,11 @@ class SimPhysics(BatchSimulation):
         if bool(self.failed[0]):
             raise RuntimeError(f"the simulated robot's physics diverged at {self._steps * PERIOD:.3f} s")
 
-    def _compile(self) -> CompiledLaw | None:
+    def _law_alone(self, signals: Signals) -> None:
+        self.law.tick(signals)
+        self.law.step(signals)
+
+    def _compile(self) -> CompiledStep | None:
         """The law in numpy, reading the batch's own arrays; None where that cannot be."""
         ports = self.ports
         if any(e.stage == Stage.SENSING and e.name in self.signals.state for e in self.model.effects):
@@ -257,7 +264,8 @@ class SimPhysics(BatchSimulation):
         self._position, self._velocity = self._qpos.numpy()[:, ports.qpos], self._qvel.numpy()[:, ports.dof]
         live = {"position": self._position, "velocity": self._velocity}
         try:
-            compiled = CompiledLaw(self.law, self.signals, (*HANDED_OVER, "current", "duty", "voltage"), live)
+            wanted = (*HANDED_OVER, "current", "duty", "voltage")
+            compiled = CompiledStep(self._law_alone, self.signals, wanted, live, FILLED)
         except Untranslatable:
             return None
         self._transmitted = self._sensors.numpy()[:, ports.transmitted]

@@ -1,8 +1,8 @@
-"""The servo law of one robot, translated from torch to numpy.
+"""A step of the servo law, translated from torch to numpy.
 
-One robot is twenty numbers: torch spends its time on calls, not on numbers. So the law is traced once, and its
-operations are run by numpy into arrays that are reused, which takes a fraction of the time. The law itself stays where
-it is, in `op3.servo`; what cannot be translated is run by torch.
+One robot is twenty numbers, a few hundred pendulums are a few hundred: torch spends its time on calls, not on numbers.
+So a step is traced once, and its operations are run by numpy into arrays that are reused, which takes a fraction of the
+time. The law itself is written once, in torch; what cannot be translated is run by torch.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from torch import Tensor
 from torch.fx import Graph, GraphModule, Node
 from torch.fx.experimental.proxy_tensor import make_fx
 
-from op3.servo import ServoLaw, Signals
+from op3.servo.effect import Signals
 
 Array = NDArray[Any]
 
@@ -64,34 +64,37 @@ _BINARY: dict[str, Callable[..., Any]] = {
 }
 
 
-_FILLED = ("position", "velocity", "load_torque", "radial_force")
-"""Signals that the simulation fills before every step; the others keep what the last step made of them."""
-
-
 class Untranslatable(Exception):
-    """The law does something that has no translation."""
+    """The step does something that has no translation."""
 
 
-class CompiledLaw:
-    """A law and its memory in numpy, for simulations whose control period is one step.
+class CompiledStep:
+    """One step over signals and the memory of effects, as numpy calls.
 
     Args:
-        law: with its parameters set.
-        signals: after a reset of the law, the inputs filled in; their shapes count, and the memory they start with.
+        step: works on the signals that it is given, and leaves in them what the next step needs.
+        signals: after a reset of the law and, where it needs more memory, a first step; shapes count, and the values.
         outputs: names of the signals that are wanted.
         live: arrays that stand for inputs and change by themselves, by the signal's name.
+        filled: signals that the caller fills before every step; the others keep what the last step made of them.
 
     Attributes:
-        inputs: arrays to be filled in before a call, by the signal's name; what the law does not read is missing.
-        state: memory of the effects, by name, as far as the law reads it; it may be written between calls.
+        inputs: arrays to be filled in before a call, by the signal's name; what the step does not read is missing.
+        state: memory of the effects, by name, as far as the step reads it; it may be written between calls.
         outputs: results of the last call, by the signal's name.
+        next_state: memory of the effects that the last call left, by name.
 
     Raises:
         Untranslatable: if an operation is not known here.
     """
 
     def __init__(
-        self, law: ServoLaw, signals: Signals, outputs: Sequence[str], live: Mapping[str, Array] | None = None
+        self,
+        step: Callable[[Signals], None],
+        signals: Signals,
+        outputs: Sequence[str],
+        live: Mapping[str, Array] | None = None,
+        filled: Sequence[str] = (),
     ):
         values = {item.name: getattr(signals, item.name) for item in fields(signals)}
         given = {name: value.clone() for name, value in values.items() if isinstance(value, Tensor)}
@@ -100,9 +103,9 @@ class CompiledLaw:
         examples = [*arrays.values(), *(value.numpy() for value in memory.values())]
         names, carried = list(given), []
         while True:
-            module = _trace(law, given, memory, [*outputs, *carried])
+            module = _trace(step, given, memory, [*outputs, *carried])
             self._program = _Program(module, examples)
-            used = [name for at, name in enumerate(names) if at in self._program.arguments and name not in _FILLED]
+            used = [name for at, name in enumerate(names) if at in self._program.arguments and name not in filled]
             if set(used) <= set(carried):
                 break
             carried = used
@@ -111,6 +114,7 @@ class CompiledLaw:
         self.state = {name: slots[at] for at, name in enumerate(memory, len(names)) if at in slots}
         results = self._program.results
         self.outputs: dict[str, Array] = dict(zip(outputs, results, strict=False))
+        self.next_state: dict[str, Array] = dict(zip(memory, results[len(results) - len(memory) :], strict=True))
         old = [*(self.inputs.get(name) for name in carried), *(self.state.get(name) for name in memory)]
         pairs = zip(old, results[len(outputs) :], strict=True)
         self._memory = [(before, after) for before, after in pairs if before is not None and before is not after]
@@ -127,21 +131,20 @@ class CompiledLaw:
 
 
 def _trace(
-    law: ServoLaw, given: Mapping[str, Tensor], memory: Mapping[str, Tensor], wanted: Sequence[str]
+    step: Callable[[Signals], None], given: Mapping[str, Tensor], memory: Mapping[str, Tensor], wanted: Sequence[str]
 ) -> GraphModule:
-    """The operations of a tick and a step, from signals and memory to the signals wanted and the next memory."""
+    """The operations of a step, from signals and memory to the signals wanted and the next memory."""
 
-    def step(values: dict[str, Tensor], state: dict[str, Tensor]) -> list[Tensor]:
+    def flat(values: dict[str, Tensor], state: dict[str, Tensor]) -> list[Tensor]:
         traced = Signals(**values, phase=0, state=dict(state), factors={})
-        law.tick(traced)
-        law.step(traced)
+        step(traced)
         if list(traced.state) != list(state):
             raise Untranslatable("an effect adds to the memory in its first step")
         return [*(getattr(traced, name) for name in wanted), *traced.state.values()]
 
     try:
         with torch.no_grad():
-            return make_fx(step)(dict(given), dict(memory))
+            return make_fx(flat)(dict(given), dict(memory))
     except Untranslatable:
         raise
     except Exception as error:  # an effect that decides by numbers in Python can fail in any way when it is traced
@@ -241,6 +244,8 @@ class _Program:
         if not any(isinstance(each, np.ndarray | list) for each in arguments):
             return function(*arguments)
         out = function(*arguments)
+        if not isinstance(out, np.ndarray):
+            return out  # of numbers without an axis, which only constants are
         if all(self._is_fixed(each) for each in arguments):
             return self._fix(out)
         self.calls.append(partial(function, *arguments, out=out))
