@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from op3.policy import Manifest, PolicyBundle
-from op3.train.networks import Actor, TwinCritics
+from op3.train.networks import LARGEST_STD, SMALLEST_STD, Actor, TwinCritics
 from op3.train.normaliser import Normaliser
 from op3.train.replay import Batch
 
@@ -35,6 +35,7 @@ class SACSettings:
         actor_every: critic updates per policy update.
         actor_after: critic updates before the first policy update, so that it does not follow untrained critics.
         initial_std: standard deviation of the untrained policy before tanh.
+        largest_std: bound of the standard deviation; a small one keeps exploration where critics have data.
         initial_temperature: of the entropy bonus.
         target_entropy: per number of the action [nats].
         clip: bound of a normalised observation.
@@ -54,6 +55,7 @@ class SACSettings:
     actor_every: int = 1
     actor_after: int = 0
     initial_std: float = 0.2
+    largest_std: float = LARGEST_STD
     initial_temperature: float = 0.01
     target_entropy: float = -1.0
     clip: float = 10.0
@@ -69,6 +71,8 @@ class SACSettings:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
         if not 0 <= self.discount < 1:
             raise ValueError(f"discount must be at least 0 and below 1, got {self.discount}")
+        if not SMALLEST_STD < self.largest_std < math.inf:
+            raise ValueError(f"largest_std must be above {SMALLEST_STD:.4f}, got {self.largest_std}")
         for name in ("actor_rate", "critic_rate", "initial_std", "initial_temperature", "clip", "target_rate"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
@@ -103,7 +107,13 @@ class SAC:
         # weights are drawn on the processor, so that a seed gives the same ones on every device
         weights = torch.Generator().manual_seed(generator.initial_seed())
         self.actor = Actor(
-            observation_size, action_size, settings.hidden, weights, initial_action, settings.initial_std
+            observation_size,
+            action_size,
+            settings.hidden,
+            weights,
+            initial_action,
+            settings.initial_std,
+            settings.largest_std,
         ).to(self.device)
         self.critics = TwinCritics(
             observation_size,
