@@ -2,6 +2,7 @@
 
 python experiments/evaluate.py policy=<bundle> model=<model.yaml> task=balance_eval [episodes=10]
 python experiments/evaluate.py -m policy=<bundle>,hold,random task=balance_eval,balance_weight
+python experiments/evaluate.py -m policy=<bundle>,stiff task=walk,walk_bricks_a,walk_bricks_b,walk_bricks_c
 """
 
 from pathlib import Path
@@ -20,7 +21,8 @@ from op3.policy import ActionMap, PolicyBundle
 from op3.report import run_provenance
 from op3.report.evaluation import report_evaluation
 from op3.report.video import film
-from op3.tasks.baselines import Hold, Random, Zero
+from op3.sim import load_model
+from op3.tasks.baselines import Hold, Random, StiffWalk, Zero, position_mode
 from op3.tasks.behaviour import gains, gait_profile, mean_tilt
 from op3.tasks.evaluation import evaluation_return
 
@@ -34,6 +36,8 @@ class Watched:
     def __init__(self, policy: Any, env: BatchedEnv):
         self.policy, self.states = policy, []
         self._qpos = env.simulation.batch.bind("qpos")
+        if hasattr(policy, "commands"):  # it commands the servos itself
+            self.commands = policy.commands
 
     def act(self, observation: torch.Tensor) -> torch.Tensor:
         """The policy's action."""
@@ -48,6 +52,7 @@ def find_policy(cfg: DictConfig) -> tuple[Any, ActionMap]:
         "hold": lambda: Hold(cfg.hold_gain, action_map),
         "zero": lambda: Zero(action_map),
         "random": lambda: Random(cfg.seed, action_map),
+        "stiff": StiffWalk,
     }
     if cfg.policy in baselines:
         return baselines[cfg.policy](), action_map
@@ -61,7 +66,7 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     """Play the episodes, and write numbers, page, logs and film."""
     torch.set_num_threads(1)
     if OmegaConf.is_missing(cfg, "policy"):
-        raise ValueError("policy is missing: add policy=<folder of a bundle>, or hold, zero or random")
+        raise ValueError("policy is missing: add policy=<folder of a bundle>, or hold, zero, random or stiff")
     if not isinstance(cfg.episodes, int) or cfg.episodes < 1:
         raise ValueError(f"episodes must be a whole number of at least 1, got {cfg.episodes!r}")
     folder, task = Path(HydraConfig.get().runtime.output_dir), instantiate(cfg.task)
@@ -73,7 +78,13 @@ def run(cfg: DictConfig) -> dict[str, Any]:
             f"for {policy.manifest.task}"
         )
     options = {"num_threads": cfg.threads, **OmegaConf.to_container(cfg.environment, resolve=True)}  # type: ignore[dict-item]
-    env = make_env(task, cfg.model, cfg.episodes, cfg.seed, action_map=action_map, **options)
+    stiff = isinstance(policy, StiffWalk)
+    if stiff and task.cycle is None:
+        raise ValueError(
+            f"policy=stiff walks, but task {task.name} has no gait; give task=walk or one on uneven ground"
+        )
+    model = position_mode(load_model(cfg.model)) if stiff else cfg.model
+    env = make_env(task, model, cfg.episodes, cfg.seed, action_map=action_map, **options)
     assert isinstance(env, BatchedEnv)
     watched = Watched(policy, env)
     logs = record_episodes(env, watched, cfg.episodes, recording=f"{task.name}-{cfg.seed}")
@@ -89,8 +100,8 @@ def run(cfg: DictConfig) -> dict[str, Any]:
         "evaluation.duration": float(np.mean([log.metadata.episode_duration for log in logs])),
         "evaluation.tilt": float(np.mean([mean_tilt(log) for log in logs])),
     }
-    each = [gains(log, task) for log in logs]
-    for name in each[0]:
+    each = [] if stiff else [gains(log, task) for log in logs]  # in position mode a servo's gain is its own
+    for name in each[0] if each else ():
         numbers[f"evaluation.{name}"] = float(np.mean([values[name] for values in each if name in values]))
     if task.cycle is not None:
         speeds = [log.metadata.travelled_distance / log.metadata.episode_duration for log in logs]  # type: ignore[operator]
@@ -107,7 +118,7 @@ def run(cfg: DictConfig) -> dict[str, Any]:
         rate = 1 / (FRAME_EVERY * env.policy_period)
         if film(env.simulation.batch.model, states, folder / "episode.png", rate, follow=task.cycle is not None):
             files["episode.png"] = "the first episode, animated"
-    long_enough = [log for log in logs if log.duration > 1.5]
+    long_enough = [log for log in logs if log.duration > 1.5 and not stiff]
     return report_evaluation(
         logs,
         folder,

@@ -7,7 +7,7 @@ python experiments/train.py task=balance model=<model.yaml> warm_start=<bundle>
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 from support import one_sentence, plain
+from torch import Tensor
 
 from op3.envs import BatchedEnv, make_env
 from op3.policy import ActionMap, Manifest, PolicyBundle, Training
@@ -27,10 +28,20 @@ from op3.report.training import histogram_figure, report_training
 from op3.report.video import film
 from op3.sim import load_model
 from op3.sim.model_file import model_hash
+from op3.tasks import PhasedWalk, Stride
 from op3.tasks.task import Task, find_task
-from op3.train import SAC, Collector, SACSettings, TrainSettings, evaluate, train
+from op3.train import (
+    SAC,
+    Collector,
+    Demonstrations,
+    DemonstrationSettings,
+    SACSettings,
+    TrainSettings,
+    evaluate,
+    train,
+)
 
-KEPT = ("sac", "train", "environments", "environment", "initial_gain", "warm_start")
+KEPT = ("sac", "train", "environments", "environment", "initial_gain", "warm_start", "demonstrator", "demonstration")
 """Settings that the manifest of a policy keeps."""
 
 FRAME_EVERY = 2
@@ -102,6 +113,31 @@ def learner(cfg: DictConfig, manifest: Manifest) -> SAC:
     return sac
 
 
+def shown(cfg: DictConfig, task: Task) -> Demonstrations | None:
+    """Demonstrations to learn from, where the config names a demonstrator."""
+    if cfg.demonstrator is None:
+        return None
+    collector = Collector(environment(cfg, task, cfg.environments, cfg.seed))
+    policy = demonstrator(cfg.demonstrator, task, ActionMap.around_stand(cfg.span))
+    return Demonstrations(collector, policy, DemonstrationSettings(**plain(cfg.demonstration)), cfg.seed)
+
+
+def demonstrator(path: str, task: Task, action_map: ActionMap) -> Callable[[Tensor], Tensor]:
+    """What plays the demonstrations: the numbers of a walk, or a policy bundle."""
+    if not Path(path).exists():
+        raise FileNotFoundError(
+            f"demonstrator={path}: no such file; give numbers of a walk (YAML) or a bundle's folder"
+        )
+    if Path(path).is_dir():
+        bundle = PolicyBundle.load(path)
+        if bundle.manifest.action_map != action_map:
+            raise ValueError(f"demonstrator={path}: its actions mean something else; use its span")
+        return bundle.act
+    if task.cycle is None:
+        raise ValueError(f"demonstrator={path}: a walk cannot demonstrate {task.name}, which has no gait")
+    return PhasedWalk(Stride.load(path), action_map).act
+
+
 def run(cfg: DictConfig) -> dict[str, Any]:
     """Train, judge the kept policy, and write page, numbers and film."""
     torch.set_num_threads(1)
@@ -127,6 +163,7 @@ def run(cfg: DictConfig) -> dict[str, Any]:
             log=lambda measures, step: logger.log(measures, step),
             say=lambda line: print(line, flush=True),
             resume=cfg.resume is not None,
+            demonstrations=shown(cfg, task),
         )
         collector.close()
         if progress.stopped:

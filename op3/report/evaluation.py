@@ -92,7 +92,10 @@ def report_evaluation(
     )
     page.tile("upright", round(upright * len(logs)), "", f"of {len(logs)} episodes")
     page.tile("R_eval", mean, "", "mean per episode")
-    page.tile("P gain", numbers["evaluation.gain"], "A/rad", "mean of the controlled joints")
+    if "evaluation.gain" in numbers:
+        page.tile("P gain", numbers["evaluation.gain"], "A/rad", "mean of the controlled joints")
+    if "evaluation.speed" in numbers:
+        page.tile("speed", numbers["evaluation.speed"], "m/s", "mean forward speed of the foremost foot")
     page.tile("tilt", float(np.rad2deg(numbers["evaluation.tilt"])), "deg", "mean of the trunk from upright")
     page.section("Returns")
     page.figure(returns_figure(returns), "R_eval of every episode; the box spans the quartiles.")
@@ -103,7 +106,7 @@ def report_evaluation(
     page.section("One episode")
     page.figure(body_figure(logs[0], {}), "The trunk in the first episode.")
     joints = ["l_ank_pitch", "r_ank_pitch", "l_ank_roll", "r_ank_roll"]
-    quantities = ["joint/position", "command/p_gain", "joint/current"]
+    quantities = [key for key in ("joint/position", "command/p_gain", "joint/current") if key in logs[0]]
     page.figure(traces_figure(logs[0], {}, joints, quantities), "The ankles in the first episode.")
     if files:
         page.section("Files")

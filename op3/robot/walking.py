@@ -96,12 +96,12 @@ class SinusoidalGait:
         return np.stack([x, y, z], -1), lift * grown
 
 
-def leg_angles(ankle: Array, lean: float = 0.0) -> dict[str, Array]:
+def leg_angles(ankle: Array, lean: float | Array = 0.0) -> dict[str, Array]:
     """Angles [rad] of the left leg's joints, without the yaw, that put the ankle there with the sole level.
 
     Args:
         ankle: place of the ankle relative to the hip's axes, in a frame that does not lean, [..., xyz] in m.
-        lean: forward lean of the trunk [rad].
+        lean: forward lean of the trunk [rad], a number or [...].
 
     Raises:
         ValueError: if the ankle is out of reach.

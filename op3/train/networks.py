@@ -8,8 +8,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-LOG_STD_RANGE = (-5.0, 1.0)
-"""Bounds of the logarithm of the policy's standard deviation, before tanh."""
+SMALLEST_STD, LARGEST_STD = math.exp(-5.0), 2.7
+"""Bounds of the policy's standard deviation, before tanh."""
 
 _HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
 _LARGEST_INITIAL_ACTION = 0.97
@@ -31,6 +31,7 @@ class Actor(nn.Module):
         generator: of the initial weights.
         initial_action: mean action [action] of the untrained policy; zeros where None.
         initial_std: standard deviation of the untrained policy before tanh.
+        largest_std: bound of it, before tanh.
     """
 
     def __init__(
@@ -41,9 +42,11 @@ class Actor(nn.Module):
         generator: torch.Generator,
         initial_action: Tensor | None = None,
         initial_std: float = 0.2,
+        largest_std: float = LARGEST_STD,
     ):
         super().__init__()
         self.action_size = action_size
+        self._log_std_range = math.log(SMALLEST_STD), math.log(largest_std)
         sizes = (observation_size, *hidden, 2 * action_size)
         self.weights = nn.ParameterList([uniform((o, i), i, generator) for i, o in pairwise(sizes)])
         self.biases = nn.ParameterList([uniform((o,), i, generator) for i, o in pairwise(sizes)])
@@ -62,7 +65,7 @@ class Actor(nn.Module):
             values = functional.relu(functional.linear(values, weight, bias))
         values = functional.linear(values, self.weights[-1], self.biases[-1])
         mean, log_std = values[..., : self.action_size], values[..., self.action_size :]
-        return mean, log_std.clamp(*LOG_STD_RANGE)
+        return mean, log_std.clamp(*self._log_std_range)
 
     def sample(self, observation: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
         """Actions and their log-probability.

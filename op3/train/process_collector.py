@@ -120,7 +120,7 @@ class ProcessCollector:
     def _start(self, sac: SAC, steps: int, seed: int) -> None:
         seeds = [seed * self._processes + number for number in range(self._processes)]
         boldness = torch.linspace(0.0, 1.0, self.count)[:, None].split(self._each)
-        factories = [partial(_policy, sac, *each) for each in zip(boldness, seeds, strict=True)]
+        factories = [partial(worker_policy, sac, *each) for each in zip(boldness, seeds, strict=True)]
         self._workers = MultiSyncCollector(
             [partial(self._make, one) for one in seeds],
             policy_factory=factories,
@@ -134,10 +134,17 @@ class ProcessCollector:
 
     def _send(self, policy: Exploring) -> None:
         assert self._workers is not None
-        worker = _policy(policy.sac, torch.zeros(1, 1), 0)
+        worker = worker_policy(policy.sac, torch.zeros(1, 1), 0)
         worker.module.boldest.copy_(policy.noise.max())
         self._workers.update_policy_weights_(TensorDict.from_module(worker).data)
 
 
-def _policy(sac: SAC, boldness: Tensor, seed: int) -> TensorDictModule:
+def worker_policy(sac: SAC, boldness: Tensor, seed: int) -> TensorDictModule:
+    """A learner's exploring policy for a collector of TorchRL, on this machine or on others.
+
+    Args:
+        sac: whose policy is copied.
+        boldness: of each environment of the worker [env, 1], from 0 to 1.
+        seed: of the exploration.
+    """
     return TensorDictModule(WorkerPolicy(sac, boldness, seed), ["observation"], ["action"])

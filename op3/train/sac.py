@@ -3,13 +3,14 @@
 import copy
 import dataclasses
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from op3.policy import Manifest, PolicyBundle
-from op3.train.networks import Actor, TwinCritics
+from op3.train.networks import LARGEST_STD, SMALLEST_STD, Actor, TwinCritics
 from op3.train.normaliser import Normaliser
 from op3.train.replay import Batch
 
@@ -34,6 +35,7 @@ class SACSettings:
         actor_every: critic updates per policy update.
         actor_after: critic updates before the first policy update, so that it does not follow untrained critics.
         initial_std: standard deviation of the untrained policy before tanh.
+        largest_std: bound of the standard deviation; a small one keeps exploration where critics have data.
         initial_temperature: of the entropy bonus.
         target_entropy: per number of the action [nats].
         clip: bound of a normalised observation.
@@ -53,6 +55,7 @@ class SACSettings:
     actor_every: int = 1
     actor_after: int = 0
     initial_std: float = 0.2
+    largest_std: float = LARGEST_STD
     initial_temperature: float = 0.01
     target_entropy: float = -1.0
     clip: float = 10.0
@@ -68,6 +71,8 @@ class SACSettings:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
         if not 0 <= self.discount < 1:
             raise ValueError(f"discount must be at least 0 and below 1, got {self.discount}")
+        if not SMALLEST_STD < self.largest_std < math.inf:
+            raise ValueError(f"largest_std must be above {SMALLEST_STD:.4f}, got {self.largest_std}")
         for name in ("actor_rate", "critic_rate", "initial_std", "initial_temperature", "clip", "target_rate"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
@@ -102,7 +107,13 @@ class SAC:
         # weights are drawn on the processor, so that a seed gives the same ones on every device
         weights = torch.Generator().manual_seed(generator.initial_seed())
         self.actor = Actor(
-            observation_size, action_size, settings.hidden, weights, initial_action, settings.initial_std
+            observation_size,
+            action_size,
+            settings.hidden,
+            weights,
+            initial_action,
+            settings.initial_std,
+            settings.largest_std,
         ).to(self.device)
         self.critics = TwinCritics(
             observation_size,
@@ -141,11 +152,15 @@ class SAC:
             mean = mean + explore * log_std.exp() * self._noise(mean.shape)
         return torch.tanh(mean)
 
-    def update(self, batch: Batch) -> dict[str, Tensor]:
+    def update(
+        self, batch: Batch, answers: tuple[Tensor, Tensor] | None = None, imitation: float = 0.0
+    ) -> dict[str, Tensor]:
         """One gradient step of the critics and, every `actor_every`-th time, of policy and temperature.
 
         Args:
             batch: observations as the environment gives them.
+            answers: observations and what a demonstrator would do, [batch, observation] and [batch, action].
+            imitation: weight in the policy's loss of its mean's squared distance from the answers.
 
         Returns:
             Measures as scalars on the device.
@@ -160,6 +175,10 @@ class SAC:
         measures = {"critic_loss": loss.detach(), "value": value.detach()}
         if self.updates >= self.settings.actor_after and self.updates % self.settings.actor_every == 0:
             loss, entropy = self._actor_step(observation, noise[1])
+            if answers is not None and imitation:
+                distance = self._distance(self.normaliser(answers[0], self.settings.clip), answers[1])
+                loss = loss + imitation * distance
+                measures["imitation"] = distance.detach()
             self._step(self._actor_optimiser, loss, self._policy_parameters)
             measures |= {"actor_loss": loss.detach(), "entropy": entropy.detach()}
         rate = self.settings.target_rate
@@ -167,6 +186,28 @@ class SAC:
         self.updates += 1
         measures["temperature"] = self.log_temperature.detach().exp()
         return measures
+
+    def imitate(self, batches: Iterable[tuple[Tensor, Tensor]], count: int, rate: float) -> float:
+        """Steps of the policy's mean towards given actions; exploration stays as it is.
+
+        Args:
+            batches: observations [batch, observation] and actions [batch, action], one pair per step.
+            count: of the batches.
+            rate: learning rate of the first step; it falls to a tenth, in a straight line.
+
+        Returns:
+            Root mean square of what is left, per number of the action, over the last tenth of the steps.
+        """
+        parameters: list[Tensor] = [*self.actor.parameters()]
+        optimiser = torch.optim.Adam(parameters, rate, fused=True)
+        left = []
+        for number, (observation, action) in enumerate(batches):
+            optimiser.param_groups[0]["lr"] = rate * (1.0 - 0.9 * number / count)
+            distance = self._distance(self.normaliser(observation, self.settings.clip), action)
+            self._step(optimiser, distance, parameters)
+            if number >= 0.9 * count - 1:
+                left.append(float(distance.detach()) / self.action_size)
+        return math.sqrt(sum(left) / len(left)) if left else math.nan
 
     def bundle(self, manifest: Manifest) -> PolicyBundle:
         """The policy without exploration, with the normalisation as it is now."""
@@ -248,6 +289,11 @@ class SAC:
         loss = -temperature.detach() * entropy - self.critics(observation, action).amin(0).mean()
         wanted = self.settings.target_entropy * self.action_size
         return loss + self.log_temperature * (entropy.detach() - wanted), entropy
+
+    def _distance(self, observation: Tensor, action: Tensor) -> Tensor:
+        """Squared distance of the policy's mean from actions [batch, action], mean over the batch."""
+        mean, _ = self.actor(observation)
+        return (torch.tanh(mean) - action).square().sum(-1).mean()
 
     def _step(self, optimiser: torch.optim.Optimizer, loss: Tensor, parameters: list[Tensor]) -> None:
         # gradients of these parameters only: the policy's loss need not differentiate the critics' weights

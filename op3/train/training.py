@@ -14,7 +14,8 @@ from tensordict import TensorDict
 from op3.policy import Manifest
 from op3.train.checkpoint import load_checkpoint, save_checkpoint, stop_requested
 from op3.train.collector import Episodes, Policy
-from op3.train.replay import Replay
+from op3.train.demonstrations import STORED, Demonstrations, Shown
+from op3.train.replay import Batch, Replay
 from op3.train.sac import SAC, Exploring
 
 CHECKPOINT = "checkpoint.pt"
@@ -121,6 +122,7 @@ def train(
     log: Log | None = None,
     say: Callable[[str], None] = print,
     resume: bool = False,
+    demonstrations: Demonstrations | None = None,
 ) -> Progress:
     """Train, keeping the policy that evaluates best in ``<folder>/policy`` and a checkpoint beside it.
 
@@ -137,6 +139,7 @@ def train(
         log: takes the measures, for example to wandb.
         say: takes progress lines.
         resume: go on from the checkpoint in the folder.
+        demonstrations: to begin with and to learn from; None: none.
 
     Raises:
         ValueError: if losses are not finite, or a checkpoint does not fit.
@@ -145,7 +148,10 @@ def train(
     folder = Path(folder)
     size, action_size = manifest.observation_size, manifest.action_map.size
     replay = Replay(settings.buffer, collector.count, size, action_size, sac.device)
-    run = _resume(folder / CHECKPOINT, sac, replay) if resume else Progress()
+    shown = None
+    if demonstrations is not None:
+        shown = demonstrations.none(sac) if resume else demonstrations.show(sac, say)
+    run = _resume(folder / CHECKPOINT, sac, replay, shown) if resume else Progress()
     run.stopped = False
     collector.restart(settings.seed + run.steps)
     meter, began = _Meter(run, sac, settings), time.monotonic() - run.seconds
@@ -155,15 +161,14 @@ def train(
             boldest = settings.warmup_noise if run.steps < settings.warmup else settings.noise
             rollout, episodes = collector.collect(Exploring.ranged(sac, collector.count, boldest), settings.rollout)
             before, run.steps = run.steps, run.steps + rollout.numel()
-            replay.extend(*(rollout[name] for name in _STORED))
+            replay.extend(*(rollout[name] for name in STORED))
             if settings.normalisation == "running" or before < settings.warmup:
                 sac.normaliser.update(rollout["observation"])
 
             # after a resumption without the buffer it is filled first
             ready = len(replay) >= min(settings.warmup, settings.buffer)
             for _ in range(_due(before, run.steps, settings) if ready else 0):
-                batch = replay.sample(sac.settings.batch, sac.settings.n_step, sac.settings.discount, sac.generator)
-                meter.losses = sac.update(batch)
+                meter.losses = _update(sac, replay, demonstrations, shown)
 
             meter.add(rollout, episodes)
             run.seconds = time.monotonic() - began
@@ -181,12 +186,24 @@ def train(
             if _passed(before, run.steps, settings.checkpoint_every) or run.steps >= settings.steps or stopping:
                 run.stopped = run.steps < settings.steps and stopping
                 replay.cut()
-                _save(folder / CHECKPOINT, run, sac, replay if settings.checkpoint_buffer else None)
+                _save(folder / CHECKPOINT, run, sac, replay if settings.checkpoint_buffer else None, shown)
                 collector.restart(settings.seed + run.steps)
     return run
 
 
-_STORED = ("observation", "action", "reward", "next_observation", "terminated", "done")
+def _update(
+    sac: SAC, replay: Replay, demonstrations: Demonstrations | None, shown: Shown | None
+) -> dict[str, torch.Tensor]:
+    """One update, with a share of demonstrations where there are some."""
+    settings = sac.settings
+    look = settings.n_step, settings.discount, sac.generator
+    if demonstrations is None or shown is None:
+        return sac.update(replay.sample(settings.batch, *look))
+    share = round(settings.batch * demonstrations.settings.share)
+    parts = (shown.replay.sample(share, *look), replay.sample(settings.batch - share, *look))
+    batch = Batch(*(torch.cat(values) for values in zip(*parts, strict=True)))
+    weight = demonstrations.settings.imitation_after(sac.updates)
+    return sac.update(batch, shown.sample(settings.batch // 2, sac.generator) if weight else None, weight)
 
 
 def _due(before: int, now: int, settings: TrainSettings) -> int:
@@ -221,17 +238,20 @@ def _evaluate(
         log(measures, run.steps)
 
 
-def _save(path: Path, run: Progress, sac: SAC, replay: Replay | None) -> None:
-    buffer = None if replay is None else replay.state_dict()
-    save_checkpoint(path, {"run": dataclasses.asdict(run), "sac": sac.state_dict(), "replay": buffer})
+def _save(path: Path, run: Progress, sac: SAC, replay: Replay | None, shown: Shown | None) -> None:
+    kept = {"sac": sac, "replay": replay, "shown": shown}
+    states = {name: None if part is None else part.state_dict() for name, part in kept.items()}
+    save_checkpoint(path, {"run": dataclasses.asdict(run), **states})
 
 
-def _resume(path: Path, sac: SAC, replay: Replay) -> Progress:
+def _resume(path: Path, sac: SAC, replay: Replay, shown: Shown | None) -> Progress:
     state = load_checkpoint(path)
     try:
         sac.load_state_dict(state["sac"])
         if state["replay"] is not None:
             replay.load_state_dict(state["replay"])
+        if shown is not None:
+            shown.load_state_dict(state["shown"])
         return Progress(**state["run"])
     except (RuntimeError, KeyError, TypeError, ValueError) as error:
         reason = str(error).split("\n")[0]

@@ -1,11 +1,15 @@
 """Collecting in two processes through TorchRL's collector."""
 
+from functools import partial
+
 import pytest
 import torch
+from tensordict import TensorDict
+from torchrl.collectors.distributed import DistributedCollector
 from train_pendulum import seeded_pendulums
 
 from op3.train import SAC, SACSettings
-from op3.train.process_collector import ProcessCollector
+from op3.train.process_collector import ProcessCollector, worker_policy
 from op3.train.sac import Exploring
 
 
@@ -36,6 +40,35 @@ def test_two_processes_collect_with_the_learners_weights():
         assert float(raw[:, 28:].std()) > 3 * float(raw[:, :4].std())
     finally:
         collector.close()
+
+
+@pytest.mark.slow
+def test_collectors_of_a_cluster_take_the_same_policy():
+    """TorchRL's distributed collector, here with two local nodes, gives the same rollouts and follows new weights."""
+    sac = SAC(3, 2, SACSettings(hidden=(16,), initial_std=0.1), torch.Generator().manual_seed(0))
+    policy = worker_policy(sac, torch.zeros(16, 1), seed=0)
+    nodes = DistributedCollector(
+        [partial(seeded_pendulums, seed) for seed in (3, 4)],
+        policy,
+        frames_per_batch=256,
+        total_frames=512,
+        sync=True,
+        launcher="mp",
+        tcp_port="10013",
+    )
+    try:
+        rollouts = iter(nodes)
+        first = next(rollouts).clone()
+        with torch.no_grad():
+            sac.actor.biases[-1][:2] = 1.0
+        nodes.update_policy_weights_(TensorDict.from_module(worker_policy(sac, torch.zeros(16, 1), 0)).data)
+        second = next(rollouts).clone()
+    finally:
+        nodes.shutdown()
+    assert first.shape == (2, 16, 8)  # node, environment, time
+    assert not torch.equal(first["observation"][0], first["observation"][1])
+    assert float(first["action"].mean()) == pytest.approx(0.0, abs=0.05)
+    assert float(second["action"].mean()) == pytest.approx(0.762, abs=0.05)  # tanh(1)
 
 
 def test_impossible_counts_are_refused():

@@ -39,6 +39,17 @@ def test_untrained_policy_is_the_initial_action():
     torch.testing.assert_close(log_std.exp(), torch.full_like(mean, 0.2), rtol=0.1, atol=0)
 
 
+def test_exploration_is_bounded():
+    """However the weights ask for it, the standard deviation stays at `largest_std`."""
+    actor = Actor(5, 3, (16,), generator(), initial_std=0.02, largest_std=0.03)
+    with torch.no_grad():
+        actor.biases[-1][3:] = 2.0
+    _, log_std = actor(torch.randn(10, 5, generator=generator(1)))
+    torch.testing.assert_close(log_std.exp(), torch.full((10, 3), 0.03))
+    with pytest.raises(ValueError, match="largest_std must be above"):
+        SACSettings(largest_std=0.001)
+
+
 @pytest.mark.parametrize("layer_norm", [False, True])
 def test_twin_critics_equal_two_networks(layer_norm):
     """The batched product equals two networks of torch.nn layers with the same weights."""

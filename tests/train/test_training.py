@@ -11,7 +11,9 @@ import pytest
 import torch
 from train_pendulum import LIMIT, MANIFEST, Pendulum
 
-from op3.policy import PolicyBundle
+from op3.envs import make_env
+from op3.policy import ActionMap, Manifest, PolicyBundle
+from op3.tasks import find_task
 from op3.train import SAC, Batch, Collector, Progress, SACSettings, TrainSettings, evaluate, train
 from op3.train.sac import Exploring
 
@@ -75,14 +77,55 @@ def test_resumed_run_equals_the_one_without_interruption(tmp_path):
     run(tmp_path / "parts", dataclasses.replace(SETTINGS, steps=2048, checkpoint_every=2000))
     resumed, again = run(tmp_path / "parts", resume=True)
     assert same(whole, resumed)
-    numbers = [
-        [{k: v for k, v in entry.items() if not k.startswith("speed/")} for entry in p.history if entry["steps"] > 2048]
-        for p in (progress, again)
-    ]
+    numbers = [[_measured(entry) for entry in p.history if entry["steps"] > 2048] for p in (progress, again)]
     assert numbers[0] == numbers[1]
     observation = torch.randn(4, 3, generator=torch.Generator().manual_seed(0))
     acts = [PolicyBundle.load(tmp_path / name / "policy").act(observation) for name in ("whole", "parts")]
     assert torch.equal(*acts)
+
+
+@pytest.mark.slow
+def test_a_resumed_walk_takes_the_steps_of_the_one_without_interruption(tmp_path):
+    """On walking OP3s too: killed at a checkpoint and resumed, weights and measures agree to the last bit."""
+    task, action_map = find_task("walk"), ActionMap.around_stand()
+    size = task.observation_size
+    manifest = Manifest("walk", task.layout, task.history, action_map, (32, 32))
+    settings = TrainSettings(
+        steps=96, warmup=32, rollout=4, updates_per_step=0.5, evaluate_every=96, checkpoint_every=48, log_every=16
+    )
+
+    def walk(folder: Path, steps: int, resume: bool = False) -> tuple[SAC, Progress]:
+        stand = torch.as_tensor(action_map.stand(5.5))
+        sac = SAC(size, 20, dataclasses.replace(SAC_SETTINGS, initial_std=0.2), generator(), stand)
+        env, judge = (make_env(task, "paper", 4, action_map=action_map) for _ in range(2))
+        progress = train(
+            sac,
+            Collector(env),
+            lambda policy: evaluate(judge, policy, 1000, 20),
+            dataclasses.replace(settings, steps=steps),
+            manifest,
+            folder,
+            say=lambda line: None,
+            resume=resume,
+        )
+        return sac, progress
+
+    whole, progress = walk(tmp_path / "whole", 96)
+    walk(tmp_path / "parts", 48)
+    resumed, again = walk(tmp_path / "parts", 96, resume=True)
+    assert whole.updates == resumed.updates > 20
+    assert same(whole, resumed)
+    late = [[_measured(e) for e in p.history if e["steps"] > 48] for p in (progress, again)]
+    assert late[0] == late[1] != []
+
+
+def _measured(entry: dict[str, float]) -> dict[str, float]:
+    """An entry of the history without the speed of the machine."""
+    return {name: value for name, value in entry.items() if not name.startswith("speed/")}
+
+
+def generator() -> torch.Generator:
+    return torch.Generator().manual_seed(0)
 
 
 def test_without_the_buffer_a_resumed_run_fills_a_new_one_first(tmp_path):
