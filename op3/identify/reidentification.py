@@ -19,8 +19,8 @@ from op3.envs.returns import ReturnsBench
 from op3.identify.identification import PREFIX
 from op3.identify.level_set import draw_level_set
 from op3.identify.loss import TrajectoryLoss
+from op3.identify.polish import polish
 from op3.identify.problem import Problem
-from op3.identify.sensitivity import sensitivity_at
 from op3.identify.study import Outcome
 from op3.policy import PolicyBundle
 from op3.robot import CONTROLLED_JOINTS
@@ -165,7 +165,9 @@ class Reidentification:
         low = torch.tensor([bounds[name][0] for name in self.names], dtype=torch.float64)
         high = torch.tensor([bounds[name][1] for name in self.names], dtype=torch.float64)
         residuals = self.problem.residual_function(self.names, low, high)
-        sensitivity = sensitivity_at(residuals, {name: bounds[name] for name in self.names}, self.start.values)
+        sensitivity = polish(
+            residuals, {name: bounds[name] for name in self.names}, self.start.values, steps=0
+        ).sensitivity
         rng = np.random.default_rng([seed, 7])
         shares = np.array_split(np.arange(count), len(rises))
         points = [draw_level_set(sensitivity, rise, len(own), rng) for rise, own in zip(rises, shares, strict=True)]

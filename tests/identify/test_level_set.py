@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from op3.identify.level_set import draw_level_set
-from op3.identify.sensitivity import sensitivity_at
+from op3.identify.polish import polish
 
 BOUNDS = {"a": (0.0, 1.0), "b": (0.0, 1.0), "c": (0.0, 1.0)}
 CENTRE = np.array([0.5, 0.4, 0.9])
@@ -26,7 +26,7 @@ def loss(points):
 @pytest.fixture(scope="module")
 def draws():
     """400 points where the loss of 1 has risen by a quarter at most."""
-    sensitivity = sensitivity_at(residuals, BOUNDS, dict(zip(BOUNDS, CENTRE, strict=True)))
+    sensitivity = polish(residuals, BOUNDS, dict(zip(BOUNDS, CENTRE, strict=True)), steps=0).sensitivity
     return draw_level_set(sensitivity, 0.25, 400, np.random.default_rng(0))
 
 
@@ -55,6 +55,6 @@ def test_a_parameter_that_nothing_determines_fills_its_range(draws):
 
 def test_a_rise_must_be_positive():
     """Nothing lies below the optimum."""
-    sensitivity = sensitivity_at(residuals, BOUNDS, dict(zip(BOUNDS, CENTRE, strict=True)))
+    sensitivity = polish(residuals, BOUNDS, dict(zip(BOUNDS, CENTRE, strict=True)), steps=0).sensitivity
     with pytest.raises(ValueError, match="positive, got 0"):
         draw_level_set(sensitivity, 0.0, 4, np.random.default_rng(0))
