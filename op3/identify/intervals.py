@@ -44,7 +44,7 @@ def intervals_of(
         part = jacobian[block]
         moves.append(np.linalg.lstsq(hessian - part.T @ part + ridge, part.T @ residual[block], rcond=None)[0])
     covariance = (len(blocks) - 1) / len(blocks) * _squares(np.array(moves))
-    jumped = np.linalg.solve(hessian + ridge, jacobian.T @ sensitivity.jumps.T).T
+    jumped = np.asarray(np.linalg.solve(hessian + ridge, jacobian.T @ sensitivity.jumps.T).T, dtype=np.float64)
     covariance = covariance + 2 * _squares(jumped) / len(jumped) + _unknown(hessian)
     quantile = stats.t.ppf(0.5 + level / 2, max(1, len(blocks) - 1))
     # a parameter that moves nothing, or whose neighbourhood diverges, is not determined: its interval is the range

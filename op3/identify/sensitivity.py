@@ -132,7 +132,7 @@ def arms_at(
     chord = share * found[:size] + (1 - share) * found[size:]
     jumps = (chord - residual) / np.sqrt(1 + share**2 + (1 - share) ** 2)
     lost = failed[:size] | failed[size:] if curvature is None else failed[:size] & failed[size:]
-    unseen = (np.abs(axes[:, lost]) >= TAKES_PART).any(1)
+    unseen = np.asarray((np.abs(axes[:, lost]) >= TAKES_PART).any(1))
     feigned = (inverse * 2 * np.square(jumps).sum(1)) @ inverse.T
     return Arms(axes, lengths, ends, simulated, jacobian, jacobian.T @ jacobian - feigned, jumps, unseen)
 
