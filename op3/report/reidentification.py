@@ -76,17 +76,17 @@ def _numbers(
     return {
         "distance.excitation_only": start.distance,
         "distance.reidentified": chosen.distance,
-        "distance.ratio": chosen.distance / start.distance if start.distance > 0 else None,
+        "distance.ratio": _ratio(chosen.distance, start.distance),
         "fresh.excitation_only": _finite(found.fresh_start.distance),
         "fresh.reidentified": _finite(found.fresh_chosen.distance),
         "fresh.noise": found.noise,
-        "fresh.ratio": _finite(found.fresh_chosen.distance / (found.fresh_start.distance or np.inf)),
+        "fresh.ratio": _ratio(found.fresh_chosen.distance, found.fresh_start.distance),
         "excitation.excitation_only": start.excitation,
         "excitation.reidentified": chosen.excitation,
         "returns.actual": list(found.actual),
         "returns.excitation_only": list(start.returns),
         "returns.reidentified": list(chosen.returns),
-        "excitation.ratio": chosen.excitation / start.excitation if start.excitation > 0 else None,
+        "excitation.ratio": _ratio(chosen.excitation, start.excitation),
         "returns.fresh_excitation_only": [_finite(value) for value in found.fresh_start.returns],
         "returns.fresh_reidentified": [_finite(value) for value in found.fresh_chosen.returns],
         "parameters": {name: {"value": value} for name, value in chosen.values.items()},
@@ -107,6 +107,10 @@ def _numbers(
 def _finite(value: float) -> float | None:
     """None in place of what a simulation that failed leaves."""
     return value if np.isfinite(value) else None
+
+
+def _ratio(after: float, before: float) -> float | None:
+    return after / before if before > 0 and np.isfinite([before, after]).all() else None
 
 
 def _normalised(name: str, value: float) -> float:
