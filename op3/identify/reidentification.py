@@ -103,7 +103,7 @@ class Reidentification:
         joints: focusing joints of the excitation loss; those of a log where it has others.
 
     Raises:
-        ValueError: if the model has no such parameter.
+        ValueError: if the model has no such parameter, or cannot be simulated.
         LogError: if a log lacks what R_eval or the loss needs.
     """
 
@@ -134,6 +134,10 @@ class Reidentification:
         self.problem = Problem(model, excitation, TrajectoryLoss(tuple(joints)))
         self.bench = ReturnsBench(policy, model, find_task(attempted), repeats, seed)
         self.start = self._measure([{name: model.value(name) for name in names}])[0]
+        if not np.isfinite(self.start.excitation):
+            raise ValueError(
+                "the model that the policy was trained on diverges in simulation, so nothing can start there"
+            )
 
     def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[Outcome]:
         """Both objectives of trials whose parameters are config keys, as the study asks them."""
@@ -270,7 +274,9 @@ class Reidentification:
 
     def _replay(self, candidates: Sequence[Candidate], times: int) -> list[Candidate]:
         """The candidates over further episodes; `times` sets of episodes lie before them."""
-        values = {name: torch.tensor([one.values[name] for one in candidates]).double() for name in self.names}
+        values = {
+            name: torch.tensor([one.values[name] for one in candidates], dtype=torch.float64) for name in self.names
+        }
         numbers = range(times * self.bench.episodes, (times + 1) * self.bench.episodes)
         returns = self.bench.run(values, len(candidates), episodes=numbers).returns.numpy()
         return [

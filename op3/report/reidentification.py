@@ -76,19 +76,19 @@ def _numbers(
     return {
         "distance.excitation_only": start.distance,
         "distance.reidentified": chosen.distance,
-        "distance.ratio": chosen.distance / start.distance if start.distance > 0 else None,
-        "fresh.excitation_only": found.fresh_start.distance,
-        "fresh.reidentified": found.fresh_chosen.distance,
+        "distance.ratio": _ratio(chosen.distance, start.distance),
+        "fresh.excitation_only": _finite(found.fresh_start.distance),
+        "fresh.reidentified": _finite(found.fresh_chosen.distance),
         "fresh.noise": found.noise,
-        "fresh.ratio": found.fresh_chosen.distance / found.fresh_start.distance if found.fresh_start.distance else None,
+        "fresh.ratio": _ratio(found.fresh_chosen.distance, found.fresh_start.distance),
         "excitation.excitation_only": start.excitation,
         "excitation.reidentified": chosen.excitation,
         "returns.actual": list(found.actual),
         "returns.excitation_only": list(start.returns),
         "returns.reidentified": list(chosen.returns),
-        "excitation.ratio": chosen.excitation / start.excitation if start.excitation > 0 else None,
-        "returns.fresh_excitation_only": list(found.fresh_start.returns),
-        "returns.fresh_reidentified": list(found.fresh_chosen.returns),
+        "excitation.ratio": _ratio(chosen.excitation, start.excitation),
+        "returns.fresh_excitation_only": [_finite(value) for value in found.fresh_start.returns],
+        "returns.fresh_reidentified": [_finite(value) for value in found.fresh_chosen.returns],
         "parameters": {name: {"value": value} for name, value in chosen.values.items()},
         "normalised.excitation_only": {name: _normalised(name, value) for name, value in start.values.items()},
         "normalised.reidentified": {name: _normalised(name, value) for name, value in chosen.values.items()},
@@ -104,6 +104,15 @@ def _numbers(
     }
 
 
+def _finite(value: float) -> float | None:
+    """None in place of what a simulation that failed leaves."""
+    return value if np.isfinite(value) else None
+
+
+def _ratio(after: float, before: float) -> float | None:
+    return after / before if before > 0 and np.isfinite([before, after]).all() else None
+
+
 def _normalised(name: str, value: float) -> float:
     known = parameter(name)
     return (value - known.low) / (known.high - known.low)
@@ -111,19 +120,7 @@ def _normalised(name: str, value: float) -> float:
 
 def _page(found: Reidentified, study: optuna.Study, values: Mapping[str, Any], provenance: Mapping[str, Any]) -> Page:
     start, chosen = found.start, found.chosen
-    change = f"from {number(start.distance, 3)} to {number(chosen.distance, 3)}"
-    cost = chosen.excitation / start.excitation
-    if chosen is start or chosen.distance >= start.distance:
-        lead = (
-            f"No candidate came closer to the robot's returns than the start, {number(start.distance, 3)} away,"
-            f" without an excitation loss above {TOLERATED:g} times its own."
-        )
-    else:
-        lead = (
-            f"Re-identification lowers the distance between simulated and actual returns {change}."
-            f" The excitation loss is {cost:.2f} times that of the model from the excitation only."
-        )
-    page = Page("Re-identification from a failed transfer", lead)
+    page = Page("Re-identification from a failed transfer", _lead(found))
     page.tile("distance of returns", chosen.distance, note=f"{number(start.distance, 3)} before")
     page.tile("excitation loss", chosen.excitation, note=f"{number(start.excitation, 3)} before")
     page.tile("mean return on the robot", float(np.mean(found.actual)))
@@ -170,6 +167,28 @@ def _page(found: Reidentified, study: optuna.Study, values: Mapping[str, Any], p
 
 def _summary(returns: Sequence[float]) -> tuple[float, float]:
     return float(np.mean(returns)), float(np.std(returns))
+
+
+def _lead(found: Reidentified) -> str:
+    """The outcome in one sentence; a gain that fresh episodes do not confirm is not called one."""
+    start, chosen = found.start, found.chosen
+    if chosen is start or chosen.distance >= start.distance:
+        return (
+            f"No candidate came closer to the robot's returns than the start, {number(start.distance, 3)} away,"
+            f" without an excitation loss above {TOLERATED:g} times its own."
+        )
+    change = f"from {number(start.distance, 3)} to {number(chosen.distance, 3)}"
+    fresh = f"from {number(found.fresh_start.distance, 3)} to {number(found.fresh_chosen.distance, 3)}"
+    cost = f"The excitation loss is {chosen.excitation / start.excitation:.2f} times that before."
+    if found.fresh_chosen.distance >= found.fresh_start.distance:
+        return (
+            f"No gain that lasts: the distance between simulated and actual returns goes {change} over the episodes"
+            f" searched with, and {fresh} over fresh ones, where chance alone leaves {number(found.noise, 3)}. {cost}"
+        )
+    return (
+        f"Re-identification lowers the distance between simulated and actual returns {change}, and {fresh} over fresh"
+        f" episodes. {cost}"
+    )
 
 
 def _returns_figure(found: Reidentified) -> go.Figure:
