@@ -64,16 +64,29 @@ def with_chain(model: RobotModel) -> RobotModel:
     return model
 
 
-def other_forms(model: RobotModel) -> list[RobotModel]:
-    """Models that differ in the form of one effect alone: same parameters, another law for the same loss."""
-    result = []
-    for effect in model.effects:
-        if effect.name == "dte":
-            for form in ("passive", "power"):
-                if form != effect.form:  # type: ignore[attr-defined]
-                    values = {p.name: model.estimate(p.name) for p in effect.parameters}
-                    result.append(model.with_effect(replace(effect, form=form), values))  # type: ignore[call-arg]
-    return result
+FORMS: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "dte": ("form", ("passive", "power")),
+    "stribeck": ("fade", ("exponential", "gaussian")),
+}
+"""Laws that the literature writes in several ways with the same parameters: the option that says which, and its values.
+Which of them a servo obeys is not what is asked, so none of them may decide a name."""
+
+
+def other_forms(model: RobotModel, names: Sequence[str] = tuple(FORMS)) -> list[RobotModel]:
+    """The model with its effects in every other combination of forms.
+
+    Args:
+        model: in one of its forms.
+        names: of effects whose form may change.
+    """
+    result = [model]
+    for name in names:
+        option, forms = FORMS[name]
+        for effect in (e for e in model.effects if e.name == name):
+            others = [replace(effect, **{option: form}) for form in forms if form != getattr(effect, option)]
+            values = {p.name: model.estimate(p.name) for p in effect.parameters}
+            result += [variant.with_effect(other, values) for variant in result for other in others]
+    return result[1:]
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from op3.diagnose.backward import NEEDED, still_needed, with_findings
 from op3.diagnose.ceiling import Ceiling, ceiling, where
 from op3.diagnose.coordinates import FAULTS, base_coordinates, other_forms, with_chain
 from op3.diagnose.decide import CEILING, LOOK_ALIKE, Contender, Decision, decide, local_ceiling
-from op3.diagnose.fitting import Engine, Fit, fit_base, intervals, linearise, refit, with_point
+from op3.diagnose.fitting import Engine, Fit, fit_base, intervals, linearise, polish, refit, with_point
 from op3.diagnose.free_run import engine_for
 from op3.diagnose.hypotheses import Hypothesis, hypotheses
 from op3.diagnose.locate import locate, remaining
@@ -36,6 +36,9 @@ SHARED = 2
 
 PARTNERS = 2
 """Look-alikes of the leader that are refitted besides, if the screen credits them with half of what it has."""
+
+POLISHED = 4
+"""Leaders that are refitted once more with Jacobians of their own, as the control is."""
 
 CELLS = 20
 """Cells of residual torque that are kept."""
@@ -289,25 +292,31 @@ class Diagnosis:
         """Refit the no-op control and the shortlist."""
         control = refit(self.engine, base, base.coordinates, base.point)
         picked = shortlist(self.screened, base.coordinates.suspects(base.point))
-        return control, self._refit_each(base, control, picked)
+        return self._refit_each(base, control, picked)
 
     def refit_of(self, base: Fit, picked: Sequence[Screened]) -> list[Refitted]:
         """Refit some hypotheses beside a base."""
-        return self._refit_each(base, refit(self.engine, base, base.coordinates, base.point), picked)
+        return self._refit_each(base, refit(self.engine, base, base.coordinates, base.point), picked)[1]
 
-    def _refit_each(self, base: Fit, control: Fit, picked: Sequence[Screened]) -> list[Refitted]:
-        result = []
+    def _refit_each(self, base: Fit, control: Fit, picked: Sequence[Screened]) -> tuple[Fit, list[Refitted]]:
+        fits: list[Fit] = []
         for number, screened in enumerate(picked):
             hypothesis = screened.hypothesis
             secant = hypothesis.secants[screened.secant]
             share = screened.share if abs(screened.share) > 0.3 else 0.5 * (np.sign(screened.share) or 1.0)
             coordinates, more = hypothesis.coordinates(base.coordinates, secant, share)
-            fit = refit(self.engine, base, coordinates, np.concatenate([control.point, more]))
-            result.append(
-                Refitted(hypothesis, screened, fit, self._contender(hypothesis, fit, control, base, screened.direction))
-            )
-            self._report("refit", (number + 1) / len(picked))
-        return result
+            start = np.concatenate([control.point, more])
+            fits.append(refit(self.engine, base, coordinates, start, anchor=control))
+            self._report("refit", (number + 1) / (len(picked) + POLISHED))
+        for number in sorted(range(len(fits)), key=lambda i: fits[i].loss)[:POLISHED]:
+            fits[number] = polish(self.engine, base, fits[number])
+        if picked:
+            control = polish(self.engine, base, control)
+        result = [
+            Refitted(s.hypothesis, s, fit, self._contender(s.hypothesis, fit, control, base, s.direction))
+            for s, fit in zip(picked, fits, strict=True)
+        ]
+        return control, result
 
     def _losses(self, fit: Fit) -> np.ndarray:
         """Squares summed by block of a second, ``[block]``."""

@@ -18,6 +18,12 @@ STEP = 1e-2
 LADDER = (1.0, 0.6, 0.3, 0.08)
 """Shares of a Gauss-Newton step that are tried at once."""
 
+SHARES = (0.15, 0.4, 0.8, 1.3, 2.0)
+"""Shares of the way to a hypothesis that are tried first."""
+
+FADES = np.array([1.0, 0.7, 1.4])
+"""Factors on the Stribeck velocity that are tried with every form of a law."""
+
 INFORMATION = 0.02
 """Independent pieces of information per whitened residual. Residuals of a window, and model errors all over a run, go
 together; priors weigh against this many."""
@@ -94,6 +100,7 @@ def fit_base(
         progress: called with the share done.
     """
     point = np.clip(coordinates.start if start is None else start, coordinates.low, coordinates.high)
+    model = coordinates.model
     engine.prepare(with_point(coordinates, point))
     evaluate = _penalised(engine, coordinates)
     for number in range(rounds):
@@ -115,7 +122,7 @@ def fit_base(
         if start is None and number == 0:
             point = _best_latency(engine, coordinates, point)
         if number < 2 and alternatives:
-            coordinates = _best_form(engine, coordinates, alternatives, point)
+            coordinates, point = _best_form(engine, coordinates, [model, *alternatives], point)
             evaluate = _penalised(engine, coordinates)
         gained = 1 - min(losses.min(), before) / before
         if gained < 3e-3 and number:
@@ -162,6 +169,7 @@ def refit(
     coordinates: Coordinates,
     start: np.ndarray,
     *,
+    anchor: Fit | None = None,
     iterations: int = 3,
 ) -> Fit:
     """Gauss-Newton over a base and a few more coordinates, the base's Jacobian kept.
@@ -171,52 +179,127 @@ def refit(
     quite right costs speed and not correctness. Simulations are coarse: what is added to the base's residual is the
     difference of two coarse ones.
 
+    With an anchor the first step goes from it along the hypothesis, the base giving way as its Jacobian says, and
+    nothing worse than the anchor is ever returned.
+
     Args:
         engine: gives the residuals.
         base: with its Jacobian; its coordinates are the first of `coordinates`.
         coordinates: base and hypothesis.
         start: ``[coordinate]``.
+        anchor: the base's coordinates fitted without the hypothesis.
         iterations: at most so many steps.
     """
     assert base.jacobian is not None
-    assert base.coarse_error is not None
     known, is_fit = len(base.coordinates), engine.is_fit
+    problem = _Problem(engine, base, coordinates)
     fitted = base.jacobian[is_fit]
-
-    def simulate(points: np.ndarray) -> np.ndarray:
-        values = coordinates.values(points)
-        return engine.residuals(coordinates.model, values, len(points), coarse=True) - base.coarse_error
-
-    def losses(points: np.ndarray, residuals: np.ndarray) -> np.ndarray:
-        data = np.square(residuals[:, is_fit].astype(np.float64)).sum((1, 2))
-        return data + np.square(coordinates.penalties(points)).sum(1) / INFORMATION
-
-    best, columns = np.clip(start, coordinates.low, coordinates.high), None
-    residual, loss = None, np.inf
+    best = np.clip(start, coordinates.low, coordinates.high)
+    residual = loss = columns = None
+    if anchor is not None:
+        best, residual, loss = _along(problem, fitted, anchor, best)
     for _ in range(iterations):
         step = _steps(coordinates, best)[known:]
         probes = np.concatenate([[best], best + np.eye(len(best))[known:] * step[:, None]])
-        moved = simulate(probes)
-        if residual is None:
-            residual, loss = moved[0], float(losses(best[None], moved[:1])[0])
+        moved = problem.simulate(probes)
+        if residual is None or loss is None:
+            residual, loss = moved[0], problem.loss(best, moved[0])
         columns = np.moveaxis((moved[1:] - moved[0])[:, is_fit], 0, -1) / step.astype(np.float32)
-        jacobian = _with_penalty(np.concatenate([fitted, columns], -1), coordinates)
-        now = np.concatenate(
-            [moved[0, is_fit].reshape(-1).astype(np.float64), coordinates.penalties(best) / np.sqrt(INFORMATION)]
-        )
-        direction = bounded_step(jacobian, now, coordinates.low - best, coordinates.high - best)
-        points = best + np.array(LADDER)[:, None] * direction
-        tried = simulate(points)
-        reached = losses(points, tried)
-        winner = int(reached.argmin())
-        if reached[winner] >= loss:
+        point, reached, tried = problem.step(np.concatenate([fitted, columns], -1), best, moved[0])
+        if reached >= loss:
             break
-        gained = 1 - reached[winner] / loss
-        best, loss, residual = points[winner], float(reached[winner]), tried[winner]
+        gained = 1 - reached / loss
+        best, loss, residual = point, reached, tried
         if gained < 2e-3:
             break
     assert residual is not None
     return Fit(coordinates, best, mean_square(residual[is_fit]), residual, None, columns)
+
+
+def polish(engine: Engine, base: Fit, fit: Fit, steps: int = 2) -> Fit:
+    """Go on from a refit with a Jacobian of its own: far from the base, the base's is no longer right.
+
+    Args:
+        engine: gives the residuals.
+        base: whose coarse error is taken off.
+        fit: where to start; its columns are kept.
+        steps: along the new Jacobian.
+    """
+    problem = _Problem(engine, base, fit.coordinates)
+    jacobian = _jacobian(engine, fit.coordinates, fit.point, fit_only=True)
+    point, residual = fit.point, fit.residual
+    loss = problem.loss(point, residual)
+    for _ in range(steps):
+        later, reached, tried = problem.step(jacobian, point, residual)
+        if reached >= loss:
+            break
+        point, residual, loss = later, tried, reached
+    columns = jacobian[..., len(base.coordinates) :]
+    return Fit(fit.coordinates, point, mean_square(residual[engine.is_fit]), residual, None, columns)
+
+
+class _Problem:
+    """Least squares of one refit: simulation, loss with priors, and a step along a Jacobian."""
+
+    def __init__(self, engine: Engine, base: Fit, coordinates: Coordinates):
+        assert base.coarse_error is not None
+        self.engine, self.coordinates, self.coarse_error = engine, coordinates, base.coarse_error
+
+    def simulate(self, points: np.ndarray) -> np.ndarray:
+        """Residuals ``[point, window, residual]``."""
+        values = self.coordinates.values(points)
+        result = self.engine.residuals(self.coordinates.model, values, len(points), coarse=True)
+        return result - self.coarse_error
+
+    def loss(self, point: np.ndarray, residual: np.ndarray) -> float:
+        """Squares of the fitted windows and of the priors."""
+        data = float(np.square(residual[self.engine.is_fit].astype(np.float64)).sum())
+        return data + float(np.square(self.coordinates.penalties(point)).sum()) / INFORMATION
+
+    def step(self, jacobian: np.ndarray, point: np.ndarray, residual: np.ndarray):
+        """The best of several lengths of a bounded step: point, loss and residual there."""
+        low, high = self.coordinates.low - point, self.coordinates.high - point
+        now = np.concatenate(
+            [
+                residual[self.engine.is_fit].reshape(-1).astype(np.float64),
+                self.coordinates.penalties(point) / np.sqrt(INFORMATION),
+            ]
+        )
+        direction = bounded_step(_with_penalty(jacobian, self.coordinates), now, low, high)
+        return self.best(point + np.array(LADDER)[:, None] * direction)
+
+    def best(self, points: np.ndarray):
+        """The best of some points, its loss and its residual."""
+        tried = self.simulate(points)
+        reached = [self.loss(point, residual) for point, residual in zip(points, tried, strict=True)]
+        winner = int(np.argmin(reached))
+        return points[winner], reached[winner], tried[winner]
+
+
+def _along(problem: _Problem, fitted: np.ndarray, anchor: Fit, start: np.ndarray):
+    """From an anchor part of the way to `start`, or beyond; point, residual and loss.
+
+    Args:
+        problem: of the refit.
+        fitted: Jacobian of the base on the fitted windows.
+        anchor: fit of the base alone.
+        start: base and hypothesis.
+    """
+    coordinates, known, is_fit = problem.coordinates, len(anchor.point), problem.engine.is_fit
+    neutral = np.concatenate([anchor.point, [entry.prior for entry in coordinates.entries[known:]]])
+    loss = problem.loss(neutral, anchor.residual)
+    secant = problem.simulate(start[None])[0][is_fit] - anchor.residual[is_fit]
+    base = replace(coordinates, model=coordinates.model, entries=coordinates.entries[:known])
+    rows = _with_penalty(fitted, base)
+    low, high = base.low - anchor.point, base.high - anchor.point
+    priors = base.penalties(anchor.point) / np.sqrt(INFORMATION)
+    points = []
+    for share in SHARES:
+        expected = (anchor.residual[is_fit] + share * secant).reshape(-1).astype(np.float64)
+        gives = bounded_step(rows, np.concatenate([expected, priors]), low, high)
+        points.append(neutral + share * (start - neutral) + np.concatenate([gives, np.zeros(len(start) - known)]))
+    point, reached, tried = problem.best(np.clip(points, coordinates.low, coordinates.high))
+    return (point, tried, reached) if reached < loss else (neutral, anchor.residual, loss)
 
 
 def intervals(engine: Engine, base: Fit, fit: Fit, level: float = 0.9) -> np.ndarray:
@@ -302,12 +385,21 @@ def _penalised(engine: Engine, coordinates: Coordinates) -> Callable[[np.ndarray
 
 
 def _best_form(
-    engine: Engine, coordinates: Coordinates, alternatives: Sequence[RobotModel], point: np.ndarray
-) -> Coordinates:
-    """The coordinates of the model, or of an alternative, that fits best at a point."""
-    choices = [coordinates, *(replace(coordinates, model=model) for model in alternatives)]
-    losses = [float(np.square(_penalised(engine, choice)(point[None])).sum()) for choice in choices]
-    return choices[int(np.argmin(losses))]
+    engine: Engine, coordinates: Coordinates, models: Sequence[RobotModel], point: np.ndarray
+) -> tuple[Coordinates, np.ndarray]:
+    """Coordinates of the model that fits best, and where.
+
+    The range of speeds over which static friction fades means another number in another form, so some are tried.
+    """
+    names = [entry.parameter for entry in coordinates.entries]
+    points = np.tile(point, (len(FADES), 1))
+    if "stribeck_velocity" in names:
+        points[:, names.index("stribeck_velocity")] *= FADES
+    points = np.clip(points, coordinates.low, coordinates.high)
+    choices = [replace(coordinates, model=model) for model in models]
+    losses = np.array([np.square(_penalised(engine, choice)(points)).sum(1) for choice in choices])
+    form, place = np.unravel_index(losses.argmin(), losses.shape)
+    return choices[form], points[place]
 
 
 def _best_latency(engine: Engine, coordinates: Coordinates, point: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from op3.diagnose.coordinates import CHAIN, HELD, Coordinate, Coordinates, other_forms
+from op3.diagnose.coordinates import CHAIN, FORMS, HELD, Coordinate, Coordinates, other_forms
 from op3.robot.motions import BENCH_JOINTS
 from op3.servo import Effect, Parameter, RobotModel, catalogue
 from op3.servo.effect import parameter
@@ -155,7 +155,7 @@ def _places(base: RobotModel, model: RobotModel, effect: type[Effect], joints: S
 
 def _variants(model: RobotModel, name: str) -> list[RobotModel]:
     """The model with this effect in its other forms."""
-    return other_forms(model) if name == "dte" else []
+    return other_forms(model, (name,)) if name in FORMS else []
 
 
 def _switched_on(model: RobotModel, effect: type[Effect]) -> RobotModel:

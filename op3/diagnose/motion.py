@@ -56,7 +56,9 @@ class SmoothLog:
         position: smoothed [rad].
         velocity: smoothed [rad/s].
         acceleration: smoothed [rad/s2].
-        readings: raw channels by key.
+        readings: raw channels by key, at the ticks.
+        control: position and velocity as the controller read them, row by row [rad], [rad/s].
+        rough: how far the readings are from the smoothed state, in standard deviations, ``[tick]``.
         inputs: by signal name.
         tilt: roll and pitch of the stand [rad].
     """
@@ -68,6 +70,8 @@ class SmoothLog:
     velocity: np.ndarray
     acceleration: np.ndarray
     readings: Mapping[tuple[str, str], np.ndarray]
+    control: tuple[np.ndarray, np.ndarray]
+    rough: np.ndarray
     inputs: Mapping[str, np.ndarray]
     tilt: tuple[float, float]
 
@@ -116,6 +120,8 @@ def smooth(log: Rollout) -> SmoothLog:
     )  # [position | velocity, lag, tick, joint]
     state = np.einsum("okl,kltj->otj", weights, lagged)
     held = np.clip(np.searchsorted(time, grid + 0.3 * period, side="right") - 1, 0, len(time) - 1)
+    velocity = log.array("joint/velocity")[held] if "joint/velocity" in log else v
+    control = (log.array("joint/position")[held], velocity)
     inputs = {signal: log.array(key)[held] for key, signal in INPUTS.items() if key in log}
     if "bus_voltage" in inputs:
         inputs["bus_voltage"] = _interpolated(log.array("joint/voltage"), time, grid)
@@ -123,7 +129,28 @@ def smooth(log: Rollout) -> SmoothLog:
     if "imu/orientation" in log:
         roll, pitch = log.array("imu/orientation")[:, :2].mean(0)
         tilt = (round(float(roll), 2) + 0.0, round(float(pitch), 2) + 0.0)
-    return SmoothLog(log, period, grid, state[0], state[1], state[2], readings, inputs, tilt)
+    rough = _roughness(state, lagged, period)
+    return SmoothLog(log, period, grid, state[0], state[1], state[2], readings, control, rough, inputs, tilt)
+
+
+def _roughness(state: np.ndarray, lagged: np.ndarray, period: float) -> np.ndarray:
+    """Largest joint's misfit of the parabola through a smoothed state, in standard deviations of a reading, ``[tick]``.
+
+    Args:
+        state: position, velocity and acceleration, ``[order, tick, joint]``.
+        lagged: readings around each tick, ``[position | velocity, lag, tick, joint]``.
+        period: between ticks [s].
+    """
+    t = np.arange(-HALF_WIDTH, HALF_WIDTH + 1)[:, None, None] * period
+    position, velocity, acceleration = state
+    late = t - VELOCITY_LAG
+    misfit = np.stack(
+        [
+            (lagged[0] - position - velocity * t - 0.5 * acceleration * t**2) / POSITION_NOISE,
+            (lagged[1] - velocity - acceleration * late) / VELOCITY_NOISE,
+        ]
+    )
+    return np.sqrt(np.square(misfit).mean((0, 1)).max(1))
 
 
 def _interpolated(values: np.ndarray, time: np.ndarray, grid: np.ndarray) -> np.ndarray:

@@ -3,7 +3,8 @@
 Windows of a fifth of a second start from the smoothed measured state and are driven by the commands of the log. Their
 residual in position, velocity and current is whitened by what is usual for its channel and time in the window, and
 what an error of the initial state would explain is taken out of it (two numbers per joint and window, with a tight
-prior), so that what is left speaks about the model.
+prior), so that what is left speaks about the model. The same holds for what changes from window to window: a joint's
+friction, and the moment at which its commands take effect. Near the edge of sticking either moves a window far.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,8 +27,23 @@ INITIAL_POSITION = 0.0015
 INITIAL_VELOCITY = 0.06
 """Prior standard deviation of the initial velocity's error [rad/s]."""
 
+DRIFT = 0.03
+"""Standard deviation of a joint's friction from window to window, relative: warmth and grease."""
+
+DRIFTING = ("coulomb_friction", "static_friction_excess")
+"""Parameters that drift together."""
+
+JITTER = 0.0003
+"""Standard deviation of the time at which a joint's command takes effect [s]; a step of the target shows it."""
+
+TIMING = ("current_time_constant", "command_latency")
+"""Parameters that stand for it; the first that the model has."""
+
 FLOOR = {("joint", "position"): 0.0006, ("joint", "velocity"): 0.02, ("joint", "current"): 0.006}
 """Standard deviation of a reading, by channel [rad, rad/s, A]."""
+
+SEARCH = 24
+"""Ticks among which a window starts where the state is known best: not in the middle of a jerk."""
 
 HUBER = 2.0
 """A window whose residual is larger than this, in usual residuals, counts less."""
@@ -111,8 +127,7 @@ class WindowResiduals:
         for tilt in sorted(set(tilts)):
             at = np.concatenate([np.arange(k * rows, (k + 1) * rows) for k, own in enumerate(tilts) if own == tilt])
             self._tilted.append((FixedBase(self.joints, tilt), at))
-        q = stacked(lambda log: log.readings["joint", "position"])
-        v = stacked(lambda log: log.readings.get(("joint", "velocity"), log.velocity))
+        q, v = stacked(lambda log: log.control[0]), stacked(lambda log: log.control[1])
         self.motion = MeasuredMotion(
             self.period,
             self._position,
@@ -202,26 +217,42 @@ class WindowResiduals:
         return np.nan_to_num(result, nan=1e3, posinf=1e3, neginf=-1e3)
 
     def prepare(self, model: RobotModel) -> None:
-        """Take the scale of the residuals, and what initial states explain, from this model."""
+        """Take the scale of the residuals, and what nuisances of single windows explain, from this model."""
         error = self.errors(model)[0]
-        count = len(self.joints)
-        size = torch.eye(count, dtype=torch.float64)
-        none = torch.zeros(count, count, dtype=torch.float64)
-        moved = self.errors(
-            model,
-            {},
-            2 * count,
-            position_offset=torch.cat([INITIAL_POSITION * size, none]),
-            velocity_offset=torch.cat([none, INITIAL_VELOCITY * size]),
-        )
-        sensitivity = np.moveaxis(moved - error, 0, -1)  # [window, tick, joint, channel, nuisance]
         self.scale = self._scale(error)
-        flat = (sensitivity / self.scale[..., None]).reshape(len(self.windows), -1, 2 * count)
+        values, offsets, count = self._nuisances(model)
+        moved = self.errors(model, values, count, coarse=True, **offsets)
+        sensitivity = np.moveaxis(moved[1:] - moved[0], 0, -1)  # [window, tick, joint, channel, nuisance]
+        flat = (sensitivity / self.scale[..., None]).reshape(len(self.windows), -1, count - 1)
         basis, strength, _ = np.linalg.svd(flat, full_matrices=False)
         self._nuisance, self._shrink = basis, 1.0 - 1.0 / np.sqrt(1.0 + strength**2)
         self._weight = np.ones(len(self.windows))
         size = np.sqrt(np.square(self.whiten(error[None])[0]).mean(1))
         self._weight = np.minimum(1.0, HUBER / np.maximum(size, 1e-9))
+
+    def _nuisances(self, model: RobotModel) -> tuple[dict[str, Tensor], dict[str, Tensor], int]:
+        """What differs from window to window by a standard deviation, one joint at a time, behind the model itself.
+
+        Returns:
+            Parameters ``[candidate, joint]``, offsets of the initial state, and the number of candidates.
+        """
+        joints = len(self.joints)
+        known = {name: value for name, value in model.tensors(self.joints).items() if name in (*DRIFTING, *TIMING)}
+        late = next((name for name in TIMING if name in known), None)
+        parts = 3 if late is None else 4
+        count = 1 + parts * joints
+        size, none = torch.eye(joints, dtype=torch.float64), torch.zeros(count, joints, dtype=torch.float64)
+
+        def part(number: int, amount: float) -> Tensor:
+            whole = none.clone()
+            whole[1 + number * joints : 1 + (number + 1) * joints] = amount * size
+            return whole
+
+        offsets = {"position_offset": part(0, INITIAL_POSITION), "velocity_offset": part(1, INITIAL_VELOCITY)}
+        values = {name: known[name] * (1.0 + part(2, DRIFT)) for name in DRIFTING if name in known}
+        if late is not None:
+            values[late] = known[late] + part(3, JITTER)
+        return values, offsets, count
 
     def _scale(self, error: np.ndarray) -> np.ndarray:
         """Per tick and channel, ``[tick, 1, channel]``: the sensors' floor and the usual size of the residual."""
@@ -269,7 +300,7 @@ class WindowResiduals:
 
 
 def _choose(logs: Sequence[SmoothLog], count: int, ticks: int) -> list[tuple[int, int]]:
-    """Evenly spread starts (log, tick) of windows that do not overlap while there is room."""
+    """Evenly spread starts (log, tick) of windows that do not overlap while there is room, at smooth places."""
     lead, tail = max(PREROLL, HALF_WIDTH), ticks + HALF_WIDTH + 1
     room = np.array([max(0, len(log.time) - lead - tail) for log in logs])
     if room.sum() == 0:
@@ -278,9 +309,12 @@ def _choose(logs: Sequence[SmoothLog], count: int, ticks: int) -> list[tuple[int
     stride = max(total / count, ticks / 2)
     starts = []
     edges = np.cumsum([0, *room])
+    aside = int(0.5 * max(0.0, min(stride - ticks, SEARCH)))
     for at in np.arange(stride / 2, total, stride):
         log = int(np.searchsorted(edges, at, side="right") - 1)
-        starts.append((log, lead + int(at - edges[log])))
+        tick = lead + int(at - edges[log])
+        first, last = max(lead, tick - aside), min(lead + int(room[log]), tick + aside + 1)
+        starts.append((log, first + int(logs[log].rough[first:last].argmin())))
     return starts
 
 

@@ -133,10 +133,16 @@ class Signals:
     factors: dict[str, Tensor]
 
     @classmethod
-    def zeros(cls, num_sims: int, num_joints: int, device: torch.device | str = "cpu") -> "Signals":
-        """Signals of a servo at rest without command; tensors are float64."""
+    def zeros(
+        cls,
+        num_sims: int,
+        num_joints: int,
+        device: torch.device | str = "cpu",
+        dtype: torch.dtype = torch.float64,
+    ) -> "Signals":
+        """Signals of a servo at rest without command."""
         made = {
-            field.name: torch.zeros(num_sims, num_joints, dtype=torch.float64, device=device)
+            field.name: torch.zeros(num_sims, num_joints, dtype=dtype, device=device)
             for field in fields(cls)
             if field.name not in ("phase", "state", "factors")
         }
@@ -263,6 +269,17 @@ class Effect:
 
     def reset(self, signals: Signals, prepared: Prepared) -> None:
         """Create the effect's memory in ``signals.state``, given the commands and state at the start."""
+
+    def balance(self, signals: Signals, prepared: Prepared, torque: Tensor) -> None:
+        """Let elastic elements take up a torque that would otherwise set a resting joint in motion.
+
+        Called where a simulation starts from a measured state: what rests is in balance.
+
+        Args:
+            signals: after a step of the law.
+            prepared: see `prepare`.
+            torque: on the joint beyond what the law gave in that step [N m], zero for joints that move.
+        """
 
     def tick(self, signals: Signals, prepared: Prepared) -> None:
         """Act once per control period, right after new commands arrived."""

@@ -9,6 +9,19 @@ Locomotion on Torque Sensor-Less Gear-Driven Humanoid" (2023). Torques are on th
 import torch
 from torch import Tensor
 
+TRACE = 1e-12
+"""Share of a torque that decides a direction only where the joint rests exactly."""
+
+
+def stacked(*parts: Tensor) -> Tensor:
+    """Tensors ``[sim, joint]`` as one, ``[part, sim, joint]``, in the memory order of the first.
+
+    Window simulations keep joints in rows; arithmetic between tensors of different order is several times slower.
+    """
+    if parts[0].stride(-1) > 1:
+        return torch.stack([part.mT for part in parts]).mT
+    return torch.stack(parts)
+
 
 def pd_current(position_target: Tensor, position: Tensor, velocity: Tensor, p_gain: Tensor, d_gain: Tensor) -> Tensor:
     """Target current [A] of the variable-gain PD: ``Kp (q* - q) - Kd w``.
@@ -115,13 +128,15 @@ def dte_power_loss(
         forward_loss: ``1 - eta_fw``.
         backward_share: ``1 / eta_bw - 1``.
     """
-    power = motor_torque * direction
-    rests = (direction == 0) & ~motor_leads(motor_torque, load_torque)
-    return motor_torque.abs() * torch.where((power < 0) | rests, backward_share, forward_loss)
+    power = motor_torque * torch.add(direction, motor_torque + load_torque, alpha=TRACE)
+    driven = (power < 0).to(power.dtype)
+    return motor_torque.abs() * torch.addcmul(forward_loss, driven, backward_share - forward_loss)
 
 
-def stribeck_fade(speed: Tensor, stribeck_velocity: Tensor) -> Tensor:
+def stribeck_fade(speed: Tensor, stribeck_velocity: Tensor, gaussian: bool = False) -> Tensor:
     """Share of the friction near rest that is left at a speed, paper eq. (4): ``exp(-|w| / w_s)``.
+
+    Armstrong (1994) finds both that and ``exp(-(w / w_s)^2)``, which stays near one for longer and has no tail.
 
     The paper prints ``s = exp(|w|) / w_static``, which grows without bound; the decaying exponential of the
     Stribeck function is meant.
@@ -129,8 +144,10 @@ def stribeck_fade(speed: Tensor, stribeck_velocity: Tensor) -> Tensor:
     Args:
         speed: ``|w|`` [rad/s], ``[sim, joint]``.
         stribeck_velocity: w_static [rad/s].
+        gaussian: whether the square of the ratio counts.
     """
-    return torch.exp(-speed / stribeck_velocity)
+    ratio = speed / stribeck_velocity
+    return torch.exp(-ratio * ratio if gaussian else -ratio)
 
 
 def position_duty(

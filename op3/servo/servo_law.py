@@ -72,6 +72,11 @@ class ServoLaw:
         for effect in self.effects:
             effect.reset(signals, self._prepared[effect.name])
 
+    def balance(self, signals: Signals, torque: Tensor) -> None:
+        """Let elastic elements take up a torque [N m], ``[sim, joint]``, on joints that rest."""
+        for effect in self.effects:
+            effect.balance(signals, self._prepared[effect.name], torque)
+
     def tick(self, signals: Signals, readings: tuple[Tensor, Tensor] | None = None) -> None:
         """A control period begins: read the sensors, compute and send commands.
 

@@ -49,9 +49,9 @@ def set_start(signals: Signals, load_torque: Any = None, current: Any = None, ti
     """
     like = torch.zeros_like(signals.position)
     if load_torque is not None:
-        signals.load_torque = torch.as_tensor(load_torque, dtype=torch.float64).expand_as(like).clone()
-    signals.current = like if current is None else torch.as_tensor(current, dtype=torch.float64).expand_as(like).clone()
-    signals.time = torch.as_tensor(time, dtype=torch.float64).expand_as(like).clone()
+        signals.load_torque = torch.as_tensor(load_torque, dtype=like.dtype).expand_as(like).clone()
+    signals.current = like if current is None else torch.as_tensor(current, dtype=like.dtype).expand_as(like).clone()
+    signals.time = torch.as_tensor(time, dtype=like.dtype).expand_as(like).clone()
 
 
 def expand_parameters(

@@ -326,7 +326,7 @@ def test_a_ripple_is_found_in_a_residual_torque():
 
 def slid(compliance: float, motion: np.ndarray) -> np.ndarray:
     """Friction torque of bristles moved by hand."""
-    law, signals = law_of(LuGre(), Coulomb(), bristle_compliance=compliance, coulomb_friction=0.1)
+    law, signals = law_of(LuGre(damping_ratio=0.0), Coulomb(), bristle_compliance=compliance, coulomb_friction=0.1)
     law.reset(signals)
     law.tick(signals)
     torques = []
@@ -344,6 +344,43 @@ def test_bristles_bend_then_slip():
     assert torques[19] == pytest.approx(-20 * 1e-5 / 0.01, rel=0.12)
     assert torques[1019] == pytest.approx(-0.1, rel=1e-3)
     assert torques[-1] == pytest.approx(-0.1 + 10 * 1e-5 / 0.01, rel=0.15)
+
+
+def test_a_damped_bristle_stops_ringing():
+    """A rotor on a bent bristle within the bound swings back and forth, and with damping comes to rest."""
+    inertia, step = 0.005, 0.001
+
+    def last_swing(damping_ratio: float) -> float:
+        law, signals = law_of(
+            LuGre(damping_ratio=damping_ratio), Coulomb(), bristle_compliance=0.01, coulomb_friction=0.5
+        )
+        law.reset(signals)
+        law.tick(signals)
+        velocity, swing = 0.05, []
+        for _ in range(400):
+            signals.velocity = torch.full_like(signals.velocity, velocity)
+            law.step(signals)
+            signals.phase = 1
+            torque, damping = signals.applied_torque[0, 0].item(), signals.damping[0, 0].item()
+            velocity += step * (torque) / (inertia + step * damping)
+            swing.append(abs(velocity))
+        return max(swing[-100:])
+
+    assert last_swing(0.2) < 0.1 * last_swing(0.0)
+
+
+def test_bristles_take_up_the_load_of_a_resting_joint():
+    """A joint at rest under a load stays at rest: its bristle is bent from the beginning."""
+    law, signals = law_of(LuGre(), Coulomb(), bristle_compliance=0.01, coulomb_friction=0.5)
+    law.reset(signals)
+    law.tick(signals)
+    law.step(signals)
+    law.balance(signals, torch.full_like(signals.velocity, 0.3))
+    law.step(signals)
+    assert signals.applied_torque[0, 0].item() == pytest.approx(-0.3, rel=1e-6)
+    law.balance(signals, torch.full_like(signals.velocity, 0.9))
+    law.step(signals)
+    assert signals.applied_torque[0, 0].item() == pytest.approx(-0.5, rel=1e-6), "friction bounds it"
 
 
 @settings(max_examples=25, deadline=None)

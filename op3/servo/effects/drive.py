@@ -96,13 +96,12 @@ class Latency(Effect):
     def reset(self, signals: Signals, prepared: Prepared) -> None:
         """Before the start, the first command was already held."""
         first = getattr(signals, self.signal)
-        signals.state[self.name] = first.expand(prepared["weights"].shape[1], *first.shape).clone()
+        signals.state[self.name] = law.stacked(*[first] * prepared["weights"].shape[1])
 
     def tick(self, signals: Signals, prepared: Prepared) -> None:
         """Put the new command in front of the older ones."""
-        history = torch.roll(signals.state[self.name], 1, 0)
-        history[0] = getattr(signals, self.signal)
-        signals.state[self.name] = history
+        older = signals.state[self.name][:-1].unbind()
+        signals.state[self.name] = law.stacked(getattr(signals, self.signal), *older)
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Let through what has arrived by now."""

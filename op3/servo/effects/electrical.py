@@ -7,6 +7,7 @@ from typing import ClassVar, Literal
 import torch
 from torch import Tensor
 
+from op3.servo import law
 from op3.servo.effect import Clock, Effect, Parameter, Prepared, Scope, Signals, Stage, register
 
 REFERENCE_TEMPERATURE = 25.0
@@ -202,14 +203,21 @@ class CurrentLag(Effect):
     def reset(self, signals: Signals, prepared: Prepared) -> None:
         """The first command was held for long; a voltage starts from zero."""
         start = signals.target_current if self.signal == "target_current" else torch.zeros_like(signals.position)
-        signals.state[self.name] = start.clone()
+        signals.state[self.name] = law.stacked(start, torch.zeros_like(start))
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Let the command through as far as it has come."""
         asked = getattr(signals, self.signal)
-        deviation = signals.state[self.name] - asked
-        signals.state[self.name] = asked + prepared["left"] * deviation
-        setattr(signals, self.signal, asked + prepared["mean"] * deviation)
+        deviation = signals.state[self.name][0] - asked
+        end = asked + prepared["left"] * deviation
+        mean = asked + prepared["mean"] * deviation
+        signals.state[self.name] = law.stacked(end, end - mean)
+        setattr(signals, self.signal, mean)
+
+    def report(self, signals: Signals, prepared: Prepared) -> None:
+        """Read the current where it has come by the end of the step, not its mean over the step."""
+        if self.signal == "target_current":
+            signals.measured_current = signals.measured_current + signals.state[self.name][1]
 
 
 @register

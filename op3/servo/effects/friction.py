@@ -6,7 +6,7 @@ in every step: a friction that can hold the joint still and always opposes its m
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import torch
 
@@ -46,7 +46,11 @@ class Coulomb(Effect):
 @register
 @dataclass(frozen=True)
 class Stribeck(Effect):
-    """Friction that is higher near rest and fades with speed."""
+    """Friction that is higher near rest and fades with speed.
+
+    Attributes:
+        fade: how it fades: ``exponential`` as in the paper, or ``gaussian``.
+    """
 
     name: ClassVar[str] = "stribeck"
     stage: ClassVar[Stage] = Stage.FRICTION
@@ -70,9 +74,11 @@ class Stribeck(Effect):
     alias_class: ClassVar[str] = "near_rest"
     scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
 
+    fade: Literal["exponential", "gaussian"] = "exponential"
+
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Raise the bound near rest, and tell other friction how much of it is left at this speed."""
-        signals.fade = law.stribeck_fade(signals.speed, prepared["stribeck_velocity"])
+        signals.fade = law.stribeck_fade(signals.speed, prepared["stribeck_velocity"], self.fade == "gaussian")
         signals.friction_bound = signals.friction_bound + prepared["static_friction_excess"] * signals.fade
 
 

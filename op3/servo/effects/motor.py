@@ -71,3 +71,12 @@ class Motor(Effect):
         signals.motor_torque = constant * signals.current
         signals.applied_torque = signals.motor_torque
         signals.damping = torch.where(implicit, back_emf_damping, 0.0)
+
+    def report(self, signals: Signals, prepared: Prepared) -> None:
+        """Where the bus voltage limits the current, read it at the velocity of now, not at that of a step ago."""
+        if self.drive != "current":
+            return
+        constant = prepared["constant"] * signals.factors.get("torque_constant", 1.0)
+        resistance = prepared["resistance"] * signals.factors.get("terminal_resistance", 1.0)
+        now = (signals.voltage - constant * signals.velocity) / resistance
+        signals.measured_current = torch.where(signals.duty.abs() < 1.0, signals.measured_current, now)

@@ -7,6 +7,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from op3.servo import law
 from op3.servo.effect import Clock, Effect, Parameter, Prepared, Scope, Signals, Stage, register
 
 
@@ -17,16 +18,23 @@ class LuGre(Effect):
 
     The bound F that the other frictions make up becomes the level at which the bristle slips. Its deflection z is
     integrated exactly over a step for the speed at its beginning, and linearly in the velocity at its end, which goes
-    to the physics as implicit damping: stable at 1 ms from any softness down to a rigid grip.
+    to the physics as implicit damping: stable at 1 ms from any softness down to a rigid grip. The bristle's own damping
+    acts on the mean rate of its deflection over the step, and so vanishes while the joint slides.
+
+    Attributes:
+        damping_ratio: of the rotor alone on its bristle; without damping a held joint rings like a bell.
     """
 
     name: ClassVar[str] = "lugre"
     stage: ClassVar[Stage] = Stage.TRANSMISSION
-    equation: ClassVar[str] = "tau_fric = z / s, dz/dt = w - |w| z / (s F)"
-    source: ClassVar[str] = "Canudas de Wit et al. (1995), sigma_0 = 1 / s, sigma_1 = 0; F from the other effects"
+    equation: ClassVar[str] = (
+        "tau_fric = z / s + sigma_1 dz/dt, dz/dt = w - |w| z / (s F), sigma_1 = 2 zeta sqrt(Ja / s)"
+    )
+    source: ClassVar[str] = "Canudas de Wit et al. (1995), sigma_0 = 1 / s; F from the other effects"
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("bristle_compliance", "rad/(N m)", 0.0, 0.05, 0.0, 0.0, "s; 20 to 200 N m/rad", least=0.0),
     )
+    borrows: ClassVar[tuple[str, ...]] = ("armature",)
     size: ClassVar[str] = "bristle_compliance"
     smallest: ClassVar[float] = 0.003
     secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"bristle_compliance": 0.005}, {"bristle_compliance": 0.02})
@@ -36,30 +44,51 @@ class LuGre(Effect):
     alias_class: ClassVar[str] = "near_rest"
     scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
 
+    damping_ratio: float = 0.2
+
     def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
-        """Where bristles are soft, and how soft."""
+        """Where bristles are soft, and how soft; and the torque per deflection gained in a step by damping."""
         compliance = values["bristle_compliance"]
         timestep = torch.tensor(clock.timestep, dtype=compliance.dtype)
-        return {"soft": compliance > 0, "compliance": compliance.clamp(min=1e-9), "timestep": timestep}
+        soft = (compliance > 0).to(compliance.dtype)
+        held = compliance.clamp(min=1e-9)
+        stiffness = soft / held
+        armature = values["armature"] if "armature" in values else torch.zeros_like(compliance)
+        # kept off zero, where the root has no derivative
+        damping = 2.0 * self.damping_ratio * soft * torch.sqrt((armature / held).clamp(min=1e-12))
+        return {
+            "compliance": held,
+            "stiffness": stiffness,
+            "rate": damping / clock.timestep,
+            "whole": stiffness + damping / clock.timestep,
+            "rigid": 1.0 - soft,
+            "timestep": timestep,
+        }
 
     def reset(self, signals: Signals, prepared: Prepared) -> None:
         """Bristles of a joint that moves are fully bent, those of one at rest are straight."""
         straight = torch.zeros_like(signals.velocity)
         bent = 1e9 * torch.sign(signals.velocity)  # the level of friction bounds it in the first step
-        signals.state[self.name] = torch.stack([bent, straight + 1.0, straight])
+        signals.state[self.name] = law.stacked(bent, straight + 1.0, straight)
+
+    def balance(self, signals: Signals, prepared: Prepared, torque: Tensor) -> None:
+        """Bend the bristle by what the torque asks for; the level of friction bounds it in the next step."""
+        deflection, left, gain = signals.state[self.name]
+        bent = torch.addcmul(deflection * left, gain, signals.velocity) + prepared["compliance"] * torque
+        signals.state[self.name] = law.stacked(bent, torch.ones_like(bent), torch.zeros_like(bent))
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Put the bristle's torque in place of the bound."""
         step, compliance = prepared["timestep"], prepared["compliance"]
         deflection, left, gain = signals.state[self.name]
         limit = (signals.friction_bound * compliance).clamp(min=1e-12)
-        deflection = (deflection * left + gain * signals.velocity).clamp(-limit, limit)
+        deflection = torch.addcmul(deflection * left, gain, signals.velocity).clamp(-limit, limit)
         # share of a deflection that a step leaves, and how much deflection a unit of velocity adds in it
         slip = (step * signals.velocity.abs() / limit).clamp(min=1e-9)
         left, gain = torch.exp(-slip), step * -torch.expm1(-slip) / slip
-        signals.state[self.name] = torch.stack([deflection, left, gain])
-        grip = (deflection * left + gain * signals.velocity) / compliance
-        soft = prepared["soft"]
-        signals.applied_torque = signals.applied_torque - torch.where(soft, grip, 0.0)
-        signals.damping = signals.damping + torch.where(soft, gain / compliance, 0.0)
-        signals.friction_bound = torch.where(soft, 0.0, signals.friction_bound)
+        signals.state[self.name] = law.stacked(deflection, left, gain)
+        later = torch.addcmul(deflection * left, gain, signals.velocity)
+        grip = prepared["whole"] * later - prepared["rate"] * deflection
+        signals.applied_torque = signals.applied_torque - grip
+        signals.damping = torch.addcmul(signals.damping, gain, prepared["whole"])
+        signals.friction_bound = prepared["rigid"] * signals.friction_bound

@@ -8,6 +8,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from op3.servo import law
 from op3.servo.effect import Clock, Effect, Parameter, Prepared, Scope, Signals, Stage, register
 from op3.servo.effects.electrical import left_after_step
 
@@ -113,7 +114,7 @@ class VelocityFilter(Effect):
 
     def reset(self, signals: Signals, prepared: Prepared) -> None:
         """The velocity was held for long."""
-        signals.state[self.name] = torch.stack([signals.measured_velocity, signals.measured_velocity])
+        signals.state[self.name] = law.stacked(signals.measured_velocity, signals.measured_velocity)
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Filter what has happened since the memory was last renewed, a step ago."""
@@ -127,4 +128,4 @@ class VelocityFilter(Effect):
 
     def finish(self, signals: Signals, prepared: Prepared) -> None:
         """Renew the memory."""
-        signals.state[self.name] = torch.stack([signals.measured_velocity, signals.state["velocity_now"]])
+        signals.state[self.name] = law.stacked(signals.measured_velocity, signals.state["velocity_now"])

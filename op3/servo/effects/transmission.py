@@ -13,6 +13,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from op3.servo import law
 from op3.servo.effect import Clock, Effect, Parameter, Prepared, Scope, Signals, Stage, register
 
 MIDDLE = 0.5
@@ -67,8 +68,8 @@ class Transmission(Effect):
         angle = self.rotor_angle(signals.position, signals.load_torque, prepared)
         velocity = signals.velocity.clone()
         none = torch.zeros_like(angle)
-        signals.state[ROTOR] = torch.stack([angle - prepared["timestep"] * velocity, velocity, none, none])
-        signals.state[LINK] = torch.stack([signals.position, signals.velocity])
+        signals.state[ROTOR] = law.stacked(angle - prepared["timestep"] * velocity, velocity, none, none)
+        signals.state[LINK] = law.stacked(signals.position, signals.velocity)
 
     def begin(self, signals: Signals, prepared: Prepared) -> None:
         """Move the rotor to the end of the last step, and let motor and friction see it instead of the link."""
@@ -78,8 +79,8 @@ class Transmission(Effect):
         velocity = constant + gain * signals.velocity
         velocity = torch.where(slips * velocity < 0, 0.0, velocity)  # friction stops the rotor, it does not reverse it
         angle = angle + prepared["timestep"] * velocity
-        signals.state[LINK] = torch.stack([signals.position, signals.velocity])
-        signals.state[ROTOR] = torch.stack([angle, velocity, gain, slips])
+        signals.state[LINK] = law.stacked(signals.position, signals.velocity)
+        signals.state[ROTOR] = law.stacked(angle, velocity, gain, slips)
         signals.position = torch.where(prepared["active"], angle, signals.position)
         signals.velocity = torch.where(prepared["active"], velocity, signals.velocity)
 
@@ -110,7 +111,7 @@ class Transmission(Effect):
         slips = torch.where(moves.abs() > step * bound, torch.sign(moves), 0.0)
         constant = torch.where(slips != 0, (impulse - step * bound * slips) / total, 0.0)
         gain = torch.where(slips != 0, step * grip / total, 0.0)
-        signals.state[ROTOR] = torch.stack([angle, constant, gain, slips])
+        signals.state[ROTOR] = law.stacked(angle, constant, gain, slips)
         # the contact's torque is bent + grip (rotor velocity - link velocity), both after the step
         falls = grip * (1.0 - gain)
         contact = bent + grip * constant - falls * link_velocity
