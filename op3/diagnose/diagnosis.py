@@ -238,7 +238,8 @@ class Diagnosis:
             if name in named[0].gap
         }
         loss = {**last.loss, "before": named[0].loss.get("before")}
-        return replace(last, effects=effects, base=named[0].base, gap=gap, loss=loss)
+        said = [f"{effect.name} explains {effect.gain:.0%} of the residual that was left" for effect in effects]
+        return replace(last, effects=effects, base=named[0].base, gap=gap, loss=loss, reason=", then ".join(said))
 
     def _round(self, model: RobotModel) -> Verdict:
         rng = np.random.default_rng([self.seed, 11])
