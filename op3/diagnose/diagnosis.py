@@ -10,7 +10,7 @@ import numpy as np
 
 from op3.diagnose.backward import NEEDED, still_needed, with_findings
 from op3.diagnose.ceiling import Ceiling, ceiling, where
-from op3.diagnose.coordinates import FAULTS, base_coordinates, other_forms, with_chain
+from op3.diagnose.coordinates import FAULTS, Coordinates, base_coordinates, other_forms, with_chain
 from op3.diagnose.decide import CEILING, LOOK_ALIKE, Contender, Decision, decide, local_ceiling
 from op3.diagnose.fitting import Engine, Fit, fit_base, intervals, linearise, polish, refit, with_point
 from op3.diagnose.free_run import engine_for
@@ -39,6 +39,9 @@ PARTNERS = 2
 
 POLISHED = 4
 """Leaders that are refitted once more with Jacobians of their own, as the control is."""
+
+LEADING = 3
+"""Effects that are looked for in single joints of a robot on its feet."""
 
 CELLS = 20
 """Cells of residual torque that are kept."""
@@ -102,7 +105,7 @@ class Diagnosis:
         self.seed = seed
         self._report = progress or (lambda stage, share: None)
         self.engine: Engine = engine or engine_for(split)
-        self.fixed_base = split.fit[0].metadata.mount != "floor"
+        self.fixed_base = split.fit[0].metadata.mount in ("stand", "pendulum")
         self.without = tuple(without)
         self.cache = cache
         self.cautions: tuple[Caution, ...] = ()
@@ -113,7 +116,7 @@ class Diagnosis:
     def refit_base(self, model: RobotModel) -> Fit:
         """Refit the model's own parameters, with the measurement chain and the spread of its servos."""
         full = with_chain(model) if "current_pd" in model.effect_names else model
-        coordinates = base_coordinates(full, self.engine.joints, fixed_base=self.fixed_base)
+        coordinates = self._coordinates(full)
         forms = [full, *other_forms(full)]
         place = None if self.cache is None else self.cache / f"base-{self._key(full)}.npz"
         if place is not None and place.is_file():
@@ -128,10 +131,17 @@ class Diagnosis:
             np.savez(place, point=fit.point, form=[m is fit.coordinates.model for m in forms].index(True))
         return fit
 
+    def _coordinates(self, model: RobotModel) -> Coordinates:
+        """What a base refits; on its feet, where a simulation is dear, only what all joints share."""
+        coordinates = base_coordinates(model, self.engine.joints, fixed_base=self.fixed_base)
+        if self.fixed_base:
+            return coordinates
+        return replace(coordinates, entries=tuple(e for e in coordinates.entries if len(e.joints or (0, 0)) > 1))
+
     def linearised(self) -> Fit:
         """The given model as it is, with the Jacobian of everything that a base would refit."""
         full = with_chain(self.given) if "current_pd" in self.given.effect_names else self.given
-        coordinates = base_coordinates(full, self.engine.joints, fixed_base=self.fixed_base)
+        coordinates = self._coordinates(full)
         return linearise(self.engine, coordinates, coordinates.start)
 
     def _key(self, model: RobotModel) -> str:
@@ -148,7 +158,14 @@ class Diagnosis:
         fitted = with_point(base.coordinates, base.point)
         candidates = hypotheses(fitted, self.engine.joints, fixed_base=self.fixed_base, without=self.without)
         candidates += setup_hypotheses(fitted, self.split.logs, self.without)
-        return screen(self.engine, base, candidates, lambda share: self._report("screen", share))
+        if self.fixed_base:
+            return screen(self.engine, base, candidates, lambda share: self._report("screen", share))
+        # on its feet a simulation is dear: single joints are asked of the leading effects alone
+        alone = [h for h in candidates if h.joints is not None and len(h.joints) == 1]
+        found = screen(self.engine, base, [h for h in candidates if h not in alone])
+        leading = list(dict.fromkeys(s.hypothesis.effect for s in sorted(found, key=_credit, reverse=True)))[:LEADING]
+        found += screen(self.engine, base, [h for h in alone if h.effect in leading])
+        return sorted(found, key=lambda s: -s.gain)
 
     def run(self, rounds: int = 1) -> Verdict:
         """Diagnose; with more rounds, go on from what was named until nothing more is found."""
@@ -221,7 +238,8 @@ class Diagnosis:
             if name in named[0].gap
         }
         loss = {**last.loss, "before": named[0].loss.get("before")}
-        return replace(last, effects=effects, base=named[0].base, gap=gap, loss=loss)
+        said = [f"{effect.name} explains {effect.gain:.0%} of the residual that was left" for effect in effects]
+        return replace(last, effects=effects, base=named[0].base, gap=gap, loss=loss, reason=", then ".join(said))
 
     def _round(self, model: RobotModel) -> Verdict:
         rng = np.random.default_rng([self.seed, 11])

@@ -10,6 +10,7 @@ from op3.policy import PolicyBundle
 from op3.rollout import Rollout
 from op3.servo import RobotModel
 from op3.tasks.evaluation import evaluation_return
+from op3.tasks.task import Task, find_task
 
 RESAMPLES = 1000
 """Bootstrap resamples over episodes."""
@@ -20,7 +21,7 @@ def downstream(
     before: RobotModel,
     after: RobotModel,
     *,
-    task: str = "balance_eval",
+    task: str | Task = "balance_eval",
     episodes: int = 10,
     actual: Sequence[Rollout] = (),
     seed: int = 0,
@@ -44,7 +45,7 @@ def downstream(
         ``error_after``, how far the predictions are from it.
     """
     rng = np.random.default_rng([seed, 19])
-    result: dict[str, Any] = {"task": task, "episodes": episodes}
+    result: dict[str, Any] = {"task": find_task(task).name, "episodes": episodes}
     for number, (label, model) in enumerate((("before", before), ("after", after))):
         if label == "after" and after is before:
             result["after"] = dict(result["before"])

@@ -34,6 +34,12 @@ COARSER = 2
 """How many times longer the steps of a coarse simulation on the bench are."""
 
 
+FEW = 4
+"""Logs of a robot on its feet that are simulated, at most, of those that fit and of those that choose."""
+
+BEGINNING = 5.0
+"""How much of each [s]: a free run that has gone astray says nothing of what comes later."""
+
 SETTLE = 0.2
 """Time for which the first command is held before a replay begins [s]."""
 
@@ -42,6 +48,16 @@ def settle_time(logs: Sequence[Rollout]) -> float:
     """How long the first command of logs is held before their replay [s]: not at all where nothing holds the joints."""
     held = [bool((log.array("command/torque_enable")[0] > 0.5).all()) for log in logs if "command/torque_enable" in log]
     return SETTLE if all(held) else 0.0
+
+
+def _shortened(logs: Sequence[Rollout]) -> list[Rollout]:
+    """Logs of a bench as they are; of a robot, whose contacts cost a hundred times as much, the beginnings of a few."""
+    if logs[0].metadata.mount == "pendulum":
+        return list(logs)
+    every = max(1, -(-len(logs) // FEW))
+    return [
+        log.between(float(log.array("time")[0, 0]), float(log.array("time")[0, 0]) + BEGINNING) for log in logs[::every]
+    ]
 
 
 class FreeRunResiduals:
@@ -59,7 +75,8 @@ class FreeRunResiduals:
 
     def __init__(self, split: LogSplit, *, timestep: float = 0.002):
         self.split = split
-        logs = [*split.fit, *split.select]
+        fit, select = (_shortened(split.fit), _shortened(split.select))
+        logs = [*fit, *select]
         first = logs[0]
         for log in split.logs:
             if log.joints != first.joints or log.metadata.mount != first.metadata.mount:
@@ -75,14 +92,14 @@ class FreeRunResiduals:
             # bench logs carry a velocity that the recorders computed from positions
             self.channels = tuple(key for key in self.channels if key != ("joint", "velocity"))
         settle, coarse = settle_time(logs), COARSER * timestep
-        self._fit = Replay(split.fit, settle=settle, bench_timestep=timestep)
+        self._fit = Replay(fit, settle=settle, bench_timestep=timestep)
         self._all = Replay(logs, settle=settle, bench_timestep=timestep)
         self._coarse, self._coarse_fit = self._all, self._fit
         if first.metadata.mount == "pendulum":
             self._coarse = Replay(logs, settle=settle, bench_timestep=coarse)
-            self._coarse_fit = Replay(split.fit, settle=settle, bench_timestep=coarse)
+            self._coarse_fit = Replay(fit, settle=settle, bench_timestep=coarse)
         self._seconds = [max(1, int(log.duration / (GRID * SECOND))) for log in logs]
-        self.is_fit = np.repeat([i < len(split.fit) for i in range(len(logs))], self._seconds)
+        self.is_fit = np.repeat([i < len(fit) for i in range(len(logs))], self._seconds)
         begins = np.cumsum([0, *(-(-seconds // BLOCK) for seconds in self._seconds)])
         self.blocks = np.concatenate(
             [first + np.arange(seconds) // BLOCK for first, seconds in zip(begins, self._seconds, strict=False)]

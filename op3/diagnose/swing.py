@@ -100,14 +100,11 @@ def diagnose_swings(
     others = verdict.effects if verdict.verdict == "named" and not verdict.vetoed else ()
     final = verdict.model if others else verdict.base
     shown = show(single, final, split, seed=seed)
-    rest = f"beyond it, {verdict.verdict.replace('_', ' ')}: {verdict.reason}"
-    if verdict.verdict == "ambiguous":
-        rest = f"beyond it, {' or '.join(effect.name for effect in verdict.effects)}, which look alike to these swings"
     return replace(
         verdict,
         verdict="named",
         effects=(zero, *others),
-        reason=f"the zero explains {zero.gain:.0%} of the residual of the choosing swings; {rest}",
+        reason=f"the zero explains {zero.gain:.0%} of the residual of the choosing swings; {_beyond(verdict)}",
         model=single if shown["vetoed"] else final,
         base=single,
         separate_by="" if others else verdict.separate_by,
@@ -117,6 +114,18 @@ def diagnose_swings(
         weak=False,
         details={**verdict.details, "shown": shown},
     )
+
+
+def _beyond(verdict: Verdict) -> str:
+    """What a verdict says besides the zero, in a clause."""
+    names = " or ".join(effect.name for effect in verdict.effects)
+    if verdict.verdict == "named" and verdict.vetoed:
+        return f"beyond it, {names} would explain some of what is left, but unseen swings are no better with it"
+    if verdict.verdict == "named":
+        return f"beyond it, {verdict.reason}"
+    if verdict.verdict == "ambiguous":
+        return f"beyond it, {names}, which look alike to these swings"
+    return f"beyond it nothing is named: {verdict.reason}"
 
 
 def _remounted(diagnosis: Diagnosis, single: RobotModel) -> tuple[RobotModel, Finding] | None:

@@ -40,6 +40,21 @@ def test_a_bench_seals_diagnoses_scores_and_goes_on(tmp_path):
     assert (run / "index.html").is_file()
 
 
+@pytest.mark.slow
+def test_the_small_bench_from_seeds_to_page(tmp_path):
+    """Twelve legs, the real diagnosis, baselines and oracle: every case gets a verdict and hardly any misleads."""
+    command = [sys.executable, "experiments/hidden_effects.py", "bench=ci", f"hydra.run.dir={tmp_path}"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    result = read_result(tmp_path / "result.yaml")
+    assert (result["diagnosis.cases"], result["diagnosis.failed"]) == (12, 0)
+    assert (result["sparse_regression.cases"], result["sparse_regression.failed"]) == (12, 0)
+    assert result["diagnosis.confident_wrong"]["count"] <= 1
+    assert result["diagnosis.false_alarms"]["count"] <= 1
+    assert result["diagnosis.top1_class"]["count"] > result["random_name.top1_class"]["count"]
+    assert result["diagnosis.oracle_closure_median"]["of"] > 0
+
+
 @pytest.mark.parametrize(("bench", "cases"), [("full", 688), ("laptop", 100), ("ci", 12), ("op3", 24)])
 def test_every_bench_can_be_drawn(bench, cases):
     """Each mix names effects that can be hidden and has as many cases as its first line says."""
