@@ -40,6 +40,10 @@ NAMED_SHARE = 0.8
 ALIKE_SHARE = 0.99
 """The same where the next best is of the same alias class, which explains nearly the same."""
 
+PARSIMONY = 0.1
+"""Share of what the best explains that a hypothesis with fewer numbers may fall short of it and still be preferred: a
+further number explains some of what any law gets wrong."""
+
 RESAMPLES = 1000
 """Bootstrap resamples over blocks of a second."""
 
@@ -80,6 +84,7 @@ class Contender:
         left: residual velocity of each joint that it leaves, in standard deviations of a reading, ``[joint]``; empty if
             the engine has none.
         direction: of its secant beyond the base, normalised; empty if not known.
+        numbers: how many were fitted beside the base.
     """
 
     label: str
@@ -94,6 +99,7 @@ class Contender:
     implausible: bool
     left: np.ndarray = field(default_factory=lambda: np.zeros(0))
     direction: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    numbers: int = 1
 
 
 @dataclass(frozen=True)
@@ -168,12 +174,44 @@ def decide(
         return Decision(
             "nothing_missing", (), shares, f"the best of the catalogue, {best.label}, explains {max(best.gain, 0):.1%}"
         )
-    best = counting[0]
-    rivals = _rivals(contenders, best, counting[1:], control, shares, rng)
+    best = _simplest(contenders, counting, control)
+    others = [i for i in counting if i != best and not _more_than(contenders[i], contenders[best], control)]
+    shares = _credited(shares, contenders, best, others)
+    rivals = _rivals(contenders, best, others, control, shares, rng)
     if not rivals:
         return Decision("named", (best,), shares, f"it explains {contenders[best].gain:.0%} of the residual")
     members = (best, *rivals)[:MOST_CANDIDATES]
     return Decision("ambiguous", members, shares, "these explain the residual about equally well")
+
+
+def _simplest(contenders: Sequence[Contender], counting: Sequence[int], control: np.ndarray) -> int:
+    """The best of those that count, or one with fewer numbers that explains nearly as much in the same joints."""
+    best = counting[0]
+    for i in counting[1:]:
+        if contenders[i].numbers < contenders[best].numbers and _more_than(contenders[best], contenders[i], control):
+            best = i
+    return best
+
+
+def _more_than(one: Contender, other: Contender, control: np.ndarray) -> bool:
+    """Whether one is the other with more numbers, and these explain little."""
+    gained = float((control - one.losses).sum())
+    further = float((other.losses - one.losses).sum())
+    alike = _cosine(one, other) > LOOK_ALIKE and one.joints == other.joints
+    return one.numbers > other.numbers and alike and further < PARSIMONY * gained
+
+
+def _credited(shares: np.ndarray, contenders: Sequence[Contender], best: int, others: Sequence[int]) -> np.ndarray:
+    """Shares of resamples, those of the best in another form, and of what it was preferred to, counted for it."""
+    result = shares.copy()
+    winner = contenders[best]
+    for i, one in enumerate(contenders):
+        form = one.effect == winner.effect and one.joints == winner.joints
+        alike = _cosine(one, winner) > LOOK_ALIKE and one.joints == winner.joints and one.numbers > winner.numbers
+        if i != best and (form or (alike and i not in others)):
+            result[best] += result[i]
+            result[i] = 0.0
+    return result
 
 
 def local_ceiling(gain: float, by_joint: np.ndarray) -> float | None:

@@ -366,6 +366,7 @@ class Diagnosis:
             implausible=bool(entry.high - at < reach or at - entry.low < reach),
             left=self._left(fit),
             direction=direction,
+            numbers=len(fit.coordinates) - len(base.coordinates),
         )
 
     def _size_at(self, hypothesis: Hypothesis, fit: Fit, base: Fit) -> int:

@@ -373,11 +373,12 @@ def mean_square(residual: np.ndarray) -> float:
     return float(np.square(residual.astype(np.float64)).mean())
 
 
-def _penalised(engine: Engine, coordinates: Coordinates) -> Callable[[np.ndarray], np.ndarray]:
+def _penalised(engine: Engine, coordinates: Coordinates, coarse: bool = False) -> Callable[[np.ndarray], np.ndarray]:
     """Residuals of the fitted windows and penalties of points ``[candidate, coordinate]``, as one vector each."""
 
     def evaluate(points: np.ndarray) -> np.ndarray:
-        result = engine.residuals(coordinates.model, coordinates.values(points), len(points), fit_only=True)
+        values = coordinates.values(points)
+        result = engine.residuals(coordinates.model, values, len(points), fit_only=True, coarse=coarse)
         flat = result.reshape(len(points), -1).astype(np.float64)
         return np.concatenate([flat, coordinates.penalties(points) / np.sqrt(INFORMATION)], 1)
 
@@ -397,7 +398,7 @@ def _best_form(
         points[:, names.index("stribeck_velocity")] *= FADES
     points = np.clip(points, coordinates.low, coordinates.high)
     choices = [replace(coordinates, model=model) for model in models]
-    losses = np.array([np.square(_penalised(engine, choice)(points)).sum(1) for choice in choices])
+    losses = np.array([np.square(_penalised(engine, choice, coarse=True)(points)).sum(1) for choice in choices])
     form, place = np.unravel_index(losses.argmin(), losses.shape)
     return choices[form], points[place]
 
@@ -411,5 +412,5 @@ def _best_latency(engine: Engine, coordinates: Coordinates, point: np.ndarray) -
     grid = np.linspace(coordinates.low[at], coordinates.high[at], 9)
     points = np.tile(point, (len(grid), 1))
     points[:, at] = grid
-    losses = np.square(_penalised(engine, coordinates)(points)).sum(1)
+    losses = np.square(_penalised(engine, coordinates, coarse=True)(points)).sum(1)
     return points[int(losses.argmin())]

@@ -111,6 +111,26 @@ def test_look_alikes_by_cosine_are_candidates(control, rng):
         assert decide([first, second], control, rng).verdict == verdict
 
 
+def test_fewer_numbers_are_preferred(control, rng):
+    """Two numbers that explain a twentieth more than one alike do not win; where they explain a third more, they do."""
+    plain = dataclasses.replace(contender("coulomb@1", 0.30), joints=(1,), direction=np.array([1.0, 0.0]))
+    for gain, name in ((0.315, "coulomb@1"), (0.45, "position_friction@1")):
+        richer = contender("position_friction@1", gain, seed=1)
+        richer = dataclasses.replace(richer, joints=(1,), numbers=2, direction=np.array([0.95, 0.31]))
+        decision = decide([richer, plain], control, rng)
+        assert decision.verdict == "named"
+        assert [richer, plain][decision.candidates[0]].label == name
+        assert decision.shares[decision.candidates[0]] > 0.9
+
+
+def test_forms_of_one_effect_share_their_confidence(control, rng):
+    """An effect in two forms, each the better in half of the resamples, is as sure as their sum."""
+    forms = [contender("dte", 0.3, noise=0.1, seed=seed) for seed in (0, 1)]
+    decision = decide([*forms, contender("backlash@3", 0.1, seed=2)], control, rng)
+    assert decision.verdict == "named"
+    assert decision.shares[decision.candidates[0]] > 0.99
+
+
 def test_shares_sum_to_one_and_follow_the_loss(rng):
     """Every resample has one winner, and a contender that is better in every block wins all."""
     losses = np.stack([np.full(BLOCKS, 2.0), np.full(BLOCKS, 1.0)])
