@@ -83,7 +83,8 @@ def other_forms(model: RobotModel, names: Sequence[str] = tuple(FORMS)) -> list[
     for name in names:
         option, forms = FORMS[name]
         for effect in (e for e in model.effects if e.name == name):
-            others = [replace(effect, **{option: form}) for form in forms if form != getattr(effect, option)]
+            rest = [form for form in forms if form != getattr(effect, option)]
+            others = [replace(effect, **{option: form}) for form in rest]  # type: ignore[type-var]
             values = {p.name: model.estimate(p.name) for p in effect.parameters}
             result += [variant.with_effect(other, values) for variant in result for other in others]
     return result[1:]

@@ -12,7 +12,7 @@ from op3.diagnose.backward import NEEDED, still_needed, with_findings
 from op3.diagnose.ceiling import Ceiling, ceiling, where
 from op3.diagnose.coordinates import FAULTS, Coordinates, base_coordinates, other_forms, with_chain
 from op3.diagnose.decide import CEILING, LOOK_ALIKE, Contender, Decision, decide, local_ceiling
-from op3.diagnose.fitting import Engine, Fit, fit_base, intervals, linearise, polish, refit, with_point
+from op3.diagnose.fitting import SHARES, Engine, Fit, fit_base, intervals, linearise, polish, refit, with_point
 from op3.diagnose.free_run import engine_for
 from op3.diagnose.hypotheses import Hypothesis, hypotheses
 from op3.diagnose.locate import locate, remaining
@@ -325,7 +325,9 @@ class Diagnosis:
             share = screened.share if abs(screened.share) > 0.3 else 0.5 * (np.sign(screened.share) or 1.0)
             coordinates, more = hypothesis.coordinates(base.coordinates, secant, share)
             start = np.concatenate([control.point, more])
-            fits.append(refit(self.engine, base, coordinates, start, anchor=control))
+            # an effect that is not local explains nothing on the way to its secant
+            shares = (*SHARES, *(whole / abs(share) for whole in (1.0, 0.75)))
+            fits.append(refit(self.engine, base, coordinates, start, anchor=control, shares=shares))
             self._report("refit", (number + 1) / (len(picked) + POLISHED))
         for number in sorted(range(len(fits)), key=lambda i: fits[i].loss)[:POLISHED]:
             fits[number] = polish(self.engine, base, fits[number])

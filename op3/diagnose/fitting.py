@@ -170,6 +170,7 @@ def refit(
     start: np.ndarray,
     *,
     anchor: Fit | None = None,
+    shares: Sequence[float] = SHARES,
     iterations: int = 3,
 ) -> Fit:
     """Gauss-Newton over a base and a few more coordinates, the base's Jacobian kept.
@@ -188,6 +189,7 @@ def refit(
         coordinates: base and hypothesis.
         start: ``[coordinate]``.
         anchor: the base's coordinates fitted without the hypothesis.
+        shares: of the way from the anchor to `start` that are tried first.
         iterations: at most so many steps.
     """
     assert base.jacobian is not None
@@ -197,7 +199,7 @@ def refit(
     best = np.clip(start, coordinates.low, coordinates.high)
     residual = loss = columns = None
     if anchor is not None:
-        best, residual, loss = _along(problem, fitted, anchor, best)
+        best, residual, loss = _along(problem, fitted, anchor, best, shares)
     for _ in range(iterations):
         step = _steps(coordinates, best)[known:]
         probes = np.concatenate([[best], best + np.eye(len(best))[known:] * step[:, None]])
@@ -276,7 +278,7 @@ class _Problem:
         return points[winner], reached[winner], tried[winner]
 
 
-def _along(problem: _Problem, fitted: np.ndarray, anchor: Fit, start: np.ndarray):
+def _along(problem: _Problem, fitted: np.ndarray, anchor: Fit, start: np.ndarray, shares: Sequence[float]):
     """From an anchor part of the way to `start`, or beyond; point, residual and loss.
 
     Args:
@@ -284,6 +286,7 @@ def _along(problem: _Problem, fitted: np.ndarray, anchor: Fit, start: np.ndarray
         fitted: Jacobian of the base on the fitted windows.
         anchor: fit of the base alone.
         start: base and hypothesis.
+        shares: of the way that are tried.
     """
     coordinates, known, is_fit = problem.coordinates, len(anchor.point), problem.engine.is_fit
     neutral = np.concatenate([anchor.point, [entry.prior for entry in coordinates.entries[known:]]])
@@ -294,7 +297,7 @@ def _along(problem: _Problem, fitted: np.ndarray, anchor: Fit, start: np.ndarray
     low, high = base.low - anchor.point, base.high - anchor.point
     priors = base.penalties(anchor.point) / np.sqrt(INFORMATION)
     points = []
-    for share in SHARES:
+    for share in shares:
         expected = (anchor.residual[is_fit] + share * secant).reshape(-1).astype(np.float64)
         gives = bounded_step(rows, np.concatenate([expected, priors]), low, high)
         points.append(neutral + share * (start - neutral) + np.concatenate([gives, np.zeros(len(start) - known)]))

@@ -221,7 +221,8 @@ class WindowResiduals:
         error = self.errors(model)[0]
         self.scale = self._scale(error)
         values, offsets, count = self._nuisances(model)
-        moved = self.errors(model, values, count, coarse=True, **offsets)
+        position, velocity = offsets
+        moved = self.errors(model, values, count, coarse=True, position_offset=position, velocity_offset=velocity)
         sensitivity = np.moveaxis(moved[1:] - moved[0], 0, -1)  # [window, tick, joint, channel, nuisance]
         flat = (sensitivity / self.scale[..., None]).reshape(len(self.windows), -1, count - 1)
         basis, strength, _ = np.linalg.svd(flat, full_matrices=False)
@@ -230,11 +231,11 @@ class WindowResiduals:
         size = np.sqrt(np.square(self.whiten(error[None])[0]).mean(1))
         self._weight = np.minimum(1.0, HUBER / np.maximum(size, 1e-9))
 
-    def _nuisances(self, model: RobotModel) -> tuple[dict[str, Tensor], dict[str, Tensor], int]:
+    def _nuisances(self, model: RobotModel) -> tuple[dict[str, Tensor], tuple[Tensor, Tensor], int]:
         """What differs from window to window by a standard deviation, one joint at a time, behind the model itself.
 
         Returns:
-            Parameters ``[candidate, joint]``, offsets of the initial state, and the number of candidates.
+            Parameters ``[candidate, joint]``, offsets of initial position and velocity, and the number of candidates.
         """
         joints = len(self.joints)
         known = {name: value for name, value in model.tensors(self.joints).items() if name in (*DRIFTING, *TIMING)}
@@ -248,7 +249,7 @@ class WindowResiduals:
             whole[1 + number * joints : 1 + (number + 1) * joints] = amount * size
             return whole
 
-        offsets = {"position_offset": part(0, INITIAL_POSITION), "velocity_offset": part(1, INITIAL_VELOCITY)}
+        offsets = (part(0, INITIAL_POSITION), part(1, INITIAL_VELOCITY))
         values = {name: known[name] * (1.0 + part(2, DRIFT)) for name in DRIFTING if name in known}
         if late is not None:
             values[late] = known[late] + part(3, JITTER)

@@ -270,16 +270,20 @@ class Effect:
     def reset(self, signals: Signals, prepared: Prepared) -> None:
         """Create the effect's memory in ``signals.state``, given the commands and state at the start."""
 
-    def balance(self, signals: Signals, prepared: Prepared, torque: Tensor) -> None:
-        """Let elastic elements take up a torque that would otherwise set a resting joint in motion.
-
-        Called where a simulation starts from a measured state: what rests is in balance.
+    def balance(self, signals: Signals, prepared: Prepared, torque: Tensor, rests: Tensor) -> Tensor:
+        """Bend elastic elements so that the joint does what was measured, where a simulation starts from data.
 
         Args:
             signals: after a step of the law.
             prepared: see `prepare`.
-            torque: on the joint beyond what the law gave in that step [N m], zero for joints that move.
+            torque: by which what the law gave in that step exceeds what the measured motion asks for [N m].
+            rests: where the joint rests: there all is in balance.
+
+        Returns:
+            The torque that is left to the effects nearer to the motor.
         """
+        del signals, prepared, rests
+        return torque
 
     def tick(self, signals: Signals, prepared: Prepared) -> None:
         """Act once per control period, right after new commands arrived."""

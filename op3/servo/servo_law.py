@@ -72,10 +72,16 @@ class ServoLaw:
         for effect in self.effects:
             effect.reset(signals, self._prepared[effect.name])
 
-    def balance(self, signals: Signals, torque: Tensor) -> None:
-        """Let elastic elements take up a torque [N m], ``[sim, joint]``, on joints that rest."""
-        for effect in self.effects:
-            effect.balance(signals, self._prepared[effect.name], torque)
+    def balance(self, signals: Signals, torque: Tensor, rests: Tensor) -> None:
+        """Bend elastic elements, from the link to the motor, so that joints do what was measured.
+
+        Args:
+            signals: after a step.
+            torque: by which that step's torque exceeds what the measured motion asks for [N m], ``[sim, joint]``.
+            rests: where joints rest.
+        """
+        for effect in reversed(self.effects):
+            torque = effect.balance(signals, self._prepared[effect.name], torque, rests)
 
     def tick(self, signals: Signals, readings: tuple[Tensor, Tensor] | None = None) -> None:
         """A control period begins: read the sensors, compute and send commands.

@@ -352,22 +352,23 @@ class _Run:
     def start(self, tick: int, position_offset: Tensor, velocity_offset: Tensor) -> None:
         """Let go at this tick, with offsets ``[candidate, joint]``; what rests is in balance."""
         self._lead_state(tick, 0)
-        self.law.balance(self.signals, self._flat(self._unbalanced(tick)))
+        self._balance(tick)
         self.q = self.q + position_offset.T[:, :, None]
         self.v = self.v + velocity_offset.T[:, :, None]
         self.u = self._block(self.o._acceleration[tick]) * self.o.timestep
         self.pull = torch.zeros_like(self.q)
         self._expose()
 
-    def _unbalanced(self, tick: int) -> Tensor:
-        """Torque that would set resting joints in motion, zero for the others, ``[joint, candidate, window]``."""
+    def _balance(self, tick: int) -> None:
+        """Let the law's elastic elements carry what the measured motion asks for."""
         o = self.o
         rests = o._velocity[tick].abs() < REST
         mass, bias, _ = self._dynamics(tick, 0.0)
         acceleration = torch.where(rests, 0.0, o._acceleration[tick])
         needed = (mass * acceleration[None, :, None, :]).sum(1) + bias
         applied = self.signals.applied_torque.T.reshape(self.q.shape)
-        return (applied - needed) * rests[:, None, :]
+        at_rest = self._flat(self._block(rests))
+        self.law.balance(self.signals, self._flat((applied - needed).expand(self.q.shape)), at_rest)
 
     def advance(self, tick: int) -> None:
         """One control period of simulation."""

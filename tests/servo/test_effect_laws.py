@@ -375,10 +375,11 @@ def test_bristles_take_up_the_load_of_a_resting_joint():
     law.reset(signals)
     law.tick(signals)
     law.step(signals)
-    law.balance(signals, torch.full_like(signals.velocity, 0.3))
+    rests = torch.ones_like(signals.velocity, dtype=torch.bool)
+    law.balance(signals, torch.full_like(signals.velocity, 0.3), rests)
     law.step(signals)
     assert signals.applied_torque[0, 0].item() == pytest.approx(-0.3, rel=1e-6)
-    law.balance(signals, torch.full_like(signals.velocity, 0.9))
+    law.balance(signals, torch.full_like(signals.velocity, 0.9), rests)
     law.step(signals)
     assert signals.applied_torque[0, 0].item() == pytest.approx(-0.5, rel=1e-6), "friction bounds it"
 

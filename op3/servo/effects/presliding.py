@@ -71,11 +71,13 @@ class LuGre(Effect):
         bent = 1e9 * torch.sign(signals.velocity)  # the level of friction bounds it in the first step
         signals.state[self.name] = law.stacked(bent, straight + 1.0, straight)
 
-    def balance(self, signals: Signals, prepared: Prepared, torque: Tensor) -> None:
-        """Bend the bristle by what the torque asks for; the level of friction bounds it in the next step."""
+    def balance(self, signals: Signals, prepared: Prepared, torque: Tensor, rests: Tensor) -> Tensor:
+        """Bristles of resting joints take up the torque; the level of friction bounds them in the next step."""
         deflection, left, gain = signals.state[self.name]
-        bent = torch.addcmul(deflection * left, gain, signals.velocity) + prepared["compliance"] * torque
+        bent = torch.addcmul(deflection * left, gain, signals.velocity)
+        bent = bent + prepared["compliance"] * torch.where(rests, torque, 0.0)
         signals.state[self.name] = law.stacked(bent, torch.ones_like(bent), torch.zeros_like(bent))
+        return prepared["rigid"] * torque
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Put the bristle's torque in place of the bound."""

@@ -19,6 +19,9 @@ from op3.servo.effect import Clock, Effect, Parameter, Prepared, Scope, Signals,
 MIDDLE = 0.5
 """Share of the step after which the spring's deflection counts; from 0.5 on the scheme is stable at any stiffness."""
 
+UNLOADED = 0.03
+"""Load below which a measured motion does not tell on which flank a loose gear lies [N m]."""
+
 LEAST_COMPLIANCE = 1e-6
 """Stands for a rigid transmission where none acts [rad/(N m)]."""
 
@@ -70,6 +73,29 @@ class Transmission(Effect):
         none = torch.zeros_like(angle)
         signals.state[ROTOR] = law.stacked(angle - prepared["timestep"] * velocity, velocity, none, none)
         signals.state[LINK] = law.stacked(signals.position, signals.velocity)
+        signals.state[PUSH] = law.stacked(none, none)
+
+    def balance(self, signals: Signals, prepared: Prepared, torque: Tensor, rests: Tensor) -> Tensor:
+        """Put the rotor against the flank that carries the load, bent by it, and let it move with the link.
+
+        On a contact this stiff the noise of a measured angle would be a large torque. Where there is next to no load
+        the rotor stays where it is.
+        """
+        if not prepared["active"].any():
+            return torque
+        push, contact = signals.state[PUSH]
+        load = contact - torque
+        placed = prepared["active"] & (rests | (load.abs() > UNLOADED))
+        angle, constant, gain, slips = signals.state[ROTOR]
+        velocity = torch.where(rests, 0.0, signals.velocity)
+        bent = self.rotor_angle(signals.position, -load, prepared) - prepared["timestep"] * velocity
+        signals.state[ROTOR] = law.stacked(
+            torch.where(placed, bent, angle),
+            torch.where(placed, velocity, constant),
+            torch.where(placed, 0.0, gain),
+            torch.where(placed, 0.0, slips),
+        )
+        return torch.where(prepared["active"], push - load, torque)
 
     def begin(self, signals: Signals, prepared: Prepared) -> None:
         """Move the rotor to the end of the last step, and let motor and friction see it instead of the link."""
@@ -113,12 +139,16 @@ class Transmission(Effect):
         gain = torch.where(slips != 0, step * grip / total, 0.0)
         signals.state[ROTOR] = law.stacked(angle, constant, gain, slips)
         # the contact's torque is bent + grip (rotor velocity - link velocity), both after the step
+        signals.state[PUSH] = law.stacked(torque, bent + grip * (constant + gain * link_velocity - link_velocity))
         falls = grip * (1.0 - gain)
         contact = bent + grip * constant - falls * link_velocity
         signals.applied_torque = torch.where(active, contact, signals.applied_torque)
         signals.damping = torch.where(active, falls - prepared["armature"] / step, signals.damping)
         signals.friction_bound = torch.where(active, 0.0, bound)
 
+
+PUSH = "push"
+"""Key of the memory of the torque on the rotor and that in the contact [N m], in the last step."""
 
 LINK = "link"
 """Key of the memory of the link's position and velocity, which the law does not see during the step."""
