@@ -238,6 +238,9 @@ def test_what_is_said_stays_above_the_panel(tmp_path):
         shown(panel, rig)
         time.sleep(0.05)
     panel.say("press Enter")
+    deadline = time.monotonic() + 10
+    while "press Enter" not in window.getvalue() and time.monotonic() < deadline:
+        time.sleep(0.01)
     for _ in range(2):
         shown(panel, rig)
     panel.close()
