@@ -43,6 +43,12 @@ NEAR = 0.1
 OUTLIER = 1.5
 """Standard deviations from the median of all joints beyond which a joint's own fault is looked into."""
 
+OUTLYING_READING = 2.5
+"""Standard deviations of a joint's part in the chain of measurement beyond which a fault there is looked into."""
+
+CHAIN_FAULTS: Mapping[str, str] = {"current_offset": "current_offset"}
+"""Effects of single joints that the chain of measurement may hide, up to its bounds."""
+
 CHAIN: Mapping[str, tuple[float, float, bool]] = {
     "velocity_time_constant": (0.002, 0.0006, False),
     "current_time_constant": (0.0005, 0.0003, False),
@@ -206,6 +212,10 @@ class Coordinates:
             columns = self.entries[at[worst]].joints
             if abs(apart[worst]) > OUTLIER and columns is not None:
                 found.append((effect, columns[0], float(apart[worst])))
+        for entry, value in zip(self.entries, point, strict=True):
+            apart = (value - entry.prior) / entry.deviation
+            if CHAIN.get(entry.parameter, (0.0, 0.0, False))[2] and entry.joints and abs(apart) > OUTLYING_READING:
+                found.append((CHAIN_FAULTS[entry.parameter], entry.joints[0], float(apart)))
         return sorted(found, key=lambda suspect: -abs(suspect[2]))
 
     def extended(self, model: RobotModel, more: Sequence[Coordinate]) -> "Coordinates":

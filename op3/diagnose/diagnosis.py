@@ -10,7 +10,14 @@ import numpy as np
 
 from op3.diagnose.backward import NEEDED, still_needed, with_findings
 from op3.diagnose.ceiling import Ceiling, ceiling, where
-from op3.diagnose.coordinates import FAULTS, Coordinates, base_coordinates, other_forms, with_chain
+from op3.diagnose.coordinates import (
+    CHAIN_FAULTS,
+    FAULTS,
+    Coordinates,
+    base_coordinates,
+    other_forms,
+    with_chain,
+)
 from op3.diagnose.decide import CEILING, LOOK_ALIKE, Contender, Decision, decide, local_ceiling
 from op3.diagnose.fitting import SHARES, Engine, Fit, fit_base, intervals, linearise, polish, refit, with_point
 from op3.diagnose.free_run import engine_for
@@ -529,6 +536,8 @@ def _apart(hypothesis: Hypothesis, fit: Fit, size: float) -> float:
     effect, joints = hypothesis.effect.name, hypothesis.joints
     if isinstance(hypothesis, SetupHypothesis):
         return float(np.ptp(fit.point[-len(hypothesis.names) :]))
+    if effect in CHAIN_FAULTS.values() and joints is not None and len(joints) == 1 and effect in fit.parameters:
+        return float(fit.parameters[effect][0, joints[0]])  # the chain of measurement has a share in it
     if effect not in FAULTS.values() or joints is None or len(joints) != 1:
         return size
     (own,) = joints

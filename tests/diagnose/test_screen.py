@@ -152,3 +152,15 @@ def test_findings_add_up_in_a_model():
     for finding_out, name in zip(found, ("coulomb_friction", "encoder_offset"), strict=True):
         rest = left_out(given, finding_out, whole, joints)
         assert name not in rest.parameters() or np.ptp(rest.tensors(joints)[name].numpy()) < 1e-12
+
+
+def test_a_reading_that_stands_out_is_suspected():
+    """A sensor's zero at the bound of what every chain of measurement has a little of is looked into as a fault."""
+    joints = ("r_hip_yaw", "r_hip_roll", "r_hip_pitch", "r_knee", "r_ank_pitch", "r_ank_roll")
+    coordinates = base_coordinates(with_chain(load_model("paper")), joints, fixed_base=True)
+    point = coordinates.start
+    assert coordinates.suspects(point) == []
+    places = [i for i, entry in enumerate(coordinates.entries) if entry.parameter == "current_offset"]
+    point[places[3]] = -0.012
+    (suspect,) = coordinates.suspects(point)
+    assert suspect[:2] == ("current_offset", 3)
