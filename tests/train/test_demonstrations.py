@@ -106,13 +106,13 @@ def test_imitation_draws_the_policy_to_the_answers():
     """With a heavy weight on imitation the policy ends near the answers; without, the critics lead it elsewhere."""
     g = torch.Generator().manual_seed(3)
     batch = Batch(torch.randn(64, 3, generator=g), torch.rand(64, 2, generator=g), *torch.zeros(2, 64), seen(64))
-    answers = (seen(64), torch.full((64, 2), 0.4))
+    answers = (seen(64), torch.full((64, 2), -0.6))
     left = {}
     for weight in (0.0, 100.0):
         sac = learner()
-        for _ in range(150):
+        for _ in range(300):
             sac.update(batch, answers, weight)
-        left[weight] = float((sac.act(seen(64), 0.0) - 0.4).abs().mean())
+        left[weight] = float((sac.act(seen(64), 0.0) + 0.6).abs().mean())
     assert left[100.0] < 0.1 < left[0.0]
 
 
