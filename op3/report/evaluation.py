@@ -37,7 +37,9 @@ def gait_figure(profile: GaitProfile, joint: str) -> go.Figure:
     half = 0.5 / len(profile.phase)
     for phase in profile.phase[profile.stance]:
         figure.add_vrect(x0=phase - half, x1=phase + half, fillcolor="#eef1f4", line_width=0, layer="below")
-    figure.update_xaxes(title_text=f"phase of the gait [cycles]; shaded: stance of the {words(joint[:2])} foot", row=2)
+    figure.update_xaxes(
+        title_text=f"phase of the gait [cycles]; shaded: stance of the {words(joint[:2]).strip()} foot", row=2
+    )
     figure.update_xaxes(range=[0, 1])
     return dress(figure, 420, showlegend=False)
 
