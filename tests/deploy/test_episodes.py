@@ -11,10 +11,14 @@ from op3.sim import load_model
 from op3.tasks.evaluation import evaluation_return
 from tests.envs.holding import holding_bundle
 
-SOURCES = ({"world": "default"}, {"model": "paper"})
+SOURCES = (
+    pytest.param({"world": "default"}, id="stand_in"),
+    pytest.param({"model": "paper"}, id="model", marks=pytest.mark.slow),
+)
+EITHER = pytest.mark.parametrize("source", SOURCES)
 
 
-@pytest.mark.parametrize("source", SOURCES, ids=["stand_in", "model"])
+@EITHER
 def test_the_board_tilts_when_the_policy_begins(source, tmp_path):
     """Level for a second, then the board takes the trunk along; the log is judged by R_eval as it is."""
     player = Player(folder=tmp_path, confirm=False, seed=3, report=lambda _: None, **source)
@@ -28,7 +32,8 @@ def test_the_board_tilts_when_the_policy_begins(source, tmp_path):
     assert 0.6 * steps < evaluation_return(log) < steps
 
 
-@pytest.mark.parametrize("source", SOURCES, ids=["stand_in", "model"])
+@pytest.mark.slow
+@EITHER
 def test_a_walk_is_measured(source, tmp_path):
     """A policy that stands has travelled nothing, and R_eval of the walk says so."""
     player = Player(folder=tmp_path, confirm=False, seed=1, report=lambda _: None, **source)

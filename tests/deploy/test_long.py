@@ -41,6 +41,7 @@ def check(tmp_path, minutes, lost):
     assert rig.robot.clock.now() > 60 * minutes
 
 
+@pytest.mark.slow
 def test_a_minute_with_many_lost_reads(tmp_path):
     """With 1 % lost, four times what the field has seen, every fifth tick misses someone, and nobody four in a row."""
     check(tmp_path, 1, lost=0.01)

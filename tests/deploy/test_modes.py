@@ -124,6 +124,7 @@ def test_hang(tmp_path):
     assert values == {427, 215}
 
 
+@pytest.mark.slow
 def test_read_only_and_calibrate_on_the_emulated_robot(tmp_path):
     """Someone has pressed its power button: both modes can be rehearsed, and the last frame is an answer."""
     common = ("deploy.py", "port=emulated", "model=paper", "mount=stand", "panel=false")

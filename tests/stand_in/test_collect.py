@@ -83,6 +83,7 @@ def test_a_motion_on_the_wrong_mount_is_refused(tmp_path):
     assert "'chirp_knee' is not for the floor; choose mount=stand" in result.stderr
 
 
+@pytest.mark.slow
 def test_a_plan_is_played_in_order(tmp_path):
     """Every entry of a plan is recorded on its own mount, repeats are numbered, nothing is played if one is unsafe."""
     plan = tmp_path / "plan.yaml"
