@@ -74,9 +74,16 @@ def load_model(name_or_path: str | Path) -> RobotModel:
 
 
 def model_hash(model: RobotModel) -> str:
-    """Twelve hex digits that name a model's effects and values, whatever its provenance."""
+    """Twelve hex digits that name a model's effects and values, whatever its provenance.
+
+    Options at their default do not count, so that an effect may gain an option without old models losing their name.
+    """
     content = to_dict(model)
     content.pop("provenance", None)
+    for effect, named in zip(model.effects, content["effects"], strict=True):
+        default = {name: getattr(type(effect), name, None) for name in effect.options()}
+        body = named[effect.name]
+        named[effect.name] = {key: v for key, v in body.items() if key not in default or v != default[key]}
     return hashlib.sha256(yaml.safe_dump(content, sort_keys=True).encode()).hexdigest()[:12]
 
 

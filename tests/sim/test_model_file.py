@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from op3.servo import Estimate, RobotModel
-from op3.servo.effects import Coulomb, CurrentPD, DirectionalEfficiency, Latency, Motor, PositionServo
+from op3.servo.effects import Coulomb, CurrentPD, DirectionalEfficiency, Latency, Motor, PositionServo, Stribeck
 from op3.sim import load_model, model_hash, save_model
 from op3.sim.model_file import from_dict, to_dict
 
@@ -80,3 +80,14 @@ def test_bad_files_are_refused_by_name_and_field(tmp_path, text, message):
         load_model(path)
     assert "broken.yaml" in str(refusal.value)
     assert "\n" not in str(refusal.value)
+
+
+def test_options_at_their_default_do_not_change_the_hash():
+    """The hash is that of a model whose effects have no such option; another choice shows."""
+    model = load_model("paper")
+    plain = model_hash(model)
+    assert model_hash(model.without("stribeck").with_effect(Stribeck(fade="gaussian"))) != plain
+    written = to_dict(model)
+    for named in written["effects"]:
+        named.get("stribeck", {}).pop("fade", None)
+    assert model_hash(from_dict(written)) == plain

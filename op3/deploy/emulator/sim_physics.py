@@ -320,6 +320,18 @@ class SimPhysics(BatchSimulation):
             signals.bus_voltage = torch.full_like(signals.position, self._voltage)
             signals.temperature = torch.from_numpy(self._temperature.copy())[None]
 
+    def _measured_current(self) -> Array:
+        """Current of every joint as the effects say that it is measured [A]."""
+        signals, compiled = self.signals, self._compiled
+        if compiled is not None:
+            for name in ("current", "duty", "voltage"):
+                setattr(signals, name, torch.from_numpy(self._flow(name).copy())[None])
+            signals.position = torch.from_numpy(self._position.copy())
+            signals.velocity = torch.from_numpy(self._velocity.copy())
+            signals.state.update({name: torch.from_numpy(memory) for name, memory in compiled.state.items()})
+        self.law.report(signals)
+        return signals.measured_current[0].numpy()
+
     def read(self) -> Readings:
         """What all sensors say now."""
         orientation, rates, force = None, None, None
@@ -330,11 +342,7 @@ class SimPhysics(BatchSimulation):
                 seen = self.law.sense_trunk(Trunk(torch.from_numpy(quaternion)[None], torch.from_numpy(rates)[None]))
                 quaternion, rates = seen.quaternion[0].numpy(), seen.angular_velocity[0].numpy()
             orientation = roll_pitch_yaw(quaternion)
-        current = self._flow("current")
-        if self._reports:
-            self.signals.current = torch.from_numpy(current.copy())[None]
-            self.law.report(self.signals)
-            current = self.signals.measured_current[0].numpy()
+        current = self._measured_current() if self._reports else self._flow("current")
         return Readings(
             position=self.position.copy(),
             velocity=self.velocity.copy(),
