@@ -289,8 +289,3 @@ def _chain(known: Parameter, joints: Sequence[str]) -> list[Coordinate]:
     low, high = max(known.least, value - 4 * deviation), value + 4 * deviation
     columns = [(j,) for j in range(len(joints))] if own else [None]
     return [Coordinate(known.name, column, low, high, value, value, deviation) for column in columns]
-
-
-def is_conditional(name: str) -> bool:
-    """Whether a parameter's name carries a condition of the recording."""
-    return split_name(name)[1] is not None

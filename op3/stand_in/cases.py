@@ -36,7 +36,6 @@ PLAIN_BASE = "paper"
 """The model from which most diagnoses start."""
 
 DATA_FOLDER = "data"
-ANSWER_FILE = "answer.yaml"
 CASE_FILE = "case.yaml"
 SEAL_FILE = "answers.sha256"
 

@@ -25,8 +25,6 @@ Array = NDArray[np.float64]
 _LONGEST = 0.2185
 """Longest leg that is asked for [m]; stretched it measures 0.22015 m, where the knee has no say."""
 
-_SIGNALS = ("roll", "roll_rate", "pitch", "pitch_rate")
-
 
 @dataclasses.dataclass(frozen=True)
 class Stride:
