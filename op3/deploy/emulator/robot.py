@@ -289,7 +289,8 @@ class EmulatedRobot:
             self._refresh_board()
             return
         self._refresh()
-        if packet.device == BROADCAST_ID:
+        # only a read of many that names the board asks for it too
+        if packet.device == BROADCAST_ID and board in packet.parameters:
             self._refresh_board()
 
     def _refresh_board(self) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import mujoco
@@ -36,6 +36,9 @@ Array = NDArray[np.float64]
 
 HANDED_OVER = ("applied_torque", "damping", "friction_bound")
 """What the law hands to MuJoCo."""
+
+FLOWS = ("current", "duty", "voltage")
+"""What the law says of the motors, of which the servos report."""
 
 FILLED = ("position", "velocity", "load_torque", "radial_force")
 """Signals that the simulation fills before every step of the law."""
@@ -128,6 +131,7 @@ class SimPhysics(BatchSimulation):
         # without an effect on the sensors they say what is, and that can be seen in the batch's own arrays
         self._senses = self._compiled is None or _has(self.model, "apply", Stage.SENSING)
         self._reports, self._tilts = _has(self.model, "report"), _has(self.model, "sense_trunk")
+        self._report = None if self._compiled is None or not self._reports else self._compile_report(self._compiled)
         self._find_imu()
 
     def _find_imu(self) -> None:
@@ -264,8 +268,7 @@ class SimPhysics(BatchSimulation):
         self._position, self._velocity = self._qpos.numpy()[:, ports.qpos], self._qvel.numpy()[:, ports.dof]
         live = {"position": self._position, "velocity": self._velocity}
         try:
-            wanted = (*HANDED_OVER, "current", "duty", "voltage")
-            compiled = CompiledStep(self._law_alone, self.signals, wanted, live, FILLED)
+            compiled = CompiledStep(self._law_alone, self.signals, (*HANDED_OVER, *FLOWS), live, FILLED)
         except Untranslatable:
             return None
         self._transmitted = self._sensors.numpy()[:, ports.transmitted]
@@ -320,11 +323,33 @@ class SimPhysics(BatchSimulation):
             signals.bus_voltage = torch.full_like(signals.position, self._voltage)
             signals.temperature = torch.from_numpy(self._temperature.copy())[None]
 
+    def _compile_report(self, compiled: CompiledStep) -> CompiledStep | None:
+        """What the servos say of their current, in numpy, from what the compiled law left; None where that cannot be."""
+        live = compiled.inputs | {name: compiled.outputs[name] for name in FLOWS}
+        live |= {"position": self._position, "velocity": self._velocity}
+
+        def step(signals: Signals) -> None:
+            # of the law's step only the factors on the motor's parameters are kept, and computed
+            before = replace(signals, state=dict(signals.state), factors={})
+            self.law.step(before)
+            signals.factors.update(before.factors)
+            self.law.report(signals)
+
+        try:
+            return CompiledStep(step, self.signals, ("measured_current",), live, tuple(live))
+        except Untranslatable:
+            return None
+
     def _measured_current(self) -> Array:
         """Current of every joint as the effects say that it is measured [A]."""
-        signals, compiled = self.signals, self._compiled
+        signals, compiled, report = self.signals, self._compiled, self._report
+        if compiled is not None and report is not None:
+            for name, memory in report.state.items():
+                memory[...] = compiled.state[name] if name in compiled.state else compiled.next_state[name]
+            report()
+            return report.outputs["measured_current"][0]
         if compiled is not None:
-            for name in ("current", "duty", "voltage"):
+            for name in FLOWS:
                 setattr(signals, name, torch.from_numpy(self._flow(name).copy())[None])
             signals.position = torch.from_numpy(self._position.copy())
             signals.velocity = torch.from_numpy(self._velocity.copy())
