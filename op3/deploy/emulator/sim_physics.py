@@ -324,7 +324,7 @@ class SimPhysics(BatchSimulation):
             signals.temperature = torch.from_numpy(self._temperature.copy())[None]
 
     def _compile_report(self, compiled: CompiledStep) -> CompiledStep | None:
-        """What the servos say of their current, in numpy, from what the compiled law left; None where that cannot be."""
+        """What the servos say of their current, in numpy, from what the compiled law left; None if that cannot be."""
         live = compiled.inputs | {name: compiled.outputs[name] for name in FLOWS}
         live |= {"position": self._position, "velocity": self._velocity}
 
