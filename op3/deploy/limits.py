@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.state import State
 from op3.robot import JOINTS, SOFT_LIMITS
-from op3.robot.units import CURRENT_UNIT
+from op3.robot.units import CONTINUOUS_CURRENT_COUNTS, CURRENT_UNIT
 
 Array = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ class Limits:
 
     leg_current_counts: int = 855
     arm_current_counts: int = 430
-    continuous_current_counts: int = 171
+    continuous_current_counts: int = CONTINUOUS_CURRENT_COUNTS
     thermal_time: float = 60.0
     temperature: float = 72.0
     voltage: float = 10.0

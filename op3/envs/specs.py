@@ -22,10 +22,9 @@ def set_specs(env: EnvBase, task: Task, action_map: ActionMap, num_envs: int) ->
     def flag() -> Binary:
         return Binary(n=1, shape=torch.Size([num_envs, 1]), dtype=torch.bool)
 
-    names = ["command", "smooth", *([] if task.cycle is None else ["bipedal"])]
     env.observation_spec = Composite(
         observation=numbers(task.observation_size),
-        reward_terms=Composite({name: numbers(1) for name in names}, shape=batch),
+        reward_terms=Composite({name: numbers(1) for name in task.reward_terms}, shape=batch),
         shape=batch,
     )
     env.action_spec = Bounded(-1.0, 1.0, shape=torch.Size([num_envs, action_map.size]), dtype=torch.float32)

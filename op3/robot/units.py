@@ -20,6 +20,9 @@ VELOCITY_UNIT = 0.229 * 2 * pi / 60
 CURRENT_UNIT = 0.00269
 """One unit of present and goal current [A]."""
 
+CONTINUOUS_CURRENT_COUNTS = 171
+"""What a servo carries for ever, in units of current: a fifth of the stall current 2.3 A at 12 V."""
+
 VOLTAGE_UNIT = 0.1
 """One unit of input voltage [V]."""
 

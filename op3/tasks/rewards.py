@@ -10,7 +10,7 @@ import torch
 from scipy.special import ive
 from torch import Tensor
 
-from op3.robot.units import GRAVITY
+from op3.robot.units import CONTINUOUS_CURRENT_COUNTS, CURRENT_UNIT, GRAVITY
 
 STANCE_SHARE = 0.7
 """Share of the cycle in which a foot carries the robot; paper, 0.7:0.3."""
@@ -102,6 +102,19 @@ def smooth_term(
     )
 
 
+def overload_term(current: Tensor) -> Tensor:
+    """Currents that a servo cannot carry for long, in [-1, 0]; not in the paper.
+
+    An episode is much shorter than the minute over which a robot averages currents before it limits them, so a policy
+    that is to stand for longer must be told of it.
+
+    Args:
+        current: of all motors, ``[..., joint]`` in A.
+    """
+    load = (current / (CONTINUOUS_CURRENT_COUNTS * CURRENT_UNIT)).square()
+    return _penalty((load - 1.0).clamp(min=0.0).sum(-1))
+
+
 def _swing_series(terms: int = 24) -> tuple[Tensor, Tensor]:
     """Fourier coefficients of the smoothed swing indicator: those of the interval times those of von Mises."""
     n = np.arange(1, terms + 1)
@@ -141,12 +154,21 @@ def bipedal_term(phase: Tensor, foot_force: Tensor, foot_speed: Tensor) -> Tenso
 
 
 def weighted(
-    coefficients: Coefficients, command: Tensor, smooth: Tensor, bipedal: Tensor | None = None
+    coefficients: Coefficients,
+    command: Tensor,
+    smooth: Tensor,
+    bipedal: Tensor | None = None,
+    overload: Tensor | None = None,
 ) -> dict[str, Tensor]:
-    """Contributions to the reward by name; the reward is 1 plus their sum, see `total`."""
+    """Contributions to the reward by name; the reward is 1 plus their sum, see `total`.
+
+    The overload's comes with its weight.
+    """
     terms = {"command": coefficients.command * command, "smooth": coefficients.smooth * smooth}
     if bipedal is not None:
         terms["bipedal"] = coefficients.bipedal * bipedal
+    if overload is not None:
+        terms["overload"] = overload
     return terms
 
 

@@ -127,6 +127,7 @@ class Rules:
                 rewards.body_acceleration(snapshot.specific_force, orientation),
             ),
             bipedal,
+            self.task.overload * rewards.overload_term(snapshot.current) if self.task.overload else None,
         )
 
     def _phase(self) -> Tensor:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import ceil, radians
+from math import ceil, inf, radians
 from typing import Any
 
 from op3.policy.observation import BALANCE_LAYOUT, WALK_LAYOUT
@@ -99,6 +99,7 @@ class Task:
         fall_angle: the episode ends when the trunk rolls or pitches further [rad].
         fall_height: the episode ends when the trunk's origin is lower than this above the ground [m]; it stands at
             0.24 m.
+        overload: weight, in the training reward and besides eq. (8), of currents that a servo cannot carry for long.
         placement: scatter of the beginning.
         sensors: the robot's sensors.
     """
@@ -113,6 +114,7 @@ class Task:
     duration: float = 10.0
     fall_angle: float = radians(45.0)
     fall_height: float = 0.15
+    overload: float = 0.0
     placement: Placement = field(default_factory=Placement)
     sensors: Sensors = field(default_factory=Sensors)
 
@@ -124,6 +126,8 @@ class Task:
             not self.scene.startswith("board")
         ):
             raise ValueError(f"task {self.name!r}: scene {self.scene!r} cannot be moved by board={self.board!r}")
+        if not 0 <= self.overload < inf:
+            raise ValueError(f"task {self.name!r}: overload must be at least 0, got {self.overload}")
         if not self.duration > 0:
             raise ValueError(f"task {self.name!r}: the duration must be positive, got {self.duration} s")
 
@@ -136,6 +140,12 @@ class Task:
     def layout(self) -> dict[str, int]:
         """Parts of one observation and their widths."""
         return BALANCE_LAYOUT if self.cycle is None else WALK_LAYOUT
+
+    @property
+    def reward_terms(self) -> tuple[str, ...]:
+        """Names of the contributions to the training reward."""
+        gait = () if self.cycle is None else ("bipedal",)
+        return ("command", "smooth", *gait, *(("overload",) if self.overload else ()))
 
     @property
     def observation_size(self) -> int:

@@ -84,6 +84,24 @@ def test_reward_is_one_plus_terms():
     torch.testing.assert_close(seen["reward"], total)
 
 
+@pytest.mark.parametrize("backend", ["batched", "composer"])
+def test_overload_joins_the_reward_where_it_has_a_weight(backend):
+    """A jump into a crouch takes more current than a servo carries for long; by default the term is not there."""
+    crouch = torch.zeros(1, 20)
+    crouch[0, [1, 2, 3, 6, 7, 8]] = torch.tensor([-1.0, 1.0, 1.0, 1.0, -1.0, -1.0])
+    crouch[0, 10:] = 1.0
+    seen = {}
+    for weight in (0.0, 0.5):
+        env = make_env(find_task("balance", overload=weight), backend=backend, num_envs=1)
+        state = env.reset()
+        seen[weight] = [state := env.step(state.set("action", crouch))["next"] for _ in range(5)]
+    assert not any("overload" in state["reward_terms"].keys() for state in seen[0.0])
+    costs = [state["reward_terms", "overload"].item() for state in seen[0.5]]
+    assert -0.5 <= min(costs) < -0.1
+    for cost, paid, free in zip(costs, seen[0.5], seen[0.0], strict=True):
+        assert paid["reward"].item() == pytest.approx(free["reward"].item() + cost, abs=1e-6)
+
+
 def test_models_differ_within_a_batch():
     """Parameters per robot: one with a weak motor sinks where its neighbour stands as the plain model does."""
     task = find_task("walk")

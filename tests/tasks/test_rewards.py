@@ -42,6 +42,14 @@ def test_smooth_term_by_hand():
     assert value.item() == pytest.approx(expected)
 
 
+def test_overload_term_by_hand():
+    """Up to 171 counts (0.45999 A) cost nothing; twice that in one motor and the same in another are an excess of 6."""
+    fifth = 171 * 0.00269
+    assert rewards.overload_term(tensor(fifth * (1 - 1e-9), -0.3, 0.0)).item() == 0.0
+    value = rewards.overload_term(tensor(2 * fifth, -2 * fifth, 0.3))
+    assert value.item() == pytest.approx(-(1 - math.exp(-6.0)))
+
+
 def test_bipedal_term_by_hand():
     """In mid-swing of the left foot its force counts and its speed does not; with the right foot it is the reverse."""
     swing_middle = torch.tensor(0.15, dtype=torch.float64)
