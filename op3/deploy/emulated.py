@@ -55,7 +55,8 @@ class Place:
     def of_task(cls, task: str | Task, seed: int) -> Place:
         """The ground of a task's episode."""
         task = find_task(task)
-        return cls(task.scene, board_of(task, seed), draw_tiles(seed) if task.scene == "terrain" else None)
+        tiles = draw_tiles(seed, task.terrain_height) if task.scene == "terrain" else None
+        return cls(task.scene, board_of(task, seed), tiles)
 
     @property
     def waiting(self) -> BoardMotion | WeightSchedule | None:

@@ -97,10 +97,10 @@ def tile_ids(model: mujoco.MjModel) -> NDArray[np.int64]:
     return np.array([i for i in range(model.ngeom) if model.geom(i).name.startswith("uneven/tile_")], dtype=np.int64)
 
 
-def draw_tiles(seed: int) -> Array:
-    """Heights [tile] of a seed's terrain above the floor [m], uniform up to `TILE_HEIGHT`."""
+def draw_tiles(seed: int, highest: float = TILE_HEIGHT) -> Array:
+    """Heights [tile] of a seed's terrain above the floor [m], uniform up to `highest`."""
     count = len(_cells((2 * TILE, 2 * TILE)))
-    return np.random.default_rng([seed, 22]).uniform(0.0, TILE_HEIGHT, count)
+    return np.random.default_rng([seed, 22]).uniform(0.0, highest, count)
 
 
 def place_tiles(geom_pos: Array, tiles: NDArray[np.int64], heights: Array) -> None:

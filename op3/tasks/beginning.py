@@ -40,7 +40,8 @@ def begin(task: Task, scene: Scene, seed: int) -> Beginning:
     qvel[0:2] = scatter.velocity * rng.standard_normal(2)
     qvel[3:5] = scatter.angular_velocity * rng.standard_normal(2)
     qvel[6 + legs] = scatter.joint_velocity * rng.standard_normal(len(legs))
-    return Beginning(qpos, qvel, board_of(task, seed), draw_tiles(seed) if task.scene == "terrain" else None)
+    tiles = draw_tiles(seed, task.terrain_height) if task.scene == "terrain" else None
+    return Beginning(qpos, qvel, board_of(task, seed), tiles)
 
 
 def board_of(task: Task, seed: int) -> Waves | Tilts | WeightSchedule | None:

@@ -6,6 +6,7 @@ from math import ceil, inf, radians
 from typing import Any
 
 from op3.policy.observation import BALANCE_LAYOUT, WALK_LAYOUT
+from op3.robot.surfaces import TILE_HEIGHT
 from op3.robot.units import ANGLE_UNIT, GYRO_UNIT, POSITION_UNIT, VELOCITY_UNIT
 from op3.tasks import rewards
 from op3.tasks.rewards import Coefficients
@@ -99,6 +100,7 @@ class Task:
         fall_angle: the episode ends when the trunk rolls or pitches further [rad].
         fall_height: the episode ends when the trunk's origin is lower than this above the ground [m]; it stands at
             0.24 m.
+        terrain_height: highest tile of the scene "terrain" above the floor [m], up to 0.01.
         overload: weight, in the training reward and besides eq. (8), of currents that a servo cannot carry for long.
         placement: scatter of the beginning.
         sensors: the robot's sensors.
@@ -114,6 +116,7 @@ class Task:
     duration: float = 10.0
     fall_angle: float = radians(45.0)
     fall_height: float = 0.15
+    terrain_height: float = TILE_HEIGHT
     overload: float = 0.0
     placement: Placement = field(default_factory=Placement)
     sensors: Sensors = field(default_factory=Sensors)
@@ -126,6 +129,10 @@ class Task:
             not self.scene.startswith("board")
         ):
             raise ValueError(f"task {self.name!r}: scene {self.scene!r} cannot be moved by board={self.board!r}")
+        if not 0 <= self.terrain_height <= TILE_HEIGHT:
+            raise ValueError(
+                f"task {self.name!r}: terrain_height must be between 0 and {TILE_HEIGHT} m, got {self.terrain_height}"
+            )
         if not 0 <= self.overload < inf:
             raise ValueError(f"task {self.name!r}: overload must be at least 0, got {self.overload}")
         if not self.duration > 0:

@@ -66,5 +66,6 @@ def test_tiles_are_drawn():
     assert not np.array_equal(heights, draw_tiles(1))
     assert heights.min() >= 0.0
     assert heights.max() <= TILE_HEIGHT
+    np.testing.assert_allclose(draw_tiles(0, 0.4 * TILE_HEIGHT), 0.4 * heights)
     assert len(heights) == len(tile_ids(build_scene("terrain").compile()))
     assert len(tile_ids(build_scene("floor").compile())) == 0
