@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import deque
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -192,9 +193,13 @@ class StandIn:
         """How far ahead the inner tip of the foremost foot is in the world [m], as a tape measure; 0 on the bench."""
         if self.scene.robot is None:
             return 0.0
-        model, data = self._model, self._data
-        names = [name for name in (model.site(i).name for i in range(model.nsite)) if name.endswith("sole_inner_tip")]
-        return float(max(data.site(name).xpos[0] for name in names))
+        return float(self._data.site_xpos[self._tips, 0].max())
+
+    @cached_property
+    def _tips(self) -> list[int]:
+        """Ids of the soles' inner tips."""
+        model = self._model
+        return [number for number in range(model.nsite) if model.site(number).name.endswith("sole_inner_tip")]
 
     def write_current(self, current: ArrayLike, delay: float = 0.0) -> None:
         """Give the servos new goal currents.

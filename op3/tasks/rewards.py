@@ -106,13 +106,14 @@ def overload_term(current: Tensor) -> Tensor:
     """Currents that a servo cannot carry for long, in [-1, 0]; not in the paper.
 
     An episode is much shorter than the minute over which a robot averages currents before it limits them, so a policy
-    that is to stand for longer must be told of it.
+    that is to stand for longer must be told of it. Heat goes with the square of the current; half of what a servo
+    carries for ever costs nothing.
 
     Args:
         current: of all motors, ``[..., joint]`` in A.
     """
     load = (current / (CONTINUOUS_CURRENT_COUNTS * CURRENT_UNIT)).square()
-    return _penalty((load - 1.0).clamp(min=0.0).sum(-1))
+    return _penalty((load - 0.5).clamp(min=0.0).sum(-1))
 
 
 def _swing_series(terms: int = 24) -> tuple[Tensor, Tensor]:

@@ -43,11 +43,11 @@ def test_smooth_term_by_hand():
 
 
 def test_overload_term_by_hand():
-    """Up to 171 counts (0.45999 A) cost nothing; twice that in one motor and the same in another are an excess of 6."""
+    """Half the heat of 171 counts (0.45999 A) costs nothing; twice that current in two motors is an excess of 7."""
     fifth = 171 * 0.00269
-    assert rewards.overload_term(tensor(fifth * (1 - 1e-9), -0.3, 0.0)).item() == 0.0
+    assert rewards.overload_term(tensor(fifth * 0.7071, -0.3, 0.0)).item() == 0.0
     value = rewards.overload_term(tensor(2 * fifth, -2 * fifth, 0.3))
-    assert value.item() == pytest.approx(-(1 - math.exp(-6.0)))
+    assert value.item() == pytest.approx(-(1 - math.exp(-7.0)))
 
 
 def test_bipedal_term_by_hand():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -240,11 +241,17 @@ class SimPhysics(BatchSimulation):
         """How far ahead the inner tip of the foremost foot is in the world [m]; 0 without a robot."""
         if self.scene.robot is None:
             return 0.0
-        model, data = self.batch.model, mujoco.MjData(self.batch.model)
+        model, (data, tips) = self.batch.model, self._soles
         data.qpos[:] = self._qpos[0].numpy()
         mujoco.mj_kinematics(model, data)
-        names = [name for name in (model.site(i).name for i in range(model.nsite)) if name.endswith("sole_inner_tip")]
-        return float(max(data.site(name).xpos[0] for name in names))
+        return float(data.site_xpos[tips, 0].max())
+
+    @cached_property
+    def _soles(self) -> tuple[mujoco.MjData, list[int]]:
+        """Where positions are computed, and the ids of the soles' inner tips."""
+        model = self.batch.model
+        tips = [number for number in range(model.nsite) if model.site(number).name.endswith("sole_inner_tip")]
+        return mujoco.MjData(model), tips
 
     def _check(self) -> None:
         if self._compiled is not None:
