@@ -44,8 +44,8 @@ from op3.train import (
     train,
 )
 
-KEPT = ("sac", "train", "environments", "environment", "initial_gain", "initial_knee", "initial_lean", "warm_start", "demonstrator")
-KEPT += ("demonstration",)
+KEPT = ("sac", "train", "environments", "environment", "initial_gain", "initial_knee", "initial_lean", "warm_start")
+KEPT += ("demonstrator", "demonstration")
 """Settings that the manifest of a policy keeps."""
 
 FRAME_EVERY = 2
