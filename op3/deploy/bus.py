@@ -40,6 +40,9 @@ FIRST_ANSWER = 4.0
 GAP = 2.0
 """How long bytes may pause inside a row of answers [ms]."""
 
+SLOW_ANSWER = 24.0
+"""The same two where a USB adapter has its latency timer of 16 ms again, as it has when it was plugged in anew [ms]."""
+
 ATTEMPTS = 3
 """How often a single read or write is tried."""
 
@@ -58,17 +61,6 @@ class Refused(BusError):
 
 class Unplugged(BusError):
     """The serial port went away."""
-
-
-class SerialPort(dynamixel_sdk.PortHandler):
-    """The SDK's port on a real device or a pty, waiting for bytes instead of polling for them."""
-
-    def setupPort(self, cflag_baud: int) -> bool:
-        """Open the port; reads wait for up to a millisecond."""
-        super().setupPort(cflag_baud)
-        assert self.ser is not None
-        self.ser.timeout = 0.001
-        return True
 
 
 class Bus:
@@ -100,6 +92,7 @@ class Bus:
         self._servo_ids = [self.ids[name] for name in JOINTS]
         self._order = list(self._servo_ids)
         self._missed = False
+        self._first_answer, self._gap = FIRST_ANSWER, GAP
         self._data: dict[int, bytes] = {}
         self._imu = bytes(BOARD_LENGTH)
         if not getattr(port, "is_open", False):
@@ -119,6 +112,15 @@ class Bus:
         """Close the port."""
         with self._quiet():
             self.port.closePort()
+
+    @contextmanager
+    def patience(self, first_answer: float, gap: float) -> Iterator[None]:
+        """Wait otherwise than usual for the first byte of an answer, and inside a row of answers [ms]."""
+        usual, self._first_answer, self._gap = (self._first_answer, self._gap), first_answer, gap
+        try:
+            yield
+        finally:
+            self._first_answer, self._gap = usual
 
     def clear(self) -> None:
         """Free a port that an interrupted call left locked; without this the SDK sends nothing any more."""
@@ -149,12 +151,18 @@ class Bus:
                 continue
         return found
 
-    def read(self, name: str, register: str) -> int:
-        """One register of one device, sign included; raises `NoAnswer` or `Refused`."""
+    def read(self, name: str, register: str, *, attempts: int = ATTEMPTS) -> int:
+        """One register of one device, sign included; raises `NoAnswer` or `Refused`.
+
+        Args:
+            name: of the device.
+            register: its name.
+            attempts: how often silence is tried again.
+        """
         entry = self._register(name, register)
-        call = lambda: self._sdk.readTxRx(self.port, self.ids[name], entry.address, entry.size)  # noqa: E731
-        data = self._try(name, f"a read of {register}", call)
-        return entry.decode(bytes(data))
+        call = lambda: self._read_once(self.ids[name], entry.address, entry.size)  # noqa: E731
+        data = self._try(name, f"a read of {register}", call, attempts)
+        return entry.decode(data)
 
     def sync_read(self, register: str) -> dict[str, int]:
         """One register of all servos, sign included; those that do not answer are left out."""
@@ -206,16 +214,24 @@ class Bus:
                 continue
         return errors
 
+    def _read_once(self, number: int, address: int, length: int) -> tuple[bytes, int, int]:
+        """Data, result and error of a read. The SDK's own would take any answer of the device for this one's."""
+        with self._plugged():
+            sent = self._sdk.readTx(self.port, number, address, length)
+        if sent != dynamixel_sdk.COMM_SUCCESS:
+            return b"", sent, 0
+        answers = self._receive([number], length)
+        if number not in answers:
+            return b"", dynamixel_sdk.COMM_RX_TIMEOUT, 0
+        error, data = answers[number]
+        return data, dynamixel_sdk.COMM_SUCCESS, error
+
     def _read_board(self) -> bool:
         """Refresh the IMU block; whether it came. OpenCR knows no fast sync read."""
-        with self._plugged():
-            sent = self._sdk.readTx(self.port, OPEN_CR_ID, BOARD_ADDRESS, BOARD_LENGTH)
-        if sent != dynamixel_sdk.COMM_SUCCESS:
+        data, result, error = self._read_once(OPEN_CR_ID, BOARD_ADDRESS, BOARD_LENGTH)
+        if result != dynamixel_sdk.COMM_SUCCESS or error & ~ALERT:
             return False
-        answers = self._receive([OPEN_CR_ID], BOARD_LENGTH)
-        if OPEN_CR_ID not in answers or answers[OPEN_CR_ID][0] & ~ALERT:
-            return False
-        self._imu = answers[OPEN_CR_ID][1]
+        self._imu = data
         return True
 
     def _read_many(
@@ -237,12 +253,14 @@ class Bus:
     def _receive(self, ids: Sequence[int], length: int) -> dict[int, tuple[int, bytes]]:
         """Error and data of each of these devices, until all have answered or the bytes stop coming.
 
-        Answers of others, such as one that was late for an earlier instruction, are passed over.
+        Answers of others and of another length, such as one that was late for an earlier instruction, are passed over.
         """
         parser, answers = Parser(), {}
         for chunk in self._chunks(len(ids) * (11 + length)):
             for packet in parser.feed(chunk):
-                if packet.device in ids and packet.instruction == Instruction.STATUS and packet.parameters:
+                if packet.device not in ids or packet.instruction != Instruction.STATUS or not packet.parameters:
+                    continue
+                if len(packet.data) == length or packet.error:
                     answers[packet.device] = packet.parameters[0], packet.data
             if len(answers) == len(ids):
                 break
@@ -258,31 +276,36 @@ class Bus:
         return data
 
     def _chunks(self, expected: int) -> Iterator[bytes]:
-        """Bytes as they come, until they stop; stuffing may make it more than expected."""
+        """Bytes as they come, until they stop; stuffing may make it more than expected.
+
+        A line that is disturbed may never fall silent, so there is an end to waiting as well.
+        """
         got = 0
         try:
             with self._plugged():
-                self.port.setPacketTimeoutMillis(FIRST_ANSWER)
-                while True:
+                end = self.port.getCurrentTime() + 2 * self._first_answer + 4 * expected * self.port.tx_time_per_byte
+                self.port.setPacketTimeoutMillis(self._first_answer)
+                while self.port.getCurrentTime() < end:
                     chunk = bytes(self.port.readPort(max(1, expected - got)))
                     if chunk:
                         got += len(chunk)
-                        self.port.setPacketTimeoutMillis(GAP)
+                        self.port.setPacketTimeoutMillis(self._gap)
                         yield chunk
                     elif self.port.isPacketTimeout():
                         return
         finally:
             self.port.is_using = False
 
-    def _try(self, name: str, what: str, call: Any) -> Any:
+    def _try(self, name: str, what: str, call: Any, attempts: int = ATTEMPTS) -> Any:
         """The value of an SDK call that returns value, result and error; tried again on silence."""
-        result = dynamixel_sdk.COMM_SUCCESS
-        for _ in range(ATTEMPTS):
+        result = dynamixel_sdk.COMM_RX_TIMEOUT
+        for _ in range(attempts):
             with self._plugged():
                 try:
                     value, result, error = call()
                 except IndexError:  # the SDK trips over packets that are cut short
                     self.clear()
+                    result = dynamixel_sdk.COMM_RX_CORRUPT
                     continue
             if result == dynamixel_sdk.COMM_SUCCESS:
                 if error & ~ALERT:

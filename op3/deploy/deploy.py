@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from op3.deploy.bus import Bus, SerialPort
+from op3.deploy.bus import Bus
 from op3.deploy.clock import MonotonicClock
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command, Limits
@@ -20,6 +20,7 @@ from op3.deploy.panel import Panel
 from op3.deploy.phases import D_GAIN, HELD_P_GAIN, GainRamp, Hold, Move, Phase, Relax
 from op3.deploy.policy_runner import FollowPolicy
 from op3.deploy.safety import Onlooker, Safety
+from op3.deploy.serial_port import SerialPort
 from op3.deploy.session import Logs, Outcome, Phases, Session
 from op3.deploy.start_checks import StartChecks
 from op3.deploy.state import Calibration, State

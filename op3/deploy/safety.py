@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.deploy.bus import ATTEMPTS, Bus, BusError, Unplugged
+from op3.deploy.bus import ATTEMPTS, FIRST_ANSWER, GAP, SLOW_ANSWER, Bus, BusError, Unplugged
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command, CurrentLimiter, Limits
 from op3.deploy.monitors import Monitor, Verdict
@@ -269,8 +270,11 @@ class Safety:
         """
         clock = self.bus.clock
         end = clock.now() + patience
-        while True:
-            result = self._release_once()
+        for attempt in count():
+            # In turn as a tick waits, and as long as an adapter takes that was plugged in anew.
+            waits = (SLOW_ANSWER, SLOW_ANSWER) if attempt % 2 else (FIRST_ANSWER, GAP)
+            with self.bus.patience(*waits):
+                result = self._release_once()
             if result.ok or clock.now() >= end:
                 break
             clock.sleep_until(clock.now() + 0.05)
@@ -293,7 +297,7 @@ class Safety:
         for name in JOINTS:
             # A silent servo hides those behind it from a sync read.
             if name not in there:
-                self._attempt(lambda name=name: there.update({name: self.bus.read(name, "torque_enable")}))
+                self._attempt(lambda name=name: there.update({name: self.bus.read(name, "torque_enable", attempts=1)}))
         failed = {name: "no answer" if name not in there else "still on" for name in JOINTS if there.get(name) != 0}
         return Release(tuple(name for name in JOINTS if name not in failed), failed)
 

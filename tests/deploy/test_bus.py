@@ -1,5 +1,7 @@
 """The bus over the unmodified dynamixel-sdk, against the emulated robot's bytes."""
 
+import contextlib
+
 import dynamixel_sdk
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from op3.deploy.bus import BOARD, NoAnswer, Refused, Unplugged
 from op3.deploy.emulator import Faults, Silent, Unplug
 from op3.deploy.protocol import ALERT, Instruction, encode_fast_status
 from op3.deploy.registers import HardwareError
+from op3.deploy.safety import Safety
 from op3.deploy.state import Calibration
 from op3.robot import JOINTS, SERVO_IDS, pose
 
@@ -218,6 +221,46 @@ def test_spoilt_answers_never_become_values(tmp_path, faults):
         assert np.abs(state.position - pose("stand")).max() < 1e-3
         rig.robot.clock.sleep(0.004)
     assert missing > 0
+
+
+@pytest.mark.parametrize("delay", [0.0045, 0.006, 0.0075])
+def test_a_late_answer_is_not_taken_for_another_ones(rig, delay):
+    """An answer that comes when something else of the device is asked for has another length: it is passed over."""
+    rig.writer.prepare_block()
+    spoilt, whole = Faults(late=1.0, delay=delay), Faults()
+    for _ in range(5):
+        for call in (lambda: rig.bus.read(BOARD, "present_voltage"), lambda: rig.writer.write("l_knee", "led", 1)):
+            rig.robot.bus.faults, rig.robot.bus._faulty = spoilt, True
+            with contextlib.suppress(NoAnswer):
+                call()
+            rig.robot.bus.faults, rig.robot.bus._faulty = whole, False
+            with contextlib.suppress(NoAnswer):
+                assert rig.bus.read("l_knee", "goal_current") == 1193
+            rig.robot.bus.faults, rig.robot.bus._faulty = spoilt, True
+            with contextlib.suppress(NoAnswer):
+                call()
+            rig.robot.bus.faults, rig.robot.bus._faulty = whole, False
+            rig.bus._read_board()
+            rig.robot.clock.sleep(0.05)
+            assert rig.bus.read_state().linear_acceleration[2] == pytest.approx(9.81, abs=0.1)
+
+
+def test_a_line_that_never_falls_silent(rig, monkeypatch):
+    """A broken cable may bring noise without end: every reading ends all the same, and so does switching off."""
+    clock = rig.robot.clock
+
+    def noise(length):
+        clock.sleep(1e-4 * length)
+        assert clock.now() < 10, "the computer waits for the noise to end"
+        return bytes(length)
+
+    monkeypatch.setattr(rig.bus.port, "readPort", noise)
+    before = clock.now()
+    assert not rig.bus.read_state().answered.any()
+    assert clock.now() - before < 0.2
+    rig.bus._writer = None
+    result = Safety(rig.bus, report=rig.lines.append).release(patience=1.0)
+    assert len(result.failed) == 20
 
 
 def test_parts_of_a_fast_answer_before_a_bad_one_are_good():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from deploy_rig import make_rig
 
-from op3.deploy.emulator import BrownOut, Faults, FrozenImu, HardwareFault, Overheat, Silent, Unplug
+from op3.deploy.emulator import BrownOut, Faults, FrozenImu, HardwareFault, Overheat, Silent, Timing, Unplug
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import HIGH, LOW, Command, CurrentLimiter, Limits
 from op3.deploy.phases import GainRamp, Hold
@@ -263,6 +263,20 @@ def test_plugged_in_again(tmp_path):
     """If the plug is back within five seconds, the port is opened again and torque off is verified."""
     rig = faulty(tmp_path, Unplug(START))
     rig.robot.at(START + 2.0, lambda: setattr(rig.robot, "unplugged", False))
+    outcome = go(rig)
+    assert outcome.code == ExitCode.UNPLUGGED
+    assert_released(rig, outcome)
+
+
+def test_plugged_in_again_with_the_latency_of_a_new_adapter(tmp_path):
+    """A plug that was pulled comes back with a latency timer of 16 ms: answers are waited for that long."""
+    rig = faulty(tmp_path, Unplug(START))
+
+    def plug_in():
+        rig.robot.unplugged = False
+        rig.robot.bus.timing = Timing(latency_timer=0.016)
+
+    rig.robot.at(START + 2.0, plug_in)
     outcome = go(rig)
     assert outcome.code == ExitCode.UNPLUGGED
     assert_released(rig, outcome)

@@ -1,0 +1,44 @@
+"""The port of a real robot, or of a pty."""
+
+from __future__ import annotations
+
+from time import monotonic
+
+import dynamixel_sdk
+import serial
+
+WRITE_TIMEOUT = 0.05
+"""How long the computer's own buffer may refuse bytes [s]; an adapter that hangs would otherwise hold the program."""
+
+
+class SerialPort(dynamixel_sdk.PortHandler):
+    """The SDK's port on a real device or a pty, waiting for bytes instead of polling for them.
+
+    One program at a time: a second one would talk into the answers of the first.
+    """
+
+    def setupPort(self, cflag_baud: int) -> bool:
+        """Open the port for this program alone; reads wait for up to a millisecond."""
+        super().setupPort(cflag_baud)
+        assert self.ser is not None
+        self.ser.timeout = 0.001
+        self.ser.write_timeout = WRITE_TIMEOUT
+        try:
+            self.ser.exclusive = True
+        except serial.SerialException as error:
+            self.closePort()
+            raise serial.SerialException("another program has it open; end that one first") from error
+        return True
+
+    def writePort(self, packet: list[int]) -> int:
+        """Send bytes; what an adapter that hangs has not taken must not reach the servos later."""
+        assert self.ser is not None
+        try:
+            return self.ser.write(bytes(packet)) or 0
+        except serial.SerialTimeoutException:
+            self.ser.reset_output_buffer()
+            raise
+
+    def getCurrentTime(self) -> float:
+        """Time in ms; the SDK's own clock jumps where the computer's is set."""
+        return 1e3 * monotonic()
