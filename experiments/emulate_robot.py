@@ -1,8 +1,12 @@
-"""An emulated ROBOTIS-OP3 on a serial port: prints the port, and serves until Ctrl-C.
+"""An emulated ROBOTIS-OP3 on a serial port: prints the port, and serves until Ctrl-C or another signal to end.
 
 python experiments/emulate_robot.py [world=eta_060] [scene=floor] [faults.lost=0.0026] [record=frames.txt]
 python experiments/emulate_robot.py model=paper scene=floor
 """
+
+import signal
+import sys
+from types import FrameType
 
 import hydra
 from omegaconf import DictConfig
@@ -16,6 +20,8 @@ from op3.deploy.emulator import (
     StandInPhysics,
     Timing,
 )
+from op3.deploy.emulator.pty_server import PtyServer
+from op3.deploy.operator import told
 from op3.robot import pose
 from op3.sim import load_model
 from op3.stand_in import World
@@ -43,20 +49,52 @@ def robot(cfg: DictConfig) -> EmulatedRobot:
     )
 
 
+class Ending:
+    """Signals that end the serving, whenever they come; what has to be done then is done whole."""
+
+    def __init__(self) -> None:
+        self._asked = False
+        self._server: PtyServer | None = None
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            # A shell starts what it puts into the background without Ctrl-C; `nohup` asks to outlive the terminal.
+            if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self._receive)
+
+    def _receive(self, number: int, frame: FrameType | None) -> None:
+        self._asked = True
+        if self._server is not None:
+            self._server.stop()
+
+    def ends(self, server: PtyServer) -> None:
+        """A server that the signals end; at once if there has been one."""
+        self._server = server
+        if self._asked:
+            server.stop()
+
+
 @hydra.main(version_base="1.3", config_path="../conf", config_name="emulate_robot")
 def main(cfg: DictConfig) -> None:
     """Build the robot and serve it."""
+    ending, say = Ending(), told(lambda text: print(text, flush=True))
     with one_sentence():
         emulated = robot(cfg)
+    failure = ""
     with emulated.serve_pty(cfg.baud) as server:
-        print(f"port: {server.path}", flush=True)
-        print("the servos have power once 1 is written to register 24 of the OpenCR, id 200; Ctrl-C ends", flush=True)
+        say(f"port: {server.path}")
+        say("the servos have power once 1 is written to register 24 of the OpenCR, id 200; Ctrl-C ends")
+        ending.ends(server)
         try:
             server.wait(cfg.duration)
-        except KeyboardInterrupt:
-            print()
-    emulated.close()
-    print(f"emulated {emulated.time:.1f} s; at most {1e3 * server.longest_lag:.0f} ms behind the wall clock")
+        except Exception as error:
+            failure = f"the emulated robot has stopped: {error}"
+    try:
+        emulated.close()
+    except OSError as error:
+        failure = failure or f"the recording of frames is not whole: {error}"
+    say(f"emulated {emulated.time:.1f} s; at most {1e3 * server.longest_lag:.0f} ms behind the wall clock")
+    if failure:
+        print(failure, file=sys.stderr)
+        raise SystemExit(1)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import pty
 import select
@@ -55,7 +54,7 @@ class PtyServer:
         self.path = os.ttyname(self._slave)
         self.longest_lag = 0.0
         self.error: Exception | None = None
-        self._wake, self._waker = os.pipe()
+        self._ends = [self._master, self._slave]
         self._stopping = False
         self._thread = threading.Thread(target=self._serve, name="emulated robot", daemon=True)
 
@@ -70,7 +69,7 @@ class PtyServer:
         self.close()
 
     def wait(self, timeout: float | None = None) -> None:
-        """Serve until it ends by itself, or for a time [s].
+        """Serve until it ends by itself or `stop` is called, or for a time [s].
 
         Raises:
             RuntimeError: if the physics diverged.
@@ -79,22 +78,22 @@ class PtyServer:
         if self.error is not None:
             raise self.error
 
+    def stop(self) -> None:
+        """Let the serving end within some milliseconds. Never waits, so a signal handler may call it."""
+        self._stopping = True
+
     def close(self) -> None:
         """Stop serving and remove the port."""
-        self._stopping = True
-        with contextlib.suppress(OSError):
-            os.write(self._waker, b"x")
+        self.stop()
         if self._thread.is_alive() and threading.current_thread() is not self._thread:
             self._thread.join()
         self._unplug()
-        for end in (self._wake, self._waker):
-            with contextlib.suppress(OSError):
-                os.close(end)
 
     def _unplug(self) -> None:
-        for end in (self._master, self._slave):
-            with contextlib.suppress(OSError):
-                os.close(end)
+        # Each end is closed once: its number may belong to another file afterwards.
+        ends, self._ends = self._ends, []
+        for end in ends:
+            os.close(end)
 
     def _serve(self) -> None:
         try:
@@ -111,7 +110,7 @@ class PtyServer:
         while not (self._stopping or robot.unplugged):
             now = time.monotonic() - start
             wait = min(PATIENCE, max(0.0, bus.next_arrival - now))
-            readable, _, _ = select.select([self._master, self._wake], [], [], wait)
+            readable, _, _ = select.select([self._master], [], [], wait)
             now = time.monotonic() - start
             if self._master in readable:
                 data = self._read()
