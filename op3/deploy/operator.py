@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import select
 import sys
+import termios
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Protocol
@@ -41,6 +42,7 @@ class Console:
 
     def confirm(self, text: str) -> bool:
         """Ask for the word yes."""
+        self._forget()
         print(f"{text} Type yes and Enter to go on: ", end="", flush=True)
         answer = sys.stdin.readline()
         return answer.strip().lower() in ("yes", "y")
@@ -49,9 +51,16 @@ class Console:
         """Whether Enter was pressed."""
         if not self._prompted:
             self._prompted = True
+            self._forget()
             say("In the start pose. Put the robot where it shall begin, then press Enter; Ctrl-C switches off.")
         ready, _, _ = select.select([sys.stdin], [], [], 0)
         return bool(ready) and sys.stdin.readline() != ""
+
+    @staticmethod
+    def _forget() -> None:
+        """An Enter from before the question is no answer to it."""
+        with suppress(OSError, ValueError, termios.error):
+            termios.tcflush(sys.stdin.fileno(), termios.TCIFLUSH)
 
     def begins(self) -> None:
         """A person sees it."""
