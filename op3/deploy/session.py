@@ -158,6 +158,8 @@ class Session:
                 # A signal may have come between the end of the work and `hush`; only the first one raises.
                 self._let_go()
             logs = self._close_logs(code, reason)
+        if code in (ExitCode.UNPLUGGED, ExitCode.BUS_LOSS) and not self._loop.timing().ticks and self._release is None:
+            code = ExitCode.START_CHECK  # the bus failed on the way to the first tick, with nothing energised
         if self._release is not None and not self._release.ok:
             code, reason = ExitCode.NOT_VERIFIED, f"{reason}; {self._release}"
         timing = self._loop.timing()

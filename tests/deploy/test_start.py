@@ -52,7 +52,12 @@ def warm(robot):
     robot._heat[SERVO_IDS["l_el"]] = (0.0, 80.0)
 
 
+def other_return_level(robot):
+    robot.at(0.4, lambda: robot.servos["l_el"].put("status_return_level", 1))
+
+
 FAILURES = {
+    "return level": (dict(prepare=other_return_level), "status return level: l_el do not answer every packet"),
     "drive": (dict(prepare=reversed_drive), "drive mode: not normal: l_el 1; write it once with mode=setup"),
     "cool": (dict(prepare=cool_limit), "servo limits: l_el 70 C: a servo would shut down before the run ends at 72 C"),
     "min voltage": (dict(prepare=high_voltage_limit), "servo limits: l_el 10.5 V: a servo would report an error"),
@@ -82,6 +87,35 @@ def test_a_failed_check_energises_nothing(tmp_path, failure):
     assert rig.written("torque_enable") == []
     assert rig.written("goal_current") == []
     assert not any(rig.register("torque_enable"))
+
+
+def no_more_answers(robot):
+    """Everything is silent from the moment in which a servo is told what its block is made of."""
+    servo = robot.servos["l_knee"]
+    write_many = servo._write_many
+
+    def fall_silent(targets, data):
+        robot._silent.update(dict.fromkeys(SERVO_IDS.values(), robot._heard))
+        return write_many(targets, data)
+
+    servo._write_many = fall_silent
+
+
+def pulled_plug(robot):
+    """The plug is pulled at that moment."""
+    servo = robot.servos["l_knee"]
+    servo._write_many = lambda targets, data: setattr(robot, "unplugged", True) or 0
+
+
+@pytest.mark.parametrize("what", [no_more_answers, pulled_plug])
+def test_a_bus_that_fails_between_checks_and_torque(tmp_path, what):
+    """Nothing has been energised, and the exit code says so."""
+    rig = make_rig(tmp_path, prepare=what)
+    outcome = rig.run()
+    assert outcome.code == ExitCode.START_CHECK
+    assert outcome.release is None
+    assert not any(rig.register("torque_enable"))
+    assert rig.lines[-1].startswith("start_check (10)")
 
 
 def test_the_latency_timer_comes_first(tmp_path):
