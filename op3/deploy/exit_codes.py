@@ -6,9 +6,9 @@ from enum import IntEnum
 class ExitCode(IntEnum):
     """Exit codes of `experiments/deploy.py`.
 
-    Below 10 nothing was sent to a servo. From 10 on nothing was energised. From 20 on the robot was energised, the
-    run ended early for this reason, and torque was switched off and read back. 40 is the one that needs a hand on
-    the battery switch.
+    From 10 on nothing was energised, but for 13, where torque may have been on for a moment and is off again. From 20
+    on the loop was running, with torque unless the mode has none, and ended early for this reason; torque was switched
+    off and read back. 40 is the one that needs a hand on the battery switch.
     """
 
     OK = 0

@@ -36,7 +36,7 @@ class Limits:
         continuous_current_counts: what a servo carries for ever [2.69 mA]; 171 is a fifth of the stall current.
         thermal_time: time constant with which the mean square of the current is formed [s].
         temperature: a servo at or above this ends the run [C].
-        voltage: a supply below this ends the run [V].
+        voltage: a supply at or below this ends the run [V].
         start_voltage: a supply below this is not switched on [V].
         fall_angle_deg: roll or pitch beyond this [deg] ...
         fall_time: ... for this long ends the run [s].

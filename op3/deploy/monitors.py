@@ -139,6 +139,6 @@ class Monitor:
 
     def _check_supply(self, state: State) -> None:
         lowest = min(float(state.voltage.min()), state.supply_voltage)
-        self._low = self._low + 1 if lowest < self._limits.voltage - 1e-9 else 0
+        self._low = self._low + 1 if lowest <= self._limits.voltage + 1e-9 else 0
         if self._low >= SAG_READINGS:
             raise Stop(ExitCode.VOLTAGE, f"the supply is down to {lowest:.1f} V; charge the battery", damp=True)
