@@ -22,7 +22,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from support import library_motion, one_sentence, plain
+from support import library_motion, one_sentence, plain, positive
 
 from op3.deploy import Stop
 from op3.deploy.bus import Unplugged
@@ -46,6 +46,7 @@ def collect(cfg: DictConfig) -> list[Path]:
         raise ValueError(f"repeats must be a whole number of at least 1, got {cfg.repeats!r}")
     if cfg.plan is not None:
         return collect_plan(cfg, read_plan(Path(cfg.plan)))
+    positive(cfg, "duration", "seconds")
     if cfg.mount not in MOUNTS[:2]:
         raise ValueError(f"mount must be {' or '.join(MOUNTS[:2])}, got {cfg.mount!r}")
     if cfg.policy is not None:
@@ -139,4 +140,5 @@ def main(cfg: DictConfig) -> None:
 
 
 if __name__ == "__main__":
+    sys.argv = ["confirm=false" if argument == "--yes" else argument for argument in sys.argv]
     main()

@@ -14,7 +14,7 @@ import hydra
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
-from support import one_sentence, seeded_faults
+from support import one_sentence, positive, seeded_faults
 
 from op3.deploy import (
     Calibration,
@@ -48,6 +48,7 @@ def open_robot(cfg: DictConfig) -> Connection:
         emulation = {name: cfg[name] for name in ("world", "world_seed", "model", "seed", "scene")} | {
             "record": cfg.frames,
             "faults": seeded_faults(cfg.faults),
+            "joint_position": pose(cfg.pose) if cfg.mode == "calibrate" else None,  # as the person would hold it
             "powered": cfg.mode in ("read_only", "calibrate"),  # these may not switch the supply on
         }
     mount = "stand" if cfg.mode == "hang" else cfg.mount
@@ -71,6 +72,7 @@ def deploy(cfg: DictConfig) -> ExitCode:
         result = replay(read_log(cfg.log), runner)
         print(result)
         return ExitCode.OK if result.ok else ExitCode.REPLAY
+    duration = positive(cfg, "duration", "seconds")
     limits = Limits(**OmegaConf.to_container(cfg.limits, resolve=True))  # type: ignore[arg-type]
     folder = Path(HydraConfig.get().runtime.output_dir)
     plan = Plan(
@@ -84,12 +86,12 @@ def deploy(cfg: DictConfig) -> ExitCode:
     connection = open_robot(cfg)
     try:
         if cfg.mode == "read_only":
-            return read_only(connection, cfg.duration, plan).code
+            return read_only(connection, duration, plan).code
         if cfg.mode == "setup":
             return setup(connection)
         if cfg.mode == "calibrate":
             return calibrate(connection, cfg.calibration_out, pose_name=cfg.pose)
-        outcome = run_on(connection, runner, plan, cfg.duration)
+        outcome = run_on(connection, runner, plan, duration)
     finally:
         connection.close()
     for log in outcome.logs:

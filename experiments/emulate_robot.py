@@ -6,6 +6,8 @@ python experiments/emulate_robot.py model=paper scene=floor
 
 import signal
 import sys
+import time
+from collections.abc import Callable
 from types import FrameType
 
 import hydra
@@ -25,6 +27,12 @@ from op3.deploy.operator import told
 from op3.robot import pose
 from op3.sim import load_model
 from op3.stand_in import World
+
+WATCH_EVERY = 0.5
+"""Time between two looks at how far the emulation is behind [s]."""
+
+LARGEST_LAG = 0.03
+"""Lag that is worth a word [s]: by then the answers of a whole sync read have come too late."""
 
 
 def physics(cfg: DictConfig) -> Physics:
@@ -72,6 +80,19 @@ class Ending:
             server.stop()
 
 
+def watch(server: PtyServer, duration: float | None, say: Callable[[str], None]) -> None:
+    """Wait for the end; say once if the machine is too busy to answer in time."""
+    end, warned = None if duration is None else time.monotonic() + duration, False
+    while server.alive and (end is None or time.monotonic() < end):
+        server.wait(WATCH_EVERY if end is None else min(WATCH_EVERY, max(0.0, end - time.monotonic())))
+        if server.longest_lag > LARGEST_LAG and not warned:
+            warned = True
+            say(
+                f"{1e3 * server.longest_lag:.0f} ms behind the wall clock: this machine is too busy, and a program on"
+                " the port sees servos that answer late or not at all"
+            )
+
+
 @hydra.main(version_base="1.3", config_path="../conf", config_name="emulate_robot")
 def main(cfg: DictConfig) -> None:
     """Build the robot and serve it."""
@@ -84,7 +105,7 @@ def main(cfg: DictConfig) -> None:
         say("the servos have power once 1 is written to register 24 of the OpenCR, id 200; Ctrl-C ends")
         ending.ends(server)
         try:
-            server.wait(cfg.duration)
+            watch(server, cfg.duration, say)
         except Exception as error:
             failure = f"the emulated robot has stopped: {error}"
     try:

@@ -1,6 +1,7 @@
 """What the experiment scripts share."""
 
 import dataclasses
+import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -9,7 +10,9 @@ from typing import Any
 
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.errors import CompactHydraException, InstantiationException
+from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
@@ -26,7 +29,10 @@ def one_sentence() -> Iterator[None]:
     try:
         yield
     except (ValueError, FileNotFoundError) as error:
-        raise CompactHydraException(str(error)) from error
+        if HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN:
+            raise CompactHydraException(str(error)) from error  # the sweeper says which job it was
+        print(error, file=sys.stderr)
+        raise SystemExit(1) from None
     except KeyboardInterrupt:
         print(
             "\nInterrupted. The same command with the same hydra.run.dir goes on from the trials done.", file=sys.stderr
@@ -51,6 +57,18 @@ def seeded_faults(node: DictConfig) -> Any:
 def plain(node: Any) -> Any:
     """A config node as Python's own data."""
     return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
+
+
+def positive(cfg: DictConfig, name: str, unit: str) -> float:
+    """The number in a config's field.
+
+    Raises:
+        ValueError: if it is none above 0 and finite.
+    """
+    value = cfg[name]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+        raise ValueError(f"{name} must be a number of {unit} above 0, got {value!r}")
+    return float(value)
 
 
 def check_given(cfg: DictConfig, name: str, what: str) -> None:

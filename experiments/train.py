@@ -17,7 +17,6 @@ import numpy as np
 import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
-from numpy.typing import NDArray
 from omegaconf import DictConfig
 from support import one_sentence, plain
 from torch import Tensor
@@ -27,8 +26,6 @@ from op3.policy import ActionMap, Manifest, PolicyBundle, Training
 from op3.report import RunLogger, run_provenance
 from op3.report.training import histogram_figure, report_training
 from op3.report.video import film
-from op3.robot import indices
-from op3.robot.poses import squat_position
 from op3.sim import load_model
 from op3.sim.model_file import model_hash
 from op3.tasks import PhasedWalk, Stride
@@ -44,8 +41,7 @@ from op3.train import (
     train,
 )
 
-KEPT = ("sac", "train", "environments", "environment", "initial_gain", "initial_knee", "initial_lean", "warm_start")
-KEPT += ("demonstrator", "demonstration")
+KEPT = ("sac", "train", "environments", "environment", "initial_gain", "warm_start", "demonstrator", "demonstration")
 """Settings that the manifest of a policy keeps."""
 
 FRAME_EVERY = 2
@@ -96,16 +92,8 @@ def describe(cfg: DictConfig, task: Task, provenance: Mapping[str, Any]) -> Mani
     )
 
 
-def first_action(cfg: DictConfig, actions: ActionMap) -> NDArray[np.float64]:
-    """What the untrained policy does."""
-    if cfg.initial_knee is None:
-        return actions.stand(cfg.initial_gain)
-    angles = squat_position(cfg.initial_knee, lean=cfg.initial_lean)[indices(actions.joints)]
-    return actions.action(angles, np.full(len(angles), float(cfg.initial_gain)))
-
-
 def learner(cfg: DictConfig, manifest: Manifest) -> SAC:
-    """Networks and optimisers; the untrained policy holds the stand pose, or straighter legs."""
+    """Networks and optimisers; the untrained policy holds the stand pose."""
     device = torch.device(cfg.device)
     if device.type == "cuda" and not torch.cuda.is_available():
         raise ValueError("device=cuda: torch finds no GPU; leave device=cpu")
@@ -114,7 +102,7 @@ def learner(cfg: DictConfig, manifest: Manifest) -> SAC:
         manifest.action_map.size,
         SACSettings(**plain(cfg.sac)),
         torch.Generator(device).manual_seed(cfg.seed),
-        torch.as_tensor(first_action(cfg, manifest.action_map)),
+        torch.as_tensor(manifest.action_map.stand(cfg.initial_gain)),
         device,
     )
     if cfg.warm_start is not None and cfg.resume is None:

@@ -63,6 +63,9 @@ class Limits:
     damp_time: float = 0.5
 
     def __post_init__(self):
+        for name, value in vars(self).items():
+            if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+                raise ValueError(f"limits: {name} must be a finite number, got {value!r}")
         for name in ("leg_current_counts", "arm_current_counts"):
             value = getattr(self, name)
             if not self.continuous_current_counts <= value <= 1193:

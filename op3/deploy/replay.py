@@ -51,16 +51,27 @@ def replay(log: Rollout, runner: PolicyRunner) -> Replay:
         runner: the policy.
 
     Raises:
-        ValueError: if the log lacks a channel or has another rate.
+        ValueError: if the log lacks a channel, has another rate, or is of another kind of policy.
     """
     for key in ("policy/action", "joint/velocity", "imu/orientation", "imu/angular_velocity"):
         if key not in log:
             raise ValueError(f"the log has no {key}; give the folder `run` of a run with a policy")
     if log.batched:
         raise ValueError("the log has an episode axis; give one episode")
+    asked, logged = runner.bundle.manifest, log.array("policy/action")
+    if logged.shape[-1] != asked.action_map.size:
+        raise ValueError(
+            f"the log's actions have {logged.shape[-1]} numbers and those of this policy {asked.action_map.size}; give"
+            " the policy that was run"
+        )
+    if "policy/observation" in log and log.array("policy/observation").shape[-1] != asked.observation_size:
+        raise ValueError(
+            f"the log's observations have {log.array('policy/observation').shape[-1]} numbers and those of this policy"
+            f" {asked.observation_size}; give the policy that was run"
+        )
     steps, rows = _steps(log)
     runner.reset()
-    taken = log.array("policy/action")
+    taken = logged
     seen = log.array("policy/observation") if "policy/observation" in log else None
     actions, observations = [], []
     position, velocity = log.array("joint/position"), log.array("joint/velocity")

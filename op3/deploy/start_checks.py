@@ -236,7 +236,7 @@ class StartChecks:
         force = state.linear_acceleration
         # Where gravity points, from the accelerometer alone; the attitude filter must agree with it.
         felt = np.rad2deg([np.arctan2(force[1], force[2]), np.arctan2(-force[0], np.hypot(force[1], force[2]))])
-        detail = f"roll {roll:.0f} deg, pitch {pitch:.0f} deg, alive"
+        detail = f"roll {round(roll)} deg, pitch {round(pitch)} deg, alive"
         if max(abs(roll), abs(pitch)) > LARGEST_TILT_DEG:
             return False, f"{detail}; put the robot upright"
         if np.abs(felt - (roll, pitch)).max() > 10:

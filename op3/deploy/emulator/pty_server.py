@@ -68,6 +68,11 @@ class PtyServer:
     ) -> None:
         self.close()
 
+    @property
+    def alive(self) -> bool:
+        """Whether it is serving."""
+        return self._thread.is_alive()
+
     def wait(self, timeout: float | None = None) -> None:
         """Serve until it ends by itself or `stop` is called, or for a time [s].
 
