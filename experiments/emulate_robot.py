@@ -41,8 +41,8 @@ def physics(cfg: DictConfig) -> Physics:
     if cfg.model is None:
         world = World.find(cfg.world, cfg.world_seed)
         return StandInPhysics(world, cfg.scene, seed=cfg.seed, joint_position=start)
-    model = load_model(cfg.model)
-    return SimPhysics(model, cfg.scene, seed=cfg.seed, joint_position=start, battery=Battery(charge=float(cfg.battery)))
+    battery = None if cfg.battery is None else Battery(charge=float(cfg.battery))
+    return SimPhysics(load_model(cfg.model), cfg.scene, seed=cfg.seed, joint_position=start, battery=battery)
 
 
 def robot(cfg: DictConfig) -> EmulatedRobot:

@@ -192,6 +192,7 @@ def emulate(
     settings: dict[str, int] | None = None,
     record: str | Path | None = None,
     powered: bool = False,
+    battery: float | None = 0.7,
 ) -> tuple[EmulatedRobot, Hands, str]:
     """An emulated robot in virtual time.
 
@@ -208,6 +209,7 @@ def emulate(
         settings: EEPROM of the servos.
         record: file for the frames on the wire.
         powered: whether someone has pressed the robot's power button; otherwise the servos' supply is off.
+        battery: charge of a model's battery, 0 to 1; None: a supply at its bus voltage. A stand-in has its own.
 
     Returns:
         The robot, the operator who holds it, and what identifies the robot without telling its truth.
@@ -221,10 +223,10 @@ def emulate(
     else:
         law = load_model(str(model))
         identity = str(model)
-        battery = Battery()
+        source = None if battery is None else Battery(charge=float(battery))
 
         def make(where: str, position: Array | None) -> Physics:
-            return SimPhysics(law, where, seed=seed, joint_position=position, battery=battery)
+            return SimPhysics(law, where, seed=seed, joint_position=position, battery=source)
 
     place = Place(scene) if task is None else Place.of_task(task, seed)
     physics = HandHeld(make, place, joint_position)
