@@ -242,7 +242,7 @@ def base_coordinates(model: RobotModel, joints: Sequence[str], *, fixed_base: bo
             if (held and fixed_base) or (known.name == "forward_efficiency" and drive == "current"):
                 continue
             if known.name in CHAIN:
-                entries.extend(_chain(known, joints))
+                entries.extend(_chain(model, known, joints))
                 continue
             value = model.value(known.name)
             span = known.high - known.low
@@ -283,9 +283,22 @@ def _alike(model: RobotModel, known: Parameter, joints: Sequence[str]) -> list[t
     return [*groups, *(((int(j),), float(own[j])) for j in np.flatnonzero(~near))]
 
 
-def _chain(known: Parameter, joints: Sequence[str]) -> list[Coordinate]:
-    """A parameter of the measurement chain, near what is expected of it."""
+def _chain(model: RobotModel, known: Parameter, joints: Sequence[str]) -> list[Coordinate]:
+    """A parameter of the measurement chain: near what is expected of it, or free where the model has another value.
+
+    It has one after the effect has been named: what every chain has a little of is then no longer what is expected.
+    """
     value, deviation, own = CHAIN[known.name]
     low, high = max(known.least, value - 4 * deviation), value + 4 * deviation
-    columns = [(j,) for j in range(len(joints))] if own else [None]
-    return [Coordinate(known.name, column, low, high, value, value, deviation) for column in columns]
+    now, span = model.tensors(joints)[known.name][0].tolist(), known.high - known.low
+    entries = []
+    for number, columns in enumerate([(j,) for j in range(len(joints))] if own else [None]):
+        at = float(now[number % len(now)])
+        if low <= at <= high:
+            entries.append(Coordinate(known.name, columns, low, high, value, value, deviation))
+        else:
+            least, most = min(known.low, at - span), max(known.high, at + span)
+            entries.append(
+                Coordinate(known.name, columns, max(known.least, least), min(known.most, most), at, at, span)
+            )
+    return entries

@@ -25,6 +25,10 @@ POSITION_ONLY = ("position_servo", "minimum_duty")
 CURRENT_ONLY = ("current_lag", "current_offset", "packet_drop")
 """Effects of servos that regulate current."""
 
+FAULTY = 2.5
+"""How many times larger than the catalogue's range for a sound robot an effect may be found: what is looked for is a
+fault. Beyond it a size is not plausible."""
+
 HELD_ONLY = ("gyro_bias", "imu_mount", "ground_tilt", "left_right_asymmetry")
 """Effects that a robot with a held base, or a bench, does not show."""
 
@@ -85,12 +89,12 @@ class Hypothesis:
             if known.neutral is None:
                 entries.append(Coordinate(name, columns, known.low, known.high, amount, amount, known.high - known.low))
             else:
-                now = self.model.value(name)
-                low = max(known.least, min(known.low, known.neutral)) - now
-                high = min(known.most, known.high) - now
+                now, reach = self.model.value(name), FAULTY if known.neutral == 0.0 else 1.0
+                low = max(known.least, reach * min(known.low, known.neutral)) - now
+                high = min(known.most, reach * known.high) - now
                 if self.effect.name in base.model.effect_names:
                     # beside a parameter that the base has: as much again in either direction
-                    low, high = -(known.high - known.low), known.high - known.low
+                    low, high = -reach * (known.high - known.low), reach * (known.high - known.low)
                     if name in CHAIN and not CHAIN[name][2]:
                         low = 0.0  # the chain itself has what is expected
                 start = float(np.clip(share * amount, low, high))

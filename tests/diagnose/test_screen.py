@@ -8,11 +8,13 @@ import pytest
 from op3.diagnose.backward import left_out, with_findings
 from op3.diagnose.coordinates import Coordinate, Coordinates, base_coordinates, with_chain
 from op3.diagnose.fitting import Fit, bounded_step
+from op3.diagnose.hypotheses import hypotheses
 from op3.diagnose.motion import HALF_WIDTH, VELOCITY_LAG, kernels
 from op3.diagnose.screen import Projector, _score
 from op3.diagnose.verdict import Finding
-from op3.servo import Estimate, effect_class
+from op3.servo import Estimate, catalogue, effect_class
 from op3.sim import load_model
+from op3.stand_in.hidden import KINDS, SEVERITIES
 
 WINDOWS, RESIDUALS = 40, 30
 
@@ -164,3 +166,42 @@ def test_a_reading_that_stands_out_is_suspected():
     point[places[3]] = -0.012
     (suspect,) = coordinates.suspects(point)
     assert suspect[:2] == ("current_offset", 3)
+
+
+def test_what_was_named_is_no_longer_near_what_every_chain_has():
+    """In the next round a named part of the measurement chain starts where it was found, and may stay there."""
+    joints = ("a", "b")
+    before = {e.name: e for e in base_coordinates(with_chain(load_model("paper")), joints, fixed_base=True).entries}
+    model = with_chain(load_model("paper")).with_values(
+        {
+            "bristle_compliance": Estimate(0.0181),
+            "current_offset": Estimate(0.0, joints={"a": 0.0, "b": 0.04}),
+        }
+    )
+    after = {e.name: e for e in base_coordinates(model, joints, fixed_base=True).entries}
+    assert list(before) == list(after)
+    assert before["bristle_compliance"].high < 0.01
+    found = after["bristle_compliance"]
+    assert found.start == found.prior == pytest.approx(0.0181)
+    assert found.high > 0.03
+    assert found.deviation > 0.01
+    assert after["current_offset[0]"] == before["current_offset[0]"]
+    assert after["current_offset[1]"].start == pytest.approx(0.04)
+
+
+@pytest.mark.parametrize("name", sorted(set(KINDS) & set(catalogue())))
+def test_strong_faults_are_plausible(name):
+    """A fault five times as large as the smallest that matters lies well inside what a hypothesis may find."""
+    if KINDS[name].outsider or name == "dte":  # the size of the gear's loss is told by another number
+        pytest.skip("told in another unit")
+    joints = ("r_hip_yaw", "r_hip_roll", "r_hip_pitch", "r_knee", "r_ank_pitch", "r_ank_roll")
+    model = with_chain(load_model("coulomb_viscous"))
+    base = base_coordinates(model, joints, fixed_base=True)
+    strong = 1.2 * KINDS[name].size(SEVERITIES["strong"])
+    own = [h for h in hypotheses(model, joints, fixed_base=True) if h.effect.name == name]
+    assert own or name in model.effect_names  # which a base refits
+    for hypothesis in own:
+        for secant in hypothesis.secants:
+            entries = hypothesis.coordinates(base, secant, 1.0)[0].entries[len(base) :]
+            for entry in entries:
+                assert entry.parameter != hypothesis.effect.size or entry.high > 1.1 * strong

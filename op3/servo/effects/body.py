@@ -75,14 +75,14 @@ class LinkInertia(Effect):
     equation: ClassVar[str] = "J_link += m_link k^2"
     source: ClassVar[str] = "rigid body; a disc of radius r about its axis has k^2 = r^2 / 2"
     parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("gyration_squared", "m^2", 0.0, 0.001, 0.0, 0.0, "squared radius of gyration added, k^2"),
+        Parameter("gyration_squared", "m^2", 0.0, 0.008, 0.0, 0.0, "squared radius of gyration added, k^2"),
     )
     edits: ClassVar[tuple[ModelEdit, ...]] = (
         ModelEdit("body_inertia", "joint_body", "add", "gyration_squared", per="body_mass"),
     )
     size: ClassVar[str] = "gyration_squared"
     smallest: ClassVar[float] = 5e-05
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"gyration_squared": 2e-4},)
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"gyration_squared": 2e-3},)
     fingerprint: ClassVar[str] = "in proportion to acceleration, in the joint and in those that carry it"
     confounders: ClassVar[tuple[str, ...]] = ("motor", "torque_constant")
     separating_experiment: ClassVar[str] = "fast motion of a neighbour: link inertia couples joints, the rotor does not"
