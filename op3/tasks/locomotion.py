@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import torch
 from dm_control import composer
+from dm_control.composer.observation import observable
 from dm_env import specs
 
 from op3.policy import ActionMap
@@ -23,8 +24,9 @@ from op3.tasks.task import POLICY_PERIOD, Task
 class LocomotionTask(composer.Task):
     """A robot at a task; the action is the policy's.
 
-    Build an environment with ``composer.Environment(task, legacy_step=False)``: only then is the order of steps that
-    of the batched environment, whose observations and rewards this one gives to rounding.
+    Build an environment with `locomotion_environment`: only then is the order of steps that of the batched environment,
+    whose observations and rewards this one gives to rounding. A time step's ``observation`` has one entry of that name,
+    history included, whose sensors are the task's own.
 
     Args:
         task: the task.
@@ -41,6 +43,10 @@ class LocomotionTask(composer.Task):
         self.servo = GearedServo(self._scene.joints, model, self._scene.robot.trunk, OP3_CONTROL_PERIOD)
         self._every = round(OP3_CONTROL_PERIOD / PHYSICS_TIMESTEP)
         self.set_timesteps(control_timestep=POLICY_PERIOD, physics_timestep=PHYSICS_TIMESTEP)
+        self.observation = torch.zeros(1, task.observation_size, dtype=torch.float64)
+        seen = observable.Generic(lambda physics: self.observation[0].numpy())
+        seen.enabled = True
+        self._observables = {"observation": seen}
         self.seed(seed)
 
     def seed(self, seed: int) -> None:
@@ -52,6 +58,11 @@ class LocomotionTask(composer.Task):
     def root_entity(self) -> composer.Entity:
         """The arena."""
         return self._scene.arena
+
+    @property
+    def task_observables(self) -> dict[str, observable.Observable]:
+        """What the policy sees."""
+        return self._observables
 
     def action_spec(self, physics: Any) -> specs.BoundedArray:
         """Target angles and gains, each in [-1, 1]."""
@@ -133,5 +144,11 @@ class LocomotionTask(composer.Task):
 
 
 def locomotion_environment(task: LocomotionTask, seed: int = 0) -> composer.Environment:
-    """A composer environment whose physics steps are those of the batched environment."""
-    return composer.Environment(task, random_state=np.random.RandomState(seed), legacy_step=False)
+    """A composer environment whose physics steps are those of the batched environment; diverging ends an episode."""
+    return composer.Environment(
+        task,
+        random_state=np.random.RandomState(seed),
+        raise_exception_on_physics_error=False,
+        strip_singleton_obs_buffer_dim=True,
+        legacy_step=False,
+    )

@@ -1,5 +1,6 @@
 """The composer environment is the batched one's twin."""
 
+import numpy as np
 import pytest
 import torch
 from torchrl.envs import check_env_specs
@@ -54,6 +55,35 @@ def test_twins_agree_with_all_kinds_of_effects():
 def test_specs():
     """It passes TorchRL's check of its specs."""
     check_env_specs(make_env("walk", backend="composer"))
+
+
+def test_composer_shows_what_the_policy_sees():
+    """A time step of dm_control has the observation that the TorchRL environment gives, from the first one on."""
+    env = make_env("walk", backend="composer", seed=4)
+    (spec,) = env.composer.observation_spec().values()
+    assert spec.shape == (256,)
+    state, action = env.reset(), env.action_map.stand()
+    step = env.composer.reset()
+    for _ in range(4):
+        assert np.abs(step.observation["observation"]).max() > 0.1
+        assert np.array_equal(step.observation["observation"], env.composer_task.observation[0].numpy())
+        step = env.composer.step(action)
+    assert state["observation"].shape == (1, 256)
+
+
+def test_diverged_robot_ends_its_episode():
+    """As in the batch, a robot whose simulation diverges is terminated with finite numbers, and can be put down again."""
+    env = make_env("balance", backend="composer")
+    state = env.reset()
+    env.composer.physics.data.qvel[10] = 1e13
+    state["action"] = torch.zeros(1, 20)
+    after = env.step(state)["next"]
+    assert after["terminated"].all()
+    assert after["reward"].item() == 0.0
+    assert torch.isfinite(after["observation"]).all()
+    again = env.reset()
+    again["action"] = torch.zeros(1, 20)
+    assert not env.step(again)["next"]["terminated"].any()
 
 
 def test_one_robot_only():
