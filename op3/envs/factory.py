@@ -1,5 +1,6 @@
 """One function that makes any environment of the project."""
 
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -43,12 +44,21 @@ def make_env(
     model = model if isinstance(model, RobotModel) else load_model(model)
     if isinstance(randomisation, str):
         randomisation = Randomisation(randomisation)  # type: ignore[arg-type]
+    kinds = {"batched": BatchedEnv, "composer": ComposerEnv}
+    if backend in kinds:
+        taken = ("self", "task", "model", "num_envs", "seed", "randomisation")
+        known = [name for name in signature(kinds[backend].__init__).parameters if name not in taken]
+        if unknown := [name for name in options if name not in known]:
+            raise ValueError(f"the {backend} environment has no option {unknown[0]!r}; it has {', '.join(known)}")
     if backend == "batched":
         return BatchedEnv(
             task, model, 64 if num_envs is None else num_envs, seed, randomisation=randomisation, **options
         )
     if backend == "composer":
         if num_envs not in (None, 1) or randomisation is not None:
-            raise ValueError("the composer backend has one robot without randomisation: use backend='batched'")
+            raise ValueError(
+                f"the composer backend has one robot without randomisation, got {num_envs} with "
+                f"randomisation={randomisation}: use backend='batched'"
+            )
         return ComposerEnv(task, model, seed, **options)
     raise ValueError(f"unknown backend {backend!r}; the backends are {', '.join(BACKENDS)}")

@@ -13,6 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from op3.train.checks import numbers, whole
 from op3.train.collector import Collector, Episodes, Policy
 from op3.train.replay import Replay
 from op3.train.sac import SAC
@@ -44,10 +45,10 @@ class DemonstrationSettings:
     imitation_updates: int = 50_000
 
     def __post_init__(self):
-        for name in ("steps", "rounds", "imitation_updates"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        for name in ("noise", "cloning", "imitation"):
+        whole(self, 1, "steps", "rounds", "imitation_updates")
+        whole(self, 0, "cloning")
+        numbers(self, "noise", "imitation", "share", "cloning_rate")
+        for name in ("noise", "imitation"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} must be at least 0, got {getattr(self, name)}")
         if not 0 <= self.share < 1:

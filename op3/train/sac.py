@@ -3,19 +3,23 @@
 import copy
 import dataclasses
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from op3.policy import Manifest, PolicyBundle
+from op3.train.checks import numbers, whole
 from op3.train.networks import LARGEST_STD, SMALLEST_STD, Actor, TwinCritics
 from op3.train.normaliser import Normaliser
 from op3.train.replay import Batch
 
 NORMALISED = 10_000
 """Observations that a normalisation taken over from another policy counts for."""
+
+
+_POSITIVE = ("actor_rate", "critic_rate", "initial_std", "initial_temperature", "clip", "target_rate")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,16 +68,20 @@ class SACSettings:
 
     def __post_init__(self):
         for name in ("hidden", "critic_hidden"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, tuple(getattr(self, name)))
-        for name in ("n_step", "batch", "actor_every"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+            units = getattr(self, name)
+            if units is None and name == "critic_hidden":
+                continue
+            if not isinstance(units, Sequence) or not units or not all(isinstance(u, int) and u > 0 for u in units):
+                raise ValueError(f"{name} must list whole numbers of units, such as [256, 256], got {units!r}")
+            object.__setattr__(self, name, tuple(units))
+        whole(self, 1, "n_step", "batch", "actor_every")
+        whole(self, 0, "actor_after")
+        numbers(self, "discount", "largest_std", "target_entropy", *_POSITIVE)
         if not 0 <= self.discount < 1:
             raise ValueError(f"discount must be at least 0 and below 1, got {self.discount}")
         if not SMALLEST_STD < self.largest_std < math.inf:
             raise ValueError(f"largest_std must be above {SMALLEST_STD:.4f}, got {self.largest_std}")
-        for name in ("actor_rate", "critic_rate", "initial_std", "initial_temperature", "clip", "target_rate"):
+        for name in _POSITIVE:
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 

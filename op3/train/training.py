@@ -6,13 +6,14 @@ import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 from tensordict import TensorDict
 
 from op3.policy import Manifest
 from op3.train.checkpoint import load_checkpoint, save_checkpoint, stop_requested
+from op3.train.checks import numbers, whole
 from op3.train.collector import Episodes, Policy
 from op3.train.demonstrations import STORED, Demonstrations, Shown
 from op3.train.replay import Batch, Replay
@@ -80,13 +81,13 @@ class TrainSettings:
     def __post_init__(self):
         if self.normalisation not in ("running", "fixed"):
             raise ValueError(f"normalisation must be running or fixed, got {self.normalisation!r}")
-        for name in ("steps", "warmup", "rollout", "buffer", "evaluate_every", "checkpoint_every", "log_every"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        whole(self, 1, "steps", "warmup", "rollout", "buffer", "evaluate_every", "checkpoint_every", "log_every")
+        whole(self, 0, "seed")
+        numbers(self, "noise", "warmup_noise", "updates_per_step")
         for name in ("noise", "warmup_noise"):
             if not 1 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if self.updates_per_step < 0:
+        if not 0 <= self.updates_per_step < math.inf:
             raise ValueError(f"updates_per_step must be at least 0, got {self.updates_per_step}")
 
 
@@ -151,7 +152,8 @@ def train(
     shown = None
     if demonstrations is not None:
         shown = demonstrations.none(sac) if resume else demonstrations.show(sac, say)
-    run = _resume(folder / CHECKPOINT, sac, replay, shown) if resume else Progress()
+    identity = _identity(manifest, settings)
+    run = _resume(folder / CHECKPOINT, identity, sac, replay, shown) if resume else Progress()
     run.stopped = False
     collector.restart(settings.seed + run.steps)
     meter, began = _Meter(run, sac, settings), time.monotonic() - run.seconds
@@ -186,7 +188,7 @@ def train(
             if _passed(before, run.steps, settings.checkpoint_every) or run.steps >= settings.steps or stopping:
                 run.stopped = run.steps < settings.steps and stopping
                 replay.cut()
-                _save(folder / CHECKPOINT, run, sac, replay if settings.checkpoint_buffer else None, shown)
+                _save(folder / CHECKPOINT, identity, run, sac, replay if settings.checkpoint_buffer else None, shown)
                 collector.restart(settings.seed + run.steps)
     return run
 
@@ -238,14 +240,34 @@ def _evaluate(
         log(measures, run.steps)
 
 
-def _save(path: Path, run: Progress, sac: SAC, replay: Replay | None, shown: Shown | None) -> None:
+def _identity(manifest: Manifest, settings: TrainSettings) -> dict[str, Any]:
+    """What a run must keep when it goes on: of another of these no tensor's shape would tell."""
+    return {
+        "task": manifest.task,
+        "model": manifest.training.model_hash,
+        "seed": settings.seed,
+        "span": [list(manifest.action_map.position_low), list(manifest.action_map.position_high)],
+        "train.normalisation": manifest.normalisation,
+        "sac.clip": float(manifest.clip),
+    }
+
+
+def _save(
+    path: Path, identity: dict[str, Any], run: Progress, sac: SAC, replay: Replay | None, shown: Shown | None
+) -> None:
     kept = {"sac": sac, "replay": replay, "shown": shown}
     states = {name: None if part is None else part.state_dict() for name, part in kept.items()}
-    save_checkpoint(path, {"run": dataclasses.asdict(run), **states})
+    save_checkpoint(path, {"run": dataclasses.asdict(run), "identity": identity, **states})
 
 
-def _resume(path: Path, sac: SAC, replay: Replay, shown: Shown | None) -> Progress:
+def _resume(path: Path, identity: dict[str, Any], sac: SAC, replay: Replay, shown: Shown | None) -> Progress:
     state = load_checkpoint(path)
+    known = state.get("identity", identity)  # checkpoints of earlier versions have none
+    if changed := [name for name, value in identity.items() if known.get(name, value) != value]:
+        raise ValueError(
+            f"{path}: is of a run with another {', '.join(changed)}; resume with the overrides it had, or begin anew "
+            "with warm_start=<its policy>"
+        )
     try:
         sac.load_state_dict(state["sac"])
         if state["replay"] is not None:

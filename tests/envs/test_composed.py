@@ -72,7 +72,7 @@ def test_composer_shows_what_the_policy_sees():
 
 
 def test_diverged_robot_ends_its_episode():
-    """As in the batch, a robot whose simulation diverges is terminated with finite numbers, and can be put down again."""
+    """As in the batch, a robot whose simulation diverges is terminated with finite numbers, and can begin again."""
     env = make_env("balance", backend="composer")
     state = env.reset()
     env.composer.physics.data.qvel[10] = 1e13

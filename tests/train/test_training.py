@@ -167,6 +167,50 @@ def test_broken_checkpoints_are_refused(tmp_path):
         run(tmp_path, settings, resume=True)
 
 
+def test_a_run_does_not_go_on_as_another(tmp_path):
+    """Another span, task, model or seed, which no tensor's shape would tell, is refused by name."""
+    settings = dataclasses.replace(SETTINGS, steps=256)
+    run(tmp_path, settings)
+    wider = ActionMap(MANIFEST.action_map.joints, (-0.2,), (1.5,))
+    trained = dataclasses.replace(MANIFEST.training, model_hash="another")
+    for manifest, field in (
+        (dataclasses.replace(MANIFEST, action_map=wider), "span"),
+        (dataclasses.replace(MANIFEST, task="walk"), "task"),
+        (dataclasses.replace(MANIFEST, training=trained), "model"),
+    ):
+        sac = SAC(3, 2, SAC_SETTINGS, generator())
+        with pytest.raises(ValueError, match=f"another {field}; resume with the overrides it had"):
+            train(sac, Collector(Pendulum(16)), lambda policy: {}, settings, manifest, tmp_path, resume=True)
+    with pytest.raises(ValueError, match="another seed"):
+        run(tmp_path, settings, resume=True, seed=3)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: TrainSettings(rollout=2.5), "rollout must be at least 1 and a whole number, got 2.5"),
+        (lambda: TrainSettings(steps="many"), "steps must be at least 1 and a whole number, got 'many'"),
+        (lambda: TrainSettings(seed=-1), "seed must be at least 0"),
+        (lambda: TrainSettings(noise="loud"), "noise must be a number, got 'loud'"),
+        (lambda: TrainSettings(updates_per_step=float("nan")), "updates_per_step must be at least 0"),
+        (lambda: SACSettings(batch=10.5), "batch must be at least 1"),
+        (lambda: SACSettings(hidden=256), "hidden must list whole numbers of units"),
+        (lambda: SACSettings(discount="high"), "discount must be a number"),
+    ],
+)
+def test_settings_name_what_is_wrong(make, message):
+    """Words and fractions where whole numbers belong are refused by the name of the field."""
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_a_million_may_be_written_in_short():
+    """YAML reads 1e6 as a float; it is the whole number all the same."""
+    settings = TrainSettings(steps=1e6, buffer=1e5)
+    assert (settings.steps, settings.buffer) == (1_000_000, 100_000)
+    assert isinstance(settings.buffer, int)
+
+
 def test_progress_lines_and_measures(tmp_path):
     """Progress lines say steps per second and the time left; the log gets reward, losses and gains by name."""
     lines, logged = [], {}
