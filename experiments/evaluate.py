@@ -1,6 +1,7 @@
 """Judge a policy, or a baseline, under R_eval on a simulated robot.
 
 python experiments/evaluate.py policy=<bundle> model=<model.yaml> task=balance_eval [episodes=10]
+python experiments/evaluate.py policy=<bundle> task=balance_eval episodes=20 baseline=hold
 python experiments/evaluate.py -m policy=<bundle>,hold,random task=balance_eval,balance_weight
 python experiments/evaluate.py -m policy=<bundle>,stiff task=walk,walk_bricks_a,walk_bricks_b,walk_bricks_c
 """
@@ -14,17 +15,21 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from support import one_sentence
+from support import one_sentence, plain, whole
 
 from op3.envs import BatchedEnv, make_env, record_episodes
 from op3.policy import ActionMap, PolicyBundle
+from op3.policy.actions import GAIN_HIGH, GAIN_LOW
 from op3.report import run_provenance
 from op3.report.evaluation import report_evaluation
 from op3.report.video import film
+from op3.robot import CONTROLLED_JOINTS
+from op3.rollout import Rollout
 from op3.sim import load_model
 from op3.tasks.baselines import Hold, Random, StiffWalk, Zero, position_mode
 from op3.tasks.behaviour import gains, gait_profile, mean_tilt
-from op3.tasks.evaluation import evaluation_return
+from op3.tasks.evaluation import evaluation_return, mean_interval, succeeded
+from op3.tasks.task import Task
 
 FRAME_EVERY = 3
 """Policy steps between two frames of the film."""
@@ -45,7 +50,7 @@ class Watched:
         return self.policy.act(observation)
 
 
-def find_policy(cfg: DictConfig) -> tuple[Any, ActionMap]:
+def find_policy(cfg: DictConfig, name: str, field: str = "policy") -> tuple[Any, ActionMap]:
     """A bundle or a baseline, and what its actions mean."""
     action_map = ActionMap.around_stand()
     baselines = {
@@ -54,12 +59,52 @@ def find_policy(cfg: DictConfig) -> tuple[Any, ActionMap]:
         "random": lambda: Random(cfg.seed, action_map),
         "stiff": StiffWalk,
     }
-    if cfg.policy in baselines:
-        return baselines[cfg.policy](), action_map
-    if not Path(cfg.policy).exists():
-        raise FileNotFoundError(f"policy={cfg.policy}: no such folder; give a bundle's, or {', '.join(baselines)}")
-    bundle = PolicyBundle.load(cfg.policy)
+    if name in baselines:
+        return baselines[name](), action_map
+    if not Path(name).exists():
+        raise FileNotFoundError(f"{field}={name}: no such folder; give a bundle's, or {', '.join(baselines)}")
+    bundle = PolicyBundle.load(name)
     return bundle, bundle.manifest.action_map
+
+
+def play(cfg: DictConfig, task: Task, name: str, field: str = "policy") -> tuple[list[Rollout], Watched, BatchedEnv]:
+    """The episodes of the seed, which begin alike for every policy; and who acted where."""
+    policy, action_map = find_policy(cfg, name, field)
+    size = policy.manifest.observation_size if isinstance(policy, PolicyBundle) else task.observation_size
+    if size != task.observation_size:
+        raise ValueError(
+            f"{field}={name} reads {size} numbers, task {task.name} gives {task.observation_size}; it was trained "
+            f"for {policy.manifest.task}"
+        )
+    stiff = isinstance(policy, StiffWalk)
+    if stiff and task.cycle is None:
+        raise ValueError(
+            f"{field}=stiff walks, but task {task.name} has no gait; give task=walk or one on uneven ground"
+        )
+    model = position_mode(load_model(cfg.model)) if stiff else cfg.model
+    options = {"num_threads": cfg.threads, **plain(cfg.environment)}
+    env = make_env(task, model, cfg.episodes, cfg.seed, action_map=action_map, **options)
+    assert isinstance(env, BatchedEnv)
+    watched = Watched(policy, env)
+    return record_episodes(env, watched, cfg.episodes, recording=f"{task.name}-{cfg.seed}"), watched, env
+
+
+def beside(cfg: DictConfig, task: Task, returns: list[float]) -> tuple[dict[str, Any], list[float]]:
+    """Numbers of the baseline on the same episodes, and its returns."""
+    logs, _, _ = play(cfg, task, cfg.baseline, "baseline")
+    others = [evaluation_return(log) for log in logs]
+    margins = [ours - theirs for ours, theirs in zip(returns, others, strict=True)]
+    numbers = {
+        "evaluation.baseline": str(cfg.baseline),
+        "evaluation.baseline_success": float(np.mean([succeeded(log, task, cfg.least_speed) for log in logs])),
+        "evaluation.baseline_upright": float(np.mean([not log.metadata.fallen for log in logs])),
+        "evaluation.baseline_return_mean": float(np.mean(others)),
+        "evaluation.baseline_returns": others,
+        "evaluation.margin": float(np.mean(margins)),
+    }
+    if len(margins) > 1:
+        numbers["evaluation.margin_interval"] = list(mean_interval(margins))
+    return numbers, others
 
 
 def run(cfg: DictConfig) -> dict[str, Any]:
@@ -67,37 +112,26 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     torch.set_num_threads(1)
     if OmegaConf.is_missing(cfg, "policy"):
         raise ValueError("policy is missing: add policy=<folder of a bundle>, or hold, zero, random or stiff")
-    if not isinstance(cfg.episodes, int) or cfg.episodes < 1:
-        raise ValueError(f"episodes must be a whole number of at least 1, got {cfg.episodes!r}")
+    for name, least in (("episodes", 1), ("seed", 0), ("threads", 0)):
+        whole(cfg, name, least)
+    if cfg.joint not in CONTROLLED_JOINTS:
+        raise ValueError(f"joint={cfg.joint}: choose {', '.join(CONTROLLED_JOINTS)}")
+    if not GAIN_LOW <= cfg.hold_gain <= GAIN_HIGH:
+        raise ValueError(f"hold_gain must be between {GAIN_LOW} and {GAIN_HIGH} A/rad, got {cfg.hold_gain}")
     folder, task = Path(HydraConfig.get().runtime.output_dir), instantiate(cfg.task)
-    policy, action_map = find_policy(cfg)
-    size = policy.manifest.observation_size if isinstance(policy, PolicyBundle) else task.observation_size
-    if size != task.observation_size:
-        raise ValueError(
-            f"policy={cfg.policy} reads {size} numbers, task {task.name} gives {task.observation_size}; it was trained "
-            f"for {policy.manifest.task}"
-        )
-    options = {"num_threads": cfg.threads, **OmegaConf.to_container(cfg.environment, resolve=True)}  # type: ignore[dict-item]
-    stiff = isinstance(policy, StiffWalk)
-    if stiff and task.cycle is None:
-        raise ValueError(
-            f"policy=stiff walks, but task {task.name} has no gait; give task=walk or one on uneven ground"
-        )
-    model = position_mode(load_model(cfg.model)) if stiff else cfg.model
-    env = make_env(task, model, cfg.episodes, cfg.seed, action_map=action_map, **options)
-    assert isinstance(env, BatchedEnv)
-    watched = Watched(policy, env)
-    logs = record_episodes(env, watched, cfg.episodes, recording=f"{task.name}-{cfg.seed}")
+    logs, watched, env = play(cfg, task, cfg.policy)
+    stiff = isinstance(watched.policy, StiffWalk)
     returns = [evaluation_return(log) for log in logs]
     numbers: dict[str, Any] = {
         "evaluation.task": task.name,
         "evaluation.model": str(cfg.model),
         "evaluation.policy": str(cfg.policy),
         "evaluation.episodes": len(logs),
+        "evaluation.success": float(np.mean([succeeded(log, task, cfg.least_speed) for log in logs])),
         "evaluation.upright": float(np.mean([not log.metadata.fallen for log in logs])),
         "evaluation.return_mean": float(np.mean(returns)),
         "evaluation.return_std": float(np.std(returns)),
-        "evaluation.duration": float(np.mean([log.metadata.episode_duration for log in logs])),
+        "evaluation.duration": float(np.mean([float(log.metadata.episode_duration or 0.0) for log in logs])),
         "evaluation.tilt": float(np.mean([mean_tilt(log) for log in logs])),
     }
     each = [] if stiff else [gains(log, task) for log in logs]  # in position mode a servo's gain is its own
@@ -106,6 +140,14 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     if task.cycle is not None:
         speeds = [log.metadata.travelled_distance / log.metadata.episode_duration for log in logs]  # type: ignore[operator]
         numbers["evaluation.speed"] = float(np.mean(speeds))
+    label = Path(cfg.policy).name
+    shown = {label: returns}
+    if len(returns) > 1:
+        numbers["evaluation.return_interval"] = list(mean_interval(returns))
+    if cfg.baseline is not None:
+        more, others = beside(cfg, task, returns)
+        numbers |= more
+        shown[f"{cfg.baseline} (baseline)"] = others
     numbers["evaluation.returns"] = returns
     files = {}
     if cfg.logs:
@@ -122,10 +164,10 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     return report_evaluation(
         logs,
         folder,
-        label=Path(cfg.policy).name,
+        label=label,
         task=task.name,
         numbers=numbers,
-        returns={Path(cfg.policy).name: returns},
+        returns=shown,
         provenance=run_provenance(seed=cfg.seed),
         profile=gait_profile(long_enough, task, cfg.joint) if task.cycle is not None and long_enough else None,
         joint=cfg.joint,
@@ -136,7 +178,7 @@ def run(cfg: DictConfig) -> dict[str, Any]:
 @hydra.main(config_path="../conf", config_name="evaluate", version_base="1.3")
 def main(cfg: DictConfig) -> Any:
     """Evaluate and report; a sweep maximises the mean return."""
-    with one_sentence():
+    with one_sentence("Nothing is kept but what the folder holds."):
         return run(cfg)["evaluation.return_mean"]
 
 

@@ -11,7 +11,7 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig
-from support import one_sentence, plain
+from support import one_sentence, plain, positive, whole
 
 from op3.envs import BatchedEnv, make_env
 from op3.envs.gait_search import Generation, search
@@ -25,6 +25,14 @@ def run(cfg: DictConfig) -> Path:
     path, task = Path(HydraConfig.get().runtime.output_dir) / "walk.yaml", instantiate(cfg.task)
     if task.cycle is None:
         raise ValueError(f"task={task.name}: has no gait; search a walk on a walking task")
+    if not task.desired_velocity[0] > 0:
+        raise ValueError(f"task.desired_velocity must be forwards for a search, got {task.desired_velocity}")
+    for name, least in (("generations", 1), ("candidates", 4), ("seed", 0), ("threads", 0)):
+        whole(cfg, name, least)
+    for name in ("noise", "speed_weight"):
+        if not cfg[name] >= 0:
+            raise ValueError(f"{name} must be at least 0, got {cfg[name]}")
+    positive(cfg, "spread", "multiples of the scales")
     start = Stride() if cfg.start is None else Stride.load(cfg.start)
     options = {"num_threads": cfg.threads, **plain(cfg.environment)}
     action_map = ActionMap.around_stand(cfg.span)
@@ -59,7 +67,7 @@ def run(cfg: DictConfig) -> Path:
 @hydra.main(config_path="../conf", config_name="find_gait", version_base="1.3")
 def main(cfg: DictConfig) -> None:
     """Search and say where the numbers are."""
-    with one_sentence():
+    with one_sentence("Nothing is kept but what the folder holds."):
         run(cfg)
 
 

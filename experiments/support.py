@@ -24,19 +24,25 @@ CONF = Path(__file__).resolve().parents[1] / "conf"
 
 
 @contextmanager
-def one_sentence() -> Iterator[None]:
-    """Let wrong input end a script with its one sentence and a non-zero exit, without a stack trace."""
+def one_sentence(
+    interrupted: str = "The same command with the same hydra.run.dir goes on from the trials done.",
+) -> Iterator[None]:
+    """Let wrong input end a script with its one sentence and a non-zero exit, without a stack trace.
+
+    Args:
+        interrupted: what is said after Ctrl-C of how to go on.
+    """
     try:
         yield
-    except (ValueError, FileNotFoundError) as error:
+    except (ValueError, FileNotFoundError, InstantiationException) as error:
+        if isinstance(error, InstantiationException):  # what it was that would not be built says enough
+            error = error.__cause__ or error
         if HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN:
             raise CompactHydraException(str(error)) from error  # the sweeper says which job it was
         print(error, file=sys.stderr)
         raise SystemExit(1) from None
     except KeyboardInterrupt:
-        print(
-            "\nInterrupted. The same command with the same hydra.run.dir goes on from the trials done.", file=sys.stderr
-        )
+        print(f"\nInterrupted. {interrupted}", file=sys.stderr)
         raise SystemExit(130) from None
 
 
@@ -69,6 +75,18 @@ def positive(cfg: DictConfig, name: str, unit: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
         raise ValueError(f"{name} must be a number of {unit} above 0, got {value!r}")
     return float(value)
+
+
+def whole(cfg: DictConfig, name: str, least: int) -> int:
+    """The whole number in a config's field, which may be a dotted one.
+
+    Raises:
+        ValueError: if it is none of at least `least`.
+    """
+    value = OmegaConf.select(cfg, name)
+    if isinstance(value, bool) or not isinstance(value, int) or value < least:
+        raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
+    return value
 
 
 def check_given(cfg: DictConfig, name: str, what: str) -> None:

@@ -18,7 +18,7 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig
-from support import one_sentence, plain
+from support import one_sentence, plain, whole
 from torch import Tensor
 
 from op3.envs import BatchedEnv, make_env
@@ -41,7 +41,17 @@ from op3.train import (
     train,
 )
 
-KEPT = ("sac", "train", "environments", "environment", "initial_gain", "warm_start", "demonstrator", "demonstration")
+KEPT = (
+    "sac",
+    "train",
+    "environments",
+    "env",
+    "environment",
+    "initial_gain",
+    "warm_start",
+    "demonstrator",
+    "demonstration",
+)
 """Settings that the manifest of a policy keeps."""
 
 FRAME_EVERY = 2
@@ -58,13 +68,16 @@ def environment(cfg: DictConfig, task: Task, count: int, seed: int) -> BatchedEn
 
 def robots(cfg: DictConfig, task: Task) -> Any:
     """What collects: environments in this process, or in several."""
-    names = ("command", "smooth") if task.cycle is None else ("command", "smooth", "bipedal")
-    terms = tuple(("reward_terms", name) for name in names)
+    terms = tuple(("reward_terms", name) for name in task.reward_terms)
+    options = {**plain(cfg.environment), "action_map": ActionMap.around_stand(cfg.span), "backend": cfg.env}
+    if cfg.env == "composer" and cfg.environments != 1:
+        raise ValueError(f"env=composer is one robot per process: use environments=1, got {cfg.environments}")
+    if cfg.env == "batched":
+        options["num_threads"] = cfg.threads if cfg.processes == 1 else 1
     if cfg.processes == 1:
-        return Collector(environment(cfg, task, cfg.environments, cfg.seed), terms)
+        return Collector(make_env(task, cfg.model, cfg.environments, cfg.seed, **options), terms)
     from op3.train.process_collector import ProcessCollector  # TorchRL's collectors take a second to import
 
-    options = {"num_threads": 1, **plain(cfg.environment), "action_map": ActionMap.around_stand(cfg.span)}
     make = partial(make_env, task, cfg.model, cfg.environments, **options)
     return ProcessCollector(make, cfg.processes, cfg.environments, terms)
 
@@ -94,7 +107,10 @@ def describe(cfg: DictConfig, task: Task, provenance: Mapping[str, Any]) -> Mani
 
 def learner(cfg: DictConfig, manifest: Manifest) -> SAC:
     """Networks and optimisers; the untrained policy holds the stand pose."""
-    device = torch.device(cfg.device)
+    try:
+        device = torch.device(cfg.device)
+    except (RuntimeError, TypeError):
+        raise ValueError(f"device={cfg.device}: give cpu or cuda") from None
     if device.type == "cuda" and not torch.cuda.is_available():
         raise ValueError("device=cuda: torch finds no GPU; leave device=cpu")
     sac = SAC(
@@ -141,14 +157,18 @@ def demonstrator(path: str, task: Task, action_map: ActionMap) -> Callable[[Tens
 def run(cfg: DictConfig) -> dict[str, Any]:
     """Train, judge the kept policy, and write page, numbers and film."""
     torch.set_num_threads(1)
+    for name, least in (("seed", 0), ("environments", 1), ("processes", 1), ("threads", 0)):
+        whole(cfg, name, least)
+    for name, least in (("episodes", 1), ("seed", 0), ("final_seed", 0)):
+        whole(cfg, f"evaluation.{name}", least)
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
     task, provenance = instantiate(cfg.task), run_provenance(seed=cfg.seed)
     manifest, settings = describe(cfg, task, provenance), TrainSettings(**plain(cfg.train))
     judge_task = task if cfg.evaluation.task is None else find_task(cfg.evaluation.task)
     judge = environment(cfg, judge_task, cfg.evaluation.episodes, cfg.evaluation.seed)
 
-    def judged(policy: Any) -> dict[str, float]:
-        return evaluate(judge, policy, cfg.evaluation.seed, judge_task.steps)
+    def judged(policy: Any, seed: int = cfg.evaluation.seed) -> dict[str, float]:
+        return evaluate(judge, policy, seed, judge_task.steps)
 
     mode = os.environ.get("WANDB_MODE", cfg.wandb)
     with RunLogger(folder, config=plain(cfg), mode=mode) as logger:
@@ -170,11 +190,13 @@ def run(cfg: DictConfig) -> dict[str, Any]:
             print(f"Stopped after {progress.steps:,} steps. To go on: the same command with resume={folder}")
             raise SystemExit(143)
         policy = PolicyBundle.load(folder / "policy")
-        actions, states = episode(judge, policy, cfg.evaluation.seed, judge_task.steps)
+        actions, states = episode(judge, policy, cfg.evaluation.final_seed, judge_task.steps)
         histograms = commands(policy, actions)
         for name, figure in histograms.items():
             logger.figure(name, figure)
-        numbers: dict[str, Any] = {f"evaluation.{name}": value for name, value in judged(policy.act).items()}
+        # on other episodes than those that chose the policy
+        final = judged(policy.act, cfg.evaluation.final_seed)
+        numbers: dict[str, Any] = {f"evaluation.{name}": value for name, value in final.items()}
         numbers |= {
             "evaluation.task": judge_task.name,
             "evaluation.episodes": cfg.evaluation.episodes,
@@ -234,7 +256,7 @@ def commands(policy: PolicyBundle, actions: Any) -> dict[str, Any]:
 @hydra.main(config_path="../conf", config_name="train", version_base="1.3")
 def main(cfg: DictConfig) -> Any:
     """Train and report; a sweep maximises the return."""
-    with one_sentence():
+    with one_sentence("The same command with resume=<folder of the run> goes on from its last checkpoint."):
         return run(cfg)["evaluation.return"]
 
 

@@ -94,6 +94,10 @@ def report_evaluation(
     )
     page.tile("upright", round(upright * len(logs)), "", f"of {len(logs)} episodes")
     page.tile("R_eval", mean, "", "mean per episode")
+    if "evaluation.margin" in numbers:
+        low, high = numbers.get("evaluation.margin_interval", (float("nan"),) * 2)
+        note = f"more R_eval than {numbers['evaluation.baseline']} on the same episodes; 95 %: {low:.1f} to {high:.1f}"
+        page.tile("margin", numbers["evaluation.margin"], "", note)
     if "evaluation.gain" in numbers:
         page.tile("P gain", numbers["evaluation.gain"], "A/rad", "mean of the controlled joints")
     if "evaluation.speed" in numbers:

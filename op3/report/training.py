@@ -116,8 +116,9 @@ def report_training(
     """
     upright, returned = numbers["evaluation.upright"], numbers["evaluation.return"]
     lead = (
-        f"The kept policy ends {100 * upright:.0f} % of its evaluation episodes upright, with a mean return of "
-        f"{returned:.1f}. It is the best of the evaluations while training, after {numbers['policy.steps']:,} steps."
+        f"The kept policy ends {100 * upright:.0f} % of its final episodes upright, with a mean return of "
+        f"{returned:.1f}. It is the best of the evaluations while training, after {numbers['policy.steps']:,} steps; "
+        "the final episodes are others than those."
     )
     page = Page(title, lead)
     page.tile("upright", 100 * upright, "%", f"of {numbers['evaluation.episodes']} episodes")

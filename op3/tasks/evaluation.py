@@ -4,9 +4,12 @@ The paper evaluates eq. (8) with the last column of Table II. A robot knows no v
 from the body's rates, and walking from the distance travelled (paper, section "Task for Evaluation").
 """
 
+from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import torch
+from scipy.stats import t as student
 from torch import Tensor
 
 from op3.robot import pose, standing_height
@@ -99,6 +102,26 @@ def travel_term(task: Task, speed: Tensor) -> Tensor:
 def evaluation_return(log: Rollout, task: str | Task | None = None) -> float:
     """R_eval of an episode: the sum over its policy steps; an episode that ends in a fall has fewer."""
     return float(evaluation_rewards(log, task).sum())
+
+
+def succeeded(log: Rollout, task: str | Task, least_speed: float = 0.2) -> bool:
+    """Whether an episode is what the task asks for: upright to its end and, in walking, forwards.
+
+    Args:
+        log: of one episode.
+        task: that was attempted.
+        least_speed: mean forward speed that counts as walking forwards [m/s]; ours, the paper gives none.
+    """
+    if _field(log, "fallen", log.metadata.fallen):
+        return False
+    return find_task(task).cycle is None or float(_walked(log)) >= least_speed
+
+
+def mean_interval(values: Sequence[float]) -> tuple[float, float]:
+    """Student's 95 % interval of the mean of two values or more."""
+    count, middle, spread = len(values), float(np.mean(values)), float(np.std(values, ddof=1))
+    half = float(student.ppf(0.975, count - 1)) * spread / count**0.5
+    return middle - half, middle + half
 
 
 def policy_rows(log: Rollout) -> slice:

@@ -46,7 +46,7 @@ class LocomotionTask(composer.Task):
         self.observation = torch.zeros(1, task.observation_size, dtype=torch.float64)
         seen = observable.Generic(lambda physics: self.observation[0].numpy())
         seen.enabled = True
-        self._observables = {"observation": seen}
+        self._observables: dict[str, observable.Observable] = {"observation": seen}
         self.seed(seed)
 
     def seed(self, seed: int) -> None:

@@ -96,11 +96,19 @@ class Stride:
         """Read numbers from YAML.
 
         Raises:
-            ValueError: if a name is unknown or a value is no number.
+            FileNotFoundError: if there is no such file.
+            ValueError: if it is no list of names and numbers, a name is unknown or a value is no finite number.
         """
-        values = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        if not Path(path).is_file():
+            raise FileNotFoundError(f"{path}: no such file; give the numbers of a walk, such as assets/gaits/walk.yaml")
         known = [field.name for field in dataclasses.fields(cls)]
-        wrong = [name for name, value in values.items() if name not in known or not isinstance(value, int | float)]
+        try:
+            values = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        except (yaml.YAMLError, UnicodeDecodeError) as error:
+            raise ValueError(f"{path}: not valid YAML ({' '.join(str(error).split())[:80]})") from None
+        if not isinstance(values, dict):
+            raise ValueError(f"{path}: must give numbers by name; the names are {', '.join(known)}")
+        wrong = [name for name, value in values.items() if name not in known or not _finite(value)]
         if wrong:
             raise ValueError(f"{path}: {wrong[0]} must be one of {', '.join(known)}, each a number")
         return cls(**{name: float(value) for name, value in values.items()})
@@ -109,6 +117,10 @@ class Stride:
         """Write the numbers as YAML."""
         values = {name: round(float(value), 6) for name, value in vars(self).items()}
         Path(path).write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
+
+
+def _finite(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
 
 
 class PhasedWalk:

@@ -1,15 +1,23 @@
 """The training and evaluation scripts, at budgets of seconds."""
 
+import dataclasses
+import importlib.util
 import os
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
+from hydra import compose, initialize_config_dir
+from hydra.core.hydra_config import HydraConfig
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
 
 from op3.policy import PolicyBundle
 from op3.report import read_result
 from op3.rollout import Rollout
+from op3.train import DemonstrationSettings, SACSettings, TrainSettings
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = [
@@ -32,6 +40,35 @@ def script(name: str, *overrides: str) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     command = [sys.executable, str(ROOT / "experiments" / name), *overrides]
     return subprocess.run(command, capture_output=True, text=True, env=environment, cwd=ROOT, timeout=600)
+
+
+def module(name: str) -> ModuleType:
+    """A script as a module; scripts find `support` beside them."""
+    sys.path.insert(0, str(ROOT / "experiments"))
+    try:
+        spec = importlib.util.spec_from_file_location(f"script_{name}", ROOT / "experiments" / f"{name}.py")
+        assert spec is not None
+        assert spec.loader is not None
+        made = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(made)
+        return made
+    finally:
+        sys.path.pop(0)
+
+
+def in_process(name: str, overrides: list[str], folder: Path) -> object:
+    """A script's run in this process, which spares the seconds that a new one takes to import."""
+    where = [f"hydra.run.dir={folder}", f"hydra.runtime.output_dir={folder}"]
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        cfg = compose(name, [*overrides, *where], return_hydra_config=True)
+    HydraConfig.instance().set_config(cfg)
+    cfg = OmegaConf.masked_copy(cfg, [name for name in cfg if name != "hydra"])
+    made = module(name)
+    try:
+        with made.one_sentence():
+            return made.run(cfg)
+    finally:
+        HydraConfig.instance().cfg = None
 
 
 @pytest.mark.slow
@@ -76,3 +113,118 @@ def test_wrong_input_ends_with_one_sentence(tmp_path):
         assert done.returncode != 0
         assert message in done.stderr
         assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["device=gpu"], "device=gpu: give cpu or cuda"),
+        (["train.steps=many"], "steps must be at least 1 and a whole number"),
+        (["seed=1.5"], "seed must be a whole number of at least 0, got 1.5"),
+        (["environments=0"], "environments must be a whole number of at least 1"),
+        (["evaluation.episodes=0"], "evaluation.episodes must be a whole number"),
+        (["+environment.foo=1"], "the batched environment has no option 'foo'; it has"),
+        (["env=gym"], "unknown backend 'gym'"),
+        (["env=composer", "environments=2"], "use environments=1"),
+        (["task.duration=-1"], "the duration must be positive"),
+    ],
+)
+def test_settings_that_cannot_be_end_with_one_sentence(overrides, message, tmp_path, capsys):
+    """The sentence names the setting, and there is no more than it."""
+    with pytest.raises(SystemExit) as end:
+        in_process("train", [*TINY, *overrides], tmp_path)
+    assert end.value.code == 1
+    said = capsys.readouterr().err
+    assert message in said
+    assert len(said.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("overrides", "terms"),
+    [
+        (["task=balance"], {"command", "smooth"}),
+        (["task=walk"], {"command", "smooth", "bipedal"}),
+        (["task=walk", "task.overload=0.5"], {"command", "smooth", "bipedal", "overload"}),
+    ],
+)
+def test_every_term_of_the_reward_is_logged(overrides, terms):
+    """The terms that a run collects are those of its task, so that they add up to its reward."""
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        cfg = compose("train", [*overrides, "environments=1", "threads=1"])
+    collector = module("train").robots(cfg, instantiate(cfg.task))
+    assert {name for _, name in collector.extras} == terms
+
+
+def test_ctrl_c_says_how_a_training_goes_on(capsys):
+    """Training goes on with `resume`, and not as sweeps do."""
+    with pytest.raises(SystemExit) as end, module("train").one_sentence("With resume=<folder> it goes on."):
+        raise KeyboardInterrupt
+    assert end.value.code == 130
+    assert "resume=<folder>" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("task", ["balance", "walk", "walk_terrain", "walk_bricks_c"])
+def test_the_papers_budget_is_for_every_task(task):
+    """Two layers of 256 and a million steps for balancing, of 1024 and three million for walking on whatever ground."""
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        cfg = compose("train", [f"task={task}", "budget=paper"])
+    units, steps = (256, 1_000_000) if task == "balance" else (1024, 3_000_000)
+    assert list(cfg.sac.hidden) == [units, units]
+    assert cfg.train.steps == steps
+    assert cfg.train.updates_per_step == 1
+
+
+def test_the_config_has_every_setting():
+    """Settings of the learner, the loop and the demonstrations can all be overridden without a plus sign."""
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        cfg = compose("train")
+    for part, kind in (("sac", SACSettings), ("train", TrainSettings), ("demonstration", DemonstrationSettings)):
+        assert {field.name for field in dataclasses.fields(kind)} == set(cfg[part])
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["joint=head_pan"], "joint=head_pan: choose l_hip_roll"),
+        (["hold_gain=20"], "hold_gain must be between 0.1 and 6.0 A/rad, got 20"),
+        (["seed=-1"], "seed must be a whole number of at least 0"),
+        (["baseline=nothing"], "baseline=nothing: no such folder"),
+    ],
+)
+def test_evaluations_that_cannot_be_end_with_one_sentence(overrides, message, tmp_path, capsys):
+    """The sentence names the setting."""
+    options = ["policy=hold", "task.duration=0.1", "episodes=1", "threads=1", "video=false", "logs=false"]
+    with pytest.raises(SystemExit):
+        in_process("evaluate", [*options, *overrides], tmp_path)
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["generations=0"], "generations must be a whole number of at least 1"),
+        (["candidates=1"], "candidates must be a whole number of at least 4"),
+        (["noise=-1"], "noise must be at least 0"),
+        (["spread=0"], "spread must be a number of multiples of the scales above 0"),
+        (["task=balance"], "task=balance: has no gait"),
+        (["task.desired_velocity=[0,0]"], "task.desired_velocity must be forwards"),
+    ],
+)
+def test_searches_that_cannot_be_end_with_one_sentence(overrides, message, tmp_path, capsys):
+    """The sentence names the setting."""
+    with pytest.raises(SystemExit):
+        in_process("find_gait", ["generations=1", "candidates=4", "threads=1", *overrides], tmp_path)
+    assert message in capsys.readouterr().err
+
+
+def test_a_baseline_is_judged_on_the_same_episodes(tmp_path):
+    """Against itself the hold has no margin; against random actions it has one, with an interval, in page and file."""
+    options = ["policy=hold", "task.duration=1.5", "episodes=3", "threads=1", "video=false", "logs=false"]
+    same = in_process("evaluate", [*options, "baseline=hold"], tmp_path / "same")
+    assert same["evaluation.margin"] == 0.0
+    assert same["evaluation.margin_interval"] == [0.0, 0.0]
+    other = in_process("evaluate", [*options, "baseline=random"], tmp_path / "other")
+    low, high = read_result(tmp_path / "other" / "result.yaml")["evaluation.margin_interval"]
+    assert low < other["evaluation.margin"] < high
+    assert other["evaluation.returns"] == same["evaluation.returns"]
+    assert "random (baseline)" in (tmp_path / "other" / "index.html").read_text()

@@ -7,7 +7,7 @@ import pytest
 
 from op3.robot import JOINTS
 from op3.rollout import LogError, Metadata, Rollout
-from op3.tasks.evaluation import TRUNK_HEIGHT, evaluation_return, evaluation_rewards
+from op3.tasks.evaluation import TRUNK_HEIGHT, evaluation_return, evaluation_rewards, mean_interval, succeeded
 
 RATE = 125.0
 
@@ -84,3 +84,20 @@ def test_missing_fields_are_named():
         evaluation_rewards(log("balance", policy_rate=None))
     with pytest.raises(LogError, match="task"):
         evaluation_rewards(log("balance", extra={}))
+
+
+def test_who_stands_still_does_not_succeed_at_walking():
+    """Walking succeeds upright and at 0.2 m/s or more; balancing succeeds upright."""
+    known = dict(episode_duration=10.0, fallen=False)
+    assert succeeded(log("walk", travelled_distance=2.0, **known), "walk")
+    assert not succeeded(log("walk", travelled_distance=0.0, **known), "walk")
+    assert not succeeded(log("walk", travelled_distance=2.0, episode_duration=10.0, fallen=True), "walk")
+    assert succeeded(log("balance_eval", **known), "balance_eval")
+    assert not succeeded(log("balance_eval", fallen=True), "balance_eval")
+    with pytest.raises(LogError, match="fallen"):
+        succeeded(log("balance_eval"), "balance_eval")
+
+
+def test_interval_of_a_mean():
+    """Of 1, 2, 3 the mean is 2, the deviation 1, and t for two degrees of freedom is 4.303: 2 +- 2.484."""
+    assert mean_interval([1.0, 2.0, 3.0]) == pytest.approx((2 - 4.3027 / 3**0.5, 2 + 4.3027 / 3**0.5), abs=1e-3)

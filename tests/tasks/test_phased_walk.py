@@ -99,6 +99,25 @@ def test_numbers_are_kept_in_a_file(tmp_path):
         Stride.load(tmp_path / "walk.yaml")
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "must give numbers by name"),
+        ("- 3", "must give numbers by name"),
+        ("step: [", "not valid YAML"),
+        ("step: true", "step must be one of"),
+        ("lift: .nan", "lift must be one of"),
+    ],
+)
+def test_broken_files_of_numbers_are_refused(text, message, tmp_path):
+    """An empty or torn file, and values that are no finite numbers, end with the file's name and what is wrong."""
+    (tmp_path / "walk.yaml").write_text(text)
+    with pytest.raises(ValueError, match=rf"walk\.yaml: {message}"):
+        Stride.load(tmp_path / "walk.yaml")
+    with pytest.raises(FileNotFoundError, match="no such file; give the numbers of a walk"):
+        Stride.load(tmp_path / "nowhere.yaml")
+
+
 def test_the_walk_that_comes_with_the_project_walks():
     """Two robots walk 0.4 m in 3 s without falling, on targets and gains that a policy may command."""
     from op3.envs import make_env
