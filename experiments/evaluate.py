@@ -131,7 +131,7 @@ def run(cfg: DictConfig) -> dict[str, Any]:
         "evaluation.upright": float(np.mean([not log.metadata.fallen for log in logs])),
         "evaluation.return_mean": float(np.mean(returns)),
         "evaluation.return_std": float(np.std(returns)),
-        "evaluation.duration": float(np.mean([float(log.metadata.episode_duration or 0.0) for log in logs])),
+        "evaluation.duration": float(np.mean([log.metadata.episode_duration for log in logs])),  # type: ignore
         "evaluation.tilt": float(np.mean([mean_tilt(log) for log in logs])),
     }
     each = [] if stiff else [gains(log, task) for log in logs]  # in position mode a servo's gain is its own
