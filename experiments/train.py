@@ -105,6 +105,20 @@ def describe(cfg: DictConfig, task: Task, provenance: Mapping[str, Any]) -> Mani
     )
 
 
+def check_actions(what: str, given: ActionMap, own: ActionMap) -> None:
+    """Refuse a policy whose actions mean something else than those of this run.
+
+    Raises:
+        ValueError: naming both spans.
+    """
+    if given != own:
+        theirs, ours = (round(actions.span, 6) for actions in (given, own))
+        raise ValueError(
+            f"{what}: its actions mean something else: targets up to {theirs:g} rad from the stand pose, here {ours:g};"
+            f" use span={theirs:g}"
+        )
+
+
 def learner(cfg: DictConfig, manifest: Manifest) -> SAC:
     """Networks and optimisers; the untrained policy holds the stand pose."""
     try:
@@ -123,8 +137,7 @@ def learner(cfg: DictConfig, manifest: Manifest) -> SAC:
     )
     if cfg.warm_start is not None and cfg.resume is None:
         earlier = PolicyBundle.load(cfg.warm_start)
-        if earlier.manifest.action_map != manifest.action_map:
-            raise ValueError(f"warm_start={cfg.warm_start}: its actions mean something else; use its span")
+        check_actions(f"warm_start={cfg.warm_start}", earlier.manifest.action_map, manifest.action_map)
         sac.start_from(earlier)
     return sac
 
@@ -146,8 +159,7 @@ def demonstrator(path: str, task: Task, action_map: ActionMap) -> Callable[[Tens
         )
     if Path(path).is_dir():
         bundle = PolicyBundle.load(path)
-        if bundle.manifest.action_map != action_map:
-            raise ValueError(f"demonstrator={path}: its actions mean something else; use its span")
+        check_actions(f"demonstrator={path}", bundle.manifest.action_map, action_map)
         return bundle.act
     if task.cycle is None:
         raise ValueError(f"demonstrator={path}: a walk cannot demonstrate {task.name}, which has no gait")

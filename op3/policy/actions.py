@@ -92,6 +92,12 @@ class ActionMap:
         )
 
     @property
+    def span(self) -> float:
+        """How far a target may lie from the stand pose [rad]."""
+        stand = pose("stand")[indices(self.joints)]
+        return float(np.abs(np.array([self.position_low, self.position_high]) - stand).max())
+
+    @property
     def size(self) -> int:
         """Numbers in an action: an angle and a gain per joint."""
         return 2 * len(self.joints)

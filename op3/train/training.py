@@ -156,6 +156,8 @@ def train(
     run = _resume(folder / CHECKPOINT, identity, sac, replay, shown) if resume else Progress()
     run.stopped = False
     collector.restart(settings.seed + run.steps)
+    if settings.steps <= settings.warmup:
+        say(f"no update will be made: the warm-up takes {settings.warmup:,} steps and the run has {settings.steps:,}")
     meter, began = _Meter(run, sac, settings), time.monotonic() - run.seconds
     with stop_requested() as stop:
         stopping = False

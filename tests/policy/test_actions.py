@@ -93,3 +93,9 @@ def test_dictionary_round_trip():
     assert ActionMap.from_dict(MAP.to_dict()) == MAP
     with pytest.raises(ValueError, match="needs exactly the fields"):
         ActionMap.from_dict({"joints": []})
+
+
+@pytest.mark.parametrize("span", [0.1, 0.4, 0.6])
+def test_span_is_how_far_targets_may_lie_from_the_stand_pose(span):
+    """It is what `around_stand` was told, where no soft limit is nearer."""
+    assert ActionMap.around_stand(span).span == pytest.approx(span)
