@@ -244,18 +244,15 @@ def base_coordinates(model: RobotModel, joints: Sequence[str], *, fixed_base: bo
             if known.name in CHAIN:
                 entries.extend(_chain(model, known, joints))
                 continue
-            value = model.value(known.name)
-            span = known.high - known.low
-            low, high = known.low, known.high
-            if not low <= value <= high:  # a servo of another size than the catalogue's ranges are for
-                low, high = max(known.least, value / REACH), min(known.most, value * REACH)
-                span = high - low
             if known.name in HELD:
                 continue
-            entries.extend(
-                Coordinate(known.name, columns, low, high, start, start, span)
-                for columns, start in _alike(model, known, joints)
-            )
+            low, high = _range(known, model.value(known.name))
+            span = high - low
+            for columns, start in _alike(model, known, joints):
+                ends = (low, high, *_range(known, start))
+                entries.append(
+                    Coordinate(known.name, columns, min(ends), max(ends), start, start, max(ends) - min(ends))
+                )
             for condition, special in model.estimate(known.name).by.items():
                 name, start = f"{known.name}@{condition}", special.value
                 entries.append(Coordinate(name, None, start - span, start + span, start, start, span))
@@ -267,6 +264,19 @@ def base_coordinates(model: RobotModel, joints: Sequence[str], *, fixed_base: bo
                     Coordinate(name, (j,), -reach, reach, 0.0, 0.0, deviation, "scale") for j in range(len(joints))
                 )
     return Coordinates(model, tuple(joints), tuple(entries))
+
+
+def _range(known: Parameter, value: float) -> tuple[float, float]:
+    """Where a parameter may go: in the catalogue's range, or about a value that lies beyond it.
+
+    Such a value is that of a servo of another size, or of a joint with a fault that has been named.
+    """
+    if known.low <= value <= known.high:
+        return known.low, known.high
+    if value == 0.0:
+        return min(known.low, 0.0), max(known.high, 0.0)
+    ends = value / REACH, value * REACH
+    return max(known.least, min(ends)), min(known.most, max(ends))
 
 
 def _alike(model: RobotModel, known: Parameter, joints: Sequence[str]) -> list[tuple[tuple[int, ...] | None, float]]:

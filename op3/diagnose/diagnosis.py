@@ -238,7 +238,7 @@ class Diagnosis:
         """All that rounds have named, with the gap from first to last."""
         named = [verdict for verdict in verdicts if verdict.verdict == "named" and not verdict.vetoed]
         last = named[-1]
-        effects = tuple(effect for verdict in named for effect in verdict.effects)
+        effects = self._merged([effect for verdict in named for effect in verdict.effects])
         gap = {
             name: {**values, "before": named[0].gap[name]["before"]}
             for name, values in last.gap.items()
@@ -247,6 +247,21 @@ class Diagnosis:
         loss = {**last.loss, "before": named[0].loss.get("before")}
         said = [f"{effect.name} explains {effect.gain:.0%} of the residual that was left" for effect in effects]
         return replace(last, effects=effects, base=named[0].base, gap=gap, loss=loss, reason=", then ".join(said))
+
+    def _merged(self, effects: Sequence[Finding]) -> tuple[Finding, ...]:
+        """Each effect once in its place: a later round tells the whole of it, and adds to what a model had before."""
+        merged: dict[tuple[Any, ...], Finding] = {}
+        for effect in effects:
+            place = effect.name, tuple(effect.joints), effect.by
+            earlier = merged.pop(place, None)
+            if earlier is not None and effect.name in self.given.effect_names:
+                more = {name: value + earlier.parameters.get(name, 0.0) for name, value in effect.parameters.items()}
+                effect = replace(effect, parameters=more)
+            if earlier is not None:
+                surest = max(effect.confidence, earlier.confidence)
+                effect = replace(effect, gain=max(effect.gain, earlier.gain), confidence=surest)
+            merged[place] = effect
+        return tuple(merged.values())
 
     def _round(self, model: RobotModel) -> Verdict:
         rng = np.random.default_rng([self.seed, 11])

@@ -205,3 +205,18 @@ def test_strong_faults_are_plausible(name):
             entries = hypothesis.coordinates(base, secant, 1.0)[0].entries[len(base) :]
             for entry in entries:
                 assert entry.parameter != hypothesis.effect.size or entry.high > 1.1 * strong
+
+
+def test_a_named_fault_beyond_the_catalogues_range_keeps_its_size():
+    """A joint with more friction than sound servos have is refitted about what was found, not cut to their range."""
+    joints = ("a", "b", "c")
+    known = load_model("paper").parameters()["viscous_friction"]
+    much = 1.2 * known.high
+    model = load_model("paper").with_values(
+        {"viscous_friction": Estimate(0.08, joints={"a": 0.08, "b": much, "c": 0.08})}
+    )
+    entries = base_coordinates(model, joints, fixed_base=True).entries
+    own = {e.joints: e for e in entries if e.parameter == "viscous_friction" and e.kind == "value"}
+    assert own[(1,)].start == pytest.approx(much)
+    assert own[(1,)].low < much < 0.5 * own[(1,)].high
+    assert own[(0, 2)].high == known.high
