@@ -73,6 +73,12 @@ class Ending:
         if self._server is not None:
             self._server.stop()
 
+    @staticmethod
+    def over() -> None:
+        """From now on signals change nothing: Python gives them their deadly meaning back while it shuts down."""
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, signal.SIG_IGN)
+
     def ends(self, server: PtyServer) -> None:
         """A server that the signals end; at once if there has been one."""
         self._server = server
@@ -112,6 +118,7 @@ def main(cfg: DictConfig) -> None:
         emulated.close()
     except OSError as error:
         failure = failure or f"the recording of frames is not whole: {error}"
+    ending.over()
     say(f"emulated {emulated.time:.1f} s; at most {1e3 * server.longest_lag:.0f} ms behind the wall clock")
     if failure:
         print(failure, file=sys.stderr)
