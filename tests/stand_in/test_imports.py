@@ -12,6 +12,7 @@ STANDARD = (
     "dataclasses",
     "datetime",
     "difflib",
+    "functools",
     "hashlib",
     "math",
     "os",
