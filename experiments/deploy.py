@@ -38,6 +38,9 @@ from op3.policy import PolicyBundle
 from op3.robot import pose
 from op3.rollout import git_hash, read_log
 
+LOGS = ("approach", "run", "after")
+"""Folders of a run's logs."""
+
 MODES = ("run", "dry_run", "read_only", "hang", "setup", "calibrate", "replay")
 
 
@@ -75,6 +78,9 @@ def deploy(cfg: DictConfig) -> ExitCode:
     duration = positive(cfg, "duration", "seconds")
     limits = Limits(**OmegaConf.to_container(cfg.limits, resolve=True))  # type: ignore[arg-type]
     folder = Path(HydraConfig.get().runtime.output_dir)
+    taken = next((folder / name for name in LOGS if (folder / name).exists()), None)
+    if taken is not None:
+        raise ValueError(f"{taken} is there already, a log is never written over; choose another hydra.run.dir")
     plan = Plan(
         limits,
         dry=cfg.mode == "dry_run",

@@ -346,6 +346,15 @@ def test_wrong_arguments(tmp_path, arguments, code, message):
     assert len(result.stderr.splitlines()) == 1
 
 
+def test_a_log_is_not_written_over(tmp_path):
+    """A folder that holds a run is refused before the port is opened, and stays as it is."""
+    (tmp_path / "run").mkdir()
+    result = script("deploy.py", "port=/dev/ttyNOWHERE", f"hydra.run.dir={tmp_path}")
+    assert result.returncode == 1
+    assert "run is there already, a log is never written over; choose another hydra.run.dir" in result.stderr
+    assert list((tmp_path / "run").iterdir()) == []
+
+
 @pytest.mark.parametrize("value", ["oops", float("nan"), True, None])
 def test_limits_are_numbers(value):
     """Text from a command line is refused before anything is compared with it."""

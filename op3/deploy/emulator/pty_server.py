@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import pty
 import select
@@ -60,6 +61,9 @@ class PtyServer:
 
     def __enter__(self) -> PtyServer:
         """Start serving."""
+        # a search for garbage among what the imports have left takes longer than a tick
+        gc.collect()
+        gc.freeze()
         self._thread.start()
         return self
 
