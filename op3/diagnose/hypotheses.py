@@ -25,7 +25,7 @@ POSITION_ONLY = ("position_servo", "minimum_duty")
 CURRENT_ONLY = ("current_lag", "current_offset", "packet_drop")
 """Effects of servos that regulate current."""
 
-FAULTY = 2.5
+FAULTY = 1.6
 """How many times larger than the catalogue's range for a sound robot an effect may be found: what is looked for is a
 fault. Beyond it a size is not plausible."""
 

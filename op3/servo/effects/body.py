@@ -75,7 +75,7 @@ class LinkInertia(Effect):
     equation: ClassVar[str] = "J_link += m_link k^2"
     source: ClassVar[str] = "rigid body; a disc of radius r about its axis has k^2 = r^2 / 2"
     parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("gyration_squared", "m^2", 0.0, 0.008, 0.0, 0.0, "squared radius of gyration added, k^2"),
+        Parameter("gyration_squared", "m^2", 0.0, 0.0125, 0.0, 0.0, "squared radius of gyration added, k^2"),
     )
     edits: ClassVar[tuple[ModelEdit, ...]] = (
         ModelEdit("body_inertia", "joint_body", "add", "gyration_squared", per="body_mass"),
@@ -123,9 +123,9 @@ class LinkCentreOfMass(Effect):
     equation: ClassVar[str] = "c_link += (dx, dy, dz)"
     source: ClassVar[str] = "models from CAD, up to 10 mm"
     parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("link_com_offset_x", "m", -0.015, 0.015, 0.0, 0.0, "forwards in the stand pose with straight legs"),
-        Parameter("link_com_offset_y", "m", -0.015, 0.015, 0.0, 0.0, "to the left"),
-        Parameter("link_com_offset_z", "m", -0.015, 0.015, 0.0, 0.0, "upwards"),
+        Parameter("link_com_offset_x", "m", -0.02, 0.02, 0.0, 0.0, "forwards in the stand pose with straight legs"),
+        Parameter("link_com_offset_y", "m", -0.02, 0.02, 0.0, 0.0, "to the left"),
+        Parameter("link_com_offset_z", "m", -0.02, 0.02, 0.0, 0.0, "upwards"),
     )
     edits: ClassVar[tuple[ModelEdit, ...]] = tuple(
         ModelEdit("body_ipos", "joint_body", "add", f"link_com_offset_{axis}", column=column)
