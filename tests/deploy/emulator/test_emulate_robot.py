@@ -29,6 +29,8 @@ def serve(folder, record):
         stderr=subprocess.PIPE,
         text=True,
         env=environment,
+        # Under `nohup` a hangup arrives ignored, and the script rightly leaves it so.
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
     )
     assert process.stdout is not None
     return process, process.stdout.readline().removeprefix("port:").strip()
