@@ -178,7 +178,7 @@ class FixedBase:
         attach_servos(moved)
         self.names = [str(element.full_identifier) for element in moved]
         self.joints = tuple(joints)
-        self.mj_model = scene.compile()
+        self.mj_model = scene.compile(visual=False)
         self.ports = ServoPorts.find(self.mj_model, self.names)
         assert scene.robot is not None
         self.base = self.mj_model.body(scene.robot.trunk.full_identifier).id

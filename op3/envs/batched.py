@@ -64,7 +64,7 @@ class BatchedEnv(EnvBase):
         robot = self.scene.robot
         assert robot is not None
         self.simulation = BatchSimulation(
-            self.scene.compile(),
+            self.scene.compile(visual=False),
             self.scene.joint_names,
             model,
             num_envs,

@@ -161,6 +161,7 @@ class WindowSimulation:
         picked = flat[start[self._rows][None] + self._at]  # [tick, window, joint, ...]
         return torch.from_numpy(np.ascontiguousarray(np.moveaxis(picked, 1, -1))).to(self.dtype)
 
+    @torch.inference_mode()
     def run(
         self,
         parameters: Mapping[str, Tensor] | None = None,
@@ -429,7 +430,7 @@ def solve(mass: Tensor, total: Tensor, velocity: Tensor, force: Tensor, bound: T
     """Change of velocity in one step under coupled dry friction.
 
     Minimises ``u' A u / 2 - u' force + bound |velocity + u|`` by sweeps over the joints, A being `mass` with
-    `total` on its diagonal.
+    `total` on its diagonal. The many small operations are numpy's, whose calls cost a third of torch's.
 
     Args:
         mass: ``[joint, joint, ...]``, of which the off-diagonal counts [kg m^2].
@@ -439,18 +440,26 @@ def solve(mass: Tensor, total: Tensor, velocity: Tensor, force: Tensor, bound: T
         bound: largest impulses of friction [N m s].
         guess: change of velocity to start from.
     """
-    u = guess.clone()
-    others = mass.clone()  # without its diagonal, so that a sum over a row is over the other joints
-    torch.diagonal(others).zero_()
-    reach = torch.addcmul(force, total, velocity)
-    mobility, lowest, rest = 1.0 / total, -bound, -velocity
+    u = guess.numpy().copy()
+    count = len(u)
+    others = mass.numpy().copy()  # without its diagonal, so that a sum over a row is over the other joints
+    others[range(count), range(count)] = 0.0
+    reach = torch.addcmul(force, total, velocity).numpy()
+    mobility, highest, rest = (1.0 / total).numpy(), bound.numpy(), velocity.numpy()
+    lowest = -highest
+    products, impulse, lost = np.empty_like(u), np.empty_like(u[0]), np.empty_like(u[0])
     for _ in range(SWEEPS):
-        for i in range(len(u)):
-            impulse = reach[i] - (others[i] * u).sum(0)
+        for i in range(count):
+            np.multiply(others[i], u, out=products)
+            np.add.reduce(products, axis=0, out=impulse)
+            np.subtract(reach[i], impulse, out=impulse)
             # what friction leaves of the impulse, never reversed
-            impulse -= torch.clamp(impulse, lowest[i], bound[i])
-            torch.addcmul(rest[i], impulse, mobility[i], out=u[i])
-    return u
+            np.maximum(impulse, lowest[i], out=lost)
+            np.minimum(lost, highest[i], out=lost)
+            np.subtract(impulse, lost, out=impulse)
+            np.multiply(impulse, mobility[i], out=impulse)
+            np.subtract(impulse, rest[i], out=u[i])
+    return torch.from_numpy(u)
 
 
 def solve_linear(mass: Tensor, total: Tensor, force: Tensor) -> Tensor:
@@ -462,15 +471,16 @@ def solve_linear(mass: Tensor, total: Tensor, force: Tensor) -> Tensor:
         force: impulses [N m s].
     """
     count = len(total)
-    rows = mass.expand(count, count, *total.shape[1:]).clone()
-    torch.diagonal(rows).copy_(total.movedim(0, -1))
-    right = force.clone()
+    rows = np.empty((count, *total.shape), dtype=total.numpy().dtype)
+    rows[...] = mass.numpy()
+    rows[range(count), range(count)] = total.numpy()
+    right = force.numpy().copy()
     for k in range(count - 1):
         share = rows[k + 1 :, k] / rows[k, k]
-        rows[k + 1 :, k + 1 :].addcmul_(share[:, None], rows[k, None, k + 1 :], value=-1)
-        right[k + 1 :].addcmul_(share, right[k], value=-1)
+        rows[k + 1 :, k + 1 :] -= share[:, None] * rows[k, k + 1 :]
+        right[k + 1 :] -= share * right[k]
     for k in reversed(range(count)):
-        if k + 1 < count:
-            right[k] -= (rows[k, k + 1 :] * right[k + 1 :]).sum(0)
         right[k] /= rows[k, k]
-    return right
+        if k:
+            right[:k] -= rows[:k, k] * right[k]
+    return torch.from_numpy(right)

@@ -106,7 +106,7 @@ class _Session:
         if self.truth.joints == LEG_JOINTS:
             for name in ("head_pan_link", "l_sho_pitch_link", "r_sho_pitch_link", "l_hip_yaw_link"):
                 root.find("body", f"op3/{name}").remove()
-        model = scene.compile()
+        model = scene.compile(visual=False)
         names = tuple(model.joint(i).name.removeprefix("op3/") for i in range(model.njnt))
         if names != self.truth.joints:
             raise ValueError(f"the joints are {', '.join(names)} where {', '.join(self.truth.joints)} belong")

@@ -102,7 +102,7 @@ class StandIn:
     def _hidden_model(self) -> mujoco.MjModel:
         """The scene compiled, with the world's body, armature and ground."""
         world = self._world
-        model = self.scene.compile()
+        model = self.scene.compile(visual=False)
         model.opt.timestep = self.timestep
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
         model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC

@@ -59,7 +59,7 @@ class Setup:
         robot = scene.robot
         return cls(
             scene=scene,
-            mj_model=scene.compile(),
+            mj_model=scene.compile(visual=False),
             joints=tuple(joint.name for joint in scene.joints),
             base_body=None if robot is None else robot.trunk.full_identifier,
             control_period=bench_timestep if robot is None else OP3_CONTROL_PERIOD,

@@ -100,7 +100,7 @@ class SimPhysics(BatchSimulation):
         self.joints = tuple(str(joint.name) for joint in self.scene.joints)
         robot = self.scene.robot
         super().__init__(
-            self.scene.compile(),
+            self.scene.compile(visual=False),
             self.scene.joint_names,
             behind_bus(model),
             1,
