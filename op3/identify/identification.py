@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from op3.identify.identifiability import Identifiability, identifiability
-from op3.identify.intervals import intervals_of
+from op3.identify.intervals import followed_from_bounds, intervals_of
 from op3.identify.loss import TrajectoryLoss, position_error
 from op3.identify.polish import polish as polish_off
 from op3.identify.problem import Problem
@@ -241,7 +241,7 @@ class Identification:
         values, sensitivity = polished.values, polished.sensitivity
         refined += polished.history[1:] if refined or not polish else polished.history
         blocks, channels = self._blocks()
-        intervals = intervals_of(sensitivity, blocks)
+        intervals = followed_from_bounds(residuals, sensitivity, intervals_of(sensitivity, blocks))
         model = self.problem.model.with_values({name: Estimate(values[name], *intervals[name]) for name in self.names})
         model = model.with_values(_for_other_conditions(model, self.names))
         fitted = [log.fingerprint() for log in self.problem.replay.logs]

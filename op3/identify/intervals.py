@@ -1,11 +1,18 @@
 """How well the data determine parameters: 90 % intervals from blocks of the residual and from jumps of sticking."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+import torch
 from scipy import stats
 
-from op3.identify.sensitivity import Array, Sensitivity
+from op3.identify.sensitivity import Array, Residuals, Sensitivity
+
+EDGE = 0.02
+"""A parameter within this share of its range from an end of it has ended there."""
+
+FARTHER = (1 / 3, 2 / 3, 1.0)
+"""Where an interval from one end of a range is checked, as shares of the way from its own end to the other end."""
 
 NOTHING = 1e-9
 """Share of the largest information below which a combination of parameters changes nothing."""
@@ -52,6 +59,48 @@ def intervals_of(
     lower = sensitivity.low + np.clip(unit - half, 0.0, 1.0) * sensitivity.span
     upper = sensitivity.low + np.clip(unit + half, 0.0, 1.0) * sensitivity.span
     return {name: (float(lower[i]), float(upper[i])) for i, name in enumerate(sensitivity.names)}
+
+
+def followed_from_bounds(
+    residuals: Residuals, sensitivity: Sensitivity, found: Mapping[str, tuple[float, float]]
+) -> dict[str, tuple[float, float]]:
+    """Intervals, widened where a parameter ended at a bound and the loss does not rise as its slope there says.
+
+    From a bound differences reach to one side only, and an effect that sets in there (a voltage that begins to limit
+    the current) fades away from it. So parameters at a bound are moved beyond the end of their interval, alone and with
+    what the others do on the way to that end, and simulated: the interval reaches as far as the loss is no higher than
+    its end was expected to raise it.
+
+    Args:
+        residuals: of points in the unit box.
+        sensitivity: at the estimate.
+        found: low and high by parameter name, from `intervals_of`.
+    """
+    unit, result = sensitivity.unit, dict(found)
+    covariance = np.linalg.pinv(sensitivity.jacobian.T @ sensitivity.jacobian, rcond=NOTHING)
+    points, places, limits = [], [], []
+    for i, name in enumerate(sensitivity.names):
+        low, high = (np.array(found[name]) - sensitivity.low[i]) / sensitivity.span[i]
+        near, end, far = (0.0, high, 1.0) if unit[i] <= EDGE else (1.0, low, 0.0)
+        if abs(unit[i] - near) > EDGE or abs(end - far) <= EDGE or covariance[i, i] <= 0.0:
+            continue
+        way = end - unit[i]
+        for others in (unit, unit + way * covariance[:, i] / covariance[i, i]):
+            for share in FARTHER:
+                point = np.clip(others, 0.0, 1.0)
+                point[i] = end + share * (far - end)
+                points.append(point)
+                places.append(i)
+                limits.append(way**2 / covariance[i, i])
+    if not points:
+        return result
+    losses = np.square(residuals(torch.from_numpy(np.array(points))).numpy()).sum(1)
+    allowed = float(sensitivity.residual @ sensitivity.residual) + np.array(limits)
+    for point, i, loss, limit in zip(points, places, losses, allowed, strict=True):
+        if loss <= limit:
+            name, value = sensitivity.names[i], float(sensitivity.low[i] + point[i] * sensitivity.span[i])
+            result[name] = (min(result[name][0], value), max(result[name][1], value))
+    return result
 
 
 def _squares(moves: Array) -> Array:

@@ -1,11 +1,14 @@
 """Intervals on linear problems, where the truth and the noise are known."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import torch
 
-from op3.identify.intervals import intervals_of
+from op3.identify.intervals import followed_from_bounds, intervals_of
 from op3.identify.polish import polish
+from op3.identify.sensitivity import Residuals, Sensitivity
 
 NAMES = ("a", "b", "c", "d")
 BOX = {name: (-10.0, 10.0) for name in NAMES}
@@ -88,3 +91,27 @@ def test_jumps_are_not_taken_for_knowledge():
         widths[jump] = high - low
     assert widths[0.0] < 0.05
     assert widths[0.05] > 2 * widths[0.0]
+
+
+def test_an_effect_that_sets_in_at_a_bound_is_followed_away_from_it():
+    """A parameter that acts only near its bound is not told by its slope there; one that acts everywhere is."""
+    rng = np.random.default_rng(3)
+    design, noise = rng.normal(size=(400, 2)), rng.normal(size=400)
+
+    def problem_of(acts: Callable[[np.ndarray], np.ndarray]) -> tuple[Residuals, Sensitivity]:
+        def residuals(unit: torch.Tensor) -> torch.Tensor:
+            moved = np.stack([4.0 * (unit.numpy()[:, 0] - 0.5), acts(unit.numpy()[:, 1])], 1)
+            return torch.from_numpy(noise + moved @ design.T)
+
+        slope = (acts(np.array([1.0])) - acts(np.array([0.95]))) / 0.05
+        jacobian = design * np.array([4.0, float(slope[0])])
+        box, at = (np.zeros(2), np.ones(2)), np.array([0.5, 1.0])
+        blind = np.zeros(2, dtype=bool)
+        return residuals, Sensitivity(("steady", "late"), *box, at, noise, jacobian, np.zeros((2, 400)), blind)
+
+    told = {"steady": (0.45, 0.55), "late": (0.95, 1.0)}
+    # from 0.97 down it does nothing more
+    residuals, sensitivity = problem_of(lambda value: np.maximum(value - 0.97, 0.0) * 4.0)
+    assert followed_from_bounds(residuals, sensitivity, told) == {"steady": (0.45, 0.55), "late": (0.0, 1.0)}
+    residuals, sensitivity = problem_of(lambda value: (value - 1.0) * 4.0)
+    assert followed_from_bounds(residuals, sensitivity, told) == told
