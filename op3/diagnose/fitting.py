@@ -6,7 +6,7 @@ from typing import Protocol
 
 import mujoco
 import numpy as np
-from scipy import stats
+from scipy import special
 from torch import Tensor
 
 from op3.diagnose.coordinates import Coordinates
@@ -336,7 +336,7 @@ def intervals(engine: Engine, base: Fit, fit: Fit, level: float = 0.9) -> np.nda
         moves.append(np.linalg.solve(hessian - part.T @ part, part.T @ residual[inside].reshape(-1)))
     count = len(names)
     spread = np.sqrt((count - 1) / count * np.square(np.array(moves)).sum(0))
-    quantile = stats.t.ppf(0.5 + level / 2, max(1, count - 1))
+    quantile = special.stdtrit(max(1, count - 1), 0.5 + level / 2)
     return (quantile * spread / scale)[len(base.coordinates) :]
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from op3.identify.sensitivity import Sensitivity
 
@@ -17,7 +17,7 @@ SHARE = 0.5
 PART = 0.3
 """A parameter takes part in a combination with at least this component of its direction, whose length is one."""
 
-WIDTH = 2 * float(stats.norm.ppf(0.95))
+WIDTH = 2 * float(special.ndtri(0.95))
 """Width of a 90 % interval in standard deviations."""
 
 

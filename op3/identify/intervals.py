@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
-from scipy import stats
+from scipy import special
 
 from op3.identify.sensitivity import Array, Residuals, Sensitivity
 
@@ -53,7 +53,7 @@ def intervals_of(
     covariance = (len(blocks) - 1) / len(blocks) * _squares(np.array(moves))
     jumped = np.asarray(np.linalg.solve(hessian + ridge, jacobian.T @ sensitivity.jumps.T).T, dtype=np.float64)
     covariance = covariance + 2 * _squares(jumped) / len(jumped) + _unknown(hessian)
-    quantile = stats.t.ppf(0.5 + level / 2, max(1, len(blocks) - 1))
+    quantile = special.stdtrit(max(1, len(blocks) - 1), 0.5 + level / 2)
     # a parameter that moves nothing, or whose neighbourhood diverges, is not determined: its interval is the range
     half = np.where(sensitivity.unseen, 1.0, quantile * np.sqrt(np.maximum(np.diag(covariance), 0.0)))
     lower = sensitivity.low + np.clip(unit - half, 0.0, 1.0) * sensitivity.span

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from op3.identify.loss import TrajectoryLoss
 from op3.rollout import Rollout
@@ -226,6 +226,6 @@ def bootstrap_interval(
     draws = np.random.default_rng(seed).integers(0, count, (DRAWS, count))
     drawn = weights[draws]
     means = (drawn * values[draws]).sum(1) / drawn.sum(1)
-    tail = stats.norm.cdf(-np.sqrt(count / (count - 1)) * stats.t.ppf(0.5 + level / 2, count - 1))
+    tail = special.ndtr(-np.sqrt(count / (count - 1)) * special.stdtrit(count - 1, 0.5 + level / 2))
     low, high = np.quantile(means, [tail, 1 - tail])
     return float(low), float(high)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.stats import t as student
+from scipy.special import stdtrit
 from torch import Tensor
 
 from op3.robot import pose, standing_height
@@ -120,7 +120,7 @@ def succeeded(log: Rollout, task: str | Task, least_speed: float = 0.2) -> bool:
 def mean_interval(values: Sequence[float]) -> tuple[float, float]:
     """Student's 95 % interval of the mean of two values or more."""
     count, middle, spread = len(values), float(np.mean(values)), float(np.std(values, ddof=1))
-    half = float(student.ppf(0.975, count - 1)) * spread / count**0.5
+    half = float(stdtrit(count - 1, 0.975)) * spread / count**0.5
     return middle - half, middle + half
 
 
