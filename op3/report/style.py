@@ -63,11 +63,10 @@ def dress(figure: go.Figure, height: int, **layout: Any) -> go.Figure:
         tickfont=dict(size=11, color=MUTED),
         title=dict(font=dict(size=12, color=INK), standoff=6),
     )
-    figure.update_xaxes(axis)
-    figure.update_yaxes(axis)
     figure.update_layout(
         height=height,
-        template="none",
+        # a template reaches all axes at once; a figure of many panels would take seconds to go through them
+        template=go.layout.Template(layout=dict(xaxis=axis, yaxis=axis)),
         font=dict(family=FONT, size=12, color=INK),
         paper_bgcolor="white",
         plot_bgcolor="white",
