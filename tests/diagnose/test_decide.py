@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from op3.diagnose.decide import Contender, decide, difference_interval, local_ceiling, pick_shares
+from op3.diagnose.decide import Contender, decide, difference_interval, evidence, local_ceiling, pick_shares
 
 BLOCKS = 60
 
@@ -74,6 +74,21 @@ def test_gain_of_a_few_odd_seconds_is_not_a_name(control, rng):
     losses[:3] -= 2.0
     decision = decide([dataclasses.replace(odd, losses=losses)], control, rng)
     assert decision.verdict == "nothing_missing"
+
+
+def test_a_large_gain_may_be_unsteady(control, rng):
+    """A sixth of the residual counts though some seconds contradict it; a twelfth does not, nor what a few give."""
+    unsteady = np.where(np.arange(BLOCKS) % 3 == 0, -1.0, 1.0)
+    for gain, verdict in ((0.17, "named"), (0.08, "nothing_missing")):
+        losses = 1.0 - gain * unsteady / unsteady.mean()
+        one = dataclasses.replace(contender("lugre", gain), losses=losses)
+        assert 2.0 < evidence(one, control)[0] < 3.0
+        assert decide([one], control, rng).verdict == verdict
+    few = np.ones(BLOCKS)
+    few[:5] -= 2.0
+    assert (
+        decide([dataclasses.replace(contender("lugre", 0.17), losses=few)], control, rng).verdict == "nothing_missing"
+    )
 
 
 def test_gap_of_one_joint_that_no_effect_closes_is_unknown(control, rng):
