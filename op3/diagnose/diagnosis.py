@@ -120,8 +120,13 @@ class Diagnosis:
         self.screened: list[Screened] = []
         self.refitted: list[Refitted] = []
 
-    def refit_base(self, model: RobotModel) -> Fit:
-        """Refit the model's own parameters, with the measurement chain and the spread of its servos."""
+    def refit_base(self, model: RobotModel, fitted: bool = False) -> Fit:
+        """Refit the model's own parameters, with the measurement chain and the spread of its servos.
+
+        Args:
+            model: whose effects and values.
+            fitted: whether the values are already those of a refit to these logs, from which one step is enough.
+        """
         full = with_chain(model) if "current_pd" in model.effect_names else model
         coordinates = self._coordinates(full)
         forms = [full, *other_forms(full)]
@@ -130,9 +135,10 @@ class Diagnosis:
             with np.load(place) as kept:
                 chosen = replace(coordinates, model=forms[int(kept["form"])])
                 return linearise(self.engine, chosen, kept["point"])
-        fit = fit_base(
-            self.engine, coordinates, alternatives=forms[1:], progress=lambda share: self._report("base", share)
-        )
+        search: dict[str, Any] = {"alternatives": forms[1:]}
+        if fitted:
+            search = {"rounds": 1, "start": coordinates.start}
+        fit = fit_base(self.engine, coordinates, **search, progress=lambda share: self._report("base", share))
         if place is not None:
             place.parent.mkdir(parents=True, exist_ok=True)
             np.savez(place, point=fit.point, form=[m is fit.coordinates.model for m in forms].index(True))
@@ -180,8 +186,8 @@ class Diagnosis:
         if any(caution.void for caution in self.cautions):
             return self._void()
         model, verdicts = self.given, []
-        for _ in range(rounds):
-            verdict = self._round(model)
+        for number in range(rounds):
+            verdict = self._round(model, first=number == 0)
             verdicts.append(verdict)
             if verdict.verdict != "named" or verdict.vetoed:
                 break
@@ -263,9 +269,9 @@ class Diagnosis:
             merged[place] = effect
         return tuple(merged.values())
 
-    def _round(self, model: RobotModel) -> Verdict:
+    def _round(self, model: RobotModel, first: bool) -> Verdict:
         rng = np.random.default_rng([self.seed, 11])
-        self.base = base = self.refit_base(model)
+        self.base = base = self.refit_base(model, fitted=not first)
         fitted = with_point(base.coordinates, base.point)
         self.screened = self.screen(base)
         control, self.refitted = self._refit(base)
@@ -291,7 +297,9 @@ class Diagnosis:
         after = fitted
         if findings and not weak:
             after = with_finding(members[0], findings[0], self.engine.joints)
-        shown = show(fitted, after, self.split, lambda share: self._report("show", share))
+        shown: dict[str, Any] = {"gap": {}, "loss": {}, "vetoed": False}
+        if first or after is not fitted:  # of a later round only what it adds is shown
+            shown = show(fitted, after, self.split, lambda share: self._report("show", share))
         vetoed = bool(shown["vetoed"]) and after is not fitted
         return Verdict(
             verdict="ambiguous" if weak else decision.verdict,
