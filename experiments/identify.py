@@ -22,8 +22,7 @@ from support import check_given, focus_joints, logs_where, one_sentence, plain
 from op3.identify.identification import PREFIX, Fit, Identification
 from op3.identify.loss import UNIT_WEIGHTS, TrajectoryLoss
 from op3.identify.resolvers import register as register_interpolations
-from op3.identify.search_space import parse_search_space
-from op3.identify.settings import read_settings
+from op3.identify.settings import read_settings, search_space_of
 from op3.identify.sweeper import sweep_or_report
 from op3.report import run_provenance
 from op3.report.comparison import read_runs, write_comparison
@@ -52,8 +51,9 @@ def build(cfg: DictConfig, model: RobotModel, label: str) -> Identification:
     """The identification that the config describes, for this model."""
     fit_logs, heldout_logs = split_logs(cfg)
     # a parameter whose range is null is not searched, nor is one of an effect that was switched off for comparison
-    space = parse_search_space(plain(HydraConfig.get().sweeper.params))
-    names = [name for name in cfg.parameters if PREFIX + name in space and split_name(name)[0] not in gone(cfg, model)]
+    space, lost = search_space_of(plain(HydraConfig.get().sweeper)), gone(cfg, model)
+    names = [key.removeprefix(PREFIX) for key in space]
+    names = [name for name in names if split_name(name)[0] not in lost]
     joints = focus_joints(plain(cfg.joints), fit_logs)
     weights = UNIT_WEIGHTS if cfg.weights is None else {tuple(k.split("/")): v for k, v in cfg.weights.items()}
     loss = TrajectoryLoss(joints, weights, cfg.robust_scale, cfg.skip)

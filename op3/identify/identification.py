@@ -18,7 +18,7 @@ from op3.identify.study import Outcome
 from op3.identify.surrogate import MOST_POINTS, explore
 from op3.rollout import LogError, Rollout
 from op3.servo import Estimate, RobotModel
-from op3.servo.conditions import split_name
+from op3.servo.conditions import JOINT, split_name
 from op3.tasks import Prediction
 from op3.tasks.setups import BENCH_CONTROL_PERIOD
 
@@ -106,7 +106,7 @@ class Identification:
         logs: what to fit.
         heldout: logs for testing only.
         names: parameters to search; one with a condition, such as ``encoder_offset@length=7e-2``, counts for the logs
-            that meet it.
+            that meet it, one such as ``coulomb_friction@joint=l_knee`` for that joint.
         joints: joints whose traces count; all of a log where empty.
         loss: what to minimise; by default paper eq. (7) with unit weights.
         label: what the model is called.
@@ -133,8 +133,11 @@ class Identification:
                     f"{', '.join(model.effect_names)}. Switch its effect on in the model, or leave the group out"
                 )
         for name in names:
-            differing = model.estimates.get(split_name(name)[0])
-            if differing is not None and differing.joints:
+            base, condition = split_name(name)
+            if condition is not None and condition.joint is not None and not known[base].per_joint:
+                raise ValueError(f"{name!r}: {base} is a quantity of the whole robot; leave it out of `per_joint`")
+            differing = model.estimates.get(base)
+            if condition is None and differing is not None and differing.joints:
                 raise ValueError(
                     f"{name!r} has values of its own for {', '.join(differing.joints)}, which a search over one shared"
                     " value would discard; remove them from the model file or leave the parameter out of the search"
@@ -314,11 +317,14 @@ class Identification:
 
 
 def _for_other_conditions(model: RobotModel, names: Sequence[str]) -> dict[str, Estimate]:
-    """Shared values of parameters that were searched under conditions only: the middle of what was found."""
+    """Shared values of parameters that were searched under conditions or per joint: the middle of what was found."""
     result = {}
     for base in {split_name(name)[0] for name in names} - set(names):
         estimate = model.estimates[base]
-        found = list(estimate.by.values())
+        found = [
+            *estimate.by.values(),
+            *(model.estimate(name) for name in names if name.startswith(f"{base}@{JOINT}=")),
+        ]
         result[base] = replace(
             estimate,
             value=sum(special.value for special in found) / len(found),

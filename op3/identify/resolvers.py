@@ -4,11 +4,13 @@
 the value in the model that the config's key ``model`` names; ``${start:torque_constant}`` is the same, moved into the
 catalogue's range. ``${own:torque_constant,0.1,1.5}`` is the range ``interval(0.1, 1.5)`` where that model has the
 parameter, and null, which is not searched, where it has not; where the model has values under conditions, those are
-searched and not the shared one. `register` makes them known.
+searched and not the shared one. ``${each_joint:}`` is what the config's `per_joint` asks the sweeper to search once for
+each joint. `register` makes them known.
 """
 
 from omegaconf import DictConfig, OmegaConf
 
+from op3.robot import CONTROLLED_JOINTS
 from op3.servo import parameter
 from op3.servo.conditions import split_name
 from op3.sim import load_model
@@ -36,6 +38,11 @@ def _own(name: str, low: float, high: float, *, _root_: DictConfig) -> str | Non
     return f"interval({float(low)!r}, {float(high)!r})" if searched else None
 
 
+def _each_joint(*, _root_: DictConfig) -> dict[str, list[str]]:
+    joints = list(_root_.joints or CONTROLLED_JOINTS)
+    return {f"parameters.{name}": joints for name in _root_.per_joint}
+
+
 def _start(name: str, *, _root_: DictConfig) -> float:
     known = parameter(name)
     return min(max(_value(name, _root_=_root_), known.low), known.high)
@@ -47,3 +54,4 @@ def register() -> None:
     OmegaConf.register_new_resolver("value", _value, replace=True)
     OmegaConf.register_new_resolver("start", _start, replace=True)
     OmegaConf.register_new_resolver("own", _own, replace=True)
+    OmegaConf.register_new_resolver("each_joint", _each_joint, replace=True)

@@ -14,6 +14,7 @@ from op3.identify.samplers import make_sampler_factory
 from op3.identify.search_space import SearchSpace, SearchSpaceError, check_nominal, parse_search_space
 from op3.identify.storage import open_storage
 from op3.identify.study import Evaluate, StudyError, run_study
+from op3.servo.conditions import JOINT
 
 STORAGE_FILE = "study.journal"
 # Hydra takes plugin classes from the module tree `hydra_plugins` only, see `op3.identify.sweeper.register`.
@@ -49,6 +50,8 @@ class PopulationSweeperConf:
     seed: int | None = None
     # config key -> range, such as interval(0.003, 0.009)
     params: dict[str, Any] | None = None
+    # config key -> labels: what is searched once for each, as <key>@joint=<label>, from the key's own value
+    each: Any = None
 
 
 @dataclass(frozen=True)
@@ -113,8 +116,8 @@ def read_settings(config: DictConfig, sweeper: DictConfig, folder: Path, cell: s
         )
     plain = OmegaConf.to_container(sweeper, resolve=True)
     assert isinstance(plain, dict)
-    search_space = parse_search_space(plain["params"])
-    values = {key: _config_value(config, key) for key in search_space}
+    search_space = search_space_of(plain)
+    values = {key: _config_value(config, key.partition(f"@{JOINT}=")[0]) for key in search_space}
     direction = plain["direction"]
     storage, name = plain["storage"], plain["study_name"] or "study"
     if plain["parallel_populations"] < 1 or plain["population"] < 1 or plain["n_trials"] < 1 or plain["starts"] < 0:
@@ -134,6 +137,22 @@ def read_settings(config: DictConfig, sweeper: DictConfig, folder: Path, cell: s
         seed=plain["seed"],
         starts=plain["starts"],
     )
+
+
+def search_space_of(sweeper: Mapping[Any, Any]) -> SearchSpace:
+    """What is searched, by config key: the ranges of `params`, those of `each` once for every label.
+
+    Args:
+        sweeper: the resolved node `hydra.sweeper`.
+    """
+    space, each = parse_search_space(sweeper["params"]), sweeper.get("each") or {}
+    for key in each:
+        if key not in space:
+            raise SearchSpaceError(
+                f"{key} is to be searched per joint, but it is not searched at all: add its group, or leave it out."
+            )
+    labels = {key: [f"{key}@{JOINT}={label}" for label in each[key]] if key in each else [key] for key in space}
+    return {name: distribution for key, distribution in space.items() for name in labels[key]}
 
 
 def _config_value(config: DictConfig, key: str) -> Any:

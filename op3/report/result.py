@@ -45,7 +45,7 @@ def write_result(path: str | Path, values: Mapping[str, Any], meanings: Mapping[
     units = {p.name: f"[{p.unit}] {p.text}" for effect in catalogue().values() for p in effect.parameters}
     lines, group = [HEADER], None
     for key, value in flatten(values).items():
-        first, last = key.split(".")[0], key.split(".")[-1]
+        first, last = key.split(".")[0], key.split(".")[-1].partition("@")[0]
         if first != group and first in known:
             lines.append(f"\n# {first}: {known[first]}\n")
         group = first

@@ -1,7 +1,8 @@
 """Parameters that differ by a condition of the recording, such as the arm of a bench that was mounted anew.
 
 Their names say when they hold: ``encoder_offset@length=7e-2`` is the encoder offset of logs whose metadata field
-``length`` is 0.07. (Config keys are split at dots, hence ``7e-2``.)
+``length`` is 0.07. (Config keys are split at dots, hence ``7e-2``.) ``coulomb_friction@joint=l_knee`` is that of one
+joint, in all logs.
 """
 
 from collections.abc import Mapping
@@ -9,18 +10,26 @@ from dataclasses import dataclass
 from decimal import Decimal
 from typing import Any
 
+JOINT = "joint"
+"""Field of a condition that picks a joint, not logs."""
+
 
 @dataclass(frozen=True)
 class Condition:
-    """What a log's metadata must say.
+    """What a log's metadata must say, or which joint it is.
 
     Attributes:
-        field: of the metadata.
+        field: of the metadata, or `JOINT`.
         value: number or text that it must equal.
     """
 
     field: str
     value: float | str
+
+    @property
+    def joint(self) -> str | None:
+        """The joint that it picks; None if it picks logs."""
+        return str(self.value) if self.field == JOINT else None
 
     def holds(self, metadata: Mapping[str, Any]) -> bool:
         """Whether these metadata, by field, meet the condition.

@@ -21,6 +21,7 @@ class Estimate:
         low: lower end of the interval; None where no data has bounded it.
         high: upper end of the interval.
         joints: value per joint name, where it differs.
+        intervals: low and high ends of these, by joint name, where data have bounded them.
         by: estimates that hold for logs of one condition only, see `op3.servo.conditions`.
     """
 
@@ -28,6 +29,7 @@ class Estimate:
     low: float | None = None
     high: float | None = None
     joints: Mapping[str, float] = field(default_factory=dict)
+    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     by: Mapping[Condition, "Estimate"] = field(default_factory=dict)
 
 
@@ -91,14 +93,19 @@ class RobotModel:
         return self.estimates[name].value if name in self.estimates else known[name].nominal
 
     def estimate(self, name: str) -> Estimate:
-        """A parameter's estimate, its nominal value where it has none; `name` may carry a condition.
+        """A parameter's estimate, its nominal value where it has none; `name` may carry a condition or a joint.
 
         Raises:
             ValueError: if no effect that is on has this parameter.
         """
         base, condition = split_name(name)
         shared = self.estimates.get(base, Estimate(self.value(base)))
-        return shared if condition is None else shared.by.get(condition, shared)
+        if condition is None:
+            return shared
+        if condition.joint is not None:
+            value, interval = shared.joints.get(condition.joint), shared.intervals.get(condition.joint, (None, None))
+            return Estimate(shared.value, shared.low, shared.high) if value is None else Estimate(value, *interval)
+        return shared.by.get(condition, shared)
 
     def under(self, metadata: Mapping[str, Any]) -> "RobotModel":
         """This model as it is for a log with these metadata, by field: conditional values that hold become shared.
@@ -131,14 +138,14 @@ class RobotModel:
         return values
 
     def with_values(self, values: Mapping[str, float | Estimate]) -> "RobotModel":
-        """This model with other parameter values; a plain number replaces a shared value, or that of a condition."""
+        """This model with other parameter values; a number replaces a shared value, or that of a condition or joint."""
         estimates = dict(self.estimates)
         for name, value in values.items():
             base, condition = split_name(name)
             made = value if isinstance(value, Estimate) else Estimate(float(value))
             if condition is not None:
                 shared = estimates.get(base, Estimate(self.value(base)))
-                made = replace(shared, by={**shared.by, condition: made})
+                made = _with_special(shared, condition, made)
             estimates[base] = made
         return replace(self, estimates=estimates)
 
@@ -159,6 +166,17 @@ class RobotModel:
             effects=tuple(e for e in self.effects if e.name not in names),
             estimates={k: v for k, v in self.estimates.items() if k not in gone},
         )
+
+
+def _with_special(shared: Estimate, condition: Condition, special: Estimate) -> Estimate:
+    """An estimate with another value where a condition holds, or in one joint."""
+    joint = condition.joint
+    if joint is None:
+        return replace(shared, by={**shared.by, condition: special})
+    intervals = {name: ends for name, ends in shared.intervals.items() if name != joint}
+    if special.low is not None and special.high is not None:
+        intervals[joint] = (special.low, special.high)
+    return replace(shared, joints={**shared.joints, joint: special.value}, intervals=intervals)
 
 
 def _check(known: Parameter, estimate: Estimate) -> None:

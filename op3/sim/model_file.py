@@ -171,7 +171,10 @@ def _estimate_to_plain(estimate: Estimate) -> Any:
     if estimate.high is not None:
         plain["high"] = estimate.high
     if estimate.joints:
-        plain["joints"] = dict(estimate.joints)
+        plain["joints"] = {
+            joint: _estimate_to_plain(Estimate(value, *estimate.intervals.get(joint, (None, None))))
+            for joint, value in estimate.joints.items()
+        }
     if estimate.by:
         plain["by"] = {str(condition): _estimate_to_plain(special) for condition, special in estimate.by.items()}
     return plain
@@ -183,13 +186,17 @@ def _estimate_from_plain(where: str, value: Any) -> Estimate:
     unknown = set(value) - {"value", "low", "high", "joints", "by"}
     if unknown or "value" not in value:
         raise ValueError(f"`{where}` must be a number or hold value, low, high, joints, by; got {dict(value)!r}")
-    joints = value.get("joints") or {}
+    joints = {
+        str(joint): _estimate_from_plain(f"{where}.joints.{joint}", own)
+        for joint, own in (value.get("joints") or {}).items()
+    }
     special = {f"{where}@{condition}": v for condition, v in (value.get("by") or {}).items()}
     return Estimate(
         value=_number(where, value["value"]),
         low=None if value.get("low") is None else _number(f"{where}.low", value["low"]),
         high=None if value.get("high") is None else _number(f"{where}.high", value["high"]),
-        joints={str(j): _number(f"{where}.joints.{j}", v) for j, v in joints.items()},
+        joints={joint: own.value for joint, own in joints.items()},
+        intervals={j: (o.low, o.high) for j, o in joints.items() if o.low is not None and o.high is not None},
         by={c: _estimate_from_plain(name, v) for name, v in special.items() if (c := split_name(name)[1])},
     )
 

@@ -43,10 +43,24 @@ def parameters_per_log(
             value[:, row] = _special(model, base, metadata, value[:, row])
             for name, special in given.items():
                 other, condition = split_name(name)
-                if other == base and condition is not None and condition.holds(metadata):
+                if other == base and condition is not None and condition.joint is None and condition.holds(metadata):
                     value[:, row] = special.view(-1, 1) if special.ndim < 2 else special
+        value = _per_joint(base, value, given, logs[0].joints)
         result[base] = value.flatten(0, 1)
     return result
+
+
+def _per_joint(base: str, value: Tensor, given: Mapping[str, Tensor], joints: Sequence[str]) -> Tensor:
+    """Values ``[candidate, log, joint]`` with those that are given for single joints."""
+    for name, special in given.items():
+        other, condition = split_name(name)
+        if other != base or condition is None or condition.joint is None:
+            continue
+        if condition.joint not in joints:
+            raise ValueError(f"{name}: unknown joint {condition.joint!r}; the logs have {', '.join(joints)}")
+        value = value.expand(*value.shape[:2], len(joints)).clone()
+        value[..., joints.index(condition.joint)] = special.view(-1, 1)
+    return value
 
 
 def _special(model: RobotModel, base: str, metadata: Mapping, otherwise: Tensor) -> Tensor | float:

@@ -4,6 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
 
 from op3.diagnose.decide import Contender, decide, difference_interval, evidence, local_ceiling, pick_shares
 
@@ -89,6 +92,27 @@ def test_a_large_gain_may_be_unsteady(control, rng):
     assert (
         decide([dataclasses.replace(contender("lugre", 0.17), losses=few)], control, rng).verdict == "nothing_missing"
     )
+
+
+def test_an_effect_that_helps_nearly_everywhere_counts(control, rng):
+    """A few seconds with large residuals make the sum uncertain; the signed ranks tell that most seconds gained."""
+    base, losses = np.ones(BLOCKS), np.full(BLOCKS, 0.8)
+    base[:4], losses[:4] = 25.0, [15.0, 33.0, 14.0, 22.0]
+    gained = base - losses
+    assert gained.sum() / np.sqrt(np.square(gained).sum()) < 2.0
+    one = dataclasses.replace(contender("current_offset", 0.15), losses=losses)
+    assert evidence(one, base)[0] > 3.0
+    assert decide([one], base, rng).verdict == "named"
+
+
+@given(st.lists(st.integers(-1000, 1000).filter(bool), min_size=8, max_size=60, unique_by=abs))
+def test_signed_ranks_are_wilcoxons(differences):
+    """The standard score agrees with scipy's."""
+    values = np.array(differences, dtype=float)
+    one = dataclasses.replace(contender("dte", 0.1), losses=-values)
+    total = float(values.sum() / np.sqrt(np.square(values).sum()))
+    score = float(stats.wilcoxon(values, alternative="greater", method="asymptotic").zstatistic)
+    assert evidence(one, np.zeros(len(values)) + 1e-300)[0] == pytest.approx(max(total, score), abs=1e-6)
 
 
 def test_gap_of_one_joint_that_no_effect_closes_is_unknown(control, rng):

@@ -83,6 +83,8 @@ def test_multirun_is_one_study_per_cell(log, tmp_path):
         (["data={log}", "model=paper_without_stribeck"], "static_friction_excess"),
         (["data={log}", "heldout={log}"], "both fitted and held out"),
         (["data={log}", "joints=[l_kne]"], "l_kne"),
+        (["data={log}", "groups=[motor]", "per_joint=[coulomb_friction]"], "not searched at all"),
+        (["data={log}", "per_joint=[base_mass_offset]"], "quantity of the whole robot"),
         (["data={log}", "heldout_where={{speed: 1}}"], "metadata field 'speed'"),
     ],
 )

@@ -108,3 +108,26 @@ def test_nonsense_settings_of_the_search_are_refused(identification, study):
     """Less than nothing cannot be searched."""
     with pytest.raises(ValueError, match="rounds"):
         identification.finish(study, rounds=-1)
+
+
+def test_joints_that_differ_are_told_apart():
+    """A parameter searched per joint finds the one knee that rubs more, and the others' middle is the shared value."""
+    names = [f"coulomb_friction@joint={joint}" for joint in ("l_knee", "r_knee")]
+    model = load_model("paper")
+    log = play(squat_task(model.with_values({names[0]: 0.2}), squat(frequency=1.0, duration=1.0)))
+    identification = Identification(model, [log], [], names, joints=CONTROLLED_JOINTS)
+    space = parse_search_space({PREFIX + name: "interval(0.01, 0.25)" for name in names})
+    trials = run_study(identification.evaluate, space, sampler="random", n_trials=12, population=12, seed=0)
+    fit = identification.finish(trials, starts=1)
+    left, right = (fit.model.estimate(name) for name in names)
+    assert left.value == pytest.approx(0.2, abs=0.01)
+    assert right.value == pytest.approx(model.value("coulomb_friction"), abs=0.01)
+    assert left.low is not None
+    assert left.low < left.value
+    assert fit.model.value("coulomb_friction") == pytest.approx((left.value + right.value) / 2)
+
+
+def test_the_whole_robot_has_no_value_per_joint(model, logs):
+    """The trunk's mass is not a joint's."""
+    with pytest.raises(ValueError, match="quantity of the whole robot"):
+        Identification(model, logs, [], ["base_mass_offset@joint=l_knee"])

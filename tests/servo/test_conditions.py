@@ -57,3 +57,20 @@ def test_conditions_survive_the_model_file(tmp_path):
     """What is written is read back, intervals and all."""
     again = load_model(save_model(model(), tmp_path / "model.yaml"))
     assert again.estimates["encoder_offset"] == model().estimates["encoder_offset"]
+
+
+def test_a_joint_has_its_own_value_and_interval(tmp_path):
+    """A value for one joint counts in all logs, for that joint; its interval is kept, also by the file."""
+    knee = load_model("paper").with_values(
+        {"coulomb_friction": 0.1, "coulomb_friction@joint=l_knee": Estimate(0.2, 0.15, 0.25)}
+    )
+    knee = knee.with_values({"coulomb_friction@joint=r_knee": 0.12})
+    again = load_model(save_model(knee, tmp_path / "model.yaml"))
+    for each in (knee, again):
+        assert each.tensors(("l_hip_pitch", "l_knee", "r_knee"))["coulomb_friction"].tolist() == [[0.1, 0.2, 0.12]]
+        assert each.estimate("coulomb_friction@joint=l_knee") == Estimate(0.2, 0.15, 0.25)
+        assert each.estimate("coulomb_friction@joint=r_knee") == Estimate(0.12)
+        assert each.estimate("coulomb_friction@joint=l_hip_pitch") == Estimate(0.1)
+    assert (
+        knee.with_values({"coulomb_friction@joint=l_knee": 0.2}).estimate("coulomb_friction@joint=l_knee").low is None
+    )

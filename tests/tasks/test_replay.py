@@ -167,6 +167,18 @@ def test_values_under_a_condition_reach_their_logs():
     torch.testing.assert_close(given[0], torch.cat([shared[0], shared[0]]), atol=0, rtol=0)
 
 
+def test_values_of_single_joints_reach_them(logs):
+    """A candidate's value for one joint does what the same value in the model does; others keep theirs."""
+    model, name = load_model("paper"), "coulomb_friction@joint=l_knee"
+    replay = Replay(logs[1:], duration=0.3)
+    held = replay.run(model.with_values({name: 0.2}))[0].channels[("joint", "position")]
+    given = replay.run(model, {name: torch.tensor([0.2, 0.05], dtype=torch.float64)}, 2)[0]
+    torch.testing.assert_close(given.channels[("joint", "position")][:1], held, atol=0, rtol=0)
+    assert not torch.allclose(given.channels[("joint", "position")][1:], held, atol=1e-4)
+    with pytest.raises(ValueError, match="unknown joint 'l_kne'"):
+        replay.run(model, {"coulomb_friction@joint=l_kne": torch.tensor([0.2])}, 1)
+
+
 def test_longer_steps_of_a_bench_agree():
     """With 2 ms steps the replay differs by less than a milliradian on average."""
     log = play(bench_task(bench_model(), swing(), 0.3, 0.07, firmware_gain=16.0))
