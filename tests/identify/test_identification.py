@@ -114,7 +114,8 @@ def test_joints_that_differ_are_told_apart():
     """A parameter searched per joint finds the one knee that rubs more, and the others' middle is the shared value."""
     names = [f"coulomb_friction@joint={joint}" for joint in ("l_knee", "r_knee")]
     model = load_model("paper")
-    log = play(squat_task(model.with_values({names[0]: 0.2}), squat(frequency=1.0, duration=1.0)))
+    # with the feet on the ground the legs carry one another, and a log hardly tells left from right
+    log = play(squat_task(model.with_values({names[0]: 0.2}), squat(frequency=1.0, duration=1.0), mount="stand"))
     identification = Identification(model, [log], [], names, joints=CONTROLLED_JOINTS)
     space = parse_search_space({PREFIX + name: "interval(0.01, 0.25)" for name in names})
     trials = run_study(identification.evaluate, space, sampler="random", n_trials=12, population=12, seed=0)
