@@ -19,7 +19,7 @@ from op3.diagnose.coordinates import (
     with_chain,
 )
 from op3.diagnose.decide import CEILING, LOOK_ALIKE, Contender, Decision, decide, local_ceiling
-from op3.diagnose.fitting import SHARES, Engine, Fit, fit_base, intervals, linearise, polish, refit, with_point
+from op3.diagnose.fitting import ROUNDS, SHARES, Engine, Fit, fit_base, intervals, linearise, polish, refit, with_point
 from op3.diagnose.free_run import engine_for
 from op3.diagnose.hypotheses import Hypothesis, hypotheses
 from op3.diagnose.locate import locate, remaining
@@ -125,20 +125,25 @@ class Diagnosis:
 
         Args:
             model: whose effects and values.
-            fitted: whether the values are already those of a refit to these logs, from which one step is enough.
+            fitted: whether the values come from a refit to these logs. Then one step is enough, which gives joints
+                their spread back, and other forms were tried before.
         """
         full = with_chain(model) if "current_pd" in model.effect_names else model
         coordinates = self._coordinates(full)
         forms = [full, *other_forms(full)]
-        place = None if self.cache is None else self.cache / f"base-{self._key(full)}.npz"
+        place = None if self.cache is None else self.cache / f"base-{self._key(full)}-{'one' if fitted else 'all'}.npz"
         if place is not None and place.is_file():
             with np.load(place) as kept:
                 chosen = replace(coordinates, model=forms[int(kept["form"])])
                 return linearise(self.engine, chosen, kept["point"])
-        search: dict[str, Any] = {"alternatives": forms[1:]}
-        if fitted:
-            search = {"rounds": 1, "start": coordinates.start}
-        fit = fit_base(self.engine, coordinates, **search, progress=lambda share: self._report("base", share))
+        fit = fit_base(
+            self.engine,
+            coordinates,
+            rounds=1 if fitted else ROUNDS,
+            start=coordinates.start if fitted else None,
+            alternatives=() if fitted else forms[1:],
+            progress=lambda share: self._report("base", share),
+        )
         if place is not None:
             place.parent.mkdir(parents=True, exist_ok=True)
             np.savez(place, point=fit.point, form=[m is fit.coordinates.model for m in forms].index(True))

@@ -21,6 +21,9 @@ LADDER = (1.0, 0.6, 0.3, 0.08)
 SHARES = (0.15, 0.4, 0.8, 1.3, 2.0)
 """Shares of the way to a hypothesis that are tried first."""
 
+ROUNDS = 4
+"""Jacobians of a base at most."""
+
 FADES = np.array([1.0, 0.7, 1.4])
 """Factors on the Stribeck velocity that are tried with every form of a law."""
 
@@ -84,7 +87,7 @@ def fit_base(
     engine: Engine,
     coordinates: Coordinates,
     *,
-    rounds: int = 4,
+    rounds: int = ROUNDS,
     start: np.ndarray | None = None,
     alternatives: Sequence[RobotModel] = (),
     progress: Callable[[float], None] | None = None,

@@ -121,9 +121,9 @@ def in_words(names: Sequence[str], direction: Array) -> str:
     """
     order = np.argsort(-np.abs(direction))
     parts = [int(i) for i in order if abs(direction[i]) >= PART][:4]
-    words = [names[i].replace("_", " ") for i in parts]
+    words = [_spoken(names[i]) for i in parts]
     if len(parts) < 2:
-        return f"these logs do not tell {words[0] if words else names[int(order[0])].replace('_', ' ')}"
+        return f"these logs do not tell {words[0] if words else _spoken(names[int(order[0])])}"
     first = direction[parts[0]] > 0
     alike = [word for i, word in zip(parts[1:], words[1:], strict=True) if (direction[i] > 0) == first]
     against = [word for i, word in zip(parts[1:], words[1:], strict=True) if (direction[i] > 0) != first]
@@ -131,6 +131,11 @@ def in_words(names: Sequence[str], direction: Array) -> str:
     ways += [f"a lower {_listed(against)}"] if against else []
     joined = f"{', '.join(words[:-1])} and {words[-1]}"
     return f"{joined} trade off: a higher {words[0]} with {' and '.join(ways)} looks the same in these logs"
+
+
+def _spoken(name: str) -> str:
+    """``coulomb_friction@joint=l_knee`` as ``coulomb friction of l knee``."""
+    return name.replace("@joint=", " of ").replace("@", " at ").replace("_", " ")
 
 
 def _listed(words: Sequence[str]) -> str:

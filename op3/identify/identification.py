@@ -18,7 +18,7 @@ from op3.identify.study import Outcome
 from op3.identify.surrogate import MOST_POINTS, explore
 from op3.rollout import LogError, Rollout
 from op3.servo import Estimate, RobotModel
-from op3.servo.conditions import JOINT, split_name
+from op3.servo.conditions import split_name
 from op3.tasks import Prediction
 from op3.tasks.setups import BENCH_CONTROL_PERIOD
 
@@ -134,8 +134,8 @@ class Identification:
                 )
         for name in names:
             base, condition = split_name(name)
-            if condition is not None and condition.joint is not None and not known[base].per_joint:
-                raise ValueError(f"{name!r}: {base} is a quantity of the whole robot; leave it out of `per_joint`")
+            if condition is not None and condition.joint is not None:
+                self._check_joint(name, condition.joint, model, logs)
             differing = model.estimates.get(base)
             if condition is None and differing is not None and differing.joints:
                 raise ValueError(
@@ -150,6 +150,23 @@ class Identification:
         self.problem = Problem(model, logs, self.loss, bench_timestep=bench_timestep)
         self._evaluated = 0
         self.heldout = Problem(model, heldout, self.loss, bench_timestep=bench_timestep) if heldout else None
+
+    @staticmethod
+    def _check_joint(name: str, joint: str, model: RobotModel, logs: Sequence[Rollout]) -> None:
+        base = split_name(name)[0]
+        if not model.parameters()[base].per_joint:
+            raise ValueError(f"{name!r}: {base} is a quantity of the whole robot; leave it out of `per_joint`")
+        for log in logs:
+            if joint not in log.joints:
+                raise ValueError(
+                    f"{name!r}: {log.metadata.recording} has no joint {joint!r}, it has {', '.join(log.joints)};"
+                    " choose some of them by `joints`"
+                )
+        if model.estimate(base).by:
+            raise ValueError(
+                f"{name!r}: the model has values of {base} under conditions of logs, which cannot be searched per joint"
+                " too; remove them from the model file or leave the parameter out of `per_joint`"
+            )
 
     def check(self) -> None:
         """Find out before the first trial whether the model can be simulated and compared on every log.
@@ -317,14 +334,13 @@ class Identification:
 
 
 def _for_other_conditions(model: RobotModel, names: Sequence[str]) -> dict[str, Estimate]:
-    """Shared values of parameters that were searched under conditions or per joint: the middle of what was found."""
+    """Shared values of parameters that were searched under conditions of logs only: the middle of what was found."""
     result = {}
     for base in {split_name(name)[0] for name in names} - set(names):
         estimate = model.estimates[base]
-        found = [
-            *estimate.by.values(),
-            *(model.estimate(name) for name in names if name.startswith(f"{base}@{JOINT}=")),
-        ]
+        found = list(estimate.by.values())
+        if not found:
+            continue  # searched for single joints: the others stay as they were simulated
         result[base] = replace(
             estimate,
             value=sum(special.value for special in found) / len(found),

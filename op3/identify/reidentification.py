@@ -127,6 +127,12 @@ class Reidentification:
         unknown = [name for name in names if name not in known]
         if unknown:
             raise ValueError(f"the model has no parameter {unknown[0]!r}; it has {', '.join(known)}")
+        apart = [name for name in names if model.estimate(name).joints]
+        if apart:
+            raise ValueError(
+                f"{apart[0]!r} has values of its own for {', '.join(model.estimate(apart[0]).joints)}, which a search"
+                " over one shared value would discard; remove them from the model file or leave the parameter out"
+            )
         attempted = task if task is not None else episodes[0].metadata.extra.get("task", policy.manifest.task)
         self.names = tuple(names)
         self.model, self.race = model, race

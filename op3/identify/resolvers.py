@@ -39,8 +39,10 @@ def _own(name: str, low: float, high: float, *, _root_: DictConfig) -> str | Non
 
 
 def _each_joint(*, _root_: DictConfig) -> dict[str, list[str]]:
-    joints = list(_root_.joints or CONTROLLED_JOINTS)
-    return {f"parameters.{name}": joints for name in _root_.per_joint}
+    joints, names = list(_root_.joints or CONTROLLED_JOINTS), _root_.per_joint
+    if isinstance(names, str):
+        raise ValueError(f"per_joint must be a list: write per_joint=[{names}]")
+    return {f"parameters.{name}": joints for name in names}
 
 
 def _start(name: str, *, _root_: DictConfig) -> float:

@@ -29,8 +29,10 @@ def colours(labels: Sequence[str]) -> dict[str, str]:
 
 def words(name: str) -> str:
     """A name as people say it: ``l_ank_pitch`` becomes ``left ankle pitch``."""
+    name, _, joint = name.partition("@joint=")
     parts = name.replace("@", " at ").split("_")
-    return " ".join(_WORDS.get(part, part) for part in parts)
+    spoken = " ".join(_WORDS.get(part, part) for part in parts)
+    return f"{spoken} of the {words(joint)}" if joint else spoken
 
 
 def unit_text(unit: str) -> str:

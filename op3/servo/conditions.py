@@ -56,7 +56,7 @@ def split_name(name: str) -> tuple[str, Condition | None]:
     if not at:
         return parameter, None
     field, equals, text = condition.partition("=")
-    if not (parameter and field and equals and text):
+    if not (parameter and field and equals and text) or "@" in text:
         raise ValueError(f"{name!r}: write <parameter>@<field of the metadata>=<value>, such as offset@length=7e-2")
     try:
         return parameter, Condition(field, float(text))

@@ -140,7 +140,7 @@ class RobotModel:
     def with_values(self, values: Mapping[str, float | Estimate]) -> "RobotModel":
         """This model with other parameter values; a number replaces a shared value, or that of a condition or joint."""
         estimates = dict(self.estimates)
-        for name, value in values.items():
+        for name, value in sorted(values.items(), key=lambda item: "@" in item[0]):  # shared values first
             base, condition = split_name(name)
             made = value if isinstance(value, Estimate) else Estimate(float(value))
             if condition is not None:
@@ -187,7 +187,10 @@ def _check(known: Parameter, estimate: Estimate) -> None:
                 f"at least {known.least:g}" if known.most == inf else f"between {known.least:g} and {known.most:g}"
             )
             raise ValueError(f"{known.name} must be {allowed} {known.unit}, got {value!r}")
-    if estimate.low is not None and estimate.high is not None and estimate.low > estimate.high:
-        raise ValueError(f"{known.name}: the interval's low end {estimate.low} lies above its high end {estimate.high}")
+    for joint in estimate.intervals.keys() - estimate.joints.keys():
+        raise ValueError(f"{known.name}: there is an interval of joint {joint!r}, but no value")
+    for low, high in ((estimate.low, estimate.high), *estimate.intervals.values()):
+        if low is not None and high is not None and low > high:
+            raise ValueError(f"{known.name}: the interval's low end {low} lies above its high end {high}")
     for special in estimate.by.values():
         _check(known, special)

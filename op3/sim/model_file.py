@@ -190,6 +190,9 @@ def _estimate_from_plain(where: str, value: Any) -> Estimate:
         str(joint): _estimate_from_plain(f"{where}.joints.{joint}", own)
         for joint, own in (value.get("joints") or {}).items()
     }
+    for joint, own in joints.items():
+        if own.joints or own.by or (own.low is None) != (own.high is None):
+            raise ValueError(f"`{where}.joints.{joint}` must be a number or hold value, low and high")
     special = {f"{where}@{condition}": v for condition, v in (value.get("by") or {}).items()}
     return Estimate(
         value=_number(where, value["value"]),

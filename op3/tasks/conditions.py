@@ -58,8 +58,10 @@ def _per_joint(base: str, value: Tensor, given: Mapping[str, Tensor], joints: Se
             continue
         if condition.joint not in joints:
             raise ValueError(f"{name}: unknown joint {condition.joint!r}; the logs have {', '.join(joints)}")
+        if special.numel() not in (1, len(value)):
+            raise ValueError(f"{name}: one joint takes one value per candidate ({len(value)}), got {special.numel()}")
         value = value.expand(*value.shape[:2], len(joints)).clone()
-        value[..., joints.index(condition.joint)] = special.view(-1, 1)
+        value[..., joints.index(condition.joint)] = special.reshape(-1, 1)
     return value
 
 

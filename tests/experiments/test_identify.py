@@ -58,6 +58,21 @@ def test_one_process(log, heldout, tmp_path):
     assert load_model(folder / "model.yaml").value("torque_constant") == numbers["parameters.torque_constant"]["value"]
 
 
+def test_a_value_for_each_joint(log, tmp_path):
+    """A parameter is searched per joint, and told so in numbers, on the page and in the model file."""
+    joints = ["l_knee", "r_hip_pitch"]
+    options = ["groups=[motor,friction]", "per_joint=[coulomb_friction]", f"joints=[{','.join(joints)}]", "ablate=[]"]
+    done = identify(f"data={log}", *options, f"hydra.run.dir={tmp_path}", *SMALL)
+    assert done.returncode == 0, done.stderr
+    numbers, model = read_result(tmp_path / "result.yaml"), load_model(tmp_path / "model.yaml")
+    for joint in joints:
+        told = numbers[f"parameters.coulomb_friction@joint={joint}"]
+        found = model.estimate(f"coulomb_friction@joint={joint}")
+        assert (told["value"], told["low"], told["high"]) == (found.value, found.low, found.high)
+    assert "parameters.coulomb_friction" not in numbers
+    assert "coulomb friction of the left knee" in (tmp_path / "index.html").read_text()
+
+
 def test_multirun_is_one_study_per_cell(log, tmp_path):
     """With -m and a comma sweep, each cell has its own study, model and numbers."""
     done = identify(

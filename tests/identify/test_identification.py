@@ -111,7 +111,7 @@ def test_nonsense_settings_of_the_search_are_refused(identification, study):
 
 
 def test_joints_that_differ_are_told_apart():
-    """A parameter searched per joint finds the one knee that rubs more, and the others' middle is the shared value."""
+    """A parameter searched per joint finds the one knee that rubs more; the model that is kept is the one simulated."""
     names = [f"coulomb_friction@joint={joint}" for joint in ("l_knee", "r_knee")]
     model = load_model("paper")
     # with the feet on the ground the legs carry one another, and a log hardly tells left from right
@@ -125,10 +125,15 @@ def test_joints_that_differ_are_told_apart():
     assert right.value == pytest.approx(model.value("coulomb_friction"), abs=0.01)
     assert left.low is not None
     assert left.low < left.value
-    assert fit.model.value("coulomb_friction") == pytest.approx((left.value + right.value) / 2)
+    assert fit.model.value("coulomb_friction") == model.value("coulomb_friction")
+    kept = Identification(fit.model, [log], [], ["torque_constant"], joints=CONTROLLED_JOINTS)
+    again = kept.score(kept.problem, {"torque_constant": model.value("torque_constant")})
+    assert again.loss == pytest.approx(fit.fit.loss, rel=1e-3)
 
 
 def test_the_whole_robot_has_no_value_per_joint(model, logs):
     """The trunk's mass is not a joint's."""
     with pytest.raises(ValueError, match="quantity of the whole robot"):
         Identification(model, logs, [], ["base_mass_offset@joint=l_knee"])
+    with pytest.raises(ValueError, match="no joint 'servo', it has head_pan"):
+        Identification(model, logs, [], ["coulomb_friction@joint=servo"])

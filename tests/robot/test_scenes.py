@@ -66,6 +66,20 @@ def test_bare_joints(floor):
     assert model.dof_frictionloss.max() == model.dof_damping.max() == model.dof_armature.max() == 0.0
 
 
+def test_nothing_moves_otherwise_without_geoms_for_pictures(floor):
+    """A fall onto the floor is the same to the bit, with a tenth of the geoms."""
+    ends = []
+    for visual in (True, False):
+        model = floor.compile(visual)
+        data = mujoco.MjData(model)
+        data.qpos[:] = floor.initial_qpos(pose("stand"), roll=0.4)
+        mujoco.mj_step(model, data, 400)
+        ends.append((data.qpos.copy(), data.ncon, model.ngeom))
+    assert np.array_equal(ends[0][0], ends[1][0])
+    assert ends[0][1] == ends[1][1] > 0
+    assert ends[1][2] < ends[0][2] / 5
+
+
 def test_compile_sees_later_edits(floor):
     """What is added to the joints after a compilation is in the next one."""
     scene = build_scene("floor")

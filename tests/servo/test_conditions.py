@@ -32,7 +32,9 @@ def test_names_of_texts():
     assert split_name("armature") == ("armature", None)
 
 
-@pytest.mark.parametrize("name", ["encoder_offset@", "encoder_offset@length", "encoder_offset@=3", "@length=3"])
+@pytest.mark.parametrize(
+    "name", ["a@length=7e-2@joint=servo", "encoder_offset@", "encoder_offset@length", "encoder_offset@=3", "@length=3"]
+)
 def test_half_a_condition_is_refused(name):
     """The message says how a name with a condition is written."""
     with pytest.raises(ValueError, match="field of the metadata"):
@@ -74,3 +76,7 @@ def test_a_joint_has_its_own_value_and_interval(tmp_path):
     assert (
         knee.with_values({"coulomb_friction@joint=l_knee": 0.2}).estimate("coulomb_friction@joint=l_knee").low is None
     )
+    with pytest.raises(ValueError, match="lies above"):
+        knee.with_values({"coulomb_friction@joint=l_knee": Estimate(0.2, 0.25, 0.15)})
+    both = knee.with_values({"coulomb_friction@joint=l_knee": 0.3, "coulomb_friction": 0.1})
+    assert both.estimate("coulomb_friction@joint=l_knee") == Estimate(0.3)

@@ -110,6 +110,8 @@ def test_linear_step_solves_the_equations(seed):
     total = torch.diagonal(mass).movedim(-1, 0)
     change = solve_linear(mass, total, torch.from_numpy(force.T)[:, None])
     assert np.allclose(change[:, 0].numpy().T, np.linalg.solve(matrix, force[..., None])[..., 0])
+    alone = solve_linear(mass[:1, :1], total[:1], torch.from_numpy(force.T)[:1, None])
+    assert np.allclose(alone[0, 0].numpy(), force[:, 0] / total[0, 0].numpy())
 
 
 @settings(max_examples=40, deadline=None)
