@@ -68,12 +68,17 @@ class Peer:
             self.spec.delete(sensor)
         for name in self.joints:
             self.spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        # the toolbox divides by the size of what each sensor measured: a joint whose readings are all zero has none
+        kinds = {"position": mujoco.mjtSensor.mjSENS_JOINTPOS, "velocity": mujoco.mjtSensor.mjSENS_JOINTVEL}
+        readings = []
         for log_name, name in zip(log.joints, self.joints, strict=True):
-            if log_name in CONTROLLED_JOINTS:
-                for kind, tag in ((mujoco.mjtSensor.mjSENS_JOINTPOS, "q"), (mujoco.mjtSensor.mjSENS_JOINTVEL, "w")):
-                    self.spec.add_sensor(
-                        name=f"{tag}_{log_name}", type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=name
-                    )
+            for kind, sensor in kinds.items() if log_name in CONTROLLED_JOINTS else ():
+                measured = log.array(f"joint/{kind}")[:, log.joints.index(log_name)]
+                if measured.any():
+                    what = {"name": f"{kind}_{log_name}", "type": sensor, "objname": name}
+                    self.spec.add_sensor(objtype=mujoco.mjtObj.mjOBJ_JOINT, **what)
+                    readings.append(measured)
+        self.measured = np.stack(readings, 1)
         self.initial = scene.initial_qpos(log.array("joint/position")[0], *log.array("imu/orientation")[0, :2])
 
     def apply(self, spec: mujoco.MjSpec, name: str, value: float) -> None:
@@ -117,10 +122,7 @@ class Peer:
         state = sysid.create_initial_state(model, data.qpos, data.qvel, data.act)
         time_ = self.log.array("time")[:, 0] - self.log.array("time")[0, 0]
         control = sysid.TimeSeries(time_, self.log.array("command/position"))
-        columns = [self.log.joints.index(name) for name in self.log.joints if name in CONTROLLED_JOINTS]
-        position, velocity = (self.log.array(f"joint/{kind}")[:, columns] for kind in ("position", "velocity"))
-        values = np.stack([position, velocity], 2).reshape(len(time_), -1)
-        measured = sysid.TimeSeries.from_names(time_, values, model)
+        measured = sysid.TimeSeries.from_names(time_, self.measured, model)
         name = self.log.metadata.recording or "squat"
         return sysid.ModelSequences("op3", self.spec, name, state, control, measured)
 
@@ -166,22 +168,21 @@ def fit_peer(cfg: DictConfig, log: Rollout, heldout: Rollout) -> dict[str, Any]:
 
 def error_mrad(peer: Peer, values: dict[str, float]) -> float:
     """Mean absolute error of the ten leg joints, open loop [mrad]."""
-    sequence = peer.sequences(values).measured_rollout[0]
+    for name, value in values.items():
+        peer.apply(peer.spec, name, value)
     model = peer.spec.compile()
     data = mujoco.MjData(model)
     data.qpos[:] = peer.initial
-    mujoco.mj_forward(model, data)
-    places = [sequence.sensordata.get_indices(f"q_{name}")[1][0] for name in CONTROLLED_JOINTS]
+    joints = dict(zip(peer.log.joints, peer.joints, strict=True))
+    places = [int(model.joint(joints[name]).qposadr[0]) for name in CONTROLLED_JOINTS]
     columns = [peer.log.joints.index(name) for name in CONTROLLED_JOINTS]
     errors = []
     measured, command = peer.log.array("joint/position")[:, columns], peer.log.array("command/position")
     steps = round(1.0 / (peer.log.metadata.rate * model.opt.timestep))
     for row in range(len(command)):
-        errors.append(np.abs(data.sensordata[places] - measured[row]))
+        errors.append(np.abs(data.qpos[places] - measured[row]))
         data.ctrl[:] = command[row]
-        for _ in range(steps):
-            mujoco.mj_step(model, data)
-        mujoco.mj_forward(model, data)
+        mujoco.mj_step(model, data, steps)
     return float(1e3 * np.mean(errors))
 
 
