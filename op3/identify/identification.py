@@ -149,6 +149,7 @@ class Identification:
         self.loss = loss or TrajectoryLoss(self.joints)
         self.problem = Problem(model, logs, self.loss, bench_timestep=bench_timestep)
         self._evaluated = 0
+        self._example: Sequence[Prediction] | None = None
         self.heldout = Problem(model, heldout, self.loss, bench_timestep=bench_timestep) if heldout else None
 
     @staticmethod
@@ -176,7 +177,10 @@ class Identification:
         """
         for problem in (self.problem, self.heldout):
             if problem is not None:
-                self.loss(problem.predict({}, 1))
+                predictions = problem.predict({}, 1)
+                self.loss(predictions)
+                if problem is self.problem:
+                    self._example = predictions
 
     def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[Outcome]:
         """Losses of trials whose parameters are config keys, as the study asks them."""
@@ -232,6 +236,7 @@ class Identification:
         bounds = {name: (float(ranges[name].low), float(ranges[name].high)) for name in self.names}
         refined: list[float] = []
         curvature: np.ndarray | None = None
+        there: np.ndarray | None = None
         residuals = self._residuals(bounds)
         failed_loss = self.loss.failed_loss(len(self.problem.replay.logs))
         if rounds:
@@ -244,7 +249,7 @@ class Identification:
                 progress=progress,
             )  # fmt: skip
             refined += found.history
-            curvature = found.curvature
+            curvature, there = found.curvature, found.residual
             best = float(found.losses[0])
             candidates = [dict(zip(self.names, (low + u * span).tolist(), strict=True)) for u in found.points]
             values = candidates[0]
@@ -254,9 +259,16 @@ class Identification:
             )
             refined += result.history[1:] if rounds else result.history
             if result.loss < best:
-                values = result.values
+                values, there = result.values, None
         polished = polish_off(
-            residuals, bounds, values, steps=polish, curvature=curvature, failed_loss=failed_loss, progress=progress
+            residuals,
+            bounds,
+            values,
+            steps=polish,
+            curvature=curvature,
+            known=there,
+            failed_loss=failed_loss,
+            progress=progress,
         )
         values, sensitivity = polished.values, polished.sensitivity
         refined += polished.history[1:] if refined or not polish else polished.history
@@ -316,7 +328,7 @@ class Identification:
         blocks: list[list[np.ndarray]] = []
         channels: dict[str, list[np.ndarray]] = {}
         offset = 0
-        for prediction in self.problem.predict({}, 1):
+        for prediction in self._example or self.problem.predict({}, 1):
             time = prediction.log.array("time")[self.loss.first_row(prediction.log) :, 0]
             share = (time - time[0]) / (time[-1] - time[0])
             number = np.minimum((share * stretches).astype(int), stretches - 1)

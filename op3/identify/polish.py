@@ -48,6 +48,7 @@ def polish(
     *,
     steps: int = 2,
     curvature: Array | None = None,
+    known: Array | None = None,
     failed_loss: float = np.inf,
     progress: Callable[[int, float], None] | None = None,
 ) -> Polished:
@@ -59,6 +60,7 @@ def polish(
         values: the point to start from; outside the bounds it is clipped.
         steps: at most; 0 measures the sensitivities only.
         curvature: what is known of the Jacobian's product with itself, ``[parameter, parameter]``; None: nothing.
+        known: residual at the point to start from, ``[residual]``; None: it is simulated.
         failed_loss: a squared length of the residual that only a diverged simulation has.
         progress: called with step and loss.
     """
@@ -66,7 +68,7 @@ def polish(
     low = np.array([bounds[name][0] for name in names])
     span = np.array([bounds[name][1] for name in names]) - low
     unit = np.clip((np.array([values[name] for name in names]) - low) / span, 0.0, 1.0)
-    residual = _simulate(residuals, unit[None])[0]
+    residual: Array = _simulate(residuals, unit[None])[0] if known is None else known
     unseen = np.zeros(len(names), dtype=bool)
     jump = 0.0
     if curvature is None:

@@ -53,6 +53,7 @@ class Exploration:
 
     points: Array
     losses: Array
+    residual: Array
     history: Sequence[float]
     curvature: Array
 
@@ -109,7 +110,7 @@ def explore(
     order = _worth_learning(losses, count, first, failed_loss)
     curvature = Surrogate(points[order], residual[order], scales).curvature(torch.from_numpy(points[order[0]]))
     order = np.argsort(losses, kind="stable")
-    return Exploration(points[order], losses[order], history, curvature)
+    return Exploration(points[order], losses[order], residual[order[0]], history, curvature)
 
 
 def _worth_learning(losses: Array, count: int, first: int, failed_loss: float) -> NDArray[np.intp]:
