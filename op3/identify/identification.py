@@ -12,7 +12,7 @@ from op3.identify.identifiability import Identifiability, identifiability
 from op3.identify.intervals import followed_from_bounds, intervals_of
 from op3.identify.loss import TrajectoryLoss, position_error
 from op3.identify.polish import polish as polish_off
-from op3.identify.problem import Problem
+from op3.identify.problem import Problem, check_shared
 from op3.identify.refine import refine
 from op3.identify.study import Outcome
 from op3.identify.surrogate import MOST_POINTS, explore
@@ -136,12 +136,8 @@ class Identification:
             base, condition = split_name(name)
             if condition is not None and condition.joint is not None:
                 self._check_joint(name, condition.joint, model, logs)
-            differing = model.estimates.get(base)
-            if condition is None and differing is not None and differing.joints:
-                raise ValueError(
-                    f"{name!r} has values of its own for {', '.join(differing.joints)}, which a search over one shared"
-                    " value would discard; remove them from the model file or leave the parameter out of the search"
-                )
+            else:
+                check_shared(model, base)
         check_unseen(logs, heldout)
         self.names = tuple(names)
         self.label = label

@@ -28,6 +28,20 @@ class Evaluation:
     terms: Mapping[str, float]
 
 
+def check_shared(model: RobotModel, name: str) -> None:
+    """Whether a parameter may be searched as one value for all joints.
+
+    Raises:
+        ValueError: if joints have values of their own, which the search would discard.
+    """
+    joints = model.estimate(name).joints
+    if joints:
+        raise ValueError(
+            f"{name!r} has values of its own for {', '.join(joints)}, which a search over one shared"
+            " value would discard; remove them from the model file or leave the parameter out of the search"
+        )
+
+
 class Problem:
     """Evaluates parameter sets on logs, many at once.
 

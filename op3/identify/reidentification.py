@@ -20,7 +20,7 @@ from op3.identify.identification import PREFIX
 from op3.identify.level_set import draw_level_set
 from op3.identify.loss import TrajectoryLoss
 from op3.identify.polish import polish
-from op3.identify.problem import Problem
+from op3.identify.problem import Problem, check_shared
 from op3.identify.study import Outcome
 from op3.policy import PolicyBundle
 from op3.robot import CONTROLLED_JOINTS
@@ -127,12 +127,8 @@ class Reidentification:
         unknown = [name for name in names if name not in known]
         if unknown:
             raise ValueError(f"the model has no parameter {unknown[0]!r}; it has {', '.join(known)}")
-        apart = [name for name in names if model.estimate(name).joints]
-        if apart:
-            raise ValueError(
-                f"{apart[0]!r} has values of its own for {', '.join(model.estimate(apart[0]).joints)}, which a search"
-                " over one shared value would discard; remove them from the model file or leave the parameter out"
-            )
+        for name in names:
+            check_shared(model, name)
         attempted = task if task is not None else episodes[0].metadata.extra.get("task", policy.manifest.task)
         self.names = tuple(names)
         self.model, self.race = model, race

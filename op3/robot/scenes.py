@@ -101,7 +101,7 @@ class Scene:
         """A MuJoCo model of the tree as it is now. Every call compiles anew.
 
         Args:
-            visual: whether geoms that only pictures show are in it. Without them all moves alike, a tenth faster.
+            visual: whether geoms that only pictures show are in it. Without them all moves alike, and faster.
         """
         spec = mujoco.MjSpec.from_string(self.mjcf_model.to_xml_string(), assets=self.mjcf_model.get_assets())
         spec.compiler.discardvisual = not visual

@@ -430,7 +430,7 @@ def solve(mass: Tensor, total: Tensor, velocity: Tensor, force: Tensor, bound: T
     """Change of velocity in one step under coupled dry friction.
 
     Minimises ``u' A u / 2 - u' force + bound |velocity + u|`` by sweeps over the joints, A being `mass` with
-    `total` on its diagonal. The many small operations are numpy's, whose calls cost a third of torch's.
+    `total` on its diagonal. The many small operations are numpy's, whose calls cost less than torch's.
 
     Args:
         mass: ``[joint, joint, ...]``, of which the off-diagonal counts [kg m^2].
