@@ -100,7 +100,7 @@ def one_world(cfg: DictConfig, number: int, motions: list[Motion]) -> dict[str, 
         "covered": {n: bool((e.low or 0.0) <= truth[n] <= (e.high or 0.0)) for n, e in found.items()},
         "identifiable": dict(fit.identifiability.identifiable),
         "loss": fit.fit.loss,
-        "loss_of_truth": problem.score(problem.problem, truth).loss,
+        "loss_of_truth": problem.score(truth)[0].loss,
         "simulated_seconds": fit.simulated_seconds,
         "wall_seconds": time.monotonic() - started,
     }

@@ -146,7 +146,8 @@ class Identification:
         self.problem = Problem(model, logs, self.loss, bench_timestep=bench_timestep)
         self._evaluated = 0
         self._example: Sequence[Prediction] | None = None
-        self.heldout = Problem(model, heldout, self.loss, bench_timestep=bench_timestep) if heldout else None
+        # one batch of all logs costs little more than one of the fitted ones alone
+        self._all = Problem(model, [*logs, *heldout], self.loss, bench_timestep=bench_timestep)
 
     @staticmethod
     def _check_joint(name: str, joint: str, model: RobotModel, logs: Sequence[Rollout]) -> None:
@@ -171,12 +172,11 @@ class Identification:
         Raises:
             ValueError: if not; the message names what does not fit.
         """
-        for problem in (self.problem, self.heldout):
-            if problem is not None:
-                predictions = problem.predict({}, 1)
+        fitted, unseen = self._predict({})
+        self._example = fitted
+        for predictions in (fitted, unseen):
+            if predictions:
                 self.loss(predictions)
-                if problem is self.problem:
-                    self._example = predictions
 
     def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[Outcome]:
         """Losses of trials whose parameters are config keys, as the study asks them."""
@@ -275,12 +275,13 @@ class Identification:
         fitted = [log.fingerprint() for log in self.problem.replay.logs]
         model = replace(model, provenance={**model.provenance, "fitted_logs": fitted})
         trials = [np.nan if t.value is None else float(t.value) for t in study.trials]
+        fit, heldout = self.score(values)
         return Fit(
             label=self.label,
             model=model,
             found=self.names,
-            fit=self.score(self.problem, values),
-            heldout=None if self.heldout is None else self.score(self.heldout, values),
+            fit=fit,
+            heldout=heldout,
             bounds=bounds,
             starts={name: self.problem.model.estimate(name).value for name in self.names},
             trials=trials,
@@ -291,9 +292,19 @@ class Identification:
             + self.problem.replay.seconds * max(0, len(trials) - self._evaluated),
         )
 
-    def score(self, problem: Problem, values: Mapping[str, float]) -> Score:
-        """Score one parameter set on a problem's logs."""
-        predictions = problem.predict({name: torch.tensor([value]) for name, value in values.items()}, 1)
+    def score(self, values: Mapping[str, float]) -> tuple[Score, Score | None]:
+        """Score one parameter set on the fitted and on the held-out logs; None where nothing is held out."""
+        fitted, unseen = self._predict({name: torch.tensor([value]) for name, value in values.items()})
+        return self._score(fitted), self._score(unseen) if unseen else None
+
+    def _predict(self, parameters: Mapping[str, Tensor]) -> tuple[list[Prediction], list[Prediction]]:
+        """One candidate on the fitted and on the held-out logs."""
+        predictions = self._all.predict(parameters, 1)
+        count = len(self.problem.replay.logs)
+        self.problem.simulated_seconds += self.problem.replay.seconds
+        return predictions[:count], predictions[count:]
+
+    def _score(self, predictions: Sequence[Prediction]) -> Score:
         paper = TrajectoryLoss(self.joints)
         terms = [paper.terms(prediction) for prediction in predictions]
         keys = sorted({key for term in terms for key in term})

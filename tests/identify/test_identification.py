@@ -127,7 +127,8 @@ def test_joints_that_differ_are_told_apart():
     assert left.low < left.value
     assert fit.model.value("coulomb_friction") == model.value("coulomb_friction")
     kept = Identification(fit.model, [log], [], ["torque_constant"], joints=CONTROLLED_JOINTS)
-    again = kept.score(kept.problem, {"torque_constant": model.value("torque_constant")})
+    again, unseen = kept.score({"torque_constant": model.value("torque_constant")})
+    assert unseen is None
     assert again.loss == pytest.approx(fit.fit.loss, rel=1e-3)
 
 
