@@ -30,6 +30,8 @@ JUDGED = {"balance": "balance_eval", "walk": "walk"}
 """Task of the evaluation by task of the training."""
 ROBOTS = ("emulated", "real")
 """Robots that play policies."""
+GAIT = Path("assets/gaits/walk.yaml")
+"""Numbers of the walk that the search for the first robot's walk begins with."""
 FILM_RATE = 125 / 12
 """Frames per second of the films of the robot [Hz]."""
 
@@ -97,9 +99,24 @@ def on_stand(stages: Stages, cfg: DictConfig) -> Path:
     return stages.run("stand", "collect.py", *on_robot(cfg), f"plan={plan}")
 
 
+def gait(stages: Stages, cfg: DictConfig, budget: dict, number: int, model: str) -> Path:
+    """Search the numbers of a walk that walks on this model, from those of the round before; returns their file.
+
+    A walk without learning is found in minutes, and then shows the policy what walking is.
+    """
+    start = stages.folder / f"{number - 1}_gait" / "walk.yaml" if number else GAIT
+    overrides = ["task=walk", f"model={model}", f"start={start}", f"seed={cfg.seed + 100 * number}", *budget["gait"]]
+    randomised = cfg.conditions[cfg.condition].get("randomisation")
+    if randomised:
+        overrides.append(f"environment.randomisation={randomised}")
+    return stages.run(f"{number}_gait", "find_gait.py", *overrides) / "walk.yaml"
+
+
 def train(stages: Stages, cfg: DictConfig, budget: dict, number: int, model: str, start: Path | None) -> Path:
     """Train a policy on a model, from an earlier policy's networks where there is one; returns the bundle."""
     how = budget["train" if start is None else "retrain"]
+    if chosen("task") == "walk" and "walk" in budget:
+        how = [*budget["walk"], f"demonstrator={gait(stages, cfg, budget, number, model)}"]
     condition = cfg.conditions[cfg.condition]
     randomised = condition.get("randomisation")
     overrides = [f"task={chosen('task')}", f"model={model}", f"seed={cfg.seed + 100 * number}", *how]

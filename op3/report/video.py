@@ -9,15 +9,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from op3.report.frames import RenderError, draw_frames
 from op3.report.picture import animated_png
 from op3.robot import Scene
 from op3.rollout import Rollout
-
-SIZE = (240, 240)
-"""Height and width [pixel]."""
-
-FINER = 2
-"""Pixels drawn for each that is shown, to either side; edges are smooth."""
 
 
 def film(
@@ -38,32 +33,14 @@ def film(
         say: takes the reason where nothing can be drawn.
         follow: whether the camera goes with the trunk; one that stands still makes a far smaller file.
     """
-    path, data = Path(path), mujoco.MjData(model)
-    camera = mujoco.MjvCamera()
-    camera.distance, camera.azimuth, camera.elevation = 1.1, 140.0, -12.0
-    frames, samples = [], model.vis.quality.offsamples
+    path = Path(path)
     try:
-        # a processor draws a frame four times as large without shadows in a tenth of the time that these and MuJoCo's
-        # own multisampling take
-        model.vis.quality.offsamples = 0
-        with mujoco.Renderer(model, *(FINER * length for length in SIZE)) as renderer:
-            for state in qpos:
-                data.qpos[:] = state
-                mujoco.mj_kinematics(model, data)
-                mujoco.mj_camlight(model, data)
-                camera.lookat[:] = (*(state if follow else qpos[0])[:2], qpos[0, 2])
-                renderer.update_scene(data, camera=camera)
-                renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
-                renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
-                fine = renderer.render().reshape(SIZE[0], FINER, SIZE[1], FINER, 3)
-                frames.append(fine.mean((1, 3)).round().astype(np.uint8))
-    except Exception as error:  # OpenGL reports a missing display or driver in many ways, none of them shared
-        say(f"no video: MuJoCo cannot render here ({' '.join(str(error).split())[:80]}); try MUJOCO_GL=egl")
+        frames = draw_frames(model, qpos, follow=follow)
+    except RenderError as error:
+        say(f"no video: {error}")
         return None
-    finally:
-        model.vis.quality.offsamples = samples
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(animated_png(frames, rate))
+    path.write_bytes(animated_png(list(frames), rate))
     return path
 
 

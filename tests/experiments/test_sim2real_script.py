@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from hydra import compose, initialize_config_dir
 
+from op3.policy import PolicyBundle
 from op3.report import read_result
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -14,6 +15,8 @@ TRAIN = ("train.steps=1200", "train.warmup=400", "train.evaluate_every=600", "en
 TINY = {
     "train": ("budget=demo", *TRAIN),
     "retrain": ("budget=demo", *TRAIN),
+    "gait": ("generations=1", "candidates=4"),
+    "walk": ("budget=walk", *TRAIN, "demonstration.steps=320", "demonstration.rounds=1", "demonstration.cloning=20"),
     "reidentify": ("hydra.sweeper.n_trials=6", "hydra.sweeper.population=6", "repeats=2"),
     "identify": ("refine.starts=1", "refine.max_iterations=1", "hydra.sweeper.n_trials=8"),
 }
@@ -73,3 +76,18 @@ def test_every_condition_ends_with_a_page(condition, tmp_path):
     assert (tmp_path / "index.html").exists()
     again = sim2real(tmp_path, f"condition={condition}", "criterion=100.0", "world=robot_2")
     assert again.stdout.count("done before") >= 4
+
+
+@pytest.mark.slow
+def test_a_walk_is_searched_on_every_model_and_shown_to_its_policy(tmp_path):
+    """Each round's policy learns from a walk found on the model of that round, and the search goes on from the last."""
+    done = sim2real(tmp_path, "task=walk", "condition=reidentified", "world=robot_2")
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert read_result(tmp_path / "result.yaml")["success"] is False
+    for number, model in ((0, "identify"), (1, "1_reidentify")):
+        found = tmp_path / f"{number}_gait" / "walk.yaml"
+        training = PolicyBundle.load(tmp_path / f"{number}_train" / "policy").manifest.training
+        assert training.settings["demonstrator"] == str(found)
+        assert training.model == str(tmp_path / model / "model.yaml")
+    overrides = (tmp_path / "1_gait" / ".hydra" / "overrides.yaml").read_text()
+    assert f"start={tmp_path / '0_gait' / 'walk.yaml'}" in overrides
