@@ -117,7 +117,8 @@ def save(rollout: Rollout, name: str) -> Path:
     known = {"date": datetime.datetime.now().isoformat(timespec="seconds"), "git_hash": git_hash()}
     rollout = Rollout(rollout.data, rollout.metadata.replace(**known))
     folder = rollout.save(Path(HydraConfig.get().runtime.output_dir) / name)
-    outcome = "the robot fell" if rollout.metadata.fallen else "the robot stands"
+    ended = rollout.metadata.extra.get("ended_by")
+    outcome = f"ended: {ended}" if ended else "the robot fell" if rollout.metadata.fallen else "the robot stands"
     print(f"{folder}: {rollout.rows} rows, {rollout.duration:.2f} s, {outcome}")
     return folder
 

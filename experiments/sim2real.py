@@ -80,7 +80,7 @@ def draw(log: Rollout, task: str, path: Path) -> Path | None:
         return path
     scene = build_scene(find_task(task).scene)
     walks = find_task(task).cycle is not None
-    return film(scene.compile(), states_of_log(log, scene, FILM_RATE), path, FILM_RATE, follow=walks)
+    return film(scene, states_of_log(log, scene, FILM_RATE), path, FILM_RATE, follow=walks)
 
 
 def on_robot(cfg: DictConfig) -> list[str]:

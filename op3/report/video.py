@@ -16,7 +16,7 @@ from op3.rollout import Rollout
 
 
 def film(
-    model: mujoco.MjModel,
+    scene: Scene,
     qpos: np.ndarray,
     path: str | Path,
     rate: float,
@@ -26,7 +26,7 @@ def film(
     """Draw states and write them as ``.png`` that browsers play; None where MuJoCo cannot render here.
 
     Args:
-        model: compiled scene.
+        scene: in which the robot is; it is compiled anew, because simulations leave out what only pictures show.
         qpos: [frame, nq], the first three numbers the trunk's place.
         path: of the file to write.
         rate: frames per second [Hz].
@@ -35,7 +35,7 @@ def film(
     """
     path = Path(path)
     try:
-        frames = draw_frames(model, qpos, follow=follow)
+        frames = draw_frames(scene.compile(), qpos, follow=follow)
     except RenderError as error:
         say(f"no video: {error}")
         return None
