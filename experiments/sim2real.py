@@ -140,6 +140,7 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
     budget: dict = OmegaConf.to_container(cfg.budgets[name], resolve=True)  # type: ignore[assignment]
     condition = cfg.conditions[cfg.condition]
     base = condition.get("model", cfg.model)
+    groups = [f"groups=[{','.join(condition.groups)}]"] if "groups" in condition else []
     stages = Stages(folder)
     squat = stages.run("squat", "collect.py", *on_robot(cfg), "motion=squat")
     heldout = stages.run("squat_heldout", "collect.py", *on_robot(cfg), "motion=squat_heldout")
@@ -148,7 +149,7 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
     else:
         data = [f"data={squat}", f"heldout={heldout}", f"model={base}", "ablate=[]", f"seed={cfg.seed}"]
         method = [] if any(o.startswith("method=") for o in budget["identify"]) else ["method=lsq"]
-        model = str(stages.run("identify", "identify.py", *data, *method, *budget["identify"]) / "model.yaml")
+        model = str(stages.run("identify", "identify.py", *data, *groups, *method, *budget["identify"]) / "model.yaml")
     policy = train(stages, cfg, budget, 0, model, None)
     transfers = [transfer(stages, cfg, budget, 0, policy, model)]
     learned = []
@@ -166,6 +167,7 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
                 *where,
                 f"task={JUDGED[chosen('task')]}",
                 f"seed={cfg.seed}",
+                *groups,
                 *budget["reidentify"],
             )
             model = str(found / "model.yaml")

@@ -28,6 +28,7 @@ CONDITIONS = (
     "domain_randomisation",
     "diagnosed",
     "diagnosed_reidentified",
+    "diagnosed_without_dte",
 )
 
 
