@@ -23,13 +23,15 @@ from op3.report.sim2real import Transfer, story
 from op3.report.video import film, states_of_log
 from op3.robot import build_scene
 from op3.rollout import Rollout, read_logs
-from op3.tasks.evaluation import evaluation_return
+from op3.tasks.evaluation import evaluation_return, succeeded
 from op3.tasks.task import find_task
 
 JUDGED = {"balance": "balance_eval", "walk": "walk"}
 """Task of the evaluation by task of the training."""
 ROBOTS = ("emulated", "real")
 """Robots that play policies."""
+FORWARDS = 0.1
+"""Mean speed from which an episode has gone forwards and not marked time [m/s]."""
 GAIT = Path("assets/gaits/walk.yaml")
 """Numbers of the walk that the search for the first robot's walk begins with."""
 FILM_RATE = 125 / 12
@@ -70,7 +72,7 @@ def transfer(stages: Stages, cfg: DictConfig, budget: dict, number: int, policy:
         film=expected / "episode.png",
         robot_film=draw(logs[int(np.argmin(returns))], task, played / "episode.png"),
         criterion=cfg.criterion,
-        walking=chosen("task") == "walk",
+        walked=tuple(succeeded(log, task, FORWARDS) for log in logs) if chosen("task") == "walk" else None,
     )
 
 
@@ -197,6 +199,8 @@ def report(
             f"transfer_{number}.upright": float(np.mean(one.upright)),
             f"transfer_{number}.success": one.success,
         }
+        if one.walked is not None:
+            values[f"transfer_{number}.walked"] = float(np.mean(one.walked))
     values |= {f"stage_seconds.{name}": value for name, value in stages.seconds.items()}
     values |= {f"processor_seconds.{name}": value for name, value in stages.processor_seconds.items()}
     values["provenance"] = provenance

@@ -11,9 +11,9 @@ from op3.report.picture import animated_png
 from op3.report.sim2real import Transfer, story
 
 
-def transfer(expected, actual, upright=(True,), walking=False):
+def transfer(expected, actual, upright=(True,), walked=None):
     paths = (Path("policy"), "model.yaml")
-    return Transfer(*paths, expected, actual, upright, Path("robot"), walking=walking)
+    return Transfer(*paths, expected, actual, upright, Path("robot"), walked=walked)
 
 
 def test_balancing_succeeds_at_four_fifths():
@@ -25,8 +25,9 @@ def test_balancing_succeeds_at_four_fifths():
 
 def test_walking_succeeds_with_eight_of_ten():
     """Walking is judged by falls alone, whatever the returns."""
-    assert transfer([250.0], [10.0], [True] * 8 + [False] * 2, walking=True).success
-    assert not transfer([250.0], [250.0], [True] * 7 + [False] * 3, walking=True).success
+    upright = [True] * 10
+    assert transfer([250.0], [10.0], upright, [True] * 8 + [False] * 2).success
+    assert not transfer([250.0], [250.0], upright, [True] * 7 + [False] * 3).success
 
 
 def test_the_story_begins_with_the_outcome(tmp_path):
