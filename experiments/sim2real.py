@@ -1,6 +1,7 @@
 """The whole method against a robot: collect, identify, train, deploy, judge, and learn from failure.
 
 python experiments/sim2real.py robot=emulated task=balance world=random seed=0 [budget=demo|laptop|paper]
+python experiments/sim2real.py task=walk world=robot_4 policy=assets/policies/walk    # begin with a policy that exists
 python experiments/sim2real.py -m world=near,middle,far condition=excitation_only,reidentified,domain_randomisation
 
 Every stage is an experiment of its own in a folder of its own. The same command with the same hydra.run.dir goes on
@@ -18,6 +19,7 @@ from omegaconf import DictConfig, OmegaConf
 from stages import Stages
 from support import one_sentence
 
+from op3.policy import PolicyBundle
 from op3.report import finish, read_result, run_provenance, write_result
 from op3.report.sim2real import Transfer, story
 from op3.report.video import film, states_of_log
@@ -106,7 +108,8 @@ def gait(stages: Stages, cfg: DictConfig, budget: dict, number: int, model: str)
 
     A walk without learning is found in minutes, and then shows the policy what walking is.
     """
-    start = stages.folder / f"{number - 1}_gait" / "walk.yaml" if number else GAIT
+    before = stages.folder / f"{number - 1}_gait" / "walk.yaml"
+    start = before if before.exists() else GAIT
     overrides = ["task=walk", f"model={model}", f"start={start}", f"seed={cfg.seed + 100 * number}", *budget["gait"]]
     randomised = cfg.conditions[cfg.condition].get("randomisation")
     if randomised:
@@ -143,21 +146,29 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
     condition = cfg.conditions[cfg.condition]
     base = condition.get("model", cfg.model)
     groups = [f"groups=[{','.join(condition.groups)}]"] if "groups" in condition else []
+    if cfg.policy is not None:
+        PolicyBundle.load(cfg.policy)  # what cannot be played is refused before anything is collected
     stages = Stages(folder)
     squat = stages.run("squat", "collect.py", *on_robot(cfg), "motion=squat")
     heldout = stages.run("squat_heldout", "collect.py", *on_robot(cfg), "motion=squat_heldout")
-    if condition.get("randomisation") == "ranges":
-        model = base
-    else:
+
+    def identified() -> str:
         data = [f"data={squat}", f"heldout={heldout}", f"model={base}", "ablate=[]", f"seed={cfg.seed}"]
         method = [] if any(o.startswith("method=") for o in budget["identify"]) else ["method=lsq"]
-        model = str(stages.run("identify", "identify.py", *data, *groups, *method, *budget["identify"]) / "model.yaml")
-    policy = train(stages, cfg, budget, 0, model, None)
+        return str(stages.run("identify", "identify.py", *data, *groups, *method, *budget["identify"]) / "model.yaml")
+
+    blind = cfg.policy is not None or condition.get("randomisation") == "ranges"
+    model = base if blind else identified()
+    policy = train(stages, cfg, budget, 0, model, None) if cfg.policy is None else Path(cfg.policy)
     transfers = [transfer(stages, cfg, budget, 0, policy, model)]
     learned = []
     for number in range(1, cfg.rounds + 1):
-        if transfers[-1].success or not (condition.get("reidentify") or condition.get("diagnose")):
+        # a policy that was given has never seen the robot: to learn, it is identified first
+        unseen = number == 1 and cfg.policy is not None and condition.get("randomisation") is None
+        if transfers[-1].success or not (condition.get("reidentify") or condition.get("diagnose") or unseen):
             break
+        if unseen:
+            model = identified()
         if condition.get("diagnose"):
             where = [f"data={on_stand(stages, cfg)}", f"model={model}", f"seed={cfg.seed}"]
             model = str(stages.run(f"{number}_diagnose", "diagnose.py", *where) / "model.yaml")

@@ -46,6 +46,7 @@ def test_unknown_names_are_refused(tmp_path):
     for arguments, sentence in (
         ((*demo, "condition=nonsense"), "condition must be one of excitation_only"),
         ((*demo[1:], "robot=stand_in"), "robot must be emulated or real"),
+        ((*demo, "policy=nowhere"), "nowhere"),
     ):
         done = sim2real(tmp_path / "run", *arguments)
         assert done.returncode != 0
@@ -92,3 +93,20 @@ def test_a_walk_is_searched_on_every_model_and_shown_to_its_policy(tmp_path):
         assert training.model == str(tmp_path / model / "model.yaml")
     overrides = (tmp_path / "1_gait" / ".hydra" / "overrides.yaml").read_text()
     assert f"start={tmp_path / '0_gait' / 'walk.yaml'}" in overrides
+
+
+@pytest.mark.slow
+def test_a_policy_that_exists_goes_first_and_its_failure_leads_to_an_identification(tmp_path):
+    """The given policy is judged by the model it was trained on; the robot is identified once it has failed."""
+    given = ROOT / "assets" / "policies" / "walk"
+    begin = ("task=walk", "condition=excitation_only", "world=robot_4", f"policy={given}", "rounds=2")
+    done = sim2real(tmp_path, *begin)
+    assert done.returncode == 0, done.stderr[-2000:]
+    result = read_result(tmp_path / "result.yaml")
+    assert not (tmp_path / "0_train").exists()
+    assert result["transfer_0.walked"] == 0.0
+    assert result["transfer_0.expected"] > 200.0
+    assert result["rounds"] == 1
+    trained = PolicyBundle.load(tmp_path / "1_train" / "policy").manifest.training
+    assert trained.model == str(tmp_path / "identify" / "model.yaml")
+    assert trained.settings["warm_start"] == str(given)
