@@ -24,7 +24,7 @@ def test_balancing_succeeds_at_four_fifths():
 
 
 def test_walking_succeeds_with_eight_of_ten():
-    """Walking is judged by falls alone, whatever the returns."""
+    """Walking is judged by the episodes that walked on, whatever the returns, and however many stand."""
     upright = [True] * 10
     assert transfer([250.0], [10.0], upright, [True] * 8 + [False] * 2).success
     assert not transfer([250.0], [250.0], upright, [True] * 7 + [False] * 3).success
