@@ -9,6 +9,7 @@ python experiments/diagnose.py "planned=[squat_fast,multisine_legs]" mode=aliasi
 """
 
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ import yaml
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from support import library_motion, one_sentence, plain
+from threadpoolctl import threadpool_limits
 
 from op3.diagnose import (
     Diagnosis,
@@ -105,6 +107,7 @@ def diagnose(cfg: DictConfig) -> dict[str, Any]:
         swing,
         content.get("downstream"),
     )
+    content["processor_seconds"] = round(time.process_time(), 1)
     # last, so that a verdict means that all is there
     (folder / "verdict.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
     print(f"\n{verdict.sentence}")
@@ -119,6 +122,7 @@ def main(cfg: DictConfig) -> None:
     """Compose the config and diagnose."""
     with one_sentence():
         torch.set_num_threads(1)
+        threadpool_limits(1)  # of the linear algebra: its matrices are too small for two, which only wait
         if OmegaConf.is_missing(cfg, "data") and not cfg.planned:
             raise ValueError("data is missing: add data=<folder of logs>, or planned=<motions> mode=aliasing")
         diagnose(cfg)

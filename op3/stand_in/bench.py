@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import signal
-import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from op3.stand_in.cases import DATA_FOLDER, SEAL_FILE, TEST_SEEDS, Case, draw_case, make_case, seal, write_answer
+from op3.stand_in.children import run_command
 from op3.stand_in.hidden import BASES, CATALOGUE, OUTSIDERS, SEVERITIES
 
 VERDICT_FILE = "verdict.yaml"
@@ -114,8 +112,7 @@ def run_case(
     make_case(case, folder, answers)
     run.mkdir(parents=True, exist_ok=True)
     filled = [part.format(data=place / DATA_FOLDER, model=case.base, run=run) for part in command]
-    with (place / LOG_FILE).open("w", encoding="utf-8") as log:
-        _run(filled, log, timeout)
+    run_command(filled, place / LOG_FILE, timeout)
     if not keep_data:
         shutil.rmtree(place / DATA_FOLDER)
     return verdict if verdict.is_file() else None
@@ -161,8 +158,7 @@ def run_beside(
         "answer": Path(answers) / f"{case.name}.yaml",
         "beside": path.parent,
     }
-    with path.with_suffix(".log").open("w", encoding="utf-8") as log:
-        _run([part.format(**names) for part in command], log, timeout)
+    run_command([part.format(**names) for part in command], path.with_suffix(".log"), timeout)
     if not keep_data:
         shutil.rmtree(place / DATA_FOLDER)
     return path if path.is_file() else None
@@ -188,22 +184,8 @@ def run_policy(case: Case, folder: str | Path, command: Sequence[str], timeout: 
     if not episodes.is_dir():
         episodes.mkdir(parents=True)
         world = case.truth.world.save(episodes / WORLD_FILE)
-        with (episodes / "policy.log").open("w", encoding="utf-8") as log:
-            _run([part.format(world=world, run=episodes) for part in command], log, timeout)
+        run_command([part.format(world=world, run=episodes) for part in command], episodes / "policy.log", timeout)
     return episodes if any(episodes.glob("*/metadata.yaml")) else None
-
-
-def _run(command: Sequence[str], log: Any, timeout: float) -> None:
-    """Run to the end or for `timeout` [s], with all processes that it starts."""
-    process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, start_new_session=True)
-    try:
-        process.wait(timeout)
-    except (subprocess.TimeoutExpired, KeyboardInterrupt) as error:
-        os.killpg(process.pid, signal.SIGTERM)
-        process.wait()
-        if isinstance(error, KeyboardInterrupt):
-            raise
-        log.write(f"\nstopped after {timeout:g} s\n")
 
 
 def run_all(
