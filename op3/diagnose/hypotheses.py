@@ -84,7 +84,7 @@ class Hypothesis:
         """Coordinates of a refit beside the base's, and where they start (the new ones only)."""
         entries = []
         for name, amount in secant.items():
-            known = parameter(name)
+            known = self.model.parameters()[name]
             columns = self.columns(known)
             if known.neutral is None:
                 entries.append(Coordinate(name, columns, known.low, known.high, amount, amount, known.high - known.low))

@@ -12,7 +12,7 @@ from op3.diagnose.hypotheses import hypotheses
 from op3.diagnose.motion import HALF_WIDTH, VELOCITY_LAG, kernels
 from op3.diagnose.screen import Projector, _score
 from op3.diagnose.verdict import Finding
-from op3.servo import Estimate, catalogue, effect_class
+from op3.servo import Estimate, ServoLaw, catalogue, effect_class
 from op3.sim import load_model
 from op3.stand_in.hidden import KINDS, SEVERITIES
 
@@ -220,3 +220,19 @@ def test_a_named_fault_beyond_the_catalogues_range_keeps_its_size():
     assert own[(1,)].start == pytest.approx(much)
     assert own[(1,)].low < much < 0.5 * own[(1,)].high
     assert own[(0, 2)].high == known.high
+
+
+@pytest.mark.parametrize("name", ["paper", "coulomb_viscous"])
+def test_no_fit_asks_for_more_than_an_effect_can_do(name):
+    """At either end of every hypothesis, beside a base at either of its ends, the law takes all parameters."""
+    joints = ("r_knee", "r_ank_pitch")
+    base = base_coordinates(with_chain(load_model(name)), joints, fixed_base=True)
+    asked = 0
+    for hypothesis in hypotheses(base.model, joints, fixed_base=True):
+        for secant in hypothesis.secants:
+            both, _ = hypothesis.coordinates(base, secant, 1.0)
+            law = ServoLaw(both.model.effects, 0.001, 0.008, joints)
+            for end in (both.low, both.high):
+                law.set_parameters(both.values(end[None]))
+                asked += 1
+    assert asked > 100

@@ -1,7 +1,7 @@
 """Who closes the position loop, and how late its commands arrive."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil, exp
 from typing import ClassVar, Literal
 
@@ -77,6 +77,11 @@ class Latency(Effect):
 
     longest: float = 0.024
     signal: Literal["target_current", "goal"] = "target_current"
+
+    def __post_init__(self):
+        # so that no fit asks for more than the memory holds
+        known = tuple(replace(known, most=self.longest) for known in type(self).parameters)
+        object.__setattr__(self, "parameters", known)
 
     def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
         """Weights of past commands for each step of the period.
