@@ -14,6 +14,7 @@ from op3.diagnose.screen import Projector, _score
 from op3.diagnose.verdict import Finding
 from op3.servo import Estimate, ServoLaw, catalogue, effect_class
 from op3.sim import load_model
+from op3.sim.inputs import expand_parameters
 from op3.stand_in.hidden import KINDS, SEVERITIES
 
 WINDOWS, RESIDUALS = 40, 30
@@ -222,7 +223,7 @@ def test_a_named_fault_beyond_the_catalogues_range_keeps_its_size():
     assert own[(0, 2)].high == known.high
 
 
-@pytest.mark.parametrize("name", ["paper", "coulomb_viscous"])
+@pytest.mark.parametrize("name", ["paper", "paper_without_latency", "coulomb_viscous"])
 def test_no_fit_asks_for_more_than_an_effect_can_do(name):
     """At either end of every hypothesis, beside a base at either of its ends, the law takes all parameters."""
     joints = ("r_knee", "r_ank_pitch")
@@ -233,6 +234,6 @@ def test_no_fit_asks_for_more_than_an_effect_can_do(name):
             both, _ = hypothesis.coordinates(base, secant, 1.0)
             law = ServoLaw(both.model.effects, 0.001, 0.008, joints)
             for end in (both.low, both.high):
-                law.set_parameters(both.values(end[None]))
+                law.set_parameters(expand_parameters(both.model, joints, both.values(end[None]), 1))
                 asked += 1
     assert asked > 100
