@@ -1,16 +1,9 @@
-"""The backward check of several rounds: is an effect that was named first still needed beside those named later?"""
+"""Models with findings, and without one of them."""
 
 from collections.abc import Sequence
 
-import numpy as np
-
-from op3.diagnose.coordinates import base_coordinates
-from op3.diagnose.fitting import Engine, fit_base, mean_square, with_point
 from op3.diagnose.verdict import Finding
 from op3.servo import Estimate, RobotModel
-
-NEEDED = 0.025
-"""Share of the residual that must come back without an effect for it to be needed: half of what a name takes."""
 
 
 def with_findings(
@@ -67,27 +60,3 @@ def left_out(given: RobotModel, finding: Finding, final: RobotModel, joints: Seq
         }
         model = model.with_values({name: Estimate(float(now[0]), joints=own)})
     return model
-
-
-def still_needed(
-    engine: Engine, given: RobotModel, findings: Sequence[Finding], final: RobotModel, *, fixed_base: bool
-) -> list[float]:
-    """Share of the residual that comes back when one finding is left out and everything else refitted, by finding.
-
-    The last finding was weighed beside the others already and is not refitted again: its share is infinite.
-
-    Args:
-        engine: gives the residuals.
-        given: model that the first round started from.
-        findings: of all rounds, in their order.
-        final: refitted model with all of them.
-        fixed_base: whether the base is held.
-    """
-    shares = []
-    for k in range(len(findings) - 1):
-        without = left_out(given, findings[k], final, engine.joints)
-        fit = fit_base(engine, base_coordinates(without, engine.joints, fixed_base=fixed_base), rounds=2)
-        engine.prepare(final)
-        left = [mean_square(engine.residuals(m, {}, 1)[0]) for m in (final, with_point(fit.coordinates, fit.point))]
-        shares.append(1.0 - left[0] / left[1])
-    return [*shares, np.inf]

@@ -194,6 +194,19 @@ def decide(
     return Decision("ambiguous", members, shares, "these explain the residual about equally well")
 
 
+def weigh(contenders: Sequence[Contender], control: np.ndarray, rng: np.random.Generator) -> tuple[int, list[int]]:
+    """The best of contenders that all count, and those that the data do not tell from it.
+
+    Args:
+        contenders: at least one.
+        control: losses without any of them, ``[block]``.
+        rng: of the resampling.
+    """
+    order = sorted(range(len(contenders)), key=lambda i: float(contenders[i].losses.sum()))
+    shares = pick_shares(np.stack([c.losses for c in contenders]), rng)
+    return order[0], _rivals(contenders, order[0], order[1:], control, shares, rng)
+
+
 def _simplest(contenders: Sequence[Contender], counting: Sequence[int], control: np.ndarray) -> int:
     """The best of those that count, or one with fewer numbers that explains nearly as much in the same joints."""
     best = counting[0]

@@ -1,14 +1,13 @@
 """The workflow: refit the base, screen, refit the shortlist, decide, add, show."""
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from op3.diagnose.backward import NEEDED, still_needed, with_findings
 from op3.diagnose.ceiling import Ceiling, ceiling, where
 from op3.diagnose.coordinates import (
     CHAIN_FAULTS,
@@ -25,6 +24,7 @@ from op3.diagnose.hypotheses import Hypothesis, hypotheses
 from op3.diagnose.locate import locate, remaining
 from op3.diagnose.preflight import CAPPED, Caution, preflight
 from op3.diagnose.screen import Screened, screen
+from op3.diagnose.settle import Candidate, settle
 from op3.diagnose.setups import SetupHypothesis, setup_hypotheses
 from op3.diagnose.show import show
 from op3.diagnose.split import LogSplit
@@ -119,6 +119,7 @@ class Diagnosis:
         self.base: Fit | None = None
         self.screened: list[Screened] = []
         self.refitted: list[Refitted] = []
+        self._candidates: list[list[Candidate]] = []
 
     def refit_base(self, model: RobotModel, fitted: bool = False) -> Fit:
         """Refit the model's own parameters, with the measurement chain and the spread of its servos.
@@ -190,16 +191,19 @@ class Diagnosis:
         self.cautions = preflight(self.split, self.given)
         if any(caution.void for caution in self.cautions):
             return self._void()
-        model, verdicts = self.given, []
+        model, verdicts, self._candidates = self.given, [], []
         for number in range(rounds):
             verdict = self._round(model, first=number == 0)
             verdicts.append(verdict)
-            if verdict.verdict != "named" or verdict.vetoed:
+            if not verdict.effects or verdict.weak:
                 break
-            model = verdict.model
-        if sum(verdict.verdict == "named" and not verdict.vetoed for verdict in verdicts) < 2:
-            return verdicts[0]
-        return self._backward(self._together(verdicts))
+            model = verdict.model  # of an ambiguous verdict, with the best: the next round may find the other
+        found = [verdict for verdict in verdicts if verdict.effects and not verdict.weak]
+        if len(found) > 1:
+            together = self._shown(self._together(found))
+            if not together.vetoed:
+                return together
+        return self._shown(verdicts[0])
 
     def _void(self) -> Verdict:
         """Logs that contradict themselves: nothing is fitted to them, and nothing named."""
@@ -224,55 +228,38 @@ class Diagnosis:
         """Cautions of all effects, and those of the effects that were found."""
         return tuple(caution for caution in self.cautions if not caution.effects or _speaks(caution, findings))
 
-    def _backward(self, verdict: Verdict) -> Verdict:
-        """Drop what later names have made superfluous, and what is alike to them in the other order."""
-        shares = still_needed(self.engine, self.given, verdict.effects, verdict.model, fixed_base=self.fixed_base)
-        kept = tuple(e for e, share in zip(verdict.effects, shares, strict=True) if share >= NEEDED)
-        if len(kept) == len(verdict.effects):
-            return verdict
-        gone = [e.name for e, share in zip(verdict.effects, shares, strict=True) if share < NEEDED]
-        base = self.refit_base(with_findings(self.given, kept, verdict.model, self.engine.joints))
-        model = with_point(base.coordinates, base.point)
-        shown = show(verdict.base, model, self.split, lambda share: self._report("show", share))
+    def _together(self, verdicts: Sequence[Verdict]) -> Verdict:
+        """All that rounds have found: earlier names weighed again beside later ones."""
+        rng = np.random.default_rng([self.seed, 17])
+        settled = settle(self.engine, self.given, self._candidates, rng, fixed_base=self.fixed_base)
+        said = [f"{effect.name} explains {effect.gain:.0%}" for effect in settled.effects if not effect.instead_of]
+        reason = f"{', then '.join(said)} of the residual that was left"
+        if settled.superfluous:
+            reason += f"; beside what was named later, {', '.join(settled.superfluous)} is not needed"
+        ambiguous = any(effect.instead_of for effect in settled.effects)
         return replace(
-            verdict,
-            effects=kept,
-            reason=f"{verdict.reason}; beside what was named later, {', '.join(gone)} is not needed",
-            model=verdict.base if shown["vetoed"] else model,
-            gap=shown["gap"],
-            loss=shown["loss"],
-            vetoed=bool(shown["vetoed"]),
-            details={**verdict.details, "shown": shown},
+            verdicts[-1],
+            verdict="ambiguous" if ambiguous else "named",
+            effects=settled.effects,
+            reason=reason,
+            base=verdicts[0].base,
+            model=settled.model,
+            separate_by="; ".join(dict.fromkeys(v.separate_by for v in verdicts if v.separate_by)) if ambiguous else "",
+            details=verdicts[0].details,
         )
 
-    def _together(self, verdicts: Sequence[Verdict]) -> Verdict:
-        """All that rounds have named, with the gap from first to last."""
-        named = [verdict for verdict in verdicts if verdict.verdict == "named" and not verdict.vetoed]
-        last = named[-1]
-        effects = self._merged([effect for verdict in named for effect in verdict.effects])
-        gap = {
-            name: {**values, "before": named[0].gap[name]["before"]}
-            for name, values in last.gap.items()
-            if name in named[0].gap
-        }
-        loss = {**last.loss, "before": named[0].loss.get("before")}
-        said = [f"{effect.name} explains {effect.gain:.0%} of the residual that was left" for effect in effects]
-        return replace(last, effects=effects, base=named[0].base, gap=gap, loss=loss, reason=", then ".join(said))
-
-    def _merged(self, effects: Sequence[Finding]) -> tuple[Finding, ...]:
-        """Each effect once in its place: a later round tells the whole of it, and adds to what a model had before."""
-        merged: dict[tuple[Any, ...], Finding] = {}
-        for effect in effects:
-            place = effect.name, tuple(effect.joints), effect.by
-            earlier = merged.pop(place, None)
-            if earlier is not None and effect.name in self.given.effect_names:
-                more = {name: value + earlier.parameters.get(name, 0.0) for name, value in effect.parameters.items()}
-                effect = replace(effect, parameters=more)
-            if earlier is not None:
-                surest = max(effect.confidence, earlier.confidence)
-                effect = replace(effect, gain=max(effect.gain, earlier.gain), confidence=surest)
-            merged[place] = effect
-        return tuple(merged.values())
+    def _shown(self, verdict: Verdict) -> Verdict:
+        """The verdict with the gap before and after on the runs that show, which may veto it."""
+        shown = show(verdict.base, verdict.model, self.split, lambda share: self._report("show", share))
+        vetoed = bool(shown["vetoed"]) and verdict.model is not verdict.base
+        return replace(
+            verdict,
+            model=verdict.base if vetoed else verdict.model,
+            gap=shown["gap"],
+            loss=shown["loss"],
+            vetoed=vetoed,
+            details={**verdict.details, "shown": shown},
+        )
 
     def _round(self, model: RobotModel, first: bool) -> Verdict:
         rng = np.random.default_rng([self.seed, 11])
@@ -282,13 +269,13 @@ class Diagnosis:
         control, self.refitted = self._refit(base)
         windows = self.engine if isinstance(self.engine, WindowResiduals) else None
         located = locate(windows, base, self.seed) if windows else []
-        box = ceiling(windows, base, control.residual, self.seed) if windows else None
+        box = ceiling(windows, base, control.residual, self.seed) if windows and first else None
         decision = decide(
             [r.contender for r in self.refitted],
             self._losses(control),
             rng,
             ceiling=None if box is None else local_ceiling(box.gain, box.by_joint),
-            left=self._left(control),
+            left=self._left(control) if first else None,
         )
         members = [self.refitted[i] for i in decision.candidates]
         findings = tuple(
@@ -299,27 +286,24 @@ class Diagnosis:
         weak = self._weak(findings)
         if weak:
             findings = tuple(replace(f, confidence=min(f.confidence, CAPPED)) for f in findings)
-        after = fitted
-        if findings and not weak:
-            after = with_finding(members[0], findings[0], self.engine.joints)
-        shown: dict[str, Any] = {"gap": {}, "loss": {}, "vetoed": False}
-        if first or after is not fitted:  # of a later round only what it adds is shown
-            shown = show(fitted, after, self.split, lambda share: self._report("show", share))
-        vetoed = bool(shown["vetoed"]) and after is not fitted
+        findings = (*findings[:1], *(replace(f, instead_of=findings[0].name) for f in findings[1:]))
+        found = [
+            Candidate(finding, r.contender, with_finding(r, finding, self.engine.joints))
+            for finding, r in zip(findings, members, strict=False)
+        ]
+        if found and not weak:
+            self._candidates.append(found)
         return Verdict(
             verdict="ambiguous" if weak else decision.verdict,
             effects=findings,
             reason=self._reason(decision, control, box),
-            model=fitted if vetoed else after,
+            model=found[0].model if found and not weak else fitted,
             base=fitted,
             cannot_tell=tuple(caution.text for caution in self._said(findings)),
             weak=weak,
             separate_by=_separating(members) if decision.verdict == "ambiguous" else "",
-            gap=shown["gap"],
-            loss=shown["loss"],
-            vetoed=vetoed,
             details={
-                **self._details(decision, shown),
+                **self._details(decision),
                 "located": [cell.plain() for cell in located[:CELLS]],
                 "ceiling": {}
                 if box is None
@@ -478,7 +462,7 @@ class Diagnosis:
             by=hypothesis.field,
         )
 
-    def _details(self, decision: Decision, shown: Mapping[str, Any]) -> dict[str, Any]:
+    def _details(self, decision: Decision) -> dict[str, Any]:
         joints = self.engine.joints
         best: dict[str, Screened] = {}
         for s in self.screened:
@@ -508,7 +492,7 @@ class Diagnosis:
             for label, s in best.items()
             if label not in refitted
         ]
-        return {"ranking": ranking, "shown": shown, "joints": list(joints)}
+        return {"ranking": ranking, "joints": list(joints)}
 
 
 def _speaks(caution: Caution, findings: Sequence[Finding]) -> bool:

@@ -25,6 +25,7 @@ class Finding:
         gain: share of the window residual of the choosing runs that it explains.
         parameter: name of the size parameter.
         by: field of the metadata by which logs differ in it; the size is then how far the values are apart.
+        instead_of: name of the effect before it from which the logs do not tell it; empty for what is named.
     """
 
     name: str
@@ -38,12 +39,14 @@ class Finding:
     gain: float
     parameter: str = ""
     by: str = ""
+    instead_of: str = ""
 
     def plain(self) -> dict[str, Any]:
         """Plain values for YAML."""
         return {
             "name": self.name,
             **({"by": self.by} if self.by else {}),
+            **({"instead_of": self.instead_of} if self.instead_of else {}),
             "joints": list(self.joints),
             "shared": self.shared,
             "size": _rounded(self.size),
@@ -62,7 +65,7 @@ class Verdict:
 
     Attributes:
         verdict: ``named``, ``ambiguous``, ``unknown`` or ``nothing_missing``.
-        effects: those named, or the candidates of an ambiguous verdict.
+        effects: those named, behind each what the logs do not tell from it, or the candidates of weak logs.
         reason: one sentence.
         model: with what was named switched on and identified; the refitted base otherwise.
         base: the refitted base model.
@@ -91,17 +94,15 @@ class Verdict:
     @property
     def sentence(self) -> str:
         """The verdict in one sentence."""
-        found = " and ".join(_phrase(effect) for effect in self.effects)
         if self.weak:
             either = ", or ".join(_phrase(effect) for effect in self.effects)
             return f"These logs cannot tell what is missing; what they have points to {either}."
         if self.verdict == "named" and self.vetoed:
-            return f"Windows ask for {found}, but free runs are no better with it; the model was left without."
+            return f"Windows ask for {self._found}, but free runs are no better with it; the model was left without."
         if self.verdict == "named":
-            return f"The model lacks {found}."
+            return f"The model lacks {self._found}."
         if self.verdict == "ambiguous":
-            either = ", or ".join(_phrase(effect) for effect in self.effects)
-            return f"The model lacks {either}; these logs do not tell which."
+            return f"The model lacks {self._found}; these logs do not tell which."
         if self.verdict == "unknown" and not self.details.get("ranking"):
             return "These logs cannot tell what is missing: " + " ".join(self.cannot_tell)
         if self.verdict == "unknown":
@@ -109,6 +110,15 @@ class Verdict:
         if self.cannot_tell:
             return "Nothing can be named: these logs cannot tell, which is not to say that nothing is missing."
         return "Nothing is missing: what the model does not explain is as small as what no effect could explain."
+
+    @property
+    def _found(self) -> str:
+        """All effects, each with those that could stand for it."""
+        text = ""
+        for number, effect in enumerate(self.effects):
+            link = "" if number == 0 else ", or " if effect.instead_of else ", and " if ", or " in text else " and "
+            text += link + _phrase(effect)
+        return text
 
     def plain(self) -> dict[str, Any]:
         """The content of ``verdict.yaml``."""
