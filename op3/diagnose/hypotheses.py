@@ -22,6 +22,10 @@ OF_THE_MOTOR = ("torque_constant", "terminal_resistance")
 POSITION_ONLY = ("position_servo", "minimum_duty")
 """Effects of servos with a position loop of their own."""
 
+OF_A_BENCH = ("directional_friction", "antagonistic_friction")
+"""Forms of `load_friction` with shares of their own for motor and load, which a bench of one servo tells apart. On a
+robot they would only take its name where its friction follows the motor's torque more than the load's."""
+
 CURRENT_ONLY = ("current_lag", "current_offset", "packet_drop")
 """Effects of servos that regulate current."""
 
@@ -122,9 +126,10 @@ def hypotheses(
         without: names of effects not to consider.
     """
     current_driven = "current_pd" in model.effect_names
+    unfit = (*POSITION_ONLY, *OF_A_BENCH) if current_driven else CURRENT_ONLY
     result = []
     for name, effect in catalogue().items():
-        if not effect.secants or name in (*without, *(POSITION_ONLY if current_driven else CURRENT_ONLY)):
+        if not effect.secants or name in without or name in unfit:
             continue
         outside = [edit for edit in effect.edits if edit.target in ("base_body", "foot_geom", "ground_geom")]
         if fixed_base and (outside or name in HELD_ONLY):
