@@ -195,12 +195,14 @@ class Diagnosis:
         for number in range(rounds):
             verdict = self._round(model, first=number == 0)
             verdicts.append(verdict)
-            if not verdict.effects or verdict.weak:
+            if len(self._candidates) == number:
                 break
-            model = verdict.model  # of an ambiguous verdict, with the best: the next round may find the other
-        found = [verdict for verdict in verdicts if verdict.effects and not verdict.weak]
-        if len(found) > 1:
-            together = self._shown(self._together(found))
+            # of an ambiguous or unknown verdict with the best: the next round may find the other
+            model = self._candidates[-1][0].model
+        while self._candidates and verdicts[len(self._candidates) - 1].verdict == "unknown":
+            self._candidates.pop()  # what it leaves is as unknown as before
+        if len(self._candidates) > 1:
+            together = self._shown(self._together(verdicts[: len(self._candidates)]))
             if not together.vetoed:
                 return together
         return self._shown(verdicts[0])
@@ -275,29 +277,20 @@ class Diagnosis:
             self._losses(control),
             rng,
             ceiling=None if box is None else local_ceiling(box.gain, box.by_joint),
-            left=self._left(control) if first else None,
+            left=self._left(control),
+            further=not first,
         )
         members = [self.refitted[i] for i in decision.candidates]
-        findings = tuple(
-            self.finding_of(r, base, float(decision.shares[i]))
-            for i, r in zip(decision.candidates, members, strict=True)
-            if decision.verdict in ("named", "ambiguous")
-        )
+        candidates = self._found(members, base, decision.shares[list(decision.candidates)])
+        findings = tuple(one.finding for one in candidates) if decision.verdict != "unknown" else ()
         weak = self._weak(findings)
-        if weak:
-            findings = tuple(replace(f, confidence=min(f.confidence, CAPPED)) for f in findings)
-        findings = (*findings[:1], *(replace(f, instead_of=findings[0].name) for f in findings[1:]))
-        found = [
-            Candidate(finding, r.contender, with_finding(r, finding, self.engine.joints))
-            for finding, r in zip(findings, members, strict=False)
-        ]
-        if found and not weak:
-            self._candidates.append(found)
+        if candidates and not weak:
+            self._candidates.append(candidates)
         return Verdict(
             verdict="ambiguous" if weak else decision.verdict,
             effects=findings,
             reason=self._reason(decision, control, box),
-            model=found[0].model if found and not weak else fitted,
+            model=candidates[0].model if findings and not weak else fitted,
             base=fitted,
             cannot_tell=tuple(caution.text for caution in self._said(findings)),
             weak=weak,
@@ -310,6 +303,19 @@ class Diagnosis:
                 else {"gain": round(box.gain, 4), "inputs": where(box, self.engine.joints)},
             },
         )
+
+    def _found(self, members: Sequence[Refitted], base: Fit, shares: np.ndarray) -> list[Candidate]:
+        """What a decision is about, best first, with stated confidences."""
+        found: list[Candidate] = []
+        for refitted, share in zip(members, shares, strict=True):
+            finding = self.finding_of(refitted, base, float(share))
+            if found:
+                finding = replace(finding, instead_of=found[0].finding.name)
+            found.append(Candidate(finding, refitted.contender, with_finding(refitted, finding, self.engine.joints)))
+        if self._weak([one.finding for one in found]):
+            capped = [replace(one.finding, confidence=min(one.finding.confidence, CAPPED)) for one in found]
+            found = [replace(one, finding=finding) for one, finding in zip(found, capped, strict=True)]
+        return found
 
     def _left(self, fit: Fit) -> np.ndarray:
         """Residual velocity by joint, in standard deviations of a reading; empty for free runs."""

@@ -56,6 +56,8 @@ PARAMETERS: tuple[str, ...] = (
     "encoder_nonlinearity",
     "link_mass_offset",
     "link_com_offset_x",
+    "coulomb_friction",
+    "viscous_friction",
     "gyration_squared",
 )
 """Parameters of the catalogue that mean what the bench's table calls the size of their effect."""

@@ -196,3 +196,43 @@ def test_interval_of_a_difference_covers_it(rng):
 def rng() -> np.random.Generator:
     """Of the resampling."""
     return np.random.default_rng(0)
+
+
+def in_one_joint(effect: str, kind: str, after: float, gain: float = 0.07) -> Contender:
+    """A fault of joint 3 that leaves so much there, and whose gain is that of a few seconds."""
+    losses = np.ones(BLOCKS)
+    losses[:2] -= 0.5 * gain * BLOCKS
+    left = np.array([1.5, 1.2, 1.7, after, 1.4, 1.6])
+    return Contender(f"{effect}@3", effect, (3,), kind, gain, gain, losses, 1.0, 0.1, False, left=left)
+
+
+@pytest.mark.parametrize(
+    ("effect", "kind", "after", "verdict"),
+    [
+        ("backlash", "transmission", 4.8, "named"),  # impacts: what is left is large with the right effect too
+        ("backlash", "transmission", 5.8, "unknown"),
+        ("cogging", "position", 4.8, "unknown"),
+    ],
+)
+def test_contacts_may_leave_more_of_a_gap(control, rng, effect, kind, after, verdict):
+    """Where one joint stands out, half of its gap is too little for a ripple and enough for a gap between teeth."""
+    left = np.array([1.5, 1.2, 1.7, 6.3, 1.4, 1.6])
+    assert decide([in_one_joint(effect, kind, after)], control, rng, left=left).verdict == verdict
+
+
+def test_a_joint_that_stands_out_afterwards_is_unknown(control, rng):
+    """A spring that explains three quarters of what a creeping element does is not the name of it, but a start."""
+    left = np.array([2.5, 1.7, 11.5, 3.9, 2.0, 2.1])
+    for after, verdict in ((5.8, "unknown"), (2.4, "named")):
+        best = dataclasses.replace(contender("cable_spring@2", 0.5), left=np.where(left == 11.5, after, left))
+        decision = decide([best], control, rng, left=left)
+        assert (decision.verdict, decision.candidates) == (verdict, (0,))
+
+
+def test_a_further_effect_may_be_smaller(control, rng):
+    """Beside a name, two percent in nearly every second count; alone they do not, and a few seconds never do."""
+    steady = contender("asymmetric_friction@1", 0.024, noise=0.02)
+    assert decide([steady], control, rng, further=True).verdict == "named"
+    assert decide([steady], control, rng).verdict == "nothing_missing"
+    few = in_one_joint("coulomb", "dry", 1.6, gain=0.024)
+    assert decide([few], control, rng, further=True).verdict == "nothing_missing"
