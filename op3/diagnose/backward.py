@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from op3.diagnose.verdict import Finding
 from op3.servo import Estimate, RobotModel
+from op3.servo.effect import parameter
 
 
 def with_findings(
@@ -47,7 +48,14 @@ def left_out(given: RobotModel, finding: Finding, final: RobotModel, joints: Seq
         joints: names.
     """
     if finding.name not in given.effect_names:
-        return final.without(finding.name)
+        size = parameter(final.effect(finding.name).size)
+        own = dict(zip(joints, final.tensors(joints)[size.name][0].tolist(), strict=False)) if size.per_joint else {}
+        if finding.shared or all(own[joint] == size.neutral for joint in own if joint not in finding.joints):
+            return final.without(finding.name)
+        neutral = 0.0 if size.neutral is None else size.neutral
+        return final.with_values(
+            {size.name: Estimate(neutral, joints={**own, **dict.fromkeys(finding.joints, neutral)})}
+        )
     model = final
     for name, value in finding.parameters.items():
         now = model.tensors(joints)[name][0]

@@ -157,6 +157,19 @@ def test_findings_add_up_in_a_model():
         assert name not in rest.parameters() or np.ptp(rest.tensors(joints)[name].numpy()) < 1e-12
 
 
+def test_one_of_two_joints_with_an_effect_is_left_out():
+    """Where the same effect was found in two joints, the other keeps it; without the last one it is off."""
+    joints, given = ("a", "b", "c"), load_model("paper")
+    found = [Finding("cogging", (joint,), False, size, "N m", (size, size), 1.0, {"cogging_amplitude": size,
+             "cogging_periods": 20.0, "cogging_phase": 0.3}, 0.1, "cogging_amplitude")
+             for joint, size in (("a", 0.02), ("b", 0.05))]  # fmt: skip
+    like = given.with_effect(effect_class("cogging")(), {})
+    both = with_findings(given, found, like, joints)
+    one = left_out(given, found[0], both, joints)
+    assert one.tensors(joints)["cogging_amplitude"][0].tolist() == [0.0, 0.05, 0.0]
+    assert "cogging" not in left_out(given, found[1], one, joints).effect_names
+
+
 def test_a_reading_that_stands_out_is_suspected():
     """A sensor's zero at the bound of what every chain of measurement has a little of is looked into as a fault."""
     joints = ("r_hip_yaw", "r_hip_roll", "r_hip_pitch", "r_knee", "r_ank_pitch", "r_ank_roll")
