@@ -73,6 +73,7 @@ def with_chain(model: RobotModel) -> RobotModel:
 FORMS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "dte": ("form", ("passive", "power")),
     "stribeck": ("fade", ("exponential", "gaussian")),
+    "load_friction": ("form", ("sum", "motor")),
 }
 """Laws that the literature writes in several ways with the same parameters: the option that says which, and its values.
 Which of them a servo obeys is not what is asked, so none of them may decide a name."""

@@ -20,6 +20,7 @@ from op3.servo.effects import (
     GyroBias,
     ImuMount,
     LeftRightAsymmetry,
+    LoadFriction,
     LuGre,
     Motor,
     PacketDrop,
@@ -261,6 +262,18 @@ def test_frictions_of_speed_direction_and_place_are_their_formulas():
     for position, expected in ((0.3, 0.06), (0.3 + np.pi / 2, 0.03), (0.3 + np.pi, 0.0)):
         values = {"position_friction": 0.06, "position_friction_angle": 0.3}
         assert bound(PositionFriction(), position, 1.0, **values) == pytest.approx(expected, abs=1e-12)
+
+
+def test_friction_by_load_follows_the_torque_of_its_form():
+    """With motor and load against each other their sum is lost from, in the other form the motor's torque alone."""
+    for form, torque in (("sum", lambda motor, load: abs(motor - load)), ("motor", lambda motor, load: abs(motor))):
+        law, signals = law_of(LoadFriction(form=form), load_friction=0.2)
+        signals.velocity, signals.load_torque = signals.velocity + 1.0, signals.load_torque - 0.3
+        command(signals, 0.5)
+        drive(law, signals)
+        motor = signals.motor_torque.item()
+        assert motor > 0.1
+        assert signals.friction_bound.item() == pytest.approx(0.2 * torque(motor, -0.3), rel=1e-9)
 
 
 @settings(max_examples=50, deadline=None)

@@ -8,7 +8,7 @@ what the output transmits to its link, as for every effect. Friction near rest f
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from op3.servo import law
 from op3.servo.effect import Effect, Parameter, Prepared, Scope, Signals, Stage, register
@@ -19,11 +19,19 @@ SOURCE = "Duclusaud et al. (2024), Extended Friction Models for the Physics Simu
 @register
 @dataclass(frozen=True)
 class LoadFriction(Effect):
-    """Friction in proportion to the torque that the gear passes on between motor and load."""
+    """Friction in proportion to the torque that the gear passes on between motor and load.
+
+    Attributes:
+        form: ``sum``: in proportion to what motor and load press together, as published. ``motor``: to the motor's
+            torque alone, as where most is lost in the first stages, which the load reaches through all others.
+    """
 
     name: ClassVar[str] = "load_friction"
     stage: ClassVar[Stage] = Stage.LOAD
-    equation: ClassVar[str] = "tau_fric += (l + s ls) |tau_m - tau_a|, s = exp(-|w| / w_static)"
+    equation: ClassVar[str] = (
+        "tau_fric += (l + s ls) |tau_m - tau_a|, s = exp(-|w| / w_static); form `motor`: |tau_m| in place of the"
+        " difference"
+    )
     source: ClassVar[str] = f"{SOURCE}, models M3 and M4"
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("load_friction", "-", 0.0, 0.9, 0.1, 0.0, "friction per torque passed on, l", least=0.0),
@@ -41,10 +49,15 @@ class LoadFriction(Effect):
     alias_class: ClassVar[str] = "load_loss"
     scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
 
+    form: Literal["sum", "motor"] = "sum"
+
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Raise the bound."""
         share = prepared["load_friction"] + signals.fade * prepared["load_friction_excess"]
-        bound = law.load_friction(signals.motor_torque, signals.load_torque, share, share)
+        if self.form == "motor":
+            bound = share * signals.motor_torque.abs()
+        else:
+            bound = law.load_friction(signals.motor_torque, signals.load_torque, share, share)
         signals.friction_bound = signals.friction_bound + bound
 
 
