@@ -26,8 +26,8 @@ other one makes the model wrong. The largest gain in six empty legs was 0.09."""
 LATER_GAIN, LATER_TRIMMED = 0.02, 0.01
 """Gain of a further effect that counts where t and the score of the ranks both reach their thresholds: one of a single
 joint, beside one of all, has a small share of what is left. A true zero of friction in one joint had 4.4 and 5.1 at a
-gain of 0.024, beside a lag of the current loop. Where nothing further was hidden the smaller of the two reached 2.5 at
-such a gain, in 23 development legs."""
+gain of 0.024, beside a lag of the current loop. Where nothing further was hidden the smaller of the two reached 2.5 in
+23 development legs, at a gain of up to 0.11."""
 
 LATER_Z = 4.0
 """Score of the ranks that will do in place of t for a further effect if fitted and choosing runs both gain
@@ -197,7 +197,7 @@ def decide(
     order = sorted(range(len(contenders)), key=lambda i: float(contenders[i].losses.sum()))
     shares = pick_shares(np.stack([c.losses for c in contenders]), rng) if contenders else np.zeros(0)
     counting = [
-        i for i in order if _counts(contenders[i], control, further and i == order[0]) or _meets(contenders[i], left)
+        i for i in order if _counts(contenders[i], control, further, i == order[0]) or _meets(contenders[i], left)
     ]
     gap = _unexplained(contenders, counting, order, ceiling, left)
     if gap:
@@ -315,25 +315,26 @@ def _meets(contender: Contender, left: np.ndarray | None) -> bool:
     return large and _closed(contender, left, joint) >= EXPLAINED_CONTACT
 
 
-def _counts(contender: Contender, control: np.ndarray, small: bool) -> bool:
+def _counts(contender: Contender, control: np.ndarray, further: bool, leads: bool) -> bool:
     """Whether a contender is large enough, explains enough, and does so in more than a few blocks.
 
     Args:
         contender: which.
         control: losses without it, ``[block]``.
-        small: whether it may explain little, as the leader beside an effect that has been named.
+        further: whether another effect has been named before. The ranks must then reach their threshold.
+        leads: whether it explains most; a further effect that does may explain less than is usual.
     """
     statistic, trimmed = evidence(contender, control)
-    explained, least = _explained(contender), min(contender.gain, contender.fit_gain)
     score = signed_ranks(control - contender.losses)
+    explained, least = _explained(contender), min(contender.gain, contender.fit_gain)
+    if abs(contender.size) < SMALLEST_SIZE * contender.smallest or (further and score < SMALLEST_Z):
+        return False
     steady = least >= SMALLEST_GAIN and score >= SMALLEST_Z
-    both = explained >= LATER_GAIN and min(statistic, score) >= SMALLEST_T and trimmed >= LATER_TRIMMED
-    small = small and (both or (least >= LATER_GAIN and score >= LATER_Z))
     usual = least > 0.25 * SMALLEST_GAIN and explained >= SMALLEST_GAIN and (statistic >= SMALLEST_T or steady)
     clear = least >= 0.5 * CLEAR_GAIN and explained >= CLEAR_GAIN and statistic >= CLEAR_T
-    return abs(contender.size) >= SMALLEST_SIZE * contender.smallest and (
-        (usual and trimmed >= TRIMMED_GAIN) or (clear and trimmed >= CLEAR_TRIMMED) or small
-    )
+    small = explained >= LATER_GAIN and statistic >= SMALLEST_T and trimmed >= LATER_TRIMMED
+    small |= least >= LATER_GAIN and score >= LATER_Z
+    return (usual and trimmed >= TRIMMED_GAIN) or (clear and trimmed >= CLEAR_TRIMMED) or (further and leads and small)
 
 
 def _explained(contender: Contender) -> float:
