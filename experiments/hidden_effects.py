@@ -24,6 +24,7 @@ from op3.report.naming import naming_page
 from op3.rollout import read_logs
 from op3.stand_in import CATALOGUE, Case, make_case, open_answers
 from op3.stand_in.bench import ORACLE_FILE, VERDICT_FILE, commit, draw_mix, run_all, run_beside, run_policy
+from op3.stand_in.children import preload
 from op3.stand_in.score import (
     MISSING,
     Verdict,
@@ -145,6 +146,7 @@ def main(cfg: DictConfig) -> None:
                 print(f"case {number}/{len(cases)}: {make_case(case, folder / 'cases', answers)}", flush=True)
             return
         command = resolved(cfg.command)
+        preload("hydra", "op3.diagnose", "op3.policy", "op3.report.diagnosis")
         options = {"timeout": cfg.timeout, "keep_data": cfg.keep_data, "whole_robot": list(cfg.whole_robot)}
         verdicts = run_all(cases, folder / "cases", answers, command, **options)
         opened = open_answers(answers, folder / "answers.sha256")

@@ -61,6 +61,11 @@ NAMED_SHARE = 0.8
 ALIKE_SHARE = 0.99
 """The same where the next best is of the same alias class, which explains nearly the same."""
 
+UNDECIDED = 0.7
+"""Most confidence that a candidate of an ambiguous verdict has: resampling tells what noise can do, not what a law that
+is a little wrong does to effects that look alike. A sensor's zero won 99 % against the asymmetric friction that it was
+taken for."""
+
 PARSIMONY = 0.1
 """Share of what the best explains that a hypothesis with fewer numbers may fall short of it and still be preferred: a
 further number explains some of what any law gets wrong."""

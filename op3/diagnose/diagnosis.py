@@ -17,7 +17,7 @@ from op3.diagnose.coordinates import (
     other_forms,
     with_chain,
 )
-from op3.diagnose.decide import CEILING, LOOK_ALIKE, Contender, Decision, decide, local_ceiling
+from op3.diagnose.decide import CEILING, LOOK_ALIKE, UNDECIDED, Contender, Decision, decide, local_ceiling
 from op3.diagnose.fitting import ROUNDS, SHARES, Engine, Fit, fit_base, intervals, linearise, polish, refit, with_point
 from op3.diagnose.free_run import engine_for
 from op3.diagnose.hypotheses import Hypothesis, hypotheses
@@ -307,8 +307,9 @@ class Diagnosis:
     def _found(self, members: Sequence[Refitted], base: Fit, shares: np.ndarray) -> list[Candidate]:
         """What a decision is about, best first, with stated confidences."""
         found: list[Candidate] = []
+        most = UNDECIDED if len(members) > 1 else 1.0
         for refitted, share in zip(members, shares, strict=True):
-            finding = self.finding_of(refitted, base, float(share))
+            finding = self.finding_of(refitted, base, min(float(share), most))
             if found:
                 finding = replace(finding, instead_of=found[0].finding.name)
             found.append(Candidate(finding, refitted.contender, with_finding(refitted, finding, self.engine.joints)))

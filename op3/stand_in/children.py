@@ -17,11 +17,15 @@ from functools import cache
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
-PRELOADED = ("hydra", "op3.diagnose", "op3.policy", "op3.report.diagnosis")
-"""Modules that the server imports before the first script."""
+_preloaded: list[str] = []
 
 GRACE = 10.0
 """Time that a stopped process has to end by itself [s]."""
+
+
+def preload(*modules: str) -> None:
+    """Say what scripts are going to import; to be called before the first is run."""
+    _preloaded.extend(modules)
 
 
 def run_command(command: Sequence[str], log: Path, timeout: float) -> None:
@@ -78,7 +82,7 @@ def _server() -> ForkServerContext | None:
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return None
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(list(PRELOADED))
+    context.set_forkserver_preload(_preloaded)
     return context
 
 

@@ -105,6 +105,7 @@ class Verdict:
         black_box: share of the residual that a black box explains, without a name; None if not said.
         returns: of a policy, see `returns_error`.
         cannot_tell: whether it says that the logs are too poor.
+        processor_seconds: CPU time that it took; None if not said.
     """
 
     verdict: str
@@ -114,6 +115,7 @@ class Verdict:
     black_box: float | None = None
     returns: Mapping[str, Any] | None = None
     cannot_tell: bool = False
+    processor_seconds: float | None = None
 
 
 def read_verdict(path: str | Path) -> Verdict:
@@ -141,6 +143,7 @@ def read_verdict(path: str | Path) -> Verdict:
         (values.get("ceiling") or {}).get("gain"),
         values.get("downstream"),
         bool(values.get("cannot_tell")),
+        values.get("processor_seconds"),
     )
 
 
@@ -219,7 +222,8 @@ def score_case(
         and `one` (pairs); `extra`: a right claim beside a name that is not hidden; `confidence` and `right` of the
         first claim; `confident_wrong`; `covered`: size within the interval; `size_ratio`; `closure`: share of the gap
         beyond the noise floor that was closed; `oracle_closure`: of what the oracle closes; `explained` and
-        `black_box`: share of the residual that the first claim, and a black box, explain.
+        `black_box`: share of the residual that the first claim, and a black box, explain; `processor_seconds`: CPU time
+        of the diagnosis.
     """
     truth = truth_claims(answer)
     kind, claims = answer["kind"], verdict.claims if verdict.verdict in ("named", "ambiguous") else ()
@@ -266,6 +270,7 @@ def score_case(
     row["explained"] = first.gain if first is not None else 0.0
     row["black_box"] = verdict.black_box
     row["cannot_tell"] = verdict.cannot_tell
+    row["processor_seconds"] = verdict.processor_seconds
     row["returns"] = returns_error(verdict.returns, actual)
     return row
 
@@ -400,6 +405,7 @@ def summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     returned = [row["returns"] for row in rows if row["returns"] is not None]
     for label in ("before", "after"):
         summary[f"return_error_{label}_median"] = median([values[label] for values in returned])
+    summary["processor_seconds_median"] = median([row["processor_seconds"] for row in rows if row["processor_seconds"]])
     ratios = [row["size_ratio"] for row in rows if row["size_ratio"] is not None]
     summary["size_ratio_median"] = median(ratios)
     return summary
