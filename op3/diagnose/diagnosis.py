@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from op3.diagnose.ceiling import Ceiling, ceiling, where
 from op3.diagnose.coordinates import (
@@ -187,7 +188,14 @@ class Diagnosis:
         return sorted(found, key=lambda s: -s.gain)
 
     def run(self, rounds: int = 1) -> Verdict:
-        """Diagnose; with more rounds, go on from what was named until nothing more is found."""
+        """Diagnose; with more rounds, go on from what was found until nothing more is.
+
+        Linear algebra gets one thread: its matrices are small, and a second thread would wait, using a whole core.
+        """
+        with threadpool_limits(1):
+            return self._run(rounds)
+
+    def _run(self, rounds: int) -> Verdict:
         self.cautions = preflight(self.split, self.given)
         if any(caution.void for caution in self.cautions):
             return self._void()

@@ -63,3 +63,30 @@ def test_nothing_is_named_where_nothing_is_hidden():
     case = draw_case(2, "null")
     verdict = Diagnosis(load_model(case.base), split_logs(record_leg(case.truth, leg_suite(2), 2))).run()
     assert verdict.verdict == "nothing_missing"
+
+
+@pytest.mark.slow
+def test_two_effects_that_look_alike_are_both_found():
+    """A late command and a slow filter of velocity: the first round cannot tell them apart, the second finds the other.
+
+    The size of the first is told as it is beside the second.
+    """
+    case = draw_case(5302, "pair", "moderate")
+    hidden = {one.name: one.size for one in case.truth.hidden}
+    assert set(hidden) == {"latency", "velocity_filter"}
+    verdict = Diagnosis(load_model(case.base), split_logs(record_leg(case.truth, leg_suite(5302), 5302))).run(2)
+    assert verdict.verdict == "named"
+    found = {effect.name: effect for effect in verdict.effects}
+    assert set(found) == set(hidden)
+    for name, effect in found.items():
+        assert effect.size == pytest.approx(hidden[name], rel=0.3)
+        assert effect.interval[0] < hidden[name] < effect.interval[1]
+    assert verdict.gap["joint/position"]["after"] < 0.5 * verdict.gap["joint/position"]["before"]
+
+
+@pytest.mark.slow
+def test_a_creeping_spring_is_not_called_a_spring():
+    """A cable explains three quarters of a slowly yielding element; the joint stands out afterwards: unknown."""
+    case = draw_case(5089, "outsider", "strong", "creep")
+    verdict = Diagnosis(load_model(case.base), split_logs(record_leg(case.truth, leg_suite(5089), 5089))).run()
+    assert verdict.verdict == "unknown"
