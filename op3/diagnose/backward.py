@@ -2,30 +2,37 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from op3.diagnose.verdict import Finding
 from op3.servo import Estimate, RobotModel
 from op3.servo.effect import parameter
 
 
 def with_findings(
-    given: RobotModel, findings: Sequence[Finding], like: RobotModel, joints: Sequence[str]
+    given: RobotModel,
+    findings: Sequence[Finding],
+    like: RobotModel,
+    joints: Sequence[str],
+    start: RobotModel | None = None,
 ) -> RobotModel:
     """A model with what was found.
 
     Args:
-        given: model without.
-        findings: effects and their numbers; amounts to be added where the model has the effect already.
+        given: model that a diagnosis started from; numbers of effects that it has are amounts to be added.
+        findings: effects and their numbers; none that differs by a field of the metadata.
         like: model that holds the effects in the form in which they were found.
         joints: names.
+        start: model that gets them; the given one by default.
     """
-    model = given
+    model = given if start is None else start
     for finding in findings:
         if finding.name not in model.effect_names:
             effect = next(e for e in like.effects if e.name == finding.name)
             neutral = {p.name: p.nominal if p.neutral is None else p.neutral for p in effect.parameters}
             model = model.with_effect(effect, neutral)
-        added = finding.name in given.effect_names
         for name, value in finding.parameters.items():
+            added = finding.name in given.effect_names and parameter(name).neutral is not None
             now = model.tensors(joints)[name][0]
             if finding.shared or len(now) == 1:
                 model = model.with_values({name: Estimate(float(now[0]) + value if added else value)})
@@ -58,13 +65,16 @@ def left_out(given: RobotModel, finding: Finding, final: RobotModel, joints: Seq
         )
     model = final
     for name, value in finding.parameters.items():
-        now = model.tensors(joints)[name][0]
-        if len(now) == 1:
-            model = model.with_values({name: Estimate(float(now[0]) - value)})
+        known, now = parameter(name), model.tensors(joints)[name][0].numpy()
+        if known.neutral is None:
             continue
-        own = {
-            joint: float(old) - (value if finding.shared or joint in finding.joints else 0.0)
-            for joint, old in zip(joints, now, strict=True)
-        }
+        less = np.clip(now - value, known.least, known.most)
+        if len(now) == 1:
+            model = model.with_values({name: Estimate(float(less[0]))})
+            continue
+        here = np.array([finding.shared or joint in finding.joints for joint in joints])
+        if (~here).sum() > 1:  # a fault: without it the joint is as the others
+            less[:] = np.median(now[~here])
+        own = dict(zip(joints, np.where(here, less, now).tolist(), strict=True))
         model = model.with_values({name: Estimate(float(now[0]), joints=own)})
     return model

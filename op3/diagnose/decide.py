@@ -73,9 +73,9 @@ further number explains some of what any law gets wrong."""
 RESAMPLES = 1000
 """Bootstrap resamples over blocks of a second."""
 
-CONTACT = "transmission"
-"""Alias class of effects with free flight and impacts, in which small errors of the start grow: what the right one
-leaves is large as well."""
+CONTACTS = ("backlash",)
+"""Effects with free flight and impacts, in which small errors of the start grow: what the right one leaves is large as
+well."""
 
 EXPLAINED_CONTACT = 0.3
 """What such an effect must explain of the gap in the joint that stands out, in place of `EXPLAINED`; it then counts
@@ -143,8 +143,8 @@ class Decision:
 
     Attributes:
         verdict: ``named``, ``ambiguous``, ``unknown`` or ``nothing_missing``.
-        candidates: numbers of the contenders that the verdict is about, best first; of an unknown verdict the best that
-            counts, if any does.
+        candidates: numbers of the contenders that the verdict is about, best first; where one joint makes the verdict
+            unknown, the best that counts: another effect may explain the rest of it.
         shares: share of resamples that each contender wins, ``[contender]``.
         reason: one sentence.
     """
@@ -206,7 +206,8 @@ def decide(
     ]
     gap = _unexplained(contenders, counting, order, ceiling, left)
     if gap:
-        return Decision("unknown", tuple(counting[:1]), shares, gap)
+        begun = [i for i in counting[:1] if _stands_out(left) is not None and not contenders[i].implausible]
+        return Decision("unknown", tuple(begun), shares, gap)
     if not counting:
         if not contenders:
             return Decision("nothing_missing", (), shares, "no effect of the catalogue can be seen in these logs")
@@ -313,7 +314,7 @@ def _closed(contender: Contender, left: np.ndarray, joint: int) -> float:
 def _meets(contender: Contender, left: np.ndarray | None) -> bool:
     """Whether a contender with contacts explains the joint that stands out as well as such effects can."""
     joint = _stands_out(left)
-    if joint is None or contender.alias_class != CONTACT or contender.joints != (joint,):
+    if joint is None or contender.effect not in CONTACTS or contender.joints != (joint,):
         return False
     assert left is not None
     large = abs(contender.size) >= SMALLEST_SIZE * contender.smallest and _explained(contender) >= SMALLEST_GAIN
@@ -338,6 +339,7 @@ def _counts(contender: Contender, control: np.ndarray, further: bool, leads: boo
     usual = least > 0.25 * SMALLEST_GAIN and explained >= SMALLEST_GAIN and (statistic >= SMALLEST_T or steady)
     clear = least >= 0.5 * CLEAR_GAIN and explained >= CLEAR_GAIN and statistic >= CLEAR_T
     small = explained >= LATER_GAIN and statistic >= SMALLEST_T and trimmed >= LATER_TRIMMED
+    small &= least >= 0.5 * LATER_GAIN
     small |= least >= LATER_GAIN and score >= LATER_Z
     return (usual and trimmed >= TRIMMED_GAIN) or (clear and trimmed >= CLEAR_TRIMMED) or (further and leads and small)
 
@@ -360,7 +362,7 @@ def _unexplained(
     if joint is not None and left is not None:
         usual = float(np.median(left))
         share = _closed(best, left, joint) if best is not None and counting else 0.0
-        contact = best is not None and best.alias_class == CONTACT
+        contact = best is not None and best.effect in CONTACTS and best.joints == (joint,)
         gap = f"residual velocities are {left[joint]:.1f} times the noise in one joint, {usual:.1f} in others"
         if share < (EXPLAINED_CONTACT if contact else EXPLAINED):
             return f"{gap}, and {name} explains {max(share, 0.0):.0%} of what is above it"

@@ -31,7 +31,7 @@ from op3.diagnose.show import show
 from op3.diagnose.split import LogSplit
 from op3.diagnose.verdict import Finding, Verdict
 from op3.diagnose.windows import WindowResiduals
-from op3.servo import Estimate, RobotModel
+from op3.servo import Estimate, RobotModel, effect_class
 from op3.servo.conditions import split_name
 from op3.servo.effect import parameter
 from op3.sim import model_hash
@@ -130,7 +130,7 @@ class Diagnosis:
             fitted: whether the values come from a refit to these logs. Then one step is enough, which gives joints
                 their spread back, and other forms were tried before.
         """
-        full = with_chain(model) if "current_pd" in model.effect_names else model
+        full = _full(model)
         coordinates = self._coordinates(full)
         forms = [full, *other_forms(full)]
         place = None if self.cache is None else self.cache / f"base-{self._key(full)}-{'one' if fitted else 'all'}.npz"
@@ -160,7 +160,7 @@ class Diagnosis:
 
     def linearised(self) -> Fit:
         """The given model as it is, with the Jacobian of everything that a base would refit."""
-        full = with_chain(self.given) if "current_pd" in self.given.effect_names else self.given
+        full = _full(self.given)
         coordinates = self._coordinates(full)
         return linearise(self.engine, coordinates, coordinates.start)
 
@@ -209,11 +209,14 @@ class Diagnosis:
             model = self._candidates[-1][0].model
         while self._candidates and verdicts[len(self._candidates) - 1].verdict == "unknown":
             self._candidates.pop()  # what it leaves is as unknown as before
-        if len(self._candidates) > 1:
-            together = self._shown(self._together(verdicts[: len(self._candidates)]))
+        kept = len(self._candidates)
+        beside = f"; beside that, {verdicts[-1].reason}" if kept and verdicts[-1].verdict == "unknown" else ""
+        if kept > 1:
+            together = self._shown(self._together(verdicts[:kept]))
             if not together.vetoed:
-                return together
-        return self._shown(verdicts[0])
+                return replace(together, reason=together.reason + beside)
+        alone = self._shown(verdicts[0])
+        return replace(alone, reason=alone.reason + beside)
 
     def _void(self) -> Verdict:
         """Logs that contradict themselves: nothing is fitted to them, and nothing named."""
@@ -241,20 +244,20 @@ class Diagnosis:
     def _together(self, verdicts: Sequence[Verdict]) -> Verdict:
         """All that rounds have found: earlier names weighed again beside later ones."""
         rng = np.random.default_rng([self.seed, 17])
-        settled = settle(self.engine, self.given, self._candidates, rng, fixed_base=self.fixed_base)
+        settled = settle(self.engine, self.given, self._candidates, rng, lambda model: self._coordinates(_full(model)))
         said = [f"{effect.name} explains {effect.gain:.0%}" for effect in settled.effects if not effect.instead_of]
         reason = f"{', then '.join(said)} of the residual that was left"
         if settled.superfluous:
             reason += f"; beside what was named later, {', '.join(settled.superfluous)} is not needed"
-        ambiguous = any(effect.instead_of for effect in settled.effects)
+        instead = {effect.instead_of for effect in settled.effects if effect.instead_of}
         return replace(
             verdicts[-1],
-            verdict="ambiguous" if ambiguous else "named",
+            verdict="ambiguous" if instead else "named",
             effects=settled.effects,
             reason=reason,
             base=verdicts[0].base,
             model=settled.model,
-            separate_by="; ".join(dict.fromkeys(v.separate_by for v in verdicts if v.separate_by)) if ambiguous else "",
+            separate_by=_separating([one for one in settled.effects if one.instead_of or one.name in instead]),
             details=verdicts[0].details,
         )
 
@@ -291,18 +294,18 @@ class Diagnosis:
         members = [self.refitted[i] for i in decision.candidates]
         candidates = self._found(members, base, decision.shares[list(decision.candidates)])
         findings = tuple(one.finding for one in candidates) if decision.verdict != "unknown" else ()
-        weak = self._weak(findings)
+        weak = self._weak([one.finding for one in candidates])
         if candidates and not weak:
             self._candidates.append(candidates)
         return Verdict(
-            verdict="ambiguous" if weak else decision.verdict,
+            verdict="ambiguous" if weak and findings else decision.verdict,
             effects=findings,
             reason=self._reason(decision, control, box),
             model=candidates[0].model if findings and not weak else fitted,
             base=fitted,
             cannot_tell=tuple(caution.text for caution in self._said(findings)),
-            weak=weak,
-            separate_by=_separating(members) if decision.verdict == "ambiguous" else "",
+            weak=weak and bool(findings),
+            separate_by=_separating(findings) if decision.verdict == "ambiguous" else "",
             details={
                 **self._details(decision),
                 "located": [cell.plain() for cell in located[:CELLS]],
@@ -510,6 +513,11 @@ class Diagnosis:
         return {"ranking": ranking, "joints": list(joints)}
 
 
+def _full(model: RobotModel) -> RobotModel:
+    """A model with the chain of measurement that every robot has."""
+    return with_chain(model) if "current_pd" in model.effect_names else model
+
+
 def _speaks(caution: Caution, findings: Sequence[Finding]) -> bool:
     """Whether a caution speaks against one of these names."""
     return any(caution.weakens(() if f.shared else f.joints, f.name) for f in findings)
@@ -591,7 +599,7 @@ def with_finding(refitted: Refitted, finding: Finding, joints: Sequence[str]) ->
     return model.with_values({finding.parameter: estimate})
 
 
-def _separating(members: Sequence[Refitted]) -> str:
+def _separating(findings: Sequence[Finding]) -> str:
     """What would tell the candidates apart, by the catalogue."""
-    said = dict.fromkeys(r.hypothesis.effect.separating_experiment for r in members)
+    said = dict.fromkeys(effect_class(finding.name).separating_experiment for finding in findings)
     return "; ".join(text for text in said if text)

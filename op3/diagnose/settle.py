@@ -5,21 +5,22 @@ of those it could not be told from does better now. Two effects that each look l
 command and a slow filter, are both found in this way, one after the other.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from op3.diagnose.backward import left_out, with_findings
-from op3.diagnose.coordinates import base_coordinates
-from op3.diagnose.decide import Contender, weigh
+from op3.diagnose.coordinates import FAULTS, Coordinates
+from op3.diagnose.decide import LATER_GAIN, SMALLEST_GAIN, Contender, weigh
 from op3.diagnose.fitting import Engine, fit_base, with_point
 from op3.diagnose.verdict import Finding
 from op3.servo import RobotModel
 
-NEEDED = 0.025
-"""Share of the residual that must come back without an effect for it to be needed: half of what a name takes."""
+NEEDED = (0.5 * SMALLEST_GAIN, 0.5 * LATER_GAIN)
+"""Share of the residual that must come back without the first effect, and without a further one, for it to be needed:
+half of what its name took."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +63,7 @@ def settle(
     given: RobotModel,
     rounds: Sequence[Sequence[Candidate]],
     rng: np.random.Generator,
-    *,
-    fixed_base: bool,
+    coordinates: Callable[[RobotModel], Coordinates],
 ) -> Settled:
     """Weigh what was found in earlier rounds again, beside all that was found later.
 
@@ -72,38 +72,41 @@ def settle(
         given: model that the first round started from.
         rounds: the candidates of each round, the one that the next round went on from first.
         rng: of the resampling.
-        fixed_base: whether the base is held.
+        coordinates: what a base refits of a model.
     """
     rounds = merged(given, rounds)
     final = rounds[-1][0].model
-    places = {candidates[0].place for candidates in rounds}
     leaders: list[Candidate | None] = [candidates[0] for candidates in rounds]
-    rivals = [[one for one in candidates[1:] if one.place not in places] for candidates in rounds]
+    rivals = [list(candidates[1:]) for candidates in rounds]
 
     def refitted(model: RobotModel) -> RobotModel:
-        coordinates = base_coordinates(model, engine.joints, fixed_base=fixed_base)
-        fit = fit_base(engine, coordinates, rounds=2, start=coordinates.start)
+        moved = coordinates(model)
+        fit = fit_base(engine, moved, rounds=2, start=moved.start)
         return with_point(fit.coordinates, fit.point)
 
     for k, leader in enumerate(leaders[:-1]):
         assert leader is not None
+        if leader.finding.by:
+            continue  # zeros of set-ups are beside everything else, and stay
+        named = {one.place for one in leaders if one is not None}
+        rivals[k] = [one for one in rivals[k] if one.place not in named and not one.finding.by]
         without = left_out(given, leader.finding, final, engine.joints)
-        models = [with_findings(without, [one.finding], one.model, engine.joints) for one in rivals[k]]
-        control, *others = [refitted(model) for model in (without, *models)]
-        if others:  # what they are compared with gets the same effort
-            final = refitted(final)
-        losses = _losses(engine, final, (final, control, *others))
+        exchanged = [with_findings(given, [one.finding], one.model, engine.joints, without) for one in rivals[k]]
+        models = [refitted(model) for model in (final, without, *exchanged)]
+        losses = _losses(engine, models[0], models)
         standing, own = [leader, *rivals[k]], losses[[0, *range(2, len(losses))]]
         weighed = [replace(one.contender, losses=loss) for one, loss in zip(standing, own, strict=True)]
         best, alike = weigh(weighed, losses[1], rng)
-        needed = bool(1.0 - own[best].sum() / losses[1].sum() >= NEEDED)
+        needed = bool(1.0 - own[best].sum() / losses[1].sum() >= NEEDED[min(k, 1)])
         leaders[k], rivals[k] = (standing[best], [standing[i] for i in alike]) if needed else (None, [])
-        final = (final, *others)[best] if needed else control
+        final = models[0 if best == 0 else 1 + best] if needed else models[1]
+    named = {one.place for one in leaders if one is not None}
     effects: list[Finding] = []
-    for leader, open_ in zip(leaders, rivals, strict=True):
+    for leader, others in zip(leaders, rivals, strict=True):
         if leader is not None:
-            effects.append(as_in(given, final, leader.finding, engine.joints))
-            effects += [replace(one.finding, instead_of=leader.finding.name) for one in open_]
+            effects.append(replace(as_in(given, final, leader.finding, engine.joints), instead_of=""))
+            left = [one.finding for one in others if one.place not in named]
+            effects += [replace(one, instead_of=leader.finding.name) for one in left]
     gone = [candidates[0].finding.name for candidates, leader in zip(rounds, leaders, strict=True) if leader is None]
     return Settled(tuple(effects), final, tuple(gone))
 
@@ -122,6 +125,7 @@ def merged(given: RobotModel, rounds: Sequence[Sequence[Candidate]]) -> list[lis
     for leader, *others in rounds:
         earlier = result.pop(leader.place, None)
         if earlier is not None:
+            others += [one for one in earlier[1:] if one.place not in {other.place for other in others}]
             before, effect = earlier[0].finding, leader.finding
             if effect.name in given.effect_names:
                 more = {name: value + before.parameters.get(name, 0.0) for name, value in effect.parameters.items()}
@@ -136,9 +140,10 @@ def merged(given: RobotModel, rounds: Sequence[Sequence[Candidate]]) -> list[lis
 def as_in(given: RobotModel, final: RobotModel, finding: Finding, joints: Sequence[str]) -> Finding:
     """A finding with its numbers in a model in which others were found besides; its interval moves with it.
 
-    What is told as more of an effect that the given model has stays as it was found.
+    What is told as more of an effect that the given model has, or against other joints, stays as it was found.
     """
-    if finding.by or finding.name in given.effect_names:
+    against = finding.name in FAULTS.values() and not finding.shared
+    if finding.by or against or finding.name in given.effect_names:
         return finding
     column = 0 if finding.shared else list(joints).index(finding.joints[0])
     known, values = final.parameters(), dict(finding.parameters)

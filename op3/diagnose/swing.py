@@ -118,13 +118,13 @@ def diagnose_swings(
 
 def _beyond(verdict: Verdict) -> str:
     """What a verdict says besides the zero, in a clause."""
-    names = " or ".join(effect.name for effect in verdict.effects)
+    names = " and ".join(effect.name for effect in verdict.effects)
     if verdict.verdict == "named" and verdict.vetoed:
         return f"beyond it, {names} would explain some of what is left, but unseen swings are no better with it"
     if verdict.verdict == "named":
         return f"beyond it, {verdict.reason}"
     if verdict.verdict == "ambiguous":
-        return f"beyond it, {names}, which look alike to these swings"
+        return f"beyond it, {verdict.found}, which look alike to these swings"
     return f"beyond it nothing is named: {verdict.reason}"
 
 

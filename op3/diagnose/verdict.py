@@ -67,7 +67,8 @@ class Verdict:
         verdict: ``named``, ``ambiguous``, ``unknown`` or ``nothing_missing``.
         effects: those named, behind each what the logs do not tell from it, or the candidates of weak logs.
         reason: one sentence.
-        model: with what was named switched on and identified; the refitted base otherwise.
+        model: with what was named, or of what looks alike the first, switched on and identified; the refitted base
+            otherwise.
         base: the refitted base model.
         separate_by: experiment that tells candidates apart; empty unless ambiguous.
         cannot_tell: what the logs are too poor for, and what to record next; empty if they are rich enough.
@@ -98,11 +99,12 @@ class Verdict:
             either = ", or ".join(_phrase(effect) for effect in self.effects)
             return f"These logs cannot tell what is missing; what they have points to {either}."
         if self.verdict == "named" and self.vetoed:
-            return f"Windows ask for {self._found}, but free runs are no better with it; the model was left without."
+            return f"Windows ask for {self.found}, but free runs are no better with it; the model was left without."
         if self.verdict == "named":
-            return f"The model lacks {self._found}."
+            return f"The model lacks {self.found}."
         if self.verdict == "ambiguous":
-            return f"The model lacks {self._found}; these logs do not tell which."
+            left = "; free runs are no better with the first, and the model was left without" if self.vetoed else ""
+            return f"The model lacks {self.found}; these logs do not tell which{left}."
         if self.verdict == "unknown" and not self.details.get("ranking"):
             return "These logs cannot tell what is missing: " + " ".join(self.cannot_tell)
         if self.verdict == "unknown":
@@ -112,13 +114,14 @@ class Verdict:
         return "Nothing is missing: what the model does not explain is as small as what no effect could explain."
 
     @property
-    def _found(self) -> str:
+    def found(self) -> str:
         """All effects, each with those that could stand for it."""
-        text = ""
-        for number, effect in enumerate(self.effects):
-            link = "" if number == 0 else ", or " if effect.instead_of else ", and " if ", or " in text else " and "
-            text += link + _phrase(effect)
-        return text
+        groups: list[list[str]] = []
+        for effect in self.effects:
+            groups = [*groups, []] if not effect.instead_of or not groups else groups
+            groups[-1].append(_phrase(effect))
+        link = "; besides, " if any(len(group) > 1 for group in groups) else " and "
+        return link.join(", or ".join(group) for group in groups)
 
     def plain(self) -> dict[str, Any]:
         """The content of ``verdict.yaml``."""

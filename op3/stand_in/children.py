@@ -5,6 +5,7 @@ Importing torch, MuJoCo and what draws pages takes seconds of CPU time, a tenth 
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import multiprocessing
 import os
@@ -12,7 +13,7 @@ import runpy
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
@@ -65,8 +66,10 @@ def _start(command: Sequence[str], log: Path) -> tuple[int, Callable[[float], bo
 
 def _fork(server: ForkServerContext, script: Sequence[str], log: Path) -> tuple[int, Callable[[float], bool]]:
     """A script of this interpreter, as `_start`."""
+    log.write_text("", encoding="utf-8")
     process = server.Process(target=_play, args=(list(script), str(log)))
-    process.start()
+    with _nameless_main():
+        process.start()
     assert process.pid is not None
 
     def wait(seconds: float) -> bool:
@@ -74,6 +77,19 @@ def _fork(server: ForkServerContext, script: Sequence[str], log: Path) -> tuple[
         return not process.is_alive()
 
     return process.pid, wait
+
+
+@contextlib.contextmanager
+def _nameless_main() -> Iterator[None]:
+    """A start in which the child does not import this process's main file first: it is a script of its own."""
+    main = sys.modules["__main__"]
+    known = {name: vars(main)[name] for name in ("__file__", "__spec__") if name in vars(main)}
+    vars(main).update(__file__=None, __spec__=None)
+    try:
+        yield
+    finally:
+        vars(main).pop("__file__")
+        vars(main).update(known)
 
 
 @cache
@@ -91,8 +107,7 @@ def _stop(group: int, wait: Callable[[float], bool]) -> None:
     for number in (signal.SIGTERM, signal.SIGKILL):
         with contextlib.suppress(ProcessLookupError):
             os.killpg(group, number)
-        if wait(GRACE):
-            break
+        wait(GRACE)
 
 
 def _play(script: list[str], log: str) -> None:
@@ -103,4 +118,7 @@ def _play(script: list[str], log: str) -> None:
         os.dup2(out, stream)
     sys.argv = script
     sys.path[0] = str(Path(script[0]).resolve().parent)
-    runpy.run_path(script[0], run_name="__main__")
+    try:
+        runpy.run_path(script[0], run_name="__main__")
+    finally:
+        atexit._run_exitfuncs()  # such a child ends without

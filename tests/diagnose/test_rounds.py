@@ -1,11 +1,16 @@
 """What several rounds of a diagnosis add up to."""
 
+from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
-from op3.diagnose.settle import Candidate, as_in, merged
+from op3.diagnose import settle as settling
+from op3.diagnose.decide import Contender
+from op3.diagnose.settle import Candidate, as_in, merged, settle
 from op3.diagnose.verdict import Finding, Verdict
+from op3.servo import Estimate, effect_class
 from op3.sim import load_model
 
 
@@ -48,11 +53,20 @@ def test_numbers_are_those_of_the_last_model():
     [
         ("named", ("", ""), "The model lacks one in a, 1 (1 to 1) and two in b, 1 (1 to 1)."),
         ("ambiguous", ("", "one"), "The model lacks one in a, 1 (1 to 1), or two in b, 1 (1 to 1); these logs do not"),
-        ("ambiguous", ("", "one", ""), "one in a, 1 (1 to 1), or two in b, 1 (1 to 1), and three in c, 1 (1 to 1);"),
+        (
+            "ambiguous",
+            ("", "one", ""),
+            "one in a, 1 (1 to 1), or two in b, 1 (1 to 1); besides, three in c, 1 (1 to 1);",
+        ),
+        (
+            "ambiguous",
+            ("", "", "two"),
+            "lacks one in a, 1 (1 to 1); besides, two in b, 1 (1 to 1), or three in c, 1 (1",
+        ),
     ],
 )
 def test_a_sentence_tells_alternatives_from_what_comes_on_top(verdict, instead, text):
-    """What stands for another effect is joined by or, what is found besides by and."""
+    """What stands for another effect is joined by or, what is found on top is set apart."""
     paper = load_model("paper")
     effects = tuple(
         Finding(name, (joint,), False, 1.0, "-", (1.0, 1.0), 1.0, {}, 0.1, instead_of=other)
@@ -61,3 +75,51 @@ def test_a_sentence_tells_alternatives_from_what_comes_on_top(verdict, instead, 
     said = Verdict(verdict, effects, "", paper, paper)
     assert text in said.sentence
     assert [entry.get("instead_of", "") for entry in said.plain()["effects"]] == list(instead)
+
+
+EFFECTS = {"cogging": "cogging_amplitude", "cable_spring": "cable_stiffness", "quadratic_drag": "quadratic_drag"}
+
+
+def candidate(name: str) -> Candidate:
+    """An effect of joint a, on in its model."""
+    number = EFFECTS[name]
+    model = load_model("paper").with_effect(effect_class(name)(), {number: Estimate(0.0, joints={"a": 0.01})})
+    found = Finding(name, ("a",), False, 0.01, "", (0.0, 0.02), 0.7, {number: 0.01}, 0.1, number)
+    contender = Contender(name, name, (0,), "", 0.1, 0.1, np.zeros(8), 0.01, 0.001, False)
+    return Candidate(found, contender, model)
+
+
+@pytest.mark.parametrize(
+    ("left", "expected"),
+    [
+        # what each model leaves in every second: with both, without the first, with the rival in place of the first
+        ({"both": 1.0, "without": 2.0, "rival": 1.5}, [("cogging", ""), ("quadratic_drag", "")]),
+        ({"both": 1.5, "without": 2.0, "rival": 1.0}, [("cable_spring", ""), ("quadratic_drag", "")]),
+        ({"both": 1.0, "without": 1.001, "rival": 1.0}, [("quadratic_drag", "")]),
+    ],
+)
+def test_earlier_names_are_weighed_beside_later_ones(monkeypatch, left, expected):
+    """Found first, it stays, gives way to what it could not be told from, or goes; what is named stands for itself."""
+    first, rival, second = (candidate(name) for name in EFFECTS)
+    final = first.model.with_effect(effect_class("quadratic_drag")(), {"quadratic_drag": 0.01})
+    second = Candidate(second.finding, second.contender, final)
+
+    def kind(model) -> str:
+        return (
+            "rival"
+            if "cable_spring" in model.effect_names
+            else "both"
+            if "cogging" in model.effect_names
+            else "without"
+        )
+
+    monkeypatch.setattr(settling, "fit_base", lambda engine, moved, **_: moved)
+    monkeypatch.setattr(settling, "with_point", lambda moved, point: moved.model)
+    losses = lambda engine, reference, models: np.array([[left[kind(model)]] * 8 for model in models])  # noqa: E731
+    monkeypatch.setattr(settling, "_losses", losses)
+    rounds = [[first, rival], [second, rival]]
+    engine = cast(Any, SimpleNamespace(joints=("a", "b", "c")))
+    moved = lambda model: SimpleNamespace(model=model, start=None, coordinates=SimpleNamespace(model=model), point=None)  # noqa: E731
+    told = settle(engine, load_model("paper"), rounds, np.random.default_rng(0), cast(Any, moved))
+    assert [(one.name, one.instead_of) for one in told.effects][: len(expected)] == expected
+    assert told.superfluous == (() if expected[0][0] != "quadratic_drag" else ("cogging",))

@@ -8,6 +8,7 @@ import op3.stand_in
 ALLOWED = ("numpy", "mujoco", "yaml", "op3.robot", "op3.rollout", "op3.stand_in")
 STANDARD = (
     "__future__",
+    "atexit",
     "collections",
     "contextlib",
     "dataclasses",
