@@ -211,12 +211,11 @@ class Diagnosis:
             self._candidates.pop()  # what it leaves is as unknown as before
         kept = len(self._candidates)
         beside = f"; beside that, {verdicts[-1].reason}" if kept and verdicts[-1].verdict == "unknown" else ""
-        if kept > 1:
-            together = self._shown(self._together(verdicts[:kept]))
-            if not together.vetoed:
-                return replace(together, reason=together.reason + beside)
-        alone = self._shown(verdicts[0])
-        return replace(alone, reason=alone.reason + beside)
+        verdict = self._shown(self._together(verdicts[:kept]) if kept > 1 else verdicts[0])
+        if kept > 1 and verdict.vetoed:
+            first = self._shown(verdicts[0])  # it may be better alone
+            verdict = verdict if first.vetoed else first
+        return replace(verdict, reason=verdict.reason + beside)
 
     def _void(self) -> Verdict:
         """Logs that contradict themselves: nothing is fitted to them, and nothing named."""
