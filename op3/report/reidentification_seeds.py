@@ -104,7 +104,7 @@ def _bars(numbers: Mapping[str, Any], parameters: Sequence[str]) -> go.Figure:
             name=label,
             marker_color=colour,
         )
-    dress(figure, 440, barmode="group", margin=dict(l=70, r=20, t=48, b=120))
+    dress(figure, 440, barmode="group", margin=dict(l=70, r=80, t=48, b=120))
     figure.update_yaxes(title_text="share of the range [-]", range=[0, 1.05])
     return figure
 

@@ -171,7 +171,7 @@ def _lesson(page: Page, round_number: int, learned: Mapping[str, Any]) -> None:
     for label, key, colour in ((before, "excitation_only", PALETTE[1]), (after, "reidentified", PALETTE[0])):
         values = [learned[f"normalised.{key}.{name}"] for name in names]
         figure.add_bar(x=[words(name) for name in names], y=values, name=label, marker_color=colour)
-    dress(figure, 420, barmode="group", margin=dict(l=70, r=20, t=48, b=120))
+    dress(figure, 420, barmode="group", margin=dict(l=70, r=80, t=48, b=120))
     figure.update_yaxes(title_text="share of the range [-]", range=[0, 1.02])
     page.figure(figure, "Parameters normalised by Table I.")
 
