@@ -252,12 +252,18 @@ def bound(effect: Effect, position: float, velocity: float, load: float = 0.0, *
 
 
 def test_frictions_of_speed_direction_and_place_are_their_formulas():
-    """Drag is c w^2; asymmetric friction acts one way; friction of place is full at its angle and none opposite."""
+    """Drag is c w^2; friction of place is full at its angle and none opposite; asymmetric friction keeps its mean.
+
+    Half of the difference is added one way and taken away the other, where there is as much.
+    """
     assert bound(QuadraticDrag(), 0.0, -3.0, quadratic_drag=0.01) == pytest.approx(0.09)
-    for value, velocity, expected in ((0.05, 1.0, 0.05), (0.05, -1.0, 0.0), (-0.05, -1.0, 0.05), (-0.05, 1.0, 0.0)):
-        assert bound(AsymmetricFriction(), 0.0, velocity, asymmetric_friction=value) == pytest.approx(expected)
+    for value, velocity, expected in ((0.05, 1.0, 0.125), (0.05, -1.0, 0.075), (-0.05, -1.0, 0.125), (0.3, -1.0, 0.0)):
+        law, signals = law_of(AsymmetricFriction(), Coulomb(), asymmetric_friction=value, coulomb_friction=0.1)
+        signals.velocity = signals.velocity + velocity
+        drive(law, signals)
+        assert signals.friction_bound.item() == pytest.approx(expected)
     # at rest the push of motor and load counts
-    assert bound(AsymmetricFriction(), 0.0, 0.0, load=0.1, asymmetric_friction=0.05) == pytest.approx(0.05)
+    assert bound(AsymmetricFriction(), 0.0, 0.0, load=0.1, asymmetric_friction=0.05) == pytest.approx(0.025)
     assert bound(AsymmetricFriction(), 0.0, 0.0, load=-0.1, asymmetric_friction=0.05) == 0.0
     for position, expected in ((0.3, 0.06), (0.3 + np.pi / 2, 0.03), (0.3 + np.pi, 0.0)):
         values = {"position_friction": 0.06, "position_friction_angle": 0.3}

@@ -144,9 +144,10 @@ class BearingFriction(Effect):
 @register
 @dataclass(frozen=True)
 class AsymmetricFriction(Effect):
-    """Coulomb friction that is higher in one direction of motion.
+    """Coulomb friction that is higher in one direction of motion, and as much lower in the other.
 
-    At rest the direction is the one in which motor and load together push the joint.
+    The mean of both is that of the other effects; none is left where half the difference is larger than they are. At
+    rest the direction is the one in which motor and load together push the joint.
 
     Attributes:
         rest: below this speed a joint counts as resting [rad/s].
@@ -154,12 +155,11 @@ class AsymmetricFriction(Effect):
 
     name: ClassVar[str] = "asymmetric_friction"
     stage: ClassVar[Stage] = Stage.FRICTION
-    equation: ClassVar[str] = "tau_fric += |a| where w a > 0"
+    rank: ClassVar[int] = 1  # what is less than nothing has to be known
+    equation: ClassVar[str] = "tau_fric += sign(w) a / 2, not below 0"
     source: ClassVar[str] = "skewed teeth, worms and preloaded seals; differences of 0.01 to 0.1 N m"
     parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter(
-            "asymmetric_friction", "N m", -0.15, 0.15, 0.0, 0.0, "a, more friction for w > 0; negative: for w < 0"
-        ),
+        Parameter("asymmetric_friction", "N m", -0.15, 0.15, 0.0, 0.0, "a, friction for w > 0 less that for w < 0"),
     )
     size: ClassVar[str] = "asymmetric_friction"
     smallest: ClassVar[float] = 0.01
@@ -176,11 +176,11 @@ class AsymmetricFriction(Effect):
     rest: float = 0.001
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
-        """Raise the bound in one direction."""
+        """Raise the bound in one direction and lower it in the other."""
         pushed = signals.motor_torque + signals.load_torque
-        direction = torch.where(signals.speed > self.rest, signals.velocity, pushed)
-        more = prepared["asymmetric_friction"]
-        signals.friction_bound = signals.friction_bound + torch.where(direction * more > 0, more.abs(), 0.0)
+        direction = torch.sign(torch.where(signals.speed > self.rest, signals.velocity, pushed))
+        bound = signals.friction_bound + 0.5 * direction * prepared["asymmetric_friction"]
+        signals.friction_bound = bound.clamp(min=0.0)
 
 
 @register
