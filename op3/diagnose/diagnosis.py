@@ -525,8 +525,8 @@ def _speaks(caution: Caution, findings: Sequence[Finding]) -> bool:
 def shortlist(screened: Sequence[Screened], suspects: Sequence[tuple[str, int, float]] = ()) -> list[Screened]:
     """What is refitted.
 
-    The best secants of the best hypotheses, look-alikes of the leader, the best in all joints, and faults of single
-    joints that the spread of the base's servos hides.
+    The best secants of the best hypotheses, look-alikes of the leader, the best in all joints, faults of single joints
+    that the spread of the base's servos hides, and those that its chain of measurement hides with what looks alike.
 
     Args:
         screened: every secant of every hypothesis.
@@ -546,9 +546,14 @@ def shortlist(screened: Sequence[Screened], suspects: Sequence[tuple[str, int, f
     shared = [s for s in ordered if s.hypothesis.joints is None and s not in picked]
     picked = picked + shared[:SHARED]
     for name, joint, apart in suspects:
+        alike = effect_class(name).alias_class if name in CHAIN_FAULTS.values() else None
         for s in best.values():
-            if s.hypothesis.effect.name == name and s.hypothesis.joints == (joint,) and s not in picked:
+            if s.hypothesis.joints != (joint,) or s in picked:
+                continue
+            if s.hypothesis.effect.name == name:
                 picked.append(replace(s, share=float(np.sign(apart)) * max(1.0, abs(s.share))))
+            elif s.hypothesis.effect.alias_class == alike:
+                picked.append(s)
     return picked
 
 
