@@ -124,7 +124,7 @@ def main(cfg: DictConfig) -> None:
     """Compose the config and diagnose."""
     with one_sentence():
         torch.set_num_threads(1)
-        threadpool_limits(1)
+        threadpool_limits(1)  # as in `Diagnosis.run`, for what is outside of it
         if OmegaConf.is_missing(cfg, "data") and not cfg.planned:
             raise ValueError("data is missing: add data=<folder of logs>, or planned=<motions> mode=aliasing")
         diagnose(cfg)

@@ -25,9 +25,9 @@ other one makes the model wrong. The largest gain in six empty legs was 0.09."""
 
 LATER_GAIN, LATER_TRIMMED = 0.02, 0.01
 """Gain of a further effect that counts where t and the score of the ranks both reach their thresholds: one of a single
-joint, beside one of all, has a small share of what is left. A true zero of friction in one joint had 4.4 and 5.1 at a
-gain of 0.024, beside a lag of the current loop. Where nothing further was hidden the smaller of the two reached 2.5 in
-23 development legs, at a gain of up to 0.11."""
+joint, beside one of all, has a small share of what is left. A true asymmetry of friction in one joint had 4.4 and 5.1
+at a gain of 0.024, beside a lag of the current loop. Where nothing further was hidden the smaller of the two reached
+2.5 in 23 development legs, at a gain of up to 0.11."""
 
 LATER_Z = 4.0
 """Score of the ranks that will do in place of t for a further effect if fitted and choosing runs both gain
@@ -63,8 +63,8 @@ ALIKE_SHARE = 0.99
 
 UNDECIDED = 0.7
 """Most confidence that a candidate of an ambiguous verdict has: resampling tells what noise can do, not what a law that
-is a little wrong does to effects that look alike. A sensor's zero won 99 % against the asymmetric friction that it was
-taken for."""
+is a little wrong does to effects that look alike. A sensor's zero won 99 % against the asymmetric friction that was
+hidden."""
 
 PARSIMONY = 0.1
 """Share of what the best explains that a hypothesis with fewer numbers may fall short of it and still be preferred: a

@@ -54,10 +54,8 @@ class LoadFriction(Effect):
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Raise the bound."""
         share = prepared["load_friction"] + signals.fade * prepared["load_friction_excess"]
-        if self.form == "motor":
-            bound = share * signals.motor_torque.abs()
-        else:
-            bound = law.load_friction(signals.motor_torque, signals.load_torque, share, share)
+        load_share = share if self.form == "sum" else 0.0 * share
+        bound = law.load_friction(signals.motor_torque, signals.load_torque, share, load_share)
         signals.friction_bound = signals.friction_bound + bound
 
 
