@@ -52,6 +52,7 @@ def build(cfg: DictConfig) -> Reidentification:
         repeats=cfg.repeats,
         race=cfg.race,
         seed=cfg.seed,
+        processes=cfg.processes,
     )
 
 

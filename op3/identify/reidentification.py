@@ -100,6 +100,7 @@ class Reidentification:
         repeats: episodes of each candidate, K in the paper.
         race: whether a candidate whose first episodes promise nothing is spared the others; else all play all.
         seed: of the simulated episodes.
+        processes: processes that share the episodes; 0 for all processors.
         joints: focusing joints of the excitation loss; those of a log where it has others.
 
     Raises:
@@ -119,6 +120,7 @@ class Reidentification:
         repeats: int = 10,
         race: bool = True,
         seed: int = 0,
+        processes: int = 1,
         joints: Sequence[str] = CONTROLLED_JOINTS,
     ):
         if not episodes:
@@ -134,7 +136,7 @@ class Reidentification:
         self.model, self.race = model, race
         self.actual = [evaluation_return(log, attempted) for log in episodes]
         self.problem = Problem(model, excitation, TrajectoryLoss(tuple(joints)))
-        self.bench = ReturnsBench(policy, model, find_task(attempted), repeats, seed)
+        self.bench = ReturnsBench(policy, model, find_task(attempted), repeats, seed, processes=processes)
         self.start = self._measure([{name: model.value(name) for name in names}])[0]
         if not np.isfinite(self.start.excitation):
             raise ValueError(
