@@ -5,6 +5,7 @@ The simulations of a batch leave processors idle between the steps of the physic
 
 import multiprocessing
 import os
+import pickle
 import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -25,7 +26,7 @@ class Crew(Generic[T]):
     """An object here and copies of it elsewhere. The copies start with the first work, and end with this process.
 
     Args:
-        worker: the object; it is pickled as it is now.
+        worker: the object; copies are of it as it is now.
         size: how many, that of this process included; 0 for as many as there are processors.
     """
 
@@ -33,6 +34,7 @@ class Crew(Generic[T]):
         if size < 0:
             raise ValueError(f"a crew has at least one process, or 0 for one per processor, got {size}")
         self.worker, self.size = worker, size or processors()
+        self._copied = pickle.dumps(worker)
         self._lines: list[Connection] = []
 
     def run(self, method: str, parts: Sequence[Mapping[str, Any]]) -> list[Any]:
@@ -51,7 +53,7 @@ class Crew(Generic[T]):
         if not 0 < len(parts) <= self.size:
             raise ValueError(f"a crew of {self.size} cannot do {len(parts)} parts at once")
         if len(parts) > 1 and not self._lines:
-            self._lines = _recruit(self.worker, self.size - 1)
+            self._lines = _recruit(self._copied, self.size - 1)
             weakref.finalize(self, _dismiss, self._lines)
         busy = self._lines[: len(parts) - 1]
         try:
@@ -71,7 +73,7 @@ class Crew(Generic[T]):
         return [own, *(result for _, result in outcomes)]
 
 
-def _recruit(worker: Any, count: int) -> list[Connection]:
+def _recruit(copied: bytes, count: int) -> list[Connection]:
     """Start copies; they import what they need while this process begins its own part."""
     # a fork would have the locks of this process's threads without the threads; children of a fork server would be no
     # children of this process, which counts their processor time
@@ -79,7 +81,7 @@ def _recruit(worker: Any, count: int) -> list[Connection]:
     lines = []
     for _ in range(count):
         here, there = context.Pipe()
-        context.Process(target=_serve, args=(there, worker), daemon=True).start()
+        context.Process(target=_serve, args=(there, copied), daemon=True).start()
         there.close()
         lines.append(here)
     return lines
@@ -100,9 +102,10 @@ def _dismiss(lines: Sequence[Connection]) -> None:
             line.close()
 
 
-def _serve(line: Connection, worker: Any) -> None:
+def _serve(line: Connection, copied: bytes) -> None:
     """Do what is asked until the other end is closed, which the end of that process does too."""
     torch.set_num_threads(1)
+    worker = pickle.loads(copied)
     with suppress(EOFError, OSError, KeyboardInterrupt):
         while True:
             method, part = line.recv()

@@ -44,8 +44,10 @@ def test_returns_are_the_same_in_several_processes():
     values = {"torque_constant": torch.linspace(0.0047, 0.008, 5)}
     alone = ReturnsBench(policy, model, task, episodes=2, seed=1).run(values, 5)
     shared = ReturnsBench(policy, model, task, episodes=2, seed=1, processes=3)
+    first = shared.run({"torque_constant": values["torque_constant"][:1]}, 1)  # by one process alone
+    torch.testing.assert_close(first.returns, alone.returns[:1], rtol=0, atol=1e-9)
     for _ in range(2):
         together = shared.run(values, 5)
         torch.testing.assert_close(together.returns, alone.returns, rtol=0, atol=1e-9)
         assert torch.equal(together.steps, alone.steps)
-    assert shared.simulated_seconds == pytest.approx(2 * float(alone.steps.sum()) * POLICY_PERIOD)
+    assert shared.simulated_seconds == pytest.approx(float(2 * alone.steps.sum() + alone.steps[0].sum()) * POLICY_PERIOD)
