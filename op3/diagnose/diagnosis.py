@@ -18,7 +18,7 @@ from op3.diagnose.coordinates import (
     other_forms,
     with_chain,
 )
-from op3.diagnose.decide import CEILING, LOOK_ALIKE, UNDECIDED, Contender, Decision, decide, local_ceiling
+from op3.diagnose.decide import CEILING, LOOK_ALIKE, UNDECIDED, Contender, Decision, Own, decide, local_ceiling
 from op3.diagnose.fitting import ROUNDS, SHARES, Engine, Fit, fit_base, intervals, linearise, polish, refit, with_point
 from op3.diagnose.free_run import engine_for
 from op3.diagnose.hypotheses import Hypothesis, hypotheses
@@ -41,6 +41,10 @@ SHORTLIST = 6
 
 SHARED = 2
 """Hypotheses of all joints alike that are refitted besides: a base may have absorbed them."""
+
+SCORED = 2
+"""Hypotheses that are refitted besides by their score alone: what an effect would explain is foreseen badly where a
+base has given way to it far. A strong false mass of a link had the highest score of all, and a gain below zero."""
 
 PARTNERS = 2
 """Look-alikes of the leader that are refitted besides, if the screen credits them with half of what it has."""
@@ -288,7 +292,7 @@ class Diagnosis:
             rng,
             ceiling=None if box is None else local_ceiling(box.gain, box.by_joint),
             left=self._left(control),
-            further=not first,
+            found=[candidates[0].contender for candidates in self._candidates],
         )
         members = [self.refitted[i] for i in decision.candidates]
         candidates = self._found(members, base, decision.shares[list(decision.candidates)])
@@ -377,8 +381,11 @@ class Diagnosis:
 
     def _losses(self, fit: Fit) -> np.ndarray:
         """Squares summed by block of a second, ``[block]``."""
-        index = np.unique(self.engine.blocks, return_inverse=True)[1]
-        return np.bincount(index, np.square(fit.residual.astype(np.float64)).sum(1))
+        return self._by_block(np.square(fit.residual.astype(np.float64)).sum(1))
+
+    def _by_block(self, values: np.ndarray) -> np.ndarray:
+        """Sums of what windows have by block, ``[block]``."""
+        return np.bincount(np.unique(self.engine.blocks, return_inverse=True)[1], values)
 
     def _contender(self, hypothesis: Hypothesis, fit: Fit, control: Fit, base: Fit, direction: np.ndarray) -> Contender:
         held = ~self.engine.is_fit
@@ -405,7 +412,19 @@ class Diagnosis:
             left=self._left(fit),
             direction=direction,
             numbers=len(fit.coordinates) - len(base.coordinates),
+            own=self._own(hypothesis, fit, control),
+            confounders=hypothesis.effect.confounders,
         )
+
+    def _own(self, hypothesis: Hypothesis, fit: Fit, control: Fit) -> Own | None:
+        """What a fault of one joint explains there."""
+        if hypothesis.joints is None or len(hypothesis.joints) != 1:
+            return None
+        (joint,) = hypothesis.joints
+        before, after = (self.engine.squares_by_joint(one.residual)[:, joint] for one in (control, fit))
+        fitted = self.engine.is_fit
+        gains = [1.0 - after[at].sum() / max(before[at].sum(), 1e-12) for at in (~fitted, fitted)]
+        return Own(float(gains[0]), float(gains[1]), self._by_block(before - after))
 
     def _size_at(self, hypothesis: Hypothesis, fit: Fit, base: Fit) -> int:
         """Which coordinate says how large the effect is: its size parameter, or the largest of those moved."""
@@ -525,8 +544,9 @@ def _speaks(caution: Caution, findings: Sequence[Finding]) -> bool:
 def shortlist(screened: Sequence[Screened], suspects: Sequence[tuple[str, int, float]] = ()) -> list[Screened]:
     """What is refitted.
 
-    The best secants of the best hypotheses, look-alikes of the leader, the best in all joints, faults of single joints
-    that the spread of the base's servos hides, and those that its chain of measurement hides with what looks alike.
+    The best secants of the best hypotheses, look-alikes of the leader, the best in all joints, the highest scores,
+    faults of single joints that the spread of the base's servos hides, and those that its chain of measurement hides
+    with what looks alike.
 
     Args:
         screened: every secant of every hypothesis.
@@ -545,6 +565,8 @@ def shortlist(screened: Sequence[Screened], suspects: Sequence[tuple[str, int, f
     picked = picked + partners[:PARTNERS]
     shared = [s for s in ordered if s.hypothesis.joints is None and s not in picked]
     picked = picked + shared[:SHARED]
+    scored = sorted((s for s in ordered if s not in picked), key=lambda s: -s.statistic)
+    picked = picked + scored[:SCORED]
     for name, joint, apart in suspects:
         alike = effect_class(name).alias_class if name in CHAIN_FAULTS.values() else None
         for s in best.values():

@@ -54,6 +54,10 @@ class Engine(Protocol):
         """Fix the whitening by this model."""
         ...
 
+    def squares_by_joint(self, residual: np.ndarray) -> np.ndarray:
+        """Sums of squares of whitened residuals ``[window, residual]``, ``[window, joint]``."""
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class Fit:

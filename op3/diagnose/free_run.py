@@ -111,6 +111,11 @@ class FreeRunResiduals:
         usual = 1.4826 * np.median(np.abs(self._errors(self._all, model, {}, 1)), axis=(0, 1, 2, 3))
         self.scale = np.sqrt(np.array([FLOOR[key] for key in self.channels]) ** 2 + usual**2)
 
+    def squares_by_joint(self, residual: np.ndarray) -> np.ndarray:
+        """Sums of squares of residuals ``[window, residual]``, ``[window, joint]``."""
+        shape = (len(residual), -1, len(self.joints), len(self.channels))
+        return np.square(residual.reshape(shape).astype(np.float64)).sum((1, 3))
+
     def residuals(
         self,
         model: RobotModel,

@@ -196,10 +196,12 @@ class FixedBase:
         return trajectory_dynamics(mj_model, self.names, position, velocity, self.qpos, derivatives=False)
 
     def changed(self, model: RobotModel, parameter: str, joint: int | None, amount: float) -> mujoco.MjModel | None:
-        """A model in which one parameter of one joint is larger by `amount`; None if nothing changes for the limbs."""
+        """A sound robot but for one parameter of a joint, larger by `amount`; None if nothing changes for the limbs."""
+        known = model.parameters()
+        sound = model.with_values({name: one.neutral for name, one in known.items() if one.neutral is not None})
         values = {
-            name: value.expand(1, len(self.joints) if model.parameters()[name].per_joint else 1).clone()
-            for name, value in model.tensors(self.joints).items()
+            name: value.expand(1, len(self.joints) if known[name].per_joint else 1).clone()
+            for name, value in sound.tensors(self.joints).items()
         }
         effects = [e for e in model.effects if any(edit != ROTOR for edit in e.edits)]
         arrays = edited_fields(self.mj_model, effects, values, self.ports, self.base, {}, 1)

@@ -13,14 +13,14 @@ import numpy as np
 
 from op3.diagnose.backward import left_out, with_findings
 from op3.diagnose.coordinates import FAULTS, Coordinates
-from op3.diagnose.decide import LATER_GAIN, SMALLEST_GAIN, Contender, weigh
+from op3.diagnose.decide import LATER_GAIN, OWN_GAIN, SMALLEST_GAIN, Contender, weigh
 from op3.diagnose.fitting import Engine, fit_base, with_point
 from op3.diagnose.verdict import Finding
 from op3.servo import RobotModel
 
 NEEDED = (0.5 * SMALLEST_GAIN, 0.5 * LATER_GAIN)
 """Share of the residual that must come back without the first effect, and without a further one, for it to be needed:
-half of what its name took."""
+half of what its name took. Half of `OWN_GAIN` will do in the joint of an effect of one joint."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,11 +93,13 @@ def settle(
         without = left_out(given, leader.finding, final, engine.joints)
         exchanged = [with_findings(given, [one.finding], one.model, engine.joints, without) for one in rivals[k]]
         models = [refitted(model) for model in (final, without, *exchanged)]
-        losses = _losses(engine, models[0], models)
+        squares = _squares(engine, models[0], models)
+        losses = squares.sum(2)
         standing, own = [leader, *rivals[k]], losses[[0, *range(2, len(losses))]]
         weighed = [replace(one.contender, losses=loss) for one, loss in zip(standing, own, strict=True)]
         best, alike = weigh(weighed, losses[1], rng)
         needed = bool(1.0 - own[best].sum() / losses[1].sum() >= NEEDED[min(k, 1)])
+        needed |= _at_home(squares[0 if best == 0 else 1 + best], squares[1], standing[best].contender.joints)
         leaders[k], rivals[k] = (standing[best], [standing[i] for i in alike]) if needed else (None, [])
         final = models[0 if best == 0 else 1 + best] if needed else models[1]
     named = {one.place for one in leaders if one is not None}
@@ -111,12 +113,22 @@ def settle(
     return Settled(tuple(effects), final, tuple(gone))
 
 
-def _losses(engine: Engine, reference: RobotModel, models: Sequence[RobotModel]) -> np.ndarray:
-    """Squares summed by block of a second, ``[model, block]``, all whitened as under the reference."""
+def _squares(engine: Engine, reference: RobotModel, models: Sequence[RobotModel]) -> np.ndarray:
+    """Squares summed by block of a second, ``[model, block, joint]``, all whitened as under the reference."""
     engine.prepare(reference)
     index = np.unique(engine.blocks, return_inverse=True)[1]
-    squares = [np.square(engine.residuals(model, {}, 1)[0].astype(np.float64)).sum(1) for model in models]
-    return np.stack([np.bincount(index, square) for square in squares])
+    result = np.zeros((len(models), index.max() + 1, len(engine.joints)))
+    for model, squares in zip(models, result, strict=True):
+        np.add.at(squares, index, engine.squares_by_joint(engine.residuals(model, {}, 1)[0]))
+    return result
+
+
+def _at_home(own: np.ndarray, without: np.ndarray, joints: Sequence[int] | None) -> bool:
+    """Whether enough comes back in the joint of an effect of one joint; squares are ``[block, joint]``."""
+    if joints is None or len(joints) != 1:
+        return False
+    (joint,) = joints
+    return bool(1.0 - own[:, joint].sum() / without[:, joint].sum() >= 0.5 * OWN_GAIN)
 
 
 def merged(given: RobotModel, rounds: Sequence[Sequence[Candidate]]) -> list[list[Candidate]]:

@@ -69,8 +69,9 @@ def show(
     Returns:
         ``gap`` by channel with ``before``, ``after``, ``floor`` and ``systematic`` (what all repeats have in common,
         under the first model) as root mean squares over all joints of the logs,
-        each with a 90 % interval over seconds; ``loss`` with ``paper_eq7`` before and after; ``vetoed``, whether the
-        free run did not improve; and the predictions.
+        each with a 90 % interval over seconds; ``loss`` with ``paper_eq7`` before and after; ``vetoed``, whether no
+        channel of the free runs improved beyond its interval, and the loss, or a channel, became worse; and the
+        predictions.
     """
     logs = shown_logs(split)
     first = free_runs(before, logs)
@@ -104,7 +105,7 @@ def show(
     return {
         "gap": gap,
         "loss": {"name": "paper_eq7", "before": old, "after": new},
-        "vetoed": new >= old or (worsened and not improved),
+        "vetoed": not improved and (worsened or new >= old),
         "before": first,
         "after": second,
     }

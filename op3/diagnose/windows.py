@@ -19,7 +19,7 @@ from op3.diagnose.split import LogSplit
 from op3.rollout import LogError
 from op3.servo import RobotModel
 from op3.sim import MeasuredMotion, TrajectoryDynamics, Window, WindowSimulation
-from op3.sim.window_simulation import ROTOR
+from op3.sim.window_simulation import ROTOR, ZERO
 
 INITIAL_POSITION = 0.0015
 """Prior standard deviation of the initial angle's error [rad]: one count of a 4096-step encoder."""
@@ -50,6 +50,10 @@ HUBER = 2.0
 
 BLOCK = 1.0
 """Residuals closer than this are taken as dependent [s]."""
+
+
+ZERO_STEP = 0.02
+"""Step of the differences by which the dynamics at a false zero of an encoder are known [rad]."""
 
 
 class WindowResiduals:
@@ -161,12 +165,30 @@ class WindowResiduals:
                 if changed is None:
                     break
                 here = base.along(changed, self._position[at], self._velocity[at])
-                if id(base) not in self._unchanged:
-                    self._unchanged[id(base)] = base.along(base.mj_model, self._position[at], self._velocity[at])
-                before = self._unchanged[id(base)]
-                parts.append((at, _difference(here, before, amount)))
+                parts.append((at, _difference(here, self._as_read(base, at), amount)))
             self._edits[key] = _merged(parts, len(self._position)) if len(parts) == len(self._tilted) else None
         return self._edits[key]
+
+    def _elsewhere(self, joint: int) -> TrajectoryDynamics:
+        """Dynamics added per unit of a zero error of a joint's encoder: it stands behind its reading."""
+        key = (ZERO, joint)
+        if key not in self._edits:
+            parts = []
+            for base, at in self._tilted:
+                position = self._position[at].copy()
+                position[:, joint] -= ZERO_STEP
+                here = base.along(base.mj_model, position, self._velocity[at])
+                parts.append((at, _difference(here, self._as_read(base, at), ZERO_STEP)))
+            self._edits[key] = _merged(parts, len(self._position))
+        found = self._edits[key]
+        assert found is not None
+        return found
+
+    def _as_read(self, base: FixedBase, at: np.ndarray) -> TrajectoryDynamics:
+        """Mass and bias of a sound robot along a motion."""
+        if id(base) not in self._unchanged:
+            self._unchanged[id(base)] = base.along(base.mj_model, self._position[at], self._velocity[at])
+        return self._unchanged[id(base)]
 
     def simulation(self, model: RobotModel, fit_only: bool = False, coarse: bool = False) -> WindowSimulation:
         """A simulation of the windows under a model; a coarse one takes steps of twice the length."""
@@ -181,6 +203,8 @@ class WindowResiduals:
                     change = self._change(model, edit.parameter, joint, amount)
                     if change is not None:
                         changes[edit.parameter, joint] = change
+        if ZERO in model.parameters():
+            changes |= {(ZERO, joint): self._elsewhere(joint) for joint in range(len(self.joints))}
         motion = MeasuredMotion(**{**vars(self.motion), "changes": changes})
         starts = self._starts[: int(self.is_fit.sum())] if fit_only else self._starts
         return WindowSimulation(
@@ -278,6 +302,11 @@ class WindowResiduals:
         assert self.scale is not None
         plain = residual / self._weight[:, None]
         return plain.reshape(len(residual), self.ticks + 1, len(self.joints), len(self.channels)) * self.scale
+
+    def squares_by_joint(self, residual: np.ndarray) -> np.ndarray:
+        """Sums of squares of whitened residuals ``[window, residual]``, ``[window, joint]``."""
+        shape = (len(residual), self.ticks + 1, len(self.joints), len(self.channels))
+        return np.square(residual.reshape(shape).astype(np.float64)).sum((1, 3))
 
     def residuals(
         self,

@@ -14,13 +14,14 @@ so a few are enough.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from op3.servo import RobotModel, ServoLaw, Signals
-from op3.servo.effects import Motor
+from op3.servo.effects import EncoderOffset, Motor
 from op3.sim.inputs import default_commands, expand_parameters, set_start
 from op3.sim.trajectory_dynamics import TrajectoryDynamics
 
@@ -32,6 +33,9 @@ REST = 0.03
 
 ROTOR = Motor.edits[0]
 """The one change to the MuJoCo model that is made here: the rotor's inertia on the diagonal."""
+
+ZERO = EncoderOffset.size
+"""The parameter of sensing that moves the joint itself, as far as readings tell."""
 
 SIGNAL_NAMES = tuple(field.name for field in fields(Signals))
 
@@ -51,8 +55,9 @@ class MeasuredMotion:
         time: since the start of the recording [s], ``[tick, 1]``.
         inputs: what drives the servos, by the name of a signal of `op3.servo.Signals`; held from tick to tick.
         dynamics: mass matrix and bias along the motion.
-        changes: dynamics added per unit of a parameter that edits bodies, by parameter name and joint (None for a
-            parameter of the whole robot).
+        changes: dynamics added per unit of a parameter beyond its neutral value, by parameter name and joint (None for
+            a parameter of the whole robot): of what edits bodies, and of an encoder's zero, by which the joint stands
+            elsewhere than was read.
     """
 
     period: float
@@ -220,17 +225,16 @@ class WindowSimulation:
             for key in samples[0]
         }
 
-    def changes(self, values: Mapping[str, Tensor]) -> list[tuple[Tensor, tuple[Tensor, Tensor, Tensor]]]:
-        """Body edits that differ from the dynamics' own: weight ``[candidate]``, and mass, bias, gradient per unit."""
+    def changes(self, values: Mapping[str, Tensor]) -> list["_Change"]:
+        """What differs from the dynamics along the motions under these parameters."""
         result = []
-        own = self.model.tensors(self.joints)
+        known = self.model.parameters()
         for key in self._motions[0].changes:
             name, joint = key
             if name not in values:
                 continue
-            column = 0 if joint is None else joint
-            base = own[name][0, min(column, own[name].shape[1] - 1)]
-            weight = values[name][:, min(column, values[name].shape[1] - 1)] - base.to(self.dtype)
+            column = 0 if joint is None else min(joint, values[name].shape[1] - 1)
+            weight = values[name][:, column] - (known[name].neutral or 0.0)
             if (weight == 0).all():
                 continue
             if key not in self._changes:
@@ -240,8 +244,19 @@ class WindowSimulation:
                     self._gather([p.bias for p in parts]),
                     self._gather([p.gradient for p in parts]),
                 )
-            result.append((weight, self._changes[key]))
+            result.append(_Change(name, joint, weight[:, None], *self._changes[key]))
         return result
+
+
+class _Change(NamedTuple):
+    """Dynamics added: a weight ``[candidate, 1]`` times mass, bias and gradient per unit of a parameter."""
+
+    name: str
+    joint: int | None
+    weight: Tensor
+    mass: Tensor
+    bias: Tensor
+    gradient: Tensor
 
 
 def coupled(mass: Tensor) -> list[slice]:
@@ -266,6 +281,7 @@ class _Run:
         armature = values.get(ROTOR.parameter, torch.zeros(candidates, 1, dtype=owner.dtype))
         self.armature = armature.expand(candidates, self.count).T[:, :, None].contiguous()
         self.changes = owner.changes(values)
+        self.read_apart = self._read_apart()
         self.signals = Signals.zeros(candidates * self.num, self.count, dtype=owner.dtype)
         self.q = self._block(owner._position[0]).clone()
         self.v = self._block(owner._velocity[0]).clone()
@@ -277,6 +293,14 @@ class _Run:
         set_start(self.signals, None, self._flat(self._block(owner._current)), self._flat(self._block(owner._time)))
         self.law.reset(self.signals)
         self.u = torch.zeros_like(self.v)
+
+    def _read_apart(self) -> Tensor:
+        """How far readings are from where the dynamics were taken, by zeros of encoders, ``[joint, candidate, 1]``."""
+        apart = torch.zeros(self.count, self.candidates, 1, dtype=self.o.dtype)
+        for one in self.changes:
+            if one.name == ZERO and one.joint is not None:
+                apart[one.joint] += one.weight
+        return apart
 
     def _per_row(self, value: Tensor) -> Tensor:
         """``[candidate, joint]`` to ``[sim, joint]``, stored joint first."""
@@ -322,11 +346,10 @@ class _Run:
         mass = torch.lerp(o._mass[tick], o._mass[tick + 1], share)[:, :, None, :]
         bias = torch.lerp(o._bias[tick], o._bias[tick + 1], share)[:, None, :]
         gradient = o._gradient[tick][:, :, None, :]
-        for weight, (mass_change, bias_change, gradient_change) in self.changes:
-            w = weight[:, None]
-            mass = mass + w * torch.lerp(mass_change[tick], mass_change[tick + 1], share)[:, :, None, :]
-            bias = bias + w * torch.lerp(bias_change[tick], bias_change[tick + 1], share)[:, None, :]
-            gradient = gradient + w * gradient_change[tick][:, :, None, :]
+        for one in self.changes:
+            mass = mass + one.weight * torch.lerp(one.mass[tick], one.mass[tick + 1], share)[:, :, None, :]
+            bias = bias + one.weight * torch.lerp(one.bias[tick], one.bias[tick + 1], share)[:, None, :]
+            gradient = gradient + one.weight * one.gradient[tick][:, :, None, :]
         return mass, bias, gradient
 
     def _lead_state(self, tick: int, phase: int) -> None:
@@ -382,7 +405,7 @@ class _Run:
     def _pull(self, tick: int) -> Tensor:
         """How the bias changes, to first order, where the window has left the measurement; kept for a tick."""
         o = self.o
-        away = self.q - o._position[tick][:, None, :]
+        away = self.q + self.read_apart - o._position[tick][:, None, :]
         faster = self.v - o._velocity[tick][:, None, :]
         _, _, gradient = self._dynamics(tick, 0.0)
         damping = o._damping[tick][:, :, None, :]

@@ -10,6 +10,7 @@ from scipy import stats
 
 from op3.diagnose.decide import (
     Contender,
+    Own,
     decide,
     difference_interval,
     evidence,
@@ -232,7 +233,46 @@ def test_a_joint_that_stands_out_afterwards_is_unknown(control, rng):
 def test_a_further_effect_may_be_smaller(control, rng):
     """Beside a name, two percent in nearly every second count; alone they do not, and a few seconds never do."""
     steady = contender("asymmetric_friction@1", 0.024, noise=0.02)
-    assert decide([steady], control, rng, further=True).verdict == "named"
+    earlier = [contender("dte", 0.3)]
+    assert decide([steady], control, rng, found=earlier).verdict == "named"
     assert decide([steady], control, rng).verdict == "nothing_missing"
     few = in_one_joint("coulomb", "dry", 1.6, gain=0.024)
-    assert decide([few], control, rng, further=True).verdict == "nothing_missing"
+    assert decide([few], control, rng, found=earlier).verdict == "nothing_missing"
+
+
+@pytest.mark.parametrize(
+    ("gain", "fit_gain", "seconds", "verdict"),
+    [
+        (0.2, 0.2, BLOCKS, "named"),
+        (0.2, 0.01, BLOCKS, "nothing_missing"),  # the choosing runs alone
+        (0.2, 0.2, 2, "nothing_missing"),  # in two seconds alone
+    ],
+)
+def test_a_fault_is_seen_in_its_own_joint(control, rng, gain, fit_gain, seconds, verdict):
+    """What explains three percent of all may explain a fifth of its joint, and counts if it does so everywhere."""
+    gained = np.zeros(BLOCKS)
+    gained[:seconds] = 1.0 + 0.5 * np.random.default_rng(2).normal(size=seconds)
+    own = Own(gain, fit_gain, gained)
+    fault = dataclasses.replace(contender("asymmetric_friction@1", 0.03), own=own)
+    assert decide([fault], control, rng).verdict == verdict
+
+
+def test_what_a_law_leaves_is_no_further_effect(control, rng):
+    """Behind a strong effect, a confounder that explains little of what that did is a matter of its law."""
+    earlier = [contender("link_mass@5", 0.8)]
+    small, large = (contender("encoder_offset@5", gain) for gain in (0.15, 0.4))
+    for one, verdict in ((small, "nothing_missing"), (large, "named")):
+        confused = dataclasses.replace(one, confounders=("link_mass",))
+        assert decide([confused], control, rng, found=earlier).verdict == verdict
+        assert decide([one], control, rng, found=earlier).verdict == "named"
+    same = dataclasses.replace(contender("link_mass@5", 0.15), confounders=("link_mass",))
+    assert decide([same], control, rng, found=earlier).verdict == "named"  # the rest of it, not another effect
+
+
+def test_a_size_beyond_what_is_plausible_is_not_named(control, rng):
+    """What ended at its bound gives way to one that explains nearly as much, and is unknown where none does."""
+    at_bound = dataclasses.replace(contender("link_com@4", 0.5), implausible=True)
+    near, far = contender("link_mass@5", 0.4, seed=1), contender("link_inertia@5", 0.1, seed=2)
+    decision = decide([at_bound, near], control, rng)
+    assert (decision.verdict, decision.candidates) == ("named", (1,))
+    assert decide([at_bound, far], control, rng).verdict == "unknown"

@@ -101,6 +101,7 @@ def candidate(name: str) -> Candidate:
 def test_earlier_names_are_weighed_beside_later_ones(monkeypatch, left, expected):
     """Found first, it stays, gives way to what it could not be told from, or goes; what is named stands for itself."""
     first, rival, second = (candidate(name) for name in EFFECTS)
+    home = np.array([0.02, 0.49, 0.49])  # share of each joint
     final = first.model.with_effect(effect_class("quadratic_drag")(), {"quadratic_drag": 0.01})
     second = Candidate(second.finding, second.contender, final)
 
@@ -115,11 +116,20 @@ def test_earlier_names_are_weighed_beside_later_ones(monkeypatch, left, expected
 
     monkeypatch.setattr(settling, "fit_base", lambda engine, moved, **_: moved)
     monkeypatch.setattr(settling, "with_point", lambda moved, point: moved.model)
-    losses = lambda engine, reference, models: np.array([[left[kind(model)]] * 8 for model in models])  # noqa: E731
-    monkeypatch.setattr(settling, "_losses", losses)
+    squares = lambda engine, reference, models: np.array([[left[kind(m)] * home] * 8 for m in models])  # noqa: E731
+    monkeypatch.setattr(settling, "_squares", squares)
     rounds = [[first, rival], [second, rival]]
     engine = cast(Any, SimpleNamespace(joints=("a", "b", "c")))
     moved = lambda model: SimpleNamespace(model=model, start=None, coordinates=SimpleNamespace(model=model), point=None)  # noqa: E731
     told = settle(engine, load_model("paper"), rounds, np.random.default_rng(0), cast(Any, moved))
     assert [(one.name, one.instead_of) for one in told.effects][: len(expected)] == expected
     assert told.superfluous == (() if expected[0][0] != "quadratic_drag" else ("cogging",))
+
+
+def test_a_fault_may_be_needed_in_its_joint_alone():
+    """What brings back a fifth of its joint is needed, however little of all that is."""
+    own, without = np.full((8, 3), 1.0), np.full((8, 3), 1.0)
+    without[:, 0] = 1.25
+    assert settling._at_home(own, without, (0,))
+    assert not settling._at_home(own, without, (1,))
+    assert not settling._at_home(own, without, None)

@@ -50,4 +50,5 @@ def test_returns_are_the_same_in_several_processes():
         together = shared.run(values, 5)
         torch.testing.assert_close(together.returns, alone.returns, rtol=0, atol=1e-9)
         assert torch.equal(together.steps, alone.steps)
-    assert shared.simulated_seconds == pytest.approx(float(2 * alone.steps.sum() + alone.steps[0].sum()) * POLICY_PERIOD)
+    steps = float(2 * alone.steps.sum() + alone.steps[0].sum())
+    assert shared.simulated_seconds == pytest.approx(steps * POLICY_PERIOD)
