@@ -77,7 +77,7 @@ def main(cfg: DictConfig) -> Any:
                 study,
                 folder,
                 wall_seconds=time.monotonic() - started,
-                simulated_seconds=problem.problem.simulated_seconds + problem.bench.simulated_seconds,
+                simulated_seconds=problem.simulated_seconds,
                 provenance=run_provenance(seed=cfg.seed, data=plain(cfg.data)),
                 config=plain(cfg),
                 wandb_mode=os.environ.get("WANDB_MODE", cfg.wandb),

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -52,7 +53,7 @@ class Problem:
         replay: options of `op3.tasks.Replay`.
     """
 
-    def __init__(self, model: RobotModel, logs: Sequence[Rollout], loss: TrajectoryLoss, **replay: float):
+    def __init__(self, model: RobotModel, logs: Sequence[Rollout], loss: TrajectoryLoss, **replay: Any):
         self.model = model
         self.loss = loss
         self.replay = Replay(logs, **replay)

@@ -7,6 +7,7 @@ that a policy got on the robot and those that it gets in simulation.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import ceil
+from typing import Any
 
 import numpy as np
 import optuna
@@ -26,6 +27,7 @@ from op3.policy import PolicyBundle
 from op3.robot import CONTROLLED_JOINTS
 from op3.rollout import Rollout
 from op3.servo import RobotModel
+from op3.sim.crew import Crew
 from op3.tasks.evaluation import evaluation_return
 from op3.tasks.task import Task, find_task
 
@@ -87,6 +89,47 @@ class Reidentified:
     noise: float
 
 
+class Simulations:
+    """What is simulated of candidates; several processes, each with one of these, share them.
+
+    Args:
+        model: effects, and values of parameters that are not searched.
+        excitation: logs of the excitation.
+        joints: focusing joints of its loss.
+        policy: whose episodes are played.
+        task: that it attempts.
+        repeats: episodes of each candidate.
+        seed: of the episodes.
+        num_threads: threads that step the physics; 0 for all processors.
+    """
+
+    def __init__(
+        self,
+        model: RobotModel,
+        excitation: Sequence[Rollout],
+        joints: Sequence[str],
+        policy: PolicyBundle,
+        task: Task,
+        repeats: int,
+        seed: int,
+        num_threads: int,
+    ):
+        self.problem = Problem(model, excitation, TrajectoryLoss(tuple(joints)), num_threads=num_threads)
+        self.bench = ReturnsBench(policy, model, task, repeats, seed, num_threads=num_threads)
+
+    def losses(self, values: Mapping[str, Tensor], candidates: int) -> tuple[Tensor, float]:
+        """Loss of the excitation ``[candidate]``, and the simulated time [s]."""
+        before = self.problem.simulated_seconds
+        losses = self.problem.loss(self.problem.predict(values, candidates))
+        return losses, self.problem.simulated_seconds - before
+
+    def returns(self, values: Mapping[str, Tensor], candidates: int, episodes: Sequence[int]) -> tuple[Tensor, float]:
+        """Returns of some episodes ``[candidate, episode]``, and the simulated time [s]."""
+        before = self.bench.simulated_seconds
+        returns = self.bench.run(values, candidates, episodes=episodes).returns
+        return returns, self.bench.simulated_seconds - before
+
+
 class Reidentification:
     """Evaluates parameter sets by both objectives, many at once.
 
@@ -100,7 +143,7 @@ class Reidentification:
         repeats: episodes of each candidate, K in the paper.
         race: whether a candidate whose first episodes promise nothing is spared the others; else all play all.
         seed: of the simulated episodes.
-        processes: processes that share the episodes; 0 for all processors.
+        processes: processes that share the simulations of a population; 0 for all processors.
         joints: focusing joints of the excitation loss; those of a log where it has others.
 
     Raises:
@@ -135,8 +178,12 @@ class Reidentification:
         self.names = tuple(names)
         self.model, self.race = model, race
         self.actual = [evaluation_return(log, attempted) for log in episodes]
-        self.problem = Problem(model, excitation, TrajectoryLoss(tuple(joints)))
-        self.bench = ReturnsBench(policy, model, find_task(attempted), repeats, seed, processes=processes)
+        self.task, self.episodes = find_task(attempted), repeats
+        what = {"model": model, "excitation": list(excitation), "joints": tuple(joints), "policy": policy}
+        what |= {"task": self.task, "repeats": repeats, "seed": seed, "num_threads": 0 if processes == 1 else 1}
+        self._crew = Crew(Simulations, what, processes)
+        self.simulations = self._crew.worker
+        self.simulated_seconds = 0.0
         self.start = self._measure([{name: model.value(name) for name in names}])[0]
         if not np.isfinite(self.start.excitation):
             raise ValueError(
@@ -152,7 +199,7 @@ class Reidentification:
                 outcomes.append(Outcome(None, error="diverged"))
                 continue
             attributes: dict[str, object] = {"episodes": len(one.returns)}
-            if len(one.returns) == self.bench.episodes:
+            if len(one.returns) == self.episodes:
                 attributes["returns"] = list(one.returns)
             elif not one.returns:
                 attributes["skipped"] = "implausible excitation loss"
@@ -172,22 +219,35 @@ class Reidentification:
         """
         low = torch.tensor([bounds[name][0] for name in self.names], dtype=torch.float64)
         high = torch.tensor([bounds[name][1] for name in self.names], dtype=torch.float64)
-        residuals = self.problem.residual_function(self.names, low, high)
+        problem = self.simulations.problem
+        before, residuals = problem.simulated_seconds, problem.residual_function(self.names, low, high)
         sensitivity = polish(
             residuals, {name: bounds[name] for name in self.names}, self.start.values, steps=0
         ).sensitivity
+        self.simulated_seconds += problem.simulated_seconds - before
         rng = np.random.default_rng([seed, 7])
         shares = np.array_split(np.arange(count), len(rises))
         points = [draw_level_set(sensitivity, rise, len(own), rng) for rise, own in zip(rises, shares, strict=True)]
         values = sensitivity.low + np.concatenate(points) * sensitivity.span
         return [{PREFIX + name: float(v) for name, v in zip(self.names, row, strict=True)} for row in values]
 
+    def _shared(self, what: str, values: Mapping[str, Tensor], count: int, **more: Any) -> Tensor:
+        """What `Simulations` says of all candidates; processes take them in turn, as neighbours may last as long."""
+        shares = [torch.arange(first, count, self._crew.size) for first in range(min(self._crew.size, count))]
+        parts = [
+            {"values": {name: value[share] for name, value in values.items()}, "candidates": len(share), **more}
+            for share in shares
+        ]
+        done = self._crew.run(what, parts)
+        self.simulated_seconds += sum(seconds for _, seconds in done)
+        return torch.cat([result for result, _ in done])[torch.cat(shares).argsort()]
+
     def _measure(
         self, trials: Sequence[Mapping[str, float]], plausible: float = np.inf, race: bool = False
     ) -> list[Candidate]:
         """Both objectives; beyond a plausible excitation loss the distance is that of episodes worth nothing."""
         values = {name: torch.tensor([trial[name] for trial in trials], dtype=torch.float64) for name in self.names}
-        losses = self.problem.loss(self.problem.predict(values, len(trials)))
+        losses = self._shared("losses", values, len(trials))
         worth = (losses <= plausible).nonzero()[:, 0]
         returns = self._play({name: value[worth] for name, value in values.items()}, losses[worth], race)
         played = dict(zip(worth.tolist(), returns, strict=True))
@@ -210,11 +270,11 @@ class Reidentification:
         play the same: they differ as the first ones do. Only the better half, and of it those that the start does not
         beat in both objectives, play on.
         """
-        count, episodes = len(losses), self.bench.episodes
+        count, episodes = len(losses), self.episodes
         first = ceil(TRIED * episodes) if race else episodes
         if not count:
             return []
-        returns = self.bench.run(values, count, episodes=range(first)).returns.numpy()
+        returns = self._shared("returns", values, count, episodes=range(first)).numpy()
         if first == episodes:
             return list(returns)
         foreseen = [self._distance(self._foresee(own)) for own in returns]
@@ -223,7 +283,7 @@ class Reidentification:
         if len(chosen):
             rows = torch.from_numpy(chosen)
             some = {name: value[rows] for name, value in values.items()}
-            rest = self.bench.run(some, len(chosen), episodes=range(first, episodes)).returns.numpy()
+            rest = self._shared("returns", some, len(chosen), episodes=range(first, episodes)).numpy()
             for row, more in zip(chosen, rest, strict=True):
                 result[row] = np.concatenate([returns[row], more])
         return result
@@ -235,7 +295,7 @@ class Reidentification:
 
     def _distance(self, returns: Array) -> float:
         """Wasserstein-1 distance to the robot's returns; where only the first were played, as far as foreseen."""
-        return self._distance_over(returns if len(returns) == self.bench.episodes else self._foresee(returns))
+        return self._distance_over(returns if len(returns) == self.episodes else self._foresee(returns))
 
     def finish(self, study: optuna.Study, finalists: int = 8) -> Reidentified:
         """Choose a point of the front, and look at it with other random numbers.
@@ -273,7 +333,7 @@ class Reidentification:
             actual=self.actual,
             fresh_start=fresh_start,
             fresh_chosen=fresh_chosen,
-            noise=chance_distance(np.array(simulated), len(self.actual), self.bench.episodes),
+            noise=chance_distance(np.array(simulated), len(self.actual), self.episodes),
         )
 
     def _replay(self, candidates: Sequence[Candidate], times: int) -> list[Candidate]:
@@ -281,8 +341,8 @@ class Reidentification:
         values = {
             name: torch.tensor([one.values[name] for one in candidates], dtype=torch.float64) for name in self.names
         }
-        numbers = range(times * self.bench.episodes, (times + 1) * self.bench.episodes)
-        returns = self.bench.run(values, len(candidates), episodes=numbers).returns.numpy()
+        numbers = range(times * self.episodes, (times + 1) * self.episodes)
+        returns = self._shared("returns", values, len(candidates), episodes=numbers).numpy()
         return [
             replace(one, returns=tuple(own.tolist()), distance=self._distance_over(own))
             for one, own in zip(candidates, returns, strict=True)

@@ -1,4 +1,4 @@
-"""Copies of one object in processes of their own, each of which does a part of the work.
+"""Objects of one kind in processes of their own, each of which does a part of the work.
 
 The simulations of a batch leave processors idle between the steps of the physics; two halves of it side by side do not.
 """
@@ -7,7 +7,7 @@ import multiprocessing
 import os
 import pickle
 import weakref
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
@@ -23,18 +23,20 @@ def processors() -> int:
 
 
 class Crew(Generic[T]):
-    """An object here and copies of it elsewhere. The copies start with the first work, and end with this process.
+    """An object here, `worker`, and others elsewhere, which start with the first work and end with this process.
 
     Args:
-        worker: the object; copies are of it as it is now.
-        size: how many, that of this process included; 0 for as many as there are processors.
+        make: makes the object; a function or class of a module, which is called in each process.
+        arguments: of it, which can be pickled.
+        size: how many objects, that of this process included; 0 for as many as there are processors.
     """
 
-    def __init__(self, worker: T, size: int = 0):
+    def __init__(self, make: Callable[..., T], arguments: Mapping[str, Any], size: int = 0):
         if size < 0:
             raise ValueError(f"a crew has at least one process, or 0 for one per processor, got {size}")
-        self.worker, self.size = worker, size or processors()
-        self._copied = pickle.dumps(worker)
+        self.size = size or processors()
+        self._recipe = pickle.dumps((make, dict(arguments)))
+        self.worker = make(**arguments)
         self._lines: list[Connection] = []
 
     def run(self, method: str, parts: Sequence[Mapping[str, Any]]) -> list[Any]:
@@ -48,12 +50,12 @@ class Crew(Generic[T]):
             The results, in the order of the parts.
 
         Raises:
-            ChildProcessError: if a copy ended before its work.
+            ChildProcessError: if another process ended before its work.
         """
         if not 0 < len(parts) <= self.size:
             raise ValueError(f"a crew of {self.size} cannot do {len(parts)} parts at once")
         if len(parts) > 1 and not self._lines:
-            self._lines = _recruit(self._copied, self.size - 1)
+            self._lines = _recruit(self._recipe, self.size - 1)
             weakref.finalize(self, _dismiss, self._lines)
         busy = self._lines[: len(parts) - 1]
         try:
@@ -73,15 +75,15 @@ class Crew(Generic[T]):
         return [own, *(result for _, result in outcomes)]
 
 
-def _recruit(copied: bytes, count: int) -> list[Connection]:
-    """Start copies; they import what they need while this process begins its own part."""
+def _recruit(recipe: bytes, count: int) -> list[Connection]:
+    """Start processes; they import what they need while this process begins its own part."""
     # a fork would have the locks of this process's threads without the threads; children of a fork server would be no
     # children of this process, which counts their processor time
     context = multiprocessing.get_context("spawn")
     lines = []
     for _ in range(count):
         here, there = context.Pipe()
-        context.Process(target=_serve, args=(there, copied), daemon=True).start()
+        context.Process(target=_serve, args=(there, recipe), daemon=True).start()
         there.close()
         lines.append(here)
     return lines
@@ -102,10 +104,11 @@ def _dismiss(lines: Sequence[Connection]) -> None:
             line.close()
 
 
-def _serve(line: Connection, copied: bytes) -> None:
+def _serve(line: Connection, recipe: bytes) -> None:
     """Do what is asked until the other end is closed, which the end of that process does too."""
     torch.set_num_threads(1)
-    worker = pickle.loads(copied)
+    make, arguments = pickle.loads(recipe)
+    worker = make(**arguments)
     with suppress(EOFError, OSError, KeyboardInterrupt):
         while True:
             method, part = line.recv()

@@ -59,6 +59,7 @@ class Replay:
             the robot and 5 ms on the bench. Predictions are interpolated to the logs' times.
         duration: replay no more than this [s].
         bench_timestep: simulation step of bench logs [s].
+        num_threads: threads that step the physics of a robot; 0 for all processors.
     """
 
     def __init__(
@@ -69,6 +70,7 @@ class Replay:
         record_period: float | None = None,
         duration: float | None = None,
         bench_timestep: float = BENCH_CONTROL_PERIOD,
+        num_threads: int = 0,
     ):
         if not logs:
             raise ValueError("there is nothing to replay: give at least one log")
@@ -77,7 +79,7 @@ class Replay:
         mounts = [_mount(log) for log in logs]
         for mount, members in groupby(sorted(range(len(logs)), key=mounts.__getitem__), key=mounts.__getitem__):
             setup = Setup.of_mount(mount[0], bench_timestep, tilt=mount[1:])
-            self._groups.append(_Group(list(members), logs, setup, settle, record_period, duration))
+            self._groups.append(_Group(list(members), logs, setup, settle, record_period, duration, num_threads))
 
     @property
     def seconds(self) -> float:
@@ -111,8 +113,8 @@ class Replay:
 class _Group:
     """Logs of one mount, padded to one length."""
 
-    def __init__(self, members, logs, setup, settle, record_period, duration):
-        self.members = members
+    def __init__(self, members, logs, setup, settle, record_period, duration, num_threads):
+        self.members, self.num_threads = members, num_threads
         self.logs = [logs[i] for i in members]
         self.setup = setup
         self.period = self.setup.control_period
@@ -191,7 +193,7 @@ class _Group:
         return result
 
     def run(self, model, parameters, candidates, progress) -> dict[int, Prediction]:
-        simulation = self.setup.simulation(model, self.logs, candidates)
+        simulation = self.setup.simulation(model, self.logs, candidates, self.num_threads)
         simulation.set_parameters(parameters_per_log(model, parameters, self.logs, candidates))
         qpos = np.tile(self.qpos, (candidates, 1))
         commands = self._complete(model)

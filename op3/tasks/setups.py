@@ -66,9 +66,15 @@ class Setup:
         )
 
     def simulation(
-        self, model: RobotModel, logs: Sequence[Rollout], candidates: int
+        self, model: RobotModel, logs: Sequence[Rollout], candidates: int, num_threads: int = 0
     ) -> BatchSimulation | PendulumSimulation:
         """A simulation for every candidate and log; simulation ``c * len(logs) + l`` is candidate c on log l.
+
+        Args:
+            model: effects and values.
+            logs: of this mount.
+            candidates: number of parameter sets.
+            num_threads: threads that step the physics of a robot; 0 for all processors.
 
         Raises:
             LogError: if a log has other joints than the scene.
@@ -97,6 +103,7 @@ class Setup:
             control_period=self.control_period,
             base_body=self.base_body,
             joint_names=self.joints,
+            num_threads=num_threads,
         )
 
     def initial_qpos(self, log: Rollout) -> np.ndarray:

@@ -7,7 +7,7 @@ from op3.envs import BatchedEnv, record_episodes
 from op3.envs.returns import ReturnsBench
 from op3.sim import load_model
 from op3.tasks.evaluation import evaluation_return
-from op3.tasks.task import POLICY_PERIOD, find_task
+from op3.tasks.task import find_task
 from tests.envs.holding import holding_bundle
 
 CONSTANTS = torch.tensor([0.0047, 0.0065, 0.008])
@@ -36,19 +36,3 @@ def test_episodes_do_not_depend_on_how_many_run_side_by_side(monkeypatch):
     assert at_once.fallen.any()
     torch.testing.assert_close(in_turn.returns, at_once.returns, rtol=0, atol=1e-9)
     assert torch.equal(in_turn.steps, at_once.steps)
-
-
-def test_returns_are_the_same_in_several_processes():
-    """Candidates shared among three processes, one of which has fewer, are those of one process, in their order."""
-    task, model, policy = find_task("balance_eval", duration=1.0), load_model("paper"), holding_bundle(p_gain=1.0)
-    values = {"torque_constant": torch.linspace(0.0047, 0.008, 5)}
-    alone = ReturnsBench(policy, model, task, episodes=2, seed=1).run(values, 5)
-    shared = ReturnsBench(policy, model, task, episodes=2, seed=1, processes=3)
-    first = shared.run({"torque_constant": values["torque_constant"][:1]}, 1)  # by one process alone
-    torch.testing.assert_close(first.returns, alone.returns[:1], rtol=0, atol=1e-9)
-    for _ in range(2):
-        together = shared.run(values, 5)
-        torch.testing.assert_close(together.returns, alone.returns, rtol=0, atol=1e-9)
-        assert torch.equal(together.steps, alone.steps)
-    steps = float(2 * alone.steps.sum() + alone.steps[0].sum())
-    assert shared.simulated_seconds == pytest.approx(steps * POLICY_PERIOD)

@@ -16,11 +16,12 @@ from tests.envs.holding import holding_bundle
 
 TASK = find_task("balance_eval", duration=1.6)
 NAMES = ("torque_constant", "coulomb_friction")
+SETTINGS = {"task": TASK, "repeats": 4, "seed": 3}
 
 
 @pytest.fixture(scope="module")
-def problem():
-    """A robot with a weaker motor than the model's, one second of its squat, and four of its episodes."""
+def recorded():
+    """A robot with a weaker motor than the model's: what its re-identification is given."""
     model, policy = load_model("paper"), holding_bundle(p_gain=2.0)
     robot = model.with_values({"torque_constant": 0.0049})
     motion = squat()
@@ -28,9 +29,13 @@ def problem():
     excitation = [play(squat_task(robot, short))]
     env = BatchedEnv(TASK, robot, 4, 3, action_map=policy.manifest.action_map)
     env.reset = lambda *_, **__: env.begin({i: i for i in range(4)})  # the episodes that candidates play
-    return Reidentification(
-        model, excitation, record_episodes(env, policy), policy, NAMES, task=TASK, repeats=4, seed=3
-    )
+    return model, excitation, record_episodes(env, policy), policy, NAMES
+
+
+@pytest.fixture(scope="module")
+def problem(recorded):
+    """One second of the robot's squat, and four of its episodes."""
+    return Reidentification(*recorded, **SETTINGS)
 
 
 def test_the_truth_is_closer_in_both_objectives(problem):
@@ -51,14 +56,14 @@ def test_the_truth_is_closer_in_both_objectives(problem):
 def test_implausible_candidates_cost_no_episode(problem):
     """A candidate whose excitation loss is beyond all reason is told as worth nothing, without episodes."""
     values = {"parameters.torque_constant": 0.0046, "parameters.coulomb_friction": 0.226}
-    before = problem.bench.simulated_seconds
+    before = problem.simulations.bench.simulated_seconds
     start = problem.start
     problem.start = type(start)(start.values, 1e-6, start.distance, start.returns)
     try:
         outcome = problem.evaluate([values])[0]
     finally:
         problem.start = start
-    assert problem.bench.simulated_seconds == before
+    assert problem.simulations.bench.simulated_seconds == before
     assert "skipped" in outcome.attributes
     assert outcome.values[0] > PLAUSIBLE * 1e-6
     assert outcome.values[1] == pytest.approx(float(np.mean(problem.actual)))
@@ -82,6 +87,22 @@ def test_a_race_spares_the_worse_half_and_changes_no_winner(problem):
         assert ("returns" in one.attributes) == (episodes == 4)
         if episodes == 4:
             assert one.values == pytest.approx(other.values, rel=1e-9)
+
+
+def test_processes_share_a_population(problem, recorded):
+    """Two processes find what one does, in its order, and simulate as long."""
+    constants = (0.0049, 0.0064, 0.0052)
+    friction = problem.model.value("coulomb_friction")
+    population = [{"parameters.torque_constant": kt, "parameters.coulomb_friction": friction} for kt in constants]
+    before = problem.simulated_seconds
+    alone = problem.evaluate(population)
+    spent = problem.simulated_seconds - before
+    shared = Reidentification(*recorded, **SETTINGS, processes=2)
+    before = shared.simulated_seconds
+    for one, other in zip(shared.evaluate(population), alone, strict=True):
+        assert one.values == pytest.approx(other.values, rel=1e-9)
+        assert one.attributes == other.attributes
+    assert shared.simulated_seconds - before == pytest.approx(spent)
 
 
 def test_starts_are_those_that_the_excitation_hardly_tells_from_the_identified(problem):

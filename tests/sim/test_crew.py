@@ -35,7 +35,7 @@ class Worker:
 
 def test_parts_are_done_side_by_side_in_their_order():
     """The first part is done here, the others in processes that live on and keep their state."""
-    crew = Crew(Worker(10), 3)
+    crew = Crew(Worker, {"offset": 10}, 3)
     first, second = (crew.run("add", [{"value": i} for i in range(3)]) for _ in range(2))
     assert [result[2] for result in first] == [10, 11, 12]
     assert first[0][0] == os.getpid()
@@ -48,12 +48,12 @@ def test_parts_are_done_side_by_side_in_their_order():
 def test_a_crew_does_not_take_more_parts_than_it_has_processes(parts):
     """Nothing is left undone, or queued, without a word."""
     with pytest.raises(ValueError, match="parts at once"):
-        Crew(Worker(0), 2).run("add", [{"value": 0}] * parts)
+        Crew(Worker, {"offset": 0}, 2).run("add", [{"value": 0}] * parts)
 
 
 def test_an_error_elsewhere_is_raised_here_and_the_crew_works_on():
     """A part that fails in another process fails the call."""
-    crew = Crew(Worker(0), 2)
+    crew = Crew(Worker, {"offset": 0}, 2)
     with pytest.raises(ValueError, match="2 is refused"):
         crew.run("refuse", [{"value": 1}, {"value": 2}])
     assert crew.run("refuse", [{"value": 3}, {"value": 4}]) == [3, 4]
@@ -61,7 +61,7 @@ def test_an_error_elsewhere_is_raised_here_and_the_crew_works_on():
 
 def test_an_error_here_does_not_leave_an_answer_for_the_next_call():
     """What another process has still to say belongs to no later call."""
-    crew = Crew(Worker(0), 2)
+    crew = Crew(Worker, {"offset": 0}, 2)
     with pytest.raises(ValueError, match="2 is refused"):
         crew.run("refuse", [{"value": 2}, {"value": 1}])
     assert crew.run("refuse", [{"value": 3}, {"value": 4}]) == [3, 4]
@@ -69,7 +69,7 @@ def test_an_error_here_does_not_leave_an_answer_for_the_next_call():
 
 def test_a_process_that_ends_is_an_error():
     """A killed process ends the call at once instead of leaving it waiting."""
-    crew = Crew(Worker(0), 2)
+    crew = Crew(Worker, {"offset": 0}, 2)
     with pytest.raises(ChildProcessError, match="has ended"):
         crew.run("end", [{"value": 1}, {"value": 2}])
     assert crew.run("end", [{"value": 3}, {"value": 4}]) == [3, 4]
@@ -84,7 +84,7 @@ def test_a_killed_process_leaves_no_others_behind(tmp_path):
         "from op3.sim.crew import Crew\n"
         "from tests.sim.test_crew import Worker\n"
         "if __name__ == '__main__':\n"
-        "    print(Crew(Worker(0), 2).run('add', [{'value': 1}] * 2)[1][0], flush=True)\n"
+        "    print(Crew(Worker, {'offset': 0}, 2).run('add', [{'value': 1}] * 2)[1][0], flush=True)\n"
         "    time.sleep(100)\n"
     )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
