@@ -1,10 +1,13 @@
 """How far re-identification closes the gap of returns on hidden robots, and what that costs.
 
 python experiments/benchmarks/reidentification.py [robots=[robot_1,robot_2]] [trials=3000] [policy=<bundle>]
+    [diagnose=true]
 
 Each robot squats, is identified (method=lsq), plays ten episodes of a policy behind its emulated bus, and is
-re-identified from them. The policy is trained for each on its identified model, unless one is given. Every stage is an
-experiment in a folder of its own; the same command with the same hydra.run.dir goes on where it stopped.
+re-identified from them. The policy is trained for each on its identified model, unless one is given. With
+`diagnose=true` each is re-identified a second time, from a model to which a diagnosis of further motions has added what
+it found missing. Every stage is an experiment in a folder of its own; the same command with the same hydra.run.dir goes
+on where it stopped.
 """
 
 import sys
@@ -13,6 +16,7 @@ from typing import Any
 
 import hydra
 import numpy as np
+import yaml
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
@@ -30,8 +34,8 @@ AIM = 0.4
 """What the median distance shall fall to, as a share of that after excitation only."""
 
 
-def one_robot(cfg: DictConfig, stages: Stages, robot: str) -> dict[str, Any]:
-    """All stages of a robot; returns what its re-identification found, and the cost of that."""
+def one_robot(cfg: DictConfig, stages: Stages, robot: str) -> dict[str, dict[str, Any]]:
+    """All stages of a robot; returns what its re-identification found, and the cost of that, on each road."""
     hidden = ["robot=emulated", f"world={robot}", f"seed={cfg.seed}"]
     squat = stages.run(f"{robot}/squat", "collect.py", *hidden, "motion=squat")
     how = ["method=lsq", "ablate=[]", "wandb=disabled", *plain(cfg.identify)]
@@ -42,18 +46,32 @@ def one_robot(cfg: DictConfig, stages: Stages, robot: str) -> dict[str, Any]:
         policy = stages.run(f"{robot}/train", "train.py", "task=balance", *how) / "policy"
     plays = [f"policy={policy}", f"task={cfg.task}", f"repeats={cfg.episodes}"]
     episodes = stages.run(f"{robot}/episodes", "collect.py", *hidden, *plays)
-    where = [f"policy={policy}", f"model={model}", f"data={squat}", f"episodes={episodes}", f"task={cfg.task}"]
+    what = [f"policy={policy}", f"data={squat}", f"episodes={episodes}", f"task={cfg.task}"]
     how = [f"hydra.sweeper.n_trials={cfg.trials}", f"repeats={cfg.episodes}", f"seed={cfg.seed}", "wandb=disabled"]
-    found = stages.run(f"{robot}/reidentify", "reidentify.py", *where, *how, *plain(cfg.reidentify))
-    numbers = read_result(found / "result.yaml")
-    return {
-        **{key: numbers[key] for key in KEYS},
-        "return.actual": float(np.mean(numbers["returns.actual"])),
-        "return.excitation_only": float(np.mean(numbers["returns.excitation_only"])),
-        "return.reidentified": float(np.mean(numbers["returns.reidentified"])),
-        "reidentify_seconds": stages.seconds[f"{robot}/reidentify"],
-        "reidentify_processor_seconds": stages.processor_seconds[f"{robot}/reidentify"],
-    }
+    how += plain(cfg.reidentify)
+
+    def reidentified(name: str, start: Path) -> dict[str, Any]:
+        found = stages.run(f"{robot}/{name}", "reidentify.py", *what, f"model={start}", *how)
+        numbers = read_result(found / "result.yaml")
+        return {
+            **{key: numbers[key] for key in KEYS},
+            "return.actual": float(np.mean(numbers["returns.actual"])),
+            "return.excitation_only": float(np.mean(numbers["returns.excitation_only"])),
+            "return.reidentified": float(np.mean(numbers["returns.reidentified"])),
+            "reidentify_seconds": stages.seconds[f"{robot}/{name}"],
+            "reidentify_processor_seconds": stages.processor_seconds[f"{robot}/{name}"],
+        }
+
+    found = {"reidentify": reidentified("reidentify", model)}
+    if cfg.diagnose:
+        plan = stages.folder / robot / "stand_plan.yaml"
+        plan.write_text(yaml.safe_dump({"plan": [{"motion": name, "mount": "stand"} for name in cfg.diagnosis]}))
+        stand = stages.run(f"{robot}/stand", "collect.py", *hidden, f"plan={plan}")
+        where = [f"data={stand}", f"model={model}", f"seed={cfg.seed}"]
+        named = stages.run(f"{robot}/diagnose", "diagnose.py", *where)
+        found["diagnose"] = reidentified("diagnosed_reidentify", named / "model.yaml")
+        found["diagnose"]["verdict"] = yaml.safe_load((named / "verdict.yaml").read_text())["sentence"]
+    return found
 
 
 KEYS = (
@@ -64,6 +82,8 @@ KEYS = (
     "fresh.reidentified",
     "fresh.ratio",
     "fresh.noise",
+    "excitation.excitation_only",
+    "excitation.reidentified",
     "excitation.ratio",
     "trials",
     "trials_played",
@@ -72,26 +92,47 @@ KEYS = (
 """Numbers of a re-identification that are compared."""
 
 
-def summarise(robots: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """Medians over robots, and whether they meet the aim."""
+def summarise(robots: dict[str, dict[str, dict[str, Any]]]) -> dict[str, Any]:
+    """Medians over robots, and whether they meet the aim.
+
+    Args:
+        robots: by robot and road, ``reidentify`` and where both were gone ``diagnose``.
+    """
+    plain_road = {robot: roads["reidentify"] for robot, roads in robots.items()}
 
     def median(key: str) -> float:
-        return float(np.median([one[key] for one in robots.values()]))
+        return float(np.median([one[key] for one in plain_road.values()]))
 
-    rises = [one["excitation.ratio"] for one in robots.values()]
-    return {
+    rises = [one["excitation.ratio"] for one in plain_road.values()]
+    numbers: dict[str, Any] = {
         "robots": len(robots),
         "median.distance_ratio": median("distance.ratio"),
         "median.fresh_ratio": median("fresh.ratio"),
         "largest.excitation_ratio": max(rises),
         "met": median("distance.ratio") <= AIM and max(rises) <= TOLERATED,
-        "processor_seconds_per_trial": sum(one["reidentify_processor_seconds"] for one in robots.values())
-        / sum(one["trials"] for one in robots.values()),
-        **{f"{robot}.{key}": value for robot, one in robots.items() for key, value in one.items()},
+        "processor_seconds_per_trial": sum(one["reidentify_processor_seconds"] for one in plain_road.values())
+        / sum(one["trials"] for one in plain_road.values()),
+        **{f"{robot}.{key}": value for robot, one in plain_road.items() for key, value in one.items()},
     }
+    both = {robot: roads for robot, roads in robots.items() if "diagnose" in roads}
+    for robot, roads in both.items():
+        numbers |= {f"{robot}.diagnosed.{key}": value for key, value in roads["diagnose"].items()}
+    for name, key in SHARES.items():
+        if both:
+            numbers[f"diagnosed.median.{name}"] = float(np.median([against(roads, key) for roads in both.values()]))
+    return numbers
 
 
-def report(folder: Path, robots: dict[str, dict[str, Any]], seed: int) -> None:
+SHARES = {"distance_ratio": "distance", "fresh_ratio": "fresh", "excitation_ratio": "excitation"}
+"""What is told of models that were diagnosed first, as a share of that after excitation only."""
+
+
+def against(roads: dict[str, dict[str, Any]], key: str) -> float:
+    """What is left after diagnosis and re-identification, as a share of that after excitation only."""
+    return roads["diagnose"][f"{key}.reidentified"] / roads["reidentify"][f"{key}.excitation_only"]
+
+
+def report(folder: Path, robots: dict[str, dict[str, dict[str, Any]]], seed: int) -> None:
     """Write page and numbers."""
     numbers = summarise(robots)
     provenance = run_provenance(seed=seed)
@@ -103,14 +144,36 @@ def report(folder: Path, robots: dict[str, dict[str, Any]], seed: int) -> None:
         f" (median of {len(robots)} robots). Over fresh episodes it falls to {numbers['median.fresh_ratio']:.2f}."
         f" The excitation loss rises to {numbers['largest.excitation_ratio']:.2f} times its value at most.",
     )
-    header = ["robot", "mean return on it", "excitation only", "re-identified", "distance before", "after", "ratio",
-              "fresh before", "fresh after", "chance leaves", "excitation loss, times", "trials",
+    header = ["robot", "mean return on it", "at the start", "re-identified", "distance at the start", "after", "ratio",
+              "fresh, at the start", "after", "chance leaves", "excitation loss, times", "trials",
               "of them played"]  # fmt: skip
     keys = ("return.actual", "return.excitation_only", "return.reidentified", "distance.excitation_only",
             "distance.reidentified", "distance.ratio", "fresh.excitation_only", "fresh.reidentified", "fresh.noise",
             "excitation.ratio", "trials", "trials_played")  # fmt: skip
-    rows: list[list[Cell]] = [[robot, *(one[key] for key in keys)] for robot, one in robots.items()]
-    page.table(header, rows, "Returns under R_eval and their Wasserstein-1 distance to the robot's.", digits=3)
+
+    def table(road: str, caption: str) -> None:
+        rows: list[list[Cell]] = [
+            [robot, *(roads[road][key] for key in keys)] for robot, roads in robots.items() if road in roads
+        ]
+        if rows:
+            page.table(header, rows, caption, digits=3)
+
+    table("reidentify", "Returns under R_eval and their Wasserstein-1 distance to the robot's; the start is the model"
+          " identified from the squat alone.")  # fmt: skip
+    table("diagnose", "The same from a model to which a diagnosis has added what it found missing first.")
+    both = {robot: roads for robot, roads in robots.items() if "diagnose" in roads}
+    if both:
+        page.table(
+            ["robot", "verdict", "distance left", "diagnosed first", "fresh, left", "diagnosed first",
+             "excitation loss, times", "diagnosed first"],
+            [
+                [robot, roads["diagnose"]["verdict"], *(
+                    value for key in SHARES.values()
+                    for value in (roads["reidentify"][f"{key}.ratio"], against(roads, key)))]
+                for robot, roads in both.items()
+            ],
+            "Both roads, as shares of what excitation alone left.", digits=3,
+        )  # fmt: skip
     page.files({f"{robot}/reidentify/index.html": f"re-identification of {robot}" for robot in robots})
     page.provenance(provenance)
     finish(page.write(folder / "index.html"), result)
@@ -122,7 +185,7 @@ def main(cfg: DictConfig) -> None:
     with one_sentence():
         folder = Path(HydraConfig.get().runtime.output_dir).absolute()
         stages = Stages(folder)
-        robots: dict[str, dict[str, Any]] = {}
+        robots: dict[str, dict[str, dict[str, Any]]] = {}
         for robot in cfg.robots:
             robots[robot] = one_robot(cfg, stages, robot)
             report(folder, robots, cfg.seed)

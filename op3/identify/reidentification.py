@@ -40,7 +40,8 @@ TRIED = 0.3
 """Share of the episodes that every plausible candidate plays before it is decided which ones play the rest."""
 
 TOLERATED = 1.25
-"""The chosen candidate's excitation loss may be so many times that of the start."""
+"""The chosen candidate's excitation loss may be so many times that of the start. Those beyond play no more than the
+first episodes until they turn out to be on the Pareto front."""
 
 RISES = (0.1, 0.25, 0.6)
 """How much the excitation loss of the first candidates is expected to be above that of the start, as shares of it."""
@@ -268,7 +269,7 @@ class Reidentification:
 
         Every candidate plays the first episodes. What the others would be worth is foreseen from the start's, since all
         play the same: they differ as the first ones do. Only the better half, and of it those that the start does not
-        beat in both objectives, play on.
+        beat in both objectives, play on, unless their excitation loss is beyond what may be chosen.
         """
         count, episodes = len(losses), self.episodes
         first = ceil(TRIED * episodes) if race else episodes
@@ -279,6 +280,7 @@ class Reidentification:
             return list(returns)
         foreseen = [self._distance(self._foresee(own)) for own in returns]
         chosen = _better_half(losses.numpy(), np.array(foreseen), (self.start.excitation, self.start.distance))
+        chosen = chosen[losses.numpy()[chosen] <= TOLERATED * self.start.excitation]
         result = list(returns)
         if len(chosen):
             rows = torch.from_numpy(chosen)
@@ -314,9 +316,9 @@ class Reidentification:
         complete = [t for t in study.trials if t.state == optuna.trial.TrialState.COMPLETE]
         if not complete:
             raise ValueError("no trial of the study completed: every simulation failed; check the logs and the model")
-        played = [one for one in map(self._candidate, complete) if one.returns]
-        front = [one for one in played if not any(_beats(other, one) for other in played)]
-        near = [one for one in played if one.excitation <= TOLERATED * self.start.excitation]
+        played = [self._candidate(trial) for trial in complete if trial.user_attrs.get("episodes", 0)]
+        front = _unbeaten(self._played_out(_unbeaten(played)))
+        near = [one for one in played if one.returns and one.excitation <= TOLERATED * self.start.excitation]
         # the study holds the start as its nominal trial
         near = [one for one in near if dict(one.values) != dict(self.start.values)]
         final = [self.start, *sorted(near, key=lambda one: one.distance)[:finalists]]
@@ -335,6 +337,11 @@ class Reidentification:
             fresh_chosen=fresh_chosen,
             noise=chance_distance(np.array(simulated), len(self.actual), self.episodes),
         )
+
+    def _played_out(self, candidates: Sequence[Candidate]) -> list[Candidate]:
+        """The candidates, each with all its episodes."""
+        short = [one for one in candidates if not one.returns]
+        return [one for one in candidates if one.returns] + (self._replay(short, 0) if short else [])
 
     def _replay(self, candidates: Sequence[Candidate], times: int) -> list[Candidate]:
         """The candidates over further episodes; `times` sets of episodes lie before them."""
@@ -378,6 +385,11 @@ def _beats(one: Candidate, other: Candidate) -> bool:
     """Whether a candidate is nowhere worse than another, and better in one objective."""
     pairs = ((one.excitation, other.excitation), (one.distance, other.distance))
     return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
+
+
+def _unbeaten(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Those that no other is better than."""
+    return [one for one in candidates if not any(_beats(other, one) for other in candidates)]
 
 
 def _better_half(losses: Array, distances: Array, start: tuple[float, float]) -> NDArray[np.int64]:

@@ -62,10 +62,21 @@ def test_a_torn_line_is_left_out(tmp_path):
     assert [line["world"] for line in script.read_lines(path)] == [0, 2]
 
 
-def robot(ratio: float, fresh: float, rise: float) -> dict:
+def road(ratio: float, fresh: float, rise: float, start: float = 10.0) -> dict:
     """What a re-identification of a robot gives."""
-    return {"distance.ratio": ratio, "fresh.ratio": fresh, "excitation.ratio": rise, "trials": 100,
-            "reidentify_processor_seconds": 250.0}  # fmt: skip
+    told = {"distance": ratio, "fresh": fresh, "excitation": rise}
+    return {
+        "trials": 100,
+        "reidentify_processor_seconds": 250.0,
+        **{f"{key}.ratio": share for key, share in told.items()},
+        **{f"{key}.excitation_only": start for key in told},
+        **{f"{key}.reidentified": start * share for key, share in told.items()},
+    }
+
+
+def robot(ratio: float, fresh: float, rise: float) -> dict:
+    """A robot that was re-identified once."""
+    return {"reidentify": road(ratio, fresh, rise)}
 
 
 def test_re_identification_is_judged_by_the_median_distance_and_the_largest_loss():
@@ -78,6 +89,18 @@ def test_re_identification_is_judged_by_the_median_distance_and_the_largest_loss
     assert numbers["processor_seconds_per_trial"] == 2.5
     assert numbers["met"]
     assert not script.summarise({**robots, "c": robot(0.9, 0.6, 1.3)})["met"]
+
+
+def test_a_model_that_was_diagnosed_first_is_compared_with_the_same_start():
+    """From 10 a diagnosis went to 4, and re-identification from there to 2: a fifth is left, not a half."""
+    script = load_script("reidentification")
+    robots = {"a": {**robot(0.3, 0.5, 1.1), "diagnose": road(0.5, 0.75, 1.5, start=4.0)}, "b": robot(0.4, 0.4, 1.0)}
+    numbers = script.summarise(robots)
+    assert numbers["diagnosed.median.distance_ratio"] == pytest.approx(0.2)
+    assert numbers["diagnosed.median.fresh_ratio"] == pytest.approx(0.3)
+    assert numbers["diagnosed.median.excitation_ratio"] == pytest.approx(0.6)
+    assert numbers["median.distance_ratio"] == pytest.approx(0.35)
+    assert numbers["a.diagnosed.distance.ratio"] == 0.5
 
 
 @pytest.mark.slow
