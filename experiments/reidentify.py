@@ -52,7 +52,8 @@ def build(cfg: DictConfig) -> Reidentification:
         repeats=cfg.repeats,
         race=cfg.race,
         seed=cfg.seed,
-        processes=cfg.processes,
+        # a launcher's jobs are side by side already
+        processes=cfg.processes if cfg.population is None else 1,
     )
 
 

@@ -34,7 +34,7 @@ def one_sentence(
     """
     try:
         yield
-    except (ValueError, FileNotFoundError, InstantiationException) as error:
+    except (ValueError, FileNotFoundError, ChildProcessError, InstantiationException) as error:
         if isinstance(error, InstantiationException):  # what it was that would not be built says enough
             error = error.__cause__ or error
         if HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN:

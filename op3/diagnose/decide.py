@@ -39,11 +39,11 @@ LATER_Z = 4.0
 `LATER_GAIN`. A true asymmetry of friction had 4.5 at a t of 1.4, beside a sensor's zero in another joint; where nothing
 further was hidden it reached 3.0."""
 
-OWN_GAIN, OWN_T, OWN_Z = 0.08, 2.0, 4.0
-"""What a fault of one joint may explain instead, of the residuals of this joint alone, in fitted and choosing runs: the
-other joints' residuals, which it leaves as they are, hide it. A true asymmetry of friction that explained 0.03 of all
-explained 0.19 of its joint's (t 3.9, score of the ranks 5.5), a friction that depends on the angle 0.19 (2.3, 4.5).
-The leaders of thirteen empty legs had at most 0.05 in both, and a score of 2.6."""
+OWN_GAIN, OWN_T, OWN_Z, OWN_TOTAL_T = 0.08, 2.0, 4.0, 1.0
+"""What a fault of one joint may explain instead, of the residuals of this joint alone, in fitted and choosing runs, if
+the whole has not become worse: the other joints' residuals, which it leaves as they are, hide it. A true asymmetry of
+friction that explained 0.03 of all explained 0.19 of its joint's (t 3.9, score of the ranks 5.5), a friction that
+depends on the angle 0.19 (2.3, 4.5). On five empty legs the leaders explained at most 0.01 in both (score 2.6)."""
 
 TRIMMED = 3
 """Seconds with the largest gain that are left out for the next rule."""
@@ -59,6 +59,9 @@ development legs joints in which nothing was hidden had 0.8 to 2.9, one with a s
 OUTSTANDING = 2.5
 """How many times the median of all joints that is: model errors are shared by joints of one make. Empty development
 legs gave up to 1.7, strong outsiders 4 and more."""
+
+ALONG_THE_LIMB = "gravity_phase"
+"""Alias class of effects that act in the other joints of a limb as well: they are confused from joint to joint."""
 
 SMALLEST_SIZE = 0.7
 """Size below which an effect does not matter, as a share of the catalogue's smallest."""
@@ -80,6 +83,9 @@ hidden."""
 PARSIMONY = 0.1
 """Share of what the best explains that a hypothesis with fewer numbers may fall short of it and still be preferred: a
 further number explains some of what any law gets wrong."""
+
+BEATEN = np.float64(1e12)
+"""Loss in place of that of a contender that is out of the question."""
 
 RESAMPLES = 1000
 """Bootstrap resamples over blocks of a second."""
@@ -119,11 +125,13 @@ class Own:
     Attributes:
         gain: share of the choosing runs' beyond the no-op control.
         fit_gain: the same of the fitted runs.
-        gained: control less hypothesis, sums of squares per block, ``[block]``.
+        control: sums of squares under the control, per block, ``[block]``.
+        gained: control less hypothesis, ``[block]``.
     """
 
     gain: float
     fit_gain: float
+    control: np.ndarray
     gained: np.ndarray
 
 
@@ -230,11 +238,10 @@ def decide(
         found: the leaders of earlier rounds.
     """
     order = sorted(range(len(contenders)), key=lambda i: float(contenders[i].losses.sum()))
-    shares = pick_shares(np.stack([c.losses for c in contenders]), rng) if contenders else np.zeros(0)
-    counting = [
-        i for i in order if _counts(contenders[i], control, found, i == order[0]) or _meets(contenders[i], left)
-    ]
-    counting = _within_bounds(contenders, counting, control)
+    counted = [i for i in order if _counts(contenders[i], control, found, i == order[0]) or _meets(contenders[i], left)]
+    counting = _within_bounds(contenders, counted, control)
+    losses = [BEATEN if i in counted and i not in counting else c.losses for i, c in enumerate(contenders)]
+    shares = pick_shares(np.stack(np.broadcast_arrays(*losses)), rng) if contenders else np.zeros(0)
     gap = _unexplained(contenders, counting, order, ceiling, left)
     if gap:
         begun = [i for i in counting[:1] if _stands_out(left) is not None and not contenders[i].implausible]
@@ -251,7 +258,7 @@ def decide(
     shares = _credited(shares, contenders, best, others)
     rivals = _rivals(contenders, best, others, control, shares, rng)
     if not rivals:
-        return Decision("named", (best,), shares, f"it explains {contenders[best].gain:.0%} of the residual")
+        return Decision("named", (best,), shares, _what_it_explains(contenders[best]))
     members = (best, *rivals)[:MOST_CANDIDATES]
     return Decision("ambiguous", members, shares, "these explain the residual about equally well")
 
@@ -356,35 +363,42 @@ def _meets(contender: Contender, left: np.ndarray | None) -> bool:
     return large and _closed(contender, left, joint) >= EXPLAINED_CONTACT
 
 
+def _what_it_explains(contender: Contender) -> str:
+    own = contender.own
+    if own is None or contender.gain >= SMALLEST_GAIN:
+        return f"it explains {contender.gain:.0%} of the residual"
+    return f"it explains {own.gain:.0%} of the residual of its joint"
+
+
 def _within_bounds(contenders: Sequence[Contender], counting: list[int], control: np.ndarray) -> list[int]:
-    """Those that count, without what needs an implausible size, unless nothing else explains nearly as much."""
-
-    def gained(i: int) -> float:
-        return float((control - contenders[i].losses).sum())
-
+    """Those that count without what needs an implausible size, if they explain nearly as much; else only those."""
     plausible = [i for i in counting if not contenders[i].implausible]
-    if not counting or not contenders[counting[0]].implausible:
+    beyond = [i for i in counting if contenders[i].implausible]
+    if not plausible or not beyond:
         return counting
-    if plausible and gained(plausible[0]) > RIVAL * gained(counting[0]):
-        return plausible
-    return [i for i in counting if contenders[i].implausible]
+    gained = [float((control - contenders[i].losses).sum()) for i in (plausible[0], beyond[0])]
+    return plausible if gained[0] > RIVAL * gained[1] else beyond
 
 
 def _left_over(contender: Contender, found: Sequence[Contender]) -> bool:
     """Whether a further effect is no more than what the law of an earlier one may have left."""
-    share = float(np.prod([1.0 - _explained(one) for one in found]))
+    share, explained = 1.0, []  # of what the first round had to explain
+    for one in found:
+        explained.append(share * _explained(one))
+        share *= 1.0 - _explained(one)
     return any(
-        (one.effect, one.joints) != (contender.effect, contender.joints)
-        and _confused(one, contender)
-        and share * _explained(contender) < RESIDUE * _explained(one)
-        for one in found
+        _confused(one, contender) and share * _explained(contender) < RESIDUE * gained
+        for one, gained in zip(found, explained, strict=True)
     )
 
 
 def _confused(one: Contender, other: Contender) -> bool:
-    """Whether two effects may be taken for each other."""
-    same = bool(one.alias_class) and one.alias_class == other.alias_class
-    return same or one.effect in other.confounders or other.effect in one.confounders
+    """Whether two effects, in these joints, may be taken for each other; an effect and the rest of itself are one."""
+    same_class = bool(one.alias_class) and one.alias_class == other.alias_class
+    alike = same_class or one.effect in other.confounders or other.effect in one.confounders
+    apart = one.joints is not None and other.joints is not None and not set(one.joints) & set(other.joints)
+    apart &= one.alias_class != ALONG_THE_LIMB
+    return alike and not apart and (one.effect, one.joints) != (other.effect, other.joints)
 
 
 def _counts(contender: Contender, control: np.ndarray, found: Sequence[Contender], leads: bool) -> bool:
@@ -411,15 +425,16 @@ def _counts(contender: Contender, control: np.ndarray, found: Sequence[Contender
     small &= least >= 0.5 * LATER_GAIN
     small |= least >= LATER_GAIN and score >= LATER_Z
     common = (usual and trimmed >= TRIMMED_GAIN) or (clear and trimmed >= CLEAR_TRIMMED)
-    return common or (further and leads and small) or _counts_at_home(contender)
+    return common or (further and leads and small) or _counts_at_home(contender, control)
 
 
-def _counts_at_home(contender: Contender) -> bool:
-    """Whether a fault of one joint explains enough of this joint's residuals, nearly everywhere."""
+def _counts_at_home(contender: Contender, control: np.ndarray) -> bool:
+    """Whether a fault of one joint explains enough of this joint's residuals, nearly everywhere, at no other's cost."""
     own = contender.own
-    if own is None or min(own.gain, own.fit_gain) < OWN_GAIN:
+    if own is None or min(own.gain, own.fit_gain) < OWN_GAIN or evidence(contender, control)[0] < OWN_TOTAL_T:
         return False
-    return _statistic(own.gained) >= OWN_T and signed_ranks(own.gained) >= OWN_Z
+    trimmed = float(np.sort(own.gained)[:-TRIMMED].sum() / own.control.sum())
+    return trimmed >= TRIMMED_GAIN and _statistic(own.gained) >= OWN_T and signed_ranks(own.gained) >= OWN_Z
 
 
 def _explained(contender: Contender) -> float:

@@ -417,14 +417,14 @@ class Diagnosis:
         )
 
     def _own(self, hypothesis: Hypothesis, fit: Fit, control: Fit) -> Own | None:
-        """What a fault of one joint explains there."""
-        if hypothesis.joints is None or len(hypothesis.joints) != 1:
+        """What a fault of one joint explains there; None for free runs, whose blocks are few."""
+        if hypothesis.joints is None or len(hypothesis.joints) != 1 or not isinstance(self.engine, WindowResiduals):
             return None
         (joint,) = hypothesis.joints
         before, after = (self.engine.squares_by_joint(one.residual)[:, joint] for one in (control, fit))
         fitted = self.engine.is_fit
         gains = [1.0 - after[at].sum() / max(before[at].sum(), 1e-12) for at in (~fitted, fitted)]
-        return Own(float(gains[0]), float(gains[1]), self._by_block(before - after))
+        return Own(float(gains[0]), float(gains[1]), self._by_block(before), self._by_block(before - after))
 
     def _size_at(self, hypothesis: Hypothesis, fit: Fit, base: Fit) -> int:
         """Which coordinate says how large the effect is: its size parameter, or the largest of those moved."""

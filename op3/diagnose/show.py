@@ -69,9 +69,8 @@ def show(
     Returns:
         ``gap`` by channel with ``before``, ``after``, ``floor`` and ``systematic`` (what all repeats have in common,
         under the first model) as root mean squares over all joints of the logs,
-        each with a 90 % interval over seconds; ``loss`` with ``paper_eq7`` before and after; ``vetoed``, whether no
-        channel of the free runs improved beyond its interval, and the loss, or a channel, became worse; and the
-        predictions.
+        each with a 90 % interval over seconds; ``loss`` with ``paper_eq7`` before and after; ``vetoed``, see `vetoed`;
+        and the predictions.
     """
     logs = shown_logs(split)
     first = free_runs(before, logs)
@@ -105,10 +104,25 @@ def show(
     return {
         "gap": gap,
         "loss": {"name": "paper_eq7", "before": old, "after": new},
-        "vetoed": not improved and (worsened or new >= old),
+        "vetoed": vetoed(improved, worsened, old, new),
         "before": first,
         "after": second,
     }
+
+
+def vetoed(improved: bool, worsened: bool, before: float, after: float) -> bool:
+    """Whether free runs speak against a change that windows speak for.
+
+    Where the loss falls, a channel that has become worse needs one that has become better. The loss hardly feels a
+    small fault of one joint: where it does not fall, a channel must have become better, and none worse.
+
+    Args:
+        improved: whether a channel became better, beyond its interval.
+        worsened: whether one became worse.
+        before: loss without the change.
+        after: with it.
+    """
+    return worsened and not improved if after < before else worsened or not improved
 
 
 def shown_logs(split: LogSplit) -> tuple[Rollout, ...]:

@@ -75,7 +75,7 @@ class Verdict:
         weak: whether `cannot_tell` speaks against the names, which are candidates then, and the model is left without.
         gap: by channel, before and after on the runs that show.
         loss: ``paper_eq7`` before and after on the runs that show.
-        vetoed: whether the free run on the runs that show is no better, although windows are.
+        vetoed: whether free runs on the runs that show speak against it, see `op3.diagnose.show.vetoed`.
         details: tables for the page: ranking, cells of residual torque, what a black box explains.
     """
 

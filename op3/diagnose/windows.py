@@ -19,7 +19,7 @@ from op3.diagnose.split import LogSplit
 from op3.rollout import LogError
 from op3.servo import RobotModel
 from op3.sim import MeasuredMotion, TrajectoryDynamics, Window, WindowSimulation
-from op3.sim.window_simulation import ROTOR, ZERO
+from op3.sim.window_simulation import MISREADING, ROTOR, ZERO
 
 INITIAL_POSITION = 0.0015
 """Prior standard deviation of the initial angle's error [rad]: one count of a 4096-step encoder."""
@@ -203,7 +203,7 @@ class WindowResiduals:
                     change = self._change(model, edit.parameter, joint, amount)
                     if change is not None:
                         changes[edit.parameter, joint] = change
-        if ZERO in model.parameters():
+        if set(MISREADING) & set(model.effect_names):
             changes |= {(ZERO, joint): self._elsewhere(joint) for joint in range(len(self.joints))}
         motion = MeasuredMotion(**{**vars(self.motion), "changes": changes})
         starts = self._starts[: int(self.is_fit.sum())] if fit_only else self._starts

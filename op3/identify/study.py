@@ -205,8 +205,8 @@ def evaluate_population(evaluate: Evaluate, population: list[dict[str, Any]]) ->
     """
     try:
         results = evaluate([dict(parameters) for parameters in population])
-    except StudyError:
-        raise
+    except (StudyError, ChildProcessError):
+        raise  # of no trial's making
     except Exception as error:
         results, message = None, _describe_error(error)
         log.debug("A population of %d raised.", len(population), exc_info=True)

@@ -6,6 +6,7 @@ The simulations of a batch leave processors idle between the steps of the physic
 import multiprocessing
 import os
 import pickle
+import traceback
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -35,9 +36,9 @@ class Crew(Generic[T]):
         if size < 0:
             raise ValueError(f"a crew has at least one process, or 0 for one per processor, got {size}")
         self.size = size or processors()
-        self._recipe = pickle.dumps((make, dict(arguments)))
+        self._recipe = pickle.dumps((make, dict(arguments))) if self.size > 1 else b""
         self.worker = make(**arguments)
-        self._lines: list[Connection] = []
+        self._others: list[_Other] = []
 
     def run(self, method: str, parts: Sequence[Mapping[str, Any]]) -> list[Any]:
         """Call a method once per part, at most `size` of them, side by side.
@@ -50,43 +51,58 @@ class Crew(Generic[T]):
             The results, in the order of the parts.
 
         Raises:
-            ChildProcessError: if another process ended before its work.
+            ChildProcessError: if another process ended before its work, or could not begin.
         """
         if not 0 < len(parts) <= self.size:
             raise ValueError(f"a crew of {self.size} cannot do {len(parts)} parts at once")
-        if len(parts) > 1 and not self._lines:
-            self._lines = _recruit(self._recipe, self.size - 1)
-            weakref.finalize(self, _dismiss, self._lines)
-        busy = self._lines[: len(parts) - 1]
+        if len(parts) > 1 and not self._others:
+            self._others = [_Other(self._recipe) for _ in range(self.size - 1)]
+            weakref.finalize(self, _dismiss, self._others)
+        busy = self._others[: len(parts) - 1]
         try:
-            for line, part in zip(busy, parts[1:], strict=True):
-                with _listening():
-                    line.send((method, part))
+            for other, part in zip(busy, parts[1:], strict=True):
+                other.tell((method, part))
             own = getattr(self.worker, method)(**parts[0])
-            with _listening():
-                outcomes = [line.recv() for line in busy]
+            answers = [other.hear() for other in busy]
         except BaseException:
-            _dismiss(self._lines)  # what they still have to say belongs to no later call
-            self._lines = []
+            _dismiss(self._others)  # what they still have to say belongs to no later call
+            self._others = []
             raise
-        for failed, result in outcomes:
-            if failed:
-                raise result
-        return [own, *(result for _, result in outcomes)]
+        for error, _ in answers:
+            if error is not None:
+                raise error
+        return [own, *(result for _, result in answers)]
 
 
-def _recruit(recipe: bytes, count: int) -> list[Connection]:
-    """Start processes; they import what they need while this process begins its own part."""
-    # a fork would have the locks of this process's threads without the threads; children of a fork server would be no
-    # children of this process, which counts their processor time
-    context = multiprocessing.get_context("spawn")
-    lines = []
-    for _ in range(count):
-        here, there = context.Pipe()
-        context.Process(target=_serve, args=(there, recipe), daemon=True).start()
+class _Other:
+    """A process with an object of its own; it imports what it needs while this process begins its part.
+
+    What is said is pickled plainly: torch would share the memory of every tensor, and keep a file open for each.
+
+    Args:
+        recipe: of the object, pickled.
+    """
+
+    def __init__(self, recipe: bytes):
+        # a fork would have the locks of this process's threads without the threads; children of a fork server would
+        # be no children of this process, which counts their processor time
+        context = multiprocessing.get_context("spawn")
+        self.line, there = context.Pipe()
+        self.process = context.Process(target=_serve, args=(there, recipe), daemon=True)
+        self.process.start()
         there.close()
-        lines.append(here)
-    return lines
+
+    def tell(self, what: tuple[str, Mapping[str, Any]]) -> None:
+        """Ask for a call."""
+        said = pickle.dumps(what)
+        with _listening():
+            self.line.send_bytes(said)
+
+    def hear(self) -> tuple[Exception | None, Any]:
+        """What came of it."""
+        with _listening():
+            said = self.line.recv_bytes()
+        return pickle.loads(said)
 
 
 @contextmanager
@@ -95,25 +111,45 @@ def _listening() -> Iterator[None]:
     try:
         yield
     except (EOFError, OSError) as error:
-        raise ChildProcessError("a process that shared the work has ended; start again to go on") from error
+        raise ChildProcessError(
+            "a process that shared the work has ended, which happens where memory runs out; the same command goes on,"
+            " with processes=1 in this process alone"
+        ) from error
 
 
-def _dismiss(lines: Sequence[Connection]) -> None:
-    for line in lines:
-        with suppress(OSError):
-            line.close()
+def _dismiss(others: Sequence[_Other]) -> None:
+    for other in others:
+        other.line.close()
+        other.process.terminate()
+        other.process.join()
 
 
 def _serve(line: Connection, recipe: bytes) -> None:
     """Do what is asked until the other end is closed, which the end of that process does too."""
     torch.set_num_threads(1)
-    make, arguments = pickle.loads(recipe)
-    worker = make(**arguments)
+    worker, broken = None, None
+    try:
+        make, arguments = pickle.loads(recipe)
+        worker = make(**arguments)
+    except Exception as error:
+        broken = error
     with suppress(EOFError, OSError, KeyboardInterrupt):
         while True:
-            method, part = line.recv()
+            method, part = pickle.loads(line.recv_bytes())
             try:
-                outcome = (False, getattr(worker, method)(**part))
+                if broken is not None:
+                    raise broken
+                answer = pickle.dumps((None, getattr(worker, method)(**part)))
             except Exception as error:
-                outcome = (True, error)
-            line.send(outcome)
+                answer = pickle.dumps((_sendable(error), None))
+            line.send_bytes(answer)
+
+
+def _sendable(error: Exception) -> Exception:
+    """An error that can be raised in another process, with where it was raised in this one."""
+    try:
+        sent = pickle.loads(pickle.dumps(error))
+    except Exception:
+        sent = RuntimeError(f"{type(error).__name__}: {error}")
+    sent.add_note("In a process that shared the work:\n" + "".join(traceback.format_exception(error)))
+    return sent

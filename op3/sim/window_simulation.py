@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from op3.servo import RobotModel, ServoLaw, Signals
-from op3.servo.effects import EncoderOffset, Motor
+from op3.servo.effects import EncoderNonlinearity, EncoderOffset, Motor
 from op3.sim.inputs import default_commands, expand_parameters, set_start
 from op3.sim.trajectory_dynamics import TrajectoryDynamics
 
@@ -35,7 +35,10 @@ ROTOR = Motor.edits[0]
 """The one change to the MuJoCo model that is made here: the rotor's inertia on the diagonal."""
 
 ZERO = EncoderOffset.size
-"""The parameter of sensing that moves the joint itself, as far as readings tell."""
+"""The parameter by whose unit the change is told where a joint stands elsewhere than its reading says."""
+
+MISREADING = (EncoderOffset.name, EncoderNonlinearity.name)
+"""Effects by which joints do."""
 
 SIGNAL_NAMES = tuple(field.name for field in fields(Signals))
 
@@ -56,8 +59,8 @@ class MeasuredMotion:
         inputs: what drives the servos, by the name of a signal of `op3.servo.Signals`; held from tick to tick.
         dynamics: mass matrix and bias along the motion.
         changes: dynamics added per unit of a parameter beyond its neutral value, by parameter name and joint (None for
-            a parameter of the whole robot): of what edits bodies, and of an encoder's zero, by which the joint stands
-            elsewhere than was read.
+            a parameter of the whole robot): of what edits bodies, each in an otherwise sound robot, so that products
+            of two edits are left out; and of an encoder's zero, by which a joint stands elsewhere than was read.
     """
 
     period: float
@@ -226,33 +229,47 @@ class WindowSimulation:
         }
 
     def changes(self, values: Mapping[str, Tensor]) -> list["_Change"]:
-        """What differs from the dynamics along the motions under these parameters."""
+        """Edits of bodies that differ from the dynamics along the motions under these parameters."""
         result = []
         known = self.model.parameters()
-        for key in self._motions[0].changes:
-            name, joint = key
-            if name not in values:
+        for name, joint in self._motions[0].changes:
+            if name not in values or name == ZERO:
                 continue
             column = 0 if joint is None else min(joint, values[name].shape[1] - 1)
-            weight = values[name][:, column] - (known[name].neutral or 0.0)
-            if (weight == 0).all():
-                continue
-            if key not in self._changes:
-                parts = [motion.changes[key] for motion in self._motions]
-                self._changes[key] = (
-                    self._gather([p.mass for p in parts]),
-                    self._gather([p.bias for p in parts]),
-                    self._gather([p.gradient for p in parts]),
-                )
-            result.append(_Change(name, joint, weight[:, None], *self._changes[key]))
+            weight = values[name][:, column, None] - (known[name].neutral or 0.0)
+            if not (weight == 0).all():
+                result.append(self.change(name, joint, weight))
         return result
+
+    def change(self, name: str, joint: int | None, weight: Tensor) -> "_Change":
+        """Dynamics added, at a weight ``[candidate, 1 | window]``."""
+        key = (name, joint)
+        if key not in self._changes:
+            parts = [motion.changes[key] for motion in self._motions]
+            self._changes[key] = (
+                self._gather([p.mass for p in parts]),
+                self._gather([p.bias for p in parts]),
+                self._gather([p.gradient for p in parts]),
+            )
+        return _Change(weight, *self._changes[key])
+
+    def misread(self, shift: Tensor) -> tuple[list["_Change"], Tensor]:
+        """Dynamics added because joints stand elsewhere than they were read, and how far that is accounted for.
+
+        Args:
+            shift: true angle less reading, ``[joint, candidate, window]``.
+        """
+        accounted, result = torch.zeros_like(shift), []
+        for joint in range(len(shift)):
+            if (ZERO, joint) in self._motions[0].changes and bool(shift[joint].any()):
+                result.append(self.change(ZERO, joint, -shift[joint]))
+                accounted[joint] = shift[joint]
+        return result, accounted
 
 
 class _Change(NamedTuple):
-    """Dynamics added: a weight ``[candidate, 1]`` times mass, bias and gradient per unit of a parameter."""
+    """Dynamics added: a weight ``[candidate, 1 | window]`` times mass, bias and gradient per unit of a parameter."""
 
-    name: str
-    joint: int | None
     weight: Tensor
     mass: Tensor
     bias: Tensor
@@ -281,7 +298,6 @@ class _Run:
         armature = values.get(ROTOR.parameter, torch.zeros(candidates, 1, dtype=owner.dtype))
         self.armature = armature.expand(candidates, self.count).T[:, :, None].contiguous()
         self.changes = owner.changes(values)
-        self.read_apart = self._read_apart()
         self.signals = Signals.zeros(candidates * self.num, self.count, dtype=owner.dtype)
         self.q = self._block(owner._position[0]).clone()
         self.v = self._block(owner._velocity[0]).clone()
@@ -289,18 +305,12 @@ class _Run:
         default_commands(self.signals, owner.model)
         self._inputs(0)
         self.shift = self._undo_sensing()
+        misread, self.accounted = owner.misread(self.shift)
+        self.changes += misread
         self._lead_state(0, 0)
         set_start(self.signals, None, self._flat(self._block(owner._current)), self._flat(self._block(owner._time)))
         self.law.reset(self.signals)
         self.u = torch.zeros_like(self.v)
-
-    def _read_apart(self) -> Tensor:
-        """How far readings are from where the dynamics were taken, by zeros of encoders, ``[joint, candidate, 1]``."""
-        apart = torch.zeros(self.count, self.candidates, 1, dtype=self.o.dtype)
-        for one in self.changes:
-            if one.name == ZERO and one.joint is not None:
-                apart[one.joint] += one.weight
-        return apart
 
     def _per_row(self, value: Tensor) -> Tensor:
         """``[candidate, joint]`` to ``[sim, joint]``, stored joint first."""
@@ -405,7 +415,7 @@ class _Run:
     def _pull(self, tick: int) -> Tensor:
         """How the bias changes, to first order, where the window has left the measurement; kept for a tick."""
         o = self.o
-        away = self.q + self.read_apart - o._position[tick][:, None, :]
+        away = self.q - self.accounted - o._position[tick][:, None, :]
         faster = self.v - o._velocity[tick][:, None, :]
         _, _, gradient = self._dynamics(tick, 0.0)
         damping = o._damping[tick][:, :, None, :]

@@ -241,20 +241,24 @@ def test_a_further_effect_may_be_smaller(control, rng):
 
 
 @pytest.mark.parametrize(
-    ("gain", "fit_gain", "seconds", "verdict"),
+    ("gain", "fit_gain", "seconds", "total", "verdict"),
     [
-        (0.2, 0.2, BLOCKS, "named"),
-        (0.2, 0.01, BLOCKS, "nothing_missing"),  # the choosing runs alone
-        (0.2, 0.2, 2, "nothing_missing"),  # in two seconds alone
+        (0.2, 0.2, BLOCKS, 0.03, "named"),
+        (0.2, 0.01, BLOCKS, 0.03, "nothing_missing"),  # the choosing runs alone
+        (0.2, 0.2, 2, 0.03, "nothing_missing"),  # in two seconds alone
+        (0.2, 0.2, BLOCKS, -0.02, "nothing_missing"),  # at the cost of other joints
     ],
 )
-def test_a_fault_is_seen_in_its_own_joint(control, rng, gain, fit_gain, seconds, verdict):
+def test_a_fault_is_seen_in_its_own_joint(control, rng, gain, fit_gain, seconds, total, verdict):
     """What explains three percent of all may explain a fifth of its joint, and counts if it does so everywhere."""
     gained = np.zeros(BLOCKS)
     gained[:seconds] = 1.0 + 0.5 * np.random.default_rng(2).normal(size=seconds)
-    own = Own(gain, fit_gain, gained)
-    fault = dataclasses.replace(contender("asymmetric_friction@1", 0.03), own=own)
-    assert decide([fault], control, rng).verdict == verdict
+    own = Own(gain, fit_gain, np.full(BLOCKS, 5.0), gained)
+    fault = dataclasses.replace(contender("asymmetric_friction@1", total), own=own)
+    decision = decide([fault], control, rng)
+    assert decision.verdict == verdict
+    if verdict == "named":
+        assert decision.reason == "it explains 20% of the residual of its joint"
 
 
 def test_what_a_law_leaves_is_no_further_effect(control, rng):
@@ -267,6 +271,10 @@ def test_what_a_law_leaves_is_no_further_effect(control, rng):
         assert decide([one], control, rng, found=earlier).verdict == "named"
     same = dataclasses.replace(contender("link_mass@5", 0.15), confounders=("link_mass",))
     assert decide([same], control, rng, found=earlier).verdict == "named"  # the rest of it, not another effect
+    elsewhere = dataclasses.replace(contender("encoder_offset@1", 0.15), confounders=("link_mass",))
+    assert decide([elsewhere], control, rng, found=earlier).verdict == "named"
+    limb = [dataclasses.replace(one, alias_class="gravity_phase") for one in (elsewhere, earlier[0])]
+    assert decide(limb[:1], control, rng, found=limb[1:]).verdict == "nothing_missing"
 
 
 def test_a_size_beyond_what_is_plausible_is_not_named(control, rng):
@@ -275,4 +283,5 @@ def test_a_size_beyond_what_is_plausible_is_not_named(control, rng):
     near, far = contender("link_mass@5", 0.4, seed=1), contender("link_inertia@5", 0.1, seed=2)
     decision = decide([at_bound, near], control, rng)
     assert (decision.verdict, decision.candidates) == ("named", (1,))
+    assert decision.shares.tolist() == [0.0, 1.0]
     assert decide([at_bound, far], control, rng).verdict == "unknown"

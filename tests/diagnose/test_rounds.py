@@ -96,12 +96,14 @@ def candidate(name: str) -> Candidate:
         ({"both": 1.0, "without": 2.0, "rival": 1.5}, [("cogging", ""), ("quadratic_drag", "")]),
         ({"both": 1.5, "without": 2.0, "rival": 1.0}, [("cable_spring", ""), ("quadratic_drag", "")]),
         ({"both": 1.0, "without": 1.001, "rival": 1.0}, [("quadratic_drag", "")]),
+        # little of all comes back without the first, but all of that in its joint, a fiftieth of the whole
+        ({"both": 1.0, "without": 1.005, "rival": 1.1, "home": True}, [("cogging", ""), ("quadratic_drag", "")]),
     ],
 )
 def test_earlier_names_are_weighed_beside_later_ones(monkeypatch, left, expected):
     """Found first, it stays, gives way to what it could not be told from, or goes; what is named stands for itself."""
     first, rival, second = (candidate(name) for name in EFFECTS)
-    home = np.array([0.02, 0.49, 0.49])  # share of each joint
+    home = 0.02  # share of joint a
     final = first.model.with_effect(effect_class("quadratic_drag")(), {"quadratic_drag": 0.01})
     second = Candidate(second.finding, second.contender, final)
 
@@ -116,7 +118,18 @@ def test_earlier_names_are_weighed_beside_later_ones(monkeypatch, left, expected
 
     monkeypatch.setattr(settling, "fit_base", lambda engine, moved, **_: moved)
     monkeypatch.setattr(settling, "with_point", lambda moved, point: moved.model)
-    squares = lambda engine, reference, models: np.array([[left[kind(m)] * home] * 8 for m in models])  # noqa: E731
+
+    def squares(engine, reference, models) -> np.ndarray:
+        """Whole squares in joint a and others; where said, all that a model leaves more is in joint a."""
+        rows = [
+            [1.0 - home, home] if left.get("home") else [left[kind(m)] * (1.0 - home), left[kind(m)] * home]
+            for m in models
+        ]
+        result = np.array([[one] * 8 for one in rows])
+        if left.get("home"):
+            result[..., 1] += np.array([left[kind(m)] - 1.0 for m in models])[:, None]
+        return result[..., [1, 0]]
+
     monkeypatch.setattr(settling, "_squares", squares)
     rounds = [[first, rival], [second, rival]]
     engine = cast(Any, SimpleNamespace(joints=("a", "b", "c")))

@@ -5,6 +5,7 @@ import pytest
 
 from op3.diagnose import WindowResiduals, planned_suite, split_logs
 from op3.diagnose.coordinates import with_chain
+from op3.diagnose.show import vetoed
 from op3.robot import LEG_JOINTS, leg_suite
 from op3.servo import Estimate, RobotModel, effect_class
 from op3.sim import load_model
@@ -14,13 +15,14 @@ FAULTS = {
     ("link_com", "link_com_offset_x", "r_ank_pitch"): 0.02,
     ("link_inertia", "gyration_squared", "r_ank_roll"): 0.004,
     ("encoder_offset", "encoder_offset", "r_hip_roll"): 0.06,
+    ("encoder_nonlinearity", "encoder_nonlinearity", "r_hip_roll"): 0.06,
 }
 
 
 def with_fault(effect: str, parameter: str, joint: str | None, amount: float) -> RobotModel:
     joints = {} if joint is None else {joint: amount}
     made = effect_class(effect)
-    neutral = {known.name: known.neutral for known in made.parameters}
+    neutral = {known.name: 1.5 if known.neutral is None else known.neutral for known in made.parameters}
     return with_chain(load_model("paper")).with_effect(made(), {**neutral, parameter: Estimate(0.0, joints=joints)})
 
 
@@ -41,3 +43,32 @@ def test_windows_of_a_faulty_leg_agree_with_mujoco(fault):
     as_parameter = engine.residuals(sound, {parameter: values})
     np.testing.assert_allclose(as_parameter, engine.residuals(faulty), atol=1e-4)
     assert own < without / 9
+
+
+def test_squares_are_told_by_joint():
+    """An error in one joint's velocity is in this joint's squares alone."""
+    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
+    engine = WindowResiduals(split_logs(planned_suite(load_model("paper"), runs)), fit_windows=6, select_windows=2)
+    error = np.zeros((8, engine.ticks + 1, len(engine.joints), len(engine.channels)))
+    error[:, :, 4, engine.channels.index(("joint", "velocity"))] = 0.5
+    squares = engine.squares_by_joint(error.reshape(8, -1))
+    assert squares.shape == (8, 6)
+    np.testing.assert_allclose(squares[:, 4], 0.25 * (engine.ticks + 1))
+    assert not squares[:, [0, 1, 2, 3, 5]].any()
+
+
+@pytest.mark.parametrize(
+    ("improved", "worsened", "after", "expected"),
+    [
+        (True, False, 0.9, False),
+        (False, False, 0.9, False),
+        (False, True, 0.9, True),
+        (True, True, 0.9, False),
+        (True, False, 1.0, False),  # the loss does not feel it
+        (False, False, 1.0, True),
+        (True, True, 1.0, True),
+    ],
+)
+def test_free_runs_veto_what_they_speak_against(improved, worsened, after, expected):
+    """Neither a better channel nor a lower loss alone outweighs a channel that is worse."""
+    assert vetoed(improved, worsened, 1.0, after) is expected
