@@ -1,16 +1,18 @@
 """The linear algebra of the screen and of refits, on a linear engine whose answers are known."""
 
 from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from op3.diagnose.backward import left_out, with_findings
 from op3.diagnose.coordinates import Coordinate, Coordinates, base_coordinates, with_chain
+from op3.diagnose.diagnosis import shortlist
 from op3.diagnose.fitting import Fit, bounded_step
 from op3.diagnose.hypotheses import hypotheses
 from op3.diagnose.motion import HALF_WIDTH, VELOCITY_LAG, kernels
-from op3.diagnose.screen import Projector, _score
+from op3.diagnose.screen import Projector, Screened, _score
 from op3.diagnose.verdict import Finding
 from op3.servo import Estimate, ServoLaw, catalogue, effect_class
 from op3.sim import load_model
@@ -250,3 +252,21 @@ def test_no_fit_asks_for_more_than_an_effect_can_do(name):
                 law.set_parameters(expand_parameters(both.model, joints, both.values(end[None]), 1))
                 asked += 1
     assert asked > 100
+
+
+def screened(name: str, joint: int | None, gain: float, score: float) -> Screened:
+    """One secant of an effect, in a direction of its own."""
+    effect = SimpleNamespace(name=name, alias_class="")
+    hypothesis = cast(Any, SimpleNamespace(effect=effect, joints=None if joint is None else (joint,)))
+    direction = np.random.default_rng([*name.encode(), 9 if joint is None else joint]).normal(size=500)
+    return Screened(hypothesis, 0, 1.0, gain, gain, score, 1.0, 1.0, direction / np.linalg.norm(direction))
+
+
+def test_the_highest_scores_are_refitted_whatever_they_promise():
+    """An effect that the base gave way to promises less than nothing; the two highest scores are refitted still."""
+    leaders = [screened("cogging", joint, 0.1 - 0.01 * joint, 3.0) for joint in range(6)]
+    shared = [screened("dte", None, 0.001, 1.0), screened("lugre", None, 0.0005, 1.0)]
+    masses = [screened("link_mass", joint, -3.0 - joint, 15.0 + joint) for joint in range(6)]
+    rest = [screened("viscous", joint, 0.001, 2.0) for joint in range(6)]
+    picked = shortlist([*rest, *masses, *shared, *leaders])
+    assert picked == [*leaders, *shared, masses[5], masses[4]]
