@@ -33,6 +33,10 @@ FEWEST = 60
 FOLLOWS = 0.5
 """Correlation that a joint has with its own command, at least, where it follows another's better."""
 
+SPAN = 0.25
+"""Velocities are compared as means over this time, which a slow filter hardly changes [s]: read row by row, one of
+16 ms halved them."""
+
 VELOCITY_RANGE = (0.6, 1.6)
 """Measured velocity over rate of the position: a filter or noise lowers it a little, a unit a lot."""
 
@@ -109,12 +113,25 @@ def _followers(logs: Sequence[Rollout]) -> Iterator[str]:
             )
 
 
+def _spans(log: Rollout) -> tuple[np.ndarray, np.ndarray]:
+    """Rate of the position, and mean of the measured velocity, over every `SPAN` of a log, ``[row, joint]``."""
+    time, velocity = log.array("time")[:, 0], log.array("joint/velocity")
+    count = max(1, round(SPAN / float(np.median(np.diff(time)))))
+    if len(time) <= count:
+        return np.zeros((0, velocity.shape[1])), np.zeros((0, velocity.shape[1]))
+    position = log.array("joint/position")
+    between = 0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time)[:, None]
+    travelled = np.concatenate([np.zeros((1, velocity.shape[1])), np.cumsum(between, 0)])
+    elapsed = (time[count:] - time[:-count])[:, None]
+    return (position[count:] - position[:-count]) / elapsed, (travelled[count:] - travelled[:-count]) / elapsed
+
+
 def _rates(logs: Sequence[Rollout]) -> Iterator[str]:
     """Joints whose measured velocity is not the rate of their position."""
     if not all("joint/velocity" in log for log in logs):
         return
-    rate = _stacked(logs, lambda log: np.gradient(log.array("joint/position"), log.array("time")[:, 0], axis=0))
-    measured = _stacked(logs, lambda log: log.array("joint/velocity"))
+    rate = _stacked(logs, lambda log: _spans(log)[0])
+    measured = _stacked(logs, lambda log: _spans(log)[1])
     yield from _factors(
         rate, measured, TURNS, VELOCITY_RANGE, logs[0].joints, "joint/velocity", "the rate of its position"
     )

@@ -110,6 +110,17 @@ def test_units_and_signs_are_told(leg, channel, factor, unit):
     assert unit in text
 
 
+def test_a_slow_filter_is_no_other_unit(leg):
+    """Velocities through a filter of 16 ms are halved in quick motions, and keep their unit."""
+
+    def slow(arrays):
+        velocity, share = arrays["joint", "velocity"], 1.0 - np.exp(-0.008 / 0.016)
+        for row in range(1, len(velocity)):
+            velocity[row] = velocity[row - 1] + share * (velocity[row] - velocity[row - 1])
+
+    assert mislabelled(changed(leg, slow), load_model("paper")) == ()
+
+
 @pytest.mark.parametrize("channel", [("joint", "position"), ("joint", "current")])
 def test_exchanged_columns_of_one_channel_are_told(leg, channel):
     """Knee and hip exchanged in one channel contradict the others."""

@@ -9,7 +9,7 @@ import pytest
 from op3.diagnose.backward import left_out, with_findings
 from op3.diagnose.coordinates import Coordinate, Coordinates, base_coordinates, with_chain
 from op3.diagnose.diagnosis import shortlist
-from op3.diagnose.fitting import Fit, bounded_step
+from op3.diagnose.fitting import Fit, bounded_step, exchanged
 from op3.diagnose.hypotheses import hypotheses
 from op3.diagnose.motion import HALF_WIDTH, VELOCITY_LAG, kernels
 from op3.diagnose.screen import Projector, Screened, _score
@@ -270,3 +270,15 @@ def test_the_highest_scores_are_refitted_whatever_they_promise():
     rest = [screened("viscous", joint, 0.001, 2.0) for joint in range(6)]
     picked = shortlist([*rest, *masses, *shared, *leaders])
     assert picked == [*leaders, *shared, masses[5], masses[4]]
+
+
+def test_a_lag_starts_where_a_delay_has_become_one():
+    """What the lag has, the delay has lost, within their bounds; where the base has no delay, nothing starts there."""
+    delay = Coordinate("command_latency", None, 0.0, 0.016, 0.01, 0.01)
+    friction = Coordinate("coulomb_friction", None, 0.0, 1.0, 0.1, 0.1)
+    lag = Coordinate("current_time_constant", None, 0.0, 0.005, 0.001, 0.0, kind="add")
+    model = load_model("paper")
+    both = Coordinates(model, ("a",), (friction, delay, lag))
+    starts = exchanged(both, np.array([0.1, 0.005]), "command_latency", (0.004, 0.006))
+    np.testing.assert_allclose(starts, [[0.1, 0.001, 0.004], [0.1, 0.0, 0.005]])
+    assert exchanged(Coordinates(model, ("a",), (friction, lag)), np.array([0.1]), "command_latency", (0.004,)) == []
