@@ -273,6 +273,9 @@ def test_what_a_law_leaves_is_no_further_effect(control, rng):
     assert decide([same], control, rng, found=earlier).verdict == "named"  # the rest of it, not another effect
     elsewhere = dataclasses.replace(contender("encoder_offset@1", 0.15), confounders=("link_mass",))
     assert decide([elsewhere], control, rng, found=earlier).verdict == "named"
+    latency, friction = contender("latency", 0.9), contender("load_friction", 0.2)
+    assert decide([friction], control, rng, found=[latency]).verdict == "nothing_missing"  # both in all joints
+    assert decide([contender("load_friction@3", 0.2)], control, rng, found=[latency]).verdict == "named"
     limb = [dataclasses.replace(one, alias_class="gravity_phase") for one in (elsewhere, earlier[0])]
     assert decide(limb[:1], control, rng, found=limb[1:]).verdict == "nothing_missing"
 
