@@ -13,7 +13,7 @@ import numpy as np
 
 from op3.diagnose.backward import left_out, with_findings
 from op3.diagnose.coordinates import FAULTS, Coordinates
-from op3.diagnose.decide import LATER_GAIN, OWN_GAIN, SMALLEST_GAIN, Contender, weigh
+from op3.diagnose.decide import LATER_GAIN, OWN_GAIN, SMALLEST_GAIN, UNDECIDED, Contender, weigh
 from op3.diagnose.fitting import Engine, fit_base, with_point
 from op3.diagnose.verdict import Finding
 from op3.servo import RobotModel
@@ -103,10 +103,15 @@ def settle(
         leaders[k], rivals[k] = (standing[best], [standing[i] for i in alike]) if needed else (None, [])
         final = models[0 if best == 0 else 1 + best] if needed else models[1]
     named = {one.place for one in leaders if one is not None}
+    # what has taken the place of one that it could not be told from is no surer than it was beside that
+    dropped = [candidates for candidates, leader in zip(rounds, leaders, strict=True) if leader is None]
+    unsure = {one.place for candidates in dropped for one in candidates[1:]}
     effects: list[Finding] = []
     for leader, others in zip(leaders, rivals, strict=True):
         if leader is not None:
-            effects.append(replace(as_in(given, final, leader.finding, engine.joints), instead_of=""))
+            told = as_in(given, final, leader.finding, engine.joints)
+            sure = min(told.confidence, UNDECIDED) if leader.place in unsure else told.confidence
+            effects.append(replace(told, instead_of="", confidence=sure))
             left = [one.finding for one in others if one.place not in named]
             effects += [replace(one, instead_of=leader.finding.name) for one in left]
     gone = [candidates[0].finding.name for candidates, leader in zip(rounds, leaders, strict=True) if leader is None]

@@ -1,5 +1,6 @@
 """What several rounds of a diagnosis add up to."""
 
+import dataclasses
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -146,3 +147,20 @@ def test_a_fault_may_be_needed_in_its_joint_alone():
     assert settling._at_home(own, without, (0,))
     assert not settling._at_home(own, without, (1,))
     assert not settling._at_home(own, without, None)
+
+
+@pytest.mark.parametrize(("rivals", "confidence"), [(True, 0.7), (False, 1.0)])
+def test_what_takes_the_place_of_a_look_alike_is_no_surer(monkeypatch, rivals, confidence):
+    """An effect that could not be told from the first, and has made it superfluous, is not stated with certainty."""
+    first, second, third = (candidate(name) for name in EFFECTS)
+    final = first.model.with_effect(effect_class("cable_spring")(), {"cable_stiffness": 0.01})
+    second = Candidate(dataclasses.replace(second.finding, confidence=1.0), second.contender, final)
+    monkeypatch.setattr(settling, "fit_base", lambda engine, moved, **_: moved)
+    monkeypatch.setattr(settling, "with_point", lambda moved, point: moved.model)
+    monkeypatch.setattr(settling, "_squares", lambda engine, reference, models: np.ones((len(models), 8, 3)))
+    engine = cast(Any, SimpleNamespace(joints=("a", "b", "c")))
+    moved = lambda model: SimpleNamespace(model=model, start=None, coordinates=SimpleNamespace(model=model), point=None)  # noqa: E731
+    rounds = [[first, second if rivals else third], [second]]
+    told = settle(engine, load_model("paper"), rounds, np.random.default_rng(0), cast(Any, moved))
+    assert [(one.name, one.confidence) for one in told.effects] == [("cable_spring", confidence)]
+    assert told.superfluous == ("cogging",)
