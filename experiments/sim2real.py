@@ -13,7 +13,6 @@ from typing import Any
 
 import hydra
 import numpy as np
-import yaml
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from stages import Stages
@@ -96,13 +95,6 @@ def on_robot(cfg: DictConfig) -> list[str]:
     return [*where, f"port={cfg.port}"]
 
 
-def on_stand(stages: Stages, cfg: DictConfig) -> Path:
-    """Record what the diagnosis reads, with the robot in its stand."""
-    plan = stages.folder / "stand_plan.yaml"
-    plan.write_text(yaml.safe_dump({"plan": [{"motion": name, "mount": "stand"} for name in cfg.diagnosis]}))
-    return stages.run("stand", "collect.py", *on_robot(cfg), f"plan={plan}")
-
-
 def gait(stages: Stages, cfg: DictConfig, budget: dict, number: int, model: str) -> Path:
     """Search the numbers of a walk that walks on this model, from those of the round before; returns their file.
 
@@ -170,7 +162,8 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
         if unseen:
             model = identified()
         if condition.get("diagnose"):
-            where = [f"data={on_stand(stages, cfg)}", f"model={model}", f"seed={cfg.seed}"]
+            stand = stages.on_stand("stand", cfg.diagnosis, *on_robot(cfg))
+            where = [f"data={stand}", f"model={model}", f"seed={cfg.seed}"]
             model = str(stages.run(f"{number}_diagnose", "diagnose.py", *where) / "model.yaml")
         if condition.get("reidentify"):
             where = [f"policy={policy}", f"model={model}", f"data={squat}", f"episodes={transfers[-1].episodes}"]

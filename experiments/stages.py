@@ -4,7 +4,10 @@ import resource
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
+
+import yaml
 
 HERE = Path(__file__).resolve().parent
 DONE = "done"
@@ -53,3 +56,15 @@ class Stages:
         self.processor_seconds[name] = children_seconds() - worked
         mark.write_text(f"{self.seconds[name]:.1f} {self.processor_seconds[name]:.1f}\n", encoding="utf-8")
         return place
+
+    def on_stand(self, name: str, motions: Sequence[str], *robot: str) -> Path:
+        """Record motions of a robot in its stand, as one stage.
+
+        Args:
+            name: of the stage; its plan lies beside it.
+            motions: names; one may be played several times.
+            robot: overrides of collect.py for it.
+        """
+        plan = (self.folder / name).parent / "stand_plan.yaml"
+        plan.write_text(yaml.safe_dump({"plan": [{"motion": motion, "mount": "stand"} for motion in motions]}))
+        return self.run(name, "collect.py", *robot, f"plan={plan}")

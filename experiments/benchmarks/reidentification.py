@@ -64,9 +64,7 @@ def one_robot(cfg: DictConfig, stages: Stages, robot: str) -> dict[str, dict[str
 
     found = {"reidentify": reidentified("reidentify", model)}
     if cfg.diagnose:
-        plan = stages.folder / robot / "stand_plan.yaml"
-        plan.write_text(yaml.safe_dump({"plan": [{"motion": name, "mount": "stand"} for name in cfg.diagnosis]}))
-        stand = stages.run(f"{robot}/stand", "collect.py", *hidden, f"plan={plan}")
+        stand = stages.on_stand(f"{robot}/stand", cfg.diagnosis, *hidden)
         where = [f"data={stand}", f"model={model}", f"seed={cfg.seed}"]
         named = stages.run(f"{robot}/diagnose", "diagnose.py", *where)
         found["diagnose"] = reidentified("diagnosed_reidentify", named / "model.yaml")

@@ -270,6 +270,8 @@ def test_the_highest_scores_are_refitted_whatever_they_promise():
     rest = [screened("viscous", joint, 0.001, 2.0) for joint in range(6)]
     picked = shortlist([*rest, *masses, *shared, *leaders])
     assert picked == [*leaders, *shared, masses[5], masses[4]]
+    lag = screened("current_lag", None, -1.0, 0.5)  # what a base stands for promises nothing where the base is
+    assert shortlist([*rest, *masses, *shared, *leaders, lag]) == [*picked, lag]
 
 
 def test_a_lag_starts_where_a_delay_has_become_one():
