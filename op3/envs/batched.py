@@ -133,7 +133,12 @@ class BatchedEnv(EnvBase):
     def set_parameters(self, values: Mapping[str, Tensor | float]) -> None:
         """Give robots other parameters from now on, as the constructor's `parameters`."""
         self._fixed = dict(values)
-        self.simulation.set_parameters({**self._fixed, **self.parameters_drawn})
+        self.simulation.set_parameters({**self._fixed, **self._drawn_values()})
+
+    def _drawn_values(self) -> dict[str, Tensor]:
+        """What has been drawn, by joint where the model has joints that differ."""
+        joints = self.scene.joint_names
+        return {name: self.model.for_joints(name, value, joints) for name, value in self.parameters_drawn.items()}
 
     def _begin(self, mask: Tensor, seeds: Mapping[int, int]) -> TensorDict:
         rows = np.array(sorted(seeds))
@@ -157,7 +162,7 @@ class BatchedEnv(EnvBase):
                 drawn = self._randomisation.draw(self.model, int(self.episode_seeds[row]))
                 for name, value in drawn.items():
                     self.parameters_drawn[name][row] = value
-            self.simulation.set_parameters({**self._fixed, **self.parameters_drawn})
+            self.simulation.set_parameters({**self._fixed, **self._drawn_values()})
         if self._geom_pos is not None:
             heights = [self._beginnings[row].tiles for row in range(self.num_envs)]
             place_tiles(self._geom_pos, self._tiles, np.stack([h for h in heights if h is not None]))

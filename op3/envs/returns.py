@@ -11,6 +11,7 @@ from torch import Tensor
 
 from op3.envs.batched import BatchedEnv
 from op3.policy import PolicyBundle
+from op3.robot import JOINTS
 from op3.servo import RobotModel
 from op3.tasks.evaluation import evaluation_terms, swayed, travel_term
 from op3.tasks.snapshot import Snapshot
@@ -80,13 +81,15 @@ class ReturnsBench:
         """The returns of all candidates.
 
         Args:
-            parameters: by name, ``[candidate]``.
+            parameters: shared values by name, ``[candidate]``; joints that have values of their own go along
+                (`RobotModel.for_joints`).
             candidates: number of models.
             progress: called with the share of episodes done.
             episodes: numbers of the episodes that are played; None: all of them, 0 to the bench's number of them.
         """
         numbers = range(self.episodes) if episodes is None else episodes
-        parameters = {name: torch.as_tensor(v, dtype=torch.float64) for name, v in (parameters or {}).items()}
+        given = {name: torch.as_tensor(v, dtype=torch.float64) for name, v in (parameters or {}).items()}
+        parameters = {name: self.model.for_joints(name, value, JOINTS) for name, value in given.items()}
         total = candidates * len(numbers)
         env = self._environment(_rows(total))
         tally = _Tally(env, self.task, total)

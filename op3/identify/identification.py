@@ -12,7 +12,7 @@ from op3.identify.identifiability import Identifiability, identifiability
 from op3.identify.intervals import followed_from_bounds, intervals_of
 from op3.identify.loss import TrajectoryLoss, position_error
 from op3.identify.polish import polish as polish_off
-from op3.identify.problem import Problem, check_shared
+from op3.identify.problem import Problem
 from op3.identify.refine import refine
 from op3.identify.study import Outcome
 from op3.identify.surrogate import MOST_POINTS, explore
@@ -136,8 +136,12 @@ class Identification:
             base, condition = split_name(name)
             if condition is not None and condition.joint is not None:
                 self._check_joint(name, condition.joint, model, logs)
-            else:
-                check_shared(model, base)
+            elif condition is not None and model.estimate(base).joints:
+                raise ValueError(
+                    f"{name!r}: the model has values of {base} for {', '.join(model.estimate(base).joints)}, which a"
+                    " search under conditions of logs would discard; remove them from the model file or leave the"
+                    " parameter out of the search"
+                )
         check_unseen(logs, heldout)
         self.names = tuple(names)
         self.label = label
@@ -270,7 +274,7 @@ class Identification:
         refined += polished.history[1:] if refined or not polish else polished.history
         blocks, channels = self._blocks()
         intervals = followed_from_bounds(residuals, sensitivity, intervals_of(sensitivity, blocks))
-        model = self.problem.model.with_values({name: Estimate(values[name], *intervals[name]) for name in self.names})
+        model = self.problem.model.moved({name: Estimate(values[name], *intervals[name]) for name in self.names})
         model = model.with_values(_for_other_conditions(model, self.names))
         fitted = [log.fingerprint() for log in self.problem.replay.logs]
         model = replace(model, provenance={**model.provenance, "fitted_logs": fitted})

@@ -29,20 +29,6 @@ class Evaluation:
     terms: Mapping[str, float]
 
 
-def check_shared(model: RobotModel, name: str) -> None:
-    """Whether a parameter may be searched as one value for all joints.
-
-    Raises:
-        ValueError: if joints have values of their own, which the search would discard.
-    """
-    joints = model.estimate(name).joints
-    if joints:
-        raise ValueError(
-            f"{name!r} has values of its own for {', '.join(joints)}, which a search over one shared"
-            " value would discard; remove them from the model file or leave the parameter out of the search"
-        )
-
-
 class Problem:
     """Evaluates parameter sets on logs, many at once.
 
@@ -61,9 +47,20 @@ class Problem:
         self._kept: dict[tuple[tuple[str, float], ...], Tensor] = {}
 
     def predict(self, parameters: Mapping[str, Tensor] | None = None, candidates: int = 1) -> list[Prediction]:
-        """Simulate the logs; parameters as ``[candidate]`` or ``[candidate, joint]``."""
+        """Simulate the logs.
+
+        Args:
+            parameters: by name, which may carry a condition: ``[candidate, joint]``, or shared ones ``[candidate]``;
+                with these, joints that have values of their own go along (`RobotModel.for_joints`).
+            candidates: number of parameter sets.
+        """
         self.simulated_seconds += self.replay.seconds * candidates
-        return self.replay.run(self.model, parameters, candidates)
+        joints = self.replay.logs[0].joints
+        given = {
+            name: self.model.for_joints(name, value, joints) if "@" not in name and value.ndim == 1 else value
+            for name, value in (parameters or {}).items()
+        }
+        return self.replay.run(self.model, given, candidates)
 
     def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[Evaluation]:
         """The loss of every parameter set.

@@ -21,7 +21,7 @@ from op3.identify.identification import PREFIX
 from op3.identify.level_set import draw_level_set
 from op3.identify.loss import TrajectoryLoss
 from op3.identify.polish import polish
-from op3.identify.problem import Problem, check_shared
+from op3.identify.problem import Problem
 from op3.identify.study import Outcome
 from op3.policy import PolicyBundle
 from op3.robot import CONTROLLED_JOINTS
@@ -173,8 +173,6 @@ class Reidentification:
         unknown = [name for name in names if name not in known]
         if unknown:
             raise ValueError(f"the model has no parameter {unknown[0]!r}; it has {', '.join(known)}")
-        for name in names:
-            check_shared(model, name)
         attempted = task if task is not None else episodes[0].metadata.extra.get("task", policy.manifest.task)
         self.names = tuple(names)
         self.model, self.race = model, race
@@ -328,7 +326,7 @@ class Reidentification:
         fresh_start, fresh_chosen = self._replay([self.start, chosen], 2)
         simulated = (*chosen.returns, *again[int(np.argmin(both))].returns, *fresh_chosen.returns)
         return Reidentified(
-            model=self.model.with_values(dict(chosen.values)),
+            model=self.model.moved(dict(chosen.values)),
             start=self.start,
             chosen=chosen,
             front=sorted(front, key=lambda one: one.excitation),

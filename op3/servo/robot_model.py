@@ -149,6 +149,45 @@ class RobotModel:
             estimates[base] = made
         return replace(self, estimates=estimates)
 
+    def moved(self, values: Mapping[str, float | Estimate]) -> "RobotModel":
+        """This model with other shared values; joints with values of their own go along, see `for_joints`."""
+        kept = {}
+        for name, value in values.items():
+            made = value if isinstance(value, Estimate) else Estimate(float(value))
+            own = {} if "@" in name else self.estimate(name).joints
+            rows = self.for_joints(name, torch.tensor([made.value], dtype=torch.float64), tuple(own)) if own else None
+            kept[name] = made if rows is None else replace(made, joints=dict(zip(own, rows[0].tolist(), strict=True)))
+        return self.with_values(kept)
+
+    def for_joints(self, name: str, values: Tensor, joints: Sequence[str]) -> Tensor:
+        """What each joint has where the shared value of a parameter is another.
+
+        A joint with a value of its own keeps its ratio to the shared one, as servos differ by shares; one without the
+        effect stays without it. Where the shared value is zero or has another sign, it keeps its difference.
+
+        Args:
+            name: of the parameter.
+            values: shared ones, ``[candidate]``.
+            joints: joint names.
+
+        Returns:
+            ``[candidate, joint]``, or the values as they are where no joint has its own.
+
+        Raises:
+            ValueError: if no effect that is on has this parameter.
+        """
+        estimate = self.estimate(name)
+        if not estimate.joints:
+            return values
+        known, shared = self.parameters()[name], estimate.value
+        columns = []
+        for joint in joints:
+            own = estimate.joints.get(joint, shared)
+            in_ratio = shared != 0.0 and own * shared >= 0.0
+            moved = values * (own / shared) if in_ratio else values + (own - shared)
+            columns.append(moved.clamp(known.least, known.most))
+        return torch.stack(columns, dim=1)
+
     def with_effect(self, effect: Effect, values: Mapping[str, float | Estimate] | None = None) -> "RobotModel":
         """This model with one more effect, or with this one in place of its namesake."""
         others = tuple(e for e in self.effects if e.name != effect.name)

@@ -63,6 +63,6 @@ class Randomisation:
         return found  # type: ignore[return-value]
 
     def draw(self, model: RobotModel, seed: int) -> dict[str, float]:
-        """The parameters of the robot of a seed, shared by its joints."""
+        """The parameters of the robot of a seed, shared by its joints; those that differ go along."""
         rng = np.random.default_rng([seed, 2])
         return {name: float(rng.uniform(low, high)) for name, (low, high) in self.bounds(model).items()}

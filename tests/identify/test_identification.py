@@ -132,6 +132,19 @@ def test_joints_that_differ_are_told_apart():
     assert again.loss == pytest.approx(fit.fit.loss, rel=1e-3)
 
 
+def test_joints_that_differ_go_along_with_a_shared_value(model):
+    """A search for one value keeps what a model knows of its joints, in what it simulates and in what it finds."""
+    knee = "torque_constant@joint=l_knee"
+    known = model.with_values({"torque_constant": 0.006, knee: 0.0066})
+    log = play(squat_task(known.moved({"torque_constant": 0.007}), squat(frequency=1.0, duration=1.0)))
+    identification = Identification(known, [log], [], ["torque_constant"], joints=CONTROLLED_JOINTS)
+    space = parse_search_space({PREFIX + "torque_constant": "interval(0.003, 0.009)"})
+    study = run_study(identification.evaluate, space, sampler="random", n_trials=6, population=6, seed=0)
+    found = identification.finish(study, starts=1).model
+    assert found.value("torque_constant") == pytest.approx(0.007, rel=1e-3)
+    assert found.value("torque_constant") * 1.1 == pytest.approx(found.estimate(knee).value)
+
+
 def test_the_whole_robot_has_no_value_per_joint(model, logs):
     """The trunk's mass is not a joint's."""
     with pytest.raises(ValueError, match="quantity of the whole robot"):

@@ -103,6 +103,21 @@ def test_a_race_spares_the_worse_half_and_changes_no_winner(problem):
             assert one.values == pytest.approx(other.values, rel=1e-9)
 
 
+def test_joints_that_differ_go_along(recorded):
+    """A diagnosis says how servos differ: candidates keep that, in the squat, in the episodes and in the model."""
+    model, *given, names = recorded
+    knee = "torque_constant@joint=l_knee"
+    differing = model.with_values({knee: 1.1 * model.value("torque_constant")})
+    problem = Reidentification(differing, *given, names, **SETTINGS)
+    values = {name: model.value(name) for name in names}
+    alike, there = problem._measure([values, {**values, "torque_constant": 0.0049}])
+    assert alike == problem.start
+    at = differing.moved(there.values)
+    assert at.estimate(knee).value == pytest.approx(1.1 * 0.0049)
+    direct = Reidentification(at, *given, names, **SETTINGS).start
+    assert (there.excitation, there.distance) == pytest.approx((direct.excitation, direct.distance), rel=1e-9)
+
+
 def test_processes_share_a_population(problem, recorded):
     """Two processes find what one does, in its order, and simulate as long."""
     constants = (0.0049, 0.0064, 0.0052)
