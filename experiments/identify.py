@@ -99,7 +99,7 @@ def without_effects(cfg: DictConfig, folder: Path) -> Fit | None:
 
 
 def duration(started: datetime, study: optuna.Study) -> float:
-    """Wall time of the run [s]: this process, and the study where the sweeper ran it in jobs before this one."""
+    """Wall time so far [s]: of this process, and of the study where the sweeper ran it in jobs before this one."""
     seconds = (datetime.now() - started).total_seconds()
     begun = [t.datetime_start for t in study.trials if t.datetime_start]
     ended = [t.datetime_complete for t in study.trials if t.datetime_complete]
@@ -126,13 +126,15 @@ def main(cfg: DictConfig) -> Any:
 
         def report(study: optuna.Study) -> dict[str, Any]:
             fit = identification.finish(study, **cfg.refine)
+            wall_seconds, compared = duration(started, study), datetime.now()
             ablated = without_effects(cfg, folder)
             save_model(fit.model, folder / "model.yaml")
             numbers = report_identification(
                 fit,
                 ablated,
                 folder,
-                wall_seconds=duration(started, study),
+                wall_seconds=wall_seconds,
+                ablated_seconds=(datetime.now() - compared).total_seconds(),
                 provenance=run_provenance(seed=cfg.seed, data=plain(cfg.data)),
                 joints=identification.joints,
                 config=plain(cfg),

@@ -19,7 +19,7 @@ from op3.identify.surrogate import MOST_POINTS, explore
 from op3.rollout import LogError, Rollout
 from op3.servo import Estimate, RobotModel
 from op3.servo.conditions import split_name
-from op3.tasks import Prediction
+from op3.tasks import Prediction, Replay
 from op3.tasks.setups import BENCH_CONTROL_PERIOD
 
 PREFIX = "parameters."
@@ -27,6 +27,9 @@ PREFIX = "parameters."
 
 BLOCKS_PER_LOG = 10
 """Stretches of equal length of each log that intervals take as independent; half a second of a squat."""
+
+CHECKED = 0.1
+"""How much of every log is simulated before the first trial [s]: whether that can be done shows at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,11 +148,11 @@ class Identification:
         check_unseen(logs, heldout)
         self.names = tuple(names)
         self.label = label
+        self._bench_timestep = bench_timestep
         self.joints = tuple(joints)
         self.loss = loss or TrajectoryLoss(self.joints)
         self.problem = Problem(model, logs, self.loss, bench_timestep=bench_timestep)
         self._evaluated = 0
-        self._example: Sequence[Prediction] | None = None
         # one batch of all logs costs little more than one of the fitted ones alone
         self._all = Problem(model, [*logs, *heldout], self.loss, bench_timestep=bench_timestep)
 
@@ -176,11 +179,11 @@ class Identification:
         Raises:
             ValueError: if not; the message names what does not fit.
         """
-        fitted, unseen = self._predict({})
-        self._example = fitted
-        for predictions in (fitted, unseen):
-            if predictions:
-                self.loss(predictions)
+        first = Replay(self._all.replay.logs, duration=CHECKED, bench_timestep=self._bench_timestep)
+        predictions = first.run(self.problem.model)
+        for some in (predictions[: len(self.problem.replay.logs)], predictions[len(self.problem.replay.logs) :]):
+            if some:
+                self.loss(some)
 
     def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[Outcome]:
         """Losses of trials whose parameters are config keys, as the study asks them."""
@@ -272,14 +275,14 @@ class Identification:
         )
         values, sensitivity = polished.values, polished.sensitivity
         refined += polished.history[1:] if refined or not polish else polished.history
-        blocks, channels = self._blocks()
+        fit, heldout = self.score(values)
+        blocks, channels = self._blocks(fit.predictions)
         intervals = followed_from_bounds(residuals, sensitivity, intervals_of(sensitivity, blocks))
         model = self.problem.model.moved({name: Estimate(values[name], *intervals[name]) for name in self.names})
         model = model.with_values(_for_other_conditions(model, self.names))
         fitted = [log.fingerprint() for log in self.problem.replay.logs]
         model = replace(model, provenance={**model.provenance, "fitted_logs": fitted})
         trials = [np.nan if t.value is None else float(t.value) for t in study.trials]
-        fit, heldout = self.score(values)
         return Fit(
             label=self.label,
             model=model,
@@ -330,7 +333,7 @@ class Identification:
         high = torch.tensor([bounds[name][1] for name in self.names], dtype=torch.float64)
         return self.problem.residual_function(self.names, low, high)
 
-    def _blocks(self) -> tuple[list[np.ndarray], dict[str, np.ndarray]]:
+    def _blocks(self, predictions: Sequence[Prediction]) -> tuple[list[np.ndarray], dict[str, np.ndarray]]:
         """Indices of the residual that belong together: by stretch of time, and by channel.
 
         A stretch is a whole log where there are many, else a part of one.
@@ -339,7 +342,7 @@ class Identification:
         blocks: list[list[np.ndarray]] = []
         channels: dict[str, list[np.ndarray]] = {}
         offset = 0
-        for prediction in self._example or self.problem.predict({}, 1):
+        for prediction in predictions:
             time = prediction.log.array("time")[self.loss.first_row(prediction.log) :, 0]
             share = (time - time[0]) / (time[-1] - time[0])
             number = np.minimum((share * stretches).astype(int), stretches - 1)

@@ -26,6 +26,7 @@ def report_identification(
     folder: Path,
     *,
     wall_seconds: float,
+    ablated_seconds: float = 0.0,
     provenance: Mapping[str, Any],
     joints: Sequence[str] = (),
     config: Mapping[str, Any] | None = None,
@@ -37,7 +38,8 @@ def report_identification(
         fit: the identified model.
         ablated: the same without some effects, for comparison.
         folder: of the run.
-        wall_seconds: duration of the run [s].
+        wall_seconds: duration of the identification [s].
+        ablated_seconds: duration of that for comparison [s].
         provenance: where the numbers come from, see `op3.report.run_provenance`.
         joints: joints to draw; all of a log where empty.
         config: settings, for wandb.
@@ -47,7 +49,7 @@ def report_identification(
         The numbers of ``result.yaml``.
     """
     fits = [fit] if ablated is None else [fit, ablated]
-    values = _numbers(fit, ablated, wall_seconds, provenance)
+    values = _numbers(fit, ablated, (wall_seconds, ablated_seconds), provenance)
     page = _page(fits, joints, values, provenance)
     page_path = page.write(folder / "index.html")
     result_path = write_result(folder / "result.yaml", values)
@@ -60,7 +62,9 @@ def report_identification(
     return values
 
 
-def _numbers(fit: Fit, ablated: Fit | None, wall_seconds: float, provenance: Mapping[str, Any]) -> dict[str, Any]:
+def _numbers(
+    fit: Fit, ablated: Fit | None, seconds: tuple[float, float], provenance: Mapping[str, Any]
+) -> dict[str, Any]:
     numbers: dict[str, Any] = {
         "loss.fit": _finite(fit.fit.loss),
         "loss.heldout": _loss(fit.heldout),
@@ -68,7 +72,7 @@ def _numbers(fit: Fit, ablated: Fit | None, wall_seconds: float, provenance: Map
         "loss.paper_eq7_heldout": None if fit.heldout is None else _finite(fit.heldout.paper_eq7),
         "error_mrad.train": _finite(fit.fit.error_mrad),
         "error_mrad.heldout": None if fit.heldout is None else _finite(fit.heldout.error_mrad),
-        "wall_seconds": wall_seconds,
+        "wall_seconds": seconds[0],
         "simulated_seconds": fit.simulated_seconds,
         "diverged_logs": _diverged(fit),
         "trials": len(fit.trials),
@@ -82,6 +86,7 @@ def _numbers(fit: Fit, ablated: Fit | None, wall_seconds: float, provenance: Map
             f"loss.paper_eq7_{suffix}": _finite(ablated.fit.paper_eq7),
             f"error_mrad.train_{suffix}": _finite(ablated.fit.error_mrad),
             f"error_mrad.heldout_{suffix}": None if ablated.heldout is None else _finite(ablated.heldout.error_mrad),
+            f"wall_seconds_{suffix}": seconds[1],
             f"simulated_seconds_{suffix}": ablated.simulated_seconds,
         }
     numbers["parameters"] = {name: fit.model.estimate(name) for name in fit.found}

@@ -15,6 +15,7 @@ from op3.servo.effects import (
     CurrentLag,
     CurrentOffset,
     CurrentPD,
+    DirectionalEfficiency,
     EncoderNonlinearity,
     FrictionDrift,
     GyroBias,
@@ -435,3 +436,18 @@ def test_imu_reads_in_its_own_frame_and_the_gyroscope_adds_its_bias():
     w, x, y, z = seen.quaternion[0].tolist()
     up = [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z]
     np.testing.assert_allclose(up, (body @ mount).T @ [0, 0, 1], atol=1e-12)
+
+
+@given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.floats(-5.0, 5.0), st.floats(0.3, 1.0))
+def test_a_gear_without_forward_loss_is_the_limit_of_one_with_little(goal, load, velocity, backward):
+    """What is left out where nothing is lost forwards is what goes to nothing there."""
+    found = []
+    for forward in (1.0, 1.0 - 1e-9):
+        law, signals = law_of(DirectionalEfficiency(), forward_efficiency=forward, backward_efficiency=backward)
+        signals.position_target, signals.p_gain = signals.position_target + goal, signals.p_gain + 1.0
+        signals.load_torque, signals.velocity = signals.load_torque + load, signals.velocity + velocity
+        law.reset(signals)
+        law.tick(signals)
+        law.step(signals)
+        found.append([float(getattr(signals, name)) for name in ("applied_torque", "damping", "friction_bound")])
+    assert found[0] == pytest.approx(found[1], abs=1e-6)
