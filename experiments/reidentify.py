@@ -16,10 +16,10 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from support import one_sentence, plain
+from support import one_sentence, plain, whole
 
 from op3.identify.identification import PREFIX
-from op3.identify.reidentification import Reidentification
+from op3.identify.reidentification import Reidentification, that_count
 from op3.identify.resolvers import register as register_interpolations
 from op3.identify.search_space import parse_search_space
 from op3.identify.sweeper import sweep_or_report
@@ -42,10 +42,19 @@ def build(cfg: DictConfig) -> Reidentification:
     absent = [name for name in names if name not in known]
     if absent:
         raise ValueError(f"groups: {absent[0]!r} is no parameter of {cfg.model}; leave its group out")
+    episodes, others = that_count(read_logs(plain(cfg.episodes)))
+    ends = sorted({str(log.metadata.extra["exit"]) for log in others})
+    if others:
+        print(f"{len(others)} episodes do not count: they ended by {', '.join(ends)}, not by a fall", flush=True)
+    if not episodes:
+        raise ValueError(
+            f"episodes={plain(cfg.episodes)}: all ended by {', '.join(ends)}, as no simulation of the policy does;"
+            " diagnose the robot, mend the cause, and record others"
+        )
     return Reidentification(
         model,
         read_logs(plain(cfg.data)),
-        read_logs(plain(cfg.episodes)),
+        episodes,
         PolicyBundle.load(cfg.policy),
         names,
         task=None if cfg.get("task") is None else instantiate(cfg.task),
@@ -67,6 +76,9 @@ def main(cfg: DictConfig) -> Any:
         missing = [key for key in ("policy", "model", "data", "episodes") if OmegaConf.is_missing(cfg, key)]
         if missing:
             raise ValueError(f"{missing[0]} is missing: add {missing[0]}=<path>")
+        whole(cfg, "repeats", 1)
+        whole(cfg, "finalists", 1)
+        whole(cfg, "processes", 0)
         problem = build(cfg)
         folder = Path(HydraConfig.get().runtime.output_dir)
 

@@ -25,11 +25,11 @@ from op3.identify.problem import Problem
 from op3.identify.study import Outcome
 from op3.policy import PolicyBundle
 from op3.robot import CONTROLLED_JOINTS
-from op3.rollout import Rollout
+from op3.rollout import LogError, Rollout
 from op3.servo import RobotModel
 from op3.sim.crew import Crew
 from op3.tasks.evaluation import evaluation_return
-from op3.tasks.task import Task, find_task
+from op3.tasks.task import POLICY_PERIOD, Task, find_task
 
 Array = NDArray[np.float64]
 
@@ -42,6 +42,12 @@ TRIED = 0.3
 TOLERATED = 1.25
 """The chosen candidate's excitation loss may be so many times that of the start. Those beyond play no more than the
 first episodes until they turn out to be on the Pareto front."""
+
+DISTINCT = 0.01
+"""Finalists differ by at least this share of what the trials span, in one parameter; generations breed clones."""
+
+CHANCE = 0.9
+"""A start whose distance is not beyond this quantile of what chance leaves has nothing to be improved by."""
 
 RISES = (0.1, 0.25, 0.6)
 """How much the excitation loss of the first candidates is expected to be above that of the start, as shares of it."""
@@ -78,6 +84,9 @@ class Reidentified:
         fresh_chosen: the chosen candidate over the same.
         noise: distance to be expected between the robot's returns and as many simulated ones if the chosen model were
             the robot: what chance alone leaves.
+        accepted: whether the chosen candidate is another than the start.
+        at_chance: whether the start's returns are as close to the robot's as chance would leave them, so that there is
+            nothing to learn from them.
     """
 
     model: RobotModel
@@ -88,6 +97,8 @@ class Reidentified:
     fresh_start: Candidate
     fresh_chosen: Candidate
     noise: float
+    accepted: bool = True
+    at_chance: bool = False
 
 
 class Simulations:
@@ -176,8 +187,10 @@ class Reidentification:
         attempted = task if task is not None else episodes[0].metadata.extra.get("task", policy.manifest.task)
         self.names = tuple(names)
         self.model, self.race = model, race
-        self.actual = [evaluation_return(log, attempted) for log in episodes]
         self.task, self.episodes = find_task(attempted), repeats
+        for log in episodes:
+            check_episode(log, self.task, policy)
+        self.actual = [evaluation_return(log, attempted) for log in episodes]
         what = {"model": model, "excitation": list(excitation), "joints": tuple(joints), "policy": policy}
         what |= {"task": self.task, "repeats": repeats, "seed": seed, "num_threads": 0 if processes == 1 else 1}
         self._crew = Crew(Simulations, what, processes)
@@ -244,13 +257,14 @@ class Reidentification:
     def _measure(
         self, trials: Sequence[Mapping[str, float]], plausible: float = np.inf, race: bool = False
     ) -> list[Candidate]:
-        """Both objectives; beyond a plausible excitation loss the distance is that of episodes worth nothing."""
+        """Both objectives; beyond a plausible excitation loss the distance is larger than any that episodes have."""
         values = {name: torch.tensor([trial[name] for trial in trials], dtype=torch.float64) for name in self.names}
         losses = self._shared("losses", values, len(trials))
         worth = (losses <= plausible).nonzero()[:, 0]
         returns = self._play({name: value[worth] for name, value in values.items()}, losses[worth], race)
         played = dict(zip(worth.tolist(), returns, strict=True))
-        worthless = float(np.abs(self.actual).mean())
+        # a step is worth 1 at most, so no returns are farther apart
+        worthless = float(max(*np.abs(self.actual), ceil(self.task.duration / POLICY_PERIOD)))
         measured = []
         for i, trial in enumerate(trials):
             loss, own = float(losses[i]), played.get(i)
@@ -300,9 +314,10 @@ class Reidentification:
     def finish(self, study: optuna.Study, finalists: int = 8) -> Reidentified:
         """Choose a point of the front, and look at it with other random numbers.
 
-        Among the candidates whose excitation loss is at most `TOLERATED` times the start's, the closest few play as
-        many episodes again: the best of hundreds has been lucky with those it was chosen by. The smallest distance over
-        both halves wins; the start takes part. A third set of episodes then says what that is worth.
+        Among the candidates whose excitation loss is at most `TOLERATED` times the start's, the closest few that differ
+        play as many episodes again: the best of hundreds has been lucky with those it was chosen by, so these count no
+        more. The smallest distance over the new ones wins; the start takes part. Where the start's returns are as close
+        to the robot's as chance would leave them, it stays. A third set of episodes then says what that is worth.
 
         Args:
             study: finished.
@@ -315,31 +330,49 @@ class Reidentification:
         if not complete:
             raise ValueError("no trial of the study completed: every simulation failed; check the logs and the model")
         played = [self._candidate(trial) for trial in complete if trial.user_attrs.get("episodes", 0)]
-        front = _unbeaten(self._played_out(_unbeaten(played)))
-        near = [one for one in played if one.returns and one.excitation <= TOLERATED * self.start.excitation]
+        whole = [one for one in played if one.returns]
+        # of those that played the first episodes alone, the ones that may be on the front play the others
+        whole += self._played_out([one for one in _unbeaten(played) if not one.returns])
+        near = [one for one in whole if one.excitation <= TOLERATED * self.start.excitation]
         # the study holds the start as its nominal trial
         near = [one for one in near if dict(one.values) != dict(self.start.values)]
-        final = [self.start, *sorted(near, key=lambda one: one.distance)[:finalists]]
+        final = [self.start, *self._distinct(sorted(near, key=lambda one: one.distance), whole, finalists)]
         again = self._replay(final, 1)
-        both = [self._distance_over((*one.returns, *more.returns)) for one, more in zip(final, again, strict=True)]
-        chosen = final[int(np.argmin(both))]
+        returns = np.array([*self.start.returns, *again[0].returns])
+        chance = chance_distances(returns, len(self.actual), len(returns))
+        at_chance = self._distance_over(returns) <= float(np.quantile(chance, CHANCE))
+        best = 0 if at_chance else int(np.argmin([one.distance for one in again]))
+        chosen = final[best]
         fresh_start, fresh_chosen = self._replay([self.start, chosen], 2)
-        simulated = (*chosen.returns, *again[int(np.argmin(both))].returns, *fresh_chosen.returns)
+        simulated = (*chosen.returns, *again[best].returns, *fresh_chosen.returns)
         return Reidentified(
             model=self.model.moved(dict(chosen.values)),
             start=self.start,
             chosen=chosen,
-            front=sorted(front, key=lambda one: one.excitation),
+            front=sorted(_unbeaten(whole), key=lambda one: one.excitation),
             actual=self.actual,
             fresh_start=fresh_start,
             fresh_chosen=fresh_chosen,
-            noise=chance_distance(np.array(simulated), len(self.actual), self.episodes),
+            noise=float(chance_distances(np.array(simulated), len(self.actual), self.episodes).mean()),
+            accepted=best > 0,
+            at_chance=at_chance,
         )
 
-    def _played_out(self, candidates: Sequence[Candidate]) -> list[Candidate]:
-        """The candidates, each with all its episodes."""
-        short = [one for one in candidates if not one.returns]
-        return [one for one in candidates if one.returns] + (self._replay(short, 0) if short else [])
+    def _played_out(self, short: Sequence[Candidate]) -> list[Candidate]:
+        """Candidates with all their episodes; without those that fail in one."""
+        return [one for one in self._replay(short, 0) if np.isfinite(one.distance)] if short else []
+
+    def _distinct(self, ordered: Sequence[Candidate], all_: Sequence[Candidate], count: int) -> list[Candidate]:
+        """The first candidates that differ from one another and from the start."""
+        values = np.array([[one.values[name] for name in self.names] for one in all_])
+        span = np.ptp(values, axis=0) if len(values) else np.ones(len(self.names))
+        taken: list[Candidate] = []
+        for one in ordered:
+            others = [self.start, *taken]
+            steps = [[abs(one.values[name] - other.values[name]) for name in self.names] for other in others]
+            if len(taken) < count and (np.array(steps) > DISTINCT * span).any(1).all():
+                taken.append(one)
+        return taken
 
     def _replay(self, candidates: Sequence[Candidate], times: int) -> list[Candidate]:
         """The candidates over further episodes; `times` sets of episodes lie before them."""
@@ -363,8 +396,53 @@ class Reidentification:
         return Candidate(values, excitation, distance, tuple(trial.user_attrs.get("returns", ())))
 
 
-def chance_distance(returns: Array, actual: int, simulated: int, draws: int = 400) -> float:
-    """Mean Wasserstein-1 distance of two samples of the same returns: what no model can be expected to undercut.
+def that_count(episodes: Sequence[Rollout]) -> tuple[list[Rollout], list[Rollout]]:
+    """Episodes that ended by their time or a fall, and the others.
+
+    What else ends one on a robot (a voltage, a lost bus, heat) does so in no simulation of the policy, so its return
+    says nothing of the parameters.
+    """
+    count = [log.metadata.extra.get("exit") in (None, "ok", "fall") for log in episodes]
+    return [e for e, c in zip(episodes, count, strict=True) if c], [
+        e for e, c in zip(episodes, count, strict=True) if not c
+    ]
+
+
+def check_episode(log: Rollout, task: Task, policy: PolicyBundle) -> None:
+    """Whether a log is an episode of this policy at this task, whose return a simulation can have.
+
+    Raises:
+        LogError: if not; it says what to do.
+    """
+    where = {"source": log.metadata.recording}
+    trained, played = policy.manifest.training.model_hash, log.metadata.model_hash
+    # a log of the robot names the policy's model, one of a simulation that which was simulated
+    if "exit" in log.metadata.extra and trained and played and played != trained:
+        raise LogError(
+            f"the policy of this episode was trained on the model {played}, the bundle's on {trained}",
+            "give the bundle that played",
+            column="field model_hash",
+            **where,
+        )
+    attempted = log.metadata.extra.get("task")
+    if isinstance(attempted, str) and attempted != task.name:
+        raise LogError(
+            f"the episode attempts {attempted}, not {task.name}",
+            f"give task={attempted}, or episodes of {task.name}",
+            column="field task",
+            **where,
+        )
+    shortest = task.duration - 2.0 * POLICY_PERIOD
+    if not log.metadata.fallen and log.duration < shortest:
+        raise LogError(
+            f"the episode lasts {log.duration:.2f} s without a fall, those of {task.name} {task.duration:g} s",
+            f"record episodes of {task.duration:g} s, or set the task's duration",
+            **where,
+        )
+
+
+def chance_distances(returns: Array, actual: int, simulated: int, draws: int = 400) -> Array:
+    """Wasserstein-1 distances of two samples of the same returns, whose mean no model can be expected to undercut.
 
     Args:
         returns: to draw from, with replacement.
@@ -374,8 +452,8 @@ def chance_distance(returns: Array, actual: int, simulated: int, draws: int = 40
     """
     rng = np.random.default_rng(0)
     known = returns[np.isfinite(returns)]
-    return float(
-        np.mean([wasserstein_distance(rng.choice(known, actual), rng.choice(known, simulated)) for _ in range(draws)])
+    return np.array(
+        [wasserstein_distance(rng.choice(known, actual), rng.choice(known, simulated)) for _ in range(draws)]
     )
 
 

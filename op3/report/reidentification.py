@@ -57,6 +57,8 @@ def report_reidentification(
         "normalised": "parameter within its range of the catalogue (paper Table I), 0 to 1",
         "fresh": "distance over episodes that neither the search nor the choice has seen, and what chance alone leaves",
         "front": "Pareto front: excitation loss and distance",
+        "accepted": "whether a candidate took the place of the start",
+        "at_chance": "whether the start's returns are as close to the robot's as chance would leave them",
     }
     result_path = write_result(folder / "result.yaml", values, meanings)
     with RunLogger(folder, config=config, mode=wandb_mode) as logger:
@@ -94,6 +96,8 @@ def _numbers(
         "normalised.reidentified": {name: _normalised(name, value) for name, value in chosen.values.items()},
         "front.excitation": [one.excitation for one in found.front],
         "front.distance": [one.distance for one in found.front],
+        "accepted": found.accepted,
+        "at_chance": found.at_chance,
         "trials": len(study.trials),
         "trials_failed": sum(t.state == optuna.trial.TrialState.FAIL for t in study.trials),
         "trials_skipped": sum("skipped" in t.user_attrs for t in study.trials),
@@ -146,7 +150,8 @@ def _page(found: Reidentified, study: optuna.Study, values: Mapping[str, Any], p
     page.section("Pareto front")
     page.text(
         f"Rule: among the candidates whose excitation loss is at most {TOLERATED:g} times that of the start (dotted"
-        " line), the closest few play as many episodes again, and the smallest distance over both halves is chosen."
+        " line), the closest few play as many episodes again, and the smallest distance over these is chosen, the"
+        " start's included. Where the start's returns are as close to the robot's as chance would leave them, it stays."
     )
     page.figure(_front_figure(found, study), "Both objectives of every trial that played episodes, and the front.")
     page.section("Parameters")
@@ -172,6 +177,11 @@ def _summary(returns: Sequence[float]) -> tuple[float, float]:
 def _lead(found: Reidentified) -> str:
     """The outcome in one sentence; a gain that fresh episodes do not confirm is not called one."""
     start, chosen = found.start, found.chosen
+    if found.at_chance:
+        return (
+            f"Nothing to learn from these episodes: the start's returns are {number(start.distance, 3)} from the"
+            " robot's, as close as chance would leave them, so the model stays as it is."
+        )
     if chosen is start or chosen.distance >= start.distance:
         return (
             f"No candidate came closer to the robot's returns than the start, {number(start.distance, 3)} away,"
