@@ -8,6 +8,8 @@ python experiments/collect.py robot=emulated|real motion=squat [port=/dev/ttyUSB
 python experiments/collect.py robot=emulated|real policy=assets/policies/balance [duration=10] [repeats=5]
 python experiments/collect.py robot=emulated policy=assets/policies/balance task=balance_eval repeats=10
 python experiments/collect.py -m world=eta_060,eta_070,eta_080
+
+The same command with the same hydra.run.dir goes on after an interruption with what has not been recorded yet.
 """
 
 import datetime
@@ -22,7 +24,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from support import library_motion, one_sentence, plain, positive
+from support import by_name, check_same, library_motion, one_sentence, plain, positive, remember
 
 from op3.deploy import Stop
 from op3.deploy.bus import Unplugged
@@ -30,6 +32,9 @@ from op3.deploy.exit_codes import ExitCode
 from op3.policy import PolicyBundle
 from op3.robot import Motion, check_motion
 from op3.rollout import MOUNTS, Rollout, git_hash
+
+ASKED = "asked.yaml"
+"""File in the run's folder with the settings that it was begun with."""
 
 
 def build(node: DictConfig) -> Any:
@@ -44,6 +49,7 @@ def collect(cfg: DictConfig) -> list[Path]:
     """Record as often as asked and return the rollout folders."""
     if isinstance(cfg.repeats, bool) or not isinstance(cfg.repeats, int) or cfg.repeats < 1:
         raise ValueError(f"repeats must be a whole number of at least 1, got {cfg.repeats!r}")
+    check_same(place(ASKED), asked())
     if cfg.plan is not None:
         return collect_plan(cfg, read_plan(Path(cfg.plan)))
     positive(cfg, "duration", "seconds")
@@ -101,22 +107,47 @@ def collect_episodes(cfg: DictConfig) -> list[Path]:
     folders = []
     for number in range(cfg.repeats):
         name = f"{Path(cfg.policy).name}-{number}"
+        if recorded(robot, name):
+            folders.append(place(name))
+            continue
         options = {"cycle": cfg.cycle, "task": task, "recording": name}
         folders.append(save(robot.run_policy(bundle, cfg.duration, **options), name))
     return folders
 
 
 def record(cfg: DictConfig, robot: Any, motion: Motion, name: str) -> Path:
-    """Play a motion once and save the log; return its folder."""
+    """Play a motion once and save the log, unless that has been done; return its folder."""
+    if recorded(robot, name):
+        return place(name)
     gains = {name: _own(motion, name) if cfg[name] is None else plain(cfg[name]) for name in ("p_gain", "d_gain")}
     return save(robot.play(motion, **gains, recording=name), name)
+
+
+def asked() -> dict[str, str]:
+    """The settings of this run."""
+    return by_name(HydraConfig.get().overrides.task)
+
+
+def place(name: str) -> Path:
+    """Where something of the run is kept."""
+    return Path(HydraConfig.get().runtime.output_dir) / name
+
+
+def recorded(robot: Any, name: str) -> bool:
+    """Whether a recording exists already; the robot then counts it."""
+    if not place(name).exists():
+        return False
+    print(f"{place(name)}: recorded before", flush=True)
+    robot.skip()
+    return True
 
 
 def save(rollout: Rollout, name: str) -> Path:
     """Write a log into the run's folder and say how it ended; return its folder."""
     known = {"date": datetime.datetime.now().isoformat(timespec="seconds"), "git_hash": git_hash()}
     rollout = Rollout(rollout.data, rollout.metadata.replace(**known))
-    folder = rollout.save(Path(HydraConfig.get().runtime.output_dir) / name)
+    remember(place(ASKED), asked())
+    folder = rollout.save(place(name))
     ended = rollout.metadata.extra.get("ended_by")
     outcome = f"ended: {ended}" if ended else "the robot fell" if rollout.metadata.fallen else "the robot stands"
     print(f"{folder}: {rollout.rows} rows, {rollout.duration:.2f} s, {outcome}")

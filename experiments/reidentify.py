@@ -16,7 +16,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from support import one_sentence, plain, whole
+from support import check_same, one_sentence, plain, remember, whole
 
 from op3.identify.identification import PREFIX
 from op3.identify.reidentification import Reidentification, that_count
@@ -31,6 +31,9 @@ from op3.rollout import read_logs
 from op3.sim import load_model, save_model
 
 register_interpolations()
+
+ASKED = "asked.yaml"
+"""File in the run's folder that tells the objectives of its study from others."""
 
 
 def build(cfg: DictConfig) -> Reidentification:
@@ -81,6 +84,10 @@ def main(cfg: DictConfig) -> Any:
         whole(cfg, "processes", 0)
         problem = build(cfg)
         folder = Path(HydraConfig.get().runtime.output_dir)
+        if cfg.population is None:
+            what = {"objectives": problem.identity, "parameters": ", ".join(problem.names)}
+            check_same(folder / ASKED, what)
+            remember(folder / ASKED, what)
 
         def report(study: optuna.Study) -> dict[str, Any]:
             found = problem.finish(study, cfg.finalists)

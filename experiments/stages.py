@@ -1,6 +1,8 @@
 """Experiments one after another, each once: what longer experiments are made of."""
 
+import ctypes
 import resource
+import signal
 import subprocess
 import sys
 import time
@@ -8,16 +10,36 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import yaml
+from support import by_name, check_same, remember
+
+from op3.rollout.files import write_text
 
 HERE = Path(__file__).resolve().parent
 DONE = "done"
 """File in a stage's folder that says that it is finished, and what it took."""
+ASKED = "stage.yaml"
+"""File in a stage's folder with the script and its overrides."""
+CHECKPOINT = "checkpoint.pt"
+"""File of a training that can go on."""
+PR_SET_PDEATHSIG = 1
+"""Of Linux's prctl: the signal that a process gets when its parent ends."""
+
+
+def ends_with_parent() -> None:
+    """Have this process asked to end when its parent does, even by a kill: two must not write to one stage."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def children_seconds() -> float:
     """Processor time of all processes that this one has started and waited for [s]."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
+
+
+def _is_work(path: Path) -> bool:
+    """Whether a file or folder of a stage is more than what every start leaves."""
+    return path.name not in (ASKED, ".hydra") and path.suffix != ".log"
 
 
 class Stages:
@@ -37,24 +59,33 @@ class Stages:
     def run(self, name: str, script: str, *overrides: str) -> Path:
         """Run one experiment, unless it has been finished before; returns its folder.
 
+        A training that was interrupted goes on from its checkpoint, as other experiments go on by themselves.
+
         Raises:
-            ValueError: if it fails.
+            ValueError: if it fails, or was begun with other settings.
         """
         place = self.folder / name
         mark = place / DONE
+        asked = {"script": script, **by_name(overrides)}
+        check_same(place / ASKED, asked)
         if mark.exists():
             self.seconds[name], self.processor_seconds[name] = map(float, mark.read_text(encoding="utf-8").split())
             print(f"{name}: done before", flush=True)
             return place
         command = [sys.executable, str(HERE / script), *overrides, f"hydra.run.dir={place}"]
+        if script == "train.py" and (place / CHECKPOINT).exists():
+            command.append(f"resume={place}")
+        remember(place / ASKED, asked)
         print(f"{name}: python experiments/{script} {' '.join(command[2:])}", flush=True)
         started, worked = time.monotonic(), children_seconds()
-        code = subprocess.run(command, check=False).returncode
+        code = subprocess.run(command, check=False, preexec_fn=ends_with_parent).returncode
         if code:
+            if not any(_is_work(path) for path in place.iterdir()):
+                (place / ASKED).unlink()  # what was wrong may be mended
             raise ValueError(f"stage {name} ended with exit code {code}; mend it and run the same command again")
         self.seconds[name] = time.monotonic() - started
         self.processor_seconds[name] = children_seconds() - worked
-        mark.write_text(f"{self.seconds[name]:.1f} {self.processor_seconds[name]:.1f}\n", encoding="utf-8")
+        write_text(mark, f"{self.seconds[name]:.1f} {self.processor_seconds[name]:.1f}\n")
         return place
 
     def on_stand(self, name: str, motions: Sequence[str], *robot: str) -> Path:
@@ -66,5 +97,8 @@ class Stages:
             robot: overrides of collect.py for it.
         """
         plan = (self.folder / name).parent / "stand_plan.yaml"
-        plan.write_text(yaml.safe_dump({"plan": [{"motion": motion, "mount": "stand"} for motion in motions]}))
+        content = {"plan": [{"motion": motion, "mount": "stand"} for motion in motions]}
+        if (self.folder / name).exists():
+            check_same(plan, content)
+        write_text(plan, yaml.safe_dump(content))
         return self.run(name, "collect.py", *robot, f"plan={plan}")

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import yaml
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
@@ -18,6 +19,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from op3.robot import CONTROLLED_JOINTS, Motion, named_configs
 from op3.rollout import Metadata, Rollout
+from op3.rollout.files import write_text
 
 CONF = Path(__file__).resolve().parents[1] / "conf"
 """The configs of this project."""
@@ -44,6 +46,37 @@ def one_sentence(
     except KeyboardInterrupt:
         print(f"\nInterrupted. {interrupted}", file=sys.stderr)
         raise SystemExit(130) from None
+
+
+def check_same(path: Path, asked: Mapping[str, Any]) -> None:
+    """Refuse to go on in a folder with other settings than it was begun with: results would be mixed in silence.
+
+    Args:
+        path: file of the folder in which `remember` has written the settings down; nothing is refused without it.
+        asked: settings now.
+
+    Raises:
+        ValueError: naming what differs.
+    """
+    if not path.exists():
+        return
+    before = yaml.safe_load(path.read_text(encoding="utf-8"))
+    names = [name for name in {**before, **asked} if before.get(name) != asked.get(name)]
+    if names:
+        was, now = ({name: one.get(name) for name in names} for one in (before, asked))
+        raise ValueError(f"{path.parent} was begun with {was}, not {now}; choose another hydra.run.dir")
+
+
+def remember(path: Path, asked: Mapping[str, Any]) -> None:
+    """Write down what a folder was begun with, once; see `check_same`."""
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_text(path, yaml.safe_dump(dict(asked), width=1000))
+
+
+def by_name(overrides: Sequence[str]) -> dict[str, str]:
+    """Overrides as a mapping."""
+    return {name: value for name, _, value in (override.partition("=") for override in overrides)}
 
 
 def seeded_faults(node: DictConfig) -> Any:

@@ -114,8 +114,13 @@ class Player:
             extra={"task": bundle.manifest.task if task is None else task.name},
         )
 
+    def skip(self) -> None:
+        """Count a recording that exists already, so that the next is as it would have been after it."""
+        self._count += 1
+
     def _record(self, make: Any, recording: str | None, ground: Task | None = None, **options: Any) -> Rollout:
         name = recording or f"recording-{self._count}"
+        _set_aside(self._folder / name)
         plan = Plan(limits=self._limits, end_pose=self._end_pose, folder=self._folder / name)
         connection = self._connect(ground)
         try:
@@ -135,6 +140,13 @@ class Player:
         if self._port == EMULATED:
             emulation = {**self._emulation, "seed": self._seed + self._count, "task": ground}
         return connect(self._port, mount=self._mount, confirm=self._confirm, calibration=self._calibration, **emulation)
+
+
+def _set_aside(ticks: Path) -> None:
+    """Keep the ticks of a run of this name that was cut short, under another one."""
+    if ticks.exists():
+        number = len(list(ticks.parent.glob(f"{ticks.name}.unfinished-*")))
+        ticks.rename(ticks.with_name(f"{ticks.name}.unfinished-{number}"))
 
 
 POLICY_FAILED = (

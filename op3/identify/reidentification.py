@@ -4,6 +4,7 @@ Two objectives: the loss of the excitation, eq. (7), and the Wasserstein-1 dista
 that a policy got on the robot and those that it gets in simulation.
 """
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import ceil
@@ -27,6 +28,7 @@ from op3.policy import PolicyBundle
 from op3.robot import CONTROLLED_JOINTS
 from op3.rollout import LogError, Rollout
 from op3.servo import RobotModel
+from op3.sim import model_hash
 from op3.sim.crew import Crew
 from op3.tasks.evaluation import evaluation_return
 from op3.tasks.task import POLICY_PERIOD, Task, find_task
@@ -187,6 +189,7 @@ class Reidentification:
         attempted = task if task is not None else episodes[0].metadata.extra.get("task", policy.manifest.task)
         self.names = tuple(names)
         self.model, self.race = model, race
+        self._logs, self._policy, self._seed = (tuple(excitation), tuple(episodes)), policy, seed
         self.task, self.episodes = find_task(attempted), repeats
         for log in episodes:
             check_episode(log, self.task, policy)
@@ -201,6 +204,17 @@ class Reidentification:
             raise ValueError(
                 "the model that the policy was trained on diverges in simulation, so nothing can start there"
             )
+
+    @property
+    def identity(self) -> str:
+        """What tells the objectives from others: of other logs, another policy, model, task or number of episodes."""
+        logs = [log.fingerprint() for log in (*self._logs[0], *self._logs[1])]
+        weights = hashlib.sha256()
+        for name in sorted(self._policy.weights):
+            weights.update(self._policy.weights[name].numpy().tobytes())
+        settings = [self.task.name, str(self.task.duration), str(self.episodes), str(self.race), str(self._seed)]
+        whole = " ".join([*logs, weights.hexdigest(), model_hash(self.model), *settings])
+        return hashlib.sha256(whole.encode()).hexdigest()[:12]
 
     def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[Outcome]:
         """Both objectives of trials whose parameters are config keys, as the study asks them."""

@@ -11,6 +11,7 @@ from optuna.distributions import FloatDistribution
 from op3.envs import BatchedEnv, record_episodes
 from op3.identify.reidentification import PLAUSIBLE, Reidentification, check_episode, that_count
 from op3.identify.study import run_study
+from op3.policy import PolicyBundle
 from op3.robot import squat
 from op3.rollout import LogError, Rollout
 from op3.sim import load_model
@@ -261,6 +262,6 @@ def test_episodes_that_end_otherwise_than_a_simulation_can_are_told_apart(record
     with pytest.raises(LogError, match=r"without a fall.*record episodes of 10 s"):
         check_episode(ended(fallen=False), find_task("balance_eval"), policy)
     trained = replace(policy.manifest.training, model_hash="0123")
-    other = replace(policy, manifest=replace(policy.manifest, training=trained))
+    other = PolicyBundle(replace(policy.manifest, training=trained), policy.weights)
     with pytest.raises(LogError, match="give the bundle that played"):
         check_episode(ended(model_hash="4567", extra={"exit": "ok"}), TASK, other)

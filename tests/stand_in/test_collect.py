@@ -1,8 +1,10 @@
 """The script that records, from the command line to the files."""
 
 import os
+import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +15,11 @@ from op3.rollout import Rollout
 ROOT = Path(__file__).resolve().parents[2]
 
 
+COMMAND = [sys.executable, "-W", "ignore", str(ROOT / "experiments" / "collect.py")]
+
+
 def collect(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-W", "ignore", str(ROOT / "experiments" / "collect.py"), *arguments]
+    command = [*COMMAND, *arguments]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment, check=False, timeout=120)
 
@@ -99,3 +104,38 @@ def test_a_plan_is_played_in_order(tmp_path):
     assert not (tmp_path / "unsafe" / "hold-0").exists()
     plan.write_text("plan: squat\n")
     assert "is no plan" in collect(f"plan={plan}").stderr
+
+
+def test_what_has_been_recorded_is_not_recorded_again(tmp_path):
+    """A recording that is missing is made as it would have been; other settings are refused, and nothing is touched."""
+    asked = ("motion=squat", "world=eta_070", "repeats=2", "seed=3", "motion.duration=0.2", f"hydra.run.dir={tmp_path}")
+    assert collect(*asked).returncode == 0
+    whole = Rollout.load(tmp_path / "squat-1").fingerprint()
+    shutil.rmtree(tmp_path / "squat-1")
+    refused = collect(*(argument.replace("eta_070", "eta_080") for argument in asked))
+    assert refused.returncode == 1
+    assert "was begun with {'world': 'eta_070'}, not {'world': 'eta_080'}; choose another" in refused.stderr
+    assert not (tmp_path / "squat-1").exists()
+    again = collect(*asked)
+    assert again.returncode == 0, again.stderr
+    assert again.stdout.count("recorded before") == 1
+    assert Rollout.load(tmp_path / "squat-1").fingerprint() == whole
+
+
+def test_a_killed_run_on_the_robot_goes_on(tmp_path):
+    """Killed while it records, the same command sets the ticks of that run aside, and ends with the same logs."""
+    asked = ["robot=emulated", "motion=squat", "motion.duration=1.0"]
+    straight = collect(*asked, f"hydra.run.dir={tmp_path / 'straight'}")
+    assert straight.returncode == 0, straight.stderr
+    folder = tmp_path / "killed"
+    process = subprocess.Popen([*COMMAND, *asked, f"hydra.run.dir={folder}"], cwd=ROOT, stdout=subprocess.DEVNULL)
+    unfinished = folder / "ticks" / "squat-0"
+    while not unfinished.exists() and process.poll() is None:
+        time.sleep(0.01)
+    process.kill()
+    assert process.wait() != 0
+    again = collect(*asked, f"hydra.run.dir={folder}")
+    assert again.returncode == 0, again.stderr
+    assert (folder / "ticks" / "squat-0.unfinished-0").exists()
+    one, other = (Rollout.load(place / "squat-0") for place in (tmp_path / "straight", folder))
+    assert one.fingerprint() == other.fingerprint()
