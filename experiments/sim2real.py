@@ -2,28 +2,32 @@
 
 python experiments/sim2real.py robot=emulated task=balance world=random seed=0 [budget=demo|laptop|paper]
 python experiments/sim2real.py task=walk world=robot_4 policy=assets/policies/walk    # begin with a policy that exists
-python experiments/sim2real.py -m world=near,middle,far condition=excitation_only,reidentified,domain_randomisation
+python experiments/sim2real.py -m world=robot_1,robot_4 condition=excitation_only,reidentified,domain_randomisation
 
 Every stage is an experiment of its own in a folder of its own. The same command with the same hydra.run.dir goes on
 where an interrupted one stopped.
 """
 
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import hydra
 import numpy as np
+import yaml
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from stages import Stages
-from support import one_sentence
+from support import library_motion, one_sentence, plain, positive, whole
 
+from op3.identify.reidentification import that_count
 from op3.policy import PolicyBundle
 from op3.report import finish, read_result, run_provenance, write_result
 from op3.report.sim2real import Transfer, story
 from op3.report.video import film, states_of_log
 from op3.robot import build_scene
 from op3.rollout import Rollout, read_logs
+from op3.sim import load_model, model_hash
 from op3.tasks.evaluation import evaluation_return, succeeded
 from op3.tasks.task import find_task
 
@@ -35,6 +39,8 @@ FORWARDS = 0.1
 """Mean speed from which an episode has gone forwards and not marked time [m/s]."""
 GAIT = Path("assets/gaits/walk.yaml")
 """Numbers of the walk that the search for the first robot's walk begins with."""
+UNHEARD = ("train.", "task.", "sac.", "environment", "evaluation.", "robot.")
+"""Overrides of what the budget, the task and the robot bring in, which the stages do not see."""
 FILM_RATE = 125 / 12
 """Frames per second of the films of the robot [Hz]."""
 
@@ -44,7 +50,13 @@ def chosen(group: str) -> str:
     return HydraConfig.get().runtime.choices[group]
 
 
-def transfer(stages: Stages, cfg: DictConfig, budget: dict, number: int, policy: Path, model: str) -> Transfer:
+EXPECTED_SEED = 1_000_003
+"""Added to the seed of the episodes in simulation: none of them has been trained or evaluated on."""
+
+
+def transfer(
+    stages: Stages, cfg: DictConfig, budget: dict, number: int, policy: Path, model: str, began_with: str
+) -> Transfer:
     """Play the policy in simulation and on the robot, and judge it."""
     task = JUDGED[chosen("task")]
     episodes = budget["episodes"]
@@ -55,7 +67,7 @@ def transfer(stages: Stages, cfg: DictConfig, budget: dict, number: int, policy:
         f"model={model}",
         f"task={task}",
         f"episodes={episodes}",
-        f"seed={cfg.seed}",
+        f"seed={cfg.seed + EXPECTED_SEED}",
         "logs=false",
     )
     played = stages.run(
@@ -73,6 +85,7 @@ def transfer(stages: Stages, cfg: DictConfig, budget: dict, number: int, policy:
         film=expected / "episode.png",
         robot_film=draw(logs[int(np.argmin(returns))], task, played / "episode.png"),
         criterion=cfg.criterion,
+        began_with=began_with,
         walked=tuple(succeeded(log, task, FORWARDS) for log in logs) if chosen("task") == "walk" else None,
     )
 
@@ -124,8 +137,12 @@ def train(stages: Stages, cfg: DictConfig, budget: dict, number: int, model: str
     return stages.run(f"{number}_train", "train.py", *overrides) / "policy"
 
 
-def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
-    """All stages, in order."""
+def check(cfg: DictConfig) -> dict[str, Any]:
+    """The budget, once all that the config says is found to be possible, before anything is done.
+
+    Raises:
+        ValueError: naming the field that is not.
+    """
     if cfg.condition not in cfg.conditions or chosen("task") not in JUDGED:
         raise ValueError(
             f"condition must be one of {', '.join(cfg.conditions)} and task one of {', '.join(JUDGED)};"
@@ -134,12 +151,69 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
     if chosen("robot") not in ROBOTS:
         raise ValueError(f"robot must be {' or '.join(ROBOTS)}: it has to play a policy; got {chosen('robot')}")
     name = chosen("budget")
-    budget: dict = OmegaConf.to_container(cfg.budgets[name], resolve=True)  # type: ignore[assignment]
+    if name not in cfg.budgets:
+        raise ValueError(f"budget must be one of {', '.join(cfg.budgets)}, got {name}")
+    whole(cfg, "rounds", 0)
+    positive(cfg, "criterion", "the promised return")
+    if not isinstance(cfg.diagnose, bool | None):
+        raise ValueError(f"diagnose must be true, false or null for what the condition says, got {cfg.diagnose!r}")
+    for motion in plain(cfg.diagnosis):
+        library_motion(motion)
+    forwarded = [override for override in HydraConfig.get().overrides.task if override.startswith(UNHEARD)]
+    if forwarded:
+        raise ValueError(
+            f"{forwarded[0]} reaches no stage; write it into the list of the stage's overrides,"
+            f" 'budgets.{name}.train=[...]'"
+        )
+    return OmegaConf.to_container(cfg.budgets[name], resolve=True)  # type: ignore[return-value]
+
+
+def trained_on(cfg: DictConfig) -> str:
+    """The model that the given policy was trained on: what it promises is measured there.
+
+    Raises:
+        ValueError: if it is not to be had.
+    """
+    made = PolicyBundle.load(cfg.policy).manifest
+    if made.task not in (chosen("task"), JUDGED[chosen("task")]):
+        raise ValueError(f"policy={cfg.policy} was trained for {made.task}, not for {chosen('task')}")
+    name = made.training.model if cfg.trained_on is None else cfg.trained_on
+    try:
+        known = model_hash(load_model(name))
+    except (ValueError, FileNotFoundError):
+        known = ""
+    if made.training.model_hash and known != made.training.model_hash:
+        raise ValueError(
+            f"policy={cfg.policy} was trained on the model {made.training.model_hash}, and {name} is not that;"
+            " give trained_on=<its model.yaml>"
+        )
+    return str(name)
+
+
+@dataclass
+class Learned:
+    """What the rounds have found.
+
+    Attributes:
+        numbers: of the re-identification, by round.
+        named: sentence of the diagnosis, by round.
+        remarks: what else is to be said.
+    """
+
+    numbers: dict[int, dict] = field(default_factory=dict)
+    named: dict[int, str] = field(default_factory=dict)
+    remarks: list[str] = field(default_factory=list)
+
+
+def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
+    """All stages, in order."""
+    budget = check(cfg)
     condition = cfg.conditions[cfg.condition]
+    diagnoses = bool(condition.get("diagnose")) if cfg.diagnose is None else cfg.diagnose
     base = condition.get("model", cfg.model)
     groups = [f"groups=[{','.join(condition.groups)}]"] if "groups" in condition else []
-    if cfg.policy is not None:
-        PolicyBundle.load(cfg.policy)  # what cannot be played is refused before anything is collected
+    # what cannot be played is refused before anything is collected
+    promising = None if cfg.policy is None else trained_on(cfg)
     stages = Stages(folder)
     squat = stages.run("squat", "collect.py", *on_robot(cfg), "motion=squat")
     heldout = stages.run("squat_heldout", "collect.py", *on_robot(cfg), "motion=squat_heldout")
@@ -149,42 +223,79 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
         method = [] if any(o.startswith("method=") for o in budget["identify"]) else ["method=lsq"]
         return str(stages.run("identify", "identify.py", *data, *groups, *method, *budget["identify"]) / "model.yaml")
 
-    blind = cfg.policy is not None or condition.get("randomisation") == "ranges"
-    model = base if blind else identified()
-    policy = train(stages, cfg, budget, 0, model, None) if cfg.policy is None else Path(cfg.policy)
-    transfers = [transfer(stages, cfg, budget, 0, policy, model)]
-    learned = []
+    randomised = condition.get("randomisation") is not None
+    if promising is not None:
+        model, policy, began = promising, Path(cfg.policy), "given"
+    else:
+        model = base if condition.get("randomisation") == "ranges" else identified()
+        policy, began = train(stages, cfg, budget, 0, model, None), "nothing"
+    transfers = [transfer(stages, cfg, budget, 0, policy, model, began)]
+    learned = Learned()
     for number in range(1, cfg.rounds + 1):
         # a policy that was given has never seen the robot: to learn, it is identified first
-        unseen = number == 1 and cfg.policy is not None and condition.get("randomisation") is None
-        if transfers[-1].success or not (condition.get("reidentify") or condition.get("diagnose") or unseen):
+        unseen = number == 1 and promising is not None and not randomised
+        learns = condition.get("reidentify") or condition.get("retrain") or diagnoses or unseen
+        if transfers[-1].success or not learns:
             break
         if unseen:
             model = identified()
-        if condition.get("diagnose"):
-            stand = stages.on_stand("stand", cfg.diagnosis, *on_robot(cfg))
-            where = [f"data={stand}", f"model={model}", f"seed={cfg.seed}"]
-            model = str(stages.run(f"{number}_diagnose", "diagnose.py", *where) / "model.yaml")
+        if diagnoses:
+            model = diagnosed(stages, cfg, number, model, policy, transfers[-1], learned)
         if condition.get("reidentify"):
-            where = [f"policy={policy}", f"model={model}", f"data={squat}", f"episodes={transfers[-1].episodes}"]
-            found = stages.run(
-                f"{number}_reidentify",
-                "reidentify.py",
-                *where,
-                f"task={JUDGED[chosen('task')]}",
-                f"seed={cfg.seed}",
-                *groups,
-                *budget["reidentify"],
+            model = reidentified(
+                stages, cfg, number, model, squat, transfers[-1], [*groups, *budget["reidentify"]], learned
             )
-            model = str(found / "model.yaml")
-            learned.append(read_result(found / "result.yaml"))
-        policy = train(stages, cfg, budget, number, model, policy)
-        transfers.append(transfer(stages, cfg, budget, number, policy, model))
-    return report(cfg, name, folder, stages, transfers, learned)
+        began = f"the policy of round {number - 1}" if cfg.warm_start else "nothing"
+        policy = train(stages, cfg, budget, number, model, policy if cfg.warm_start else None)
+        transfers.append(transfer(stages, cfg, budget, number, policy, model, began))
+    return report(cfg, chosen("budget"), folder, stages, transfers, learned)
+
+
+def diagnosed(
+    stages: Stages, cfg: DictConfig, number: int, model: str, policy: Path, failed: Transfer, learned: Learned
+) -> str:
+    """The model with what a diagnosis in the stand names; the failed episodes show what that is worth."""
+    stand = stages.on_stand("stand", cfg.diagnosis, *on_robot(cfg))
+    where = [f"data={stand}", f"model={model}", f"seed={cfg.seed}"]
+    worth = [f"policy={policy}", f"actual={failed.episodes}", f"task={JUDGED[chosen('task')]}"]
+    found = stages.run(f"{number}_diagnose", "diagnose.py", *where, *worth)
+    verdict = yaml.safe_load((found / "verdict.yaml").read_text(encoding="utf-8"))
+    returns = {name: verdict["downstream"][name]["mean"] for name in ("before", "after", "actual")}
+    learned.named[number] = (
+        f"{verdict['sentence']} The failed policy is promised a return of {returns['before']:.3g} by the refitted model"
+        f" and of {returns['after']:.3g} by the diagnosed one; on the robot it had {returns['actual']:.3g}."
+    )
+    return str(found / "model.yaml")
+
+
+def reidentified(
+    stages: Stages,
+    cfg: DictConfig,
+    number: int,
+    model: str,
+    squat: Path,
+    failed: Transfer,
+    how: list[str],
+    learned: Learned,
+) -> str:
+    """The model that matches the returns of the failed episodes, where these ended as a simulation can end them."""
+    counting, others = that_count(read_logs(failed.episodes))
+    if not counting:
+        ends = ", ".join(sorted({str(log.metadata.extra["exit"]) for log in others}))
+        learned.remarks.append(
+            f"Nothing was re-identified in round {number}: all episodes ended by {ends}, as no simulation of the"
+            " policy does."
+        )
+        return model
+    where = [f"policy={failed.policy}", f"model={model}", f"data={squat}", f"episodes={failed.episodes}"]
+    more = [f"task={JUDGED[chosen('task')]}", f"seed={cfg.seed}", *how]
+    found = stages.run(f"{number}_reidentify", "reidentify.py", *where, *more)
+    learned.numbers[number] = read_result(found / "result.yaml")
+    return str(found / "model.yaml")
 
 
 def report(
-    cfg: DictConfig, budget: str, folder: Path, stages: Stages, transfers: list[Transfer], learned: list[dict]
+    cfg: DictConfig, budget: str, folder: Path, stages: Stages, transfers: list[Transfer], learned: Learned
 ) -> dict[str, Any]:
     """Write the story of the run and its numbers."""
     provenance = run_provenance(seed=cfg.seed)
@@ -202,9 +313,14 @@ def report(
             f"transfer_{number}.share": one.share,
             f"transfer_{number}.upright": float(np.mean(one.upright)),
             f"transfer_{number}.success": one.success,
+            f"transfer_{number}.training_began_with": one.began_with,
         }
         if one.walked is not None:
             values[f"transfer_{number}.walked"] = float(np.mean(one.walked))
+    values |= {f"round_{number}.diagnosis": sentence for number, sentence in learned.named.items()}
+    values |= {f"round_{number}.reidentified": one["accepted"] for number, one in learned.numbers.items()}
+    if learned.remarks:
+        values["remarks"] = learned.remarks
     values |= {f"stage_seconds.{name}": value for name, value in stages.seconds.items()}
     values |= {f"processor_seconds.{name}": value for name, value in stages.processor_seconds.items()}
     values["provenance"] = provenance
@@ -215,7 +331,9 @@ def report(
         condition=cfg.condition,
         budget=budget,
         provenance=provenance,
-        learned=learned,
+        learned=learned.numbers,
+        named=learned.named,
+        remarks=learned.remarks,
         processor_seconds=stages.processor_seconds,
     )
     path = write_result(
@@ -223,6 +341,7 @@ def report(
         values,
         {
             "transfer": "returns under R_eval",
+            "round": "what each round of learning found",
             "stage_seconds": "duration of stages [s]",
             "processor_seconds": "time of all processors spent on stages [s]",
         },

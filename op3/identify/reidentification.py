@@ -428,7 +428,7 @@ def check_episode(log: Rollout, task: Task, policy: PolicyBundle) -> None:
     Raises:
         LogError: if not; it says what to do.
     """
-    where = {"source": log.metadata.recording}
+    name = log.metadata.recording
     trained, played = policy.manifest.training.model_hash, log.metadata.model_hash
     # a log of the robot names the policy's model, one of a simulation that which was simulated
     if "exit" in log.metadata.extra and trained and played and played != trained:
@@ -436,7 +436,7 @@ def check_episode(log: Rollout, task: Task, policy: PolicyBundle) -> None:
             f"the policy of this episode was trained on the model {played}, the bundle's on {trained}",
             "give the bundle that played",
             column="field model_hash",
-            **where,
+            source=name,
         )
     attempted = log.metadata.extra.get("task")
     if isinstance(attempted, str) and attempted != task.name:
@@ -444,14 +444,14 @@ def check_episode(log: Rollout, task: Task, policy: PolicyBundle) -> None:
             f"the episode attempts {attempted}, not {task.name}",
             f"give task={attempted}, or episodes of {task.name}",
             column="field task",
-            **where,
+            source=name,
         )
     shortest = task.duration - 2.0 * POLICY_PERIOD
     if not log.metadata.fallen and log.duration < shortest:
         raise LogError(
             f"the episode lasts {log.duration:.2f} s without a fall, those of {task.name} {task.duration:g} s",
             f"record episodes of {task.duration:g} s, or set the task's duration",
-            **where,
+            source=name,
         )
 
 

@@ -15,6 +15,9 @@ from op3.report.tables import Cell, number
 WALKERS = 0.8
 """Share of episodes that must walk for their whole time; paper, 8 of 10."""
 
+PAPERS_EPISODES = 10
+"""Episodes by which the paper judges a transfer."""
+
 
 @dataclass(frozen=True)
 class Transfer:
@@ -30,6 +33,7 @@ class Transfer:
         film: animated picture of an episode in simulation; None or no such file: not shown.
         robot_film: the same of an episode on the robot.
         criterion: share of the expected mean return that the robot must reach.
+        began_with: what its training began with, or that it was given.
         walked: which of the robot's episodes went forwards without a fall, by which the paper judges walking; None for
             other tasks.
     """
@@ -44,6 +48,14 @@ class Transfer:
     robot_film: Path | None = None
     criterion: float = 0.8
     walked: Sequence[bool] | None = None
+    began_with: str = "nothing"
+
+    @property
+    def achieved(self) -> str:
+        """What the criterion looks at, in words."""
+        if self.walked is not None:
+            return f"{sum(self.walked)} of {len(self.walked)} episodes walk on"
+        return f"the robot reaches {100 * self.share:.0f} % of the return that simulation promised"
 
     @property
     def share(self) -> float:
@@ -66,7 +78,9 @@ def story(
     condition: str,
     budget: str,
     provenance: Mapping[str, Any],
-    learned: Sequence[Mapping[str, Any]] = (),
+    learned: Mapping[int, Mapping[str, Any]] | None = None,
+    named: Mapping[int, str] | None = None,
+    remarks: Sequence[str] = (),
     processor_seconds: Mapping[str, float] | None = None,
 ) -> Page:
     """The page.
@@ -78,7 +92,9 @@ def story(
         condition: what was allowed.
         budget: of training and search.
         provenance: where the numbers come from, see `op3.report.run_provenance`.
-        learned: numbers of the re-identification of each round, as its ``result.yaml`` has them.
+        learned: numbers of the re-identification by round, as its ``result.yaml`` has them.
+        named: first sentence of the diagnosis by round.
+        remarks: what else the reader should know, a sentence each.
         processor_seconds: time of all processors spent on every stage [s].
     """
     first, last = transfers[0], transfers[-1]
@@ -100,9 +116,15 @@ def story(
     page.text(
         f"Every policy is trained in simulation, plays its episodes there and on the robot, and is judged by {judged}"
     )
+    few = len(first.actual)
+    if few < PAPERS_EPISODES:
+        page.text(f"Here it is judged by {few} episodes, where the paper judges ten; so few leave much to chance.")
+    for remark in remarks:
+        page.text(remark)
     rows = [
         [
             i,
+            one.began_with,
             float(np.mean(one.expected)),
             float(np.mean(one.actual)),
             100 * one.share,
@@ -111,11 +133,25 @@ def story(
         ]
         for i, one in enumerate(transfers)
     ]
-    header = ["round", "return promised [-]", "return on the robot [-]", "share [%]", "upright", "success"]
+    header = [
+        "round",
+        "training began with",
+        "return promised [-]",
+        "return on the robot [-]",
+        "share [%]",
+        "upright",
+        "success",
+    ]
     page.table(header, rows, "Transfers.")
     page.figure(_returns(transfers), "Return of every episode, promised and on the robot.")
-    for i, one in enumerate(learned, start=1):
-        _lesson(page, i, one)
+    sentences, numbers = dict(named or {}), dict(learned or {})
+    for i in range(1, len(transfers)):
+        if i in sentences or i in numbers:
+            page.section(f"Learned in round {i}")
+        if i in sentences:
+            page.text(f"Diagnosis of further motions in the stand: {sentences[i]}")
+        if i in numbers:
+            _lesson(page, numbers[i])
     page.section("Stages")
     spent = processor_seconds or {}
     stages: list[list[Cell]] = [[name, value, spent.get(name)] for name, value in seconds.items()]
@@ -151,15 +187,18 @@ def _films(page: Page, transfers: Sequence[Transfer]) -> None:
         page.text("Films of the robot are drawn from its encoders and IMU; the board is laid under its soles.")
 
 
-def _lesson(page: Page, round_number: int, learned: Mapping[str, Any]) -> None:
+def _lesson(page: Page, learned: Mapping[str, Any]) -> None:
     """What a round's re-identification found."""
-    page.section(f"Learned in round {round_number}")
-    before, after = "excitation only", "re-identified"
+    before, after = "before", "re-identified"
     page.text(
-        "The same policy, in the simulation it was trained on and in the re-identified one: distance of its returns to"
-        " those on the robot, over the episodes searched with and over fresh ones, and the loss of the excitation."
-        f" Chance alone would leave a distance of {number(learned['fresh.noise'], 3)}."
+        "The same policy, in the simulation of the model that the search began with and in the re-identified one:"
+        " distance of its returns to those on the robot, over the episodes searched with and over fresh ones, and the"
+        f" loss of the excitation. Chance alone would leave a distance of {number(learned['fresh.noise'], 3)}."
     )
+    if not learned.get("accepted", True):
+        page.text(
+            "No candidate took the place of the model that the round began with; the policy was trained on on that."
+        )
     keys = (("distance", "distance of returns [-]"), ("fresh", "the same, fresh episodes [-]"), ("excitation", "loss"))
     rows: list[list[Cell]] = [
         [text, learned[f"{key}.excitation_only"], learned[f"{key}.reidentified"]] for key, text in keys
@@ -178,17 +217,13 @@ def _lesson(page: Page, round_number: int, learned: Mapping[str, Any]) -> None:
 
 def _lead(transfers: Sequence[Transfer], condition: str) -> str:
     first, last = transfers[0], transfers[-1]
-    share = f"{100 * last.share:.0f} %"
     if len(transfers) == 1:
         outcome = "succeeds" if last.success else "fails"
-        return (
-            f"The first transfer {outcome}: the robot reaches {share} of the return that simulation promised."
-            f" Condition: {condition.replace('_', ' ')}."
-        )
+        return f"The first transfer {outcome}: {last.achieved}. Condition: {condition.replace('_', ' ')}."
     outcome = "succeeds" if last.success else "still fails"
     return (
-        f"After learning from the failed transfer the policy {outcome}: the robot reaches {share} of the promised"
-        f" return, {number(100 * first.share, 2)} % at first. Condition: {condition.replace('_', ' ')}."
+        f"After learning from the failed transfer the policy {outcome}: {last.achieved}; at first, {first.achieved}."
+        f" Condition: {condition.replace('_', ' ')}."
     )
 
 

@@ -9,6 +9,7 @@ from hydra import compose, initialize_config_dir
 
 from op3.policy import PolicyBundle
 from op3.report import read_result
+from op3.sim import load_model
 
 ROOT = Path(__file__).resolve().parents[2]
 TRAIN = ("train.steps=1200", "train.warmup=400", "train.evaluate_every=600", "environments=8", "evaluation.episodes=2")
@@ -22,6 +23,7 @@ TINY = {
 }
 CONDITIONS = (
     "excitation_only",
+    "retrained",
     "reidentified",
     "excitation_only_without_dte",
     "reidentified_without_dte",
@@ -47,6 +49,10 @@ def test_unknown_names_are_refused(tmp_path):
         ((*demo, "condition=nonsense"), "condition must be one of excitation_only"),
         ((*demo[1:], "robot=stand_in"), "robot must be emulated or real"),
         ((*demo, "policy=nowhere"), "nowhere"),
+        ((*demo, "policy=assets/policies/walk"), "was trained for walk, not for balance"),
+        ((*demo, "policy=assets/policies/balance", "trained_on=paper_without_dte"), "is not that; give trained_on="),
+        ((*demo, "rounds=x"), "rounds must be a whole number of at least 0, got 'x'"),
+        ((*demo, "train.steps=10"), "train.steps=10 reaches no stage"),
     ):
         done = sim2real(tmp_path / "run", *arguments)
         assert done.returncode != 0
@@ -71,11 +77,27 @@ def test_every_condition_ends_with_a_page(condition, tmp_path):
     done = sim2real(tmp_path, f"condition={condition}", "criterion=100.0", "world=robot_2")
     assert done.returncode == 0, done.stderr[-2000:]
     result = read_result(tmp_path / "result.yaml")
-    learns = "reidentified" in condition or "diagnosed" in condition
+    learns = any(word in condition for word in ("reidentified", "diagnosed", "retrained"))
     assert result["rounds"] == (1 if learns else 0)
     assert result["success"] is False
     assert ("stage_seconds.1_reidentify" in result) == ("reidentified" in condition)
-    assert (tmp_path / "index.html").exists()
+    assert ("stage_seconds.1_diagnose" in result) == ("round_1.diagnosis" in result) == ("diagnosed" in condition)
+    assert ("stage_seconds.identify" in result) == (condition != "domain_randomisation")
+    trained = PolicyBundle.load(tmp_path / "0_train" / "policy").manifest.training
+    began = trained.model if condition == "domain_randomisation" else tmp_path / "identify" / "model.yaml"
+    assert ("dte" in load_model(began).effect_names) == ("without_dte" not in condition)
+    randomised = trained.settings["environment"].get("randomisation")
+    assert (randomised is not None) == (condition == "domain_randomisation")
+    if learns:
+        assert result["transfer_1.training_began_with"] == "the policy of round 0"
+        again = PolicyBundle.load(tmp_path / "1_train" / "policy").manifest.training
+        assert again.settings["warm_start"] == str(tmp_path / "0_train" / "policy")
+        last = (
+            "1_reidentify" if "reidentified" in condition else "1_diagnose" if "diagnosed" in condition else "identify"
+        )
+        assert again.model == str(tmp_path / last / "model.yaml")
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert ("Diagnosis of further motions" in page) == ("diagnosed" in condition)
     again = sim2real(tmp_path, f"condition={condition}", "criterion=100.0", "world=robot_2")
     assert again.stdout.count("done before") >= 4
 

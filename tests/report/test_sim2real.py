@@ -37,9 +37,15 @@ def test_the_story_begins_with_the_outcome(tmp_path):
         tmp_path, transfers, {"0_train": 10.0}, condition="reidentified", budget="demo", provenance={"seed": 0}
     )
     text = page.write(tmp_path / "index.html").read_text()
-    assert "the policy succeeds: the robot reaches 96 % of the promised return, 40 % at first" in text
+    share = "the robot reaches {} % of the return that simulation promised"
+    assert f"the policy succeeds: {share.format(96)}; at first, {share.format(40)}." in text
+    assert "judged by 1 episodes, where the paper judges ten" in text
+    assert "Learned in round" not in text
     failed = story(tmp_path, transfers[:1], {}, condition="excitation_only", budget="demo", provenance={})
     assert "The first transfer fails" in failed.write(tmp_path / "failed.html").read_text()
+    walks = transfer([250.0], [240.0] * 10, [True] * 10, [True] * 7 + [False] * 3)
+    walking = story(tmp_path, [walks], {}, condition="excitation_only", budget="laptop", provenance={})
+    assert "The first transfer fails: 7 of 10 episodes walk on" in walking.write(tmp_path / "walk.html").read_text()
 
 
 def test_the_page_shows_films_and_what_was_learned(tmp_path):
@@ -50,7 +56,12 @@ def test_the_page_shows_films_and_what_was_learned(tmp_path):
         films[name].write_bytes(animated_png([np.full((4, 4, 3), ord(name), np.uint8)] * 2, 10.0))
     transfers = [
         replace(transfer([250.0], [100.0]), film=films["a"], robot_film=films["b"]),
-        replace(transfer([250.0], [240.0]), film=films["c"], robot_film=tmp_path / "missing.png"),
+        replace(
+            transfer([250.0], [240.0]),
+            film=films["c"],
+            robot_film=tmp_path / "missing.png",
+            began_with="the policy of round 0",
+        ),
     ]
     learned = {
         **{f"{key}.{when}": value for key, value in (("distance", 2.0), ("fresh", 3.0), ("excitation", 0.5))
@@ -60,11 +71,14 @@ def test_the_page_shows_films_and_what_was_learned(tmp_path):
         "normalised.reidentified.torque_constant": 0.3,
     }  # fmt: skip
     page = story(tmp_path, transfers, {"0_train": 10.0}, condition="reidentified", budget="demo", provenance={},
-                 learned=[learned], processor_seconds={"0_train": 17.0})  # fmt: skip
+                 learned={1: {**learned, "accepted": False}}, named={1: "A spring is missing."},
+                 remarks=["One episode does not count."], processor_seconds={"0_train": 17.0})  # fmt: skip
     text = page.write(tmp_path / "index.html").read_text()
     for name, film in films.items():
         assert base64.b64encode(film.read_bytes()).decode() in text, name
     assert "Learned in round 1" in text
+    for said in ("A spring is missing.", "One episode does not count.", "the policy of round 0", "No candidate took"):
+        assert said in text
     assert "torque constant" in text
     assert "a distance of 1" in text
     assert "17" in text
