@@ -1,6 +1,7 @@
 """Re-identify a robot from a policy's failed transfer: match what its episodes were worth.
 
 python experiments/reidentify.py policy=<bundle> model=<model.yaml> data=<squat log> episodes=<folder of logs>
+python experiments/reidentify.py ... diagnose=true diagnosis=<folder of logs from the stand>
 python experiments/reidentify.py -m policy=... model=... data=... episodes=... seed=0,1,2
 """
 
@@ -16,6 +17,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
+from stages import Stages
 from support import check_same, one_sentence, plain, remember, whole
 
 from op3.identify.identification import PREFIX
@@ -69,6 +71,22 @@ def build(cfg: DictConfig) -> Reidentification:
     )
 
 
+def diagnosed(cfg: DictConfig, folder: Path) -> str:
+    """The model file with what a diagnosis finds missing, made once in the run's folder.
+
+    Raises:
+        ValueError: with -m, where jobs of their own would each diagnose.
+    """
+    if HydraConfig.get().mode == RunMode.MULTIRUN:
+        raise ValueError(
+            "diagnose=true is for a single run: run diagnose.py once, and give its model.yaml as model= to all of these"
+        )
+    logs = plain(cfg.data if cfg.diagnosis is None else cfg.diagnosis)
+    listed = logs if isinstance(logs, str) else f"[{','.join(logs)}]"
+    where = [f"data={listed}", f"model={cfg.model}", f"seed={cfg.seed}"]
+    return str(Stages(folder).run("diagnose", "diagnose.py", *where) / "model.yaml")
+
+
 @hydra.main(config_path="../conf", config_name="reidentify", version_base="1.3")
 def main(cfg: DictConfig) -> Any:
     """Evaluate a population for the sweeper, or run the study and report it."""
@@ -82,8 +100,10 @@ def main(cfg: DictConfig) -> Any:
         whole(cfg, "repeats", 1)
         whole(cfg, "finalists", 1)
         whole(cfg, "processes", 0)
-        problem = build(cfg)
         folder = Path(HydraConfig.get().runtime.output_dir)
+        if cfg.diagnose:
+            cfg.model = diagnosed(cfg, folder)
+        problem = build(cfg)
         if cfg.population is None:
             what = {"objectives": problem.identity, "parameters": ", ".join(problem.names)}
             check_same(folder / ASKED, what)

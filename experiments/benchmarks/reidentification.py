@@ -11,6 +11,7 @@ on where it stopped.
 """
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from stages import Stages
 from support import one_sentence, plain
 
 from op3.report import Page, finish, read_result, run_provenance, write_result
-from op3.report.tables import Cell
+from op3.report.tables import Cell, number
 
 TOLERATED = 1.25
 """The excitation loss may rise by a quarter."""
@@ -83,6 +84,8 @@ KEYS = (
     "excitation.excitation_only",
     "excitation.reidentified",
     "excitation.ratio",
+    "accepted",
+    "at_chance",
     "trials",
     "trials_played",
     "trials_skipped",
@@ -98,16 +101,18 @@ def summarise(robots: dict[str, dict[str, dict[str, Any]]]) -> dict[str, Any]:
     """
     plain_road = {robot: roads["reidentify"] for robot, roads in robots.items()}
 
-    def median(key: str) -> float:
-        return float(np.median([one[key] for one in plain_road.values()]))
+    def median(key: str) -> float | None:
+        return _median([one[key] for one in plain_road.values()])
 
     rises = [one["excitation.ratio"] for one in plain_road.values()]
+    fresh = median("fresh.ratio")
     numbers: dict[str, Any] = {
         "robots": len(robots),
         "median.distance_ratio": median("distance.ratio"),
         "median.fresh_ratio": median("fresh.ratio"),
         "largest.excitation_ratio": max(rises),
-        "met": median("distance.ratio") <= AIM and max(rises) <= TOLERATED,
+        # over episodes that neither search nor choice has seen
+        "met": fresh is not None and fresh <= AIM and max(rises) <= TOLERATED,
         "processor_seconds_per_trial": sum(one["reidentify_processor_seconds"] for one in plain_road.values())
         / sum(one["trials"] for one in plain_road.values()),
         **{f"{robot}.{key}": value for robot, one in plain_road.items() for key, value in one.items()},
@@ -117,17 +122,24 @@ def summarise(robots: dict[str, dict[str, dict[str, Any]]]) -> dict[str, Any]:
         numbers |= {f"{robot}.diagnosed.{key}": value for key, value in roads["diagnose"].items()}
     for name, key in SHARES.items():
         if both:
-            numbers[f"diagnosed.median.{name}"] = float(np.median([against(roads, key) for roads in both.values()]))
+            numbers[f"diagnosed.median.{name}"] = _median([against(roads, key) for roads in both.values()])
     return numbers
+
+
+def _median(values: Sequence[float | None]) -> float | None:
+    """Median of the ratios that there are: a start that is the robot leaves none."""
+    known = [value for value in values if value is not None]
+    return float(np.median(known)) if known else None
 
 
 SHARES = {"distance_ratio": "distance", "fresh_ratio": "fresh", "excitation_ratio": "excitation"}
 """What is told of models that were diagnosed first, as a share of that after excitation only."""
 
 
-def against(roads: dict[str, dict[str, Any]], key: str) -> float:
+def against(roads: dict[str, dict[str, Any]], key: str) -> float | None:
     """What is left after diagnosis and re-identification, as a share of that after excitation only."""
-    return roads["diagnose"][f"{key}.reidentified"] / roads["reidentify"][f"{key}.excitation_only"]
+    left, before = roads["diagnose"][f"{key}.reidentified"], roads["reidentify"][f"{key}.excitation_only"]
+    return left / before if left is not None and before else None
 
 
 def report(folder: Path, robots: dict[str, dict[str, dict[str, Any]]], seed: int) -> None:
@@ -138,9 +150,10 @@ def report(folder: Path, robots: dict[str, dict[str, dict[str, Any]]], seed: int
     result = write_result(folder / "result.yaml", {**numbers, "provenance": provenance}, meanings)
     page = Page(
         "Re-identification on hidden robots",
-        f"The distance of returns falls to {numbers['median.distance_ratio']:.2f} of its value after excitation only"
-        f" (median of {len(robots)} robots). Over fresh episodes it falls to {numbers['median.fresh_ratio']:.2f}."
-        f" The excitation loss rises to {numbers['largest.excitation_ratio']:.2f} times its value at most.",
+        f"Over fresh episodes the distance of returns falls to {number(numbers['median.fresh_ratio'], 2)} of its value"
+        f" after excitation only (median of {len(robots)} robots), over those of the search to"
+        f" {number(numbers['median.distance_ratio'], 2)}. The excitation loss rises to"
+        f" {numbers['largest.excitation_ratio']:.2f} times its value at most.",
     )
     header = ["robot", "mean return on it", "at the start", "re-identified", "distance at the start", "after", "ratio",
               "fresh, at the start", "after", "chance leaves", "excitation loss, times", "trials",

@@ -40,7 +40,9 @@ def film(
         say(f"no video: {error}")
         return None
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(animated_png(list(frames), rate))
+    unfinished = path.with_suffix(".part")
+    unfinished.write_bytes(animated_png(list(frames), rate))
+    unfinished.replace(path)  # a film that exists is whole
     return path
 
 
