@@ -80,15 +80,24 @@ def robot(ratio: float, fresh: float, rise: float) -> dict:
 
 
 def test_re_identification_is_judged_by_the_median_distance_and_the_largest_loss():
-    """Ratios 0.1, 0.3, 0.9 have the median 0.3: met, unless one robot's excitation loss rises by 30 %."""
+    """Fresh ratios 0.1, 0.3, 0.9 have the median 0.3: met, unless one robot's excitation loss rises by 30 %."""
     script = load_script("reidentification")
-    robots = {"a": robot(0.3, 0.5, 1.1), "b": robot(0.1, 0.4, 1.2), "c": robot(0.9, 0.6, 1.0)}
+    robots = {"a": robot(0.5, 0.3, 1.1), "b": robot(0.4, 0.1, 1.2), "c": robot(0.6, 0.9, 1.0)}
     numbers = script.summarise(robots)
-    assert numbers["median.distance_ratio"] == 0.3
-    assert numbers["median.fresh_ratio"] == 0.5
+    assert numbers["median.distance_ratio"] == 0.5
+    assert numbers["median.fresh_ratio"] == 0.3
     assert numbers["processor_seconds_per_trial"] == 2.5
     assert numbers["met"]
-    assert not script.summarise({**robots, "c": robot(0.9, 0.6, 1.3)})["met"]
+    assert not script.summarise({**robots, "c": robot(0.6, 0.9, 1.3)})["met"]
+
+
+def test_a_robot_whose_start_is_as_good_as_it_gets_has_no_ratio():
+    """Where nothing lay between start and robot the others make the median; without others there is none."""
+    script = load_script("reidentification")
+    none = {"reidentify": {**road(0.5, 0.5, 1.0), "distance.ratio": None, "fresh.ratio": None}}
+    assert script.summarise({"a": none, "b": robot(0.4, 0.2, 1.0)})["median.fresh_ratio"] == 0.2
+    assert script.summarise({"a": none})["median.fresh_ratio"] is None
+    assert not script.summarise({"a": none})["met"]
 
 
 def test_a_model_that_was_diagnosed_first_is_compared_with_the_same_start():
