@@ -40,6 +40,7 @@ from op3.diagnose.screen import Screened, screen
 from op3.diagnose.settle import Candidate, settle
 from op3.diagnose.setups import SetupHypothesis, setup_hypotheses
 from op3.diagnose.show import show
+from op3.diagnose.soften import softened
 from op3.diagnose.split import LogSplit
 from op3.diagnose.verdict import Finding, Verdict
 from op3.diagnose.windows import WindowResiduals
@@ -285,12 +286,22 @@ class Diagnosis:
         )
 
     def _shown(self, verdict: Verdict) -> Verdict:
-        """The verdict with the gap before and after on the runs that show, which may veto it."""
+        """The verdict with the gap before and after on the runs that show, which may veto it.
+
+        Before they do, free runs of the fitted logs may find a model on the way to it that the others do not veto.
+        """
         shown = show(verdict.base, verdict.model, self.split, lambda share: self._report("show", share))
-        vetoed = bool(shown["vetoed"]) and verdict.model is not verdict.base
+        model, share = verdict.model, 1.0
+        vetoed = bool(shown["vetoed"]) and model is not verdict.base
+        between = softened(verdict.base, model, self.split.fit) if vetoed else None
+        if between is not None:
+            again = show(verdict.base, between[0], self.split, lambda share: self._report("show", share))
+            if not again["vetoed"]:
+                shown, vetoed, (model, share) = again, False, between
         return replace(
             verdict,
-            model=verdict.base if vetoed else verdict.model,
+            model=verdict.base if vetoed else model,
+            share=share,
             gap=shown["gap"],
             loss=shown["loss"],
             vetoed=vetoed,

@@ -76,6 +76,7 @@ class Verdict:
         gap: by channel, before and after on the runs that show.
         loss: ``paper_eq7`` before and after on the runs that show.
         vetoed: whether free runs on the runs that show speak against it, see `op3.diagnose.show.vetoed`.
+        share: how far from base to what windows ask for the model lies, where free runs bear no more; 1: all the way.
         details: tables for the page: ranking, cells of residual torque, what a black box explains.
     """
 
@@ -90,6 +91,7 @@ class Verdict:
     gap: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     loss: Mapping[str, Any] = field(default_factory=dict)
     vetoed: bool = False
+    share: float = 1.0
     details: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -101,7 +103,8 @@ class Verdict:
         if self.verdict == "named" and self.vetoed:
             return f"Windows ask for {self.found}, but free runs are no better with it; the model was left without."
         if self.verdict == "named":
-            return f"The model lacks {self.found}."
+            held = "" if self.share == 1.0 else f"; it holds {self.share:.0%} of that, as free runs are best there"
+            return f"The model lacks {self.found}{held}."
         if self.verdict == "ambiguous":
             left = "; free runs are no better with the first, and the model was left without" if self.vetoed else ""
             return f"The model lacks {self.found}; these logs do not tell which{left}."
@@ -138,6 +141,7 @@ class Verdict:
         content["gap"] = {name: dict(values) for name, values in self.gap.items()}
         content["loss"] = dict(self.loss)
         content["vetoed"] = self.vetoed
+        content["share"] = self.share
         content["located"] = list(self.details.get("located", ()))
         content["ceiling"] = dict(self.details.get("ceiling", {}))
         content["ranking"] = list(self.details.get("ranking", ()))
