@@ -288,16 +288,17 @@ class Diagnosis:
     def _shown(self, verdict: Verdict) -> Verdict:
         """The verdict with the gap before and after on the runs that show, which may veto it.
 
-        Before they do, free runs of the fitted logs may find a model on the way to it that the others do not veto.
+        Before they do, models on the way to it are tried, in the order in which free runs of the fitted logs like them,
+        until one is not vetoed.
         """
         shown = show(verdict.base, verdict.model, self.split, lambda share: self._report("show", share))
         model, share = verdict.model, 1.0
         vetoed = bool(shown["vetoed"]) and model is not verdict.base
-        between = softened(verdict.base, model, self.split.fit) if vetoed else None
-        if between is not None:
+        for between in softened(verdict.base, model, self.split.fit) if vetoed else ():
             again = show(verdict.base, between[0], self.split, lambda share: self._report("show", share))
             if not again["vetoed"]:
                 shown, vetoed, (model, share) = again, False, between
+                break
         return replace(
             verdict,
             model=verdict.base if vetoed else model,

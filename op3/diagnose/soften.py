@@ -24,8 +24,8 @@ MOST_LOGS = 6
 """Fitted logs that are run freely, the first ones."""
 
 
-def softened(base: RobotModel, model: RobotModel, logs: Sequence[Rollout]) -> tuple[RobotModel, float] | None:
-    """The model between base and model that free runs reproduce best, and the share of the way to it.
+def softened(base: RobotModel, model: RobotModel, logs: Sequence[Rollout]) -> list[tuple[RobotModel, float]]:
+    """Models between base and model, with their shares of the way; first what free runs reproduce the logs best with.
 
     Args:
         base: without what was named.
@@ -33,7 +33,7 @@ def softened(base: RobotModel, model: RobotModel, logs: Sequence[Rollout]) -> tu
         logs: that were fitted; the first `MOST_LOGS` are run.
 
     Returns:
-        None if no point of the way is better than both its ends.
+        Those that are better than the base.
     """
     whole = [whole_robot(log) for log in logs[:MOST_LOGS]]
     joints = whole[0].joints
@@ -42,11 +42,12 @@ def softened(base: RobotModel, model: RobotModel, logs: Sequence[Rollout]) -> tu
     loss = TrajectoryLoss(tuple(logs[0].joints))(
         Replay(whole, settle=settle_time(logs)).run(model, values, len(shares))
     )
-    best = int(torch.nan_to_num(loss, nan=torch.inf).argmin())
-    if best in (0, len(shares) - 1):
-        return None
-    found = {name: _estimate(value[best], joints) for name, value in values.items()}
-    return model.with_values(found), float(shares[best])
+    loss = torch.nan_to_num(loss, nan=torch.inf)
+    better = [int(i) for i in loss.argsort() if loss[i] < loss[0] and 0 < i < len(shares) - 1]
+    return [
+        (model.with_values({name: _estimate(value[i], joints) for name, value in values.items()}), float(shares[i]))
+        for i in better
+    ]
 
 
 def _between(base: RobotModel, model: RobotModel, joints: Sequence[str], shares: Tensor) -> dict[str, Tensor]:

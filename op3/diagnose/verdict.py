@@ -103,7 +103,9 @@ class Verdict:
         if self.verdict == "named" and self.vetoed:
             return f"Windows ask for {self.found}, but free runs are no better with it; the model was left without."
         if self.verdict == "named":
-            held = "" if self.share == 1.0 else f"; it holds {self.share:.0%} of that, as free runs are best there"
+            held = (
+                "" if self.share == 1.0 else f"; the new one holds {self.share:.0%} of that, as free runs bear no more"
+            )
             return f"The model lacks {self.found}{held}."
         if self.verdict == "ambiguous":
             left = "; free runs are no better with the first, and the model was left without" if self.vetoed else ""
