@@ -17,6 +17,7 @@ import hydra
 import torch
 import yaml
 from hydra.core.hydra_config import HydraConfig
+from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from support import library_motion, one_sentence, plain
 from threadpoolctl import threadpool_limits
@@ -63,7 +64,7 @@ def returns(cfg: DictConfig, verdict: Verdict) -> dict[str, Any]:
     policy = PolicyBundle.load(cfg.policy)
     actual = () if cfg.actual is None else read_logs(plain(cfg.actual))
     episodes = [episode for log in actual for episode in (log.episodes() if log.batched else [log])]
-    options = {"task": cfg.task, "episodes": cfg.episodes, "seed": cfg.seed, "progress": progress}
+    options = {"task": instantiate(cfg.task), "episodes": cfg.episodes, "seed": cfg.seed, "progress": progress}
     return {"policy": str(cfg.policy)} | downstream(policy, verdict.base, verdict.model, actual=episodes, **options)
 
 

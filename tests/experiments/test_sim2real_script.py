@@ -2,10 +2,12 @@
 
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
 
 from op3.policy import PolicyBundle
 from op3.report import read_result
@@ -68,6 +70,23 @@ def test_make_demo_is_a_command_that_the_script_takes():
         composed = compose("sim2real", overrides)
     assert composed.world == "robot_4"
     assert composed.condition == "reidentified"
+
+
+@pytest.mark.parametrize(
+    ("experiment", "overrides"),
+    [
+        ("diagnose", ["data=stand", "model=m", "seed=0", "policy=p", "actual=e", "task=walk"]),
+        ("reidentify", ["policy=p", "model=m", "data=s", "episodes=e", "task=walk", "seed=0", "groups=[motor]"]),
+        ("collect", ["robot=emulated", "world=robot_1", "world_seed=0", "policy=p", "task=walk", "repeats=10"]),
+        ("evaluate", ["policy=p", "model=m", "task=walk", "episodes=10", "seed=0", "logs=false"]),
+    ],
+)
+def test_what_stages_are_asked_is_what_they_take(experiment, overrides):
+    """The overrides that the loop hands to its stages compose, and the task arrives."""
+    import_module("op3.identify.sweeper")  # registers itself
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        composed = compose(experiment, overrides)
+    assert instantiate(composed.task).name == "walk"
 
 
 @pytest.mark.slow
