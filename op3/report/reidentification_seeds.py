@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from op3.report.comparison import read_runs
+from op3.report.comparison import read_runs, varied
 from op3.report.page import Page
 from op3.report.reidentification import ACTUAL, BEFORE, FOUND
 from op3.report.result import read_result, write_result
@@ -18,20 +18,29 @@ PAGE, NUMBERS = "seeds.html", "seeds.yaml"
 LABELS = {"excitation_only": BEFORE, "reidentified": FOUND}
 
 
-def write_seeds(folder: str | Path) -> tuple[Path, Path]:
-    """Write page and numbers over the finished runs of a multirun.
+def write_seeds(folder: str | Path) -> list[tuple[Path, Path]]:
+    """Write page and numbers over the finished runs of a multirun that differ by their seed alone.
 
     Args:
         folder: of the multirun, with a run's folder for every seed.
 
     Returns:
-        Their paths.
+        Their paths; where the runs differ in more than the seed, for every setting of the rest, by its first run.
 
     Raises:
         ValueError: if no run has finished.
     """
     folder = Path(folder)
-    runs = {run.name: read_result(folder / run.name / "result.yaml") for run in read_runs(folder)}
+    runs = read_runs(folder)
+    others = [key for key in varied(runs) if key != "seed"]
+    groups: dict[str, list[str]] = {}
+    for run in runs:
+        groups.setdefault(", ".join(f"{key}={run.settings.get(key)}" for key in others), []).append(run.name)
+    return [_write(folder, names, said, "" if len(groups) == 1 else f"-{names[0]}") for said, names in groups.items()]
+
+
+def _write(folder: Path, names: Sequence[str], said: str, mark: str) -> tuple[Path, Path]:
+    runs = {name: read_result(folder / name / "result.yaml") for name in names}
     numbers = {"runs": len(runs)} | {
         key: _spread(runs, key) for key in ("distance.ratio", "fresh.ratio", "excitation.ratio")
     }
@@ -45,8 +54,9 @@ def write_seeds(folder: str | Path) -> tuple[Path, Path]:
         "fresh": "the same over episodes that the search has not seen",
         "excitation": "excitation loss after re-identification as a share of that before",
     }
-    page = _page(runs, numbers, parameters)
-    return page.write(folder / PAGE), write_result(folder / NUMBERS, numbers, meanings)
+    page_path, numbers_path = ((folder / name).with_stem(f"seeds{mark}") for name in (PAGE, NUMBERS))
+    page = _page(runs, numbers, parameters, said, numbers_path.name)
+    return page.write(page_path), write_result(numbers_path, numbers, meanings)
 
 
 def _parameters(runs: Mapping[str, Mapping[str, Any]]) -> list[str]:
@@ -63,12 +73,19 @@ def _spread(runs: Mapping[str, Mapping[str, Any]], key: str) -> dict[str, Any] |
     return {"value": float(np.mean(values)), "deviation": deviation, "count": len(values)}
 
 
-def _page(runs: Mapping[str, Mapping[str, Any]], numbers: Mapping[str, Any], parameters: Sequence[str]) -> Page:
+def _page(
+    runs: Mapping[str, Mapping[str, Any]],
+    numbers: Mapping[str, Any],
+    parameters: Sequence[str],
+    said: str,
+    numbers_name: str,
+) -> Page:
     ratio = numbers["distance.ratio"]
     share = "unknown" if ratio is None else f"{ratio['value']:.2f}"
     page = Page(
         f"Re-identification over {len(runs)} seeds",
-        f"Over {len(runs)} seeds the distance of returns falls to {share} of its value after excitation only.",
+        f"Over {len(runs)} seeds the distance of returns falls to {share} of its value after excitation only."
+        + (f" Settings: {said}." if said else ""),
     )
     page.section("Returns")
     page.figure(_returns(runs), "Returns of all runs: on the robot, after excitation only, and re-identified.")
@@ -85,7 +102,7 @@ def _page(runs: Mapping[str, Mapping[str, Any]], numbers: Mapping[str, Any], par
         [words(name), *(c for k in LABELS for c in _cells(numbers[f"normalised.{k}.{name}"]))] for name in parameters
     ]
     page.table(header, rows, "As shares of the range of Table I.")
-    page.files({f"{name}/index.html": f"run {name}" for name in runs} | {NUMBERS: "all numbers of this page"})
+    page.files({f"{name}/index.html": f"run {name}" for name in runs} | {numbers_name: "all numbers of this page"})
     return page
 
 
