@@ -54,7 +54,7 @@ class Transfer:
     def achieved(self) -> str:
         """What the criterion looks at, in words."""
         if self.walked is not None:
-            return f"{sum(self.walked)} of {len(self.walked)} episodes walk on"
+            return f"{sum(self.walked)} of {len(self.walked)} episodes walk to their end"
         return f"the robot reaches {100 * self.share:.0f} % of the return that simulation promised"
 
     @property
@@ -104,7 +104,7 @@ def story(
         page.tile("last transfer", 100 * last.share, "%", "of the promised return")
     page.tile("episodes upright", f"{sum(last.upright)} of {len(last.upright)}")
     if last.walked is not None:
-        page.tile("episodes that walked on", f"{sum(last.walked)} of {len(last.walked)}")
+        page.tile("episodes that walked to their end", f"{sum(last.walked)} of {len(last.walked)}")
     page.tile("time", sum(seconds.values()), "s", f"budget {budget}")
     _films(page, transfers)
     page.section("Transfers")
@@ -196,9 +196,7 @@ def _lesson(page: Page, learned: Mapping[str, Any]) -> None:
         f" loss of the excitation. Chance alone would leave a distance of {number(learned['fresh.noise'], 3)}."
     )
     if not learned.get("accepted", True):
-        page.text(
-            "No candidate took the place of the model that the round began with; the policy was trained on on that."
-        )
+        page.text("No candidate took the place of that model, so the policy was trained further on it.")
     keys = (("distance", "distance of returns [-]"), ("fresh", "the same, fresh episodes [-]"), ("excitation", "loss"))
     rows: list[list[Cell]] = [
         [text, learned[f"{key}.excitation_only"], learned[f"{key}.reidentified"]] for key, text in keys

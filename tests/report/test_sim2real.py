@@ -45,7 +45,10 @@ def test_the_story_begins_with_the_outcome(tmp_path):
     assert "The first transfer fails" in failed.write(tmp_path / "failed.html").read_text()
     walks = transfer([250.0], [240.0] * 10, [True] * 10, [True] * 7 + [False] * 3)
     walking = story(tmp_path, [walks], {}, condition="excitation_only", budget="laptop", provenance={})
-    assert "The first transfer fails: 7 of 10 episodes walk on" in walking.write(tmp_path / "walk.html").read_text()
+    assert (
+        "The first transfer fails: 7 of 10 episodes walk to their end"
+        in walking.write(tmp_path / "walk.html").read_text()
+    )
 
 
 def test_the_page_shows_films_and_what_was_learned(tmp_path):
