@@ -7,6 +7,7 @@ python experiments/reidentify.py -m policy=... model=... data=... episodes=... s
 
 import os
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -110,7 +111,7 @@ def main(cfg: DictConfig) -> Any:
             remember(folder / ASKED, what)
 
         def report(study: optuna.Study) -> dict[str, Any]:
-            found = problem.finish(study, cfg.finalists)
+            found = replace(problem.finish(study, cfg.finalists), start_name=cfg.start_name)
             save_model(found.model, folder / "model.yaml")
             numbers = report_reidentification(
                 found,

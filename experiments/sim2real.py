@@ -288,7 +288,8 @@ def reidentified(
         )
         return model
     where = [f"policy={failed.policy}", f"model={model}", f"data={squat}", f"episodes={failed.episodes}"]
-    more = [f"task={JUDGED[chosen('task')]}", f"seed={cfg.seed}", *how]
+    start = "diagnosed" if number in learned.named else "re-identified before" if number > 1 else "excitation only"
+    more = [f"task={JUDGED[chosen('task')]}", f"seed={cfg.seed}", f"start_name={start}", *how]
     found = stages.run(f"{number}_reidentify", "reidentify.py", *where, *more)
     learned.numbers[number] = read_result(found / "result.yaml")
     return str(found / "model.yaml")

@@ -89,6 +89,7 @@ class Reidentified:
         accepted: whether the chosen candidate is another than the start.
         at_chance: whether the start's returns are as close to the robot's as chance would leave them, so that there is
             nothing to learn from them.
+        start_name: what the start is called: how it was found.
     """
 
     model: RobotModel
@@ -101,6 +102,7 @@ class Reidentified:
     noise: float
     accepted: bool = True
     at_chance: bool = False
+    start_name: str = "excitation only"
 
 
 class Simulations:

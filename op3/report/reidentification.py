@@ -133,8 +133,8 @@ def _page(found: Reidentified, study: optuna.Study, values: Mapping[str, Any], p
     page.tile("time", values["wall_seconds"], "s")
     page.section("Returns")
     page.text(
-        "What the policy's episodes are worth under R_eval: on the robot, in the simulation that it was trained on, and"
-        " in the simulation after re-identification, with the same episodes for every candidate."
+        f"What the policy's episodes are worth under R_eval: on the robot, in simulation before ({found.start_name}),"
+        " and in the simulation after re-identification, with the same episodes for every candidate."
         f" Over fresh episodes, which neither the search nor the choice has seen, the distance is"
         f" {number(found.fresh_start.distance, 3)} before and {number(found.fresh_chosen.distance, 3)} after; if the"
         f" model were the robot, chance alone would leave {number(found.noise, 3)}."
@@ -142,7 +142,7 @@ def _page(found: Reidentified, study: optuna.Study, values: Mapping[str, Any], p
     page.figure(_returns_figure(found), "Returns of the episodes, as steps of their cumulative distribution.")
     rows: list[list[Cell]] = [
         [ACTUAL, *_summary(found.actual), None, None],
-        [BEFORE, *_summary(start.returns), start.distance, found.fresh_start.distance],
+        [found.start_name, *_summary(start.returns), start.distance, found.fresh_start.distance],
         [FOUND, *_summary(chosen.returns), chosen.distance, found.fresh_chosen.distance],
     ]
     header = ["episodes", "mean return [-]", "deviation [-]", "distance [-]", "distance, fresh episodes [-]"]
@@ -156,11 +156,12 @@ def _page(found: Reidentified, study: optuna.Study, values: Mapping[str, Any], p
     page.figure(_front_figure(found, study), "Both objectives of every trial that played episodes, and the front.")
     page.section("Parameters")
     models = {
-        BEFORE: RobotModel(found.model.effects).with_values(dict(start.values)),
+        found.start_name: RobotModel(found.model.effects).with_values(dict(start.values)),
         FOUND: RobotModel(found.model.effects).with_values(dict(chosen.values)),
     }
     page.figure(ranges_figure(models, list(chosen.values)), "Parameters within the ranges of Table I.")
-    header = ["parameter", BEFORE, FOUND, f"{BEFORE}, of its range", f"{FOUND}, of its range"]
+    before = found.start_name
+    header = ["parameter", before, FOUND, f"{before}, of its range", f"{FOUND}, of its range"]
     rows = [
         [words(name), start.values[name], value, _normalised(name, start.values[name]), _normalised(name, value)]
         for name, value in chosen.values.items()
@@ -205,7 +206,7 @@ def _returns_figure(found: Reidentified) -> go.Figure:
     figure = go.Figure()
     lines = {
         ACTUAL: (found.actual, INK),
-        BEFORE: (found.start.returns, PALETTE[1]),
+        found.start_name: (found.start.returns, PALETTE[1]),
         FOUND: (found.chosen.returns, PALETTE[0]),
     }
     for label, (returns, colour) in lines.items():
@@ -234,7 +235,7 @@ def _front_figure(found: Reidentified, study: optuna.Study) -> go.Figure:
         name="Pareto front",
         line=dict(color=PALETTE[2], shape="hv"),
     )
-    for label, one, colour in ((BEFORE, found.start, PALETTE[1]), (FOUND, found.chosen, INK)):
+    for label, one, colour in ((found.start_name, found.start, PALETTE[1]), (FOUND, found.chosen, INK)):
         figure.add_scatter(
             x=[one.excitation],
             y=[one.distance],

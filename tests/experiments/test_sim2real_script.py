@@ -76,7 +76,7 @@ def test_make_demo_is_a_command_that_the_script_takes():
     ("experiment", "overrides"),
     [
         ("diagnose", ["data=stand", "model=m", "seed=0", "policy=p", "actual=e", "task=walk"]),
-        ("reidentify", ["policy=p", "model=m", "data=s", "episodes=e", "task=walk", "seed=0", "groups=[motor]"]),
+        ("reidentify", ["policy=p", "model=m", "data=s", "episodes=e", "task=walk", "start_name=re-identified before"]),
         ("collect", ["robot=emulated", "world=robot_1", "world_seed=0", "policy=p", "task=walk", "repeats=10"]),
         ("evaluate", ["policy=p", "model=m", "task=walk", "episodes=10", "seed=0", "logs=false"]),
     ],
