@@ -21,8 +21,9 @@ from omegaconf import DictConfig, OmegaConf
 from stages import Stages
 from support import check_same, one_sentence, plain, remember, whole
 
+from op3.identify.episodes import that_count
 from op3.identify.identification import PREFIX
-from op3.identify.reidentification import Reidentification, that_count
+from op3.identify.reidentification import Reidentification
 from op3.identify.resolvers import register as register_interpolations
 from op3.identify.search_space import parse_search_space
 from op3.identify.sweeper import sweep_or_report

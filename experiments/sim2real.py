@@ -20,7 +20,7 @@ from omegaconf import DictConfig, OmegaConf
 from stages import Stages
 from support import library_motion, one_sentence, plain, positive, whole
 
-from op3.identify.reidentification import that_count
+from op3.identify.episodes import that_count
 from op3.policy import PolicyBundle
 from op3.report import finish, read_result, run_provenance, write_result
 from op3.report.sim2real import Transfer, story

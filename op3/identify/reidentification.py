@@ -18,6 +18,7 @@ from scipy.stats import wasserstein_distance
 from torch import Tensor
 
 from op3.envs.returns import ReturnsBench
+from op3.identify.episodes import check_episode
 from op3.identify.identification import PREFIX
 from op3.identify.level_set import draw_level_set
 from op3.identify.loss import TrajectoryLoss
@@ -26,7 +27,7 @@ from op3.identify.problem import Problem
 from op3.identify.study import Outcome
 from op3.policy import PolicyBundle
 from op3.robot import CONTROLLED_JOINTS
-from op3.rollout import LogError, Rollout
+from op3.rollout import Rollout
 from op3.servo import RobotModel
 from op3.sim import model_hash
 from op3.sim.crew import Crew
@@ -410,51 +411,6 @@ class Reidentification:
         values = {key.removeprefix(PREFIX): float(value) for key, value in trial.params.items()}
         excitation, distance = trial.values
         return Candidate(values, excitation, distance, tuple(trial.user_attrs.get("returns", ())))
-
-
-def that_count(episodes: Sequence[Rollout]) -> tuple[list[Rollout], list[Rollout]]:
-    """Episodes that ended by their time or a fall, and the others.
-
-    What else ends one on a robot (a voltage, a lost bus, heat) does so in no simulation of the policy, so its return
-    says nothing of the parameters.
-    """
-    count = [log.metadata.extra.get("exit") in (None, "ok", "fall") for log in episodes]
-    return [e for e, c in zip(episodes, count, strict=True) if c], [
-        e for e, c in zip(episodes, count, strict=True) if not c
-    ]
-
-
-def check_episode(log: Rollout, task: Task, policy: PolicyBundle) -> None:
-    """Whether a log is an episode of this policy at this task, whose return a simulation can have.
-
-    Raises:
-        LogError: if not; it says what to do.
-    """
-    name = log.metadata.recording
-    trained, played = policy.manifest.training.model_hash, log.metadata.model_hash
-    # a log of the robot names the policy's model, one of a simulation that which was simulated
-    if "exit" in log.metadata.extra and trained and played and played != trained:
-        raise LogError(
-            f"the policy of this episode was trained on the model {played}, the bundle's on {trained}",
-            "give the bundle that played",
-            column="field model_hash",
-            source=name,
-        )
-    attempted = log.metadata.extra.get("task")
-    if isinstance(attempted, str) and attempted != task.name:
-        raise LogError(
-            f"the episode attempts {attempted}, not {task.name}",
-            f"give task={attempted}, or episodes of {task.name}",
-            column="field task",
-            source=name,
-        )
-    shortest = task.duration - 2.0 * POLICY_PERIOD
-    if not log.metadata.fallen and log.duration < shortest:
-        raise LogError(
-            f"the episode lasts {log.duration:.2f} s without a fall, those of {task.name} {task.duration:g} s",
-            f"record episodes of {task.duration:g} s, or set the task's duration",
-            source=name,
-        )
 
 
 def chance_distances(returns: Array, actual: int, simulated: int, draws: int = 400) -> Array:

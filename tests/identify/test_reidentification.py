@@ -9,7 +9,8 @@ import torch
 from optuna.distributions import FloatDistribution
 
 from op3.envs import BatchedEnv, record_episodes
-from op3.identify.reidentification import PLAUSIBLE, Reidentification, check_episode, that_count
+from op3.identify.episodes import check_episode, that_count
+from op3.identify.reidentification import PLAUSIBLE, Reidentification
 from op3.identify.study import run_study
 from op3.policy import PolicyBundle
 from op3.robot import squat
