@@ -62,6 +62,7 @@ def test_a_run_goes_on_and_takes_no_other_episodes(given, tmp_path):
     assert (tmp_path / "result.yaml").read_bytes() == written
 
 
+@pytest.mark.slow
 def test_bad_input_is_named(given, tmp_path):
     """One sentence each, and nothing written."""
     folder, arguments = given

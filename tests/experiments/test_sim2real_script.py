@@ -50,7 +50,6 @@ def test_unknown_names_are_refused(tmp_path):
     for arguments, sentence in (
         ((*demo, "condition=nonsense"), "condition must be one of excitation_only"),
         ((*demo[1:], "robot=stand_in"), "robot must be emulated or real"),
-        ((*demo, "policy=nowhere"), "nowhere"),
         ((*demo, "policy=assets/policies/walk"), "was trained for walk, not for balance"),
         ((*demo, "policy=assets/policies/balance", "trained_on=paper_without_dte"), "is not that; give trained_on="),
         ((*demo, "rounds=x"), "rounds must be a whole number of at least 0, got 'x'"),

@@ -122,6 +122,7 @@ def test_what_has_been_recorded_is_not_recorded_again(tmp_path):
     assert Rollout.load(tmp_path / "squat-1").fingerprint() == whole
 
 
+@pytest.mark.slow
 def test_a_killed_run_on_the_robot_goes_on(tmp_path):
     """Killed while it records, the same command sets the ticks of that run aside, and ends with the same logs."""
     asked = ["robot=emulated", "motion=squat", "motion.duration=1.0"]

@@ -50,9 +50,10 @@ def test_a_file_gives_back_the_world(tmp_path_factory, seed):
 
 @pytest.mark.parametrize("name", world_names())
 def test_worlds_that_come_with_the_project(name):
-    """Each loads, and lies in the paper's ranges."""
+    """Each loads, and lies in the paper's ranges; the gear of one lies beyond them, and that alone."""
     world = World.find(name)
-    assert all(low <= getattr(world, key) <= high for key, (low, high) in TABLE_1.items())
+    beyond = [key for key, (low, high) in TABLE_1.items() if not low <= getattr(world, key) <= high]
+    assert beyond == (["backward_efficiency"] if name == "robot_7" else [])
 
 
 def test_graded_worlds():
