@@ -96,12 +96,18 @@ def test_multirun_is_one_study_per_cell(log, tmp_path):
         (["data=nowhere"], "nowhere"),
         (["data={log}", "model=papr"], "paper_without_dte"),
         (["data={log}", "heldout_where={{firmware_gain: 8}}"], "matches none"),
-        (["data={log}", "model=paper_without_stribeck"], "static_friction_excess"),
-        (["data={log}", "heldout={log}"], "both fitted and held out"),
-        (["data={log}", "joints=[l_kne]"], "l_kne"),
-        (["data={log}", "groups=[motor]", "per_joint=[coulomb_friction]"], "not searched at all"),
-        (["data={log}", "per_joint=[base_mass_offset]"], "quantity of the whole robot"),
-        (["data={log}", "heldout_where={{speed: 1}}"], "metadata field 'speed'"),
+        pytest.param(["data={log}", "model=paper_without_stribeck"], "static_friction_excess", marks=pytest.mark.slow),
+        pytest.param(["data={log}", "heldout={log}"], "both fitted and held out", marks=pytest.mark.slow),
+        pytest.param(["data={log}", "joints=[l_kne]"], "l_kne", marks=pytest.mark.slow),
+        pytest.param(
+            ["data={log}", "groups=[motor]", "per_joint=[coulomb_friction]"],
+            "not searched at all",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            ["data={log}", "per_joint=[base_mass_offset]"], "quantity of the whole robot", marks=pytest.mark.slow
+        ),
+        pytest.param(["data={log}", "heldout_where={{speed: 1}}"], "metadata field 'speed'", marks=pytest.mark.slow),
     ],
 )
 def test_wrong_input_is_one_sentence(log, tmp_path, arguments, message):
