@@ -21,7 +21,7 @@ from omegaconf import DictConfig, OmegaConf
 from stages import Stages
 from support import check_same, one_sentence, plain, remember, whole
 
-from op3.identify.episodes import that_count
+from op3.identify.episodes import ended_by, that_count
 from op3.identify.identification import PREFIX
 from op3.identify.reidentification import Reidentification
 from op3.identify.resolvers import register as register_interpolations
@@ -50,12 +50,11 @@ def build(cfg: DictConfig) -> Reidentification:
     if absent:
         raise ValueError(f"groups: {absent[0]!r} is no parameter of {cfg.model}; leave its group out")
     episodes, others = that_count(read_logs(plain(cfg.episodes)))
-    ends = sorted({str(log.metadata.extra["exit"]) for log in others})
     if others:
-        print(f"{len(others)} episodes do not count: they ended by {', '.join(ends)}, not by a fall", flush=True)
+        print(f"{len(others)} episodes do not count: they ended by {ended_by(others)}, not by a fall", flush=True)
     if not episodes:
         raise ValueError(
-            f"episodes={plain(cfg.episodes)}: all ended by {', '.join(ends)}, as no simulation of the policy does;"
+            f"episodes={plain(cfg.episodes)}: all ended by {ended_by(others)}, as no simulation of the policy does;"
             " diagnose the robot, mend the cause, and record others"
         )
     return Reidentification(

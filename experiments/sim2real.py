@@ -20,7 +20,7 @@ from omegaconf import DictConfig, OmegaConf
 from stages import Stages
 from support import library_motion, one_sentence, plain, positive, whole
 
-from op3.identify.episodes import that_count
+from op3.identify.episodes import ended_by, that_count
 from op3.policy import PolicyBundle
 from op3.report import finish, read_result, run_provenance, write_result
 from op3.report.sim2real import Transfer, story
@@ -41,6 +41,8 @@ GAIT = Path("assets/gaits/walk.yaml")
 """Numbers of the walk that the search for the first robot's walk begins with."""
 UNHEARD = ("train.", "task.", "sac.", "environment", "evaluation.", "robot.")
 """Overrides of what the budget, the task and the robot bring in, which the stages do not see."""
+EXPECTED_SEED = 1_000_003
+"""Added to the seed of the episodes in simulation: none of them has been trained or evaluated on."""
 FILM_RATE = 125 / 12
 """Frames per second of the films of the robot [Hz]."""
 
@@ -48,10 +50,6 @@ FILM_RATE = 125 / 12
 def chosen(group: str) -> str:
     """The file of a config group that the command line chose."""
     return HydraConfig.get().runtime.choices[group]
-
-
-EXPECTED_SEED = 1_000_003
-"""Added to the seed of the episodes in simulation: none of them has been trained or evaluated on."""
 
 
 def transfer(
@@ -281,10 +279,9 @@ def reidentified(
     """The model that matches the returns of the failed episodes, where these ended as a simulation can end them."""
     counting, others = that_count(read_logs(failed.episodes))
     if not counting:
-        ends = ", ".join(sorted({str(log.metadata.extra["exit"]) for log in others}))
         learned.remarks.append(
-            f"Nothing was re-identified in round {number}: all episodes ended by {ends}, as no simulation of the"
-            " policy does."
+            f"Nothing was re-identified in round {number}: all episodes ended by {ended_by(others)}, as no simulation"
+            " of the policy does."
         )
         return model
     where = [f"policy={failed.policy}", f"model={model}", f"data={squat}", f"episodes={failed.episodes}"]

@@ -295,7 +295,7 @@ class Diagnosis:
         model, share = verdict.model, 1.0
         vetoed = bool(shown["vetoed"]) and model is not verdict.base
         for between in softened(verdict.base, model, self.split.fit) if vetoed else ():
-            again = show(verdict.base, between[0], self.split, lambda share: self._report("show", share))
+            again = show(verdict.base, between[0], self.split, known=shown["before"])
             if not again["vetoed"]:
                 shown, vetoed, (model, share) = again, False, between
                 break

@@ -392,11 +392,8 @@ def with_point(coordinates: Coordinates, point: np.ndarray) -> RobotModel:
     """The model with the numbers of a point, per joint where they differ."""
     estimates, model = {}, coordinates.model
     for name, value in coordinates.values(point[None]).items():
-        row = value[0]
-        shared = float(row.mean()) if len(row) > 1 else float(row[0])
-        joints = {} if bool((row == row[0]).all()) else dict(zip(coordinates.joints, row.tolist(), strict=True))
         by = {} if "@" in name else model.estimate(name).by
-        estimates[name] = Estimate(float(row[0]) if not joints else shared, joints=joints, by=by)
+        estimates[name] = replace(Estimate.of_row(value[0], coordinates.joints), by=by)
     return model.with_values(estimates)
 
 

@@ -56,6 +56,7 @@ def show(
     split: LogSplit,
     progress: Callable[[float], None] | None = None,
     seed: int = 0,
+    known: Sequence[Prediction] | None = None,
 ) -> dict[str, Any]:
     """Gaps of two models on the runs that show.
 
@@ -65,6 +66,7 @@ def show(
         split: whose ``show`` logs are simulated.
         progress: called with the share done.
         seed: of the bootstrap.
+        known: free runs of the refitted base, where they have been simulated.
 
     Returns:
         ``gap`` by channel with ``before``, ``after``, ``floor`` and ``systematic`` (what all repeats have in common,
@@ -73,7 +75,7 @@ def show(
         and the predictions.
     """
     logs = shown_logs(split)
-    first = free_runs(before, logs)
+    first = free_runs(before, logs) if known is None else known
     if progress is not None:
         progress(0.5)
     second = first if after is before else free_runs(after, logs)

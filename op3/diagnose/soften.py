@@ -5,7 +5,7 @@ Windows of a fraction of a second tell what acts on a joint, but hardly how a wh
 out for that, free runs of the fitted logs say how far from the base towards it a model may go.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -37,15 +37,18 @@ def softened(base: RobotModel, model: RobotModel, logs: Sequence[Rollout]) -> li
     """
     whole = [whole_robot(log) for log in logs[:MOST_LOGS]]
     joints = whole[0].joints
-    shares = torch.tensor([0.0, *SHARES, 1.0], dtype=torch.float64)
+    shares = torch.tensor([0.0, *SHARES], dtype=torch.float64)
     values = _between(base, model, joints, shares)
     loss = TrajectoryLoss(tuple(logs[0].joints))(
         Replay(whole, settle=settle_time(logs)).run(model, values, len(shares))
     )
     loss = torch.nan_to_num(loss, nan=torch.inf)
-    better = [int(i) for i in loss.argsort() if loss[i] < loss[0] and 0 < i < len(shares) - 1]
+    better = [int(i) for i in loss.argsort() if loss[i] < loss[0]]
     return [
-        (model.with_values({name: _estimate(value[i], joints) for name, value in values.items()}), float(shares[i]))
+        (
+            model.with_values({name: Estimate.of_row(value[i], joints) for name, value in values.items()}),
+            float(shares[i]),
+        )
         for i in better
     ]
 
@@ -66,11 +69,3 @@ def _between(base: RobotModel, model: RobotModel, joints: Sequence[str], shares:
         start, end = torch.broadcast_tensors(start, there[name])
         result[name] = start + shares[:, None] * (end - start)
     return result
-
-
-def _estimate(row: Tensor, joints: Sequence[str]) -> Estimate:
-    """A parameter's value, by joint where they differ."""
-    if len(row) == 1 or bool((row == row[0]).all()):
-        return Estimate(float(row[0]))
-    own: Mapping[str, float] = dict(zip(joints, row.tolist(), strict=True))
-    return Estimate(float(row.mean()), joints=own)

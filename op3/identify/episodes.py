@@ -13,10 +13,14 @@ def that_count(episodes: Sequence[Rollout]) -> tuple[list[Rollout], list[Rollout
     What else ends one on a robot (a voltage, a lost bus, heat) does so in no simulation of the policy, so its return
     says nothing of the parameters.
     """
-    count = [log.metadata.extra.get("exit") in (None, "ok", "fall") for log in episodes]
-    return [e for e, c in zip(episodes, count, strict=True) if c], [
-        e for e, c in zip(episodes, count, strict=True) if not c
-    ]
+    ends = (None, "ok", "fall")
+    count = [log for log in episodes if log.metadata.extra.get("exit") in ends]
+    return count, [log for log in episodes if log.metadata.extra.get("exit") not in ends]
+
+
+def ended_by(episodes: Sequence[Rollout]) -> str:
+    """What ended episodes of the robot, in words."""
+    return ", ".join(sorted({str(log.metadata.extra["exit"]) for log in episodes}))
 
 
 def check_episode(log: Rollout, task: Task, policy: PolicyBundle) -> None:

@@ -87,7 +87,6 @@ class Reidentified:
         fresh_chosen: the chosen candidate over the same.
         noise: distance to be expected between the robot's returns and as many simulated ones if the chosen model were
             the robot: what chance alone leaves.
-        accepted: whether the chosen candidate is another than the start.
         at_chance: whether the start's returns are as close to the robot's as chance would leave them, so that there is
             nothing to learn from them.
         start_name: what the start is called: how it was found.
@@ -101,9 +100,13 @@ class Reidentified:
     fresh_start: Candidate
     fresh_chosen: Candidate
     noise: float
-    accepted: bool = True
     at_chance: bool = False
     start_name: str = "excitation only"
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the chosen candidate is another than the start."""
+        return self.chosen is not self.start
 
 
 class Simulations:
@@ -371,7 +374,6 @@ class Reidentification:
             fresh_start=fresh_start,
             fresh_chosen=fresh_chosen,
             noise=float(chance_distances(np.array(simulated), len(self.actual), self.episodes).mean()),
-            accepted=best > 0,
             at_chance=at_chance,
         )
 

@@ -440,7 +440,7 @@ def test_imu_reads_in_its_own_frame_and_the_gyroscope_adds_its_bias():
 
 @given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.floats(-5.0, 5.0), st.floats(0.3, 1.0))
 def test_a_gear_without_forward_loss_is_the_limit_of_one_with_little(goal, load, velocity, backward):
-    """What is left out where nothing is lost forwards is what goes to nothing there."""
+    """Where nothing is lost forwards a step is what it becomes as that loss goes to nothing."""
     found = []
     for forward in (1.0, 1.0 - 1e-9):
         law, signals = law_of(DirectionalEfficiency(), forward_efficiency=forward, backward_efficiency=backward)

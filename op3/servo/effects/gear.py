@@ -79,13 +79,11 @@ class DirectionalEfficiency(Effect):
     form: Literal["passive", "printed", "power"] = "passive"
 
     def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
-        """Efficiencies and losses; no forward loss where there is none, which spares a sixth of a step's operations."""
-        forward = values["forward_efficiency"]
-        lossless = not forward.requires_grad and bool((forward == 1.0).all())
+        """Efficiencies and losses."""
         return {
-            "forward_efficiency": forward,
+            "forward_efficiency": values["forward_efficiency"],
             "backward_efficiency": values["backward_efficiency"],
-            **({} if lossless and self.form == "passive" else {"forward_loss": 1.0 - forward}),
+            "forward_loss": 1.0 - values["forward_efficiency"],
             "backward_loss": 1.0 - values["backward_efficiency"],
             "backward_share": 1.0 / values["backward_efficiency"].clamp(min=1e-3) - 1.0,
         }
@@ -95,11 +93,6 @@ class DirectionalEfficiency(Effect):
         motor, load = signals.motor_torque, signals.load_torque
         if self.form == "passive":
             leads = law.motor_leads(motor, load)
-            if "forward_loss" not in prepared:
-                signals.friction_bound = signals.friction_bound + torch.where(
-                    leads, 0.0, prepared["backward_loss"] * load.abs()
-                )
-                return
             signals.friction_bound = signals.friction_bound + law.dte_passive_loss(
                 motor, load, leads, prepared["forward_loss"], prepared["backward_loss"]
             )
