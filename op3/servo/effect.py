@@ -108,7 +108,7 @@ class Signals:
     bus_voltage: Tensor  # [V]
     temperature: Tensor  # of the servo, as it measures it [C]
     time: Tensor  # since the start [s]; filled only where an effect reads it
-    phase: int  # simulation steps since the last tick
+    phase: int | Tensor  # simulation steps since the last tick; ``[1]`` in a step that is translated
     # sensing stage: what the servo's encoder says
     measured_position: Tensor  # [rad]
     measured_velocity: Tensor  # [rad/s]

@@ -240,3 +240,13 @@ def delay_weights(latency: Tensor, timestep: float, period: float, depth: int) -
     after = ((start + timestep - arrival) / timestep).clamp(0.0, 1.0)
     superseded = torch.cat([torch.zeros_like(after[:, :1]), after[:, :-1]], dim=1)
     return after - superseded
+
+
+def at_phase(table: Tensor, phase: int | Tensor) -> Tensor:
+    """Entry of a table over the steps of a control period.
+
+    Args:
+        table: ``[phase, ...]``.
+        phase: steps since the last tick; a tensor ``[1]`` where the same operations serve every step.
+    """
+    return table[phase] if isinstance(phase, int) else table.index_select(0, phase)[0]

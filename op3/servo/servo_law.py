@@ -103,6 +103,10 @@ class ServoLaw:
         """One simulation step, from the joint state to torque, damping and friction bound."""
         if signals.phase > 0:
             self.sense(signals)
+        self.act(signals)
+
+    def act(self, signals: Signals) -> None:
+        """A simulation step whose sensors were read."""
         # effects may put other values in their place for the rest of the step
         position, velocity, load_torque = signals.position, signals.velocity, signals.load_torque
         bus_voltage, target_current = signals.bus_voltage, signals.target_current
@@ -120,7 +124,7 @@ class ServoLaw:
             effect.finish(signals, self._prepared[effect.name])
         if self._reads_time:
             signals.time = signals.time + self.clock.timestep
-        signals.phase += 1
+        signals.phase = signals.phase + 1
 
     def sense(self, signals: Signals) -> None:
         """Fill in what the servo's sensors say of the joint state in the signals."""

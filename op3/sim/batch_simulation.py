@@ -16,6 +16,7 @@ from op3.sim.base import Base, roll_pitch_yaw
 from op3.sim.edits import edited_fields
 from op3.sim.inputs import COMMANDS, default_commands, expand_parameters, set_commands, set_start
 from op3.sim.ports import ServoPorts
+from op3.sim.translated import HANDED_OVER, RESULTS, Translated
 
 
 class BatchSimulation:
@@ -39,6 +40,8 @@ class BatchSimulation:
         joint_names: names by which the model's per-joint values address the joints; by default the last part
             of each full name.
         num_threads: threads that step the physics; 0 for all processors.
+        translated: whether the law runs in numpy where it can, which agrees with torch to rounding and takes a third of
+            the time.
         fields: MuJoCo model fields that differ between simulations, ``[sim, ...]``, before the model's edits.
 
     Raises:
@@ -56,6 +59,7 @@ class BatchSimulation:
         base_body: str | None = None,
         joint_names: Sequence[str] | None = None,
         num_threads: int = 0,
+        translated: bool = True,
         fields: Mapping[str, np.ndarray] | None = None,
     ):
         self.timestep = float(mj_model.opt.timestep)
@@ -72,6 +76,8 @@ class BatchSimulation:
         self.law = ServoLaw(model.effects, self.timestep, control_period, self.joint_names)
         self.signals = Signals.zeros(num_sims, len(joints))
         self._reads_force = self.law.reads("radial_force")
+        self._translate = translated
+        self._translated: Translated | None = None
         default_commands(self.signals, model)
         self.failed = torch.zeros(num_sims, dtype=torch.bool)
         self._bind()
@@ -88,6 +94,11 @@ class BatchSimulation:
             self._base_quaternion = _torch_view(batch.bind("xquat"))[:, self._base.body]
 
     @property
+    def translated(self) -> bool:
+        """Whether numpy has taken over the law."""
+        return self._translated is not None
+
+    @property
     def sensordata(self) -> Tensor:
         """All sensors of the scene at the last step, ``[sim, nsensordata]``, over the simulator's memory."""
         return self._sensors
@@ -102,6 +113,7 @@ class BatchSimulation:
             ValueError: if the model has no such parameter, or a shape does not fit.
         """
         expanded = expand_parameters(self.model, self.joint_names, values, self.num_sims)
+        self._translated = None  # it holds the parameters of before
         if hasattr(self, "_rotor"):
             self._armature[:, self.ports.dof] = self._rotor  # without the damping of the last step
         self.parameters = expanded
@@ -158,6 +170,7 @@ class BatchSimulation:
                 raise ValueError("measured, load_torque, current and time can start all simulations only: omit rows")
             self._reset_rows(np.asarray(rows, dtype=np.int64), qpos, commands or {}, qvel)
             return
+        self._translated = None  # it holds the shapes of before
         self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
         self._qpos[...] = torch.as_tensor(qpos, dtype=torch.float64)
         if measured:
@@ -230,14 +243,72 @@ class BatchSimulation:
         signals, law, ports = self.signals, self.law, self.ports
         self._read()
         law.tick(signals)
-        for _ in range(self.substeps):
-            self._read()
-            law.step(signals)
-            self._ctrl[:, ports.ctrl] = signals.applied_torque
-            self._armature[:, ports.dof] = self._rotor + self.timestep * signals.damping
-            self._friction[:, ports.dof] = signals.friction_bound
-            self.batch.step()
+        if self._translate and self._translated is None:
+            self._translated = self._translation()
+            self._translate = self._translated is not None
+        if self._translated is None:
+            for _ in range(self.substeps):
+                self._read()
+                law.step(signals)
+                self._ctrl[:, ports.ctrl] = signals.applied_torque
+                self._armature[:, ports.dof] = self._rotor + self.timestep * signals.damping
+                self._friction[:, ports.dof] = signals.friction_bound
+                self.batch.step()
+        else:
+            self._advance_translated(self._translated)
         self._note_failures()
+
+    def _advance_translated(self, translated: Translated) -> None:
+        """The steps of a control period in numpy, over the simulator's own arrays."""
+        signals = self.signals
+        signals.phase = self._phase_zero
+        translated.hear(signals)
+        law, transmitted, load = translated.step, self._transmitted, self._load
+        torque, damping, bound = (law.outputs[name] for name in HANDED_OVER)
+        control, armature, friction = self._handed
+        sensors, across = self._sensors.numpy(), self.ports.force
+        for _ in range(self.substeps):
+            np.negative(transmitted, out=load)
+            if self._reads_force:
+                np.hypot(sensors[:, across], sensors[:, across + 1], out=self._force)
+            with np.errstate(all="ignore"):  # what diverges is noted below
+                law()
+            control[...] = torque
+            np.multiply(damping, self.timestep, out=armature)
+            armature += self._rotor_inertia
+            friction[...] = bound
+            self.batch.step()
+        translated.tell(signals)
+
+    def _translation(self) -> Translated | None:
+        """The law's step in numpy, reading the simulator's own arrays; None where that cannot be."""
+        ports = self.ports
+        if not all(isinstance(each, slice) for each in (ports.qpos, ports.dof, ports.ctrl, ports.transmitted)):
+            return None
+        self._transmitted = self._sensors.numpy()[:, ports.transmitted]
+        self._load = np.zeros_like(self._transmitted, order="C")
+        live = {
+            "position": self._qpos.numpy()[:, ports.qpos],
+            "velocity": self._qvel.numpy()[:, ports.dof],
+            "load_torque": self._load,
+        }
+        if self._reads_force:
+            self._force = live["radial_force"] = np.zeros_like(self._load)
+        self._rotor_inertia = self._rotor.numpy()
+        self._handed = (
+            self._ctrl.numpy()[:, ports.ctrl],
+            self._armature.numpy()[:, ports.dof],
+            self._friction.numpy()[:, ports.dof],
+        )
+        self._phase_zero = torch.zeros(1, dtype=torch.int64)
+
+        def step(signals: Signals) -> None:
+            # also right after a tick, which left the sensors as this does
+            self.law.sense(signals)
+            self.law.act(signals)
+
+        started = replace(self.signals, phase=self._phase_zero)
+        return Translated.of(step, started, RESULTS, live)
 
     def measure(self) -> dict[tuple[str, str], Tensor]:
         """What the servos' and the trunk's sensors say now: channels of the log, ``[sim, joint | 3]``."""

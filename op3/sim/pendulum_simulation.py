@@ -6,7 +6,7 @@ MuJoCo model per run, which pays when a fit simulates thousands of bench runs. T
 `tests/sim/test_pendulum_simulation.py` holds it against MuJoCo.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -14,15 +14,12 @@ from torch import Tensor
 
 from op3.robot.units import GRAVITY
 from op3.servo import RobotModel, ServoLaw, Signals
-from op3.servo.compiled_step import CompiledStep, Untranslatable
 from op3.servo.effects import LinkInertia, Motor
 from op3.sim.inputs import default_commands, expand_parameters, set_commands, set_start
+from op3.sim.translated import TRANSLATED_AFTER, Translated
 
 PD_PERIOD = 0.008
 """Time between ticks of a PD that commands current [s]; paper, 125 Hz."""
-
-TRANSLATED_AFTER = 100
-"""Steps in torch after a reset before numpy takes over; a shorter run does not pay for the translation."""
 
 REPORTED = ("position", "velocity", "voltage", "current", "duty")
 """Signals to be read from a simulation."""
@@ -73,7 +70,7 @@ class PendulumSimulation:
         self._every = round(PD_PERIOD / timestep) if "current_pd" in model.effect_names else 1
         self._steps = 0
         self._translate = translated and self._every == 1
-        self._translated: _Translated | None = None
+        self._translated: Translated | None = None
         self.num_sims = len(mass)
         self._mass, self._length = mass.view(-1, 1), length.view(-1, 1)
         self._moment = self._mass * GRAVITY * self._length
@@ -145,7 +142,7 @@ class PendulumSimulation:
         self._steps += 1
         if self._steps == TRANSLATED_AFTER and self._translate:
             differentiated = any(value.requires_grad for value in self.parameters.values())
-            self._translated = None if differentiated else _translation(self._tick_and_move, self.signals)
+            self._translated = None if differentiated else Translated.of(self._tick_and_move, self.signals, REPORTED)
 
     def _tick_and_move(self, signals: Signals) -> None:
         self.law.tick(signals)
@@ -187,43 +184,3 @@ class PendulumSimulation:
             ("joint", "current"): signals.measured_current.clone(),
             ("joint", "duty"): signals.duty * signals.torque_enable,
         }
-
-
-class _Translated:
-    """A translated step that works on the signals of a simulation.
-
-    The signals are views of the step's arrays. Whoever puts another tensor in their place between two steps (a command,
-    a sensor with a memory) is heard.
-    """
-
-    def __init__(self, step: CompiledStep):
-        self._step = step
-        self._inputs = {name: torch.from_numpy(array) for name, array in step.inputs.items()}
-        others = {name: array for name, array in step.outputs.items() if name not in self._inputs}
-        self._outputs = {name: torch.from_numpy(array) for name, array in others.items()}
-        self._state = {name: torch.from_numpy(array) for name, array in step.state.items()}
-
-    def advance(self, signals: Signals) -> None:
-        for name, view in self._inputs.items():
-            value = getattr(signals, name)
-            if value is not view:
-                view.copy_(value)
-                setattr(signals, name, view)
-        for name, view in self._state.items():
-            if signals.state[name] is not view:
-                view.copy_(signals.state[name])
-                signals.state[name] = view
-        self._step()
-        for name, view in self._outputs.items():
-            setattr(signals, name, view)
-
-
-def _translation(step: Callable[[Signals], None], signals: Signals) -> _Translated | None:
-    """The step in numpy; None where it has no translation."""
-    try:
-        compiled = CompiledStep(step, signals, REPORTED)
-    except Untranslatable:
-        return None
-    if set(compiled.state) != set(signals.state):
-        return None  # a memory that a step writes and does not read would be lost
-    return _Translated(compiled)

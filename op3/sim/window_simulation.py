@@ -24,6 +24,7 @@ from op3.servo import RobotModel, ServoLaw, Signals
 from op3.servo.effects import EncoderNonlinearity, EncoderOffset, Motor
 from op3.sim.inputs import default_commands, expand_parameters, set_start
 from op3.sim.trajectory_dynamics import TrajectoryDynamics
+from op3.sim.translated import RESULTS, Translated
 
 SWEEPS = 3
 """Sweeps over the joints per step."""
@@ -104,6 +105,7 @@ class WindowSimulation:
         joints: joint names, by which the model's per-joint values address the columns.
         timestep: of the simulation [s]; must divide the period.
         preroll: ticks for which the joints are led.
+        translated: whether the law runs in numpy where it can.
         dtype: of the simulation. Single precision is wrong by a thousandth of an encoder's count after a window.
 
     Raises:
@@ -120,6 +122,7 @@ class WindowSimulation:
         *,
         timestep: float = 0.001,
         preroll: int = 4,
+        translated: bool = True,
         dtype: torch.dtype = torch.float32,
     ):
         if not windows:
@@ -137,6 +140,7 @@ class WindowSimulation:
         self.model = model
         self.joints = tuple(joints)
         self.ticks, self.preroll, self.timestep, self.dtype = ticks, preroll, timestep, dtype
+        self.translated = translated
         self.windows = list(windows)
         self._motions = list(motions)
         rows = np.array([window.motion for window in windows])
@@ -310,6 +314,8 @@ class _Run:
         self._lead_state(0, 0)
         set_start(self.signals, None, self._flat(self._block(owner._current)), self._flat(self._block(owner._time)))
         self.law.reset(self.signals)
+        self._translate, self._translated = owner.translated, None
+        self._phase_zero = torch.zeros(1, dtype=torch.int64)
         self.u = torch.zeros_like(self.v)
 
     def _per_row(self, value: Tensor) -> Tensor:
@@ -381,7 +387,23 @@ class _Run:
         self._tick(tick)
         for phase in range(self.o.substeps):
             self._lead_state(tick, phase)
-            self.law.step(self.signals)
+            self._law_step(phase)
+
+    def _law_step(self, phase: int) -> None:
+        """A step of the law, in numpy where that can be."""
+        signals = self.signals
+        if phase > 0:
+            self.law.sense(signals)
+        if phase == 0:
+            signals.phase = self._phase_zero
+        if self._translate and self._translated is None:
+            self._translated = Translated.of(self.law.act, signals, RESULTS)
+            self._translate = self._translated is not None
+        if self._translated is not None:
+            self._translated.advance(signals)
+            return
+        signals.phase = phase
+        self.law.act(signals)
 
     def start(self, tick: int, position_offset: Tensor, velocity_offset: Tensor) -> None:
         """Let go at this tick, with offsets ``[candidate, joint]``; what rests is in balance."""
@@ -428,7 +450,7 @@ class _Run:
 
     def _step(self, tick: int, phase: int) -> None:
         o, signals, step = self.o, self.signals, self.o.timestep
-        self.law.step(signals)
+        self._law_step(phase)
         mass, bias, _ = self._dynamics(tick, phase / o.substeps)
         shape = self.q.shape
         applied, bound = signals.applied_torque.T.reshape(shape), step * signals.friction_bound.T.reshape(shape)

@@ -108,6 +108,7 @@ class SimPhysics(BatchSimulation):
             base_body=None if robot is None else robot.trunk.full_identifier,
             joint_names=self.joints,
             num_threads=1,
+            translated=False,  # here a tick and its one step are translated together
         )
         self.battery, self._windings = battery, windings or Windings()
         self.supply: float | None = None

@@ -110,7 +110,7 @@ class Latency(Effect):
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Let through what has arrived by now."""
-        arrived = (prepared["weights"][signals.phase] * signals.state[self.name]).sum(0)
+        arrived = (law.at_phase(prepared["weights"], signals.phase) * signals.state[self.name]).sum(0)
         setattr(signals, self.signal, arrived)
 
 
