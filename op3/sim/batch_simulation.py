@@ -343,10 +343,11 @@ class BatchSimulation:
         # MuJoCo resets a diverging state and zeroes NaN controls without an exception; only its warning
         # counters, and non-finite values on our side, tell.
         signals = self.signals
-        handed_over = signals.applied_torque + signals.damping + signals.friction_bound
-        finite = torch.isfinite(handed_over).all(1)
-        warned = torch.from_numpy(self.batch.warning.any((1, 2)))
-        self.failed |= warned | ~finite
+        with np.errstate(all="ignore"):
+            handed_over = (signals.applied_torque + signals.damping + signals.friction_bound).numpy()
+            finite = np.isfinite(handed_over).all(1)
+        if self.batch.warning.any() or not finite.all():
+            self.failed |= torch.from_numpy(self.batch.warning.any((1, 2)) | ~finite)
 
 
 def _take_over(old: Tensor, new: Tensor, rows: np.ndarray) -> Tensor:

@@ -189,7 +189,7 @@ class _Group:
         for name, values in commands.items():
             if constants or len(values) > 1:
                 row = values[min(tick, len(values) - 1)]
-                result[name] = row.repeat(candidates, 1)
+                result[name] = row if len(row) == 1 else row.repeat(candidates, 1)
         return result
 
     def run(self, model, parameters, candidates, progress) -> dict[int, Prediction]:
