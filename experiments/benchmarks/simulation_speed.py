@@ -21,11 +21,16 @@ ROUNDS = 7
 TICKS = 40
 
 
-def standing() -> BatchSimulation:
-    """64 OP3s that have sunk into their stand pose, with the paper's full law."""
+def standing(translated: bool) -> BatchSimulation:
+    """64 OP3s that have sunk into their stand pose, with the paper's full law in numpy or in torch."""
     setup = Setup.of_mount("floor")
     simulation = BatchSimulation(
-        setup.mj_model, setup.scene.joint_names, load_model("paper"), SIMS, base_body=setup.base_body
+        setup.mj_model,
+        setup.scene.joint_names,
+        load_model("paper"),
+        SIMS,
+        base_body=setup.base_body,
+        translated=translated,
     )
     stand = pose("stand")
     commands = {"position_target": torch.from_numpy(stand), "p_gain": torch.tensor(6.0), "d_gain": torch.tensor(0.1)}
@@ -78,22 +83,28 @@ def composer() -> Callable[[], float]:
 
 
 def main() -> None:
-    """Measure in turn, so that a drift of the machine's speed meets all three, and print medians of ratios."""
+    """Measure in turn, so that a drift of the machine's speed meets all, and print medians of ratios."""
     torch.set_num_threads(1)
-    simulation, one = standing(), composer()
+    simulation, in_torch, one = standing(True), standing(False), composer()
     state = simulation.batch.state.copy()
     rows = []
     for _ in range(ROUNDS):
-        simulation.batch.state[...] = state  # both from the same stand: held torques let the robots sway after a while
-        with_law = law(simulation)
+        for each in (simulation, in_torch):  # from the same stand: held torques let the robots sway after a while
+            each.batch.state[...] = state
+        with_law, with_torch = law(simulation), law(in_torch)
         simulation.batch.state[...] = state
-        rows.append((with_law, bare(simulation.batch, TICKS * simulation.substeps), one()))
+        rows.append((with_law, with_torch, bare(simulation.batch, TICKS * simulation.substeps), one()))
     print("machine: " + ", ".join(f"{key} {value}" for key, value in machine().items()))
-    for name, values in zip(("law", "bare Batch.step", "composer"), zip(*rows, strict=True), strict=True):
+    for name, values in zip(
+        ("law", "law in torch", "bare Batch.step", "composer"), zip(*rows, strict=True), strict=True
+    ):
         print(f"{name:16s} {1e6 * statistics.median(values):8.1f} us per step and robot")
-    to_bare = [b / w for w, b, _ in rows]
-    to_composer = [c / w for w, _, c in rows]
-    for name, ratios in (("full law against bare Batch.step", to_bare), ("full law against composer", to_composer)):
+    against = {
+        "full law against bare Batch.step": [row[2] / row[0] for row in rows],
+        "full law against law in torch": [row[1] / row[0] for row in rows],
+        "full law against composer": [row[3] / row[0] for row in rows],
+    }
+    for name, ratios in against.items():
         print(f"{name}: {statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f}, {ROUNDS} rounds)")
 
 
