@@ -237,7 +237,7 @@ class WindowResiduals:
             velocity_offset=offsets.get("velocity_offset"),
         )
         simulated = np.stack([channels[key].numpy() for key in self.channels], -1)
-        result = simulated - self.measured[None, : len(simulation.windows)]
+        result = (simulated - self.measured[None, : len(simulation.windows)]).astype(simulated.dtype)
         return np.nan_to_num(result, nan=1e3, posinf=1e3, neginf=-1e3)
 
     def prepare(self, model: RobotModel) -> None:
@@ -250,7 +250,8 @@ class WindowResiduals:
         sensitivity = np.moveaxis(moved[1:] - moved[0], 0, -1)  # [window, tick, joint, channel, nuisance]
         flat = (sensitivity / self.scale[..., None]).reshape(len(self.windows), -1, count - 1)
         basis, strength, _ = np.linalg.svd(flat, full_matrices=False)
-        self._nuisance, self._shrink = basis, 1.0 - 1.0 / np.sqrt(1.0 + strength**2)
+        self._nuisance = basis.astype(error.dtype)
+        self._shrink = (1.0 - 1.0 / np.sqrt(1.0 + strength**2)).astype(error.dtype)
         self._weight = np.ones(len(self.windows))
         size = np.sqrt(np.square(self.whiten(error[None])[0]).mean(1))
         self._weight = np.minimum(1.0, HUBER / np.maximum(size, 1e-9))
@@ -290,12 +291,12 @@ class WindowResiduals:
         assert self.scale is not None
         assert self._nuisance is not None
         assert self._shrink is not None
-        flat = (error / self.scale).reshape(*error.shape[:2], -1)
+        flat = (error / self.scale.astype(error.dtype)).reshape(*error.shape[:2], -1)
         basis, shrink = self._nuisance[: flat.shape[1]], self._shrink[: flat.shape[1]]
         # [window, nuisance, candidate]
         along = basis.transpose(0, 2, 1) @ flat.transpose(1, 2, 0)
         kept = flat - (basis @ (shrink[..., None] * along)).transpose(2, 0, 1)
-        return kept * self._weight[: flat.shape[1], None]
+        return kept * self._weight[: flat.shape[1], None].astype(error.dtype)
 
     def unwhitened(self, residual: np.ndarray) -> np.ndarray:
         """Whitened residuals ``[window, residual]`` in their units, ``[window, tick, joint, channel]``."""

@@ -106,15 +106,16 @@ class CompiledStep:
             memory |= {name: torch.zeros_like(recording.state[name]) for name in added}
             recording = _record(step, given, memory)
         examples = [*arrays.values(), *(value.numpy() for value in memory.values())]
+        left = [*recording.state.values(), *recording.factors.values()]
         carried: list[str] = []
         while True:
-            wanted = [*(recording.signals[name] for name in [*outputs, *carried]), *recording.state.values()]
-            wanted += recording.factors.values()
-            program = _Program(recording.calls, [*given.values(), *memory.values()], examples, wanted)
-            used = [name for at, name in enumerate(names) if at in program.arguments and name not in filled]
+            wanted = [*(recording.signals[name] for name in [*outputs, *carried]), *left]
+            needed = _needed(recording.calls, wanted)
+            used = [name for name in names if id(given[name]) in needed and name not in filled]
             if set(used) <= set(carried):
                 break
             carried = used
+        program = _Program(recording.calls, [*given.values(), *memory.values()], examples, wanted)
         self._calls, slots, results = program.calls, program.arguments, iter(program.results)
         self.inputs = {name: slots[at] for at, name in enumerate(names) if at in slots}
         self.state = {name: slots[at] for at, name in enumerate(memory, len(names)) if at in slots}
@@ -206,6 +207,15 @@ def _check(calls: Sequence[_Call], given: Sequence[Tensor]) -> None:
             moving.update(id(made) for made in _tensors(call.result))
 
 
+def _needed(calls: Sequence[_Call], wanted: Sequence[Tensor]) -> set[int]:
+    """Tensors that have to be known for those wanted, by id; none is gone while the calls are there."""
+    needed = {id(tensor) for tensor in wanted}
+    for call in reversed(calls):
+        if any(id(made) in needed for made in _tensors(call.result)):
+            needed.update(id(read) for read in _tensors((call.arguments, dict(call.options))))
+    return needed
+
+
 class _Program:
     """A recording as a list of numpy calls into fixed arrays; what depends on parameters alone is computed once.
 
@@ -221,18 +231,15 @@ class _Program:
         self.arguments: dict[int, Array] = {}
         self._known: dict[tuple[Any, ...], Any] = {}
         self._fixed: dict[int, Array] = {}
-        needed = {id(tensor) for tensor in wanted}
-        live = []
-        for call in reversed(calls):
-            if any(id(made) in needed for made in _tensors(call.result)):
-                live.append(call)
-                needed.update(id(read) for read in _tensors((call.arguments, dict(call.options))))
+        needed = _needed(calls, wanted)
         self._values: dict[int, Any] = {}
         for at, (tensor, array) in enumerate(zip(given, arrays, strict=True)):
             self._values[id(tensor)] = array
             if id(tensor) in needed:
                 self.arguments[at] = array
-        for call in reversed(live):
+        for call in calls:
+            if not any(id(tensor) in needed for tensor in _tensors(call.result)):
+                continue
             made = self._call(call)
             results = call.result if isinstance(call.result, list | tuple) else [call.result]
             for tensor, array in zip(results, made if isinstance(made, list) else [made], strict=True):
