@@ -7,8 +7,8 @@ time. The law itself is written once, in torch; what cannot be translated is run
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from functools import partial
 from typing import Any
 
@@ -16,9 +16,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.utils._python_dispatch import TorchDispatchMode
 
 from op3.servo.effect import Signals
+from op3.servo.recording import Call, Recording, Untranslatable, record
 
 Array = NDArray[Any]
 
@@ -62,10 +62,6 @@ _BINARY: dict[str, Callable[..., Any]] = {
 }
 
 
-class Untranslatable(Exception):
-    """The step does something that has no translation."""
-
-
 class CompiledStep:
     """One step over signals and the memory of effects, as numpy calls.
 
@@ -79,12 +75,12 @@ class CompiledStep:
     Attributes:
         inputs: arrays to be filled in before a call, by the signal's name; what the step does not read is missing.
         state: memory of the effects, by name, as far as the step reads it; it may be written between calls.
-        outputs: results of the last call, by the signal's name.
+        outputs: results of the last call, by the signal's name. The next call overwrites them.
         next_state: memory of the effects that the last call left, by name.
         factors: on the motor's parameters, as the last call left them, by the parameter's name.
 
     Raises:
-        Untranslatable: if an operation is not known here.
+        Untranslatable: if an operation is not known here, or if numpy finds other numbers than torch.
     """
 
     def __init__(
@@ -95,42 +91,46 @@ class CompiledStep:
         live: Mapping[str, Array] | None = None,
         filled: Sequence[str] = (),
     ):
-        values = {item.name: getattr(signals, item.name) for item in fields(signals)}
-        given = {name: value.clone() for name, value in values.items() if isinstance(value, Tensor)}
-        memory = {name: value.clone() for name, value in signals.state.items()}
-        arrays = {name: value.numpy() for name, value in given.items()} | dict(live or {})
-        names = list(given)
-        recording = _record(step, given, memory)
+        given = _inputs(signals, live or {})
+        memory = {name: value.detach().clone() for name, value in signals.state.items()}
+        recording = record(step, given, memory)
         added = [name for name in recording.state if name not in memory]
-        if added:
+        if added:  # the first step made room for them
             memory |= {name: torch.zeros_like(recording.state[name]) for name in added}
-            recording = _record(step, given, memory)
-        examples = [*arrays.values(), *(value.numpy() for value in memory.values())]
+            recording = record(step, given, memory)
         left = [*recording.state.values(), *recording.factors.values()]
         carried: list[str] = []
         while True:
             wanted = [*(recording.signals[name] for name in [*outputs, *carried]), *left]
-            needed = _needed(recording.calls, wanted)
-            used = [name for name in names if id(given[name]) in needed and name not in filled]
-            if set(used) <= set(carried):
+            needed = recording.needed(wanted)
+            read = [name for name, value in given.items() if id(value) in needed and name not in filled]
+            if set(read) <= set(carried):
                 break
-            carried = used
-        program = _Program(recording.calls, [*given.values(), *memory.values()], examples, wanted)
-        self._calls, slots, results = program.calls, program.arguments, iter(program.results)
-        self.inputs = {name: slots[at] for at, name in enumerate(names) if at in slots}
-        self.state = {name: slots[at] for at, name in enumerate(memory, len(names)) if at in slots}
-        if list(recording.state) != list(memory) or any(name in self.state for name in added):
+            carried = read
+        if list(recording.state) != list(memory) or any(id(memory[name]) in needed for name in added):
             raise Untranslatable("an effect adds to the memory that it reads")
+        arrays = {name: value.numpy() for name, value in given.items()} | dict(live or {})
+        places = {id(value): arrays[name] for name, value in given.items()}
+        places |= {id(value): value.numpy() for value in memory.values()}
+        own = [*(None for _ in outputs), *(given[name] for name in carried), *memory.values()]
+        own += [None for _ in recording.factors]
+        try:
+            with np.errstate(all="ignore"):
+                program = _Program(recording, places, wanted, own)
+        except Untranslatable:
+            raise
+        except Exception as error:  # an operation with arguments of a kind that is not known here
+            raise Untranslatable(str(error)) from error
+        self._calls, results = program.calls, iter(program.results)
+        self.inputs = {name: arrays[name] for name, value in given.items() if id(value) in needed}
+        self.state = {name: places[id(value)] for name, value in memory.items() if id(value) in needed}
         self.outputs: dict[str, Array] = {name: next(results) for name in outputs}
         kept = {name: next(results) for name in carried}
         self.next_state: dict[str, Array] = {name: next(results) for name in memory}
         self.factors: dict[str, Array] = {name: next(results) for name in recording.factors}
-        old = [*(self.inputs.get(name) for name in carried), *(self.state.get(name) for name in memory)]
-        pairs = zip(old, [*kept.values(), *self.next_state.values()], strict=True)
-        self._memory = [(before, after) for before, after in pairs if before is not None and before is not after]
-        overwritten = [id(before) for before, _ in self._memory]
-        if any(id(after) in overwritten for _, after in self._memory):
-            raise Untranslatable("an effect that hands on the memory of another")
+        renewed = [(self.inputs[name], kept[name]) for name in carried]
+        renewed += [(before, self.next_state[name]) for name, before in self.state.items()]
+        self._renewed = [(before, after) for before, after in renewed if before is not after]
 
     def __len__(self) -> int:
         """Number of operations in a step."""
@@ -138,148 +138,97 @@ class CompiledStep:
 
     def __call__(self) -> None:
         """One step: from `inputs` and `state` to `outputs` and the next `state`."""
-        for call in self._calls:
-            call()
-        for old, new in self._memory:
-            old[...] = new
+        with np.errstate(all="ignore"):  # simulations that diverge are somebody else's to find
+            for call in self._calls:
+                call()
+        for before, after in self._renewed:
+            before[...] = after
 
 
-class _Recorder(TorchDispatchMode):
-    """Notes every operation that runs, with its tensors; far cheaper than a symbolic trace."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.calls: list[_Call] = []
-
-    def __torch_dispatch__(self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: Any = None) -> Any:
-        with self:
-            composed = func.decompose(*args, **(kwargs or {}))
-        if composed is not NotImplemented:  # made of other operations, which were noted; so it is in inference mode
-            return composed
-        result = func(*args, **(kwargs or {}))
-        self.calls.append(_Call(func, args, kwargs or {}, result))
-        return result
-
-
-@dataclass(frozen=True, eq=False)
-class _Call:
-    function: Any
-    arguments: tuple[Any, ...]
-    options: Mapping[str, Any]
-    result: Any
-
-
-@dataclass(frozen=True, eq=False)
-class _Recording:
-    """What ran in a step, and which tensors it left."""
-
-    calls: Sequence[_Call]
-    signals: Mapping[str, Tensor]
-    state: Mapping[str, Tensor]
-    factors: Mapping[str, Tensor]
-
-
-def _record(
-    step: Callable[[Signals], None], given: Mapping[str, Tensor], memory: Mapping[str, Tensor], phase: int = 0
-) -> _Recording:
-    """Run a step and note its operations."""
-    seen: dict[str, Any] = {"phase": phase, **given}
-    signals = Signals(**seen, state=dict(memory), factors={})
-    try:
-        with torch.no_grad(), _Recorder() as recorder:
-            step(signals)
-    except Exception as error:  # what an effect does in Python can fail in any way on copies of its tensors
-        raise Untranslatable(str(error)) from error
-    _check(recorder.calls, [*given.values(), *memory.values()])
-    after = {name: getattr(signals, name) for name in given}
-    return _Recording(recorder.calls, after, signals.state, signals.factors)
-
-
-def _check(calls: Sequence[_Call], given: Sequence[Tensor]) -> None:
-    """Refuse what is not the same operations for other numbers."""
-    moving = {id(tensor) for tensor in given}
-    for call in calls:
-        if call.function._schema.is_mutable:
-            raise Untranslatable(f"{call.function} changes a tensor in place")
-        if any(id(read) in moving for read in _tensors((call.arguments, dict(call.options)))):
-            if not all(isinstance(made, Tensor) for made in _parts(call.result)):
-                raise Untranslatable(f"{call.function} lets numbers decide")
-            moving.update(id(made) for made in _tensors(call.result))
-
-
-def _needed(calls: Sequence[_Call], wanted: Sequence[Tensor]) -> set[int]:
-    """Tensors that have to be known for those wanted, by id; none is gone while the calls are there."""
-    needed = {id(tensor) for tensor in wanted}
-    for call in reversed(calls):
-        if any(id(made) in needed for made in _tensors(call.result)):
-            needed.update(id(read) for read in _tensors((call.arguments, dict(call.options))))
-    return needed
+def _inputs(signals: Signals, live: Mapping[str, Array]) -> dict[str, Tensor]:
+    """Copies of all signals that are tensors, with the numbers that live arrays have now."""
+    values = {item.name: getattr(signals, item.name) for item in fields(signals)}
+    given = {name: value.detach().clone() for name, value in values.items() if isinstance(value, Tensor)}
+    return given | {name: torch.from_numpy(np.array(array)) for name, array in live.items()}
 
 
 class _Program:
-    """A recording as a list of numpy calls into fixed arrays; what depends on parameters alone is computed once.
+    """A recording as a list of numpy calls into fixed arrays; what depends on parameters alone was computed by torch.
 
     Args:
-        calls: of the recording.
-        given: tensors that change from step to step.
-        arrays: that stand for these.
+        recording: of a step.
+        places: arrays for what changes from step to step, by the id of the tensor.
         wanted: tensors to be computed; what none of them needs is left out.
+        own: for each of these, the tensor whose array takes it over after the step, if one does.
+
+    Attributes:
+        calls: of one step.
+        results: arrays of what is wanted. None shares memory with what changes before it is read.
     """
 
-    def __init__(self, calls: Sequence[_Call], given: Sequence[Tensor], arrays: Sequence[Array], wanted: list[Tensor]):
+    def __init__(
+        self,
+        recording: Recording,
+        places: Mapping[int, Array],
+        wanted: Sequence[Tensor],
+        own: Sequence[Tensor | None],
+    ):
         self.calls: list[Callable[[], Any]] = []
-        self.arguments: dict[int, Array] = {}
         self._known: dict[tuple[Any, ...], Any] = {}
-        self._fixed: dict[int, Array] = {}
-        needed = _needed(calls, wanted)
-        self._values: dict[int, Any] = {}
-        for at, (tensor, array) in enumerate(zip(given, arrays, strict=True)):
-            self._values[id(tensor)] = array
-            if id(tensor) in needed:
-                self.arguments[at] = array
-        for call in calls:
-            if not any(id(tensor) in needed for tensor in _tensors(call.result)):
-                continue
-            made = self._call(call)
-            results = call.result if isinstance(call.result, list | tuple) else [call.result]
-            for tensor, array in zip(results, made if isinstance(made, list) else [made], strict=True):
-                self._values[id(tensor)] = array
-        self.results = [self._look_up(tensor) for tensor in wanted]
+        self._values: dict[int, Any] = dict(places)
+        needed = recording.needed(wanted)
+        for call in recording.calls:
+            if any(id(made) in needed and id(made) in recording.moving for made in call.results):
+                made = self._call(call)
+                for tensor, array in zip(call.results, made if isinstance(made, list) else [made], strict=True):
+                    self._values[id(tensor)] = array
+        changing = [array for key, array in places.items() if key in needed]
+        self.results = []
+        for tensor, taker in zip(wanted, own, strict=True):
+            result = np.asarray(self._look_up(tensor))
+            stays = taker is not None and result is places[id(taker)]
+            if not stays and any(np.may_share_memory(result, array) for array in changing):
+                result = self._copied(result)
+            _compare(result, tensor.numpy())
+            self.results.append(result)
 
-    def _call(self, call: _Call) -> Any:
-        arguments = tuple(self._look_up(each) for each in call.arguments)
+    def _copied(self, value: Array) -> Array:
+        copy = value.copy(order="K")
+        self.calls.append(partial(np.copyto, copy, value))
+        return copy
+
+    def _call(self, call: Call) -> Any:
+        arguments = [self._look_up(each) for each in call.arguments]
         name, _, overload = str(call.function).removeprefix("aten.").partition(".")
-        if call.options.get("rounding_mode") is not None:
-            raise Untranslatable(f"aten.{name} with {dict(call.options)}")
-        if call.options.get("alpha", 1) != 1:
-            arguments = (arguments[0], self._add(np.multiply, (arguments[1], call.options["alpha"])))
+        unknown = {option: value for option, value in call.options.items() if option not in IGNORED}
+        alpha = unknown.pop("alpha", 1)
+        if unknown:
+            raise Untranslatable(f"aten.{name} with {unknown}")
+        if alpha != 1:
+            scaled = 0 if name == "rsub" else 1
+            arguments[scaled] = self._add(np.multiply, (arguments[scaled], alpha))
         if name == "_to_copy":
             return self._cast(arguments[0], call.result.numpy().dtype)
+        if name.startswith("bitwise") and call.result.dtype != torch.bool:
+            raise Untranslatable(f"aten.{name} of whole numbers")
+        if name in CONSTANT:
+            return call.result.numpy()
         key = (name, overload, *(_identity(each) for each in arguments))
         if key not in self._known:
-            self._known[key] = self._emit(name, arguments)
+            self._known[key] = self._emit(name, tuple(arguments))
         return self._known[key]
-
-    def _cast(self, value: Array, kind: Any) -> Array:
-        out = value.astype(kind)
-        if self._is_fixed(value):
-            return self._fix(out)
-        self.calls.append(partial(np.copyto, out, value))
-        return out
 
     def _look_up(self, argument: Any) -> Any:
         if isinstance(argument, Tensor):
-            if id(argument) not in self._values:  # a parameter
-                self._values[id(argument)] = self._fix(argument.detach().numpy())
+            if id(argument) not in self._values:  # parameters, and what was made of them
+                fixed = argument.detach().numpy()
+                self._values[id(argument)] = fixed.item() if fixed.ndim == 0 else fixed
             return self._values[id(argument)]
         return [self._look_up(each) for each in argument] if isinstance(argument, list | tuple) else argument
 
     def _emit(self, name: str, arguments: tuple[Any, ...]) -> Any:
         if name in _VIEWS:
-            view = _VIEWS[name](*arguments)
-            return self._fix(view) if self._is_fixed(arguments[0]) else view
-        if name in ("zeros_like", "ones_like", "full_like", "scalar_tensor"):
-            return self._fix(_constant(name, arguments))
+            return _VIEWS[name](*arguments)
         if name in _UNARY:
             return self._add(_UNARY[name], arguments[:1])
         if name in _BINARY:
@@ -313,60 +262,39 @@ class _Program:
 
     def _stack(self, parts: list[Array], axis: int = 0) -> Array:
         out = np.stack(parts, axis)
-        if self._is_fixed(parts):
-            return self._fix(out)
         self.calls += [partial(np.copyto, _select(out, axis, at), part) for at, part in enumerate(parts)]
         return out
 
     def _sum(self, value: Array, axes: Sequence[int] | None = None, keep: bool = False) -> Any:
-        return self._add(partial(np.sum, keepdims=keep), (value, None if axes is None else tuple(axes)))
+        return self._add(partial(np.sum, keepdims=keep), (value, tuple(axes) if axes else None))
 
-    def _where(self, condition: Array, then: Any, otherwise: Any) -> Any:
-        if all(self._is_fixed(each) for each in (condition, then, otherwise)):
-            return self._fix(np.where(condition, then, otherwise))
-        shape = np.broadcast_shapes(np.shape(condition), np.shape(then), np.shape(otherwise))
-        kind = np.result_type(then, otherwise)
-        # in the memory order of the others
-        like = next(each for each in (then, otherwise, condition, np.empty(shape)) if np.shape(each) == shape)
-        out = np.zeros_like(like, dtype=kind)
-        self.calls += [partial(np.copyto, out, otherwise), partial(np.copyto, out, then, where=condition)]
+    def _cast(self, value: Array, kind: Any) -> Array:
+        out = value.astype(kind)
+        self.calls.append(partial(np.copyto, out, value, casting="unsafe"))
         return out
 
-    def _add(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-        if not any(isinstance(each, np.ndarray | list) for each in arguments):
-            return function(*arguments)
-        out = function(*arguments)
-        if not isinstance(out, np.ndarray):
-            return out  # of numbers without an axis, which only constants are
-        if all(self._is_fixed(each) for each in arguments):
-            return self._fix(out)
+    def _where(self, condition: Any, then: Any, otherwise: Any) -> Any:
+        shape = np.broadcast_shapes(np.shape(condition), np.shape(then), np.shape(otherwise))
+        # in the memory order of the others
+        like = next(each for each in (then, otherwise, condition, np.empty(shape)) if np.shape(each) == shape)
+        out = np.empty_like(like, dtype=np.result_type(then, otherwise))
+        for call in (partial(np.copyto, out, otherwise), partial(np.copyto, out, then, where=condition)):
+            call()
+            self.calls.append(call)
+        return out
+
+    def _add(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Array:
+        out = np.asarray(function(*arguments))  # a number without an axis too is computed anew
         self.calls.append(partial(function, *arguments, out=out))
         return out
 
-    def _fix(self, value: Any) -> Any:
-        """Note that arrays hold the same numbers in every step."""
-        for each in value if isinstance(value, list) else [value]:
-            if isinstance(each, np.ndarray):
-                self._fixed[id(each)] = each
-        return value
 
-    def _is_fixed(self, argument: Any) -> bool:
-        if isinstance(argument, list):
-            return all(self._is_fixed(each) for each in argument)
-        return not isinstance(argument, np.ndarray) or id(argument) in self._fixed
-
-
-def _parts(value: Any) -> Iterator[Any]:
-    """What a nest of lists holds."""
-    for each in value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else [value]:
-        if isinstance(each, list | tuple | dict):
-            yield from _parts(each)
-        else:
-            yield each
-
-
-def _tensors(value: Any) -> Iterator[Tensor]:
-    return (each for each in _parts(value) if isinstance(each, Tensor))
+def _compare(found: Array, expected: Array) -> None:
+    """Refuse an array that is not, to rounding at its own size, what torch made of the same numbers."""
+    size = 1.0 + float(np.abs(expected, where=np.isfinite(expected), out=np.zeros(expected.shape)).max(initial=0.0))
+    rounding = np.sqrt(np.finfo(expected.dtype).eps) if expected.dtype.kind == "f" else 0.0
+    if found.dtype != expected.dtype or not np.allclose(found, expected, rtol=0, atol=rounding * size, equal_nan=True):
+        raise Untranslatable("numpy finds other numbers than torch")
 
 
 def _identity(argument: Any) -> Any:
@@ -376,11 +304,20 @@ def _identity(argument: Any) -> Any:
 
 
 def _select(value: Array, axis: int, index: int) -> Array:
-    return value[(slice(None),) * (axis % value.ndim) + (index,)]
+    return value[(*(slice(None),) * (axis % value.ndim), index, ...)]
 
 
 def _slice(value: Array, axis: int = 0, start: int | None = None, end: int | None = None, step: int = 1) -> Array:
-    return value[(slice(None),) * (axis % value.ndim) + (slice(start, end, step),)]
+    return value[(*(slice(None),) * (axis % value.ndim), slice(start, end, step))]
+
+
+def _unbind(value: Array, axis: int = 0) -> list[Array]:
+    return [_select(value, axis, index) for index in range(value.shape[axis])]
+
+
+def _expand(value: Array, shape: Sequence[int], **_: Any) -> Array:
+    known = (1,) * (len(shape) - value.ndim) + value.shape
+    return np.broadcast_to(value, [have if want == -1 else want for want, have in zip(shape, known, strict=True)])
 
 
 def _pick(value: Array, index: Array, axis: int, out: Array | None = None) -> Array:
@@ -393,29 +330,22 @@ def _pick(value: Array, index: Array, axis: int, out: Array | None = None) -> Ar
     return out
 
 
-def _unbind(value: Array, axis: int = 0) -> list[Array]:
-    return [_select(value, axis, index) for index in range(value.shape[axis])]
-
-
 _VIEWS: dict[str, Callable[..., Any]] = {
     "alias": lambda value: value,
-    "clone": lambda value, **_: value,
+    "clone": lambda value: value,
     "detach": lambda value: value,
     "lift_fresh_copy": lambda value: value,
     "select": _select,
     "slice": _slice,
     "unbind": _unbind,
-    "expand": lambda value, shape, **_: np.broadcast_to(
-        value, [have if want == -1 else want for want, have in zip(shape, value.shape, strict=True)]
-    ),
+    "expand": _expand,
     "unsqueeze": np.expand_dims,
     "transpose": np.swapaxes,
 }
-"""Operations that look at the same numbers in another way; the view is made once and stays true."""
+"""Operations that look at the same numbers in another way; the view is made once and stays true within a step."""
 
+CONSTANT = ("zeros_like", "ones_like", "full_like")
+"""Operations that read of a tensor its shape alone."""
 
-def _constant(name: str, arguments: tuple[Any, ...]) -> Any:
-    if name == "scalar_tensor":
-        return arguments[0]
-    value = {"zeros_like": 0.0, "ones_like": 1.0}.get(name)
-    return np.full_like(arguments[0], arguments[1] if value is None else value)
+IGNORED = ("dtype", "layout", "device", "pin_memory", "memory_format", "non_blocking", "implicit")
+"""Options by which the result's numbers do not change; its kind is that of what torch made."""

@@ -40,7 +40,7 @@ class Base:
 
 def roll_pitch_yaw(quaternion: Tensor) -> Tensor:
     """Euler angles [rad] of ``R = Rz(yaw) Ry(pitch) Rx(roll)`` from unit quaternions ``[..., 4]``, w first."""
-    w, x, y, z = np.moveaxis(quaternion.numpy(), -1, 0)  # of a few numbers, which numpy does sooner
+    w, x, y, z = np.moveaxis(quaternion.detach().numpy(), -1, 0)  # of a few numbers, which numpy does sooner
     roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     pitch = np.arcsin(np.clip(2 * (w * y - x * z), -1.0, 1.0))
     yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))

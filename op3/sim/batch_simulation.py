@@ -41,7 +41,7 @@ class BatchSimulation:
             of each full name.
         num_threads: threads that step the physics; 0 for all processors.
         translated: whether the law runs in numpy where it can, which agrees with torch to rounding and takes a third of
-            the time.
+            the time for one robot, less than half for 64. `signals` are then views that the next step overwrites.
         fields: MuJoCo model fields that differ between simulations, ``[sim, ...]``, before the model's edits.
 
     Raises:
@@ -236,7 +236,9 @@ class BatchSimulation:
         Raises:
             ValueError: if a command is unknown.
         """
-        set_commands(self.signals, commands)
+        # physics has no gradients; a policy's actions may
+        detached = {name: torch.as_tensor(value, dtype=torch.float64).detach() for name, value in commands.items()}
+        set_commands(self.signals, detached)
 
     def advance(self) -> None:
         """One control period: a tick of the law, then its simulation steps."""
@@ -271,8 +273,7 @@ class BatchSimulation:
             np.negative(transmitted, out=load)
             if self._reads_force:
                 np.hypot(sensors[:, across], sensors[:, across + 1], out=self._force)
-            with np.errstate(all="ignore"):  # what diverges is noted below
-                law()
+            law()
             control[...] = torque
             np.multiply(damping, self.timestep, out=armature)
             armature += self._rotor_inertia
@@ -343,9 +344,8 @@ class BatchSimulation:
         # MuJoCo resets a diverging state and zeroes NaN controls without an exception; only its warning
         # counters, and non-finite values on our side, tell.
         signals = self.signals
-        with np.errstate(all="ignore"):
-            handed_over = (signals.applied_torque + signals.damping + signals.friction_bound).numpy()
-            finite = np.isfinite(handed_over).all(1)
+        handed_over = signals.applied_torque + signals.damping + signals.friction_bound
+        finite = np.isfinite(handed_over.detach().numpy()).all(1)
         if self.batch.warning.any() or not finite.all():
             self.failed |= torch.from_numpy(self.batch.warning.any((1, 2)) | ~finite)
 

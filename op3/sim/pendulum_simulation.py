@@ -16,10 +16,13 @@ from op3.robot.units import GRAVITY
 from op3.servo import RobotModel, ServoLaw, Signals
 from op3.servo.effects import LinkInertia, Motor
 from op3.sim.inputs import default_commands, expand_parameters, set_commands, set_start
-from op3.sim.translated import TRANSLATED_AFTER, Translated
+from op3.sim.translated import Translated
 
 PD_PERIOD = 0.008
 """Time between ticks of a PD that commands current [s]; paper, 125 Hz."""
+
+TRANSLATED_AFTER = 50
+"""Steps in torch after a reset before numpy takes over; a shorter run does not pay for the translation."""
 
 REPORTED = ("position", "velocity", "voltage", "current", "duty")
 """Signals to be read from a simulation."""
@@ -140,9 +143,15 @@ class PendulumSimulation:
             self.law.tick(self.signals)
         self._move(self.signals)
         self._steps += 1
-        if self._steps == TRANSLATED_AFTER and self._translate:
-            differentiated = any(value.requires_grad for value in self.parameters.values())
-            self._translated = None if differentiated else Translated.of(self._tick_and_move, self.signals, REPORTED)
+        if self._translate and self._steps % TRANSLATED_AFTER == 0 and not self._differentiated:
+            self._translated = Translated.of(self._tick_and_move, self.signals, REPORTED)
+            self._translate = self._translated is not None
+
+    @property
+    def _differentiated(self) -> bool:
+        """Whether anything is to be differentiated, which numpy could not."""
+        known = (*self.parameters.values(), *vars(self.signals).values(), self._mass, self._length)
+        return any(isinstance(value, Tensor) and value.requires_grad for value in known)
 
     def _tick_and_move(self, signals: Signals) -> None:
         self.law.tick(signals)

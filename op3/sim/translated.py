@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from op3.servo import Signals
-from op3.servo.compiled_step import CompiledStep, Untranslatable
+from op3.servo.compiled_step import CompiledStep
+from op3.servo.recording import Untranslatable
 
 HANDED_OVER = ("applied_torque", "damping", "friction_bound")
 """What the physics gets from the law."""
@@ -17,15 +20,12 @@ HANDED_OVER = ("applied_torque", "damping", "friction_bound")
 RESULTS = (*HANDED_OVER, "target_current", "duty", "voltage", "current", "motor_torque")
 """Signals that a step of the law leaves and others read."""
 
-TRANSLATED_AFTER = 50
-"""Steps in torch after a reset before numpy takes over; a shorter run does not pay for the translation."""
-
 
 class Translated:
     """A translated step over the signals of a simulation.
 
-    The signals are views of the step's arrays. Whoever puts another tensor in their place between two steps (a command,
-    a sensor with a memory) is heard.
+    The signals are views of the step's arrays, which the next step overwrites. Whoever puts another tensor in their
+    place between two steps (a command, a sensor with a memory) is heard.
 
     Args:
         step: the translation.
@@ -34,15 +34,12 @@ class Translated:
 
     def __init__(self, step: CompiledStep, live: Sequence[str] = ()):
         self.step = step
-        self._inputs = {name: torch.from_numpy(array) for name, array in step.inputs.items() if name not in live}
-        others = {name: array for name, array in step.outputs.items() if name not in self._inputs}
-        self._outputs = {name: torch.from_numpy(array) for name, array in others.items()}
-        self._state = {name: torch.from_numpy(array) for name, array in step.state.items()}
+        self._inputs = _views({name: array for name, array in step.inputs.items() if name not in live})
+        self._outputs = _views({name: array for name, array in step.outputs.items() if name not in self._inputs})
+        self._state = _views(step.state)
         # memory that a step writes before it reads it
-        self._written = {
-            name: torch.from_numpy(array) for name, array in step.next_state.items() if name not in self._state
-        }
-        self._factors = {name: torch.from_numpy(array) for name, array in step.factors.items()}
+        self._written = _views({name: array for name, array in step.next_state.items() if name not in step.state})
+        self._factors = _views(step.factors)
 
     @classmethod
     def of(
@@ -66,15 +63,20 @@ class Translated:
             return None
 
     def hear(self, signals: Signals) -> None:
-        """Take over what was put into the signals since the last step."""
+        """Take over what was put into the signals since the last step.
+
+        Raises:
+            ValueError: if that is to be differentiated.
+        """
         for name, view in self._inputs.items():
             value = getattr(signals, name)
             if value is not view:
-                view.copy_(value)
+                _take(self.step.inputs[name], name, value)
                 setattr(signals, name, view)
         for name, view in self._state.items():
-            if signals.state[name] is not view:
-                view.copy_(signals.state[name])
+            value = signals.state[name]
+            if value is not view:
+                _take(self.step.state[name], name, value)
                 signals.state[name] = view
 
     def tell(self, signals: Signals) -> None:
@@ -89,3 +91,15 @@ class Translated:
         self.hear(signals)
         self.step()
         self.tell(signals)
+
+
+def _take(array: NDArray[Any], name: str, value: Tensor) -> None:
+    if value.requires_grad:
+        raise ValueError(f"{name} requires gradients, which numpy does not know: simulate with translated=False")
+    np.copyto(array, value.numpy())
+
+
+def _views(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Tensor]:
+    """Tensors over the same memory, which may be used in and out of inference mode."""
+    with torch.inference_mode(False):
+        return {name: torch.from_numpy(array) for name, array in arrays.items()}

@@ -7,6 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from op3.robot import JOINTS, pose
+from op3.servo import catalogue
+from op3.servo.effect import secant_values
 from op3.sim import (
     BatchSimulation,
     MeasuredMotion,
@@ -15,6 +17,7 @@ from op3.sim import (
     load_model,
     trajectory_dynamics,
 )
+from op3.sim.translated import Translated
 from op3.sim.window_simulation import solve, solve_linear
 from op3.tasks.setups import Setup
 
@@ -89,6 +92,32 @@ def test_candidates_are_what_they_are_alone(recorded):
     key = ("joint", "position")
     assert torch.allclose(together[key][1], alone[key][0], rtol=0, atol=1e-6)
     assert torch.allclose(together[key], pieces[key], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["latency", "backlash", "compliance", "lugre", "velocity_filter", "current_lag", "current_offset", "load_friction"],
+)
+def test_windows_in_numpy_are_those_in_torch(recorded, name, monkeypatch):
+    """With laws, memory and springs that are balanced at the start, numpy and torch agree to rounding."""
+    model, motion = recorded
+    translate, made = Translated.of, []
+    monkeypatch.setattr(Translated, "of", lambda *arguments: made.append(translate(*arguments)) or made[-1])
+    kind = catalogue()[name]
+    model = model if name in model.effect_names else model.with_effect(kind())
+    values = secant_values(kind.secants[0], {known: model.value(known) for known in model.parameters()})
+    model = model.with_values({known: value for known, value in values.items() if known in model.parameters()})
+    friction = {"coulomb_friction": torch.tensor([0.05, 0.2], dtype=torch.float64)}
+    in_numpy, in_torch = (
+        WindowSimulation(
+            model, [motion], [Window(0, 20), Window(0, 60)], 12, LEG, dtype=torch.float64, translated=translated
+        ).run(friction, 2)
+        for translated in (True, False)
+    )
+    assert len(made) == 1
+    assert made[0] is not None
+    for key, channel in in_torch.items():
+        np.testing.assert_allclose(in_numpy[key], channel, rtol=0, atol=1e-9, err_msg=str(key))
 
 
 def test_window_must_fit(recorded):

@@ -29,14 +29,13 @@ from op3.robot import (
 from op3.robot.scenes import Scene
 from op3.robot.units import GRAVITY
 from op3.servo import Effect, RobotModel, Signals, Stage, Trunk
-from op3.servo.compiled_step import CompiledStep, Untranslatable
+from op3.servo.compiled_step import CompiledStep
+from op3.servo.recording import Untranslatable
 from op3.sim import BatchSimulation, attach_servos
+from op3.sim.translated import HANDED_OVER
 from op3.stand_in.sensors import roll_pitch_yaw
 
 Array = NDArray[np.float64]
-
-HANDED_OVER = ("applied_torque", "damping", "friction_bound")
-"""What the law hands to MuJoCo."""
 
 FLOWS = ("current", "duty", "voltage")
 """What the law says of the motors, of which the servos report."""
