@@ -148,8 +148,11 @@ def save(rollout: Rollout, name: str) -> Path:
     rollout = Rollout(rollout.data, rollout.metadata.replace(**known))
     remember(place(ASKED), asked())
     folder = rollout.save(place(name))
-    ended = rollout.metadata.extra.get("ended_by")
+    extra = rollout.metadata.extra
+    ended = extra.get("ended_by")
     outcome = f"ended: {ended}" if ended else "the robot fell" if rollout.metadata.fallen else "the robot stands"
+    if "afterwards" in extra:
+        outcome += f" at its end; on the way to the end pose: {extra['afterwards']}"
     print(f"{folder}: {rollout.rows} rows, {rollout.duration:.2f} s, {outcome}")
     return folder
 

@@ -18,7 +18,7 @@ import yaml
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from stages import Stages
-from support import library_motion, one_sentence, plain, positive, whole
+from support import check_same, library_motion, one_sentence, plain, positive, remember, whole
 
 from op3.identify.episodes import ended_by, that_count
 from op3.policy import PolicyBundle
@@ -28,6 +28,7 @@ from op3.report.video import film, states_of_log
 from op3.robot import build_scene
 from op3.rollout import Rollout, read_logs
 from op3.sim import load_model, model_hash
+from op3.stand_in import World
 from op3.tasks.evaluation import evaluation_return, succeeded
 from op3.tasks.task import find_task
 
@@ -41,6 +42,12 @@ GAIT = Path("assets/gaits/walk.yaml")
 """Numbers of the walk that the search for the first robot's walk begins with."""
 UNHEARD = ("train.", "task.", "sac.", "environment", "evaluation.", "robot.")
 """Overrides of what the budget, the task and the robot bring in, which the stages do not see."""
+MOST = 10.0
+"""Largest criterion: beyond, somebody meant per cent."""
+ASKED = "asked.yaml"
+"""File in the run's folder that tells its settings from others."""
+TOLD = {"balance": "Balancing on a board that tilts", "walk": "Walking"}
+"""Tasks as the page names them."""
 EXPECTED_SEED = 1_000_003
 """Added to the seed of the episodes in simulation: none of them has been trained or evaluated on."""
 FILM_RATE = 125 / 12
@@ -152,7 +159,11 @@ def check(cfg: DictConfig) -> dict[str, Any]:
     if name not in cfg.budgets:
         raise ValueError(f"budget must be one of {', '.join(cfg.budgets)}, got {name}")
     whole(cfg, "rounds", 0)
-    positive(cfg, "criterion", "the promised return")
+    if positive(cfg, "criterion", "the promised return") > MOST:
+        raise ValueError(f"criterion is a share of the promised return, 0.8 for 80 %, got {cfg.criterion}")
+    if chosen("robot") == "emulated":
+        World.find(cfg.world, cfg.world_seed)
+    load_model(cfg.conditions[cfg.condition].get("model", cfg.model))
     if not isinstance(cfg.diagnose, bool | None):
         raise ValueError(f"diagnose must be true, false or null for what the condition says, got {cfg.diagnose!r}")
     for motion in plain(cfg.diagnosis):
@@ -212,6 +223,10 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
     groups = [f"groups=[{','.join(condition.groups)}]"] if "groups" in condition else []
     # what cannot be played is refused before anything is collected
     promising = None if cfg.policy is None else trained_on(cfg)
+    what = {name: plain(cfg[name]) for name in ("condition", "criterion", "policy", "diagnose", "warm_start", "seed")}
+    what |= {group: chosen(group) for group in ("task", "robot", "budget")}
+    check_same(folder / ASKED, what)
+    remember(folder / ASKED, what)
     stages = Stages(folder)
     squat = stages.run("squat", "collect.py", *on_robot(cfg), "motion=squat")
     heldout = stages.run("squat_heldout", "collect.py", *on_robot(cfg), "motion=squat_heldout")
@@ -292,6 +307,12 @@ def reidentified(
     return str(found / "model.yaml")
 
 
+def what_is_done(cfg: DictConfig) -> str:
+    """Task and robot, for who reads the page alone."""
+    robot = f"The robot is emulated: its truth, `{cfg.world}`, is hidden from all that learns."
+    return f"{TOLD[chosen('task')]}. {robot if chosen('robot') == 'emulated' else 'The robot is real.'}"
+
+
 def report(
     cfg: DictConfig, budget: str, folder: Path, stages: Stages, transfers: list[Transfer], learned: Learned
 ) -> dict[str, Any]:
@@ -329,6 +350,7 @@ def report(
         condition=cfg.condition,
         budget=budget,
         provenance=provenance,
+        what=what_is_done(cfg),
         learned=learned.numbers,
         named=learned.named,
         remarks=learned.remarks,

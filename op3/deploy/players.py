@@ -167,4 +167,6 @@ def _episode(outcome: Outcome, recording: str | None, travelled: float | None) -
     known = {"recording": recording, "episode_duration": log.duration, "travelled_distance": travelled}
     if outcome.code != ExitCode.OK and outcome.ended_in == "run":
         known |= {"fallen": True, "extra": {**log.metadata.extra, "ended_by": outcome.reason}}
+    elif outcome.code != ExitCode.OK:
+        known |= {"extra": {**log.metadata.extra, "afterwards": outcome.reason}}
     return Rollout(log.data, log.metadata.replace(**known))

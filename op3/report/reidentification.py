@@ -183,7 +183,7 @@ def _lead(found: Reidentified) -> str:
             f"Nothing to learn from these episodes: the start's returns are {number(start.distance, 3)} from the"
             " robot's, as close as chance would leave them, so the model stays as it is."
         )
-    if chosen is start or chosen.distance >= start.distance:
+    if not found.accepted:
         return (
             f"No candidate came closer to the robot's returns than the start, {number(start.distance, 3)} away,"
             f" without an excitation loss above {TOLERATED:g} times its own."
@@ -191,6 +191,12 @@ def _lead(found: Reidentified) -> str:
     change = f"from {number(start.distance, 3)} to {number(chosen.distance, 3)}"
     fresh = f"from {number(found.fresh_start.distance, 3)} to {number(found.fresh_chosen.distance, 3)}"
     cost = f"The excitation loss is {chosen.excitation / start.excitation:.2f} times that before."
+    if chosen.distance >= start.distance:
+        return (
+            f"The chosen model was closer to the robot's returns over the episodes that decided between the finalists,"
+            f" and not over those searched with: the distance goes {change} over these, and {fresh} over fresh ones,"
+            f" where chance alone leaves {number(found.noise, 3)}. {cost}"
+        )
     if found.fresh_chosen.distance >= found.fresh_start.distance:
         return (
             f"No gain that lasts: the distance between simulated and actual returns goes {change} over the episodes"

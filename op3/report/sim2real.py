@@ -15,6 +15,9 @@ from op3.report.tables import Cell, number
 WALKERS = 0.8
 """Share of episodes that must walk for their whole time; paper, 8 of 10."""
 
+LEARNING = ("reidentified", "diagnosed", "retrained")
+"""What conditions that go on after a failed transfer have in their names."""
+
 PAPERS_EPISODES = 10
 """Episodes by which the paper judges a transfer."""
 
@@ -78,6 +81,7 @@ def story(
     condition: str,
     budget: str,
     provenance: Mapping[str, Any],
+    what: str = "",
     learned: Mapping[int, Mapping[str, Any]] | None = None,
     named: Mapping[int, str] | None = None,
     remarks: Sequence[str] = (),
@@ -92,13 +96,14 @@ def story(
         condition: what was allowed.
         budget: of training and search.
         provenance: where the numbers come from, see `op3.report.run_provenance`.
+        what: task and robot, in a sentence or two.
         learned: numbers of the re-identification by round, as its ``result.yaml`` has them.
         named: first sentence of the diagnosis by round.
         remarks: what else the reader should know, a sentence each.
         processor_seconds: time of all processors spent on every stage [s].
     """
     first, last = transfers[0], transfers[-1]
-    page = Page("From simulation to the robot", _lead(transfers, condition))
+    page = Page("From simulation to the robot", f"{_lead(transfers, condition)} {what}".strip())
     page.tile("first transfer", 100 * first.share, "%", "of the promised return")
     if len(transfers) > 1:
         page.tile("last transfer", 100 * last.share, "%", "of the promised return")
@@ -177,7 +182,10 @@ def _films(page: Page, transfers: Sequence[Transfer]) -> None:
         shares = f"{100 * one.share:.0f} % of the return promised"
         for film, text in (
             (one.film, f"Round {i}, in simulation: mean return {np.mean(one.expected):.0f}."),
-            (one.robot_film, f"Round {i}, on the robot, its worst episode: {shares} on average."),
+            (
+                one.robot_film,
+                f"Round {i}, on the robot: the worst episode, return {np.min(one.actual):.0f}; {shares} on average.",
+            ),
         ):
             if film is not None and film.exists():
                 films.append((film.read_bytes(), text))
@@ -217,7 +225,8 @@ def _lead(transfers: Sequence[Transfer], condition: str) -> str:
     first, last = transfers[0], transfers[-1]
     if len(transfers) == 1:
         outcome = "succeeds" if last.success else "fails"
-        return f"The first transfer {outcome}: {last.achieved}. Condition: {condition.replace('_', ' ')}."
+        spared = ", which was not needed" if last.success and any(word in condition for word in LEARNING) else ""
+        return f"The first transfer {outcome}: {last.achieved}. Condition: {condition.replace('_', ' ')}{spared}."
     outcome = "succeeds" if last.success else "still fails"
     return (
         f"After learning from the failed transfer the policy {outcome}: {last.achieved}; at first, {first.achieved}."

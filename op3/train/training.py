@@ -327,7 +327,7 @@ class _Meter:
 
     def line(self, measures: Mapping[str, float]) -> str:
         """Steps, speed, the latest episodes and the time left."""
-        left = (self.settings.steps - self.run.steps) / max(measures["speed/steps"], 1e-9)
+        left = max(0, self.settings.steps - self.run.steps) / max(measures["speed/steps"], 1e-9)
         parts = [f"{self.run.steps:>9,} steps", f"{measures['speed/steps']:.0f}/s"]
         parts.append(f"{self.sac.updates:,} updates, {measures['speed/updates']:.0f}/s")
         if "episode/return" in measures:

@@ -70,6 +70,9 @@ def test_unknown_names_are_refused(tmp_path):
         ((*DEMO, "policy=assets/policies/balance", "trained_on=paper_without_dte"), "is not that; give trained_on="),
         ((*DEMO, "rounds=x"), "rounds must be a whole number of at least 0, got 'x'"),
         ((*DEMO, "criterion=much"), "criterion must be a number of the promised return above 0"),
+        ((*DEMO, "criterion=80"), "criterion is a share of the promised return, 0.8 for 80 %, got 80"),
+        ((*DEMO, "world=robot_99"), "robot_99"),
+        ((*DEMO, "model=nowhere.yaml"), "nowhere.yaml"),
         ((*DEMO, "diagnose=perhaps"), "diagnose must be true, false or null"),
         ((*DEMO, "train.steps=10"), "train.steps=10 reaches no stage"),
     ],
@@ -77,6 +80,16 @@ def test_unknown_names_are_refused(tmp_path):
 def test_what_is_impossible_is_refused_before_anything_is_done(arguments, sentence, tmp_path):
     """One sentence names the field."""
     refused(tmp_path, arguments, sentence)
+
+
+@pytest.mark.slow
+def test_a_folder_of_another_condition_is_refused(tmp_path):
+    """Its stages would be taken for those of this one, and its page overwritten."""
+    (tmp_path / "asked.yaml").write_text("{condition: excitation_only, criterion: 0.8}")
+    done = sim2real(tmp_path, *DEMO, "condition=reidentified")
+    assert done.returncode != 0
+    assert "was begun with {'condition': 'excitation_only'" in done.stderr
+    assert not (tmp_path / "squat").exists()
 
 
 def test_make_demo_is_a_command_that_the_script_takes():
@@ -110,7 +123,7 @@ def test_what_stages_are_asked_is_what_they_take(experiment, overrides):
 @pytest.mark.parametrize("condition", CONDITIONS)
 def test_every_condition_ends_with_a_page(condition, tmp_path):
     """From collecting to the second transfer; the criterion is set so that the first one counts as failed."""
-    done = sim2real(tmp_path, f"condition={condition}", "criterion=100.0", "world=robot_2")
+    done = sim2real(tmp_path, f"condition={condition}", "criterion=10.0", "world=robot_2")
     assert done.returncode == 0, done.stderr[-2000:]
     result = read_result(tmp_path / "result.yaml")
     learns = any(word in condition for word in ("reidentified", "diagnosed", "retrained"))
@@ -134,7 +147,7 @@ def test_every_condition_ends_with_a_page(condition, tmp_path):
         assert again.model == str(tmp_path / last / "model.yaml")
     page = (tmp_path / "index.html").read_text(encoding="utf-8")
     assert ("Diagnosis of further motions" in page) == ("diagnosed" in condition)
-    again = sim2real(tmp_path, f"condition={condition}", "criterion=100.0", "world=robot_2")
+    again = sim2real(tmp_path, f"condition={condition}", "criterion=10.0", "world=robot_2")
     assert again.stdout.count("done before") >= 4
 
 

@@ -18,9 +18,9 @@ def candidate(value, excitation, distance, returns=(200.0, 210.0)):
     return Candidate({NAME: value}, excitation, distance, returns)
 
 
-def report(folder, value=0.006, fresh=20.0):
-    """A run in which the distance fell from 50 to 10, over fresh episodes from 40 to `fresh`."""
-    start, chosen = candidate(0.0045, 1.0, 50.0, (250.0, 255.0)), candidate(value, 1.1, 10.0)
+def report(folder, value=0.006, fresh=20.0, distance=10.0):
+    """A run in which the distance fell from 50 to `distance`, over fresh episodes from 40 to `fresh`."""
+    start, chosen = candidate(0.0045, 1.0, 50.0, (250.0, 255.0)), candidate(value, 1.1, distance)
     model = load_model("paper")
     found = Reidentified(
         model.with_values({NAME: value}), start, chosen, [start, chosen], [199.0, 201.0],
@@ -77,6 +77,14 @@ def test_a_gain_that_fresh_episodes_do_not_confirm_is_not_called_one(tmp_path):
     assert "No gain that lasts" in text
     assert "from 40 to 45 over fresh ones" in text
     assert "Re-identification lowers" not in text
+
+
+def test_what_was_accepted_is_not_told_as_refused(tmp_path):
+    """Closer over the episodes that decided, not over those searched with, from 50 to 60: the model has changed."""
+    report(tmp_path, distance=60.0)
+    text = (tmp_path / "index.html").read_text()
+    assert "No candidate came closer" not in text
+    assert "the distance goes from 50 to 60 over these, and from 40 to 20 over fresh ones" in text
 
 
 def test_seeds_are_summed_up_by_mean_and_deviation(tmp_path):
