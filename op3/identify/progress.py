@@ -1,14 +1,12 @@
-"""Progress of a study: a bar on a terminal, now and then a line in a log."""
+"""Progress of a study: a bar on a terminal, now and then a line in a file."""
 
-import logging
 import sys
 import time
 
 from tqdm import tqdm
 
-log = logging.getLogger(__name__)
-
-LOG_SECONDS = 15.0
+LINE_SECONDS = 15.0
+"""Least time between two lines where standard error is no terminal [s]."""
 
 
 class TrialProgress:
@@ -18,7 +16,7 @@ class TrialProgress:
         self._total, self._first, self._finished = total, finished, finished
         self._enabled = enabled
         self._start = time.monotonic()
-        self._logged = self._start
+        self._told = self._start
         self._bar: tqdm | None = None
         if enabled and sys.stderr.isatty():
             self._bar = tqdm(total=total, initial=finished, unit="trial", dynamic_ncols=True)
@@ -32,9 +30,9 @@ class TrialProgress:
             if best is not None:
                 self._bar.set_postfix_str(f"best {best:.6g}", refresh=False)
             self._bar.update(new)
-        elif self._enabled and (finished >= self._total or time.monotonic() - self._logged > LOG_SECONDS):
-            self._logged = time.monotonic()
-            log.info(self._line(best))
+        elif self._enabled and (finished >= self._total or time.monotonic() - self._told > LINE_SECONDS):
+            self._told = time.monotonic()
+            print(self._line(best), file=sys.stderr, flush=True)
 
     def _line(self, best: float | None) -> str:
         rate = (self._finished - self._first) / max(time.monotonic() - self._start, 1e-9)
