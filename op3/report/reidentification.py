@@ -155,9 +155,9 @@ def _page(found: Reidentified, study: optuna.Study, values: Mapping[str, Any], p
     )
     page.figure(_front_figure(found, study), "Both objectives of every trial that played episodes, and the front.")
     page.section("Parameters")
-    models = {
-        found.start_name: RobotModel(found.model.effects).with_values(dict(start.values)),
+    models = {  # in this order they have the colours of the other figures
         FOUND: RobotModel(found.model.effects).with_values(dict(chosen.values)),
+        found.start_name: RobotModel(found.model.effects).with_values(dict(start.values)),
     }
     page.figure(ranges_figure(models, list(chosen.values)), "Parameters within the ranges of Table I.")
     before = found.start_name
@@ -232,7 +232,7 @@ def _front_figure(found: Reidentified, study: optuna.Study) -> go.Figure:
     figure = go.Figure()
     if played:
         x, y = np.array(played).T
-        figure.add_scatter(x=x, y=y, mode="markers", name="trials", marker=dict(color=faded(PALETTE[0], 0.3), size=5))
+        figure.add_scatter(x=x, y=y, mode="markers", name="trials", marker=dict(color=faded(MUTED, 0.35), size=5))
     front = [one for one in found.front if one.returns]
     figure.add_scatter(
         x=[one.excitation for one in front],
@@ -241,7 +241,7 @@ def _front_figure(found: Reidentified, study: optuna.Study) -> go.Figure:
         name="Pareto front",
         line=dict(color=PALETTE[2], shape="hv"),
     )
-    for label, one, colour in ((found.start_name, found.start, PALETTE[1]), (FOUND, found.chosen, INK)):
+    for label, one, colour in ((found.start_name, found.start, PALETTE[1]), (FOUND, found.chosen, PALETTE[0])):
         figure.add_scatter(
             x=[one.excitation],
             y=[one.distance],
