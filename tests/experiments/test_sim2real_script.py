@@ -156,8 +156,12 @@ def test_a_walk_is_searched_on_every_model_and_shown_to_its_policy(tmp_path):
     """Each round's policy learns from a walk found on the model of that round, and the search goes on from the last."""
     done = sim2real(tmp_path, "task=walk", "condition=reidentified", "world=robot_2")
     assert done.returncode == 0, done.stderr[-2000:]
-    assert read_result(tmp_path / "result.yaml")["success"] is False
-    for number, model in ((0, "identify"), (1, "1_reidentify")):
+    result = read_result(tmp_path / "result.yaml")
+    assert result["success"] is False
+    # so little training may also end in a battery that gives way, which no simulation of the policy does
+    learned = "stage_seconds.1_reidentify" in result
+    assert learned or "ended by voltage" in result["remarks"][0]
+    for number, model in ((0, "identify"), (1, "1_reidentify" if learned else "identify")):
         found = tmp_path / f"{number}_gait" / "walk.yaml"
         training = PolicyBundle.load(tmp_path / f"{number}_train" / "policy").manifest.training
         assert training.settings["demonstrator"] == str(found)
