@@ -24,7 +24,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from support import by_name, check_same, library_motion, one_sentence, plain, positive, remember
+from support import ASKED, by_name, check_same, library_motion, one_sentence, plain, positive, remember
 
 from op3.deploy import Stop
 from op3.deploy.bus import Unplugged
@@ -32,9 +32,6 @@ from op3.deploy.exit_codes import ExitCode
 from op3.policy import PolicyBundle
 from op3.robot import Motion, check_motion
 from op3.rollout import MOUNTS, Rollout, git_hash
-
-ASKED = "asked.yaml"
-"""File in the run's folder with the settings that it was begun with."""
 
 
 def build(node: DictConfig) -> Any:

@@ -19,7 +19,7 @@ from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from stages import Stages
-from support import check_same, one_sentence, plain, remember, whole
+from support import ASKED, check_same, one_sentence, plain, remember, whole
 
 from op3.identify.episodes import ended_by, that_count
 from op3.identify.identification import PREFIX
@@ -35,9 +35,6 @@ from op3.rollout import read_logs
 from op3.sim import load_model, save_model
 
 register_interpolations()
-
-ASKED = "asked.yaml"
-"""File in the run's folder that tells the objectives of its study from others."""
 
 
 def build(cfg: DictConfig) -> Reidentification:

@@ -18,7 +18,7 @@ import yaml
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from stages import Stages
-from support import check_same, library_motion, one_sentence, plain, positive, remember, whole
+from support import ASKED, check_same, library_motion, one_sentence, plain, positive, remember, whole
 
 from op3.identify.episodes import ended_by, that_count
 from op3.policy import PolicyBundle
@@ -44,8 +44,6 @@ UNHEARD = ("train.", "task.", "sac.", "environment", "evaluation.", "robot.")
 """Overrides of what the budget, the task and the robot bring in, which the stages do not see."""
 MOST = 10.0
 """Largest criterion: beyond, somebody meant per cent."""
-ASKED = "asked.yaml"
-"""File in the run's folder that tells its settings from others."""
 TOLD = {"balance": "Balancing on a board that tilts", "walk": "Walking"}
 """Tasks as the page names them."""
 EXPECTED_SEED = 1_000_003
@@ -207,11 +205,13 @@ class Learned:
         numbers: of the re-identification, by round.
         named: sentence of the diagnosis, by round.
         remarks: what else is to be said.
+        spared: whether the condition would learn, and the first transfer left nothing to learn from.
     """
 
     numbers: dict[int, dict] = field(default_factory=dict)
     named: dict[int, str] = field(default_factory=dict)
     remarks: list[str] = field(default_factory=list)
+    spared: bool = False
 
 
 def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
@@ -220,9 +220,11 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
     condition = cfg.conditions[cfg.condition]
     diagnoses = bool(condition.get("diagnose")) if cfg.diagnose is None else cfg.diagnose
     base = condition.get("model", cfg.model)
+    learns = bool(condition.get("reidentify") or condition.get("retrain") or diagnoses)
     groups = [f"groups=[{','.join(condition.groups)}]"] if "groups" in condition else []
     # what cannot be played is refused before anything is collected
     promising = None if cfg.policy is None else trained_on(cfg)
+    # more rounds may be added later
     what = {name: plain(cfg[name]) for name in ("condition", "criterion", "policy", "diagnose", "warm_start", "seed")}
     what |= {group: chosen(group) for group in ("task", "robot", "budget")}
     check_same(folder / ASKED, what)
@@ -247,8 +249,7 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
     for number in range(1, cfg.rounds + 1):
         # a policy that was given has never seen the robot: to learn, it is identified first
         unseen = number == 1 and promising is not None and not randomised
-        learns = condition.get("reidentify") or condition.get("retrain") or diagnoses or unseen
-        if transfers[-1].success or not learns:
+        if transfers[-1].success or not (learns or unseen):
             break
         if unseen:
             model = identified()
@@ -261,6 +262,7 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
         began = f"the policy of round {number - 1}" if cfg.warm_start else "nothing"
         policy = train(stages, cfg, budget, number, model, policy if cfg.warm_start else None)
         transfers.append(transfer(stages, cfg, budget, number, policy, model, began))
+    learned.spared = learns and len(transfers) == 1 and transfers[0].success
     return report(cfg, chosen("budget"), folder, stages, transfers, learned)
 
 
@@ -351,6 +353,7 @@ def report(
         budget=budget,
         provenance=provenance,
         what=what_is_done(cfg),
+        spared=learned.spared,
         learned=learned.numbers,
         named=learned.named,
         remarks=learned.remarks,

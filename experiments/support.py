@@ -48,6 +48,10 @@ def one_sentence(
         raise SystemExit(130) from None
 
 
+ASKED = "asked.yaml"
+"""File in a run's folder that tells its settings from others; see `check_same`."""
+
+
 def check_same(path: Path, asked: Mapping[str, Any]) -> None:
     """Refuse to go on in a folder with other settings than it was begun with: results would be mixed in silence.
 

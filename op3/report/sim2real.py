@@ -15,9 +15,6 @@ from op3.report.tables import Cell, number
 WALKERS = 0.8
 """Share of episodes that must walk for their whole time; paper, 8 of 10."""
 
-LEARNING = ("reidentified", "diagnosed", "retrained")
-"""What conditions that go on after a failed transfer have in their names."""
-
 PAPERS_EPISODES = 10
 """Episodes by which the paper judges a transfer."""
 
@@ -82,6 +79,7 @@ def story(
     budget: str,
     provenance: Mapping[str, Any],
     what: str = "",
+    spared: bool = False,
     learned: Mapping[int, Mapping[str, Any]] | None = None,
     named: Mapping[int, str] | None = None,
     remarks: Sequence[str] = (),
@@ -97,13 +95,14 @@ def story(
         budget: of training and search.
         provenance: where the numbers come from, see `op3.report.run_provenance`.
         what: task and robot, in a sentence or two.
+        spared: whether what the condition allows was not needed.
         learned: numbers of the re-identification by round, as its ``result.yaml`` has them.
         named: first sentence of the diagnosis by round.
         remarks: what else the reader should know, a sentence each.
         processor_seconds: time of all processors spent on every stage [s].
     """
     first, last = transfers[0], transfers[-1]
-    page = Page("From simulation to the robot", f"{_lead(transfers, condition)} {what}".strip())
+    page = Page("From simulation to the robot", f"{_lead(transfers, condition, spared)} {what}".strip())
     page.tile("first transfer", 100 * first.share, "%", "of the promised return")
     if len(transfers) > 1:
         page.tile("last transfer", 100 * last.share, "%", "of the promised return")
@@ -221,12 +220,12 @@ def _lesson(page: Page, learned: Mapping[str, Any]) -> None:
     page.figure(figure, "Parameters normalised by Table I.")
 
 
-def _lead(transfers: Sequence[Transfer], condition: str) -> str:
+def _lead(transfers: Sequence[Transfer], condition: str, spared: bool) -> str:
     first, last = transfers[0], transfers[-1]
     if len(transfers) == 1:
         outcome = "succeeds" if last.success else "fails"
-        spared = ", which was not needed" if last.success and any(word in condition for word in LEARNING) else ""
-        return f"The first transfer {outcome}: {last.achieved}. Condition: {condition.replace('_', ' ')}{spared}."
+        needed = ", which was not needed" if spared else ""
+        return f"The first transfer {outcome}: {last.achieved}. Condition: {condition.replace('_', ' ')}{needed}."
     outcome = "succeeds" if last.success else "still fails"
     return (
         f"After learning from the failed transfer the policy {outcome}: {last.achieved}; at first, {first.achieved}."

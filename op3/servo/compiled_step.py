@@ -116,7 +116,7 @@ class CompiledStep:
         own += [None for _ in recording.factors]
         try:
             with np.errstate(all="ignore"):
-                program = _Program(recording, places, wanted, own)
+                program = _Program(recording, needed, places, wanted, own)
         except Untranslatable:
             raise
         except Exception as error:  # an operation with arguments of a kind that is not known here
@@ -157,8 +157,9 @@ class _Program:
 
     Args:
         recording: of a step.
+        needed: ids of the tensors that have to be known; the rest is left out.
         places: arrays for what changes from step to step, by the id of the tensor.
-        wanted: tensors to be computed; what none of them needs is left out.
+        wanted: tensors to be computed.
         own: for each of these, the tensor whose array takes it over after the step, if one does.
 
     Attributes:
@@ -169,6 +170,7 @@ class _Program:
     def __init__(
         self,
         recording: Recording,
+        needed: set[int],
         places: Mapping[int, Array],
         wanted: Sequence[Tensor],
         own: Sequence[Tensor | None],
@@ -176,7 +178,6 @@ class _Program:
         self.calls: list[Callable[[], Any]] = []
         self._known: dict[tuple[Any, ...], Any] = {}
         self._values: dict[int, Any] = dict(places)
-        needed = recording.needed(wanted)
         for call in recording.calls:
             if any(id(made) in needed and id(made) in recording.moving for made in call.results):
                 made = self._call(call)

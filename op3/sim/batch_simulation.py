@@ -12,11 +12,12 @@ from mujoco.batch import Batch
 from torch import Tensor
 
 from op3.servo import RobotModel, ServoLaw, Signals, Trunk
+from op3.servo.compiled_step import CompiledStep
 from op3.sim.base import Base, roll_pitch_yaw
 from op3.sim.edits import edited_fields
 from op3.sim.inputs import COMMANDS, default_commands, expand_parameters, set_commands, set_start
 from op3.sim.ports import ServoPorts
-from op3.sim.translated import HANDED_OVER, RESULTS, Translated
+from op3.sim.translated import RESULTS, Translated
 
 
 class BatchSimulation:
@@ -265,24 +266,26 @@ class BatchSimulation:
         signals = self.signals
         signals.phase = self._phase_zero
         translated.hear(signals)
-        law, transmitted, load = translated.step, self._transmitted, self._load
-        torque, damping, bound = (law.outputs[name] for name in HANDED_OVER)
-        control, armature, friction = self._handed
-        sensors, across = self._sensors.numpy(), self.ports.force
         for _ in range(self.substeps):
-            np.negative(transmitted, out=load)
-            if self._reads_force:
-                np.hypot(sensors[:, across], sensors[:, across + 1], out=self._force)
-            law()
-            control[...] = torque
-            np.multiply(damping, self.timestep, out=armature)
-            armature += self._rotor_inertia
-            friction[...] = bound
-            self.batch.step()
+            self._step_in_numpy(translated.step)
         translated.tell(signals)
 
-    def _translation(self) -> Translated | None:
-        """The law's step in numpy, reading the simulator's own arrays; None where that cannot be."""
+    def _step_in_numpy(self, law: CompiledStep) -> None:
+        """A step of the law and of the physics, over the arrays of `_live_arrays`."""
+        np.negative(self._transmitted, out=self._load)
+        if self._reads_force:
+            sensors, across = self._sensors.numpy(), self.ports.force
+            np.hypot(sensors[:, across], sensors[:, across + 1], out=self._radial_force)
+        law()
+        control, armature, friction = self._handed
+        control[...] = law.outputs["applied_torque"]
+        np.multiply(law.outputs["damping"], self.timestep, out=armature)
+        armature += self._rotor_inertia
+        friction[...] = law.outputs["friction_bound"]
+        self.batch.step()
+
+    def _live_arrays(self) -> dict[str, np.ndarray] | None:
+        """Inputs of the law that `_step_in_numpy` fills, or that are the simulator's own; None where they cannot be."""
         ports = self.ports
         if not all(isinstance(each, slice) for each in (ports.qpos, ports.dof, ports.ctrl, ports.transmitted)):
             return None
@@ -294,13 +297,20 @@ class BatchSimulation:
             "load_torque": self._load,
         }
         if self._reads_force:
-            self._force = live["radial_force"] = np.zeros_like(self._load)
+            self._radial_force = live["radial_force"] = np.zeros_like(self._load)
         self._rotor_inertia = self._rotor.numpy()
         self._handed = (
             self._ctrl.numpy()[:, ports.ctrl],
             self._armature.numpy()[:, ports.dof],
             self._friction.numpy()[:, ports.dof],
         )
+        return live
+
+    def _translation(self) -> Translated | None:
+        """The law's step in numpy, reading the simulator's own arrays; None where that cannot be."""
+        live = self._live_arrays()
+        if live is None:
+            return None
         self._phase_zero = torch.zeros(1, dtype=torch.int64)
 
         def step(signals: Signals) -> None:

@@ -41,7 +41,13 @@ def test_the_story_begins_with_the_outcome(tmp_path):
     assert f"the policy succeeds: {share.format(96)}; at first, {share.format(40)}." in text
     assert "judged by 1 episodes, where the paper judges ten" in text
     assert "Learned in round" not in text
-    again = {"condition": "reidentified", "budget": "demo", "provenance": {}, "what": "Balancing. The robot is real."}
+    again = {
+        "condition": "reidentified",
+        "budget": "demo",
+        "provenance": {},
+        "what": "Balancing. The robot is real.",
+        "spared": True,
+    }
     first = story(tmp_path, transfers[1:], {}, **again).write(tmp_path / "first.html").read_text()
     assert "Condition: reidentified, which was not needed. Balancing. The robot is real." in first
     failed = story(tmp_path, transfers[:1], {}, condition="excitation_only", budget="demo", provenance={})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import mujoco
@@ -39,9 +39,6 @@ Array = NDArray[np.float64]
 
 FLOWS = ("current", "duty", "voltage")
 """What the law says of the motors, of which the servos report."""
-
-FILLED = ("position", "velocity", "load_torque", "radial_force")
-"""Signals that the simulation fills before every step of the law."""
 
 SLOW_EVERY = 10
 """Battery and temperatures move on, and divergence is looked for, once in this many periods."""
@@ -198,18 +195,18 @@ class SimPhysics(BatchSimulation):
         Raises:
             RuntimeError: if the physics has diverged; within `SLOW_EVERY` periods.
         """
-        step = super().advance if self._compiled is None else self._step
-        with np.errstate(all="ignore"):  # of two branches, numpy computes the one that is not taken too
-            for _ in range(steps):
-                if self._board_drive is not None:
-                    self._move_board()
-                step()
-                self._steps += 1
-                if self._attitude is not None and self._steps % IMU_EVERY == 0:
-                    self._latch_imu()
-                if self._steps % SLOW_EVERY == 0:
-                    self._check()
-                    self._step_slow()
+        law = self._compiled
+        step = super().advance if law is None else partial(self._step_in_numpy, law)
+        for _ in range(steps):
+            if self._board_drive is not None:
+                self._move_board()
+            step()
+            self._steps += 1
+            if self._attitude is not None and self._steps % IMU_EVERY == 0:
+                self._latch_imu()
+            if self._steps % SLOW_EVERY == 0:
+                self._check()
+                self._step_slow()
         if self._senses:
             self._read()
             self.law.sense(self.signals)
@@ -267,43 +264,16 @@ class SimPhysics(BatchSimulation):
 
     def _compile(self) -> CompiledStep | None:
         """The law in numpy, reading the batch's own arrays; None where that cannot be."""
-        ports = self.ports
         if any(e.stage == Stage.SENSING and e.name in self.signals.state for e in self.model.effects):
             return None  # its memory would be asked for outside the law's own steps
-        if not all(isinstance(each, slice) for each in (ports.qpos, ports.dof, ports.ctrl, ports.transmitted)):
+        live = self._live_arrays()
+        if live is None:
             return None
-        self._position, self._velocity = self._qpos.numpy()[:, ports.qpos], self._qvel.numpy()[:, ports.dof]
-        live = {"position": self._position, "velocity": self._velocity}
+        self._position, self._velocity = live["position"], live["velocity"]
         try:
-            compiled = CompiledStep(self._law_alone, self.signals, (*HANDED_OVER, *FLOWS), live, FILLED)
+            return CompiledStep(self._law_alone, self.signals, (*HANDED_OVER, *FLOWS), live, tuple(live))
         except Untranslatable:
             return None
-        self._transmitted = self._sensors.numpy()[:, ports.transmitted]
-        self._rotor_inertia = self._rotor.numpy()
-        self._handed = (
-            self._ctrl.numpy()[:, ports.ctrl],
-            self._armature.numpy()[:, ports.dof],
-            self._friction.numpy()[:, ports.dof],
-        )
-        return compiled
-
-    def _step(self) -> None:
-        """What `BatchSimulation.advance` does in a control period of one step, in numpy."""
-        law = self._compiled
-        assert law is not None
-        if "load_torque" in law.inputs:
-            np.negative(self._transmitted, out=law.inputs["load_torque"])
-        if self._reads_force and "radial_force" in law.inputs:
-            force = self.ports.force
-            sensors = self._sensors.numpy()
-            np.hypot(sensors[:, force], sensors[:, force + 1], out=law.inputs["radial_force"])
-        law()
-        control, armature, friction = self._handed
-        control[...] = law.outputs["applied_torque"]
-        np.multiply(law.outputs["damping"], self.timestep, out=armature)
-        armature += self._rotor_inertia
-        friction[...] = law.outputs["friction_bound"]
-        self.batch.step()
 
     def _flow(self, name: str) -> Array:
         """Current, duty or voltage of the last step [joint]."""
