@@ -2,7 +2,11 @@
 
 import signal
 
+import torch
 from hypothesis import settings
+
+# As in all experiments. Threads that wait for each other by spinning starve what runs beside: tests, or other work.
+torch.set_num_threads(1)
 
 # How long an example takes depends on what else the machine does.
 settings.register_profile("op3", deadline=None)

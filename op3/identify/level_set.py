@@ -2,35 +2,35 @@
 
 import numpy as np
 
-from op3.identify.sensitivity import Array, Sensitivity
+from op3.identify.sensitivity import Array
 
 STEPS_PER_PARAMETER = 10
 """Moves of the walk between two draws, per parameter: its draws hardly depend on one another."""
 
 
-def draw_level_set(sensitivity: Sensitivity, rise: float, count: int, rng: np.random.Generator) -> Array:
-    """Draw points around an optimum at which a least-squares loss is expected to have risen by a given share at most.
+def draw_level_set(
+    unit: Array, hessian: Array, gradient: Array, allowed: float, count: int, rng: np.random.Generator
+) -> Array:
+    """Draw points around an optimum at which a least-squares loss is expected to have risen by so much at most.
 
     Within the box the loss is taken as ``|r + J d|^2`` about the point, r the residual and J its jacobian; the set in
-    which it is at most ``(1 + rise) |r|^2`` is an ellipsoid, long where parameters compensate each other. Its overlap
-    with the box is drawn from uniformly by hit-and-run (Smith 1984): from a point inside, go along a random direction
-    to a uniform place between the two ends of the set.
+    which it has risen by no more than what is allowed is an ellipsoid, long where parameters compensate each other. Its
+    overlap with the box is drawn from uniformly by hit-and-run (Smith 1984): from a point inside, go along a random
+    direction to a uniform place between the two ends of the set.
 
     Args:
-        sensitivity: at the optimum.
-        rise: of the loss, as a share of that at the optimum; positive.
+        unit: the point in the unit box, ``[parameter]``.
+        hessian: ``J^T J``, ``[parameter, parameter]``.
+        gradient: ``J^T r``, ``[parameter]``.
+        allowed: rise of the loss; positive.
         count: number of points.
         rng: for everything random.
 
     Returns:
         Points of the unit box, ``[point, parameter]``.
     """
-    if rise <= 0:
-        raise ValueError(f"the rise of the loss must be positive, got {rise}")
-    jacobian, unit = sensitivity.jacobian, sensitivity.unit
-    hessian = jacobian.T @ jacobian
-    gradient = jacobian.T @ sensitivity.residual
-    allowed = rise * float(sensitivity.residual @ sensitivity.residual)
+    if not allowed > 0:
+        raise ValueError(f"the rise of the loss must be positive, got {allowed}")
     # directions as long as the set, else the walk creeps along a long ellipsoid
     curvature, axes = np.linalg.eigh(hessian)
     lengths = np.minimum(1.0, np.sqrt(allowed / np.maximum(curvature, 1e-12)))

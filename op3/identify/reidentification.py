@@ -21,6 +21,7 @@ from op3.envs.returns import ReturnsBench
 from op3.identify.episodes import check_episode
 from op3.identify.identification import PREFIX
 from op3.identify.level_set import draw_level_set
+from op3.identify.level_set_sampler import IMAGE, MISFIT, quantile_misfit, residual_image
 from op3.identify.loss import TrajectoryLoss
 from op3.identify.polish import polish
 from op3.identify.problem import Problem
@@ -65,12 +66,14 @@ class Candidate:
         excitation: loss of the excitation, paper eq. (7).
         distance: Wasserstein-1 distance of the returns.
         returns: of the policy in simulation.
+        told: what a sampler may learn from, see `op3.identify.level_set_sampler`.
     """
 
     values: Mapping[str, float]
     excitation: float
     distance: float
     returns: Sequence[float] = field(default_factory=tuple)
+    told: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,10 +141,11 @@ class Simulations:
         self.bench = ReturnsBench(policy, model, task, repeats, seed, num_threads=num_threads)
 
     def losses(self, values: Mapping[str, Tensor], candidates: int) -> tuple[Tensor, float]:
-        """Loss of the excitation ``[candidate]``, and the simulated time [s]."""
+        """Loss of the excitation and image of its residual, ``[candidate, 1 + number]``, and the simulated time [s]."""
         before = self.problem.simulated_seconds
-        losses = self.problem.loss(self.problem.predict(values, candidates))
-        return losses, self.problem.simulated_seconds - before
+        predictions = self.problem.predict(values, candidates)
+        losses, image = self.problem.loss(predictions), residual_image(self.problem.loss.residuals(predictions))
+        return torch.cat([losses[:, None], image], 1), self.problem.simulated_seconds - before
 
     def returns(self, values: Mapping[str, Tensor], candidates: int, episodes: Sequence[int]) -> tuple[Tensor, float]:
         """Returns of some episodes ``[candidate, episode]``, and the simulated time [s]."""
@@ -230,7 +234,7 @@ class Reidentification:
             if not np.isfinite(one.excitation):
                 outcomes.append(Outcome(None, error="diverged"))
                 continue
-            attributes: dict[str, object] = {"episodes": len(one.returns)}
+            attributes: dict[str, object] = {"episodes": len(one.returns), **one.told}
             if len(one.returns) == self.episodes:
                 attributes["returns"] = list(one.returns)
             elif not one.returns:
@@ -259,7 +263,12 @@ class Reidentification:
         self.simulated_seconds += problem.simulated_seconds - before
         rng = np.random.default_rng([seed, 7])
         shares = np.array_split(np.arange(count), len(rises))
-        points = [draw_level_set(sensitivity, rise, len(own), rng) for rise, own in zip(rises, shares, strict=True)]
+        residual, jacobian = sensitivity.residual, sensitivity.jacobian
+        ellipsoid = (sensitivity.unit, jacobian.T @ jacobian, jacobian.T @ residual)
+        loss = float(residual @ residual)
+        points = [
+            draw_level_set(*ellipsoid, rise * loss, len(own), rng) for rise, own in zip(rises, shares, strict=True)
+        ]
         values = sensitivity.low + np.concatenate(points) * sensitivity.span
         return [{PREFIX + name: float(v) for name, v in zip(self.names, row, strict=True)} for row in values]
 
@@ -279,7 +288,8 @@ class Reidentification:
     ) -> list[Candidate]:
         """Both objectives; beyond a plausible excitation loss the distance is larger than any that episodes have."""
         values = {name: torch.tensor([trial[name] for trial in trials], dtype=torch.float64) for name in self.names}
-        losses = self._shared("losses", values, len(trials))
+        seen = self._shared("losses", values, len(trials))
+        losses, images = seen[:, 0], seen[:, 1:].numpy()
         worth = (losses <= plausible).nonzero()[:, 0]
         returns = self._play({name: value[worth] for name, value in values.items()}, losses[worth], race)
         played = dict(zip(worth.tolist(), returns, strict=True))
@@ -288,12 +298,14 @@ class Reidentification:
         measured = []
         for i, trial in enumerate(trials):
             loss, own = float(losses[i]), played.get(i)
+            told = {IMAGE: _short(images[i])}
             if own is None:
-                measured.append(Candidate(trial, loss, worthless))
+                measured.append(Candidate(trial, loss, worthless, told=told))
             elif not np.isfinite(own).all():
                 measured.append(Candidate(trial, float("nan"), worthless))
             else:
-                measured.append(Candidate(trial, loss, self._distance(own), tuple(own.tolist())))
+                told[MISFIT] = _short(quantile_misfit(self._foreseen(own), self.actual))
+                measured.append(Candidate(trial, loss, self._distance(own), tuple(own.tolist()), told))
         return measured
 
     def _play(self, values: Mapping[str, Tensor], losses: Tensor, race: bool) -> list[Array]:
@@ -329,7 +341,10 @@ class Reidentification:
 
     def _distance(self, returns: Array) -> float:
         """Wasserstein-1 distance to the robot's returns; where only the first were played, as far as foreseen."""
-        return self._distance_over(returns if len(returns) == self.episodes else self._foresee(returns))
+        return self._distance_over(self._foreseen(returns))
+
+    def _foreseen(self, returns: Array) -> Array:
+        return returns if len(returns) == self.episodes else self._foresee(returns)
 
     def finish(self, study: optuna.Study, finalists: int = 8) -> Reidentified:
         """Choose a point of the front, and look at it with other random numbers.
@@ -429,6 +444,11 @@ def chance_distances(returns: Array, actual: int, simulated: int, draws: int = 4
     return np.array(
         [wasserstein_distance(rng.choice(known, actual), rng.choice(known, simulated)) for _ in range(draws)]
     )
+
+
+def _short(vector: Array) -> list[float]:
+    """Numbers as a study keeps them, to six digits."""
+    return [float(f"{number:.6g}") for number in vector]
 
 
 def _beats(one: Candidate, other: Candidate) -> bool:

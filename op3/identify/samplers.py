@@ -14,6 +14,8 @@ from typing import Any
 import optuna
 from optuna.samplers import BaseSampler, nsgaii
 
+from op3.identify.level_set_sampler import LevelSetSampler
+
 SamplerFactory = Callable[[int], BaseSampler]
 """Makes the sampler of one population from its seed."""
 
@@ -35,9 +37,10 @@ def make_sampler_factory(
     """Choose how new parameters are proposed.
 
     Args:
-        sampler: a name (`tpe`, `cmaes`, `nsga2`, `gp`, `random`); a mapping `{name: tpe, **options}` or
-            `{_target_: optuna.samplers.TPESampler, **options}`; or a function from a seed to a sampler. The options
-            `crossover` (uniform, blx, sbx, spx, undx, vsbx) and `mutation` (polynomial) of nsga2 may be names.
+        sampler: a name (`tpe`, `cmaes`, `nsga2`, `nsga2+surrogate`, `gp`, `random`); a mapping
+            `{name: tpe, **options}` or `{_target_: optuna.samplers.TPESampler, **options}`; or a function from a seed
+            to a sampler. The options `crossover` (uniform, blx, sbx, spx, undx, vsbx) and `mutation` (polynomial) of
+            nsga2 may be names.
         population: how many trials are asked at once. CMA-ES and NSGA-II take a generation of 7/8 of it,
             so that a few failed trials do not cost a generation.
         directions: number of objectives.
@@ -133,6 +136,10 @@ def _nsga2_defaults(population: int, nominal: Mapping[str, Any] | None) -> dict[
     return {"population_size": _generation(population) if population >= 16 else 50}
 
 
+def _level_set_defaults(population: int, nominal: Mapping[str, Any] | None) -> dict[str, Any]:
+    return {**_nsga2_defaults(population, nominal), "proposals": population // 2}
+
+
 def _gp_defaults(population: int, nominal: Mapping[str, Any] | None) -> dict[str, Any]:
     return {"warn_independent_sampling": False}
 
@@ -155,6 +162,7 @@ _BY_NAME: dict[str, tuple[Callable[..., BaseSampler], _Defaults]] = {
     "tpe": (optuna.samplers.TPESampler, _tpe_defaults),
     "cmaes": (optuna.samplers.CmaEsSampler, _cmaes_defaults),
     "nsga2": (optuna.samplers.NSGAIISampler, _nsga2_defaults),
+    "nsga2+surrogate": (LevelSetSampler, _level_set_defaults),
     "gp": (optuna.samplers.GPSampler, _gp_defaults),
     "random": (optuna.samplers.RandomSampler, _no_defaults),
 }

@@ -108,7 +108,7 @@ def explore(
         if progress is not None:
             progress(len(history) - 1, history[-1])
     order = _worth_learning(losses, count, first, failed_loss)
-    curvature = Surrogate(points[order], residual[order], scales).curvature(torch.from_numpy(points[order[0]]))
+    curvature = Surrogate(points[order], residual[order], scales).slope(torch.from_numpy(points[order[0]]))[1]
     order = np.argsort(losses, kind="stable")
     return Exploration(points[order], losses[order], residual[order[0]], history, curvature)
 
@@ -227,11 +227,15 @@ class Surrogate:
             mean, variance = self.predict(unit)
         return unit.detach(), mean + caution * variance
 
-    def curvature(self, unit: Tensor) -> Array:
-        """Product of the mean residual's Jacobian with itself at a point, ``[parameter, parameter]``."""
+    def slope(self, unit: Tensor) -> tuple[Array, Array]:
+        """The mean residual's Jacobian at a point, times the residual ``[parameter]`` and times itself.
+
+        These are gradient and hessian of half its square, as Gauss and Newton take it.
+        """
         step = 1e-3 * torch.eye(len(unit), dtype=torch.float64)
         change = (self.weights(unit + step) - self.weights(unit - step)) / 2e-3
-        return (change @ self._products @ change.T).numpy()
+        gradient = change @ self._products @ self.weights(unit[None])[0]
+        return gradient.numpy(), (change @ self._products @ change.T).numpy()
 
 
 def _simulate(residuals: Residuals, points: Array) -> Array:
@@ -265,7 +269,7 @@ def _propose(surrogate: Surrogate, batch: int, rng: np.random.Generator) -> Arra
                 mine += 1
     best = chosen[0] if chosen else known[0]
     share = max(surrogate.best_loss, 1e-12) / size
-    curvature = surrogate.curvature(torch.from_numpy(best)) + share / UNTOLD**2 * np.eye(size)
+    curvature = surrogate.slope(torch.from_numpy(best))[1] + share / UNTOLD**2 * np.eye(size)
     eigenvalues, axes = np.linalg.eigh(curvature)
     draws = rng.standard_normal((batch - len(chosen), size)) * np.sqrt(share / eigenvalues)
     return np.concatenate([np.array(chosen).reshape(-1, size), np.clip(best + draws @ axes.T, 0.0, 1.0)])

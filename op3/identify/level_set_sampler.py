@@ -1,0 +1,240 @@
+"""NSGA-II that is told where to look: along the level set of one objective, for what lowers the other.
+
+Re-identification has two objectives of different kinds. The excitation loss is the squared length of a residual that
+changes almost linearly with the parameters, so where it stays low is an ellipsoid, long and thin, at an angle to all
+axes: crossover and mutation of single parameters leave it with most children. The distance of the returns says little
+about single parameters as long as nothing is known, and its own surface is rough. Both are learned from what finished
+trials say of themselves: a short image of the residual, and by how much the returns, sorted, miss those of the robot.
+Gaussian processes through these vectors (`op3.identify.surrogate`) foresee both objectives. Part of each population is
+drawn from the level set, where the second is foreseen to be lowest; the rest are children as ever, and all may breed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import optuna
+import torch
+from numpy.typing import ArrayLike
+from optuna.distributions import BaseDistribution, FloatDistribution
+from optuna.samplers import NSGAIISampler
+from optuna.trial import FrozenTrial, TrialState
+from torch import Tensor
+
+from op3.identify.level_set import draw_level_set
+from op3.identify.surrogate import Array, Surrogate
+
+IMAGE = "residual_image"
+"""Attribute of a trial: a vector that changes linearly with the residual of the first objective."""
+
+MISFIT = "misfit"
+"""Attribute of a trial: a vector that is zero where the second objective is."""
+
+ENOUGH = 2.0
+"""Trials that tell of themselves, per parameter, before anything is foreseen."""
+
+LEARNED = 200
+"""Trials that a surrogate learns from, those of the lowest objective."""
+
+RISES = (0.2, 0.6, 1.0)
+"""Expected rises of the first objective that points are drawn from, as shares of what is tolerated."""
+
+AIMED = 0.6
+"""Share of the tolerated rise up to which points are proposed: what is foreseen is not quite what comes out."""
+
+DRAWS = 150
+"""Points drawn for each rise."""
+
+LEAPS = 1500
+"""Steps tried from the best trials."""
+
+IMAGE_LENGTH = 128
+"""Numbers of an image: enough that lengths differ from those of residuals by an eighth or so."""
+
+BEST = 20
+"""Trials that steps begin from."""
+
+STEPS = (0.02, 0.5)
+"""Lengths of steps, as shares of the difference of two points of the level set."""
+
+CAUTION = (0.5, -0.3, -1.0)
+"""How much the variance counts beside the squared mean; below zero it draws on. Each for an equal part of proposals."""
+
+APART = 0.05
+"""Proposals nearer to each other than this, in length scales, are one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What finished trials say of themselves.
+
+    Attributes:
+        points: in the unit box, ``[trial, parameter]``.
+        losses: first objective, ``[trial]``.
+        images: of the residual, ``[trial, number]``.
+        misfits: ``[trial, number]``; NaN where a trial was spared the second objective.
+    """
+
+    points: Array
+    losses: Array
+    images: Array
+    misfits: Array
+
+
+class LevelSetSampler(NSGAIISampler):
+    """NSGA-II of which the first children of every population are proposed by surrogates.
+
+    Args:
+        proposals: at most so many of each population, for which this sampler is made anew.
+        tolerated: the first objective may be so many times that of the trial marked as nominal, or of the lowest.
+        seed: of everything random.
+        options: of NSGA-II.
+    """
+
+    def __init__(self, *, proposals: int, tolerated: float = 1.25, seed: int | None = None, **options: Any):
+        if proposals < 0 or not tolerated > 1.0:
+            raise ValueError(f"proposals must not be negative, tolerated above 1, got {proposals} and {tolerated}")
+        super().__init__(seed=seed, **options)
+        self._count, self._tolerated = proposals, tolerated
+        self._random = np.random.default_rng(None if seed is None else [seed, 11])
+        self._proposed: list[dict[str, Any]] | None = None
+
+    def sample_relative(
+        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
+    ) -> dict[str, Any]:
+        """Parameters of a trial: a proposal while there are any, then a child."""
+        if self._proposed is None:
+            self._proposed = self._propose(study.get_trials(deepcopy=False), search_space)
+        if not self._proposed:
+            return super().sample_relative(study, trial, search_space)
+        self.get_trial_generation(study, trial)  # notes it, without which a trial is no parent
+        return self._proposed.pop(0)
+
+    def _propose(
+        self, trials: Sequence[FrozenTrial], search_space: dict[str, BaseDistribution]
+    ) -> list[dict[str, Any]]:
+        ranges = {name: d for name, d in search_space.items() if isinstance(d, FloatDistribution) and not d.log}
+        if not ranges or len(ranges) < len(search_space):
+            return []
+        told = _told(trials, ranges)
+        if told is None or np.isfinite(told.misfits).all(1).sum() < ENOUGH * len(ranges):
+            return []
+        nominal = [t.values[0] for t in trials if t.state == TrialState.COMPLETE and t.user_attrs.get("nominal")]
+        limit = self._tolerated * (nominal[0] if nominal else float(told.losses.min()))
+        points = propose(told, limit, self._count, self._random)
+        low = np.array([d.low for d in ranges.values()])
+        high = np.array([d.high for d in ranges.values()])
+        values = np.clip(low + points * (high - low), low, high)
+        return [dict(zip(ranges, map(float, row), strict=True)) for row in values]
+
+
+def residual_image(residual: Tensor) -> Tensor:
+    """Short vectors whose lengths, and angles between each other, are about those of the residuals.
+
+    Sums of all residuals with random signs, always the same (Johnson & Lindenstrauss 1984; Achlioptas 2003).
+
+    Args:
+        residual: ``[candidate, residual]``.
+
+    Returns:
+        ``[candidate, number]``.
+    """
+    generator = torch.Generator().manual_seed(0)
+    signs = torch.randint(0, 2, (residual.shape[1], IMAGE_LENGTH), generator=generator, dtype=torch.int8)
+    return residual @ (2 * signs - 1).to(residual.dtype) / IMAGE_LENGTH**0.5
+
+
+def quantile_misfit(simulated: ArrayLike, actual: Sequence[float]) -> Array:
+    """By how much the quantiles of a sample miss those of another, ``[actual]``.
+
+    The mean of their absolute values is the Wasserstein-1 distance where the samples are of one size.
+    """
+    places = (np.arange(len(actual)) + 0.5) / len(actual)
+    return np.quantile(np.asarray(simulated), places, method="hazen") - np.sort(actual)
+
+
+def _told(trials: Sequence[FrozenTrial], ranges: dict[str, FloatDistribution]) -> Told | None:
+    known = [
+        t
+        for t in trials
+        if t.state == TrialState.COMPLETE and IMAGE in t.user_attrs and all(name in t.params for name in ranges)
+    ]
+    if not known:
+        return None
+    span = [(d.low, max(d.high - d.low, 1e-300)) for d in ranges.values()]
+    length = max(len(t.user_attrs.get(MISFIT, ())) for t in known)
+    return Told(
+        np.array([[(t.params[n] - low) / width for n, (low, width) in zip(ranges, span, strict=True)] for t in known]),
+        np.array([t.values[0] for t in known]),
+        np.array([t.user_attrs[IMAGE] for t in known], dtype=np.float64),
+        np.array([t.user_attrs.get(MISFIT, [np.nan] * length) for t in known], dtype=np.float64).reshape(
+            len(known), -1
+        ),
+    )
+
+
+def propose(told: Told, limit: float, count: int, rng: np.random.Generator) -> Array:
+    """Points at which the first objective is expected below a limit, and the second to be low.
+
+    Args:
+        told: by finished trials.
+        limit: of the first objective.
+        count: at most so many points.
+        rng: for everything random.
+
+    Returns:
+        ``[point, parameter]``, in the unit box.
+    """
+    foreseen = _Losses(told)
+    rise = max(limit / foreseen.lowest_loss - 1.0, 1e-3)
+    drawn = [foreseen.draw(share * rise, rng) for share in RISES]
+    pool = np.concatenate(drawn)
+    whole = np.isfinite(told.misfits).all(1) & (told.losses <= 1.5 * limit)
+    order = np.flatnonzero(whole)[np.argsort(np.square(told.misfits[whole]).sum(1), kind="stable")]
+    returns = Surrogate(told.points[order[:LEARNED]], told.misfits[order[:LEARNED]])
+    # along what the level set leaves free, as far as two of its points are apart
+    within = order[told.losses[order] <= limit]
+    begin = told.points[(within if len(within) else order)[:BEST]]
+    across = pool[rng.integers(0, len(pool), LEAPS)] - pool[rng.integers(0, len(pool), LEAPS)]
+    steps = begin[rng.integers(0, len(begin), LEAPS)] + across * rng.uniform(*STEPS, LEAPS)[:, None]
+    pool = np.concatenate([pool, steps])
+    pool = pool[((pool >= 0.0) & (pool <= 1.0)).all(1)]
+    pool = pool[foreseen.at(pool) <= foreseen.lowest_loss * (1.0 + AIMED * rise)]
+    if not len(pool):
+        return pool
+    mean, variance = (part.numpy() for part in returns.predict(torch.from_numpy(pool)))
+    scales = returns.inverse_lengths.numpy()
+    chosen: list[Array] = []
+    for level, caution in enumerate(CAUTION):
+        target = count * (level + 1) // len(CAUTION)
+        for i in np.argsort(mean + caution * variance, kind="stable"):
+            if len(chosen) >= target:
+                break
+            if all(np.linalg.norm((pool[i] - other) * scales) > APART for other in chosen):
+                chosen.append(pool[i])
+    return np.array(chosen).reshape(-1, pool.shape[1])
+
+
+class _Losses:
+    """Foresees the first objective: the expected square of the image, times what images have been off by nearby."""
+
+    def __init__(self, told: Told):
+        order = np.argsort(told.losses, kind="stable")[:LEARNED]
+        points, images, squares = told.points[order], told.images[order], np.square(told.images[order]).sum(1)
+        self.lowest_loss = float(told.losses[order[0]])
+        self._lowest, self._image_loss = points[0], float(squares[0])
+        self._images = Surrogate(points, images)
+        self._off = np.log(told.losses[order]) - np.log(squares)
+        self._correction = Surrogate(points, self._off[:, None])
+
+    def at(self, points: Array) -> Array:
+        """The objective at points, ``[point]``."""
+        unit = torch.from_numpy(points)
+        mean, variance = self._images.predict(unit)
+        return (mean + variance).numpy() * np.exp(self._correction.weights(unit).numpy() @ self._off)
+
+    def draw(self, rise: float, rng: np.random.Generator) -> Array:
+        """Points at which the objective is expected to be above its lowest by this share of it at most."""
+        gradient, curvature = self._images.slope(torch.from_numpy(self._lowest))
+        return draw_level_set(self._lowest, curvature, gradient, rise * self._image_loss, DRAWS, rng)
