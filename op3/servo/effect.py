@@ -300,6 +300,9 @@ class Effect:
     def finish(self, signals: Signals, prepared: Prepared) -> None:
         """Keep what must be remembered of the joint's state, once per simulation step, after all effects acted."""
 
+    def motor_side(self, signals: Signals, prepared: Prepared) -> None:
+        """Put the motor's velocity in place of the joint's while the servo reports of itself, where they differ."""
+
     def report(self, signals: Signals, prepared: Prepared) -> None:
         """Change what the servo says of itself in a log and does not act on."""
 

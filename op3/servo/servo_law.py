@@ -31,6 +31,7 @@ class ServoLaw:
         self._ticking = [e for e in self.effects if type(e).tick is not Effect.tick]
         self._beginning = [e for e in self.effects if type(e).begin is not Effect.begin]
         self._finishing = [e for e in self.effects if type(e).finish is not Effect.finish]
+        self._on_motor_side = [e for e in self.effects if type(e).motor_side is not Effect.motor_side]
         self._reporting = [e for e in self.effects if type(e).report is not Effect.report]
         self._on_trunk = [e for e in self.effects if type(e).sense_trunk is not Effect.sense_trunk]
         acting = [e for e in self.effects if type(e).apply is not Effect.apply]
@@ -135,9 +136,12 @@ class ServoLaw:
 
     def report(self, signals: Signals) -> None:
         """Fill in what the servo says of itself in a log."""
-        signals.measured_current = signals.current
+        signals.measured_current, velocity = signals.current, signals.velocity
+        for effect in self._on_motor_side:
+            effect.motor_side(signals, self._prepared[effect.name])
         for effect in self._reporting:
             effect.report(signals, self._prepared[effect.name])
+        signals.velocity = velocity
 
     def sense_trunk(self, trunk: Trunk) -> Trunk:
         """What the trunk's IMU says of the true orientation and rates, which are left as they are."""

@@ -31,11 +31,13 @@ MOTOR = {"torque_constant": 0.006, "terminal_resistance": 5.0, "armature": ARMAT
 CONSTANT = 0.006 * 353.5
 
 
-def simulation(hinge, *effects: Effect, timestep=0.001, gravity=True, period=0.008, **values) -> BatchSimulation:
+def simulation(
+    hinge, *effects: Effect, timestep=0.001, gravity=True, period=0.008, bus_voltage=100.0, **values
+) -> BatchSimulation:
     """The pendulum with a current-driven servo and these effects."""
     root, joint = hinge(timestep=timestep, gravity=gravity)
     attach_servos([joint])
-    model = RobotModel((CurrentPD(), Motor(), *effects), bus_voltage=100.0).with_values({**MOTOR, **values})
+    model = RobotModel((CurrentPD(), Motor(), *effects), bus_voltage=bus_voltage).with_values({**MOTOR, **values})
     mj_model = mujoco.MjModel.from_xml_string(root.to_xml_string())
     return BatchSimulation(mj_model, ["hinge"], model, 1, control_period=period)
 
@@ -78,6 +80,29 @@ def two_bodies(half_gap: float, stiffness: float, coulomb: float, duration: floa
     return np.array(places)
 
 
+def limited_current(half_gap: float, stiffness: float, voltage: float, target: float, duration: float) -> np.ndarray:
+    """The current at the ticks while a low voltage drives a loose gear to a target from rest, in steps of 0.02 ms."""
+    step, every = 2e-5, 400
+    damping = 0.2 * np.sqrt(stiffness * ARMATURE)
+    rotor = rate = link = speed = wanted = current = 0.0
+    currents = []
+    for k in range(round(duration / step)):
+        if k % every == 0:
+            wanted = np.clip(8.0 * (target - link) - 0.1 * speed, -2.3, 2.3)
+            currents.append(current)
+        ends = [(sign * voltage - CONSTANT * rate) / MOTOR["terminal_resistance"] for sign in (-1.0, 1.0)]
+        current = np.clip(wanted, *ends)
+        apart = rotor - link
+        side = np.sign(apart) if abs(apart) > half_gap else 0.0
+        torque = stiffness * (apart - side * half_gap) + damping * (rate - speed) if side else 0.0
+        torque = torque if torque * side > 0 else 0.0
+        rate += step * (CONSTANT * current - torque) / ARMATURE
+        speed += step * (torque - MOMENT * np.sin(link)) / LINK
+        rotor += step * rate
+        link += step * speed
+    return np.array(currents[1:])
+
+
 def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
@@ -90,6 +115,24 @@ def test_backlash_at_1_ms_is_that_of_fine_steps(hinge, half_gap):
     values = {"coulomb_friction": 0.05, "backlash_half_gap": half_gap, "contact_stiffness": 300.0}
     ours = tracked(simulation(hinge, Coulomb(), Backlash(), **values), 2.0)
     assert rms(ours - truth) < 0.45 * rms(without - truth)
+
+
+def test_a_limited_current_tells_of_the_rotor_not_of_the_link(hinge):
+    """In the gap the rotor races ahead, and its back-EMF leaves less current than the link's, which still rests."""
+    values = {"coulomb_friction": 0.0, "backlash_half_gap": 0.01, "contact_stiffness": 300.0}
+    ticks, voltage = 6, 6.0
+    truth = limited_current(0.01, 300.0, voltage, 0.5, (ticks + 1) * 0.008)
+    sim = simulation(hinge, Coulomb(), Backlash(), bus_voltage=voltage, timestep=2.5e-4, **values)
+    sim.reset([0.0], {"p_gain": 8.0, "d_gain": 0.1, "position_target": 0.0})
+    sim.command(position_target=0.5)
+    ours, by_link = [], []
+    for _ in range(ticks):
+        sim.advance()
+        seen = sim.measure()
+        ours.append(seen[("joint", "current")].item())
+        by_link.append((voltage - CONSTANT * seen[("joint", "velocity")].item()) / MOTOR["terminal_resistance"])
+    assert np.abs(by_link - truth[:ticks]).max() > 0.2
+    np.testing.assert_allclose(ours, truth[:ticks], atol=0.06)
 
 
 def test_compliance_converges_to_fine_steps(hinge):

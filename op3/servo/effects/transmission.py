@@ -97,13 +97,24 @@ class Transmission(Effect):
         )
         return torch.where(prepared["active"], push - load, torque)
 
+    @staticmethod
+    def _rotor_velocity(signals: Signals) -> Tensor:
+        """At the end of the last step; friction stops the rotor, it does not reverse it."""
+        _, constant, gain, slips = signals.state[ROTOR]
+        velocity = constant + gain * signals.velocity
+        return torch.where(slips * velocity < 0, 0.0, velocity)
+
+    def motor_side(self, signals: Signals, prepared: Prepared) -> None:
+        """The rotor's velocity: what turns against the voltage when it limits the current."""
+        if prepared["active"].any():
+            signals.velocity = torch.where(prepared["active"], self._rotor_velocity(signals), signals.velocity)
+
     def begin(self, signals: Signals, prepared: Prepared) -> None:
         """Move the rotor to the end of the last step, and let motor and friction see it instead of the link."""
         if not prepared["active"].any():
             return
-        angle, constant, gain, slips = signals.state[ROTOR]
-        velocity = constant + gain * signals.velocity
-        velocity = torch.where(slips * velocity < 0, 0.0, velocity)  # friction stops the rotor, it does not reverse it
+        angle, _, gain, slips = signals.state[ROTOR]
+        velocity = self._rotor_velocity(signals)
         angle = angle + prepared["timestep"] * velocity
         signals.state[LINK] = law.stacked(signals.position, signals.velocity)
         signals.state[ROTOR] = law.stacked(angle, velocity, gain, slips)
