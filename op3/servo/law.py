@@ -242,6 +242,24 @@ def delay_weights(latency: Tensor, timestep: float, period: float, depth: int) -
     return after - superseded
 
 
+ARRIVED = "arrived"
+"""Key of the memory: by how much the command at the end of a step exceeds its mean over the step [A], and for which
+share of the step it has acted."""
+
+
+def last_arrivals(weights: Tensor) -> Tensor:
+    """Which command is in force at the end of each simulation step.
+
+    Args:
+        weights: see `delay_weights`.
+
+    Returns:
+        1 for the newest command that acts in the step, 0 for the others, ``[phase, command, sim, joint]``.
+    """
+    newest = (weights > 0).to(torch.uint8).argmax(1, keepdim=True)
+    return torch.zeros_like(weights).scatter_(1, newest, 1.0)
+
+
 def at_phase(table: Tensor, phase: int | Tensor) -> Tensor:
     """Entry of a table over the steps of a control period.
 

@@ -12,10 +12,12 @@ from op3.servo.effects import (
     Cogging,
     Compliance,
     Coulomb,
+    CurrentLag,
     CurrentPD,
     FootCompliance,
     FootFriction,
     GroundTilt,
+    Latency,
     LinkCentreOfMass,
     LinkMass,
     LuGre,
@@ -133,6 +135,29 @@ def test_a_limited_current_tells_of_the_rotor_not_of_the_link(hinge):
         by_link.append((voltage - CONSTANT * seen[("joint", "velocity")].item()) / MOTOR["terminal_resistance"])
     assert np.abs(by_link - truth[:ticks]).max() > 0.2
     np.testing.assert_allclose(ours, truth[:ticks], atol=0.06)
+
+
+@pytest.mark.parametrize("latency", [0.0028, 0.0062, 0.0077, 0.0136])
+@pytest.mark.parametrize("lag", [None, 0.0, 0.0005, 0.003])
+def test_a_command_that_arrives_within_a_step_is_read_as_in_fine_steps(hinge, latency, lag):
+    """What a blocked servo reads at a tick shortly after an arrival is the command, as far as the current has come."""
+
+    def currents(timestep: float) -> np.ndarray:
+        more = () if lag is None else (CurrentLag(),)
+        values = {"command_latency": latency, "coulomb_friction": 50.0} | (
+            {} if lag is None else {"current_time_constant": lag}
+        )
+        sim = simulation(hinge, Latency(), *more, Coulomb(), timestep=timestep, gravity=False, **values)
+        sim.reset([0.0], {"p_gain": 3.0, "d_gain": 0.0})
+        seen = []
+        for tick in range(40):
+            sim.command(position_target=target(6 * tick * 0.008))
+            sim.advance()
+            seen.append(sim.measure()[("joint", "current")].item())
+        return np.array(seen)
+
+    truth = currents(5e-5)
+    assert rms(currents(1e-3) - truth) < 0.01 * rms(np.diff(truth))
 
 
 def test_compliance_converges_to_fine_steps(hinge):

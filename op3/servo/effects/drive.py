@@ -96,12 +96,16 @@ class Latency(Effect):
                 " raise the option `longest` of the effect `latency` for slower buses"
             )
         depth = ceil(self.longest / clock.period - 1e-9) + 1
-        return {"weights": law.delay_weights(latency, clock.timestep, clock.period, depth)}
+        weights = law.delay_weights(latency, clock.timestep, clock.period, depth)
+        last = law.last_arrivals(weights)
+        return {"weights": weights, "last": last, "since": (weights * last).sum(1)}
 
     def reset(self, signals: Signals, prepared: Prepared) -> None:
         """Before the start, the first command was already held."""
         first = getattr(signals, self.signal)
         signals.state[self.name] = law.stacked(*[first] * prepared["weights"].shape[1])
+        if self.signal == "target_current":
+            signals.state[law.ARRIVED] = law.stacked(torch.zeros_like(first), torch.ones_like(first))
 
     def tick(self, signals: Signals, prepared: Prepared) -> None:
         """Put the new command in front of the older ones."""
@@ -109,9 +113,23 @@ class Latency(Effect):
         signals.state[self.name] = law.stacked(getattr(signals, self.signal), *older)
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
-        """Let through what has arrived by now."""
-        arrived = (law.at_phase(prepared["weights"], signals.phase) * signals.state[self.name]).sum(0)
+        """Let through the mean over the step of what has arrived."""
+        held = signals.state[self.name]
+        arrived = (law.at_phase(prepared["weights"], signals.phase) * held).sum(0)
         setattr(signals, self.signal, arrived)
+        if self.signal == "target_current":
+            last = (law.at_phase(prepared["last"], signals.phase) * held).sum(0)
+            since = law.at_phase(prepared["since"], signals.phase)
+            signals.state[law.ARRIVED] = law.stacked(last - arrived, since.expand_as(arrived))
+
+    def report(self, signals: Signals, prepared: Prepared) -> None:
+        """Read the current that is commanded at the end of the step, not its mean over it; a lag does so itself."""
+        if self.signal == "target_current" and LAGGED not in signals.state:
+            signals.measured_current = signals.measured_current + signals.state[law.ARRIVED][0]
+
+
+LAGGED = "current_lag"
+"""Key of the memory of a current that follows its command late: then the current is not the command's."""
 
 
 @register

@@ -158,6 +158,10 @@ class VoltageSag(Effect):
         signals.bus_voltage = (signals.bus_voltage - prepared["resistance"] * drawn).clamp(min=self.least_voltage)
 
 
+SHORTEST = 1e-3
+"""Time constant of a lag, in steps, below which nothing is left of a deviation in double precision."""
+
+
 @register
 @dataclass(frozen=True)
 class CurrentLag(Effect):
@@ -197,21 +201,29 @@ class CurrentLag(Effect):
     def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
         """Share of the old deviation that is left after a step, and in the mean over the step."""
         time_constant = values["current_time_constant"]
-        left = left_after_step(time_constant, clock.timestep)
-        return {"left": left, "mean": time_constant / clock.timestep * (1.0 - left)}
+        steps = (time_constant / clock.timestep).clamp(min=SHORTEST)
+        # below the shortest a current that has arrived is there; its derivative stays finite
+        return {"left": torch.exp(-1.0 / steps), "steps": time_constant / clock.timestep, "rate": 1.0 / steps}
 
     def reset(self, signals: Signals, prepared: Prepared) -> None:
         """The first command was held for long; a voltage starts from zero."""
         start = signals.target_current if self.signal == "target_current" else torch.zeros_like(signals.position)
-        signals.state[self.name] = law.stacked(start, torch.zeros_like(start))
+        signals.state[self.name] = law.stacked(start, torch.zeros_like(start), start)
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
-        """Let the command through as far as it has come."""
+        """Let the command through as far as it has come, also where a new one arrives within the step."""
         asked = getattr(signals, self.signal)
-        deviation = signals.state[self.name][0] - asked
-        end = asked + prepared["left"] * deviation
-        mean = asked + prepared["mean"] * deviation
-        signals.state[self.name] = law.stacked(end, end - mean)
+        before, _, last = signals.state[self.name]
+        if self.signal == "target_current" and law.ARRIVED in signals.state:
+            ahead, since = signals.state[law.ARRIVED]
+            now = asked + ahead
+            end = now + (last - now) * torch.exp(-since * prepared["rate"]) + (before - last) * prepared["left"]
+        else:
+            now = asked
+            end = now + (before - now) * prepared["left"]
+        # the mean of dI/dt = (u - I) / Tc
+        mean = asked - prepared["steps"] * (end - before)
+        signals.state[self.name] = law.stacked(end, end - mean, now)
         setattr(signals, self.signal, mean)
 
     def report(self, signals: Signals, prepared: Prepared) -> None:
