@@ -27,19 +27,20 @@ SIMULATED = (("joint", "position"), ("joint", "velocity"), ("joint", "current"))
 """Channels that are taken from the simulation."""
 
 
-def planned_suite(model: RobotModel, suite: Sequence[Excitation]) -> list[Rollout]:
+def planned_suite(model: RobotModel, suite: Sequence[Excitation], timestep: float | None = None) -> list[Rollout]:
     """Logs of one leg on the stand under the runs of a suite, each command once.
 
     Args:
         model: of the robot.
         suite: see `op3.robot.leg_suite`.
+        timestep: of the simulation [s]; None: the scene's.
     """
     once = list({run.motion.name: run for run in suite}.values())
     commands, begin = [], BEGIN
     for number, run in enumerate(once):
         commands.append(_command(run, number, begin))
         begin += datetime.timedelta(seconds=run.motion.duration + PAUSE)
-    predictions = Replay([whole_robot(log) for log in commands]).run(with_chain(model))
+    predictions = Replay([whole_robot(log) for log in commands], robot_timestep=timestep).run(with_chain(model))
     logs = []
     for log, prediction in zip(commands, predictions, strict=True):
         columns = [prediction.log.joints.index(joint) for joint in log.joints]
