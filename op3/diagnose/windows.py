@@ -263,7 +263,7 @@ class WindowResiduals:
 
     def prepare(self, model: RobotModel) -> None:
         """Take the scale of the residuals, and what steps and nuisances of single windows add, from this model."""
-        fine = self._errors(self.simulation(model, timestep=FINE), None, 1)[0]
+        fine = self._errors(self.simulation(model, timestep=min(FINE, self.timestep)), None, 1)[0]
         for step in (self._step(coarse=False), self._step(coarse=True)):
             defect = fine - self._errors(self.simulation(model, timestep=step), None, 1)[0]
             self._defects[step] = np.where(np.abs(defect) < DIVERGED, defect, 0.0)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import optuna
 import torch
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from optuna.distributions import BaseDistribution, FloatDistribution
 from optuna.samplers import NSGAIISampler
 from optuna.trial import FrozenTrial, TrialState
@@ -34,6 +34,9 @@ MISFIT = "misfit"
 ENOUGH = 2.0
 """Trials that tell of themselves, per parameter, before anything is foreseen."""
 
+FAR = 1.5
+"""How many times the limit the first objective of trials may be that the second is learned from."""
+
 LEARNED = 200
 """Trials that a surrogate learns from, those of the lowest objective."""
 
@@ -50,7 +53,7 @@ LEAPS = 1500
 """Steps tried from the best trials."""
 
 IMAGE_LENGTH = 128
-"""Numbers of an image: enough that lengths differ from those of residuals by an eighth or so."""
+"""Numbers of an image: enough that their squares differ from those of residuals by an eighth or so."""
 
 BEST = 20
 """Trials that steps begin from."""
@@ -80,6 +83,10 @@ class Told:
     losses: Array
     images: Array
     misfits: Array
+
+    def near(self, limit: float) -> NDArray[np.bool_]:
+        """Trials that tell of the second objective and are not far beyond a limit of the first."""
+        return np.isfinite(self.misfits).all(1) & (self.losses <= FAR * limit)
 
 
 class LevelSetSampler(NSGAIISampler):
@@ -114,14 +121,18 @@ class LevelSetSampler(NSGAIISampler):
     def _propose(
         self, trials: Sequence[FrozenTrial], search_space: dict[str, BaseDistribution]
     ) -> list[dict[str, Any]]:
-        ranges = {name: d for name, d in search_space.items() if isinstance(d, FloatDistribution) and not d.log}
+        ranges = {
+            name: d for name, d in search_space.items() if isinstance(d, FloatDistribution) and not d.log and not d.step
+        }
         if not ranges or len(ranges) < len(search_space):
             return []
         told = _told(trials, ranges)
-        if told is None or np.isfinite(told.misfits).all(1).sum() < ENOUGH * len(ranges):
+        if told is None:
             return []
         nominal = [t.values[0] for t in trials if t.state == TrialState.COMPLETE and t.user_attrs.get("nominal")]
         limit = self._tolerated * (nominal[0] if nominal else float(told.losses.min()))
+        if told.near(limit).sum() < ENOUGH * len(ranges):
+            return []
         points = propose(told, limit, self._count, self._random)
         low = np.array([d.low for d in ranges.values()])
         high = np.array([d.high for d in ranges.values()])
@@ -190,7 +201,7 @@ def propose(told: Told, limit: float, count: int, rng: np.random.Generator) -> A
     rise = max(limit / foreseen.lowest_loss - 1.0, 1e-3)
     drawn = [foreseen.draw(share * rise, rng) for share in RISES]
     pool = np.concatenate(drawn)
-    whole = np.isfinite(told.misfits).all(1) & (told.losses <= 1.5 * limit)
+    whole = told.near(limit)
     order = np.flatnonzero(whole)[np.argsort(np.square(told.misfits[whole]).sum(1), kind="stable")]
     returns = Surrogate(told.points[order[:LEARNED]], told.misfits[order[:LEARNED]])
     # along what the level set leaves free, as far as two of its points are apart

@@ -6,6 +6,8 @@ run the same code. Equation numbers are those of Masuda & Takahashi, "Sim-to-Rea
 Locomotion on Torque Sensor-Less Gear-Driven Humanoid" (2023). Torques are on the joint side of the gear.
 """
 
+from collections.abc import Mapping
+
 import torch
 from torch import Tensor
 
@@ -245,6 +247,22 @@ def delay_weights(latency: Tensor, timestep: float, period: float, depth: int) -
 ARRIVED = "arrived"
 """Key of the memory: by how much the command at the end of a step exceeds its mean over the step [A], and for which
 share of the step it has acted."""
+
+
+LAGGED = "current_lag"
+"""Key of the memory of a current that follows its command late: the current at the end of a step, by how much it
+exceeds its mean over the step, and the command at the end [A]."""
+
+
+def ahead(state: Mapping[str, Tensor]) -> Tensor | float:
+    """By how much the current that is wanted at the end of a step exceeds its mean over the step [A].
+
+    Args:
+        state: memory of the effects.
+    """
+    if LAGGED in state:
+        return state[LAGGED][1]
+    return state[ARRIVED][0] if ARRIVED in state else 0.0
 
 
 def last_arrivals(weights: Tensor) -> Tensor:

@@ -36,7 +36,7 @@ def test_windows_of_a_faulty_leg_agree_with_mujoco(fault):
     effect, parameter, joint = fault
     faulty, sound = with_fault(*fault, FAULTS[fault]), with_fault(effect, parameter, None, 0.0)
     runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
-    engine = WindowResiduals(split_logs(planned_suite(faulty, runs, FINE)), fit_windows=14, select_windows=4)
+    engine = WindowResiduals(split_logs(planned_suite(faulty, runs)), fit_windows=14, select_windows=4)
     values = sound.tensors(LEG_JOINTS)[parameter].clone()
     values[0, LEG_JOINTS.index(joint)] = FAULTS[fault]
     engine.prepare(faulty)
@@ -79,11 +79,13 @@ def test_steps_of_a_millisecond_and_of_two_give_what_fine_steps_give():
     """At the prepared model exactly; beside it, of what a friction five percent larger changes, nearly."""
     runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
     model = with_chain(load_model("paper"))
-    engine = WindowResiduals(split_logs(planned_suite(model, runs, FINE)), fit_windows=8, select_windows=4)
+    engine = WindowResiduals(split_logs(planned_suite(model, runs)), fit_windows=8, select_windows=4)
     more = {"coulomb_friction": 1.05 * model.tensors(LEG_JOINTS)["coulomb_friction"]}
     fine = WindowResiduals(engine.split, timestep=FINE, fit_windows=8, select_windows=4)
     rough = engine.errors(model, more)
+    own = np.square(engine.errors(model)).mean()
     engine.prepare(model)
+    assert np.square(engine.errors(model)).mean() < own
     for coarse in (False, True):
         np.testing.assert_allclose(engine.errors(model, coarse=coarse), fine.errors(model), atol=1e-4)
     truth = fine.errors(model, more)

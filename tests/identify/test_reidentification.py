@@ -10,6 +10,7 @@ from optuna.distributions import FloatDistribution
 
 from op3.envs import BatchedEnv, record_episodes
 from op3.identify.episodes import check_episode, that_count
+from op3.identify.level_set_sampler import IMAGE, MISFIT
 from op3.identify.reidentification import PLAUSIBLE, Reidentification
 from op3.identify.study import run_study
 from op3.policy import PolicyBundle
@@ -57,6 +58,22 @@ def test_the_truth_is_closer_in_both_objectives(problem):
     )
     assert truth.values[0] < 0.05 * start.values[0]
     assert truth.values[1] < 1e-9 < start.values[1]
+
+
+def test_trials_keep_what_proposals_are_learned_from(problem):
+    """An image as long as the excitation's residual, and the misfit of the returns where episodes were played."""
+    value, friction = (problem.model.value(name) for name in NAMES)
+    near, far = problem.evaluate(
+        [
+            {"parameters.torque_constant": value, "parameters.coulomb_friction": 1.1 * friction},
+            {"parameters.torque_constant": 0.5 * value, "parameters.coulomb_friction": friction},
+        ]
+    )
+    assert np.square(near.attributes[IMAGE]).sum() == pytest.approx(near.values[0], rel=0.5)
+    assert np.abs(near.attributes[MISFIT]).mean() == pytest.approx(near.values[1], rel=1e-4)
+    assert far.values[0] > PLAUSIBLE * problem.start.excitation
+    assert IMAGE in far.attributes
+    assert MISFIT not in far.attributes
 
 
 def test_implausible_candidates_cost_no_episode(problem):

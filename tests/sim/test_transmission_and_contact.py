@@ -160,6 +160,29 @@ def test_a_command_that_arrives_within_a_step_is_read_as_in_fine_steps(hinge, la
     assert rms(currents(1e-3) - truth) < 0.01 * rms(np.diff(truth))
 
 
+@pytest.mark.parametrize("lag", [None, 0.0002, 0.002])
+def test_a_supply_limits_what_arrives_within_a_step(hinge, lag):
+    """A blocked servo at 5 V and 5 ohm carries 1 A at most, whether it is asked for more before an arrival or after."""
+
+    def currents(timestep: float) -> np.ndarray:
+        more = () if lag is None else (CurrentLag(),)
+        values = {"command_latency": 0.0077, "coulomb_friction": 50.0}
+        values |= {} if lag is None else {"current_time_constant": lag}
+        effects = (Latency(), *more, Coulomb())
+        sim = simulation(hinge, *effects, timestep=timestep, gravity=False, bus_voltage=5.0, **values)
+        sim.reset([0.0], {"p_gain": 1.0, "d_gain": 0.0, "position_target": 0.0})
+        seen = []
+        for wanted in (2.1, 2.1, 0.09, 0.09, -2.1, 0.5, 2.1):
+            sim.command(position_target=wanted)
+            sim.advance()
+            seen.append(sim.measure()[("joint", "current")].item())
+        return np.array(seen)
+
+    truth = currents(5e-5)
+    assert np.abs(truth).max() <= 1.0 + 1e-9
+    np.testing.assert_allclose(currents(1e-3), truth, atol=0.01 if lag is None else 0.06)
+
+
 def test_compliance_converges_to_fine_steps(hinge):
     """A soft gear train at 0.1 ms follows the fine integration five times closer than a rigid one does."""
     truth = two_bodies(0.0, 20.0, 0.05, 1.0)

@@ -122,15 +122,6 @@ class Latency(Effect):
             since = law.at_phase(prepared["since"], signals.phase)
             signals.state[law.ARRIVED] = law.stacked(last - arrived, since.expand_as(arrived))
 
-    def report(self, signals: Signals, prepared: Prepared) -> None:
-        """Read the current that is commanded at the end of the step, not its mean over it; a lag does so itself."""
-        if self.signal == "target_current" and LAGGED not in signals.state:
-            signals.measured_current = signals.measured_current + signals.state[law.ARRIVED][0]
-
-
-LAGGED = "current_lag"
-"""Key of the memory of a current that follows its command late: then the current is not the command's."""
-
 
 @register
 @dataclass(frozen=True)

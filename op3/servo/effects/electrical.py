@@ -226,11 +226,6 @@ class CurrentLag(Effect):
         signals.state[self.name] = law.stacked(end, end - mean, now)
         setattr(signals, self.signal, mean)
 
-    def report(self, signals: Signals, prepared: Prepared) -> None:
-        """Read the current where it has come by the end of the step, not its mean over the step."""
-        if self.signal == "target_current":
-            signals.measured_current = signals.measured_current + signals.state[self.name][1]
-
 
 @register
 @dataclass(frozen=True)

@@ -50,6 +50,11 @@ class Motor(Effect):
             "back_emf_damping": constant * constant / resistance,
         }
 
+    def reset(self, signals: Signals, prepared: Prepared) -> None:
+        """The first current was wanted before."""
+        if self.drive == "current":
+            signals.state[self.name] = law.stacked(signals.target_current, signals.bus_voltage)
+
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Voltage, current, torque, and the part of the torque that is linear in velocity."""
         constant, resistance = prepared["constant"], prepared["resistance"]
@@ -60,6 +65,7 @@ class Motor(Effect):
             back_emf_damping = constant * constant / resistance
         back_emf = constant * signals.velocity
         if self.drive == "current":
+            signals.state[self.name] = law.stacked(signals.target_current, signals.bus_voltage)
             signals.voltage = law.current_control(signals.target_current, back_emf, resistance, signals.bus_voltage)
             signals.duty = signals.voltage / signals.bus_voltage
             implicit = signals.voltage.abs() >= signals.bus_voltage
@@ -73,10 +79,13 @@ class Motor(Effect):
         signals.damping = torch.where(implicit, back_emf_damping, 0.0)
 
     def report(self, signals: Signals, prepared: Prepared) -> None:
-        """Where the bus voltage limits the current, read it at the velocity of now, not at that of a step ago."""
+        """Read the current of now: what is wanted at the end of the step, as far as the supply allows it."""
         if self.drive != "current":
             return
         constant = prepared["constant"] * signals.factors.get("torque_constant", 1.0)
         resistance = prepared["resistance"] * signals.factors.get("terminal_resistance", 1.0)
-        now = (signals.voltage - constant * signals.velocity) / resistance
-        signals.measured_current = torch.where(signals.duty.abs() < 1.0, signals.measured_current, now)
+        wanted, bus_voltage = signals.state[self.name]
+        back_emf = constant * signals.velocity
+        least, most = (-bus_voltage - back_emf) / resistance, (bus_voltage - back_emf) / resistance
+        now = torch.minimum(torch.maximum(wanted + law.ahead(signals.state), least), most)
+        signals.measured_current = signals.measured_current + now - signals.current
