@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import torch
 
-from op3.servo import Effect, RobotModel, Signals, Stage
+from op3.servo import Effect, RobotModel, Signals, Stage, law
 from op3.servo.effect import Prepared
 from op3.servo.effects import Motor
 
@@ -51,6 +51,7 @@ class ServoDrive(Motor):
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Voltage, current, torque, and the part of the torque that is linear in velocity."""
         state, enabled, bus = signals.state, signals.torque_enable, signals.bus_voltage
+        state[self.name] = law.stacked(signals.target_current, bus)
         constant = prepared["constant"] * signals.factors.get("torque_constant", 1.0)
         resistance = prepared["resistance"] * signals.factors.get("terminal_resistance", 1.0)
         back_emf = constant * signals.velocity
@@ -66,6 +67,17 @@ class ServoDrive(Motor):
         signals.applied_torque = signals.motor_torque
         fixed = by_voltage & (within == applied) | (signals.voltage.abs() >= bus)
         signals.damping = torch.where(fixed, constant * constant / resistance, 0.0) * enabled
+
+    def report(self, signals: Signals, prepared: Prepared) -> None:
+        """Read the current of now, of a joint that applies a voltage only where that is all there is."""
+        before = signals.measured_current
+        super().report(signals, prepared)
+        constant = prepared["constant"] * signals.factors.get("torque_constant", 1.0)
+        resistance = prepared["resistance"] * signals.factors.get("terminal_resistance", 1.0)
+        now = before + (signals.voltage - constant * signals.velocity) / resistance - signals.current
+        applied = torch.where(signals.duty.abs() < 1.0, before, now)
+        regulated = torch.where(signals.state["by_voltage"] > 0, applied, signals.measured_current)
+        signals.measured_current = torch.where(signals.torque_enable > 0, regulated, before)
 
 
 def behind_bus(model: RobotModel) -> RobotModel:

@@ -330,7 +330,8 @@ class SimPhysics(BatchSimulation):
                 setattr(signals, name, torch.from_numpy(self._flow(name).copy())[None])
             signals.position = torch.from_numpy(self._position.copy())
             signals.velocity = torch.from_numpy(self._velocity.copy())
-            signals.state.update({name: torch.from_numpy(memory) for name, memory in compiled.state.items()})
+            memories = compiled.next_state | compiled.state
+            signals.state.update({name: torch.from_numpy(memory) for name, memory in memories.items()})
         self.law.report(signals)
         return signals.measured_current[0].numpy()
 
