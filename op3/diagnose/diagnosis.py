@@ -43,7 +43,7 @@ from op3.diagnose.show import show
 from op3.diagnose.soften import softened
 from op3.diagnose.split import LogSplit
 from op3.diagnose.verdict import Finding, Verdict
-from op3.diagnose.windows import FINE, WindowResiduals
+from op3.diagnose.windows import WindowResiduals
 from op3.servo import Estimate, RobotModel, effect_class
 from op3.servo.conditions import split_name
 from op3.servo.effect import parameter
@@ -191,9 +191,7 @@ class Diagnosis:
 
     def _key(self, model: RobotModel) -> str:
         """Sixteen hex digits of everything that decides where the base ends."""
-        settings = f"{FINE} {getattr(self.engine, 'timestep', None)} {ROUNDS}"
-        windows = f"{len(self.engine.is_fit)} {self.engine.is_fit.sum()}"
-        digest = hashlib.sha256(f"{model_hash(model)} {windows} {settings}".encode())
+        digest = hashlib.sha256(f"{model_hash(model)} {len(self.engine.is_fit)} {self.engine.is_fit.sum()}".encode())
         for logs in (self.split.fit, self.split.select):
             for log in logs:
                 for channel in log.channels:

@@ -21,7 +21,7 @@ LADDER = (1.0, 0.6, 0.3, 0.08)
 SHARES = (0.15, 0.4, 0.8, 1.3, 2.0)
 """Shares of the way to a hypothesis that are tried first."""
 
-ROUNDS = 5
+ROUNDS = 4
 """Jacobians of a base at most."""
 
 FADES = np.array([1.0, 0.7, 1.4])

@@ -9,7 +9,6 @@ import numpy as np
 from op3.diagnose.coordinates import with_chain
 from op3.diagnose.preflight import STILL
 from op3.diagnose.show import whole_robot
-from op3.diagnose.windows import FINE
 from op3.robot import LEG_JOINTS, Excitation, Motion
 from op3.rollout import Metadata, Rollout
 from op3.servo import RobotModel
@@ -28,20 +27,19 @@ SIMULATED = (("joint", "position"), ("joint", "velocity"), ("joint", "current"))
 """Channels that are taken from the simulation."""
 
 
-def planned_suite(model: RobotModel, suite: Sequence[Excitation], timestep: float = FINE) -> list[Rollout]:
+def planned_suite(model: RobotModel, suite: Sequence[Excitation]) -> list[Rollout]:
     """Logs of one leg on the stand under the runs of a suite, each command once.
 
     Args:
         model: of the robot.
         suite: see `op3.robot.leg_suite`.
-        timestep: of the simulation [s].
     """
     once = list({run.motion.name: run for run in suite}.values())
     commands, begin = [], BEGIN
     for number, run in enumerate(once):
         commands.append(_command(run, number, begin))
         begin += datetime.timedelta(seconds=run.motion.duration + PAUSE)
-    predictions = Replay([whole_robot(log) for log in commands], robot_timestep=timestep).run(with_chain(model))
+    predictions = Replay([whole_robot(log) for log in commands]).run(with_chain(model))
     logs = []
     for log, prediction in zip(commands, predictions, strict=True):
         columns = [prediction.log.joints.index(joint) for joint in log.joints]
@@ -58,7 +56,7 @@ def planned_motions(model: RobotModel, motions: Sequence[Motion]) -> list[Rollou
         model: of the robot.
         motions: all of which can be played on the stand.
     """
-    logs = [simulate_motion(with_chain(model), motion, "stand", timestep=FINE) for motion in motions]
+    logs = [simulate_motion(with_chain(model), motion, "stand") for motion in motions]
     reach = np.max([np.ptp(log.array("joint/position"), axis=0) for log in logs], axis=0)
     columns = np.flatnonzero(reach > STILL)
     if not columns.size:

@@ -42,12 +42,6 @@ TIMING = ("current_time_constant", "command_latency")
 FLOOR = {("joint", "position"): 0.0006, ("joint", "velocity"): 0.02, ("joint", "current"): 0.006}
 """Standard deviation of a reading, by channel [rad, rad/s, A]."""
 
-FINE = 2.5e-4
-"""Step that no longer counts [s]: an eighth of what the noise makes of the residual, where 1 ms makes as much."""
-
-DIVERGED = 100.0
-"""Beyond this, a difference is that of a simulation that diverged, in any unit."""
-
 SEARCH = 24
 """Ticks among which a window starts where the state is known best: not in the middle of a jerk."""
 
@@ -116,7 +110,7 @@ class WindowResiduals:
         self._nuisance: np.ndarray | None = None
         self._shrink: np.ndarray | None = None
         self._weight = np.ones(len(self.windows))
-        self._defects: dict[float, np.ndarray] = {}
+        self._models: dict[int, tuple[RobotModel, WindowSimulation]] = {}
         self.simulated_rows = 0
 
     def _stack(self, logs: Sequence[SmoothLog]) -> None:
@@ -196,9 +190,7 @@ class WindowResiduals:
             self._unchanged[id(base)] = base.along(base.mj_model, self._position[at], self._velocity[at])
         return self._unchanged[id(base)]
 
-    def simulation(
-        self, model: RobotModel, fit_only: bool = False, coarse: bool = False, timestep: float | None = None
-    ) -> WindowSimulation:
+    def simulation(self, model: RobotModel, fit_only: bool = False, coarse: bool = False) -> WindowSimulation:
         """A simulation of the windows under a model; a coarse one takes steps of twice the length."""
         changes = {}
         for effect in model.effects:
@@ -221,12 +213,9 @@ class WindowResiduals:
             starts,
             self.ticks,
             self.joints,
-            timestep=timestep or self._step(coarse),
+            timestep=self.timestep * (2 if coarse else 1),
             preroll=PREROLL,
         )
-
-    def _step(self, coarse: bool) -> float:
-        return self.timestep * (2 if coarse else 1)
 
     def errors(
         self,
@@ -238,18 +227,8 @@ class WindowResiduals:
         coarse: bool = False,
         **offsets: Tensor,
     ) -> np.ndarray:
-        """Simulated minus measured, ``[candidate, window, tick, joint, channel]``.
-
-        With what fine steps made of the model that was prepared last: a step of 1 ms adds as much to the residual as
-        the noise does, but nearly the same for all that is compared.
-        """
-        result = self._errors(self.simulation(model, fit_only, coarse), parameters, candidates, **offsets)
-        defect = self._defects.get(self._step(coarse))
-        return result if defect is None else result + defect[: result.shape[1]].astype(result.dtype)
-
-    def _errors(
-        self, simulation: WindowSimulation, parameters: Mapping[str, Tensor] | None, candidates: int, **offsets: Tensor
-    ) -> np.ndarray:
+        """Simulated minus measured, ``[candidate, window, tick, joint, channel]``."""
+        simulation = self.simulation(model, fit_only, coarse)
         self.simulated_rows += candidates * len(simulation.windows)
         channels = simulation.run(
             parameters,
@@ -262,11 +241,7 @@ class WindowResiduals:
         return np.nan_to_num(result, nan=1e3, posinf=1e3, neginf=-1e3)
 
     def prepare(self, model: RobotModel) -> None:
-        """Take the scale of the residuals, and what steps and nuisances of single windows add, from this model."""
-        fine = self._errors(self.simulation(model, timestep=min(FINE, self.timestep)), None, 1)[0]
-        for step in (self._step(coarse=False), self._step(coarse=True)):
-            defect = fine - self._errors(self.simulation(model, timestep=step), None, 1)[0]
-            self._defects[step] = np.where(np.abs(defect) < DIVERGED, defect, 0.0)
+        """Take the scale of the residuals, and what nuisances of single windows explain, from this model."""
         error = self.errors(model)[0]
         self.scale = self._scale(error)
         values, offsets, count = self._nuisances(model)

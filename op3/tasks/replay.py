@@ -59,7 +59,6 @@ class Replay:
             the robot and 5 ms on the bench. Predictions are interpolated to the logs' times.
         duration: replay no more than this [s].
         bench_timestep: simulation step of bench logs [s].
-        robot_timestep: simulation step of a robot [s]; None: the scene's.
         num_threads: threads that step the physics of a robot; 0 for all processors.
     """
 
@@ -71,7 +70,6 @@ class Replay:
         record_period: float | None = None,
         duration: float | None = None,
         bench_timestep: float = BENCH_CONTROL_PERIOD,
-        robot_timestep: float | None = None,
         num_threads: int = 0,
     ):
         if not logs:
@@ -80,7 +78,7 @@ class Replay:
         self._groups: list[_Group] = []
         mounts = [_mount(log) for log in logs]
         for mount, members in groupby(sorted(range(len(logs)), key=mounts.__getitem__), key=mounts.__getitem__):
-            setup = Setup.of_mount(mount[0], bench_timestep, mount[1:], robot_timestep)
+            setup = Setup.of_mount(mount[0], bench_timestep, tilt=mount[1:])
             self._groups.append(_Group(list(members), logs, setup, settle, record_period, duration, num_threads))
 
     @property

@@ -40,11 +40,7 @@ class Setup:
 
     @classmethod
     def of_mount(
-        cls,
-        mount: str,
-        bench_timestep: float = BENCH_CONTROL_PERIOD,
-        tilt: tuple[float, float] = (0.0, 0.0),
-        robot_timestep: float | None = None,
+        cls, mount: str, bench_timestep: float = BENCH_CONTROL_PERIOD, tilt: tuple[float, float] = (0.0, 0.0)
     ) -> "Setup":
         """The setup for logs of this mount.
 
@@ -52,7 +48,6 @@ class Setup:
             mount: ``floor``, ``stand``, ``pendulum`` or a brick surface.
             bench_timestep: simulation step of a pendulum, and cycle of its servo's position loop [s].
             tilt: roll and pitch of the stand [rad].
-            robot_timestep: simulation step of a robot [s]; None: the scene's.
 
         Raises:
             ValueError: for a ground that commands alone do not tell, such as a board that moved.
@@ -62,12 +57,9 @@ class Setup:
         scene = build_bench() if mount == "pendulum" else build_scene(mount, tilt_roll=tilt[0], tilt_pitch=tilt[1])
         attach_servos(scene.joints)
         robot = scene.robot
-        mj_model = scene.compile(visual=False)
-        if robot is not None and robot_timestep is not None:
-            mj_model.opt.timestep = robot_timestep
         return cls(
             scene=scene,
-            mj_model=mj_model,
+            mj_model=scene.compile(visual=False),
             joints=tuple(joint.name for joint in scene.joints),
             base_body=None if robot is None else robot.trunk.full_identifier,
             control_period=bench_timestep if robot is None else OP3_CONTROL_PERIOD,

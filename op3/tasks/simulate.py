@@ -15,13 +15,7 @@ FALL = float(np.deg2rad(45))
 """A trunk that rolls or pitches further has fallen [rad]."""
 
 
-def simulate_motion(
-    model: RobotModel,
-    motion: Motion,
-    mount: str | None = None,
-    settle: float = SETTLE,
-    timestep: float | None = None,
-) -> Rollout:
+def simulate_motion(model: RobotModel, motion: Motion, mount: str | None = None, settle: float = SETTLE) -> Rollout:
     """Play a motion of the whole robot with its own gains.
 
     Args:
@@ -29,7 +23,6 @@ def simulate_motion(
         motion: with one row per tick of the robot's PD loop, for all joints.
         mount: ``floor`` or ``stand``; by default the first that the motion is made for.
         settle: how long the first pose is held before the log starts [s].
-        timestep: of the simulation [s]; None: the scene's.
 
     Returns:
         A log at the motion's times whose metadata say whether the robot fell.
@@ -55,7 +48,7 @@ def simulate_motion(
         model_hash=model_hash(model),
     )
     template = Rollout.from_arrays({**commands, "joint/position": motion.position}, metadata)
-    predicted = Replay([template], settle=settle, robot_timestep=timestep).run(model)[0]
+    predicted = Replay([template], settle=settle).run(model)[0]
     if bool(predicted.failed.any()):
         raise ValueError(f"the simulation of motion {motion.name!r} diverged; check the model's values")
     channels = {key: value[0].numpy() for key, value in predicted.channels.items()}

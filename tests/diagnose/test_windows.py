@@ -6,7 +6,6 @@ import pytest
 from op3.diagnose import WindowResiduals, planned_suite, split_logs
 from op3.diagnose.coordinates import with_chain
 from op3.diagnose.show import vetoed
-from op3.diagnose.windows import FINE
 from op3.robot import LEG_JOINTS, leg_suite
 from op3.servo import Estimate, RobotModel, effect_class
 from op3.sim import load_model
@@ -73,21 +72,3 @@ def test_squares_are_told_by_joint():
 def test_free_runs_veto_what_they_speak_against(improved, worsened, after, expected):
     """Neither a better channel nor a lower loss alone outweighs a channel that is worse."""
     assert vetoed(improved, worsened, 1.0, after) is expected
-
-
-def test_steps_of_a_millisecond_and_of_two_give_what_fine_steps_give():
-    """At the prepared model exactly; beside it, of what a friction five percent larger changes, nearly."""
-    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
-    model = with_chain(load_model("paper"))
-    engine = WindowResiduals(split_logs(planned_suite(model, runs)), fit_windows=8, select_windows=4)
-    more = {"coulomb_friction": 1.05 * model.tensors(LEG_JOINTS)["coulomb_friction"]}
-    fine = WindowResiduals(engine.split, timestep=FINE, fit_windows=8, select_windows=4)
-    rough = engine.errors(model, more)
-    own = np.square(engine.errors(model)).mean()
-    engine.prepare(model)
-    assert np.square(engine.errors(model)).mean() < own
-    for coarse in (False, True):
-        np.testing.assert_allclose(engine.errors(model, coarse=coarse), fine.errors(model), atol=1e-4)
-    truth = fine.errors(model, more)
-    left, before = (np.square(found - truth).mean() for found in (engine.errors(model, more), rough))
-    assert left < 0.1 * before
