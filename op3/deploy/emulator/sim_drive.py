@@ -52,8 +52,7 @@ class ServoDrive(Motor):
         """Voltage, current, torque, and the part of the torque that is linear in velocity."""
         state, enabled, bus = signals.state, signals.torque_enable, signals.bus_voltage
         state[self.name] = law.stacked(signals.target_current, bus)
-        constant = prepared["constant"] * signals.factors.get("torque_constant", 1.0)
-        resistance = prepared["resistance"] * signals.factors.get("terminal_resistance", 1.0)
+        constant, resistance = self.as_it_is(signals, prepared)
         back_emf = constant * signals.velocity
         by_voltage = state["by_voltage"] > 0
         applied = state["goal_duty"] * bus
@@ -72,8 +71,7 @@ class ServoDrive(Motor):
         """Read the current of now, of a joint that applies a voltage only where that is all there is."""
         before = signals.measured_current
         super().report(signals, prepared)
-        constant = prepared["constant"] * signals.factors.get("torque_constant", 1.0)
-        resistance = prepared["resistance"] * signals.factors.get("terminal_resistance", 1.0)
+        constant, resistance = self.as_it_is(signals, prepared)
         now = before + (signals.voltage - constant * signals.velocity) / resistance - signals.current
         applied = torch.where(signals.duty.abs() < 1.0, before, now)
         regulated = torch.where(signals.state["by_voltage"] > 0, applied, signals.measured_current)

@@ -158,10 +158,6 @@ class VoltageSag(Effect):
         signals.bus_voltage = (signals.bus_voltage - prepared["resistance"] * drawn).clamp(min=self.least_voltage)
 
 
-SHORTEST = 1e-3
-"""Time constant of a lag, in steps, below which nothing is left of a deviation in double precision."""
-
-
 @register
 @dataclass(frozen=True)
 class CurrentLag(Effect):
@@ -201,9 +197,8 @@ class CurrentLag(Effect):
     def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
         """Share of the old deviation that is left after a step, and in the mean over the step."""
         time_constant = values["current_time_constant"]
-        steps = (time_constant / clock.timestep).clamp(min=SHORTEST)
-        # below the shortest a current that has arrived is there; its derivative stays finite
-        return {"left": torch.exp(-1.0 / steps), "steps": time_constant / clock.timestep, "rate": 1.0 / steps}
+        rate = rate_per_step(time_constant, clock.timestep)
+        return {"left": torch.exp(-rate), "steps": time_constant / clock.timestep, "rate": rate}
 
     def reset(self, signals: Signals, prepared: Prepared) -> None:
         """The first command was held for long; a voltage starts from zero."""
@@ -265,12 +260,17 @@ def scaled(values: Mapping[str, Tensor], name: str, error: Tensor) -> Mapping[st
     return {**values, name: values[name] * (1.0 + error)} if name in values else values
 
 
-def left_after_step(time_constant: Tensor, timestep: float) -> Tensor:
-    """Share of a deviation that a first-order lag leaves after a step; exactly none for no time constant.
+def rate_per_step(time_constant: Tensor, timestep: float) -> Tensor:
+    """Steps per time constant of a first-order lag.
 
     Args:
         time_constant: [s], ``[sim, joint]``.
         timestep: [s].
     """
-    # below a thousandth of the step the exponential is zero in float64, and its derivative stays finite
-    return torch.exp(-timestep / time_constant.clamp(min=1e-3 * timestep))
+    # below a thousandth of the step nothing of a deviation is left in float64, and the derivative stays finite
+    return timestep / time_constant.clamp(min=1e-3 * timestep)
+
+
+def left_after_step(time_constant: Tensor, timestep: float) -> Tensor:
+    """Share of a deviation that a first-order lag leaves after a step; exactly none for no time constant."""
+    return torch.exp(-rate_per_step(time_constant, timestep))

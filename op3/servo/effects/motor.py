@@ -78,12 +78,18 @@ class Motor(Effect):
         signals.applied_torque = signals.motor_torque
         signals.damping = torch.where(implicit, back_emf_damping, 0.0)
 
+    @staticmethod
+    def as_it_is(signals: Signals, prepared: Prepared) -> tuple[Tensor, Tensor]:
+        """Torque constant on the joint side and resistance, with what temperature has made of them."""
+        factors = signals.factors
+        constant = prepared["constant"] * factors.get("torque_constant", 1.0)
+        return constant, prepared["resistance"] * factors.get("terminal_resistance", 1.0)
+
     def report(self, signals: Signals, prepared: Prepared) -> None:
         """Read the current of now: what is wanted at the end of the step, as far as the supply allows it."""
         if self.drive != "current":
             return
-        constant = prepared["constant"] * signals.factors.get("torque_constant", 1.0)
-        resistance = prepared["resistance"] * signals.factors.get("terminal_resistance", 1.0)
+        constant, resistance = self.as_it_is(signals, prepared)
         wanted, bus_voltage = signals.state[self.name]
         back_emf = constant * signals.velocity
         least, most = (-bus_voltage - back_emf) / resistance, (bus_voltage - back_emf) / resistance
