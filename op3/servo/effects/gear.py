@@ -9,6 +9,7 @@ from torch import Tensor
 
 from op3.servo import law
 from op3.servo.effect import Clock, Effect, Parameter, Prepared, Scope, Signals, Stage, register
+from op3.servo.effects.presliding import LuGre
 
 _SHARE: dict[str, Any] = {"least": 0.0, "most": 1.0}
 
@@ -101,7 +102,7 @@ class DirectionalEfficiency(Effect):
             signals.damping = signals.damping * (1.0 - torch.where(leads, lost, 0.0))
         elif self.form == "power":
             # bristles of presliding tell the direction in which the teeth are strained, before the joint moves
-            direction = signals.state["lugre"][0] if "lugre" in signals.state else signals.velocity
+            direction = LuGre.deflection(signals) if LuGre.name in signals.state else signals.velocity
             signals.friction_bound = signals.friction_bound + law.dte_power_loss(
                 motor, load, direction, prepared["forward_loss"], prepared["backward_share"]
             )

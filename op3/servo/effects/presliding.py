@@ -17,9 +17,11 @@ class LuGre(Effect):
     """Presliding: all friction of the joint acts through an elastic bristle (LuGre) instead of gripping rigidly.
 
     The bound F that the other frictions make up becomes the level at which the bristle slips. Its deflection z is
-    integrated exactly over a step for the speed at its beginning, and linearly in the velocity at its end, which goes
-    to the physics as implicit damping: stable at 1 ms from any softness down to a rigid grip. The bristle's own damping
-    acts on the mean rate of its deflection over the step, and so vanishes while the joint slides.
+    integrated exactly over a step for the speed that the last step's acceleration foretells at its end, and linearly in
+    the velocity at its end, which goes to the physics as implicit damping: stable at 1 ms from any softness down to a
+    rigid grip. Slipping for the speed at the beginning instead, a joint that gains speed would be braked by more than F,
+    as if its rotor were heavier. The bristle's own damping acts on the mean rate of its deflection over the step, and so
+    vanishes while the joint slides.
 
     Attributes:
         damping_ratio: of the rotor alone on its bristle; without damping a held joint rings like a bell.
@@ -69,26 +71,33 @@ class LuGre(Effect):
         """Bristles of a joint that moves are fully bent, those of one at rest are straight."""
         straight = torch.zeros_like(signals.velocity)
         bent = 1e9 * torch.sign(signals.velocity)  # the level of friction bounds it in the first step
-        signals.state[self.name] = law.stacked(bent, straight + 1.0, straight)
+        signals.state[self.name] = law.stacked(bent, straight + 1.0, straight, signals.velocity)
+
+    @classmethod
+    def deflection(cls, signals: Signals) -> Tensor:
+        """How far bristles are bent at the beginning of a step, which the velocity has just become known for [rad]."""
+        before, left, gain, _ = signals.state[cls.name]
+        return torch.addcmul(before * left, gain, signals.velocity)
 
     def balance(self, signals: Signals, prepared: Prepared, torque: Tensor, rests: Tensor) -> Tensor:
         """Bristles of resting joints take up the torque; the level of friction bounds them in the next step."""
-        deflection, left, gain = signals.state[self.name]
-        bent = torch.addcmul(deflection * left, gain, signals.velocity)
-        bent = bent + prepared["compliance"] * torch.where(rests, torque, 0.0)
-        signals.state[self.name] = law.stacked(bent, torch.ones_like(bent), torch.zeros_like(bent))
+        bent = self.deflection(signals) + prepared["compliance"] * torch.where(rests, torque, 0.0)
+        before = signals.state[self.name][3]
+        signals.state[self.name] = law.stacked(bent, torch.ones_like(bent), torch.zeros_like(bent), before)
         return prepared["rigid"] * torque
 
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Put the bristle's torque in place of the bound."""
         step, compliance = prepared["timestep"], prepared["compliance"]
-        deflection, left, gain = signals.state[self.name]
         limit = (signals.friction_bound * compliance).clamp(min=1e-12)
-        deflection = torch.addcmul(deflection * left, gain, signals.velocity).clamp(-limit, limit)
+        deflection = self.deflection(signals).clamp(-limit, limit)
+        foretold = (2.0 * signals.velocity - signals.state[self.name][3]).abs()
+        # a joint that an impact has slowed down may be foretold to rest, and would be gripped by far more than F
+        speed = torch.maximum(foretold, 0.5 * signals.velocity.abs())
         # share of a deflection that a step leaves, and how much deflection a unit of velocity adds in it
-        slip = (step * signals.velocity.abs() / limit).clamp(min=1e-9)
+        slip = (step * speed / limit).clamp(min=1e-9)
         left, gain = torch.exp(-slip), step * -torch.expm1(-slip) / slip
-        signals.state[self.name] = law.stacked(deflection, left, gain)
+        signals.state[self.name] = law.stacked(deflection, left, gain, signals.velocity)
         later = torch.addcmul(deflection * left, gain, signals.velocity)
         grip = prepared["whole"] * later - prepared["rate"] * deflection
         signals.applied_torque = signals.applied_torque - grip
