@@ -19,9 +19,9 @@ class LuGre(Effect):
     The bound F that the other frictions make up becomes the level at which the bristle slips. Its deflection z is
     integrated exactly over a step for the speed that the last step's acceleration foretells at its end, and linearly in
     the velocity at its end, which goes to the physics as implicit damping: stable at 1 ms from any softness down to a
-    rigid grip. Slipping for the speed at the beginning instead, a joint that gains speed would be braked by more than F,
-    as if its rotor were heavier. The bristle's own damping acts on the mean rate of its deflection over the step, and so
-    vanishes while the joint slides.
+    rigid grip. Slipping for the speed at the beginning instead, a joint that gains speed would be braked by more than
+    F, as if its rotor were heavier. The bristle's own damping acts on the mean rate of its deflection over the step,
+    and so vanishes while the joint slides.
 
     Attributes:
         damping_ratio: of the rotor alone on its bristle; without damping a held joint rings like a bell.
