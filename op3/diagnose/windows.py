@@ -8,16 +8,20 @@ friction, and the moment at which its commands take effect. Near the edge of sti
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from op3.diagnose.motion import CHANNELS, HALF_WIDTH, PREROLL, FixedBase, SmoothLog, smooth
+from op3.diagnose.motion import CHANNELS, HALF_WIDTH, PREROLL, FixedBase, SmoothLog, smooth_all
 from op3.diagnose.split import LogSplit
+from op3.diagnose.supply import open_voltages
+from op3.robot.units import CURRENT_UNIT
 from op3.rollout import LogError
 from op3.servo import RobotModel
+from op3.servo.effects import CurrentPD
 from op3.sim import MeasuredMotion, TrajectoryDynamics, Window, WindowSimulation
 from op3.sim.window_simulation import MISREADING, ROTOR, ZERO
 
@@ -39,7 +43,7 @@ JITTER = 0.0003
 TIMING = ("current_time_constant", "command_latency")
 """Parameters that stand for it; the first that the model has."""
 
-FLOOR = {("joint", "position"): 0.0006, ("joint", "velocity"): 0.02, ("joint", "current"): 0.006}
+FLOOR = {("joint", "position"): 0.0006, ("joint", "velocity"): 0.02, ("joint", "current"): 0.004}
 """Standard deviation of a reading, by channel [rad, rad/s, A]."""
 
 SEARCH = 24
@@ -92,7 +96,7 @@ class WindowResiduals:
                     column="joints",
                 )
         self.joints = first.joints
-        logs = [smooth(log) for log in (*split.fit, *split.select)]
+        logs = smooth_all([*split.fit, *split.select])
         if len({round(log.period, 6) for log in logs}) > 1:
             raise LogError("the logs have different rates", "diagnose logs of one rate at a time", column="time")
         self.period = logs[0].period
@@ -125,6 +129,11 @@ class WindowResiduals:
         self._position, self._velocity = stacked(lambda log: log.position), stacked(lambda log: log.velocity)
         common = set.intersection(*(set(log.inputs) for log in logs))
         inputs = {name: stacked(lambda log, n=name: log.inputs[n]) for name in sorted(common)}
+        supply = 0.0
+        if "bus_voltage" in common and ("joint", "current") in self.channels:
+            supply, opened = open_voltages(logs)
+            by_log = {id(log): voltage for log, voltage in zip(logs, opened, strict=True)}
+            inputs["bus_voltage"] = stacked(lambda log: by_log[id(log)])
         tilts = [log.tilt for log, _ in spans]
         started = _started(logs)
         self._tilted: list[tuple[FixedBase, np.ndarray]] = []
@@ -144,6 +153,7 @@ class WindowResiduals:
             inputs,
             self._dynamics(),
             {},
+            supply,
         )
         self._starts = [Window(0, k * rows + PREROLL) for k in range(len(self.windows))]
         self._edits: dict[tuple[str, int | None], TrajectoryDynamics | None] = {}
@@ -208,7 +218,7 @@ class WindowResiduals:
         motion = MeasuredMotion(**{**vars(self.motion), "changes": changes})
         starts = self._starts[: int(self.is_fit.sum())] if fit_only else self._starts
         return WindowSimulation(
-            model,
+            _as_sent(model),
             [motion],
             starts,
             self.ticks,
@@ -328,6 +338,15 @@ class WindowResiduals:
             error = self.errors(model, values, piece.stop - begin, fit_only=fit_only, coarse=coarse)
             parts.append(self.whiten(error).astype(np.float32))
         return np.concatenate(parts)
+
+
+def _as_sent(model: RobotModel) -> RobotModel:
+    """The model with commands rounded as the register of the servos takes them: the log tells what was computed."""
+    effects = [
+        replace(e, resolution=CURRENT_UNIT) if isinstance(e, CurrentPD) else e  # type: ignore[type-var]
+        for e in model.effects
+    ]
+    return replace(model, effects=tuple(effects))
 
 
 def _choose(logs: Sequence[SmoothLog], count: int, ticks: int) -> list[tuple[int, int]]:

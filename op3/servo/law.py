@@ -56,6 +56,34 @@ def current_control(
     return torch.clamp(wanted, -bus_voltage, bus_voltage)
 
 
+SUPPLY = "supply_resistance"
+"""Key of the memory: inner resistance of the supply [ohm], ``[sim, 1]``, where the voltage between two readings of it
+follows the currents; the bus voltage of the signals is then that without any current."""
+
+
+def settled_voltage(
+    open_voltage: Tensor, supply_resistance: Tensor, target_current: Tensor, back_emf: Tensor, resistance: Tensor
+) -> Tensor:
+    """Bus voltage [V] under the currents that it lets through: ``V = V0 - R_s sum |I(V)|``.
+
+    Solved for the servos whose current the open voltage limits; which these are changes little by the fall itself.
+
+    Args:
+        open_voltage: V0, ``[sim, joint]``.
+        supply_resistance: R_s [ohm], ``[sim, 1]``.
+        target_current: as the controllers ask [A].
+        back_emf: [V].
+        resistance: of the motors [ohm].
+    """
+    current = torch.clamp(
+        target_current, (-open_voltage - back_emf) / resistance, (open_voltage - back_emf) / resistance
+    )
+    limited = (current != target_current).to(current.dtype)
+    drawn = current.abs().sum(-1, keepdim=True)
+    slope = (limited / resistance).sum(-1, keepdim=True)
+    return open_voltage - supply_resistance * drawn / (1.0 + supply_resistance * slope)
+
+
 def dte_zones(
     motor_torque: Tensor, load_torque: Tensor, forward_efficiency: Tensor, backward_efficiency: Tensor
 ) -> tuple[Tensor, Tensor]:

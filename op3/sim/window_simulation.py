@@ -22,6 +22,7 @@ from torch import Tensor
 
 from op3.servo import RobotModel, ServoLaw, Signals
 from op3.servo.effects import EncoderNonlinearity, EncoderOffset, Motor
+from op3.servo.law import SUPPLY
 from op3.sim.inputs import default_commands, expand_parameters, set_start
 from op3.sim.trajectory_dynamics import TrajectoryDynamics
 from op3.sim.translated import RESULTS, Translated
@@ -62,6 +63,8 @@ class MeasuredMotion:
         changes: dynamics added per unit of a parameter beyond its neutral value, by parameter name and joint (None for
             a parameter of the whole robot): of what edits bodies, each in an otherwise sound robot, so that products
             of two edits are left out; and of an encoder's zero, by which a joint stands elsewhere than was read.
+        supply_resistance: inner resistance by which the bus voltage of the inputs, then that without any current,
+            falls with the simulated currents [ohm]; 0: the inputs hold what the servos get.
     """
 
     period: float
@@ -75,6 +78,7 @@ class MeasuredMotion:
     inputs: Mapping[str, np.ndarray]
     dynamics: TrajectoryDynamics
     changes: Mapping[tuple[str, int | None], TrajectoryDynamics]
+    supply_resistance: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -109,7 +113,7 @@ class WindowSimulation:
         dtype: of the simulation. Single precision is wrong by a thousandth of an encoder's count after a window.
 
     Raises:
-        ValueError: if a window does not fit into its motion, or periods differ.
+        ValueError: if a window does not fit into its motion, or periods or supplies differ.
     """
 
     def __init__(
@@ -133,6 +137,8 @@ class WindowSimulation:
             raise ValueError(f"the time step {timestep} s must divide the period {period} s")
         if any(abs(motion.period - period) > 1e-9 for motion in motions):
             raise ValueError("motions of different periods cannot be simulated together")
+        if len({motion.supply_resistance for motion in motions}) > 1:
+            raise ValueError("motions of different supplies cannot be simulated together")
         for window in windows:
             last = len(motions[window.motion].position) - 1
             if window.tick < preroll or window.tick + ticks > last:
@@ -314,6 +320,9 @@ class _Run:
         self._lead_state(0, 0)
         set_start(self.signals, None, self._flat(self._block(owner._current)), self._flat(self._block(owner._time)))
         self.law.reset(self.signals)
+        supply = owner._motions[0].supply_resistance
+        if supply > 0.0:
+            self.signals.state[SUPPLY] = torch.full((candidates * self.num, 1), supply, dtype=owner.dtype)
         self._translate, self._translated = owner.translated, None
         self._phase_zero = torch.zeros(1, dtype=torch.int64)
         self.u = torch.zeros_like(self.v)

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from op3.servo import law
@@ -165,3 +165,26 @@ def test_law_is_differentiable():
     law.dte_passive_loss(scalar(0.2), scalar(-1.0), torch.tensor([[False]]), scalar(0.0), loss).sum().backward()
     assert loss.grad is not None
     assert loss.grad.item() == pytest.approx(1.0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10_000), st.floats(0.01, 0.6))
+def test_a_bus_settles_where_its_currents_hold_it(seed, supply_resistance):
+    """``V = V0 - R_s sum |I(V)|``, exactly where the fall itself limits no servo that was not limited before."""
+    generator = torch.Generator().manual_seed(seed)
+    target = 3.0 * torch.randn(5, 6, generator=generator, dtype=torch.float64)
+    back_emf = 4.0 * torch.randn(5, 6, generator=generator, dtype=torch.float64)
+    opened, resistance = torch.full_like(target, 11.1), torch.full_like(target, 5.5)
+    supply = torch.full((5, 1), supply_resistance, dtype=torch.float64)
+    settled = law.settled_voltage(opened, supply, target, back_emf, resistance)
+
+    def limits(voltage: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return (-voltage - back_emf) / resistance, (voltage - back_emf) / resistance
+
+    current = torch.clamp(target, *limits(settled))
+    missed = (opened - settled - supply * current.abs().sum(-1, keepdim=True)).abs()
+    assert (settled <= opened).all()
+    (low, high), (first_low, first_high) = limits(settled), limits(opened)
+    unchanged = ((target < low) == (target < first_low)) & ((target > high) == (target > first_high))
+    driving = (current * target >= 0).all(-1) & unchanged.all(-1)
+    assert (missed[driving] < 1e-9).all()

@@ -19,6 +19,7 @@ class CurrentPD(Effect):
 
     Attributes:
         current_limit: the servo clips target currents at this value [A].
+        resolution: step of the register that takes the target current [A]; 0 for none.
     """
 
     name: ClassVar[str] = "current_pd"
@@ -28,6 +29,7 @@ class CurrentPD(Effect):
     commands: ClassVar[tuple[str, ...]] = ("p_gain", "d_gain")
 
     current_limit: float = 2.3
+    resolution: float = 0.0
 
     def tick(self, signals: Signals, prepared: Prepared) -> None:
         """Compute the current command from the sensors of this tick."""
@@ -38,6 +40,8 @@ class CurrentPD(Effect):
             signals.p_gain,
             signals.d_gain,
         )
+        if self.resolution > 0.0:
+            current = torch.round(current / self.resolution) * self.resolution
         signals.target_current = current.clamp(-self.current_limit, self.current_limit) * signals.torque_enable
 
 

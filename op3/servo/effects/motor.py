@@ -65,6 +65,10 @@ class Motor(Effect):
             back_emf_damping = constant * constant / resistance
         back_emf = constant * signals.velocity
         if self.drive == "current":
+            if law.SUPPLY in signals.state:
+                signals.bus_voltage = law.settled_voltage(
+                    signals.bus_voltage, signals.state[law.SUPPLY], signals.target_current, back_emf, resistance
+                )
             signals.state[self.name] = law.stacked(signals.target_current, signals.bus_voltage)
             signals.voltage = law.current_control(signals.target_current, back_emf, resistance, signals.bus_voltage)
             signals.duty = signals.voltage / signals.bus_voltage

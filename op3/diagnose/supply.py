@@ -1,0 +1,60 @@
+"""The supply between two readings of its voltage: what it is without any current, and how it falls with currents.
+
+Servos say what voltage they get once per control period, and it falls by more than half a volt as soon as a command
+reaches a few of them. Held from one reading to the next it is wrong for a whole period wherever it limits a current.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from op3.diagnose.motion import SmoothLog
+from op3.robot.units import VOLTAGE_UNIT
+
+EXPLAINED = 0.5
+"""Share of the changes of the voltage from tick to tick that the currents have to explain."""
+
+HIGHEST = 1.5
+"""No supply of a robot has more inner resistance [ohm]."""
+
+STEADY = 0.25
+"""Without current a supply changes slowly: its voltage is a mean over so long to each side [s]."""
+
+TELLING = 0.2
+"""A voltage whose changes stay below this does not tell a resistance [V]."""
+
+
+def open_voltages(logs: Sequence[SmoothLog]) -> tuple[float, list[np.ndarray]]:
+    """Inner resistance of the supply [ohm], and its voltage without current, of every log ``[tick, joint]`` [V].
+
+    The resistance is 0, and voltages are those measured, where changes of the voltage are not those of the currents.
+
+    Args:
+        logs: with bus voltage and currents, of one robot.
+    """
+    measured = [log.inputs["bus_voltage"] for log in logs]
+    drawn = [np.abs(log.readings["joint", "current"]).sum(1) for log in logs]
+    fall = np.concatenate([np.diff(voltage.mean(1)) for voltage in measured])
+    rise = np.concatenate([np.diff(current) for current in drawn])
+    strength = float(rise @ rise)
+    if np.abs(fall).max() < TELLING or strength <= 0.0:
+        return 0.0, measured
+    resistance = -float(fall @ rise) / strength
+    left = fall + resistance * rise
+    if not 0.0 < resistance < HIGHEST or left @ left > (1.0 - EXPLAINED) * (fall @ fall):
+        return 0.0, measured
+    opened = [voltage + resistance * current[:, None] for voltage, current in zip(measured, drawn, strict=True)]
+    steady = [_mean_around(voltage, round(STEADY / log.period)) for voltage, log in zip(opened, logs, strict=True)]
+    noise = np.concatenate([a - b for a, b in zip(opened, steady, strict=True)])
+    # a board, arms or another load on the same supply: what is left is no rounding, and no one resistance
+    if noise.std() > VOLTAGE_UNIT:
+        return 0.0, measured
+    return resistance, steady
+
+
+def _mean_around(values: np.ndarray, half: int) -> np.ndarray:
+    """Mean over so many rows on each side, fewer at the ends."""
+    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, 0)])
+    rows = np.arange(len(values))
+    first, last = np.maximum(rows - half, 0), np.minimum(rows + half + 1, len(values))
+    return (total[last] - total[first]) / (last - first)[:, None]
