@@ -170,6 +170,8 @@ def smooth(log: Rollout, sensing: VelocitySensing | None = None) -> SmoothLog:
     """
     time = log.array("time")[:, 0] - log.array("time")[0, 0]
     period = max(1, round(1e3 * float(np.median(np.diff(time))))) * 1e-3
+    # the first row is as early or late as any other
+    time = time - float(np.median(time - period * np.round(time / period)))
     grid = np.arange(int(time[-1] / period + 1e-6) + 1) * period
     if len(grid) < 2 * HALF_WIDTH + 2:
         raise LogError("the log is too short", "record some seconds", source=log.metadata.recording, column="time")

@@ -50,7 +50,7 @@ SEARCH = 24
 """Ticks among which a window starts where the state is known best: not in the middle of a jerk."""
 
 HUBER = 2.0
-"""A window whose residual is larger than this, in usual residuals, counts less."""
+"""A joint whose residual in a window is larger than this, in its usual ones, counts less there."""
 
 BLOCK = 1.0
 """Residuals closer than this are taken as dependent [s]."""
@@ -113,7 +113,7 @@ class WindowResiduals:
         self.scale: np.ndarray | None = None
         self._nuisance: np.ndarray | None = None
         self._shrink: np.ndarray | None = None
-        self._weight = np.ones(len(self.windows))
+        self._weight = np.ones((len(self.windows), 1))
         self._models: dict[int, tuple[RobotModel, WindowSimulation]] = {}
         self.simulated_rows = 0
 
@@ -262,9 +262,20 @@ class WindowResiduals:
         basis, strength, _ = np.linalg.svd(flat, full_matrices=False)
         self._nuisance = basis.astype(error.dtype)
         self._shrink = (1.0 - 1.0 / np.sqrt(1.0 + strength**2)).astype(error.dtype)
-        self._weight = np.ones(len(self.windows))
-        size = np.sqrt(np.square(self.whiten(error[None])[0]).mean(1))
-        self._weight = np.minimum(1.0, HUBER / np.maximum(size, 1e-9))
+        self._weight = np.ones((len(self.windows), 1))
+        self._weight = self._weights(self.whiten(error[None])[0])
+
+    def _weights(self, residual: np.ndarray) -> np.ndarray:
+        """How much each residual counts, ``[window, residual]``: less where a joint misses as in no other window.
+
+        Whether a joint near rest sticks or slips is often chance, and a window in which the simulation decides
+        otherwise misses by more than all others together. What a joint misses everywhere is no chance: it counts.
+        """
+        shape = (len(residual), self.ticks + 1, len(self.joints), len(self.channels))
+        size = np.sqrt(np.square(residual.reshape(shape)).mean((1, 3)))  # [window, joint]
+        usual = np.maximum(1.0, np.median(size, 0))
+        weight = np.minimum(1.0, HUBER * usual / np.maximum(size, 1e-9))
+        return np.broadcast_to(weight[:, None, :, None], shape).reshape(len(residual), -1)
 
     def _nuisances(self, model: RobotModel) -> tuple[dict[str, Tensor], tuple[Tensor, Tensor], int]:
         """What differs from window to window by a standard deviation, one joint at a time, behind the model itself.
@@ -306,12 +317,12 @@ class WindowResiduals:
         # [window, nuisance, candidate]
         along = basis.transpose(0, 2, 1) @ flat.transpose(1, 2, 0)
         kept = flat - (basis @ (shrink[..., None] * along)).transpose(2, 0, 1)
-        return kept * self._weight[: flat.shape[1], None].astype(error.dtype)
+        return kept * self._weight[: flat.shape[1]].astype(error.dtype)
 
     def unwhitened(self, residual: np.ndarray) -> np.ndarray:
         """Whitened residuals ``[window, residual]`` in their units, ``[window, tick, joint, channel]``."""
         assert self.scale is not None
-        plain = residual / self._weight[:, None]
+        plain = residual / self._weight
         return plain.reshape(len(residual), self.ticks + 1, len(self.joints), len(self.channels)) * self.scale
 
     def squares_by_joint(self, residual: np.ndarray) -> np.ndarray:
