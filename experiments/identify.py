@@ -39,7 +39,8 @@ def split_logs(cfg: DictConfig) -> tuple[list[Rollout], list[Rollout]]:
     """Logs to fit and logs held out, by files or by a metadata field."""
     logs = read_logs(plain(cfg.data))
     heldout = [] if cfg.heldout is None else read_logs(plain(cfg.heldout))
-    where = plain(cfg.heldout_where)
+    # overrides of a mapping join it: a field of the experiment's that is not wanted is set to null
+    where = {key: value for key, value in (plain(cfg.heldout_where) or {}).items() if value is not None}
     chosen = logs_where(logs, where, "heldout_where") if where else []
     fitted = [log for log in logs if not any(log is held for held in chosen)]
     if not fitted:

@@ -96,6 +96,7 @@ def test_multirun_is_one_study_per_cell(log, tmp_path):
         (["data=nowhere"], "nowhere"),
         (["data={log}", "model=papr"], "paper_without_dte"),
         (["data={log}", "heldout_where={{firmware_gain: 8}}"], "matches none"),
+        (["data={log}", "heldout_where={{firmware_gain: 8, speed: null}}"], "matches none"),
         pytest.param(["data={log}", "model=paper_without_stribeck"], "static_friction_excess", marks=pytest.mark.slow),
         pytest.param(["data={log}", "heldout={log}"], "both fitted and held out", marks=pytest.mark.slow),
         pytest.param(["data={log}", "joints=[l_kne]"], "l_kne", marks=pytest.mark.slow),
