@@ -1,7 +1,8 @@
-"""How well the data determine parameters: 90 % intervals from blocks of the residual and from jumps of sticking."""
+"""How well the data determine parameters: 90 % intervals from noise, jumps of sticking, and steps not taken."""
 
 from collections.abc import Mapping, Sequence
 
+import mujoco
 import numpy as np
 import torch
 from scipy import special
@@ -21,7 +22,7 @@ NOTHING = 1e-9
 def intervals_of(
     sensitivity: Sensitivity, blocks: Sequence[np.ndarray], level: float = 0.9
 ) -> dict[str, tuple[float, float]]:
-    """Intervals from what noise and sticking do to the estimate; both covariances are added.
+    """Intervals from what noise, sticking and the end of the search do to the estimate; their covariances are added.
 
     **Noise.** ``d_b = (H - H_b)^-1 s_b`` with ``H = J'J``, ``H_b = J_b'J_b`` and ``s_b = J_b' r_b`` is how far a
     Gauss-Newton step without block b moves; ``cov = (B - 1)/B sum_b d_b d_b'`` is the cluster jackknife (CR3, Bell &
@@ -32,6 +33,11 @@ def intervals_of(
     chance. Second differences are samples e of these jumps over the length of an interval; each would move the estimate
     by ``H^-1 J' e``. The covariance is twice their mean square: what was measured has jumps of its own, and the
     simulation has others. No independence in time is asked for.
+
+    **Steps not taken.** Differences as long as an interval see through the hollows to the slope of the whole: they may
+    foresee a step ``d = -H^-1 J' r`` along a valley that the search could not take, because the loss rose on its way.
+    Of 40 random worlds this step led from the estimate towards the truth where torque constant, armature, friction and
+    mass had all stayed too high or too low together. ``d d'`` is added.
 
     Student's t with one degree of freedom less than there are blocks; clipped to the bounds.
 
@@ -53,6 +59,7 @@ def intervals_of(
     covariance = (len(blocks) - 1) / len(blocks) * _squares(np.array(moves))
     jumped = np.asarray(np.linalg.solve(hessian + ridge, jacobian.T @ sensitivity.jumps.T).T, dtype=np.float64)
     covariance = covariance + 2 * _squares(jumped) / len(jumped) + _unknown(hessian)
+    covariance = covariance + _squares(_step_left(hessian + ridge, jacobian.T @ residual, unit)[None])
     quantile = special.stdtrit(max(1, len(blocks) - 1), 0.5 + level / 2)
     # a parameter that moves nothing, or whose neighbourhood diverges, is not determined: its interval is the range
     half = np.where(sensitivity.unseen, 1.0, quantile * np.sqrt(np.maximum(np.diag(covariance), 0.0)))
@@ -101,6 +108,15 @@ def followed_from_bounds(
             name, value = sensitivity.names[i], float(sensitivity.low[i] + point[i] * sensitivity.span[i])
             result[name] = (min(result[name][0], value), max(result[name][1], value))
     return result
+
+
+def _step_left(hessian: Array, gradient: Array, unit: Array) -> Array:
+    """The Gauss-Newton step within the box that is foreseen from the estimate, ``[parameter]``."""
+    size = len(unit)
+    step = np.zeros((size, 1))
+    low, high = -unit[:, None], (1.0 - unit)[:, None]
+    mujoco.mju_boxQP(step, np.zeros((size, size + 7)), None, hessian, gradient[:, None], low, high)
+    return step[:, 0]
 
 
 def _squares(moves: Array) -> Array:
