@@ -121,7 +121,8 @@ def _inputs(engine: WindowResiduals) -> np.ndarray:
     motion, rows = engine.motion, PREROLL + engine.ticks + 1
     shape = motion.position.shape
     v = motion.velocity
-    given = [motion.inputs.get(name, np.zeros(shape)) for name in ("temperature", "bus_voltage")]
+    voltage = np.zeros(shape) if engine.measured_voltage is None else engine.measured_voltage
+    given = [motion.inputs.get("temperature", np.zeros(shape)), voltage]
     told = [motion.position, v, np.tanh(v / 0.05), motion.current, motion.current * v, motion.dynamics.bias, *given]
     told = np.stack([*told, np.broadcast_to(motion.time, shape)], -1)
     told = (told - told.mean(0)) / np.maximum(told.std(0), 1e-6)

@@ -20,8 +20,10 @@ from op3.diagnose.coordinates import (
 )
 from op3.diagnose.decide import CEILING, LOOK_ALIKE, UNDECIDED, Contender, Decision, Own, decide, local_ceiling
 from op3.diagnose.fitting import (
+    LEAST_GAIN,
     ROUNDS,
     SHARES,
+    WORTHWHILE,
     Engine,
     Fit,
     exchanged,
@@ -152,8 +154,8 @@ class Diagnosis:
 
         Args:
             model: whose effects and values.
-            fitted: whether the values come from a refit to these logs. Then one step is enough, which gives joints
-                their spread back, and other forms were tried before.
+            fitted: whether the values come from a refit to these logs. Then few steps are enough, often one, which
+                gives joints their spread back.
         """
         full = _full(model)
         coordinates = self._coordinates(full)
@@ -166,9 +168,10 @@ class Diagnosis:
         fit = fit_base(
             self.engine,
             coordinates,
-            rounds=1 if fitted else ROUNDS,
+            rounds=ROUNDS,
             start=coordinates.start if fitted else None,
-            alternatives=() if fitted else forms[1:],
+            alternatives=forms[1:],
+            worthwhile=WORTHWHILE if fitted else LEAST_GAIN,
             progress=lambda share: self._report("base", share),
         )
         if place is not None:

@@ -27,6 +27,12 @@ ROUNDS = 4
 FADES = np.array([1.0, 0.7, 1.4])
 """Factors on the Stribeck velocity that are tried with every form of a law."""
 
+WORTHWHILE = 0.05
+"""Share of the loss that a Jacobian has to take off for another one to be worth its simulations."""
+
+LEAST_GAIN = 3e-3
+"""The same while a base is fitted from values that other robots had."""
+
 INFORMATION = 0.02
 """Independent pieces of information per whitened residual. Residuals of a window, and model errors all over a run, go
 together; priors weigh against this many."""
@@ -94,6 +100,7 @@ def fit_base(
     rounds: int = ROUNDS,
     start: np.ndarray | None = None,
     alternatives: Sequence[RobotModel] = (),
+    worthwhile: float = LEAST_GAIN,
     progress: Callable[[float], None] | None = None,
 ) -> Fit:
     """Bounded Gauss-Newton over all coordinates, from the best of a grid of latencies.
@@ -104,6 +111,7 @@ def fit_base(
         rounds: at most so many Jacobians.
         start: where to start, ``[coordinate]``.
         alternatives: models with the same parameters in other forms; the form that fits best is taken.
+        worthwhile: share of the loss that a Jacobian has to take off for another one to follow.
         progress: called with the share done.
     """
     point = np.clip(coordinates.start if start is None else start, coordinates.low, coordinates.high)
@@ -132,7 +140,7 @@ def fit_base(
             coordinates, point = _best_form(engine, coordinates, [model, *alternatives], point)
             evaluate = _penalised(engine, coordinates)
         gained = 1 - min(losses.min(), before) / before
-        if gained < 3e-3 and number:
+        if gained < worthwhile and (number or start is not None):
             break
         engine.prepare(with_point(coordinates, point))
     return linearise(engine, coordinates, point)
@@ -247,24 +255,31 @@ def exchanged(coordinates: Coordinates, point: np.ndarray, other: str, amounts: 
     return starts
 
 
-def polish(engine: Engine, base: Fit, fit: Fit, steps: int = 2) -> Fit:
-    """Go on from a refit with a Jacobian of its own: far from the base, the base's is no longer right.
+def polish(engine: Engine, base: Fit, fit: Fit, steps: int = 2, jacobians: int = 3) -> Fit:
+    """Go on from a refit with Jacobians of its own: far from the base, the base's is no longer right.
+
+    Where a base had given way to a heavy link, one Jacobian led half of the way back.
 
     Args:
         engine: gives the residuals.
         base: whose coarse error is taken off.
         fit: where to start; its columns are kept.
-        steps: along the new Jacobian.
+        steps: along each Jacobian.
+        jacobians: at most so many; one more only where the last lowered the loss by `WORTHWHILE`.
     """
     problem = _Problem(engine, base, fit.coordinates)
-    jacobian = _jacobian(engine, fit.coordinates, fit.point, fit_only=True)
     point, residual = fit.point, fit.residual
     loss = problem.loss(point, residual)
-    for _ in range(steps):
-        later, reached, tried = problem.step(jacobian, point, residual)
-        if reached >= loss:
+    while True:
+        jacobian = _jacobian(engine, fit.coordinates, point, fit_only=True)
+        before, jacobians = loss, jacobians - 1
+        for _ in range(steps):
+            later, reached, tried = problem.step(jacobian, point, residual)
+            if reached >= loss:
+                break
+            point, residual, loss = later, tried, reached
+        if not jacobians or loss > (1 - WORTHWHILE) * before:
             break
-        point, residual, loss = later, tried, reached
     columns = jacobian[..., len(base.coordinates) :]
     return Fit(fit.coordinates, point, mean_square(residual[engine.is_fit]), residual, None, columns)
 

@@ -31,6 +31,9 @@ LEAST_VELOCITY_NOISE = 0.015
 VELOCITY_LAG = 0.002
 """How late a velocity reading is [s]: the expected time constant of the servo's filter."""
 
+EXCITED = 2.0
+"""Accelerations tell a lag from so many times on what noise of the velocities makes of them."""
+
 LONGEST_LAG = 0.02
 """Velocity readings are at most so late [s]."""
 
@@ -58,7 +61,7 @@ class SmoothLog:
     Attributes:
         log: where it comes from.
         period: between ticks [s].
-        time: of the ticks, from the log's first row [s].
+        time: of the ticks, from the log's first row on, give or take its jitter [s].
         position: smoothed [rad].
         velocity: smoothed [rad/s].
         acceleration: smoothed [rad/s2].
@@ -136,25 +139,27 @@ def velocity_sensing(logs: Sequence[SmoothLog]) -> VelocitySensing:
 
     Where a joint accelerates steadily, readings that are late by d are lower than the mean velocity of a period by
     ``a d``. Within a period it does not: a command takes effect somewhere in it. So neighbouring periods are given
-    their own shares, and d is the sum of the three. What is left is compared with what noise of the angles explains.
+    their own shares, and d is the sum of the three. A joint that hardly accelerates tells none, and is taken as usual.
+    Noise is what third differences of the readings have where the joint accelerates least.
     """
     period, joints = logs[0].period, logs[0].position.shape[1]
-    lag, noise = np.zeros(joints), np.full(joints, VELOCITY_NOISE)
+    lag, noise = np.full(joints, VELOCITY_LAG), np.full(joints, LEAST_VELOCITY_NOISE)
     for j in range(joints):
-        features, missed = [], []
+        features, missed, jerky = [], [], []
         for log in logs:
             q, v = log.readings["joint", "position"][:, j], log.readings["joint", "velocity"][:, j]
             gained = np.diff(v) / period
             features.append(np.stack([gained[:-2], gained[1:-1], gained[2:]], 1))
             missed.append((np.diff(q) / period - 0.5 * (v[1:] + v[:-1]))[1:-1])
-        x, y = np.concatenate(features), np.concatenate(missed)
-        shares = np.linalg.lstsq(x, y, rcond=1e-6)[0]
-        lag[j] = np.clip(shares.sum(), 0.0, LONGEST_LAG)
-        # a joint at rest reads zeros, and tells nothing of noise
-        left = np.abs(y - x @ shares)[np.abs(y) > 0]
-        if len(left):
-            spread = 1.4826 * np.median(left) / (np.sqrt(2) * POSITION_NOISE / period)
-            noise[j] = np.clip(spread * LEAST_VELOCITY_NOISE, LEAST_VELOCITY_NOISE, VELOCITY_NOISE)
+            jerky.append(np.abs(np.diff(v, 3)))
+        x, y, third = np.concatenate(features), np.concatenate(missed), np.concatenate(jerky)
+        moves = np.abs(x).max(1) > 0
+        if moves.any():
+            calm = moves & (np.abs(x).max(1) <= np.median(np.abs(x).max(1)[moves]))
+            spread = 1.4826 * np.median(third[calm]) / np.sqrt(20.0)
+            noise[j] = np.clip(spread, LEAST_VELOCITY_NOISE, VELOCITY_NOISE)
+        if np.sqrt(np.square(x[:, 1]).mean()) > EXCITED * np.sqrt(2) * noise[j] / period:
+            lag[j] = np.clip(np.linalg.lstsq(x, y, rcond=1e-6)[0].sum(), 0.0, LONGEST_LAG)
     return VelocitySensing(lag, noise)
 
 

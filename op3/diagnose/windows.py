@@ -52,6 +52,9 @@ SEARCH = 24
 HUBER = 2.0
 """A joint whose residual in a window is larger than this, in its usual ones, counts less there."""
 
+USUAL = 0.8
+"""Quantile of a joint's residuals over windows that is called usual."""
+
 BLOCK = 1.0
 """Residuals closer than this are taken as dependent [s]."""
 
@@ -129,7 +132,7 @@ class WindowResiduals:
         self._position, self._velocity = stacked(lambda log: log.position), stacked(lambda log: log.velocity)
         common = set.intersection(*(set(log.inputs) for log in logs))
         inputs = {name: stacked(lambda log, n=name: log.inputs[n]) for name in sorted(common)}
-        supply = 0.0
+        supply, self.measured_voltage = 0.0, inputs.get("bus_voltage")
         if "bus_voltage" in common and ("joint", "current") in self.channels:
             supply, opened = open_voltages(logs)
             by_log = {id(log): voltage for log, voltage in zip(logs, opened, strict=True)}
@@ -266,14 +269,14 @@ class WindowResiduals:
         self._weight = self._weights(self.whiten(error[None])[0])
 
     def _weights(self, residual: np.ndarray) -> np.ndarray:
-        """How much each residual counts, ``[window, residual]``: less where a joint misses as in no other window.
+        """How much each residual counts, ``[window, residual]``: less where a joint misses as in few other windows.
 
         Whether a joint near rest sticks or slips is often chance, and a window in which the simulation decides
-        otherwise misses by more than all others together. What a joint misses everywhere is no chance: it counts.
+        otherwise misses by more than all others together. What a joint misses in every fifth window is no chance.
         """
         shape = (len(residual), self.ticks + 1, len(self.joints), len(self.channels))
         size = np.sqrt(np.square(residual.reshape(shape)).mean((1, 3)))  # [window, joint]
-        usual = np.maximum(1.0, np.median(size, 0))
+        usual = np.maximum(1.0, np.quantile(size, USUAL, axis=0))
         weight = np.minimum(1.0, HUBER * usual / np.maximum(size, 1e-9))
         return np.broadcast_to(weight[:, None, :, None], shape).reshape(len(residual), -1)
 

@@ -56,7 +56,13 @@ def current_control(
     return torch.clamp(wanted, -bus_voltage, bus_voltage)
 
 
-SUPPLY = "supply_resistance"
+SETTLING = 3
+"""Newton's steps to a settled voltage."""
+
+LEAST_VOLTAGE = 1.0
+"""A bus falls no further [V]."""
+
+SUPPLY = "supply"
 """Key of the memory: inner resistance of the supply [ohm], ``[sim, 1]``, where the voltage between two readings of it
 follows the currents; the bus voltage of the signals is then that without any current."""
 
@@ -66,7 +72,8 @@ def settled_voltage(
 ) -> Tensor:
     """Bus voltage [V] under the currents that it lets through: ``V = V0 - R_s sum |I(V)|``.
 
-    Solved for the servos whose current the open voltage limits; which these are changes little by the fall itself.
+    The currents fall with the voltage, so the sum has one solution; Newton's steps from above reach it as soon as they
+    have found which servos the voltage limits.
 
     Args:
         open_voltage: V0, ``[sim, joint]``.
@@ -75,13 +82,15 @@ def settled_voltage(
         back_emf: [V].
         resistance: of the motors [ohm].
     """
-    current = torch.clamp(
-        target_current, (-open_voltage - back_emf) / resistance, (open_voltage - back_emf) / resistance
-    )
-    limited = (current != target_current).to(current.dtype)
-    drawn = current.abs().sum(-1, keepdim=True)
-    slope = (limited / resistance).sum(-1, keepdim=True)
-    return open_voltage - supply_resistance * drawn / (1.0 + supply_resistance * slope)
+    voltage = open_voltage
+    for _ in range(SETTLING):
+        current = torch.clamp(target_current, (-voltage - back_emf) / resistance, (voltage - back_emf) / resistance)
+        # a servo that its speed drives back gives current the more, the lower the voltage is
+        slope = torch.where(current == target_current, 0.0, torch.sign(current * target_current) / resistance)
+        drawn, slope = current.abs().sum(-1, keepdim=True), slope.sum(-1, keepdim=True).clamp(min=0.0)
+        step = (open_voltage - supply_resistance * drawn - voltage) / (1.0 + supply_resistance * slope)
+        voltage = torch.minimum((voltage + step).clamp(min=LEAST_VOLTAGE), open_voltage)
+    return voltage
 
 
 def dte_zones(

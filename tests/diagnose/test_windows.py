@@ -7,6 +7,7 @@ from op3.diagnose import WindowResiduals, planned_suite, split_logs
 from op3.diagnose.coordinates import with_chain
 from op3.diagnose.show import vetoed
 from op3.robot import LEG_JOINTS, leg_suite
+from op3.robot.units import CURRENT_UNIT
 from op3.servo import Estimate, RobotModel, effect_class
 from op3.sim import load_model
 
@@ -72,3 +73,27 @@ def test_squares_are_told_by_joint():
 def test_free_runs_veto_what_they_speak_against(improved, worsened, after, expected):
     """Neither a better channel nor a lower loss alone outweighs a channel that is worse."""
     assert vetoed(improved, worsened, 1.0, after) is expected
+
+
+def test_a_joint_counts_less_only_in_windows_that_stand_out():
+    """An outlier of one joint in one window is capped, and what a joint misses in every third window is not."""
+    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
+    engine = WindowResiduals(split_logs(planned_suite(load_model("paper"), runs)), fit_windows=24, select_windows=6)
+    count = len(engine.windows)
+    residual = np.ones((count, engine.ticks + 1, len(engine.joints), len(engine.channels)))
+    residual[7, :, 2] = 10.0
+    residual[::3, :, 4] = 10.0
+    weight = engine._weights(residual.reshape(count, -1)).reshape(residual.shape)
+    np.testing.assert_allclose(weight[7, :, 2], 0.2)
+    expected = np.ones_like(weight)
+    expected[7, :, 2] = 0.2
+    np.testing.assert_array_equal(weight, expected)
+
+
+def test_commands_are_rounded_as_the_servos_take_them():
+    """The simulated controller asks for whole counts of the goal current's register."""
+    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
+    engine = WindowResiduals(split_logs(planned_suite(load_model("paper"), runs)), fit_windows=4, select_windows=2)
+    simulation = engine.simulation(with_chain(load_model("paper")))
+    (controller,) = [effect for effect in simulation.model.effects if effect.name == "current_pd"]
+    assert controller.resolution == CURRENT_UNIT

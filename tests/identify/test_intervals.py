@@ -48,6 +48,16 @@ def test_coverage(memory):
     assert 0.85 <= np.mean(hits) <= 0.97
 
 
+def test_a_step_that_was_not_taken_is_within_the_interval():
+    """Far from the minimum an interval reaches it; at the minimum it is as narrow as the noise allows."""
+    residuals, estimate = problem(np.random.default_rng(2), 400, 0.0)
+    blocks = np.split(np.arange(400), 10)
+    away = {**estimate, "b": estimate["b"] + 2.0}
+    there, here = (intervals(residuals, BOX, start, blocks) for start in (away, estimate))
+    assert there["b"][0] < estimate["b"] < there["b"][1]
+    assert here["b"][1] - here["b"][0] < 0.2 * (there["b"][1] - there["b"][0])
+
+
 def test_what_the_data_do_not_see_gets_its_whole_range():
     """A parameter without influence is said to be undetermined."""
     residuals, estimate = problem(np.random.default_rng(1), 200, 0.0)

@@ -35,6 +35,7 @@ from op3.servo.effects import (
     Viscous,
     VoltageSag,
 )
+from op3.servo.law import SUPPLY
 
 MOTOR = {"torque_constant": 0.006, "terminal_resistance": 5.0, "armature": 0.005}
 CONSTANT = 0.006 * 353.5
@@ -331,6 +332,19 @@ def test_sides_differ_by_the_antisymmetric_part():
     drive(law, signals)
     np.testing.assert_allclose(signals.friction_bound[0].numpy(), [0.12, 0.08, 0.1])
     np.testing.assert_allclose(signals.motor_torque[0].numpy(), 0.5 * CONSTANT * np.array([0.9, 1.1, 1.0]))
+
+
+def test_a_supply_gives_what_its_resistance_leaves():
+    """Two servos that ask for more than they get: ``R I = V0 - R_s sum |I| - K w`` in each."""
+    law, signals = law_of(joints=("a", "b"))
+    law.reset(signals)
+    signals.state[SUPPLY] = torch.full((1, 1), 0.4, dtype=torch.float64)
+    command(signals, [2.2, 2.1])
+    signals.velocity = torch.tensor([[1.0, 2.0]], dtype=torch.float64)
+    drive(law, signals)
+    left = signals.bus_voltage - 0.4 * signals.current.sum() - CONSTANT * signals.velocity
+    np.testing.assert_allclose(signals.current.numpy(), (left / MOTOR["terminal_resistance"]).numpy(), rtol=1e-6)
+    assert signals.bus_voltage.unique().item() == pytest.approx(11.1), "the voltage without current stays what it is"
 
 
 def test_a_ripple_is_found_in_a_residual_torque():

@@ -170,12 +170,12 @@ def test_law_is_differentiable():
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0.01, 0.6))
 def test_a_bus_settles_where_its_currents_hold_it(seed, supply_resistance):
-    """``V = V0 - R_s sum |I(V)|``, exactly where the fall itself limits no servo that was not limited before."""
+    """``V = V0 - R_s sum |I(V)|`` to 50 mV, however many servos the fall itself limits."""
     generator = torch.Generator().manual_seed(seed)
-    target = 3.0 * torch.randn(5, 6, generator=generator, dtype=torch.float64)
-    back_emf = 4.0 * torch.randn(5, 6, generator=generator, dtype=torch.float64)
+    target = 1.5 * torch.randn(40, 12, generator=generator, dtype=torch.float64)
+    back_emf = 2.0 * torch.randn(40, 12, generator=generator, dtype=torch.float64)
     opened, resistance = torch.full_like(target, 11.1), torch.full_like(target, 5.5)
-    supply = torch.full((5, 1), supply_resistance, dtype=torch.float64)
+    supply = torch.full((40, 1), supply_resistance, dtype=torch.float64)
     settled = law.settled_voltage(opened, supply, target, back_emf, resistance)
 
     def limits(voltage: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -183,8 +183,8 @@ def test_a_bus_settles_where_its_currents_hold_it(seed, supply_resistance):
 
     current = torch.clamp(target, *limits(settled))
     missed = (opened - settled - supply * current.abs().sum(-1, keepdim=True)).abs()
-    assert (settled <= opened).all()
-    (low, high), (first_low, first_high) = limits(settled), limits(opened)
-    unchanged = ((target < low) == (target < first_low)) & ((target > high) == (target > first_high))
-    driving = (current * target >= 0).all(-1) & unchanged.all(-1)
-    assert (missed[driving] < 1e-9).all()
+    assert ((settled <= opened) & (settled >= law.LEAST_VOLTAGE)).all()
+    # what the speed drives back raises the voltage, and has no one solution; a bus at its least has none
+    driving = (current * target >= 0).all(-1) & (settled > law.LEAST_VOLTAGE).all(-1)
+    assert driving.any() or supply_resistance > 0.3
+    assert (missed[driving] < 0.05).all()

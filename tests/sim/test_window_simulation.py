@@ -1,5 +1,7 @@
 """Windows around a motion: the same trajectories as MuJoCo's, and friction that holds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -174,3 +176,19 @@ def test_held_joint_stays_at_zero():
     zero = torch.zeros(2, 1, 1, dtype=torch.float64)
     force = torch.tensor([1e-4, -2e-4], dtype=torch.float64)[:, None, None]
     assert torch.equal(solve(mass, total, zero, force, torch.full_like(force, 3e-4), zero), zero)
+
+
+def test_the_bus_falls_with_the_currents_that_it_lets_through(recorded):
+    """Under a hard push of all joints a weak supply gives a sixth less, in numpy as in torch."""
+    model, motion = recorded
+    pushed = {**motion.inputs, "p_gain": np.full_like(motion.position, 6.0)}
+    pushed["position_target"] = motion.inputs["position_target"] + 1.0
+    weak = replace(motion, inputs=pushed, supply_resistance=0.5)
+
+    def currents(one: MeasuredMotion, translated: bool) -> torch.Tensor:
+        simulation = WindowSimulation(model, [one], [Window(0, 40)], 1, LEG, translated=translated, dtype=torch.float64)
+        return simulation.run()["joint", "current"][0, 0, -1].abs()
+
+    fallen = currents(weak, True)
+    assert torch.allclose(fallen, currents(weak, False), rtol=0, atol=1e-9)
+    assert (fallen < 0.85 * currents(replace(weak, supply_resistance=0.0), True)).all()
