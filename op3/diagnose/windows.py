@@ -10,6 +10,7 @@ friction, and the moment at which its commands take effect. Near the edge of sti
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,7 +22,7 @@ from op3.diagnose.supply import open_voltages
 from op3.robot.units import CURRENT_UNIT
 from op3.rollout import LogError
 from op3.servo import RobotModel
-from op3.servo.effects import CurrentPD
+from op3.servo.effects import CurrentPD, Motor
 from op3.sim import MeasuredMotion, TrajectoryDynamics, Window, WindowSimulation
 from op3.sim.window_simulation import MISREADING, ROTOR, ZERO
 
@@ -218,7 +219,12 @@ class WindowResiduals:
                         changes[edit.parameter, joint] = change
         if set(MISREADING) & set(model.effect_names):
             changes |= {(ZERO, joint): self._elsewhere(joint) for joint in range(len(self.joints))}
-        motion = MeasuredMotion(**{**vars(self.motion), "changes": changes})
+        given: dict[str, Any] = {**vars(self.motion), "changes": changes}
+        if self.motion.supply_resistance and any(e.drive != "current" for e in model.effects if isinstance(e, Motor)):
+            # the law lets the bus fall where the driver regulates current; others get what was measured
+            given["inputs"] = {**self.motion.inputs, "bus_voltage": self.measured_voltage}
+            given["supply_resistance"] = 0.0
+        motion = MeasuredMotion(**given)
         starts = self._starts[: int(self.is_fit.sum())] if fit_only else self._starts
         return WindowSimulation(
             _as_sent(model),

@@ -122,6 +122,15 @@ def test_wrong_input_is_one_sentence(log, tmp_path, arguments, message):
     assert not (folder / "model.yaml").exists()
 
 
+@pytest.mark.skipif(not BENCH.is_dir(), reason=f"needs {BENCH}")
+def test_what_an_experiment_holds_out_can_be_replaced(tmp_path):
+    """Another field joins the experiment's, which null takes out."""
+    held_out = "+heldout_where={mass: 0.3, firmware_gain: null}"
+    done = identify("experiment=servo_bench", f"data={BENCH}", held_out, f"hydra.run.dir={tmp_path}")
+    assert done.returncode != 0
+    assert "heldout_where={'mass': 0.3} matches none of the 96 logs" in done.stderr
+
+
 @pytest.mark.slow
 def test_servo_bench(tmp_path):
     """On the recorded STS3032 runs the held-out error is at most 13 mrad, and far larger without DTE."""
