@@ -59,8 +59,7 @@ def intervals_of(
     covariance = (len(blocks) - 1) / len(blocks) * _squares(np.array(moves))
     jumped = np.asarray(np.linalg.solve(hessian + ridge, jacobian.T @ sensitivity.jumps.T).T, dtype=np.float64)
     covariance = covariance + 2 * _squares(jumped) / len(jumped) + _unknown(hessian)
-    gradient = np.where(sensitivity.unseen, 0.0, jacobian.T @ residual)
-    covariance = covariance + _squares(_step_left(hessian + ridge, gradient, unit)[None])
+    covariance = covariance + _squares(_step_left(sensitivity, hessian + ridge)[None])
     quantile = special.stdtrit(max(1, len(blocks) - 1), 0.5 + level / 2)
     # a parameter that moves nothing, or whose neighbourhood diverges, is not determined: its interval is the range
     half = np.where(sensitivity.unseen, 1.0, quantile * np.sqrt(np.maximum(np.diag(covariance), 0.0)))
@@ -111,14 +110,19 @@ def followed_from_bounds(
     return result
 
 
-def _step_left(hessian: Array, gradient: Array, unit: Array) -> Array:
-    """The Gauss-Newton step within the box that is foreseen from the estimate, ``[parameter]``."""
-    size, scale = len(unit), max(1e-12, np.diag(hessian).max())
-    step = np.zeros((size, 1))
+def _step_left(sensitivity: Sensitivity, hessian: Array) -> Array:
+    """The Gauss-Newton step of all that is seen, within the box, foreseen from the estimate, ``[parameter]``."""
+    seen = np.flatnonzero(~sensitivity.unseen)
+    step, unit = np.zeros(len(hessian)), sensitivity.unit[seen]
+    if not len(seen):
+        return step
+    inner, gradient = hessian[np.ix_(seen, seen)], (sensitivity.jacobian.T @ sensitivity.residual)[seen]
+    found, factor = np.zeros((len(seen), 1)), np.zeros((len(seen), len(seen) + 7))
+    scale = max(1e-12, np.diag(inner).max())  # the solver refuses small pivots
     low, high = -unit[:, None], (1.0 - unit)[:, None]
-    # the solver refuses small pivots
-    mujoco.mju_boxQP(step, np.zeros((size, size + 7)), None, hessian / scale, gradient[:, None] / scale, low, high)
-    return step[:, 0]
+    mujoco.mju_boxQP(found, factor, None, inner / scale, gradient[:, None] / scale, low, high)
+    step[seen] = found[:, 0]
+    return step
 
 
 def _squares(moves: Array) -> Array:
