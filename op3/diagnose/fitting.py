@@ -4,12 +4,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-import mujoco
 import numpy as np
 from scipy import special
 from torch import Tensor
 
 from op3.diagnose.coordinates import Coordinates
+from op3.identify.box_step import box_step
 from op3.servo import Estimate, RobotModel
 
 STEP = 1e-2
@@ -258,8 +258,6 @@ def exchanged(coordinates: Coordinates, point: np.ndarray, other: str, amounts: 
 def polish(engine: Engine, base: Fit, fit: Fit, steps: int = 2, jacobians: int = 3) -> Fit:
     """Go on from a refit with Jacobians of its own: far from the base, the base's is no longer right.
 
-    Where a base had given way to a heavy link, one Jacobian led half of the way back.
-
     Args:
         engine: gives the residuals.
         base: whose coarse error is taken off.
@@ -389,18 +387,8 @@ def bounded_step(jacobian: np.ndarray, residual: np.ndarray, low: np.ndarray, hi
     scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-12)
     scaled = jacobian / scale
     hessian = scaled.T @ scaled + 1e-6 * np.eye(len(scale))
-    step = np.zeros((len(scale), 1))
-    size = len(scale)
-    mujoco.mju_boxQP(
-        step,
-        np.zeros((size, size + 7)),
-        None,
-        hessian,
-        (scaled.T @ residual)[:, None],
-        (np.minimum(low, 0.0) * scale)[:, None],
-        (np.maximum(high, 0.0) * scale)[:, None],
-    )
-    return step[:, 0] / scale
+    low, high = np.minimum(low, 0.0) * scale, np.maximum(high, 0.0) * scale
+    return box_step(hessian, scaled.T @ residual, low, high) / scale
 
 
 def with_point(coordinates: Coordinates, point: np.ndarray) -> RobotModel:

@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 
-import mujoco
 import numpy as np
 import torch
 from scipy import special
 
+from op3.identify.box_step import box_step
 from op3.identify.sensitivity import Array, Residuals, Sensitivity
 
 EDGE = 0.02
@@ -117,11 +117,8 @@ def _step_left(sensitivity: Sensitivity, hessian: Array) -> Array:
     if not len(seen):
         return step
     inner, gradient = hessian[np.ix_(seen, seen)], (sensitivity.jacobian.T @ sensitivity.residual)[seen]
-    found, factor = np.zeros((len(seen), 1)), np.zeros((len(seen), len(seen) + 7))
     scale = max(1e-12, np.diag(inner).max())  # the solver refuses small pivots
-    low, high = -unit[:, None], (1.0 - unit)[:, None]
-    mujoco.mju_boxQP(found, factor, None, inner / scale, gradient[:, None] / scale, low, high)
-    step[seen] = found[:, 0]
+    step[seen] = box_step(inner / scale, gradient / scale, -unit, 1.0 - unit)
     return step
 
 

@@ -8,10 +8,10 @@ valley in which parameters trade off is walked along, not across.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 import torch
 
+from op3.identify.box_step import box_step
 from op3.identify.sensitivity import Array, Residuals, Sensitivity, arms_at, sensitivity_of
 
 DAMPING = (1e-2, 1e-1, 1.0, 1e1, 1e2)
@@ -112,9 +112,6 @@ def _ladder(unit: Array, jacobian: Array, residual: Array) -> Array:
     scale = 0.02 * float(residual @ residual) * 9.0
     points = []
     for factor in DAMPING:
-        step = np.zeros((size, 1))
         damped = curvature + max(factor * scale, 1e-12 * float(np.trace(curvature)) + 1e-30) * np.eye(size)
-        low, high = -unit[:, None], (1.0 - unit)[:, None]
-        mujoco.mju_boxQP(step, np.zeros((size, size + 7)), None, damped, gradient[:, None], low, high)
-        points.append(np.clip(unit + step[:, 0], 0.0, 1.0))
+        points.append(np.clip(unit + box_step(damped, gradient, -unit, 1.0 - unit), 0.0, 1.0))
     return np.array(points)

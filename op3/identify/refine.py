@@ -7,10 +7,11 @@ and several dampings are tried side by side instead of one after another.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 import torch
 from torch import Tensor
+
+from op3.identify.box_step import box_step
 
 DIFFERENCE_STEP = 2e-3
 """Step of finite differences, as a share of a parameter's range: above the kinks of stiction, below curvature."""
@@ -148,15 +149,6 @@ class _Search:
         points = []
         for factor in DAMPING_LADDER:
             damped = hessian + np.eye(size) * scale * self.damping[start] * factor
-            step = np.zeros((size, 1))
-            mujoco.mju_boxQP(
-                step,
-                np.zeros((size, size + 7)),
-                None,
-                damped,
-                gradient[:, None],
-                -self.points[start][:, None],
-                (1.0 - self.points[start])[:, None],
-            )
-            points.append(np.clip(self.points[start] + step[:, 0], 0.0, 1.0))
+            step = box_step(damped, gradient, -self.points[start], 1.0 - self.points[start])
+            points.append(np.clip(self.points[start] + step, 0.0, 1.0))
         return np.array(points)

@@ -72,8 +72,8 @@ def settled_voltage(
 ) -> Tensor:
     """Bus voltage [V] under the currents that it lets through: ``V = V0 - R_s sum |I(V)|``.
 
-    The currents fall with the voltage, so the sum has one solution; Newton's steps from above reach it as soon as they
-    have found which servos the voltage limits.
+    Where no servo is driven back by its speed the currents fall with the voltage, and there is one solution; Newton's
+    steps from above reach it as soon as they have found which servos the voltage limits.
 
     Args:
         open_voltage: V0, ``[sim, joint]``.

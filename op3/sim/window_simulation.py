@@ -460,7 +460,7 @@ class _Run:
     def _step(self, tick: int, phase: int) -> None:
         o, signals, step = self.o, self.signals, self.o.timestep
         self._law_step(phase)
-        mass, bias, _ = self._dynamics(tick, (phase + 0.5) / o.substeps)
+        mass, bias, _ = self._dynamics(tick, (phase + 0.5) / o.substeps)  # in the middle of the step
         shape = self.q.shape
         applied, bound = signals.applied_torque.T.reshape(shape), step * signals.friction_bound.T.reshape(shape)
         added = torch.add(self.armature, signals.damping.T.reshape(shape), alpha=step)

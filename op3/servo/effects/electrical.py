@@ -261,7 +261,7 @@ def scaled(values: Mapping[str, Tensor], name: str, error: Tensor) -> Mapping[st
 
 
 def rate_per_step(time_constant: Tensor, timestep: float) -> Tensor:
-    """Steps per time constant of a first-order lag.
+    """Time constants of a first-order lag that pass in a step.
 
     Args:
         time_constant: [s], ``[sim, joint]``.
