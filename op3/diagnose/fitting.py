@@ -53,7 +53,10 @@ class Engine(Protocol):
         fit_only: bool = False,
         coarse: bool = False,
     ) -> np.ndarray:
-        """Whitened residuals, ``[candidate, window, residual]``; coarse ones for differences alone."""
+        """Whitened residuals, ``[candidate, window, residual]``; coarse ones for differences alone.
+
+        Of a stiff model coarse ones are like all others.
+        """
         ...
 
     def prepare(self, model: RobotModel) -> None:
@@ -287,7 +290,10 @@ class _Problem:
 
     def __init__(self, engine: Engine, base: Fit, coordinates: Coordinates):
         assert base.coarse_error is not None
-        self.engine, self.coordinates, self.coarse_error = engine, coordinates, base.coarse_error
+        self.engine, self.coordinates = engine, coordinates
+        # beside a base that was simulated in longer steps a stiff effect is not
+        exact = coordinates.model.stiff and not base.coordinates.model.stiff
+        self.coarse_error = np.zeros_like(base.coarse_error) if exact else base.coarse_error
 
     def simulate(self, points: np.ndarray) -> np.ndarray:
         """Residuals ``[point, window, residual]``."""

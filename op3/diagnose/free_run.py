@@ -125,7 +125,7 @@ class FreeRunResiduals:
         coarse: bool = False,
     ) -> np.ndarray:
         """Whitened residuals, ``[candidate, window, residual]``; coarse ones, of longer steps, for differences."""
-        choices = (self._coarse, self._coarse_fit) if coarse else (self._all, self._fit)
+        choices = (self._coarse, self._coarse_fit) if coarse and not model.stiff else (self._all, self._fit)
         replay = choices[1] if fit_only else choices[0]
         parts, size = [], 32
         for begin in range(0, candidates, size):

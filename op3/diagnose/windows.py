@@ -205,7 +205,7 @@ class WindowResiduals:
         return self._unchanged[id(base)]
 
     def simulation(self, model: RobotModel, fit_only: bool = False, coarse: bool = False) -> WindowSimulation:
-        """A simulation of the windows under a model; a coarse one takes steps of twice the length."""
+        """A simulation of the windows under a model; a coarse one takes steps of twice the length, if it can."""
         changes = {}
         for effect in model.effects:
             for edit in effect.edits:
@@ -232,7 +232,7 @@ class WindowResiduals:
             starts,
             self.ticks,
             self.joints,
-            timestep=self.timestep * (2 if coarse else 1),
+            timestep=self.timestep * (2 if coarse and not model.stiff else 1),
             preroll=PREROLL,
         )
 

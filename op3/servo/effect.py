@@ -210,6 +210,7 @@ class Effect:
         separating_experiment: what tells it from them.
         alias_class: effects of one class cannot be told apart without a special experiment.
         scopes: who can have it.
+        stiff: whether it moves within milliseconds, so that no simulation of it may take longer steps than usual.
     """
 
     name: ClassVar[str]
@@ -230,6 +231,7 @@ class Effect:
     separating_experiment: ClassVar[str] = ""
     alias_class: ClassVar[str] = ""
     scopes: ClassVar[tuple[Scope, ...]] = ()
+    stiff: ClassVar[bool] = False
 
     def __post_init__(self):
         """Refuse options of the wrong kind: a misspelt form would choose another law.

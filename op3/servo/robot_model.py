@@ -73,6 +73,11 @@ class RobotModel:
         """Names of the effects that are on, in the order of their stages."""
         return tuple(effect.name for effect in self.effects)
 
+    @property
+    def stiff(self) -> bool:
+        """Whether longer steps than usual would spoil an effect that is on."""
+        return any(effect.stiff for effect in self.effects)
+
     def parameters(self) -> dict[str, Parameter]:
         """The parameters of the effects that are on, by name."""
         return {p.name: p for effect in self.effects for p in effect.parameters}

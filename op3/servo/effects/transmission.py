@@ -3,7 +3,8 @@
 Where one of the two effects is on, the rotor's inertia leaves the link's degree of freedom, and motor, gear and
 friction act on the rotor. The law integrates it; the link feels the torque in the contact, which is solved together
 with the link's velocity at the end of the step: for the spring deflection in the middle of the step the pair is stable
-at any stiffness. The encoder sits on the output, as in the Dynamixel X series.
+at any stiffness. The encoder sits on the output, as in the Dynamixel X series. What lies behind the play, the last
+wheels and the horn, turns with the link: a light foot that rattles within the play does so at another rate with it.
 """
 
 from collections.abc import Mapping
@@ -22,6 +23,9 @@ MIDDLE = 0.5
 UNLOADED = 0.03
 """Load below which a measured motion does not tell on which flank a loose gear lies [N m]."""
 
+MOST_BEHIND = 0.5
+"""At most this share of the armature turns with the link."""
+
 LEAST_COMPLIANCE = 1e-6
 """Stands for a rigid transmission where none acts [rad/(N m)]."""
 
@@ -33,6 +37,7 @@ direction in which it slipped, stacked."""
 class Transmission(Effect):
     """What backlash and compliance share."""
 
+    stiff: ClassVar[bool] = True
     damping_ratio: float
 
     @staticmethod
@@ -171,7 +176,7 @@ class Backlash(Transmission):
     """Play between gear and link: the rotor crosses the gap freely when the transmitted torque changes sign.
 
     Attributes:
-        damping_ratio: of the rotor on the stiffness of the contact, against a link at rest.
+        damping_ratio: of the rotor on the stiffness of the contact, against a link at rest; half of the loss factor.
     """
 
     name: ClassVar[str] = "backlash"
@@ -182,12 +187,23 @@ class Backlash(Transmission):
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("backlash_half_gap", "rad", 0.0, 0.012, 0.0, 0.0, "delta, half of the play", least=0.0),
         Parameter("contact_stiffness", "N m/rad", 100.0, 500.0, 300.0, None, "K, of teeth and shafts", least=1.0),
+        Parameter(
+            "output_inertia",
+            "kg m2",
+            0.0,
+            0.001,
+            0.0,
+            None,
+            "J_o, part of the armature that turns with the link",
+            least=0.0,
+        ),
     )
     borrows: ClassVar[tuple[str, ...]] = ("armature", "gear_compliance")
     size: ClassVar[str] = "backlash_half_gap"
     smallest: ClassVar[float] = 0.001
     secants: ClassVar[tuple[Mapping[str, float], ...]] = tuple(
-        {"backlash_half_gap": gap, "contact_stiffness": 300.0} for gap in (0.0015, 0.003, 0.006, 0.010)
+        {"backlash_half_gap": gap, "contact_stiffness": 300.0, "output_inertia": 0.0005}
+        for gap in (0.0015, 0.003, 0.006, 0.010)
     )
     fingerprint: ClassVar[str] = (
         "after a sign change of the transmitted torque: free flight, a jump of velocity, ringing at 20 to 60 Hz; none"
@@ -198,7 +214,7 @@ class Backlash(Transmission):
     alias_class: ClassVar[str] = "transmission"
     scopes: ClassVar[tuple[Scope, ...]] = ("joint", "shared", "side")
 
-    damping_ratio: float = 0.1
+    damping_ratio: float = 0.04
 
     def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
         """Gap and stiffness; the compliance of the gear train is in series where that effect is on too."""
@@ -206,7 +222,9 @@ class Backlash(Transmission):
         compliance = torch.where(gap > 0, 1.0 / values["contact_stiffness"], 0.0)
         if "gear_compliance" in values:
             compliance = compliance + values["gear_compliance"]
-        return self._prepared(gap, compliance, values["armature"], clock)
+        armature = values["armature"]
+        behind = torch.where(gap > 0, torch.minimum(values["output_inertia"], MOST_BEHIND * armature), 0.0)
+        return self._prepared(gap, compliance, armature - behind, clock)
 
 
 @register
@@ -217,7 +235,7 @@ class Compliance(Transmission):
     Where `backlash` is on too, that effect solves both in series, and this one only lends its parameter.
 
     Attributes:
-        damping_ratio: of the rotor on the gear train's stiffness, against a link at rest.
+        damping_ratio: of the rotor on the gear train's stiffness, against a link at rest; half of the loss factor.
     """
 
     name: ClassVar[str] = "compliance"
@@ -238,7 +256,7 @@ class Compliance(Transmission):
     alias_class: ClassVar[str] = "transmission"
     scopes: ClassVar[tuple[Scope, ...]] = ("joint", "shared", "side")
 
-    damping_ratio: float = 0.1
+    damping_ratio: float = 0.04
 
     def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
         """Stiffness; none where backlash takes it along."""
