@@ -18,7 +18,17 @@ from op3.diagnose.coordinates import (
     other_forms,
     with_chain,
 )
-from op3.diagnose.decide import CEILING, LOOK_ALIKE, UNDECIDED, Contender, Decision, Own, decide, local_ceiling
+from op3.diagnose.decide import (
+    CEILING,
+    DOUBLY_CHECKED,
+    LOOK_ALIKE,
+    UNDECIDED,
+    Contender,
+    Decision,
+    Own,
+    decide,
+    local_ceiling,
+)
 from op3.diagnose.fitting import (
     LEAST_GAIN,
     ROUNDS,
@@ -37,6 +47,7 @@ from op3.diagnose.fitting import (
 from op3.diagnose.free_run import engine_for
 from op3.diagnose.hypotheses import Hypothesis, hypotheses
 from op3.diagnose.locate import locate, remaining
+from op3.diagnose.packets import LossHypothesis, LostPackets, loss_hypothesis, without_losses
 from op3.diagnose.preflight import CAPPED, Caution, preflight
 from op3.diagnose.screen import Screened, screen
 from op3.diagnose.settle import Candidate, settle
@@ -49,6 +60,7 @@ from op3.diagnose.windows import WindowResiduals
 from op3.servo import Estimate, RobotModel, effect_class
 from op3.servo.conditions import split_name
 from op3.servo.effect import parameter
+from op3.servo.effects import PacketDrop
 from op3.sim import model_hash
 
 SHORTLIST = 6
@@ -206,6 +218,10 @@ class Diagnosis:
         fitted = with_point(base.coordinates, base.point)
         candidates = hypotheses(fitted, self.engine.joints, fixed_base=self.fixed_base, without=self.without)
         candidates += setup_hypotheses(fitted, self.split.logs, self.without)
+        if isinstance(self.engine, WindowResiduals) and any(h.effect is PacketDrop for h in candidates):
+            # which packets got lost is read off the logs: nothing fits that drew its own
+            lost = None if PacketDrop.name in fitted.effect_names else loss_hypothesis(self.engine, base)
+            candidates = [h for h in candidates if h.effect is not PacketDrop] + ([] if lost is None else [lost])
         if self.fixed_base:
             return screen(self.engine, base, candidates, lambda share: self._report("screen", share))
         # on its feet a simulation is dear: single joints are asked of the leading effects alone
@@ -243,7 +259,7 @@ class Diagnosis:
         if kept > 1 and verdict.vetoed:
             first = self._shown(verdicts[0])  # it may be better alone
             verdict = verdict if first.vetoed else first
-        return replace(verdict, reason=verdict.reason + beside)
+        return _doubly_checked(replace(verdict, reason=verdict.reason + beside))
 
     def _void(self) -> Verdict:
         """Logs that contradict themselves: nothing is fitted to them, and nothing named."""
@@ -294,11 +310,13 @@ class Diagnosis:
         Before they do, models on the way to it are tried, in the order in which free runs of the fitted logs like them,
         until one is not vetoed.
         """
-        shown = show(verdict.base, verdict.model, self.split, lambda share: self._report("show", share))
-        model, share = verdict.model, 1.0
-        vetoed = bool(shown["vetoed"]) and model is not verdict.base
+        base, model, share = without_losses(verdict.base), verdict.model, 1.0
+        shown = show(base, without_losses(model), self.split, lambda share: self._report("show", share))
+        # of packets that were counted tick by tick a free run tells nothing
+        free = any(effect.name != PacketDrop.name for effect in verdict.effects)
+        vetoed = bool(shown["vetoed"]) and free and model is not verdict.base
         for between in softened(verdict.base, model, self.split.fit) if vetoed else ():
-            again = show(verdict.base, between[0], self.split, known=shown["before"])
+            again = show(base, without_losses(between[0]), self.split, known=shown["before"])
             if not again["vetoed"]:
                 shown, vetoed, (model, share) = again, False, between
                 break
@@ -409,6 +427,10 @@ class Diagnosis:
             fits[number] = polish(self.engine, base, fits[number])
         if picked:
             control = polish(self.engine, base, control)
+        fits = [
+            s.hypothesis.counted(fit) if isinstance(s.hypothesis, LossHypothesis) else fit
+            for s, fit in zip(picked, fits, strict=True)
+        ]
         result = [
             Refitted(s.hypothesis, s, fit, self._contender(s.hypothesis, fit, control, base, s.direction))
             for s, fit in zip(picked, fits, strict=True)
@@ -498,6 +520,8 @@ class Diagnosis:
             }
         size = _apart(hypothesis, fit, start + float(fit.point[place]))
         width = float(np.hypot(half[place - known], FORM_ERROR * QUANTILE * (size - start)))
+        if isinstance(hypothesis, LossHypothesis) and hypothesis.found is not None:
+            return self._loss_finding(hypothesis, hypothesis.found, refitted, confidence)
         limit = parameter(entry.parameter)
         low, high = (
             (max(limit.least, size - width), min(limit.most, size + width))
@@ -519,6 +543,24 @@ class Diagnosis:
             parameters=values,
             gain=refitted.contender.gain,
             parameter=entry.parameter,
+        )
+
+    def _loss_finding(
+        self, hypothesis: LossHypothesis, found: LostPackets, refitted: Refitted, confidence: float
+    ) -> Finding:
+        """Lost packets, as they were counted."""
+        name = hypothesis.effect.size
+        return Finding(
+            name=hypothesis.effect.name,
+            joints=tuple(self.engine.joints),
+            shared=True,
+            size=found.share,
+            unit=parameter(name).unit,
+            interval=found.interval(),
+            confidence=confidence,
+            parameters={name: found.share},
+            gain=refitted.contender.gain,
+            parameter=name,
         )
 
     def _setup_finding(
@@ -578,6 +620,16 @@ class Diagnosis:
 def _full(model: RobotModel) -> RobotModel:
     """A model with the chain of measurement that every robot has."""
     return with_chain(model) if "current_pd" in model.effect_names else model
+
+
+def _doubly_checked(verdict: Verdict) -> Verdict:
+    """The verdict, or that nothing is missing where windows show little of it and free runs speak against it."""
+    if not verdict.vetoed or any(effect.gain >= DOUBLY_CHECKED for effect in verdict.effects):
+        return verdict
+    names = " and ".join(dict.fromkeys(effect.name for effect in verdict.effects))
+    gain = max(effect.gain for effect in verdict.effects)
+    reason = f"the best of the catalogue, {names}, explains {gain:.1%}, and free runs are no better with it"
+    return replace(verdict, verdict="nothing_missing", effects=(), reason=reason, separate_by="", vetoed=False)
 
 
 def _speaks(caution: Caution, findings: Sequence[Finding]) -> bool:

@@ -78,6 +78,10 @@ class WindowResiduals:
 
     Raises:
         LogError: if logs differ in joints or rate, or the base is free.
+
+    Attributes:
+        packets: what is known of command packets, as `op3.servo.Signals.packet`, of the ticks of every window and
+            `PREROLL` before it, ``[window, tick]``; None where nothing is. See `op3.diagnose.packets`.
     """
 
     def __init__(
@@ -118,7 +122,7 @@ class WindowResiduals:
         self._nuisance: np.ndarray | None = None
         self._shrink: np.ndarray | None = None
         self._weight = np.ones((len(self.windows), 1))
-        self._models: dict[int, tuple[RobotModel, WindowSimulation]] = {}
+        self.packets: np.ndarray | None = None
         self.simulated_rows = 0
 
     def _stack(self, logs: Sequence[SmoothLog]) -> None:
@@ -220,9 +224,14 @@ class WindowResiduals:
         if set(MISREADING) & set(model.effect_names):
             changes |= {(ZERO, joint): self._elsewhere(joint) for joint in range(len(self.joints))}
         given: dict[str, Any] = {**vars(self.motion), "changes": changes}
+        if self.packets is not None:
+            given["inputs"] = {
+                **self.motion.inputs,
+                "packet": np.repeat(self.packets.reshape(-1, 1), len(self.joints), 1),
+            }
         if self.motion.supply_resistance and any(e.drive != "current" for e in model.effects if isinstance(e, Motor)):
             # the law lets the bus fall where the driver regulates current; others get what was measured
-            given["inputs"] = {**self.motion.inputs, "bus_voltage": self.measured_voltage}
+            given["inputs"] = {**given["inputs"], "bus_voltage": self.measured_voltage}
             given["supply_resistance"] = 0.0
         motion = MeasuredMotion(**given)
         starts = self._starts[: int(self.is_fit.sum())] if fit_only else self._starts

@@ -12,7 +12,7 @@ from op3.identify.sensitivity import Array, Residuals, Sensitivity
 EDGE = 0.02
 """A parameter within this share of its range from an end of it has ended there."""
 
-FARTHER = (1 / 3, 2 / 3, 1.0)
+FARTHER = (0.5, 1.0)
 """Where an interval from one end of a range is checked, as shares of the way from its own end to the other end."""
 
 NOTHING = 1e-9

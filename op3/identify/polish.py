@@ -83,7 +83,7 @@ def polish(
             points = np.concatenate([arms.points, ladder])
             found = np.concatenate([arms.residual, _simulate(residuals, ladder)])
             losses = np.square(found).sum(1)
-            best = int(losses.argmin())
+            best, before = int(losses.argmin()), unit
             if losses[best] < history[-1]:
                 unit, residual = points[best], found[best]
             history.append(float(residual @ residual))
@@ -91,7 +91,7 @@ def polish(
                 progress(len(history) - 1, history[-1])
             gained = history[-1] < (1 - GAIN) * history[-2]
             moving = gained and len(history) <= steps
-            if gained:
+            if moving or (gained and not arms.reach(unit - before)):
                 continue
         if again == 0 or arms.long_enough(history[-1]):
             break

@@ -83,6 +83,10 @@ class Arms:
         """What jumps do to the squared residual, of the middle direction."""
         return float(np.median(np.square(self.jumps).sum(1)))
 
+    def reach(self, step: Array) -> bool:
+        """Whether a point so far away lies between the ends: what was found between them holds there too."""
+        return bool((np.abs(self.axes.T @ step) <= self.lengths).all())
+
     def long_enough(self, loss: float) -> bool:
         """Whether no arm should be more than twice as long, by what they found."""
         information = np.einsum("pd,pq,qd->d", self.axes, self.curvature, self.axes)

@@ -105,6 +105,7 @@ class Signals:
     d_gain: Tensor  # [A s/rad]
     firmware_gain: Tensor  # kp of the servo's own position loop [firmware units]
     torque_enable: Tensor  # 1 or 0
+    packet: Tensor  # whether that of this tick arrived, where it is known: 1, -1 where it was lost; 0 elsewhere
     bus_voltage: Tensor  # [V]
     temperature: Tensor  # of the servo, as it measures it [C]
     time: Tensor  # since the start [s]; filled only where an effect reads it

@@ -217,6 +217,19 @@ def test_lost_packets_hold_the_last_command_and_repeat_with_the_seed():
     assert (first != arrived(2)).any()
 
 
+@pytest.mark.parametrize(("probability", "kept"), [(0.001, [1, 1, 3]), (0.0, [1, 2, 3])])
+def test_a_packet_that_is_known_to_be_lost_is_lost_where_any_are(probability, kept):
+    """What is known of a packet counts, and not what is drawn; with a probability of 0 none is lost."""
+    law, signals = law_of(PacketDrop(), drop_probability=probability)
+    law.reset(signals)
+    seen = []
+    for tick, known in enumerate((1.0, -1.0, 1.0)):
+        signals.packet = torch.full_like(signals.packet, known)
+        command(signals, 0.1 * (tick + 1))
+        seen += drive(law, signals)
+    assert seen == pytest.approx([0.1 * tick for tick in kept])
+
+
 def test_filtered_velocity_of_a_ramp_lags_by_its_time_constant():
     """On w = a t the filter reads a (t - T (1 - exp(-t / T))), exactly, however often the sensors are read."""
     law, signals = law_of(VelocityFilter(), velocity_time_constant=0.005)

@@ -199,7 +199,13 @@ def test_both_transmissions_together_are_one_in_series(hinge):
     """Backlash with the gear's compliance beside it is backlash with the sum of both compliances."""
     common = {"backlash_half_gap": 0.003, "coulomb_friction": 0.05}
     both = simulation(
-        hinge, Coulomb(), Backlash(damping_ratio=RATIO), Compliance(damping_ratio=RATIO), contact_stiffness=300.0, gear_compliance=0.005, **common
+        hinge,
+        Coulomb(),
+        Backlash(damping_ratio=RATIO),
+        Compliance(damping_ratio=RATIO),
+        contact_stiffness=300.0,
+        gear_compliance=0.005,
+        **common,
     )
     one = simulation(hinge, Coulomb(), Backlash(damping_ratio=RATIO), contact_stiffness=1 / (1 / 300 + 0.005), **common)
     np.testing.assert_allclose(tracked(both, 0.5), tracked(one, 0.5), atol=1e-9)

@@ -19,7 +19,9 @@ class PacketDrop(Effect):
     """Some command packets do not arrive; the servos then hold their last command.
 
     One packet carries the commands of all servos, so all lose it. Which packets are lost follows from the seed and the
-    number of the tick alone: all simulations lose the same ones, and more where the probability is higher.
+    number of the tick alone: all simulations lose the same ones, and more where the probability is higher. Where
+    `Signals.packet` tells whether one arrived, as a diagnosis reads it off a log, that counts if the probability is
+    above 0.
 
     Attributes:
         seed: of the random numbers.
@@ -62,7 +64,9 @@ class PacketDrop(Effect):
         """Hold the last command where this packet is lost."""
         number = int(signals.state["packet_number"])
         signals.state["packet_number"] = signals.state["packet_number"] + 1
-        lost = prepared["chance"][number % TABLE_LENGTH] < prepared["probability"]
+        drawn = prepared["chance"][number % TABLE_LENGTH] < prepared["probability"]
+        known = (signals.packet < 0) & (prepared["probability"] > 0)
+        lost = torch.where(signals.packet == 0, drawn, known)
         arrived = torch.where(lost, signals.state[self.name], getattr(signals, self.signal))
         signals.state[self.name] = arrived
         setattr(signals, self.signal, arrived)
