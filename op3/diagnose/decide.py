@@ -358,6 +358,16 @@ def _stands_out(left: np.ndarray | None) -> int | None:
     return int(left.argmax())
 
 
+def unresolved(named: Sequence[Contender]) -> bool:
+    """Whether what several rounds have named leaves one joint standing out; of impacts in this joint it may.
+
+    Args:
+        named: the leader of every round; what the last leaves counts.
+    """
+    joint = _stands_out(named[-1].left) if named else None
+    return joint is not None and not any(one.effect in CONTACTS and one.joints == (joint,) for one in named)
+
+
 def _closed(contender: Contender, left: np.ndarray, joint: int) -> float:
     """Share of a joint's gap, beyond what is usual in others, that a contender explains."""
     usual = float(np.median(left))

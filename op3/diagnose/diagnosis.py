@@ -28,6 +28,7 @@ from op3.diagnose.decide import (
     Own,
     decide,
     local_ceiling,
+    unresolved,
 )
 from op3.diagnose.fitting import (
     LEAST_GAIN,
@@ -253,8 +254,12 @@ class Diagnosis:
             model = self._candidates[-1][0].model
         while self._candidates and verdicts[len(self._candidates) - 1].verdict == "unknown":
             self._candidates.pop()  # what it leaves is as unknown as before
+        begun = [i for i in range(len(self._candidates)) if verdicts[i].verdict == "unknown"]
+        if begun and unresolved([candidates[0].contender for candidates in self._candidates]):
+            del self._candidates[begun[0] :]  # nor have later rounds found what was missing there
         kept = len(self._candidates)
-        beside = f"; beside that, {verdicts[-1].reason}" if kept and verdicts[-1].verdict == "unknown" else ""
+        unknown = [verdict for verdict in verdicts[kept:] if verdict.verdict == "unknown"]
+        beside = f"; beside that, {unknown[0].reason}" if kept and unknown else ""
         verdict = self._shown(self._together(verdicts[:kept]) if kept > 1 else verdicts[0])
         if kept > 1 and verdict.vetoed:
             first = self._shown(verdicts[0])  # it may be better alone

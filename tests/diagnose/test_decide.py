@@ -17,6 +17,7 @@ from op3.diagnose.decide import (
     local_ceiling,
     pick_shares,
     signed_ranks,
+    unresolved,
 )
 
 BLOCKS = 60
@@ -288,3 +289,20 @@ def test_a_size_beyond_what_is_plausible_is_not_named(control, rng):
     assert (decision.verdict, decision.candidates) == ("named", (1,))
     assert decision.shares.tolist() == [0.0, 1.0]
     assert decide([at_bound, far], control, rng).verdict == "unknown"
+
+
+@pytest.mark.parametrize(
+    ("names", "left", "expected"),
+    [
+        (["load_friction@3", "velocity_filter"], 48.0, True),
+        (["lugre", "backlash@3"], 48.0, False),
+        (["lugre", "backlash@2"], 48.0, True),
+        (["load_friction@3", "velocity_filter"], 12.0, False),
+        ([], 48.0, False),
+    ],
+)
+def test_names_that_leave_one_joint_standing_out_resolve_nothing(names, left, expected):
+    """Behind a hard stop other effects explain some of its impacts; play in the joint itself leaves impacts as well."""
+    rest = np.array([10.0, 10.0, 10.0, left, 10.0, 10.0])
+    named = [dataclasses.replace(contender(name, 0.3), left=rest) for name in names]
+    assert unresolved(named) is expected
