@@ -359,13 +359,17 @@ def _stands_out(left: np.ndarray | None) -> int | None:
 
 
 def unresolved(named: Sequence[Contender]) -> bool:
-    """Whether what several rounds have named leaves one joint standing out; of impacts in this joint it may.
+    """Whether what several rounds have named leaves a gap as large as `LARGE_GAP`; of impacts in its joint it may.
+
+    That the joint stands out no longer is not enough: names that are not the right ones bend all others as well.
 
     Args:
         named: the leader of every round; what the last leaves counts.
     """
-    joint = _stands_out(named[-1].left) if named else None
-    return joint is not None and not any(one.effect in CONTACTS and one.joints == (joint,) for one in named)
+    left = named[-1].left if named else np.zeros(0)
+    if not left.size or left.max() <= LARGE_GAP:
+        return False
+    return not any(one.effect in CONTACTS and one.joints == (int(left.argmax()),) for one in named)
 
 
 def _closed(contender: Contender, left: np.ndarray, joint: int) -> float:
