@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from op3.servo import RobotModel, ServoLaw, Signals
-from op3.servo.effects import EncoderNonlinearity, EncoderOffset, Motor
+from op3.servo.effects import Backlash, EncoderNonlinearity, EncoderOffset, Motor
 from op3.servo.law import SUPPLY
 from op3.sim.inputs import default_commands, expand_parameters, set_start
 from op3.sim.trajectory_dynamics import TrajectoryDynamics
@@ -307,6 +307,9 @@ class _Run:
         self.law.set_parameters({name: self._per_row(value) for name, value in values.items()})
         armature = values.get(ROTOR.parameter, torch.zeros(candidates, 1, dtype=owner.dtype))
         self.armature = armature.expand(candidates, self.count).T[:, :, None].contiguous()
+        # what a loose gear has behind its play is a load to its teeth as the link is
+        behind = Backlash.behind(values) if Backlash.size in values and ROTOR.parameter in values else torch.zeros(1, 1)
+        self.behind = behind.to(owner.dtype).expand(candidates, self.count).T[:, :, None]
         self.changes = owner.changes(values)
         self.signals = Signals.zeros(candidates * self.num, self.count, dtype=owner.dtype)
         self.q = self._block(owner._position[0]).clone()
@@ -385,7 +388,7 @@ class _Run:
         a = torch.lerp(o._acceleration[tick], o._acceleration[tick + 1], share)
         self.q, self.v = self._block(q) + self.shift, self._block(v).clone()
         mass, bias, _ = self._dynamics(tick, share)
-        load = -((mass * a[None, :, None, :]).sum(1) + bias)
+        load = -((mass * a[None, :, None, :]).sum(1) + bias + self.behind * a[:, None, :])
         self.signals.load_torque = self._flat(load.expand(self.q.shape))
         self.signals.radial_force = self._flat(self._block(o._force[tick]))
         self._expose()
@@ -430,7 +433,7 @@ class _Run:
         rests = o._velocity[tick].abs() < REST
         mass, bias, _ = self._dynamics(tick, 0.0)
         acceleration = torch.where(rests, 0.0, o._acceleration[tick])
-        needed = (mass * acceleration[None, :, None, :]).sum(1) + bias
+        needed = (mass * acceleration[None, :, None, :]).sum(1) + bias + self.behind * acceleration[:, None, :]
         applied = self.signals.applied_torque.T.reshape(self.q.shape)
         at_rest = self._flat(self._block(rests))
         self.law.balance(self.signals, self._flat((applied - needed).expand(self.q.shape)), at_rest)

@@ -62,10 +62,10 @@ def tracked(sim, duration: float) -> np.ndarray:
     return np.array(places)
 
 
-def two_bodies(half_gap: float, stiffness: float, coulomb: float, duration: float) -> np.ndarray:
+def two_bodies(half_gap: float, stiffness: float, coulomb: float, duration: float, ratio: float) -> np.ndarray:
     """The same motion of rotor and link with a spring and a gap between them, integrated in steps of 0.02 ms."""
     step, every = 2e-5, 400
-    damping = 2 * RATIO * np.sqrt(stiffness * ARMATURE)
+    damping = 2 * ratio * np.sqrt(stiffness * ARMATURE)
     rotor = rate = link = speed = current = 0.0
     places = []
     for k in range(round(duration / step)):
@@ -112,14 +112,33 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-@pytest.mark.parametrize("half_gap", [0.002, 0.005])
-def test_backlash_at_1_ms_is_that_of_fine_steps(hinge, half_gap):
+@pytest.mark.parametrize(
+    ("half_gap", "ratio", "duration"), [(0.002, RATIO, 2.0), (0.005, RATIO, 2.0), (0.005, Backlash.damping_ratio, 0.48)]
+)
+def test_backlash_at_1_ms_is_that_of_fine_steps(hinge, half_gap, ratio, duration):
     """The motion with play differs from that without; most of the difference is there at 1 ms."""
-    truth = two_bodies(half_gap, 300.0, 0.05, 2.0)
-    without = tracked(simulation(hinge, Coulomb(), coulomb_friction=0.05), 2.0)
+    truth = two_bodies(half_gap, 300.0, 0.05, duration, ratio)
+    without = tracked(simulation(hinge, Coulomb(), coulomb_friction=0.05), duration)
     values = {"coulomb_friction": 0.05, "backlash_half_gap": half_gap, "contact_stiffness": 300.0}
-    ours = tracked(simulation(hinge, Coulomb(), Backlash(damping_ratio=RATIO), **values), 2.0)
+    ours = tracked(simulation(hinge, Coulomb(), Backlash(damping_ratio=ratio), **values), duration)
     assert rms(ours - truth) < 0.45 * rms(without - truth)
+
+
+@pytest.mark.parametrize("stiffness", [100.0, 500.0])
+def test_nothing_but_the_contact_damps_a_contact(hinge, stiffness):
+    """A rotor pressed into a soft gear swings on without damping; with it the swing falls off as the ratio says."""
+    left = []
+    for ratio in (0.0, 0.04):
+        values = {"gear_compliance": 1 / stiffness, "coulomb_friction": 0.0}
+        sim = simulation(hinge, Coulomb(), Compliance(damping_ratio=ratio), gravity=False, period=0.001, **values)
+        sim.reset([0.0], {"p_gain": 0.0, "d_gain": 0.0}, load_torque=1.0)
+        swing = []
+        for _ in range(400):
+            sim.advance()
+            swing.append(sim.measure()[("joint", "velocity")].item())
+        left.append(np.abs(swing[-60:]).max() / np.abs(swing[:60]).max())
+    assert left[0] > 0.97
+    assert left[1] < 0.3
 
 
 def test_a_limited_current_tells_of_the_rotor_not_of_the_link(hinge):
@@ -188,7 +207,7 @@ def test_a_supply_limits_what_arrives_within_a_step(hinge, lag):
 
 def test_compliance_converges_to_fine_steps(hinge):
     """A soft gear train at 0.1 ms follows the fine integration five times closer than a rigid one does."""
-    truth = two_bodies(0.0, 20.0, 0.05, 1.0)
+    truth = two_bodies(0.0, 20.0, 0.05, 1.0, RATIO)
     rigid = tracked(simulation(hinge, Coulomb(), timestep=1e-4, coulomb_friction=0.05), 1.0)
     values = {"coulomb_friction": 0.05, "gear_compliance": 0.05}
     ours = tracked(simulation(hinge, Coulomb(), Compliance(damping_ratio=RATIO), timestep=1e-4, **values), 1.0)

@@ -2,8 +2,7 @@
 
 Where one of the two effects is on, the rotor's inertia leaves the link's degree of freedom, and motor, gear and
 friction act on the rotor. The law integrates it; the link feels the torque in the contact, which is solved together
-with the link's velocity at the end of the step: for the spring deflection in the middle of the step the pair is stable
-at any stiffness. The encoder sits on the output, as in the Dynamixel X series. What lies behind the play, the last
+with the link's velocity at the end of the step: the pair is stable at any stiffness, and only the contact damps it. The encoder sits on the output, as in the Dynamixel X series. What lies behind the play, the last
 wheels and the horn, turns with the link: a light foot that rattles within the play does so at another rate with it.
 """
 
@@ -17,8 +16,9 @@ from torch import Tensor
 from op3.servo import law
 from op3.servo.effect import Clock, Effect, Parameter, Prepared, Scope, Signals, Stage, register
 
-MIDDLE = 0.5
-"""Share of the step after which the spring's deflection counts; from 0.5 on the scheme is stable at any stiffness."""
+STEADY = 0.25
+"""How much of the spring's torque per step acts against a change of velocity, as an inertia of ``STEADY h^2 K`` would:
+from 0.25 on the scheme is stable at any stiffness, and it damps nothing. What it adds is 1 to 5 % of a rotor."""
 
 UNLOADED = 0.03
 """Load below which a measured motion does not tell on which flank a loose gear lies [N m]."""
@@ -62,9 +62,9 @@ class Transmission(Effect):
             "active": active,
             "half_gap": half_gap,
             "stiffness": stiffness,
-            # torque per difference of velocities at the end of the step: the contact's own damping, of which the
-            # deflection in the middle of the step makes up a part
-            "grip": torch.maximum(MIDDLE * clock.timestep * stiffness, friction),
+            "steadying": STEADY * clock.timestep * stiffness,
+            # torque per difference of velocities at the end of the step
+            "grip": STEADY * clock.timestep * stiffness + friction,
             "armature": armature,
             "timestep": torch.tensor(clock.timestep, dtype=half_gap.dtype),
         }
@@ -142,7 +142,7 @@ class Transmission(Effect):
         apart = angle - link
         side = torch.sign(apart + step * (free - link_velocity))
         side = torch.where((apart + step * (free - link_velocity)).abs() > half_gap, side, 0.0)
-        bent = prepared["stiffness"] * (apart - side * half_gap)
+        bent = prepared["stiffness"] * (apart - side * half_gap) - prepared["steadying"] * (velocity - link_velocity)
         pushes = side * (bent + grip * (free - link_velocity)) > 0
         touches = (half_gap == 0) | ((side != 0) & pushes)
         bent, grip = torch.where(touches, bent, 0.0), torch.where(touches, grip, 0.0)
@@ -222,9 +222,13 @@ class Backlash(Transmission):
         compliance = torch.where(gap > 0, 1.0 / values["contact_stiffness"], 0.0)
         if "gear_compliance" in values:
             compliance = compliance + values["gear_compliance"]
-        armature = values["armature"]
-        behind = torch.where(gap > 0, torch.minimum(values["output_inertia"], MOST_BEHIND * armature), 0.0)
-        return self._prepared(gap, compliance, armature - behind, clock)
+        return self._prepared(gap, compliance, values["armature"] - self.behind(values), clock)
+
+    @staticmethod
+    def behind(values: Mapping[str, Tensor]) -> Tensor:
+        """Inertia behind the play [kg m^2], where there is any, by the effect's parameters and the armature."""
+        own = torch.minimum(values["output_inertia"], MOST_BEHIND * values["armature"])
+        return torch.where(values["backlash_half_gap"] > 0, own, 0.0)
 
 
 @register
