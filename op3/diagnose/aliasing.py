@@ -29,7 +29,7 @@ def aliasing(diagnosis: Diagnosis, most: int = 60, *, planned: bool = False) -> 
     """
     base = diagnosis.linearised() if planned else diagnosis.refit_base(diagnosis.given)
     best: dict[str, Screened] = {}
-    for s in diagnosis.screen(base):
+    for s in diagnosis.screen(base, planned):
         label = s.hypothesis.label(diagnosis.engine.joints)
         if label not in best or s.strength > best[label].strength:
             best[label] = s

@@ -48,7 +48,15 @@ from op3.diagnose.fitting import (
 from op3.diagnose.free_run import engine_for
 from op3.diagnose.hypotheses import Hypothesis, hypotheses
 from op3.diagnose.locate import locate, remaining
-from op3.diagnose.packets import LossHypothesis, LostPackets, loss_hypothesis, without_losses
+from op3.diagnose.packets import (
+    LossHypothesis,
+    LostPackets,
+    as_lossy,
+    loss_hypothesis,
+    lost_packets,
+    supposed_losses,
+    without_losses,
+)
 from op3.diagnose.preflight import CAPPED, Caution, preflight
 from op3.diagnose.screen import Screened, screen
 from op3.diagnose.settle import Candidate, settle
@@ -214,15 +222,22 @@ class Diagnosis:
                     digest.update(np.ascontiguousarray(log.array(channel)).tobytes())
         return digest.hexdigest()[:16]
 
-    def screen(self, base: Fit) -> list[Screened]:
-        """Screen the catalogue."""
+    def screen(self, base: Fit, planned: bool = False) -> list[Screened]:
+        """Screen the catalogue.
+
+        Args:
+            base: what the effects are held against.
+            planned: whether the logs were simulated by the model, so that losses of packets are to be supposed.
+        """
         fitted = with_point(base.coordinates, base.point)
         candidates = hypotheses(fitted, self.engine.joints, fixed_base=self.fixed_base, without=self.without)
         candidates += setup_hypotheses(fitted, self.split.logs, self.without)
-        if isinstance(self.engine, WindowResiduals) and any(h.effect is PacketDrop for h in candidates):
+        if any(h.effect is PacketDrop for h in candidates):
             # which packets got lost is read off the logs: nothing fits that drew its own
-            lost = None if PacketDrop.name in fitted.effect_names else loss_hypothesis(self.engine, base)
-            candidates = [h for h in candidates if h.effect is not PacketDrop] + ([] if lost is None else [lost])
+            candidates = [h for h in candidates if h.effect is not PacketDrop]
+            if isinstance(self.engine, WindowResiduals):
+                lost = supposed_losses(self.engine, base) if planned else loss_hypothesis(self.engine, base)
+                candidates += [] if lost is None else [lost]
         if self.fixed_base:
             return screen(self.engine, base, candidates, lambda share: self._report("screen", share))
         # on its feet a simulation is dear: single joints are asked of the leading effects alone
@@ -264,7 +279,8 @@ class Diagnosis:
         if kept > 1 and verdict.vetoed:
             first = self._shown(verdicts[0])  # it may be better alone
             verdict = verdict if first.vetoed else first
-        return _doubly_checked(replace(verdict, reason=verdict.reason + beside))
+        verdict = replace(verdict, reason=verdict.reason + beside)
+        return verdict if unknown else self._doubly_checked(verdict)
 
     def _void(self) -> Verdict:
         """Logs that contradict themselves: nothing is fitted to them, and nothing named."""
@@ -315,19 +331,19 @@ class Diagnosis:
         Before they do, models on the way to it are tried, in the order in which free runs of the fitted logs like them,
         until one is not vetoed.
         """
-        base, model, share = without_losses(verdict.base), verdict.model, 1.0
-        shown = show(base, without_losses(model), self.split, lambda share: self._report("show", share))
+        base, model, share = without_losses(verdict.base), without_losses(verdict.model), 1.0
+        shown = show(base, model, self.split, lambda share: self._report("show", share))
         # of packets that were counted tick by tick a free run tells nothing
-        free = any(effect.name != PacketDrop.name for effect in verdict.effects)
-        vetoed = bool(shown["vetoed"]) and free and model is not verdict.base
-        for between in softened(verdict.base, model, self.split.fit) if vetoed else ():
-            again = show(base, without_losses(between[0]), self.split, known=shown["before"])
+        free = any(effect.name != PacketDrop.name and not effect.instead_of for effect in verdict.effects)
+        vetoed = bool(shown["vetoed"]) and free and verdict.model is not verdict.base
+        for between in softened(base, model, self.split.fit) if vetoed else ():
+            again = show(base, between[0], self.split, known=shown["before"])
             if not again["vetoed"]:
                 shown, vetoed, (model, share) = again, False, between
                 break
         return replace(
             verdict,
-            model=verdict.base if vetoed else model,
+            model=as_lossy(verdict.base if vetoed else model, verdict.model),
             share=share,
             gap=shown["gap"],
             loss=shown["loss"],
@@ -335,9 +351,25 @@ class Diagnosis:
             details={**verdict.details, "shown": shown},
         )
 
+    def _doubly_checked(self, verdict: Verdict) -> Verdict:
+        """The verdict, or that nothing is missing where windows show little of it and free runs speak against it."""
+        leaders = [candidates[0].contender for candidates in self._candidates]
+        gains = [max(one.gain, one.own.gain if one.own else 0.0) for one in leaders]
+        if not verdict.vetoed or not verdict.effects or max(gains, default=1.0) >= DOUBLY_CHECKED:
+            return verdict
+        names = " and ".join(dict.fromkeys(effect.name for effect in verdict.effects))
+        reason = f"the best of the catalogue, {names}, explains {max(gains):.1%}, and free runs are no better with it"
+        sound = replace(verdict, verdict="nothing_missing", effects=(), reason=reason, separate_by="", vetoed=False)
+        return self._shown(replace(sound, model=verdict.base))
+
     def _round(self, model: RobotModel, first: bool) -> Verdict:
         rng = np.random.default_rng([self.seed, 11])
         self.base = base = self.refit_base(model, fitted=not first)
+        if first and isinstance(self.engine, WindowResiduals) and PacketDrop.name in model.effect_names:
+            found = lost_packets(self.engine, base)
+            if found is not None:
+                self.engine.packets = found.packets
+                self.base = base = self.refit_base(with_point(base.coordinates, base.point), fitted=True)
         fitted = with_point(base.coordinates, base.point)
         self.screened = self.screen(base)
         control, self.refitted = self._refit(base)
@@ -625,16 +657,6 @@ class Diagnosis:
 def _full(model: RobotModel) -> RobotModel:
     """A model with the chain of measurement that every robot has."""
     return with_chain(model) if "current_pd" in model.effect_names else model
-
-
-def _doubly_checked(verdict: Verdict) -> Verdict:
-    """The verdict, or that nothing is missing where windows show little of it and free runs speak against it."""
-    if not verdict.vetoed or any(effect.gain >= DOUBLY_CHECKED for effect in verdict.effects):
-        return verdict
-    names = " and ".join(dict.fromkeys(effect.name for effect in verdict.effects))
-    gain = max(effect.gain for effect in verdict.effects)
-    reason = f"the best of the catalogue, {names}, explains {gain:.1%}, and free runs are no better with it"
-    return replace(verdict, verdict="nothing_missing", effects=(), reason=reason, separate_by="", vetoed=False)
 
 
 def _speaks(caution: Caution, findings: Sequence[Finding]) -> bool:

@@ -8,9 +8,12 @@ import numpy as np
 from op3.diagnose.diagnosis import Diagnosis, with_finding
 from op3.diagnose.fitting import with_point
 from op3.diagnose.hypotheses import Hypothesis, hypotheses
+from op3.diagnose.packets import loss_hypothesis, without_losses
 from op3.diagnose.screen import screen
 from op3.diagnose.show import show
+from op3.diagnose.windows import WindowResiduals
 from op3.servo import RobotModel
+from op3.servo.effects import PacketDrop
 
 SECANTS = 2
 """Secants of a told effect from which its refit starts."""
@@ -39,7 +42,7 @@ def oracle(diagnosis: Diagnosis, told: Sequence[tuple[str, Sequence[str]]]) -> d
         if better is not None:
             model = better
             known.append({"name": name, "joints": list(where)})
-    shown = show(before, model, diagnosis.split)
+    shown = show(without_losses(before), without_losses(model), diagnosis.split)
     return {"effects": known, "gap": shown["gap"], "loss": shown["loss"]}
 
 
@@ -48,8 +51,13 @@ def _with(diagnosis: Diagnosis, model: RobotModel, name: str, columns: tuple[int
     base = diagnosis.refit_base(model)
     fitted = with_point(base.coordinates, base.point)
     engine = diagnosis.engine
-    every = hypotheses(fitted, engine.joints, fixed_base=diagnosis.fixed_base)
-    mine: list[Hypothesis] = [h for h in every if h.effect.name == name and h.joints == columns]
+    mine: list[Hypothesis]
+    if name == PacketDrop.name and isinstance(engine, WindowResiduals):
+        lost = loss_hypothesis(engine, base)
+        mine = [] if lost is None else [lost]
+    else:
+        every = hypotheses(fitted, engine.joints, fixed_base=diagnosis.fixed_base)
+        mine = [h for h in every if h.effect.name == name and h.joints == columns]
     if not mine:
         return None
     refitted = diagnosis.refit_of(base, screen(engine, base, mine)[:SECANTS])

@@ -11,7 +11,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy import special
-from torch import Tensor
 
 from op3.diagnose.fitting import Fit, with_point
 from op3.diagnose.hypotheses import Hypothesis
@@ -43,8 +42,11 @@ LEAST = 3
 MOST = 0.15
 """Where a larger share seems lost, commands are late."""
 
-PASSES = 3
-"""Losses that are looked for in a window: each changes what another would do."""
+PASSES = 5
+"""Losses that are looked for in a window at most."""
+
+SUPPOSED = 1 / 30
+"""Share of packets that is supposed to be lost where it is asked what logs would tell of losses."""
 
 ARRIVED, LOST = 1.0, -1.0
 """What `op3.servo.Signals.packet` says."""
@@ -97,63 +99,101 @@ def loss_hypothesis(engine: WindowResiduals, base: Fit) -> LossHypothesis | None
     """Lost packets as a hypothesis, if the windows show any; they are then told to the engine.
 
     Args:
-        engine: what it knew of packets is forgotten.
+        engine: gives the residuals.
         base: fitted, without the effect.
     """
-    name = PacketDrop.size
-    model = with_point(base.coordinates, base.point).with_effect(PacketDrop(), {name: 0.0})
-    values = {**model.tensors(engine.joints), **base.parameters}
-    values[name] = torch.full_like(values[name], 0.5)
-    found = lost_packets(engine, model, values)
-    engine.packets = None if found is None else found.packets
+    model, found = with_losses(base), lost_packets(engine, base)
     if found is None:
         return None
-    return LossHypothesis(PacketDrop, None, model, ({name: found.share},), found)
+    engine.packets = found.packets
+    return LossHypothesis(PacketDrop, None, model, ({PacketDrop.size: found.share},), found)
+
+
+def supposed_losses(engine: WindowResiduals, base: Fit) -> Hypothesis:
+    """Lost packets as a hypothesis on logs that may hold none: every thirtieth is supposed to be lost."""
+    engine.packets = engine.packets.copy()
+    engine.packets[:, PREROLL :: round(1 / SUPPOSED)] = LOST
+    return Hypothesis(PacketDrop, None, with_losses(base), ({PacketDrop.size: SUPPOSED},))
+
+
+def with_losses(base: Fit) -> RobotModel:
+    """The base's model with the effect on, none lost."""
+    model = with_point(base.coordinates, base.point)
+    return model if PacketDrop.name in model.effect_names else model.with_effect(PacketDrop(), {PacketDrop.size: 0.0})
 
 
 def without_losses(model: RobotModel) -> RobotModel:
     """The model for a run that is compared with a log tick by tick: packets that it draws itself are lost elsewhere."""
+    return model.with_values({PacketDrop.size: 0.0}) if PacketDrop.name in model.effect_names else model
+
+
+def as_lossy(model: RobotModel, other: RobotModel) -> RobotModel:
+    """A model with the lost packets of another one."""
     name = PacketDrop.size
-    return model.with_values({name: 0.0}) if PacketDrop.name in model.effect_names else model
+    if PacketDrop.name not in other.effect_names:
+        return model
+    if PacketDrop.name in model.effect_names:
+        return model.with_values({name: other.estimate(name)})
+    return model.with_effect(PacketDrop(), {name: other.estimate(name)})
 
 
-def lost_packets(engine: WindowResiduals, model: RobotModel, values: dict[str, Tensor]) -> LostPackets | None:
+def lost_packets(engine: WindowResiduals, base: Fit) -> LostPackets | None:
     """Ask every packet of every window whether it was lost; None where too few clearly were.
 
+    Losses are looked for one by one in each window, the clearest first, as each changes what another would do. In the
+    end every packet is asked once more beside all that were found, and counted: what windows share counts once.
+    Packets count as lost or not independently of each other; where several in a row get lost, the interval is too
+    narrow.
+
     Args:
-        engine: prepared.
-        model: with `packet_drop` on.
-        values: its parameters, ``[1, joint]``.
+        engine: prepared; what it knows of packets is left as it is.
+        base: fitted, without losses.
     """
-    windows, ticks = len(engine.windows), PREROLL + engine.ticks + 1
+    assert base.coarse_error is not None
+    model, windows, ticks = with_losses(base), len(engine.windows), PREROLL + engine.ticks + 1
+    values = {**model.tensors(engine.joints), **base.parameters}
+    values[PacketDrop.size] = torch.full_like(values[PacketDrop.size], 0.5)
+    known, coarse_error = engine.packets, base.coarse_error.astype(np.float64)
 
     def simulated(packets: np.ndarray) -> np.ndarray:
         engine.packets = packets
-        return engine.residuals(model, values, 1, coarse=True)[0].astype(np.float64)
+        return engine.residuals(model, values, 1, coarse=True)[0] - coarse_error
 
-    packets = np.full((windows, ticks), ARRIVED)
-    residual = simulated(packets)
-    asked = range(PREROLL - 1, ticks - 2)
-    telling = lost = 0
-    for number in range(PASSES):
-        added, gained = np.zeros((2, windows, ticks))
-        for tick in asked:
-            without = packets.copy()
-            without[:, tick] = LOST
-            other = simulated(without)
-            added[:, tick] = np.square(other - residual).sum(1)
-            gained[:, tick] = np.square(residual).sum(1) - np.square(other).sum(1)
-        clear = (added > TELLING) & (gained > CLEAR * added)
-        if number == 0:
-            telling = int((added > TELLING).sum())
-            doubtful = int(((added > TELLING) & (gained > DOUBTFUL * added) & ~clear).sum())
-            if clear.sum() < max(LEAST, 2 * doubtful):
-                return None
-        likely = np.where((added > SHOWN) & (gained > LIKELY * added), gained, 0.0)
-        rows, best = np.flatnonzero(likely.any(1)), likely.argmax(1)
-        if not len(rows):
-            break
-        lost += int((added[rows, best[rows]] > TELLING).sum())
-        packets[rows, best[rows]] = LOST
+    def asked(packets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What it changes in the squares if a packet is taken otherwise, and by how much they fall, [window, tick]."""
         residual = simulated(packets)
-    return LostPackets(packets, telling, lost) if LEAST <= lost <= MOST * telling else None
+        changed, gained = np.zeros((2, windows, ticks))
+        for tick in range(PREROLL - 1, ticks - 2):
+            otherwise = packets.copy()
+            otherwise[:, tick] *= -1
+            other = simulated(otherwise)
+            changed[:, tick] = np.square(other - residual).sum(1)
+            gained[:, tick] = np.square(residual).sum(1) - np.square(other).sum(1)
+        return changed, gained
+
+    try:
+        packets = np.full((windows, ticks), ARRIVED)
+        for number in range(PASSES + 1):
+            changed, gained = asked(packets)
+            telling = changed > TELLING
+            clear, half = telling & (gained > CLEAR * changed), telling & (gained > DOUBTFUL * changed)
+            if number == 0 and clear.sum() < max(LEAST, 2 * (half & ~clear).sum()):
+                return None
+            likely = np.where((changed > SHOWN) & (gained > LIKELY * changed), gained, 0.0)
+            rows, best = np.flatnonzero(likely.any(1)), likely.argmax(1)
+            if number == PASSES or not len(rows):
+                break
+            packets[rows, best[rows]] *= -1
+    finally:
+        engine.packets = known
+    return _counted(engine, packets, telling)
+
+
+def _counted(engine: WindowResiduals, packets: np.ndarray, telling: Mask) -> LostPackets | None:
+    """How many packets tell, and how many of these were lost; those of several windows once."""
+    verdicts: dict[tuple[int, int], bool] = {}
+    for row, tick in zip(*np.nonzero(telling), strict=True):
+        log, first = engine.windows[row]
+        verdicts[log, first - PREROLL + int(tick)] = bool(packets[row, tick] == LOST)
+    lost = sum(verdicts.values())
+    return LostPackets(packets, len(verdicts), lost) if LEAST <= lost <= MOST * len(verdicts) else None

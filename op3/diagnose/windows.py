@@ -22,7 +22,7 @@ from op3.diagnose.supply import open_voltages
 from op3.robot.units import CURRENT_UNIT
 from op3.rollout import LogError
 from op3.servo import RobotModel
-from op3.servo.effects import CurrentPD, Motor
+from op3.servo.effects import CurrentPD, Motor, PacketDrop
 from op3.sim import MeasuredMotion, TrajectoryDynamics, Window, WindowSimulation
 from op3.sim.window_simulation import MISREADING, ROTOR, ZERO
 
@@ -81,7 +81,8 @@ class WindowResiduals:
 
     Attributes:
         packets: what is known of command packets, as `op3.servo.Signals.packet`, of the ticks of every window and
-            `PREROLL` before it, ``[window, tick]``; None where nothing is. See `op3.diagnose.packets`.
+            `PREROLL` before it, ``[window, tick]``: all arrived unless something else is told, see
+            `op3.diagnose.packets`.
     """
 
     def __init__(
@@ -122,7 +123,7 @@ class WindowResiduals:
         self._nuisance: np.ndarray | None = None
         self._shrink: np.ndarray | None = None
         self._weight = np.ones((len(self.windows), 1))
-        self.packets: np.ndarray | None = None
+        self.packets = np.ones((len(self.windows), PREROLL + ticks + 1))
         self.simulated_rows = 0
 
     def _stack(self, logs: Sequence[SmoothLog]) -> None:
@@ -224,7 +225,7 @@ class WindowResiduals:
         if set(MISREADING) & set(model.effect_names):
             changes |= {(ZERO, joint): self._elsewhere(joint) for joint in range(len(self.joints))}
         given: dict[str, Any] = {**vars(self.motion), "changes": changes}
-        if self.packets is not None:
+        if PacketDrop.name in model.effect_names:
             given["inputs"] = {
                 **self.motion.inputs,
                 "packet": np.repeat(self.packets.reshape(-1, 1), len(self.joints), 1),

@@ -2,8 +2,9 @@
 
 Where one of the two effects is on, the rotor's inertia leaves the link's degree of freedom, and motor, gear and
 friction act on the rotor. The law integrates it; the link feels the torque in the contact, which is solved together
-with the link's velocity at the end of the step: the pair is stable at any stiffness, and only the contact damps it. The encoder sits on the output, as in the Dynamixel X series. What lies behind the play, the last
-wheels and the horn, turns with the link: a light foot that rattles within the play does so at another rate with it.
+with the link's velocity at the end of the step: the pair is stable at any stiffness, and only the contact damps it. The
+encoder sits on the output, as in the Dynamixel X series. What lies behind the play, the last wheels and the horn, turns
+with the link: a light foot that rattles within the play does so at another rate with it.
 """
 
 from collections.abc import Mapping
