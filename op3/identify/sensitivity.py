@@ -84,7 +84,7 @@ class Arms:
         return float(np.median(np.square(self.jumps).sum(1)))
 
     def reach(self, step: Array) -> bool:
-        """Whether a point so far away lies between the ends: what was found between them holds there too."""
+        """Whether no arm is shorter than the step is along it: what was found along them is taken to hold there too."""
         return bool((np.abs(self.axes.T @ step) <= self.lengths).all())
 
     def long_enough(self, loss: float) -> bool:
