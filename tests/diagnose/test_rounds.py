@@ -1,16 +1,19 @@
 """What several rounds of a diagnosis add up to."""
 
 import dataclasses
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
+from op3.diagnose import Diagnosis, planned_suite, split_logs
 from op3.diagnose import settle as settling
-from op3.diagnose.decide import Contender
+from op3.diagnose.decide import Contender, Own
 from op3.diagnose.settle import Candidate, as_in, merged, settle
 from op3.diagnose.verdict import Finding, Verdict
+from op3.robot import leg_suite
 from op3.servo import Estimate, effect_class
 from op3.sim import load_model
 
@@ -164,3 +167,58 @@ def test_what_takes_the_place_of_a_look_alike_is_no_surer(monkeypatch, rivals, c
     told = settle(engine, load_model("paper"), rounds, np.random.default_rng(0), cast(Any, moved))
     assert [(one.name, one.confidence) for one in told.effects] == [("cable_spring", confidence)]
     assert told.superfluous == ("cogging",)
+
+
+@pytest.mark.parametrize(
+    ("gain", "at_home", "vetoed", "expected"),
+    [
+        (0.05, 0.05, True, "nothing_missing"),
+        (0.05, 0.05, False, "named"),
+        (0.12, 0.12, True, "named"),
+        # a fault of one joint, whose share of all residuals is small
+        (0.03, 0.19, True, "named"),
+    ],
+)
+def test_small_effects_need_free_runs_that_agree(monkeypatch, gain, at_home, vetoed, expected):
+    """What windows show little of and free runs veto is taken for nothing, and the gap is that of the base again."""
+    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
+    diagnosis = Diagnosis(load_model("paper"), split_logs(planned_suite(load_model("paper"), runs)))
+    one = candidate("cogging")
+    own = Own(at_home, at_home, np.ones(8), np.zeros(8))
+    diagnosis._candidates = [[replace(one, contender=replace(one.contender, gain=gain, own=own))]]
+    shown: list[Verdict] = []
+    monkeypatch.setattr(diagnosis, "_shown", lambda verdict: shown.append(verdict) or verdict)
+    paper = load_model("paper")
+    verdict = diagnosis._doubly_checked(Verdict("named", (one.finding,), "", one.model, paper, vetoed=vetoed))
+    assert verdict.verdict == expected
+    assert bool(verdict.effects) == (expected == "named")
+    assert [v.model is paper for v in shown] == ([] if expected == "named" else [True])
+
+
+def test_free_runs_have_no_say_in_packets_that_were_counted(monkeypatch):
+    """A veto takes away what stands beside lost packets, not these; alone they cannot be vetoed."""
+    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
+    diagnosis = Diagnosis(load_model("paper"), split_logs(planned_suite(load_model("paper"), runs)))
+    asked: list[float | None] = []
+
+    def show(base, model, split, progress=None, known=None):
+        asked.append(model.value("drop_probability") if "packet_drop" in model.effect_names else None)
+        return {"gap": {}, "loss": {}, "vetoed": True, "before": None}
+
+    monkeypatch.setattr("op3.diagnose.diagnosis.show", show)
+    monkeypatch.setattr("op3.diagnose.diagnosis.softened", lambda base, model, logs: [])
+    paper = load_model("paper")
+    lossy = paper.with_effect(effect_class("packet_drop")(), {"drop_probability": 0.02})
+    beside = lossy.with_effect(effect_class("cogging")(), {"cogging_amplitude": 0.01})
+    packets, other = finding("packet_drop", "a", 0.02, 0.02), finding("cogging", "a", 0.01, 0.01)
+    alone = diagnosis._shown(Verdict("named", (packets,), "", lossy, paper))
+    assert (alone.vetoed, alone.model.value("drop_probability")) == (False, 0.02)
+    rival = diagnosis._shown(
+        Verdict("ambiguous", (packets, replace(other, instead_of="packet_drop")), "", lossy, paper)
+    )
+    assert not rival.vetoed
+    both = diagnosis._shown(Verdict("named", (packets, other), "", beside, paper))
+    assert both.vetoed
+    assert both.model.value("drop_probability") == 0.02
+    assert "cogging" not in both.model.effect_names
+    assert asked == [0.0, 0.0, 0.0]

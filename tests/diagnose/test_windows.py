@@ -97,3 +97,16 @@ def test_commands_are_rounded_as_the_servos_take_them():
     simulation = engine.simulation(with_chain(load_model("paper")))
     (controller,) = [effect for effect in simulation.model.effects if effect.name == "current_pd"]
     assert controller.resolution == CURRENT_UNIT
+
+
+@pytest.mark.parametrize(("name", "parameter"), [("backlash", "backlash_half_gap"), ("viscous", "viscous_friction")])
+def test_loose_gears_take_no_longer_steps(name, parameter):
+    """Coarse residuals of a stiff model are the exact ones; of another they are not."""
+    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
+    engine = WindowResiduals(split_logs(planned_suite(load_model("paper"), runs)), fit_windows=4, select_windows=2)
+    made = effect_class(name)
+    values = {known.name: known.nominal for known in made.parameters} | {parameter: 0.003}
+    model = load_model("paper").with_effect(made(), values)
+    engine.prepare(model)
+    exact, coarse = engine.residuals(model)[0], engine.residuals(model, coarse=True)[0]
+    assert np.array_equal(exact, coarse) == model.stiff == (name == "backlash")
