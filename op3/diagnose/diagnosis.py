@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +11,6 @@ from threadpoolctl import threadpool_limits
 
 from op3.diagnose.ceiling import Ceiling, ceiling, where
 from op3.diagnose.coordinates import (
-    CHAIN_FAULTS,
-    FAULTS,
     Coordinates,
     base_coordinates,
     other_forms,
@@ -21,7 +19,6 @@ from op3.diagnose.coordinates import (
 from op3.diagnose.decide import (
     CEILING,
     DOUBLY_CHECKED,
-    LOOK_ALIKE,
     UNDECIDED,
     Contender,
     Decision,
@@ -30,6 +27,7 @@ from op3.diagnose.decide import (
     local_ceiling,
     unresolved,
 )
+from op3.diagnose.findings import Refitted, apart, finding_of, size_at, smallest, with_finding
 from op3.diagnose.fitting import (
     LEAST_GAIN,
     ROUNDS,
@@ -39,7 +37,6 @@ from op3.diagnose.fitting import (
     Fit,
     exchanged,
     fit_base,
-    intervals,
     linearise,
     polish,
     refit,
@@ -50,7 +47,6 @@ from op3.diagnose.hypotheses import Hypothesis, hypotheses
 from op3.diagnose.locate import locate, remaining
 from op3.diagnose.packets import (
     LossHypothesis,
-    LostPackets,
     as_lossy,
     loss_hypothesis,
     lost_packets,
@@ -60,30 +56,16 @@ from op3.diagnose.packets import (
 from op3.diagnose.preflight import CAPPED, Caution, preflight
 from op3.diagnose.screen import Screened, screen
 from op3.diagnose.settle import Candidate, settle
-from op3.diagnose.setups import SetupHypothesis, setup_hypotheses
+from op3.diagnose.setups import setup_hypotheses
+from op3.diagnose.shortlist import EXCHANGED, credit, shortlist
 from op3.diagnose.show import show
 from op3.diagnose.soften import softened
 from op3.diagnose.split import LogSplit
 from op3.diagnose.verdict import Finding, Verdict
 from op3.diagnose.windows import WindowResiduals
-from op3.servo import Estimate, RobotModel, effect_class
-from op3.servo.conditions import split_name
-from op3.servo.effect import parameter
+from op3.servo import RobotModel, effect_class
 from op3.servo.effects import PacketDrop
 from op3.sim import model_hash
-
-SHORTLIST = 6
-"""Hypotheses that are refitted, by what the screen credits them with."""
-
-SHARED = 2
-"""Hypotheses of all joints alike that are refitted besides: a base may have absorbed them."""
-
-SCORED = 2
-"""Hypotheses that are refitted besides by their score alone: what an effect would explain is foreseen badly where a
-base has given way to it far. A strong false mass of a link had the highest score of all, and a gain below zero."""
-
-PARTNERS = 2
-"""Look-alikes of the leader that are refitted besides, if the screen credits them with half of what it has."""
 
 POLISHED = 4
 """Leaders that are refitted once more with Jacobians of their own, as the control is."""
@@ -91,45 +73,16 @@ POLISHED = 4
 LEADING = 3
 """Effects that are looked for in single joints of a robot on its feet."""
 
-EXCHANGED = {"current_lag": "command_latency"}
-"""Effects that a parameter of the base stands for where they are not in the model: they are refitted in any case, and
-from where a part of it has become theirs. Lags of the current loop of 5 and 7 ms were taken for latency, and explained
-1 and 2 % of the residual beside it, 57 and 72 % from behind the ridge."""
-
 EXCHANGES = (0.004, 0.006)
 """Parts that are tried [s]; the loss there may be larger, as everything else has yet to give way."""
 
 CELLS = 20
 """Cells of residual torque that are kept."""
 
-FORM_ERROR = 0.2
-"""Standard deviation of a size, relative, from laws that are not quite the robot's: what separates sizes from
-the truth on development legs. Leaving out seconds does not show it."""
-
-QUANTILE = 1.645
-"""Of a 90 % interval."""
-
 BOUND = 1e-3
 """A size this close to its bound, as a share of its range, is implausible."""
 
 Progress = Callable[[str, float], None]
-
-
-@dataclass(frozen=True, eq=False)
-class Refitted:
-    """A hypothesis after its refit.
-
-    Attributes:
-        hypothesis: which.
-        screened: its best secant.
-        fit: base and hypothesis.
-        contender: its numbers for the decision.
-    """
-
-    hypothesis: Hypothesis
-    screened: Screened
-    fit: Fit
-    contender: Contender
 
 
 class Diagnosis:
@@ -243,7 +196,7 @@ class Diagnosis:
         # on its feet a simulation is dear: single joints are asked of the leading effects alone
         alone = [h for h in candidates if h.joints is not None and len(h.joints) == 1]
         found = screen(self.engine, base, [h for h in candidates if h not in alone])
-        leading = list(dict.fromkeys(s.hypothesis.effect for s in sorted(found, key=_credit, reverse=True)))[:LEADING]
+        leading = list(dict.fromkeys(s.hypothesis.effect for s in sorted(found, key=credit, reverse=True)))[:LEADING]
         found += screen(self.engine, base, [h for h in alone if h.effect in leading])
         return sorted(found, key=lambda s: -s.gain)
 
@@ -497,7 +450,7 @@ class Diagnosis:
             before = np.square(control.residual[where].astype(np.float64)).sum()
             return float(1 - np.square(fit.residual[where].astype(np.float64)).sum() / before)
 
-        place = self._size_at(hypothesis, fit, base)
+        place = size_at(hypothesis, fit, base)
         entry = fit.coordinates.entries[place]
         reach = BOUND * (entry.high - entry.low)
         at = fit.point[place]
@@ -509,8 +462,8 @@ class Diagnosis:
             gain=gain(held),
             fit_gain=gain(self.engine.is_fit),
             losses=self._losses(fit),
-            size=_apart(hypothesis, fit, float(at)),
-            smallest=_smallest(hypothesis, entry.parameter),
+            size=apart(hypothesis, fit, float(at)),
+            smallest=smallest(hypothesis, entry.parameter),
             implausible=bool(entry.high - at < reach or at - entry.low < reach),
             left=self._left(fit),
             direction=direction,
@@ -529,97 +482,9 @@ class Diagnosis:
         gains = [1.0 - after[at].sum() / max(before[at].sum(), 1e-12) for at in (~fitted, fitted)]
         return Own(float(gains[0]), float(gains[1]), self._by_block(before), self._by_block(before - after))
 
-    def _size_at(self, hypothesis: Hypothesis, fit: Fit, base: Fit) -> int:
-        """Which coordinate says how large the effect is: its size parameter, or the largest of those moved."""
-        entries = fit.coordinates.entries[len(base.coordinates) :]
-        names = [entry.parameter for entry in entries]
-        if hypothesis.effect.size in names:
-            return len(base.coordinates) + names.index(hypothesis.effect.size)
-        return len(base.coordinates)
-
     def finding_of(self, refitted: Refitted, base: Fit, confidence: float) -> Finding:
         """What a refit has found, with its interval."""
-        hypothesis, fit = refitted.hypothesis, refitted.fit
-        known = len(base.coordinates)
-        half = intervals(self.engine, base, fit)
-        if isinstance(hypothesis, SetupHypothesis):
-            return self._setup_finding(hypothesis, refitted, fit.point[known:], half, confidence)
-        place = self._size_at(hypothesis, fit, base)
-        entry = fit.coordinates.entries[place]
-        values = {e.parameter: float(fit.point[known + i]) for i, e in enumerate(fit.coordinates.entries[known:])}
-        # an effect that was off is told from its neutral value on; more of one that was on, as what was added
-        absolute = hypothesis.effect.name not in self.given.effect_names
-        start = hypothesis.model.value(entry.parameter) if absolute else 0.0
-        if absolute:
-            values = {
-                e.parameter: v + (hypothesis.model.value(e.parameter) if e.kind == "add" else 0.0)
-                for (_, v), e in zip(values.items(), fit.coordinates.entries[known:], strict=True)
-            }
-        size = _apart(hypothesis, fit, start + float(fit.point[place]))
-        width = float(np.hypot(half[place - known], FORM_ERROR * QUANTILE * (size - start)))
-        if isinstance(hypothesis, LossHypothesis) and hypothesis.found is not None:
-            return self._loss_finding(hypothesis, hypothesis.found, refitted, confidence)
-        limit = parameter(entry.parameter)
-        low, high = (
-            (max(limit.least, size - width), min(limit.most, size + width))
-            if absolute
-            else (
-                size - width,
-                size + width,
-            )
-        )
-        joints = self.engine.joints
-        return Finding(
-            name=hypothesis.effect.name,
-            joints=tuple(joints) if hypothesis.joints is None else tuple(joints[j] for j in hypothesis.joints),
-            shared=hypothesis.joints is None,
-            size=size,
-            unit=limit.unit,
-            interval=(low, high),
-            confidence=confidence,
-            parameters=values,
-            gain=refitted.contender.gain,
-            parameter=entry.parameter,
-        )
-
-    def _loss_finding(
-        self, hypothesis: LossHypothesis, found: LostPackets, refitted: Refitted, confidence: float
-    ) -> Finding:
-        """Lost packets, as they were counted."""
-        name = hypothesis.effect.size
-        return Finding(
-            name=hypothesis.effect.name,
-            joints=tuple(self.engine.joints),
-            shared=True,
-            size=found.share,
-            unit=parameter(name).unit,
-            interval=found.interval(),
-            confidence=confidence,
-            parameters={name: found.share},
-            gain=refitted.contender.gain,
-            parameter=name,
-        )
-
-    def _setup_finding(
-        self, hypothesis: SetupHypothesis, refitted: Refitted, values: np.ndarray, half: np.ndarray, confidence: float
-    ) -> Finding:
-        """What differs between set-ups; its size is how far the largest and the smallest value are apart."""
-        known = parameter(split_name(hypothesis.names[0])[0])
-        size, ends = float(np.ptp(values)), [int(values.argmin()), int(values.argmax())]
-        width = float(np.hypot(np.linalg.norm(half[ends]), FORM_ERROR * QUANTILE * size))
-        return Finding(
-            name=hypothesis.effect.name,
-            joints=tuple(self.engine.joints),
-            shared=True,
-            size=size,
-            unit=known.unit,
-            interval=(max(0.0, size - width), size + width),
-            confidence=confidence,
-            parameters=dict(zip(hypothesis.names, values.tolist(), strict=True)),
-            gain=refitted.contender.gain,
-            parameter=known.name,
-            by=hypothesis.field,
-        )
+        return finding_of(self.engine, self.given, refitted, base, confidence)
 
     def _details(self, decision: Decision) -> dict[str, Any]:
         joints = self.engine.joints
@@ -662,91 +527,6 @@ def _full(model: RobotModel) -> RobotModel:
 def _speaks(caution: Caution, findings: Sequence[Finding]) -> bool:
     """Whether a caution speaks against one of these names."""
     return any(caution.weakens(() if f.shared else f.joints, f.name) for f in findings)
-
-
-def shortlist(screened: Sequence[Screened], suspects: Sequence[tuple[str, int, float]] = ()) -> list[Screened]:
-    """What is refitted.
-
-    The best secants of the best hypotheses, look-alikes of the leader, the best in all joints, the highest scores,
-    faults of single joints that the spread of the base's servos hides, and those that its chain of measurement hides
-    with what looks alike.
-
-    Args:
-        screened: every secant of every hypothesis.
-        suspects: see `op3.diagnose.coordinates.Coordinates.suspects`.
-    """
-    best: dict[int, Screened] = {}
-    for s in sorted(screened, key=_credit, reverse=True):
-        best.setdefault(id(s.hypothesis), s)
-    ordered = [s for s in best.values() if s.strength > 0 and s.visibility > 0.02]
-    picked = ordered[:SHORTLIST]
-    partners = [
-        s
-        for s in ordered[SHORTLIST:]
-        if _credit(s) > 0.5 * _credit(picked[0]) and abs(float(s.direction @ picked[0].direction)) > LOOK_ALIKE
-    ]
-    picked = picked + partners[:PARTNERS]
-    shared = [s for s in ordered if s.hypothesis.joints is None and s not in picked]
-    picked = picked + shared[:SHARED]
-    scored = sorted((s for s in ordered if s not in picked), key=lambda s: -s.statistic)
-    picked = picked + scored[:SCORED]
-    picked += [s for s in ordered if s.hypothesis.effect.name in EXCHANGED and s not in picked]
-    for name, joint, apart in suspects:
-        alike = effect_class(name).alias_class if name in CHAIN_FAULTS.values() else None
-        for s in best.values():
-            if s.hypothesis.joints != (joint,) or s in picked:
-                continue
-            if s.hypothesis.effect.name == name:
-                picked.append(replace(s, share=float(np.sign(apart)) * max(1.0, abs(s.share))))
-            elif s.hypothesis.effect.alias_class == alike:
-                picked.append(s)
-    return picked
-
-
-def _credit(s: Screened) -> float:
-    return 0.5 * (s.gain + s.fit_gain)
-
-
-def _smallest(hypothesis: Hypothesis, name: str) -> float:
-    """The smallest size that matters; a tenth of the range for a parameter that is not the effect's size."""
-    effect, name = hypothesis.effect, split_name(name)[0]
-    if name == effect.size:
-        return effect.smallest
-    known = parameter(name)
-    return 0.1 * (known.high - known.low)
-
-
-def _apart(hypothesis: Hypothesis, fit: Fit, size: float) -> float:
-    """The size; of a fault of one joint, how far the joint is from the others: the spread has a share in it."""
-    effect, joints = hypothesis.effect.name, hypothesis.joints
-    if isinstance(hypothesis, SetupHypothesis):
-        return float(np.ptp(fit.point[-len(hypothesis.names) :]))
-    if effect in CHAIN_FAULTS.values() and joints is not None and len(joints) == 1 and effect in fit.parameters:
-        return float(fit.parameters[effect][0, joints[0]])  # the chain of measurement has a share in it
-    if effect not in FAULTS.values() or joints is None or len(joints) != 1:
-        return size
-    (own,) = joints
-    values = {name: value[0].numpy() for name, value in fit.parameters.items()}
-    parameter = next(name for name, fault in FAULTS.items() if fault == effect)
-    if parameter not in values or len(values[parameter]) < 3:
-        return size
-    whole = values[parameter]
-    if effect == "torque_constant":
-        whole = whole * (1.0 + values["torque_constant_error"])
-    others = float(np.median(np.delete(whole, own)))
-    return float(whole[own] / others - 1.0) if effect == "torque_constant" else float(whole[own] - others)
-
-
-def with_finding(refitted: Refitted, finding: Finding, joints: Sequence[str]) -> RobotModel:
-    """The model of a refit, the named parameter with its interval."""
-    model = with_point(refitted.fit.coordinates, refitted.fit.point)
-    if finding.by:
-        return model
-    estimate = model.estimates[finding.parameter]
-    if finding.shared and not estimate.joints:
-        low, high = finding.interval
-        estimate = Estimate(estimate.value, min(low, estimate.value), max(high, estimate.value))
-    return model.with_values({finding.parameter: estimate})
 
 
 def _separating(findings: Sequence[Finding]) -> str:

@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from op3.diagnose.diagnosis import Diagnosis, with_finding
+from op3.diagnose.diagnosis import Diagnosis
+from op3.diagnose.findings import with_finding
 from op3.diagnose.fitting import with_point
 from op3.diagnose.hypotheses import Hypothesis, hypotheses
 from op3.diagnose.packets import loss_hypothesis, without_losses

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from op3.diagnose.decide import SMALLEST_GAIN
-from op3.diagnose.diagnosis import FORM_ERROR, QUANTILE, Diagnosis
+from op3.diagnose.diagnosis import Diagnosis
+from op3.diagnose.findings import FORM_ERROR, QUANTILE
 from op3.diagnose.fitting import with_point
 from op3.diagnose.setups import SetupHypothesis, setup_hypotheses
 from op3.diagnose.show import show
