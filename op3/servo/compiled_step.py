@@ -92,7 +92,7 @@ class CompiledStep:
         filled: Sequence[str] = (),
     ):
         given = _inputs(signals, live or {})
-        memory = {name: value.detach().clone() for name, value in signals.state.items()}
+        memory = {name: _in_order(value, signals.position) for name, value in signals.state.items()}
         recording = record(step, given, memory)
         added = [name for name in recording.state if name not in memory]
         if added:  # the first step made room for them
@@ -148,8 +148,17 @@ class CompiledStep:
 def _inputs(signals: Signals, live: Mapping[str, Array]) -> dict[str, Tensor]:
     """Copies of all signals that are tensors, with the numbers that live arrays have now."""
     values = {item.name: getattr(signals, item.name) for item in fields(signals)}
-    given = {name: value.detach().clone() for name, value in values.items() if isinstance(value, Tensor)}
+    tensors = {name: value for name, value in values.items() if isinstance(value, Tensor)}
+    given = {name: _in_order(value, signals.position) for name, value in tensors.items()}
     return given | {name: torch.from_numpy(np.array(array)) for name, array in live.items()}
+
+
+def _in_order(value: Tensor, like: Tensor) -> Tensor:
+    """A copy that lies in memory as another tensor ``[sim, joint]`` does: numpy is slow where orders differ."""
+    value = value.detach()
+    if value.shape[-2:] != like.shape or like.is_contiguous():
+        return value.clone()
+    return value.transpose(-1, -2).clone(memory_format=torch.contiguous_format).transpose(-1, -2)
 
 
 class _Program:
@@ -262,7 +271,10 @@ class _Program:
         return value if high is None else self._add(np.minimum, (value, high))
 
     def _stack(self, parts: list[Array], axis: int = 0) -> Array:
-        out = np.stack(parts, axis)
+        # one behind the other, each in its own memory order
+        order = np.argsort([-abs(step) for step in parts[0].strides], kind="stable")
+        out = np.stack([part.transpose(order) for part in parts]).transpose(0, *(1 + np.argsort(order)))
+        out = np.moveaxis(out, 0, axis)
         self.calls += [partial(np.copyto, _select(out, axis, at), part) for at, part in enumerate(parts)]
         return out
 
