@@ -24,11 +24,9 @@ from op3.servo import RobotModel, ServoLaw, Signals
 from op3.servo.effects import Backlash, EncoderNonlinearity, EncoderOffset, Motor
 from op3.servo.law import SUPPLY
 from op3.sim.inputs import default_commands, expand_parameters, set_start
+from op3.sim.joint_step import joint_step
 from op3.sim.trajectory_dynamics import TrajectoryDynamics
 from op3.sim.translated import RESULTS, Translated
-
-SWEEPS = 3
-"""Sweeps over the joints per step."""
 
 REST = 0.03
 """Speed below which a measured joint is taken to rest [rad/s]; half of it is the noise of its estimate."""
@@ -170,6 +168,7 @@ class WindowSimulation:
         common = set.intersection(*(set(motion.inputs) for motion in motions)) & set(SIGNAL_NAMES)
         self._inputs = {name: self._gather([m.inputs[name] for m in motions]) for name in sorted(common)}
         self.limbs = coupled(self._mass)
+        self.limbs_of = np.array([(limb.start, limb.stop) for limb in self.limbs])
         self._changes: dict[tuple[str, int | None], tuple[Tensor, Tensor, Tensor]] = {}
 
     def _gather(self, arrays: Sequence[np.ndarray]) -> Tensor:
@@ -423,7 +422,7 @@ class _Run:
         self._balance(tick)
         self.q = self.q + position_offset.T[:, :, None]
         self.v = self.v + velocity_offset.T[:, :, None]
-        self.u = self._block(self.o._acceleration[tick]) * self.o.timestep
+        self.u = (self._block(self.o._acceleration[tick]) * self.o.timestep).contiguous()
         self.pull = torch.zeros_like(self.q)
         self._expose()
 
@@ -461,24 +460,24 @@ class _Run:
         )
 
     def _step(self, tick: int, phase: int) -> None:
-        o, signals, step = self.o, self.signals, self.o.timestep
+        o, signals = self.o, self.signals
         self._law_step(phase)
         mass, bias, _ = self._dynamics(tick, (phase + 0.5) / o.substeps)  # in the middle of the step
-        shape = self.q.shape
-        applied, bound = signals.applied_torque.T.reshape(shape), step * signals.friction_bound.T.reshape(shape)
-        added = torch.add(self.armature, signals.damping.T.reshape(shape), alpha=step)
-        total = torch.diagonal(mass).movedim(-1, 0) + added
-        own = bias + self.pull
-        force = step * (applied - own)
-        if bool(bound.any()):
-            self.u = torch.cat([solve(mass[k, k], total[k], self.v[k], force[k], bound[k], self.u[k]) for k in o.limbs])
-            load = torch.cat([(mass[k, k] * self.u[k]).sum(1) for k in o.limbs]) / step + own
-        else:
-            self.u = torch.cat([solve_linear(mass[k, k], total[k], force[k]) for k in o.limbs])
-            load = applied - added * self.u / step
-        self.v = self.v + self.u
-        self.q = torch.add(self.q, self.v, alpha=step)
-        signals.load_torque = self._flat(-load)
+        torques = (signals.damping, signals.applied_torque, signals.friction_bound)
+        found = joint_step(
+            mass.numpy(),
+            bias.numpy(),
+            self.pull.numpy(),
+            self.armature.numpy(),
+            *(np.ascontiguousarray(torque.T.numpy()).reshape(self.q.shape) for torque in torques),
+            self.q.numpy(),
+            self.v.numpy(),
+            self.u.numpy(),
+            o.timestep,
+            o.limbs_of,
+        )
+        self.q, self.v, self.u, load = (torch.from_numpy(array) for array in found)
+        signals.load_torque = self._flat(load)
         self._expose()
 
     def measure(self) -> dict[tuple[str, str], Tensor]:
@@ -491,63 +490,3 @@ class _Run:
             ("joint", "velocity"): self.signals.measured_velocity.T.reshape(shape).clone(),
             ("joint", "current"): self.signals.measured_current.T.reshape(shape).clone(),
         }
-
-
-def solve(mass: Tensor, total: Tensor, velocity: Tensor, force: Tensor, bound: Tensor, guess: Tensor) -> Tensor:
-    """Change of velocity in one step under coupled dry friction.
-
-    Minimises ``u' A u / 2 - u' force + bound |velocity + u|`` by sweeps over the joints, A being `mass` with
-    `total` on its diagonal. The many small operations are numpy's, whose calls cost less than torch's.
-
-    Args:
-        mass: ``[joint, joint, ...]``, of which the off-diagonal counts [kg m^2].
-        total: diagonal of A, ``[joint, ...]``.
-        velocity: before the step [rad/s].
-        force: impulses without friction [N m s].
-        bound: largest impulses of friction [N m s].
-        guess: change of velocity to start from.
-    """
-    u = guess.numpy().copy()
-    count = len(u)
-    others = mass.numpy().copy()  # without its diagonal, so that a sum over a row is over the other joints
-    others[range(count), range(count)] = 0.0
-    reach = torch.addcmul(force, total, velocity).numpy()
-    mobility, highest, rest = (1.0 / total).numpy(), bound.numpy(), velocity.numpy()
-    lowest = -highest
-    products, impulse, lost = np.empty_like(u), np.empty_like(u[0]), np.empty_like(u[0])
-    for _ in range(SWEEPS):
-        for i in range(count):
-            np.multiply(others[i], u, out=products)
-            np.add.reduce(products, axis=0, out=impulse)
-            np.subtract(reach[i], impulse, out=impulse)
-            # what friction leaves of the impulse, never reversed
-            np.maximum(impulse, lowest[i], out=lost)
-            np.minimum(lost, highest[i], out=lost)
-            np.subtract(impulse, lost, out=impulse)
-            np.multiply(impulse, mobility[i], out=impulse)
-            np.subtract(impulse, rest[i], out=u[i])
-    return torch.from_numpy(u)
-
-
-def solve_linear(mass: Tensor, total: Tensor, force: Tensor) -> Tensor:
-    """Change of velocity in one step without dry friction: Gauss elimination, side by side for all windows.
-
-    Args:
-        mass: ``[joint, joint, ...]``, of which the off-diagonal counts [kg m^2].
-        total: what stands on the diagonal, ``[joint, ...]``.
-        force: impulses [N m s].
-    """
-    count = len(total)
-    rows = np.empty((count, *total.shape), dtype=total.numpy().dtype)
-    rows[...] = mass.numpy()
-    rows[range(count), range(count)] = total.numpy()
-    right = force.numpy().copy()
-    for k in range(count - 1):
-        share = rows[k + 1 :, k] / rows[k, k]
-        rows[k + 1 :, k + 1 :] -= share[:, None] * rows[k, k + 1 :]
-        right[k + 1 :] -= share * right[k]
-    for k in reversed(range(count)):
-        right[k] /= rows[k, k]
-        if k:
-            right[:k] -= rows[:k, k] * right[k]
-    return torch.from_numpy(right)

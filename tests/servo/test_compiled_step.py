@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from op3.servo import Signals, compiled_step
+from op3.servo import Signals, compiled_step, fused
 from op3.servo.compiled_step import CompiledStep
 from op3.servo.recording import Untranslatable
 
@@ -72,8 +72,12 @@ def limited(s: Signals) -> None:
     [late, late_by_two, remembered, handed_on, summed, first_joint, options, cast, spread, limited],
     ids=lambda step: step.__name__,
 )
-def test_numpy_does_what_torch_does(step):
+@pytest.mark.parametrize("in_blocks", [False, True])
+def test_numpy_does_what_torch_does(step, in_blocks, monkeypatch):
     """Over many steps with new states, outputs and memory are those of torch, whatever is a view of what."""
+    if in_blocks:
+        monkeypatch.setattr(compiled_step, "LEAST_SIZE", 1)
+        monkeypatch.setattr(fused, "FEWEST", 1)
     plain, translated = signals(), signals()
     compiled = CompiledStep(step, translated, ("speed",))
     for seed in range(1, 6):

@@ -78,6 +78,7 @@ class LeftRightAsymmetry(Effect):
 
     def adjust(self, values: Mapping[str, Tensor], sides: Tensor) -> Mapping[str, Tensor]:
         """Scale friction and torque constants by side."""
+        sides = sides.to(values["friction_asymmetry"])  # the precision is that of the parameters
         for name in FRICTION:
             values = scaled(values, name, values["friction_asymmetry"] * sides)
         return scaled(values, "torque_constant", values["torque_asymmetry"] * sides)

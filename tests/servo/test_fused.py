@@ -1,0 +1,138 @@
+"""Runs of numpy calls, block by block: numpy's numbers, bit by bit, whatever lies where in memory."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from op3.robot import JOINTS
+from op3.servo import Effect, ServoLaw, Signals, catalogue, compiled_step, fused
+from op3.servo.compiled_step import CompiledStep
+from op3.servo.fused import OPERATIONS, UNARY, Run, fuse
+from op3.sim import load_model
+
+ROBOTS, NUM_JOINTS = 300, 6
+"""More than a block, and no multiple of it."""
+
+SHAPE = (ROBOTS, NUM_JOINTS)
+
+
+def array(rng: np.random.Generator, order: str = "joint", kind: str = "<f4") -> np.ndarray:
+    """Random numbers with some that are alike, zero or none."""
+    values = rng.choice([-2.0, -0.5, 0.0, 0.5, 1.0, np.nan, np.inf], size=SHAPE)
+    values = np.where(rng.random(SHAPE) < 0.5, rng.normal(size=SHAPE), values).astype(kind)
+    return np.asfortranarray(values) if order == "joint" else np.ascontiguousarray(values)
+
+
+@pytest.mark.parametrize("kind", ["<f4", "<f8"])
+@pytest.mark.parametrize("function", OPERATIONS, ids=lambda function: function.__name__)
+def test_every_operation_is_numpys(function, kind):
+    """Bits are alike, also of what is not a number, for every order in memory and with conditions."""
+    rng = np.random.default_rng(3)
+    for orders in (("joint", "joint"), ("robot", "joint"), ("robot", "robot")):
+        arguments = [array(rng, order, kind) for order in orders][: 1 if function in UNARY else 2]
+        with np.errstate(all="ignore"):
+            expected = function(*arguments)
+            out = np.zeros_like(expected)
+            calls = [partial(function, *arguments, out=out)] * fused.FEWEST
+            for call in calls:
+                call()
+            (run,) = fuse(calls, arguments[0], [out], arguments)
+            out[...] = 7
+            assert isinstance(run, Run)
+            run()
+        np.testing.assert_array_equal(out, expected)
+
+
+def test_a_chain_with_every_kind_of_call():
+    """Views, conditions, sums over joints and layers, entries that are picked, and memory that is written in parts."""
+    rng = np.random.default_rng(4)
+    line = np.moveaxis(np.stack([array(rng).T for _ in range(12)]).reshape(4, 3, NUM_JOINTS, ROBOTS), -1, -2)
+    index, weights = np.array([2]), np.nan_to_num(line[0] * 0.5, posinf=1.0)
+    q, v = (np.nan_to_num(array(rng), posinf=1.0) for _ in range(2))
+    picked, scaled = np.empty((1, *line.shape[1:]), "<f4").transpose(0, 1, 2, 3), np.empty_like(weights)
+    delayed, product, size, whole = (np.empty_like(q) for _ in range(4))
+    total, condition = np.empty((ROBOTS, 1), "<f4"), np.empty_like(q, dtype=bool)
+    kept = np.empty((2, ROBOTS, NUM_JOINTS), "<f4")
+    calls = [
+        partial(compiled_step._pick, np.nan_to_num(line, posinf=1.0), index, 0, out=picked),
+        partial(np.multiply, picked[0], weights, out=scaled),
+        partial(np.sum, scaled, (0,), keepdims=False, out=delayed),
+        partial(np.multiply, delayed, 0.25, out=product),
+        partial(np.absolute, product, out=size),
+        partial(np.sum, size, (-1,), keepdims=True, out=total),
+        partial(np.greater, q, total, out=condition),
+        partial(np.copyto, whole, v),
+        partial(np.copyto, whole, 0.0, where=condition),
+        partial(np.subtract, whole, product, out=product),
+        partial(np.copyto, kept[0], product),
+        partial(np.copyto, kept[1], whole),
+    ]
+
+    def results(what) -> list[np.ndarray]:
+        index[0] = 1
+        for call in what:
+            call()
+        return [kept.copy(), condition.copy()]
+
+    expected = results(calls)
+    (run,) = fuse(calls, q, [kept, condition], [q, v, line, index])
+    kept[...], condition[...] = 7.0, False
+    for found, known in zip(results([run]), expected, strict=True):
+        np.testing.assert_array_equal(found, known)
+
+
+def laws() -> list[str]:
+    """Effects that act on a servo, not on the trunk's sensors."""
+    return [name for name, effect in catalogue().items() if effect.sense_trunk is Effect.sense_trunk]
+
+
+def law_of(name: str, num_robots: int, group: int, seed: int) -> tuple[ServoLaw, Signals]:
+    """The law of the paper's model with one effect more, groups of robots having parameters of their own."""
+    model, effect, joints = load_model("paper"), catalogue()[name], JOINTS[:NUM_JOINTS]
+    if name not in model.effect_names:
+        model = model.with_effect(effect())
+    law = ServoLaw(model.effects, 0.001, 0.008, joints)
+    rng = np.random.default_rng(seed)
+    values = {}
+    for known, value in model.parameters().items():
+        middle = 0.5 * (value.low + value.high)
+        drawn = middle + 0.2 * (value.high - value.low) * rng.uniform(-1, 1, (num_robots // group, NUM_JOINTS))
+        spread = torch.from_numpy(drawn.T.astype("<f4"))[:, :, None].expand(-1, -1, group)
+        values[known] = spread.reshape(NUM_JOINTS, -1).T
+    law.set_parameters(values)
+    signals = Signals.zeros(num_robots, NUM_JOINTS, dtype=torch.float32)
+    for signal in ("position", "velocity", "position_target", "load_torque"):
+        drawn = torch.from_numpy(rng.normal(size=(NUM_JOINTS, num_robots)).astype("<f4") * 0.3).T
+        setattr(signals, signal, drawn)
+    signals.torque_enable = torch.ones_like(signals.position)
+    signals.bus_voltage = torch.full_like(signals.position, 12.0)
+    law.reset(signals)
+    law.tick(signals)
+    law.act(signals)
+    return law, signals
+
+
+@settings(max_examples=12, deadline=None)
+@given(name=st.sampled_from(laws()), seed=st.integers(0, 1000), group=st.sampled_from([1, 50, 300]))
+def test_every_law_is_the_same_in_blocks(name, seed, group):
+    """The law of any effect, with parameters that change from robot to robot or in runs, over several steps."""
+    stepped = []
+    for least in (10**9, 0):
+        law, signals = law_of(name, ROBOTS, group, seed)
+        with pytest.MonkeyPatch.context() as patched:
+            patched.setattr(compiled_step, "LEAST_SIZE", least)
+            step = CompiledStep(law.act, signals, ("applied_torque", "friction_bound", "damping", "current"))
+        rng = np.random.default_rng(seed)
+        for _ in range(4):
+            for signal in ("position", "velocity", "load_torque"):
+                if signal in step.inputs:
+                    step.inputs[signal][...] = rng.normal(size=SHAPE) * 0.3
+            step()
+        stepped.append({**step.outputs, **step.next_state})
+        assert any(isinstance(call, Run) for call in step._fast) == (least == 0)
+    for key, value in stepped[0].items():
+        np.testing.assert_array_equal(stepped[1][key], value, err_msg=key)
