@@ -45,6 +45,9 @@ MOST = 0.15
 PASSES = 5
 """Losses that are looked for in a window at most."""
 
+TOGETHER = 9
+"""Packets of a window that are asked in one simulation."""
+
 SUPPOSED = 1 / 30
 """Share of packets that is supposed to be lost where it is asked what logs would tell of losses."""
 
@@ -146,46 +149,40 @@ def lost_packets(engine: WindowResiduals, base: Fit) -> LostPackets | None:
     narrow.
 
     Args:
-        engine: prepared; what it knows of packets is left as it is.
+        engine: prepared; what it knows of packets does not matter, and is left as it is.
         base: fitted, without losses.
     """
     assert base.coarse_error is not None
     model, windows, ticks = with_losses(base), len(engine.windows), PREROLL + engine.ticks + 1
     values = {**model.tensors(engine.joints), **base.parameters}
     values[PacketDrop.size] = torch.full_like(values[PacketDrop.size], 0.5)
-    known, coarse_error = engine.packets, base.coarse_error.astype(np.float64)
-
-    def simulated(packets: np.ndarray) -> np.ndarray:
-        engine.packets = packets
-        return engine.residuals(model, values, 1, coarse=True)[0] - coarse_error
+    coarse_error = base.coarse_error.astype(np.float64)
 
     def asked(packets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What it changes in the squares if a packet is taken otherwise, and by how much they fall, [window, tick]."""
-        residual = simulated(packets)
+        residual = engine.residuals_with(packets[None], model, values)[0] - coarse_error
         changed, gained = np.zeros((2, windows, ticks))
-        for tick in range(PREROLL - 1, ticks - 2):
-            otherwise = packets.copy()
-            otherwise[:, tick] *= -1
-            other = simulated(otherwise)
-            changed[:, tick] = np.square(other - residual).sum(1)
-            gained[:, tick] = np.square(residual).sum(1) - np.square(other).sum(1)
+        every = np.arange(PREROLL - 1, ticks - 2)
+        for asking in np.array_split(every, -(-len(every) // TOGETHER)):
+            otherwise = np.tile(packets, (len(asking), 1, 1))
+            otherwise[np.arange(len(asking)), :, asking] *= -1
+            for tick, other in zip(asking, engine.residuals_with(otherwise, model, values) - coarse_error, strict=True):
+                changed[:, tick] = np.square(other - residual).sum(1)
+                gained[:, tick] = np.square(residual).sum(1) - np.square(other).sum(1)
         return changed, gained
 
-    try:
-        packets = np.full((windows, ticks), ARRIVED)
-        for number in range(PASSES + 1):
-            changed, gained = asked(packets)
-            telling = changed > TELLING
-            clear, half = telling & (gained > CLEAR * changed), telling & (gained > DOUBTFUL * changed)
-            if number == 0 and clear.sum() < max(LEAST, 2 * (half & ~clear).sum()):
-                return None
-            likely = np.where((changed > SHOWN) & (gained > LIKELY * changed), gained, 0.0)
-            rows, best = np.flatnonzero(likely.any(1)), likely.argmax(1)
-            if number == PASSES or not len(rows):
-                break
-            packets[rows, best[rows]] *= -1
-    finally:
-        engine.packets = known
+    packets = np.full((windows, ticks), ARRIVED)
+    for number in range(PASSES + 1):
+        changed, gained = asked(packets)
+        telling = changed > TELLING
+        clear, half = telling & (gained > CLEAR * changed), telling & (gained > DOUBTFUL * changed)
+        if number == 0 and clear.sum() < max(LEAST, 2 * (half & ~clear).sum()):
+            return None
+        likely = np.where((changed > SHOWN) & (gained > LIKELY * changed), gained, 0.0)
+        rows, best = np.flatnonzero(likely.any(1)), likely.argmax(1)
+        if number == PASSES or not len(rows):
+            break
+        packets[rows, best[rows]] *= -1
     return _counted(engine, packets, telling)
 
 

@@ -47,7 +47,11 @@ def whole_robot(log: Rollout) -> Rollout:
 
 def free_runs(model: RobotModel, logs: Sequence[Rollout]) -> list[Prediction]:
     """Closed-loop predictions of whole logs, from their first rows and commands alone."""
-    return Replay([whole_robot(log) for log in logs], settle=settle_time(logs)).run(model)
+    return _replay(logs).run(model)
+
+
+def _replay(logs: Sequence[Rollout]) -> Replay:
+    return Replay([whole_robot(log) for log in logs], settle=settle_time(logs))
 
 
 def show(
@@ -75,10 +79,11 @@ def show(
         and the predictions.
     """
     logs = shown_logs(split)
-    first = free_runs(before, logs) if known is None else known
+    replay = _replay(logs) if known is None or after is not before else None
+    first = replay.run(before) if replay is not None and known is None else known or []
     if progress is not None:
         progress(0.5)
-    second = first if after is before else free_runs(after, logs)
+    second = first if replay is None or after is before else replay.run(after)
     joints = logs[0].joints
     loss = TrajectoryLoss(tuple(joints))
     old, new = float(loss(first)[0]), float(loss(second)[0])

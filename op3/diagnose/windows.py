@@ -209,8 +209,13 @@ class WindowResiduals:
             self._unchanged[id(base)] = base.along(base.mj_model, self._position[at], self._velocity[at])
         return self._unchanged[id(base)]
 
-    def simulation(self, model: RobotModel, fit_only: bool = False, coarse: bool = False) -> WindowSimulation:
-        """A simulation of the windows under a model; a coarse one takes steps of twice the length, if it can."""
+    def simulation(
+        self, model: RobotModel, fit_only: bool = False, coarse: bool = False, packets: np.ndarray | None = None
+    ) -> WindowSimulation:
+        """A simulation of the windows under a model; a coarse one takes steps of twice the length, if it can.
+
+        With packets ``[variant, window, tick]`` the windows are there once for each variant, one after another.
+        """
         changes = {}
         for effect in model.effects:
             for edit in effect.edits:
@@ -225,21 +230,22 @@ class WindowResiduals:
         if set(MISREADING) & set(model.effect_names):
             changes |= {(ZERO, joint): self._elsewhere(joint) for joint in range(len(self.joints))}
         given: dict[str, Any] = {**vars(self.motion), "changes": changes}
-        if PacketDrop.name in model.effect_names:
-            given["inputs"] = {
-                **self.motion.inputs,
-                "packet": np.repeat(self.packets.reshape(-1, 1), len(self.joints), 1),
-            }
         if self.motion.supply_resistance and any(e.drive != "current" for e in model.effects if isinstance(e, Motor)):
             # the law lets the bus fall where the driver regulates current; others get what was measured
             given["inputs"] = {**given["inputs"], "bus_voltage": self.measured_voltage}
             given["supply_resistance"] = 0.0
-        motion = MeasuredMotion(**given)
+        variants = [self.packets] if packets is None else list(packets)
+        motions = []
+        for variant in variants:
+            inputs = given["inputs"]
+            if PacketDrop.name in model.effect_names:
+                inputs = {**inputs, "packet": np.repeat(variant.reshape(-1, 1), len(self.joints), 1)}
+            motions.append(MeasuredMotion(**{**given, "inputs": inputs}))
         starts = self._starts[: int(self.is_fit.sum())] if fit_only else self._starts
         return WindowSimulation(
             _as_sent(model),
-            [motion],
-            starts,
+            motions,
+            [replace(start, motion=number) for number in range(len(motions)) for start in starts],
             self.ticks,
             self.joints,
             timestep=self.timestep * (2 if coarse and not model.stiff else 1),
@@ -259,15 +265,36 @@ class WindowResiduals:
         """Simulated minus measured, ``[candidate, window, tick, joint, channel]``."""
         simulation = self.simulation(model, fit_only, coarse)
         self.simulated_rows += candidates * len(simulation.windows)
-        channels = simulation.run(
-            parameters,
-            candidates,
-            position_offset=offsets.get("position_offset"),
-            velocity_offset=offsets.get("velocity_offset"),
+        return self._compared(
+            simulation.run(
+                parameters,
+                candidates,
+                position_offset=offsets.get("position_offset"),
+                velocity_offset=offsets.get("velocity_offset"),
+            )
         )
+
+    def _compared(self, channels: Mapping[tuple[str, str], Tensor]) -> np.ndarray:
+        """What was simulated, less the measurement; what diverged is far from it."""
         simulated = np.stack([channels[key].numpy() for key in self.channels], -1)
-        result = (simulated - self.measured[None, : len(simulation.windows)]).astype(simulated.dtype)
-        return np.nan_to_num(result, nan=1e3, posinf=1e3, neginf=-1e3)
+        result = (simulated - self.measured[None, : simulated.shape[1]]).astype(simulated.dtype)
+        return np.nan_to_num(result, copy=False, nan=1e3, posinf=1e3, neginf=-1e3)
+
+    def residuals_with(
+        self, packets: np.ndarray, model: RobotModel, parameters: Mapping[str, Tensor] | None = None
+    ) -> np.ndarray:
+        """Whitened coarse residuals of one model if other packets had arrived, ``[variant, window, residual]``.
+
+        Args:
+            packets: as the attribute, ``[variant, window, tick]``.
+            model: with losses of packets among its effects.
+            parameters: by name, ``[1, joint]``.
+        """
+        simulation = self.simulation(model, coarse=True, packets=packets)
+        self.simulated_rows += len(simulation.windows)
+        shape = (len(packets), len(self.windows))
+        channels = {key: value[0].unflatten(0, shape) for key, value in simulation.run(parameters, 1).items()}
+        return self.whiten(self._compared(channels)).astype(np.float32)
 
     def prepare(self, model: RobotModel) -> None:
         """Take the scale of the residuals, and what nuisances of single windows explain, from this model."""

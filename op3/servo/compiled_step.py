@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from op3.servo.effect import Signals
-from op3.servo.fused import LEAST_SIZE, fuse
+from op3.servo.fused import fuse
 from op3.servo.recording import Call, Recording, Untranslatable, record
 
 Array = NDArray[Any]
@@ -123,7 +123,6 @@ class CompiledStep:
         except Exception as error:  # an operation with arguments of a kind that is not known here
             raise Untranslatable(str(error)) from error
         self._calls, results = program.calls, iter(program.results)
-        self._fast = self._calls
         self.inputs = {name: arrays[name] for name, value in given.items() if id(value) in needed}
         self.state = {name: places[id(value)] for name, value in memory.items() if id(value) in needed}
         self.outputs: dict[str, Array] = {name: next(results) for name in outputs}
@@ -133,9 +132,8 @@ class CompiledStep:
         renewed = [(self.inputs[name], kept[name]) for name in carried]
         renewed += [(before, self.next_state[name]) for name, before in self.state.items()]
         self._renewed = [(before, after) for before, after in renewed if before is not after]
-        if signals.position.numel() >= LEAST_SIZE:
-            changing = [*self.inputs.values(), *self.state.values()]
-            self._fast = fuse(self._calls, signals.position.numpy(), program.results, changing)
+        changing = [*self.inputs.values(), *self.state.values()]
+        self._runs = fuse(self._calls, signals.position.numpy(), program.results, changing)
 
     def __len__(self) -> int:
         """Number of operations in a step."""
@@ -144,7 +142,7 @@ class CompiledStep:
     def __call__(self) -> None:
         """One step: from `inputs` and `state` to `outputs` and the next `state`."""
         with np.errstate(all="ignore"):  # simulations that diverge are somebody else's to find
-            for call in self._fast:
+            for call in self._runs:
                 call()
         for before, after in self._renewed:
             before[...] = after

@@ -17,6 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from op3.servo.interpreter import interpret
+
 Array = NDArray[Any]
 
 BLOCK = 256
@@ -27,9 +29,6 @@ FEWEST = 4
 
 SHORTEST_RUN = 32
 """Neighbouring robots with the same parameters from which parameters are read once for all of them."""
-
-LEAST_SIZE = 256
-"""Numbers (robots times joints) from which blocks are faster than whole arrays."""
 
 OPERATIONS: dict[Any, int] = {
     np.add: 0,
@@ -54,8 +53,8 @@ OPERATIONS: dict[Any, int] = {
 }
 """Elementwise operations that the interpreter knows."""
 
-COPY, WHERE, SPREAD, PICK, SUM = 19, 20, 21, 22, 23
-"""The others: copy, copy where a condition holds, copy with any strides, of a picked entry, and sum over joints."""
+COPY, WHERE, PICK, SUM, SUM_ALONG = 19, 20, 22, 23, 21
+"""The others: copy, copy where a condition holds, copy of a picked entry, and sums over rows and along them."""
 
 UNARY = (np.negative, np.absolute, np.sign, np.sqrt, np.logical_not)
 
@@ -87,7 +86,7 @@ def fuse(
 
 @dataclass(frozen=True)
 class _Cell:
-    """Where an operand ``[robot, joint]`` lies.
+    """Where an operand ``[robot, joint]`` lies; robots that lie apart, and their joints together, change places.
 
     Attributes:
         root: id of the array that owns the memory.
@@ -125,7 +124,10 @@ class _Plan:
         kept: Sequence[Array],
         changing: Sequence[Array],
     ):
-        self.calls, self.shape, self.float = calls, like.shape, like.dtype
+        self.calls, self.whole, self.float = calls, like.shape, like.dtype
+        # what lies one behind the other is run over: robots, or a robot's joints
+        self.turned = like.strides[0] > like.strides[1] == like.itemsize
+        self.shape = like.shape[::-1] if self.turned else like.shape
         self.alive: list[Any] = []  # whose memory is used
         self.values: dict[_Cell, Array] = {}
         self.cells: dict[int, _Cell | None] = {}
@@ -148,7 +150,8 @@ class _Plan:
             each for steps in self.steps for step in steps or () for each in step.operands if isinstance(each, _Cell)
         }
         fixed = [cell for cell in cells if cell.root in self.fixed and cell.index is None]
-        whole = {cell: np.broadcast_to(self.values[cell], self.shape) for cell in fixed}
+        whole = {cell: np.broadcast_to(self.values[cell], self.whole) for cell in fixed}
+        whole = {cell: value.T if self.turned else value for cell, value in whole.items()}
         robots = self.shape[0]
         run = robots
         for value in whole.values():
@@ -235,22 +238,25 @@ class _Plan:
         found = []
         for out, *operands in layers:
             place, cells = self._cell(out), [self._operand(each) for each in operands]
-            if place is None or place.kind.kind not in "fb" or place.robot == 0 or any(cell is None for cell in cells):
+            if place is None or any(cell is None for cell in cells):
                 return None
-            if place.joint == 0 and self.shape[1] > 1 and out.shape[-1] != 1:
-                return None
+            steps = zip(
+                (place.joint, place.robot) if self.turned else (place.robot, place.joint), out.shape, strict=True
+            )
+            if any(step == 0 and size > 1 for step, size in steps):
+                return None  # a view in which several are one
             found.append(_Step(operation, place, tuple(cell for cell in cells if cell is not None)))
         return found
 
     def _layers(self, out: Array, arguments: Sequence[Any]) -> list[list[Any]] | None:
         """Arrays with a leading axis, taken apart along it; None if they are of other shapes."""
-        if out.shape == self.shape[::-1] and out.shape != self.shape:
+        if out.shape == self.whole[::-1] and out.shape != self.whole:
             whole = [out, *arguments]
             if all(not isinstance(each, np.ndarray) or each.shape == out.shape for each in whole):
                 return [[each.T if isinstance(each, np.ndarray) else each for each in whole]]
-        if out.ndim <= 2:
+        if out.ndim == 2:
             return [[out, *arguments]]
-        if out.ndim != 3 or out.shape[1:] != self.shape:
+        if out.ndim != 3 or out.shape[1:] != self.whole:
             return None
         spread = [np.broadcast_to(each, out.shape) if isinstance(each, np.ndarray) else each for each in arguments]
         return [
@@ -260,9 +266,9 @@ class _Plan:
     def _sum(self, out: Array, value: Any, axes: Any, keepdims: bool = False) -> list[_Step] | None:
         if not isinstance(value, np.ndarray) or not _floats(value, self.float) or not _floats(out, self.float):
             return None
-        if value.shape == self.shape and axes in ((-1,), (1,)) and out.shape == (self.shape[0], 1):
-            return self._steps(SUM, [[out, value]])
-        if value.ndim == 3 and value.shape[1:] == self.shape and axes == (0,) and out.shape == self.shape:
+        if value.shape == self.whole and axes in ((-1,), (1,)) and out.shape == (self.whole[0], 1):
+            return self._steps(SUM_ALONG if self.turned else SUM, [[out, value]])
+        if value.ndim == 3 and value.shape[1:] == self.whole and axes == (0,) and out.shape == self.whole:
             if len(value) < 2:
                 return None
             layers = [[out, value[0], value[1]], *([out, out, layer] for layer in value[2:])]
@@ -272,7 +278,7 @@ class _Plan:
     def _pick(self, out: Array, value: Any, index: Any, axis: int) -> list[_Step] | None:
         if axis != 0 or not isinstance(index, np.ndarray) or index.dtype != np.int64 or not _floats(value, self.float):
             return None
-        if value.ndim < 2 or value.shape[-2:] != self.shape or not _floats(out, self.float):
+        if value.ndim < 2 or value.shape[-2:] != self.whole or not _floats(out, self.float):
             return None
         apart = value.strides[0]
         value, out = value[0], out[0]
@@ -305,14 +311,12 @@ class _Plan:
     def _new_cell(self, array: Array) -> _Cell | None:
         if (array.dtype != self.float and array.dtype != np.bool_) or array.ndim > 2:
             return None
-        if array.shape == self.shape:
-            robot, joint = array.strides
-        else:
-            sizes, steps = (1,) * (2 - array.ndim) + array.shape, (0,) * (2 - array.ndim) + array.strides
-            if any(size not in (1, whole) for size, whole in zip(sizes, self.shape, strict=True)):
-                return None
-            robot, joint = (step if size > 1 else 0 for size, step in zip(sizes, steps, strict=True))
-        joint = joint if self.shape[1] > 1 else 0
+        sizes, steps = (1,) * (2 - array.ndim) + array.shape, (0,) * (2 - array.ndim) + array.strides
+        if any(size not in (1, whole) for size, whole in zip(sizes, self.whole, strict=True)):
+            return None
+        robot, joint = (step if size > 1 else 0 for size, step in zip(sizes, steps, strict=True))
+        if self.turned:
+            robot, joint = joint, robot
         cell = _Cell(_root(array), array.__array_interface__["data"][0], robot, joint, array.dtype)
         self.values[cell] = array
         return cell
@@ -477,6 +481,7 @@ class Run:
             (index, np.array(places), np.array(bases), np.array(steps))
             for index, places, bases, steps in self._picks.values()
         ]
+        self._carry_out(0)  # so that the machine code is loaded before it is needed
 
     def __len__(self) -> int:
         """Number of operations."""
@@ -484,12 +489,14 @@ class Run:
 
     def __call__(self) -> None:
         """Carry them out."""
-        from op3.servo.interpreter import interpret  # which takes a moment to load, and is not always needed
-
-        address, joint, robot, block = self._table
+        address = self._table[0]
         for index, places, bases, steps in self._picked:
             address[places] = bases + index[0] * steps
-        interpret(self._code, address, joint, robot, block, self._bank, self.shape[0], self.shape[1], self.size)
+        self._carry_out(self.shape[0])
+
+    def _carry_out(self, robots: int) -> None:
+        address, joint, robot, block = self._table
+        interpret(self._code, address, joint, robot, block, self._bank, robots, self.shape[1], self.size)
 
 
 def _is_cell(operand: Any) -> bool:

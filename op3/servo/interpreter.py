@@ -147,6 +147,12 @@ def interpret(code, address, joint, robot, block, registers, robots, joints, siz
                 elif op == 20:
                     for k in range(count):
                         out[k] = a[k] if b[k] != 0 else out[k]
+                elif op == 21:  # along the row, which holds the sum everywhere
+                    total_of = zero
+                    for k in range(count):
+                        total_of += a[k]
+                    for k in range(count):
+                        out[k] = total_of
                 elif op == 23 and j == 0:
                     for k in range(count):
                         out[k] = a[k]
