@@ -1,4 +1,4 @@
-"""How much the servo law costs: ratios measured in one run, on 64 OP3s that stand.
+"""How much the servo law costs: ratios measured in one run, on 64 OP3s that stand, and of the law alone.
 
 python experiments/benchmarks/simulation_speed.py
 """
@@ -12,7 +12,9 @@ import torch
 from mujoco.batch import Batch
 
 from op3.report import machine
-from op3.robot import hold, pose
+from op3.robot import JOINTS, hold, pose
+from op3.servo import ServoLaw, Signals
+from op3.servo.compiled_step import CompiledStep
 from op3.sim import BatchSimulation, load_model
 from op3.tasks import Setup, playback_environment, squat_task
 
@@ -38,6 +40,37 @@ def standing(translated: bool) -> BatchSimulation:
     for _ in range(125):
         simulation.advance()
     return simulation
+
+
+def law_alone(robots: int, joints: int, dtype: torch.dtype) -> Callable[[], float]:
+    """The paper's law of some robots, whose joints lie together in memory; in runs against call by call."""
+    names, model = JOINTS[:joints], load_model("paper")
+    law = ServoLaw(model.effects, 0.001, 0.008, names)
+    columns = {name: value.expand(1, joints).to(dtype) for name, value in model.tensors(names).items()}
+    law.set_parameters({name: value.T.repeat(1, robots).contiguous().T for name, value in columns.items()})
+    signals = Signals.zeros(robots, joints, dtype=dtype)
+    rng = np.random.default_rng(0)
+    for name in ("position", "velocity", "load_torque", "position_target"):
+        setattr(signals, name, torch.from_numpy(rng.normal(0.0, 0.3, (joints, robots))).to(dtype).T)
+    signals.torque_enable, signals.bus_voltage = torch.ones_like(signals.position), signals.position * 0 + 12.0
+    law.reset(signals)
+    law.tick(signals)
+    law.act(signals)
+    step = CompiledStep(law.act, signals, ("applied_torque", "damping", "friction_bound", "current"))
+
+    def ratio() -> float:
+        seconds = []
+        for work in (step, step.call_by_call):
+            started = time.perf_counter()
+            for _ in range(TICKS):
+                for memory in (*step.inputs.values(), *step.state.values()):
+                    if memory.dtype == np.int64:
+                        memory[...] = 0  # the number of the step in its period, which ends
+                work()
+            seconds.append(time.perf_counter() - started)
+        return seconds[1] / seconds[0]
+
+    return ratio
 
 
 def seconds_per_step(work: Callable[[], None], steps: int) -> float:
@@ -104,6 +137,9 @@ def main() -> None:
         "full law against law in torch": [row[1] / row[0] for row in rows],
         "full law against composer": [row[3] / row[0] for row in rows],
     }
+    for robots, joints, dtype in ((1, 20, torch.float64), (64, 20, torch.float64), (3840, 6, torch.float32)):
+        ratio = law_alone(robots, joints, dtype)
+        against[f"law of {robots} robots with {joints} joints against call by call"] = [ratio() for _ in range(ROUNDS)]
     for name, ratios in against.items():
         print(f"{name}: {statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f}, {ROUNDS} rounds)")
 

@@ -133,7 +133,7 @@ class CompiledStep:
         renewed += [(before, self.next_state[name]) for name, before in self.state.items()]
         self._renewed = [(before, after) for before, after in renewed if before is not after]
         changing = [*self.inputs.values(), *self.state.values()]
-        self._runs = fuse(self._calls, signals.position.numpy(), program.results, changing)
+        self._runs: Sequence[Callable[[], Any]] = fuse(self._calls, signals.position.numpy(), program.results, changing)
 
     def __len__(self) -> int:
         """Number of operations in a step."""
@@ -141,8 +141,15 @@ class CompiledStep:
 
     def __call__(self) -> None:
         """One step: from `inputs` and `state` to `outputs` and the next `state`."""
+        self._carry_out(self._runs)
+
+    def call_by_call(self) -> None:
+        """The same step, every operation a call of numpy: the numbers are the same, and it takes longer."""
+        self._carry_out(self._calls)
+
+    def _carry_out(self, calls: Sequence[Callable[[], Any]]) -> None:
         with np.errstate(all="ignore"):  # simulations that diverge are somebody else's to find
-            for call in self._runs:
+            for call in calls:
                 call()
         for before, after in self._renewed:
             before[...] = after

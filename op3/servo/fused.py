@@ -126,7 +126,8 @@ class _Plan:
     ):
         self.calls, self.whole, self.float = calls, like.shape, like.dtype
         # what lies one behind the other is run over: robots, or a robot's joints
-        self.turned = like.strides[0] > like.strides[1] == like.itemsize
+        together = like.strides[1] == like.itemsize
+        self.turned = together and (like.strides[0] > like.itemsize or len(like) == 1)
         self.shape = like.shape[::-1] if self.turned else like.shape
         self.alive: list[Any] = []  # whose memory is used
         self.values: dict[_Cell, Array] = {}
