@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -36,12 +37,12 @@ class Call:
     options: Mapping[str, Any]
     result: Any
 
-    @property
-    def reads(self) -> Iterator[Tensor]:
+    @cached_property
+    def reads(self) -> list[Tensor]:
         """Tensors among the arguments."""
-        return _tensors((self.arguments, dict(self.options)))
+        return list(_tensors((self.arguments, self.options)))
 
-    @property
+    @cached_property
     def results(self) -> list[Tensor]:
         """Tensors that it made."""
         return list(_tensors(self.result))

@@ -105,3 +105,18 @@ def test_the_interval_of_a_count_is_exact(lost, telling):
     low, high = LostPackets(np.zeros((1, 1)), telling, lost).interval()
     expected = stats.binomtest(lost, telling).proportion_ci(0.9, method="exact")
     assert (low, high) == pytest.approx((expected.low, expected.high), abs=1e-9)
+
+
+def test_packets_asked_together_are_as_asked_alone():
+    """Variants of what arrived, simulated at once, leave the residuals of each told to the engine by itself."""
+    diagnosis = diagnosis_of(load_model("paper"))
+    engine = windows_of(diagnosis)
+    diagnosis.linearised()
+    model = load_model("paper").with_effect(PacketDrop(), {"drop_probability": 0.5})
+    variants = np.full((3, *engine.packets.shape), ARRIVED)
+    variants[1, ::2, PREROLL + 4], variants[2, 1, PREROLL + 7 :] = LOST, LOST
+    together = engine.residuals_with(variants, model)
+    for packets, found in zip(variants, together, strict=True):
+        engine.packets = packets
+        np.testing.assert_allclose(found, engine.residuals(model, coarse=True)[0], rtol=0, atol=1e-3)
+    assert np.abs(together[1] - together[0]).max() > 0.1
