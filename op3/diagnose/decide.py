@@ -85,6 +85,9 @@ NAMED_SHARE = 0.8
 ALIKE_SHARE = 0.99
 """The same where the next best is of the same alias class, which explains nearly the same."""
 
+PICKED = 0.3
+"""Share of resamples in which a name has to be the best to be stated, unless it explains `CLEAR_GAIN`."""
+
 UNDECIDED = 0.7
 """Most confidence that a candidate of an ambiguous verdict has: resampling tells what noise can do, not what a law that
 is a little wrong does to effects that look alike. A sensor's zero won 99 % against the asymmetric friction that was
@@ -261,13 +264,18 @@ def decide(
         if not contenders:
             return Decision("nothing_missing", (), shares, "no effect of the catalogue can be seen in these logs")
         best = contenders[order[0]]
-        return Decision(
-            "nothing_missing", (), shares, f"the best of the catalogue, {best.label}, explains {max(best.gain, 0):.1%}"
-        )
+        said = f"the best of the catalogue, {best.label}, explains {max(best.gain, 0):.1%}"
+        usual = float(np.median(left)) if left is not None and left.size else 0.0
+        if usual > LARGE_GAP:
+            return Decision("unknown", (), shares, f"residual velocities are {usual:.1f} times the noise, and {said}")
+        return Decision("nothing_missing", (), shares, said)
     best = _simplest(contenders, counting, control)
     others = [i for i in counting if i != best and not _more_than(contenders[i], contenders[best], control)]
     shares = _credited(shares, contenders, best, others)
     rivals = _rivals(contenders, best, others, control, shares, rng)
+    if not rivals and shares[best] < PICKED and _explained(contenders[best]) < CLEAR_GAIN:
+        said = f"the best that counts, {contenders[best].label}, explains {contenders[best].gain:.1%}"
+        return Decision("nothing_missing", (), shares, f"{said}, and {shares[best]:.0%} of resamples agree")
     if not rivals:
         return Decision("named", (best,), shares, _what_it_explains(contenders[best]))
     members = (best, *rivals)[:MOST_CANDIDATES]

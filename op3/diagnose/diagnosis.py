@@ -76,6 +76,9 @@ LEADING = 3
 EXCHANGES = (0.004, 0.006)
 """Parts that are tried [s]; the loss there may be larger, as everything else has yet to give way."""
 
+NEUTRAL = 0.05
+"""Size below which an effect is none, as a share of the smallest that matters."""
+
 CELLS = 20
 """Cells of residual torque that are kept."""
 
@@ -323,9 +326,14 @@ class Diagnosis:
             if found is not None:
                 self.engine.packets = found.packets
                 self.base = base = self.refit_base(with_point(base.coordinates, base.point), fitted=True)
-        fitted = with_point(base.coordinates, base.point)
         self.screened = self.screen(base)
         control, self.refitted = self._refit(base)
+        elsewhere = self._better_base(base, control)
+        if elsewhere is not None:
+            self.base = base = self.refit_base(elsewhere, fitted=True)
+            self.screened = self.screen(base)
+            control, self.refitted = self._refit(base)
+        fitted = with_point(base.coordinates, base.point)
         windows = self.engine if isinstance(self.engine, WindowResiduals) else None
         located = locate(windows, base, self.seed) if windows else []
         box = ceiling(windows, base, control.residual, self.seed) if windows and first else None
@@ -360,6 +368,17 @@ class Diagnosis:
                 else {"gain": round(box.gain, 4), "inputs": where(box, self.engine.joints)},
             },
         )
+
+    def _better_base(self, base: Fit, control: Fit) -> RobotModel | None:
+        """The base where a refit has found it a better place without its effect; None where none has.
+
+        The loss has many valleys. What explains more with an effect of next to no size explains it with the base.
+        """
+        neutral = [r.fit for r in self.refitted if abs(r.contender.size) < NEUTRAL * r.contender.smallest]
+        best = min(neutral, key=lambda fit: fit.loss, default=control)
+        if best.loss > (1.0 - WORTHWHILE) * control.loss:
+            return None
+        return with_point(base.coordinates, best.point[: len(base.coordinates)])
 
     def _found(self, members: Sequence[Refitted], base: Fit, shares: np.ndarray) -> list[Candidate]:
         """What a decision is about, best first, with stated confidences."""
