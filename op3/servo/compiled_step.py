@@ -133,7 +133,9 @@ class CompiledStep:
         renewed += [(before, self.next_state[name]) for name, before in self.state.items()]
         self._renewed = [(before, after) for before, after in renewed if before is not after]
         changing = [*self.inputs.values(), *self.state.values()]
-        self._runs: Sequence[Callable[[], Any]] = fuse(self._calls, signals.position.numpy(), program.results, changing)
+        self._runs: Sequence[Callable[[], Any]] = fuse(
+            self._calls, signals.position.detach().numpy(), program.results, changing
+        )
 
     def __len__(self) -> int:
         """Number of operations in a step."""
@@ -166,8 +168,10 @@ def _inputs(signals: Signals, live: Mapping[str, Array]) -> dict[str, Tensor]:
 def _in_order(value: Tensor, like: Tensor) -> Tensor:
     """A copy that lies in memory as another tensor ``[sim, joint]`` does: numpy is slow where orders differ."""
     value = value.detach()
-    if value.shape[-2:] != like.shape or like.is_contiguous():
+    if value.shape[-2:] != like.shape:
         return value.clone()
+    if like.stride(0) >= like.stride(1):
+        return value.clone(memory_format=torch.contiguous_format)
     return value.transpose(-1, -2).clone(memory_format=torch.contiguous_format).transpose(-1, -2)
 
 

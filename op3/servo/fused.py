@@ -9,8 +9,9 @@ bit by bit.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -23,6 +24,9 @@ Array = NDArray[Any]
 
 BLOCK = 256
 """Robots in a block: a row of registers is a kilobyte or two."""
+
+LONGEST_SUM = 128
+"""Joints that are summed in numpy's order."""
 
 FEWEST = 4
 """Operations that are worth a run."""
@@ -84,6 +88,21 @@ def fuse(
     return result
 
 
+@dataclass(frozen=True, eq=False)
+class _Pick:
+    """Which of several entries is meant.
+
+    Attributes:
+        index: array that holds its number.
+        apart: bytes from entry to entry.
+        count: how many there are.
+    """
+
+    index: Array
+    apart: int
+    count: int
+
+
 @dataclass(frozen=True)
 class _Cell:
     """Where an operand ``[robot, joint]`` lies; robots that lie apart, and their joints together, change places.
@@ -94,7 +113,7 @@ class _Cell:
         robot: bytes to the next robot.
         joint: bytes to the next joint.
         kind: of the numbers.
-        index: the array whose number picks an entry, and by how many bytes entries are apart; None for most.
+        picked: tells which entry of several is meant; None for most.
     """
 
     root: int
@@ -102,7 +121,7 @@ class _Cell:
     robot: int
     joint: int
     kind: np.dtype[Any]
-    index: tuple[Array, int] | None = field(default=None, compare=False)
+    picked: _Pick | None = None
 
 
 @dataclass(frozen=True)
@@ -126,13 +145,13 @@ class _Plan:
     ):
         self.calls, self.whole, self.float = calls, like.shape, like.dtype
         # what lies one behind the other is run over: robots, or a robot's joints
-        together = like.strides[1] == like.itemsize
+        together = like.strides[1] == like.itemsize and like.shape[1] > 1
         self.turned = together and (like.strides[0] > like.itemsize or len(like) == 1)
         self.shape = like.shape[::-1] if self.turned else like.shape
         self.alive: list[Any] = []  # whose memory is used
         self.values: dict[_Cell, Array] = {}
         self.cells: dict[int, _Cell | None] = {}
-        self.steps = [self._elementary(call) for call in calls]
+        self.steps = self._within_blocks([self._elementary(call) for call in calls])
         self.kept = {_root(array) for array in kept}
         self.used: dict[int, list[tuple[int, tuple[int, int, int]]]] = {}
         for number, (call, steps) in enumerate(zip(calls, self.steps, strict=True)):
@@ -142,6 +161,18 @@ class _Plan:
         self.fixed = set(self.used) - filled - {_root(array) for array in changing}
         self.size, self.compact = self._groups()
 
+    def _within_blocks(self, steps: list[list[_Step] | None]) -> list[list[_Step] | None]:
+        """Without calls by which a robot's numbers could depend on those of another block."""
+        written: dict[int, set[int]] = {}
+        for step in (one for some in steps for one in some or ()):
+            written.setdefault(step.out.root, set()).add(step.out.robot)
+
+        def own(step: _Step) -> bool:
+            cells = [each for each in (step.out, *step.operands) if isinstance(each, _Cell)]
+            return all(written[cell.root] == {cell.robot} for cell in cells if cell.root in written)
+
+        return [some if some is None or all(own(step) for step in some) else None for some in steps]
+
     def _groups(self) -> tuple[int, dict[_Cell, Array]]:
         """Size of a block, and parameters with one number per block and joint, ``[joint, block]``.
 
@@ -150,20 +181,23 @@ class _Plan:
         cells = {
             each for steps in self.steps for step in steps or () for each in step.operands if isinstance(each, _Cell)
         }
-        fixed = [cell for cell in cells if cell.root in self.fixed and cell.index is None]
+        fixed = [cell for cell in cells if cell.root in self.fixed and cell.picked is None]
         whole = {cell: np.broadcast_to(self.values[cell], self.whole) for cell in fixed}
         whole = {cell: value.T if self.turned else value for cell, value in whole.items()}
         robots = self.shape[0]
-        run = robots
+        size, run = robots if self.turned else min(BLOCK, robots), robots
         for value in whole.values():
-            moves = np.flatnonzero((value[1:] != value[:-1]).any(1)) + 1
-            run = int(np.gcd.reduce(moves, initial=run))
-        if run < SHORTEST_RUN:
-            return min(BLOCK, robots), {}
-        parts = -(-run // BLOCK)
-        while run % parts:
-            parts += 1
-        size = run // parts
+            changes = value[1:] != value[:-1]
+            if value.dtype != np.bool_:
+                changes |= np.signbit(value[1:]) != np.signbit(value[:-1])
+            run = int(np.gcd.reduce(np.flatnonzero(changes.any(1)) + 1, initial=run))
+        if run < robots:
+            parts = -(-run // BLOCK)
+            while run % parts:
+                parts += 1
+            if self.turned or run // parts < SHORTEST_RUN:
+                return size, {}
+            size = run // parts
         return size, {cell: np.ascontiguousarray(value[::size].T) for cell, value in whole.items()}
 
     def runs(self) -> Iterator[tuple[bool, int, int]]:
@@ -220,6 +254,8 @@ class _Plan:
             return None
         if function in OPERATIONS and set(call.keywords) == {"out"}:
             layers = self._layers(out, arguments)
+            if out.dtype == np.bool_:  # of two truths
+                function = {np.add: np.logical_or, np.multiply: np.logical_and}.get(function, function)
             return self._steps(OPERATIONS[function], layers) if layers else None
         if function is np.sum:
             return self._sum(out, arguments[0], arguments[1], call.keywords.get("keepdims", False))
@@ -268,7 +304,10 @@ class _Plan:
         if not isinstance(value, np.ndarray) or not _floats(value, self.float) or not _floats(out, self.float):
             return None
         if value.shape == self.whole and axes in ((-1,), (1,)) and out.shape == (self.whole[0], 1):
-            return self._steps(SUM_ALONG if self.turned else SUM, [[out, value]])
+            if not self.turned:
+                return self._steps(SUM, [[out, value]])
+            # numpy halves what is longer
+            return self._steps(SUM_ALONG, [[out, value]]) if value.shape[1] <= LONGEST_SUM else None
         if value.ndim == 3 and value.shape[1:] == self.whole and axes == (0,) and out.shape == self.whole:
             if len(value) < 2:
                 return None
@@ -281,7 +320,7 @@ class _Plan:
             return None
         if value.ndim < 2 or value.shape[-2:] != self.whole or not _floats(out, self.float):
             return None
-        apart = value.strides[0]
+        pick = _Pick(index, value.strides[0], len(value))
         value, out = value[0], out[0]
         if value.ndim > 3:
             return None
@@ -290,9 +329,7 @@ class _Plan:
             place, cell = self._cell(to), self._cell(from_)
             if place is None or cell is None:
                 return None
-            self.alive.append(index)
-            picked = _Cell(cell.root, cell.address, cell.robot, cell.joint, cell.kind, (index, apart))
-            found.append(_Step(PICK, place, (picked,)))
+            found.append(_Step(PICK, place, (replace(cell, picked=pick),)))
         return found
 
     def _operand(self, value: Any) -> _Cell | float | None:
@@ -360,8 +397,8 @@ class Run:
         self._private = private
         self._places: list[tuple[int, int, int, int, int]] = []  # register or -1, address, joint, robot, block
         self._numbers: dict[Any, int] = {}
-        self._picks: dict[int, tuple[Array, list[int], list[int], list[int]]] = {}
-        self._constants: dict[float, int] = {}
+        self._picks: dict[_Pick, tuple[list[int], list[int]]] = {}
+        self._constants: dict[tuple[float, float], int] = {}
         self._free: list[int] = []
         self._registers = 0
         code: list[tuple[int, int, int, int]] = []
@@ -398,23 +435,22 @@ class Run:
         return self._numbers[key]
 
     def _memory(self, cell: _Cell) -> int:
-        if cell.index is None:
+        if cell.picked is None:
             return self._place(-1, cell.address, cell.joint, cell.robot, cell.robot * self.size)
-        index, apart = cell.index
         number = len(self._places)
         self._places.append((-1, cell.address, cell.joint, cell.robot, cell.robot * self.size))
-        _, places, bases, steps = self._picks.setdefault(id(index), (index, [], [], []))
+        places, bases = self._picks.setdefault(cell.picked, ([], []))
         places.append(number)
         bases.append(cell.address)
-        steps.append(apart)
         return number
 
     def _read(self, operand: _Cell | float, code: list[tuple[int, int, int, int]], borrowed: list[int]) -> int:
         if not isinstance(operand, _Cell):
-            if operand not in self._constants:
+            key = (operand, math.copysign(1.0, operand))  # zeros have signs
+            if key not in self._constants:
                 self._registers += 1
-                self._constants[operand] = self._registers - 1
-            return self._place(self._constants[operand])
+                self._constants[key] = self._registers - 1
+            return self._place(self._constants[key])
         if operand.root in self._private:
             return self._place(self._held[operand.root])
         if operand in self._compact:
@@ -468,7 +504,7 @@ class Run:
         """Lay out the registers."""
         joints = self.shape[1]
         self._bank = np.empty((self._registers, joints, self.size), dtype=self.kind)
-        for value, register in self._constants.items():
+        for (value, _), register in self._constants.items():
             self._bank[register] = value
         row, item = self._bank.strides[1], self.kind.itemsize
         start, apart = self._bank.ctypes.data, self._bank.strides[0]
@@ -478,10 +514,7 @@ class Run:
         ]
         self._table = np.ascontiguousarray(np.array(table, dtype=np.int64).T)
         self._code = np.array(code, dtype=np.int64)
-        self._picked = [
-            (index, np.array(places), np.array(bases), np.array(steps))
-            for index, places, bases, steps in self._picks.values()
-        ]
+        self._picked = [(pick, np.array(places), np.array(bases)) for pick, (places, bases) in self._picks.items()]
         self._carry_out(0)  # so that the machine code is loaded before it is needed
 
     def __len__(self) -> int:
@@ -491,9 +524,15 @@ class Run:
     def __call__(self) -> None:
         """Carry them out."""
         address = self._table[0]
-        for index, places, bases, steps in self._picked:
-            address[places] = bases + index[0] * steps
+        for pick, places, bases in self._picked:
+            number = int(pick.index[0])
+            if not 0 <= number < pick.count:
+                raise IndexError(f"entry {number} of {pick.count} is to be picked")
+            address[places] = bases + number * pick.apart
         self._carry_out(self.shape[0])
+
+    def __reduce__(self) -> Any:
+        raise TypeError("a run holds addresses in memory: compile the step anew in place of copying it")
 
     def _carry_out(self, robots: int) -> None:
         address, joint, robot, block = self._table

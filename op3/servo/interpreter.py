@@ -7,6 +7,8 @@ import numpy as np
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
+from op3.servo.machine_code import machine_code
+
 
 def _typed(context: Any, address: Any) -> Any:
     """A number as the address of memory."""
@@ -33,7 +35,27 @@ def _one(address, kind):
     return _array(_pointer(address), 1, kind)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(inline="always")
+def _sum(row):
+    """A sum in the order of numpy, which has eight partial ones from eight numbers on."""
+    count = len(row)
+    if count < 8:
+        total = row[0]
+        for k in range(1, count):
+            total += row[k]
+        return total
+    parts = row[:8].copy()
+    whole = count - count % 8
+    for first in range(8, whole, 8):
+        for k in range(8):
+            parts[k] += row[first + k]
+    total = ((parts[0] + parts[1]) + (parts[2] + parts[3])) + ((parts[4] + parts[5]) + (parts[6] + parts[7]))
+    for k in range(whole, count):
+        total += row[k]
+    return total
+
+
+@machine_code
 def interpret(code, address, joint, robot, block, registers, robots, joints, size):  # pragma: no cover - machine code
     """Carry out operations for all robots, block by block.
 
@@ -110,7 +132,7 @@ def interpret(code, address, joint, robot, block, registers, robots, joints, siz
                         out[k] = abs(a[k])
                 elif op == 8:
                     for k in range(count):
-                        out[k] = one if a[k] > 0 else (-one if a[k] < 0 else a[k])
+                        out[k] = one if a[k] > 0 else (-one if a[k] < 0 else (a[k] if a[k] != a[k] else zero))
                 elif op == 9:
                     for k in range(count):
                         out[k] = np.sqrt(a[k])
@@ -148,11 +170,9 @@ def interpret(code, address, joint, robot, block, registers, robots, joints, siz
                     for k in range(count):
                         out[k] = a[k] if b[k] != 0 else out[k]
                 elif op == 21:  # along the row, which holds the sum everywhere
-                    total_of = zero
+                    value = _sum(a)
                     for k in range(count):
-                        total_of += a[k]
-                    for k in range(count):
-                        out[k] = total_of
+                        out[k] = value
                 elif op == 23 and j == 0:
                     for k in range(count):
                         out[k] = a[k]

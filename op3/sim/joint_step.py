@@ -1,13 +1,14 @@
 """One step of joints coupled by their masses, with dry friction, compiled to machine code and kept on disk."""
 
-import numba
 import numpy as np
+
+from op3.servo.machine_code import machine_code
 
 SWEEPS = 3
 """Sweeps over the joints per step."""
 
 
-@numba.njit(cache=True, error_model="numpy")
+@machine_code
 def joint_step(mass, bias, pull, armature, damping, applied, bound, position, velocity, change, step, limbs):
     """A step of every joint of every candidate in every window.
 
@@ -34,15 +35,11 @@ def joint_step(mass, bias, pull, armature, damping, applied, bound, position, ve
     kind = position.dtype
     local = np.empty((6, joints, windows), kind)
     total, force, high, change_of, own, rest = local[0], local[1], local[2], local[3], local[4], local[5]
-    dry = False
-    for value in bound.flat:
-        if value != 0:
-            dry = True
-            break
     step = kind.type(step)
     for c in range(candidates):
         here = mass[:, :, min(c, mass.shape[2] - 1)]
         outside = bias[:, min(c, bias.shape[1] - 1)]
+        dry = np.any(bound[:, c] != 0)
         for i in range(joints):
             for w in range(windows):
                 own[i, w] = outside[i, w] + pull[i, c, w]
@@ -76,7 +73,7 @@ def joint_step(mass, bias, pull, armature, damping, applied, bound, position, ve
     return next_position, next_velocity, next_change, load
 
 
-@numba.njit(cache=True, error_model="numpy")
+@machine_code
 def solve_dry(mass, total, velocity, force, bound, change, first, last):
     """Change of velocity in one step under coupled dry friction, from a guess.
 
@@ -104,11 +101,11 @@ def solve_dry(mass, total, velocity, force, bound, change, first, last):
             for w in range(len(impulse)):
                 left = force[i, w] + total[i, w] * velocity[i, w] - impulse[w]
                 # what friction leaves of the impulse, never reversed
-                lost = min(max(left, -bound[i, w]), bound[i, w])
+                lost = np.minimum(np.maximum(left, -bound[i, w]), bound[i, w])
                 change[i, w] = (left - lost) / total[i, w] - velocity[i, w]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@machine_code
 def solve_linear(mass, total, force, change, first, last):
     """Change of velocity in one step without dry friction: Gauss elimination, side by side for all windows.
 

@@ -1,5 +1,6 @@
 """Runs of numpy calls, block by block: numpy's numbers, bit by bit, whatever lies where in memory."""
 
+import copy
 from functools import partial
 
 import numpy as np
@@ -142,3 +143,109 @@ def test_every_law_is_the_same_in_blocks(name, seed, group, order):
         assert any(isinstance(call, Run) for call in step._runs)
     for key, value in stepped[0].items():
         np.testing.assert_array_equal(stepped[1][key], value, err_msg=key)
+
+
+def step_of(law, robots: int = ROBOTS, joints: int = NUM_JOINTS, order: str = "joint", **more) -> CompiledStep:
+    """A compiled step that leaves its result in `speed`."""
+    rng = np.random.default_rng(5)
+    signals = Signals.zeros(robots, joints)
+    for name in ("position", "velocity"):
+        drawn = torch.from_numpy(rng.normal(size=(joints, robots))).T
+        setattr(signals, name, drawn if order == "joint" else drawn.contiguous())
+    for name, value in more.items():
+        setattr(signals, name, value)
+    step = CompiledStep(law, signals, ("speed",))
+    for name in ("position", "velocity"):
+        if name in step.inputs:
+            step.inputs[name][...] = rng.normal(size=(robots, joints))
+    return step
+
+
+def result(work, step: CompiledStep) -> np.ndarray:
+    """Bits of what it leaves."""
+    work()
+    return step.outputs["speed"].copy().view(np.uint64)
+
+
+def last_robot(s: Signals) -> None:
+    doubled = s.velocity * 2.0
+    s.speed = (s.position + doubled[-1:]) * 3.0 + 1.0
+
+
+def turned_over(s: Signals) -> None:
+    doubled = s.velocity * 2.0
+    s.speed = (s.position + doubled.transpose(0, 1)) * 3.0 + 1.0
+
+
+def two_truths(s: Signals) -> None:
+    either = torch.add(s.velocity > 0, s.position > 0)
+    s.speed = either * s.velocity * 2.0 + 1.0
+
+
+def signed_zeros(s: Signals) -> None:
+    s.speed = torch.maximum(s.velocity, torch.zeros_like(s.velocity)).abs() * -0.0 + torch.sign(s.position * 0.0) * 2.0
+
+
+def summed(s: Signals) -> None:
+    s.speed = s.velocity.abs().sum(-1, keepdim=True) * s.position * 0.5 + 1.0
+
+
+@pytest.mark.parametrize("order", ["joint", "robot"])
+@pytest.mark.parametrize(
+    ("law", "robots", "joints"),
+    [
+        (last_robot, 300, 6),
+        (turned_over, 300, 300),
+        (two_truths, 300, 6),
+        (signed_zeros, 300, 6),
+        (summed, 64, 20),
+        (summed, 3, 200),
+        (summed, 257, 1),
+        (summed, 1, 20),
+    ],
+)
+def test_corners_are_numpys(law, robots, joints, order):
+    """Robots that look at each other, truths that are added, zeros with signs, sums over many joints."""
+    step = step_of(law, robots, joints, order)
+    expected = result(step.call_by_call, step)
+    step.outputs["speed"][...] = 7.0
+    np.testing.assert_array_equal(result(step, step), expected)
+
+
+TABLE = torch.arange(3.0, dtype=torch.float64)[:, None, None].expand(3, 64, 6) * 2.0 + 1.0
+
+
+@pytest.mark.parametrize("phase", [1, 3])
+def test_a_picked_entry_is_not_the_first(phase):
+    """A table that is also read directly; what is not in it is refused."""
+
+    def law(s: Signals) -> None:
+        first = s.velocity * TABLE[0]
+        s.speed = first + 10.0 * (s.velocity * TABLE.index_select(0, s.phase)[0]) + 1.0
+
+    number = torch.ones(1, dtype=torch.int64)
+    step = step_of(law, 64, 6, phase=number)
+    step.inputs["phase"][...] = phase
+    if phase == 3:
+        with pytest.raises(IndexError, match="entry 3 of 3"):
+            step()
+    else:
+        expected = result(step.call_by_call, step)
+        np.testing.assert_array_equal(result(step, step), expected)
+
+
+def test_a_run_is_not_copied():
+    """It holds addresses of arrays that a copy would leave behind."""
+    with pytest.raises(TypeError, match="addresses"):
+        copy.deepcopy(step_of(summed))
+
+
+@pytest.mark.parametrize("robots", [256, 257, 300, 1021])
+def test_blocks_are_never_small(robots):
+    """Whatever the number of robots, also where parameters come in short runs."""
+    for group in (1, robots):
+        factor = torch.arange(robots // group, dtype=torch.float64).repeat_interleave(group)[:, None].expand(-1, 6) + 1
+        step = step_of(lambda s, f=factor: setattr(s, "speed", (s.velocity * f + 1.0) * f + s.position), robots)
+        assert all(run.size >= min(robots, 32) for run in step._runs if isinstance(run, Run))
+        expected = result(step.call_by_call, step)
+        np.testing.assert_array_equal(result(step, step), expected)

@@ -194,3 +194,11 @@ def test_the_bus_falls_with_the_currents_that_it_lets_through(recorded):
     fallen = currents(weak, True)
     assert torch.allclose(fallen, currents(weak, False), rtol=0, atol=1e-9)
     assert (fallen < 0.85 * currents(replace(weak, supply_resistance=0.0), True)).all()
+
+
+def test_friction_that_is_no_number_shows():
+    """A joint whose friction diverged does not look as if it was held."""
+    one = np.ones((1, 1))
+    change = np.zeros((1, 1))
+    solve_dry(0.01 * one[None], 0.01 * one, one, 0.001 * one, np.nan * one, change, 0, 1)
+    assert np.isnan(change).all()
