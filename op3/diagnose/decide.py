@@ -266,7 +266,7 @@ def decide(
         best = contenders[order[0]]
         said = f"the best of the catalogue, {best.label}, explains {max(best.gain, 0):.1%}"
         usual = float(np.median(left)) if left is not None and left.size else 0.0
-        if usual > LARGE_GAP:
+        if usual > LARGE_GAP and _explained(best) >= CLEAR_GAIN:  # much is missing, and what it is does not count
             return Decision("unknown", (), shares, f"residual velocities are {usual:.1f} times the noise, and {said}")
         return Decision("nothing_missing", (), shares, said)
     best = _simplest(contenders, counting, control)

@@ -140,6 +140,25 @@ def test_gap_that_all_joints_share_is_no_outsider(control, rng):
     assert decide([contender("dte", 0.01)], control, rng, left=np.full(6, 9.0)).verdict == "nothing_missing"
 
 
+def test_a_large_gap_that_something_may_explain_is_unknown(control, rng):
+    """Where much is left in all joints, an effect that explains a fifth in a few seconds says that some is missing."""
+    losses = np.ones(BLOCKS)
+    losses[:4] -= 3.0
+    unsure = dataclasses.replace(contender("lugre", 0.2), losses=losses)
+    for left, verdict in ((5.0, "unknown"), (3.0, "nothing_missing")):
+        decision = decide([unsure], control, rng, left=np.full(6, left))
+        assert (decision.verdict, decision.candidates) == (verdict, ())
+
+
+def test_a_name_that_few_resamples_pick_is_not_stated(control, rng):
+    """Behind one that needs no size, a small effect wins few resamples; a large one is stated all the same."""
+    for gain, verdict in ((0.09, "nothing_missing"), (0.3, "named")):
+        better = contender("load_friction", gain + 0.05, size=0.0)
+        decision = decide([better, contender("stribeck@5", gain, seed=1)], control, rng)
+        assert decision.shares[1] < 0.3
+        assert decision.verdict == verdict
+
+
 def test_black_box_counts_where_one_joint_carries_it():
     """Torque that a black box finds in all joints alike is a law that is a little wrong, not an outsider."""
     assert local_ceiling(0.3, np.array([0.05, 0.06, 0.1, 0.09])) is None

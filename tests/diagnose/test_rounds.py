@@ -10,7 +10,9 @@ import pytest
 
 from op3.diagnose import Diagnosis, planned_suite, split_logs
 from op3.diagnose import settle as settling
+from op3.diagnose.coordinates import base_coordinates
 from op3.diagnose.decide import Contender, Own
+from op3.diagnose.fitting import Fit
 from op3.diagnose.settle import Candidate, as_in, merged, settle
 from op3.diagnose.verdict import Finding, Verdict
 from op3.robot import leg_suite
@@ -193,6 +195,29 @@ def test_small_effects_need_free_runs_that_agree(monkeypatch, gain, at_home, vet
     assert verdict.verdict == expected
     assert bool(verdict.effects) == (expected == "named")
     assert [v.model is paper for v in shown] == ([] if expected == "named" else [True])
+
+
+@pytest.mark.parametrize(
+    ("size", "loss", "moves"), [(0.0001, 0.9, True), (0.0001, 0.97, False), (0.01, 0.5, False), (-0.0001, 0.9, True)]
+)
+def test_a_better_place_of_the_base_is_taken(size, loss, moves):
+    """Where an effect of no size comes with a loss a twentieth lower, the base goes there; else it stays."""
+    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
+    diagnosis = Diagnosis(load_model("paper"), split_logs(planned_suite(load_model("paper"), runs)))
+    coordinates = base_coordinates(load_model("paper"), diagnosis.engine.joints, fixed_base=True)
+    point = coordinates.start
+    base = Fit(coordinates, point, 1.0, np.zeros((1, 1)))
+    place = [entry.parameter for entry in coordinates.entries].index("coulomb_friction")
+    elsewhere = point.copy()
+    elsewhere[place] += 0.01
+    other = Fit(coordinates, np.append(elsewhere, size), loss, np.zeros((1, 1)))
+    contender = replace(candidate("cogging").contender, size=size, smallest=0.005)
+    diagnosis.refitted = [cast(Any, SimpleNamespace(fit=other, contender=contender))]
+    found = diagnosis._better_base(base, base)
+    assert (found is not None) == moves
+    if found is not None:
+        start = coordinates.model.value("coulomb_friction")
+        assert found.value("coulomb_friction") == pytest.approx(start + 0.01)
 
 
 def test_free_runs_have_no_say_in_packets_that_were_counted(monkeypatch):
