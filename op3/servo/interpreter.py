@@ -1,4 +1,4 @@
-"""The loop behind `op3.servo.fused`, compiled to machine code once and kept on disk."""
+"""The loop behind `op3.servo.block_run`, compiled to machine code once and kept on disk."""
 
 from typing import Any
 
@@ -60,7 +60,7 @@ def interpret(code, address, joint, robot, block, registers, robots, joints, siz
     """Carry out operations for all robots, block by block.
 
     Args:
-        code: operation, result and operands as numbers of places, ``[operation, 4]``, see `op3.servo.fused`.
+        code: operation, result and operands as numbers of places, ``[operation, 4]``, see `op3.servo.block_run`.
         address: of the first number of every place, ``[place]``.
         joint: bytes from joint to joint.
         robot: bytes from robot to robot.

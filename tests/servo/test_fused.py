@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from op3.robot import JOINTS
 from op3.servo import Effect, ServoLaw, Signals, catalogue, compiled_step, fused
+from op3.servo.block_run import OPERATIONS, UNARY, BlockRun
 from op3.servo.compiled_step import CompiledStep
-from op3.servo.fused import OPERATIONS, UNARY, Run, fuse
+from op3.servo.fused import fuse
 from op3.sim import load_model
 
 ROBOTS, NUM_JOINTS = 300, 6
@@ -43,7 +44,7 @@ def test_every_operation_is_numpys(function, kind):
                 call()
             (run,) = fuse(calls, arguments[0], [out], arguments)
             out[...] = 7
-            assert isinstance(run, Run)
+            assert isinstance(run, BlockRun)
             run()
         np.testing.assert_array_equal(out, expected)
 
@@ -140,7 +141,7 @@ def test_every_law_is_the_same_in_blocks(name, seed, group, order):
                     step.inputs[signal][...] = rng.normal(size=SHAPE) * 0.3
             (step if in_runs else step.call_by_call)()
         stepped.append({**step.outputs, **step.next_state})
-        assert any(isinstance(call, Run) for call in step._runs)
+        assert any(isinstance(call, BlockRun) for call in step._runs)
     for key, value in stepped[0].items():
         np.testing.assert_array_equal(stepped[1][key], value, err_msg=key)
 
@@ -246,6 +247,6 @@ def test_blocks_are_never_small(robots):
     for group in (1, robots):
         factor = torch.arange(robots // group, dtype=torch.float64).repeat_interleave(group)[:, None].expand(-1, 6) + 1
         step = step_of(lambda s, f=factor: setattr(s, "speed", (s.velocity * f + 1.0) * f + s.position), robots)
-        assert all(run.size >= min(robots, 32) for run in step._runs if isinstance(run, Run))
+        assert all(run.size >= min(robots, 32) for run in step._runs if isinstance(run, BlockRun))
         expected = result(step.call_by_call, step)
         np.testing.assert_array_equal(result(step, step), expected)
