@@ -41,8 +41,8 @@ class BatchSimulation:
         joint_names: names by which the model's per-joint values address the joints; by default the last part
             of each full name.
         num_threads: threads that step the physics; 0 for all processors.
-        translated: whether the law runs in numpy where it can, which agrees with torch to rounding and takes a third of
-            the time for one robot, less than half for 64. `signals` are then views that the next step overwrites.
+        translated: whether the law runs in numpy and machine code where it can, which agrees with torch to rounding and
+            takes a fraction of the time. `signals` are then views that the next step overwrites.
         fields: MuJoCo model fields that differ between simulations, ``[sim, ...]``, before the model's edits.
 
     Raises:
