@@ -123,10 +123,31 @@ def _setup_finding(
     half: np.ndarray,
     confidence: float,
 ) -> Finding:
-    """What differs between set-ups; its size is how far the largest and the smallest value are apart."""
-    known = parameter(split_name(hypothesis.names[0])[0])
+    """What differs between set-ups, from a refit and half widths of its coordinates."""
     size, ends = float(np.ptp(values)), [int(values.argmin()), int(values.argmax())]
     width = float(np.hypot(np.linalg.norm(half[ends]), FORM_ERROR * QUANTILE * size))
+    return setup_finding(joints, hypothesis, values, width, confidence, refitted.contender.gain)
+
+
+def setup_finding(
+    joints: Sequence[str],
+    hypothesis: SetupHypothesis,
+    values: np.ndarray,
+    width: float,
+    confidence: float,
+    gain: float,
+) -> Finding:
+    """What differs between set-ups; its size is how far the largest and the smallest value are apart.
+
+    Args:
+        joints: names.
+        hypothesis: which set-ups.
+        values: one for each.
+        width: half of the interval of the size.
+        confidence: of the name.
+        gain: share of the residual that it explains.
+    """
+    known, size = parameter(split_name(hypothesis.names[0])[0]), float(np.ptp(values))
     return Finding(
         name=hypothesis.effect.name,
         joints=tuple(joints),
@@ -136,7 +157,7 @@ def _setup_finding(
         interval=(max(0.0, size - width), size + width),
         confidence=confidence,
         parameters=dict(zip(hypothesis.names, values.tolist(), strict=True)),
-        gain=refitted.contender.gain,
+        gain=gain,
         parameter=known.name,
         by=hypothesis.field,
     )

@@ -79,11 +79,11 @@ def show(
         and the predictions.
     """
     logs = shown_logs(split)
-    replay = _replay(logs) if known is None or after is not before else None
-    first = replay.run(before) if replay is not None and known is None else known or []
+    replay = _replay(logs)
+    first = replay.run(before) if known is None else known
     if progress is not None:
         progress(0.5)
-    second = first if replay is None or after is before else replay.run(after)
+    second = first if after is before else replay.run(after)
     joints = logs[0].joints
     loss = TrajectoryLoss(tuple(joints))
     old, new = float(loss(first)[0]), float(loss(second)[0])

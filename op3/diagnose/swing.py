@@ -7,7 +7,7 @@ import numpy as np
 
 from op3.diagnose.decide import SMALLEST_GAIN
 from op3.diagnose.diagnosis import Diagnosis
-from op3.diagnose.findings import FORM_ERROR, QUANTILE
+from op3.diagnose.findings import FORM_ERROR, QUANTILE, setup_finding
 from op3.diagnose.fitting import with_point
 from op3.diagnose.setups import SetupHypothesis, setup_hypotheses
 from op3.diagnose.show import show
@@ -16,7 +16,6 @@ from op3.diagnose.verdict import Finding, Verdict
 from op3.rollout import Rollout
 from op3.servo import RobotModel
 from op3.servo.conditions import split_name
-from op3.servo.effect import parameter
 
 SHORTEST = 1.0
 """Torque must be off for so long that a swing tells something [s]."""
@@ -158,19 +157,6 @@ def _zero(
     hypothesis: SetupHypothesis, values: np.ndarray, gained: np.ndarray, gain: float, joints: Sequence[str]
 ) -> Finding:
     """Zeros of the arm by set-up: how far they are apart, and how surely they differ."""
-    size = float(np.ptp(values))
     draws = np.random.default_rng(len(gained)).integers(len(gained), size=(1000, len(gained)))
-    known = parameter(split_name(hypothesis.names[0])[0])
-    return Finding(
-        name=hypothesis.effect.name,
-        joints=tuple(joints),
-        shared=True,
-        size=size,
-        unit=known.unit,
-        interval=((1 - QUANTILE * FORM_ERROR) * size, (1 + QUANTILE * FORM_ERROR) * size),
-        confidence=float((gained[draws].sum(1) > 0).mean()),
-        parameters=dict(zip(hypothesis.names, values.tolist(), strict=True)),
-        gain=gain,
-        parameter=known.name,
-        by=hypothesis.field,
-    )
+    confidence = float((gained[draws].sum(1) > 0).mean())
+    return setup_finding(joints, hypothesis, values, QUANTILE * FORM_ERROR * float(np.ptp(values)), confidence, gain)

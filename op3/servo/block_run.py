@@ -10,40 +10,60 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.servo.interpreter import interpret
+from op3.servo.interpreter import (
+    ABSOLUTE,
+    ADD,
+    AND,
+    DIVIDE,
+    EQUAL,
+    GREATER,
+    GREATER_EQUAL,
+    LESS,
+    LESS_EQUAL,
+    LOAD,
+    LOAD_TRUTH,
+    MAXIMUM,
+    MINIMUM,
+    MULTIPLY,
+    NEGATIVE,
+    NOT,
+    NOT_EQUAL,
+    OR,
+    SIGN,
+    SQRT,
+    STORE,
+    STORE_TRUTH,
+    SUBTRACT,
+    WHERE,
+    interpret,
+)
 
 Array = NDArray[Any]
 
 OPERATIONS: dict[Any, int] = {
-    np.add: 0,
-    np.subtract: 1,
-    np.multiply: 2,
-    np.divide: 3,
-    np.minimum: 4,
-    np.maximum: 5,
-    np.negative: 6,
-    np.absolute: 7,
-    np.sign: 8,
-    np.sqrt: 9,
-    np.greater: 10,
-    np.greater_equal: 11,
-    np.less: 12,
-    np.less_equal: 13,
-    np.equal: 14,
-    np.not_equal: 15,
-    np.logical_and: 16,
-    np.logical_or: 17,
-    np.logical_not: 18,
+    np.add: ADD,
+    np.subtract: SUBTRACT,
+    np.multiply: MULTIPLY,
+    np.divide: DIVIDE,
+    np.minimum: MINIMUM,
+    np.maximum: MAXIMUM,
+    np.negative: NEGATIVE,
+    np.absolute: ABSOLUTE,
+    np.sign: SIGN,
+    np.sqrt: SQRT,
+    np.greater: GREATER,
+    np.greater_equal: GREATER_EQUAL,
+    np.less: LESS,
+    np.less_equal: LESS_EQUAL,
+    np.equal: EQUAL,
+    np.not_equal: NOT_EQUAL,
+    np.logical_and: AND,
+    np.logical_or: OR,
+    np.logical_not: NOT,
 }
 """Elementwise operations that the interpreter knows."""
 
-COPY, WHERE, PICK, SUM, SUM_ALONG = 19, 20, 22, 23, 21
-"""The others: copy, copy where a condition holds, copy of a picked entry, and sums over rows and along them."""
-
 UNARY = (np.negative, np.absolute, np.sign, np.sqrt, np.logical_not)
-
-LOAD, LOAD_TRUTH, STORE, STORE_TRUTH = 24, 25, 26, 27
-"""Between registers and memory with strides of its own, or that holds truths."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,8 +151,7 @@ class BlockRun:
         for i, step in enumerate(steps):
             borrowed: list[int] = []
             operands = [self._read(each, code, borrowed) for each in step.operands]
-            operation = COPY if step.operation == PICK else step.operation
-            self._write(operation, step.out, operands, code, borrowed)
+            self._write(step.operation, step.out, operands, code, borrowed)
             for each in {self._name(each) for each in (step.out, *step.operands) if _is_cell(each)}:
                 if last[each] == i and each in self._held:
                     borrowed.append(self._held.pop(each))

@@ -14,14 +14,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from op3.servo.block_run import Array
 from op3.servo.effect import Signals
-from op3.servo.fused import fuse
+from op3.servo.fused import fuse, pick
 from op3.servo.recording import Call, Recording, Untranslatable, record
-
-Array = NDArray[Any]
 
 _UNARY: dict[str, Callable[..., Any]] = {
     "abs": np.abs,
@@ -270,7 +268,7 @@ class _Program:
         if name == "sum":
             return self._sum(*arguments)
         if name == "index_select" and arguments[2].size == 1:
-            return self._add(_pick, (arguments[0], arguments[2], arguments[1]))
+            return self._add(pick, (arguments[0], arguments[2], arguments[1]))
         raise Untranslatable(f"aten.{name}")
 
     def _clamp(self, name: str, arguments: tuple[Any, ...]) -> Any:
@@ -345,19 +343,6 @@ def _unbind(value: Array, axis: int = 0) -> list[Array]:
 def _expand(value: Array, shape: Sequence[int], **_: Any) -> Array:
     known = (1,) * (len(shape) - value.ndim) + value.shape
     return np.broadcast_to(value, [have if want == -1 else want for want, have in zip(shape, known, strict=True)])
-
-
-def _pick(value: Array, index: Array, axis: int, out: Array | None = None) -> Array:
-    """The entry at an index ``[1]``, in the memory order of the whole."""
-    at = int(index[0])
-    entry = _slice(value, axis, at, at + 1)
-    if out is None:
-        return entry.copy(order="K")
-    np.copyto(out, entry)
-    return out
-
-
-_pick.picks = True  # type: ignore[attr-defined]
 
 
 _VIEWS: dict[str, Callable[..., Any]] = {

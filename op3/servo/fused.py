@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from op3.servo.block_run import COPY, OPERATIONS, PICK, SUM, SUM_ALONG, WHERE, Array, BlockRun, Cell, Pick, Step
+from op3.servo.block_run import OPERATIONS, Array, BlockRun, Cell, Pick, Step
+from op3.servo.interpreter import COPY, SUM, SUM_ALONG, WHERE
 
 BLOCK = 256
 """Robots in a block: a row of registers is a kilobyte or two."""
@@ -182,7 +183,7 @@ class _Plan:
             return self._steps(OPERATIONS[function], layers) if layers else None
         if function is np.sum:
             return self._sum(out, arguments[0], arguments[1], call.keywords.get("keepdims", False))
-        if getattr(function, "picks", False):
+        if function is pick:
             return self._pick(out, *arguments)
         return None
 
@@ -252,7 +253,7 @@ class _Plan:
             place, cell = self._cell(to), self._cell(from_)
             if place is None or cell is None:
                 return None
-            found.append(Step(PICK, place, (replace(cell, picked=pick),)))
+            found.append(Step(COPY, place, (replace(cell, picked=pick),)))
         return found
 
     def _operand(self, value: Any) -> Cell | float | None:
@@ -281,6 +282,16 @@ class _Plan:
         cell = Cell(_root(array), array.__array_interface__["data"][0], robot, joint, array.dtype)
         self.values[cell] = array
         return cell
+
+
+def pick(value: Array, index: Array, axis: int, out: Array | None = None) -> Array:
+    """The entry at an index ``[1]``, in the memory order of the whole."""
+    at = int(index[0])
+    entry = value[(*(slice(None),) * (axis % value.ndim), slice(at, at + 1))]
+    if out is None:
+        return entry.copy(order="K")
+    np.copyto(out, entry)
+    return out
 
 
 def _floats(value: Any, kind: np.dtype[Any]) -> bool:

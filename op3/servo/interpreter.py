@@ -9,6 +9,16 @@ from numba.extending import intrinsic
 
 from op3.servo.machine_code import machine_code
 
+ADD, SUBTRACT, MULTIPLY, DIVIDE, MINIMUM, MAXIMUM, NEGATIVE, ABSOLUTE, SIGN, SQRT = range(10)
+GREATER, GREATER_EQUAL, LESS, LESS_EQUAL, EQUAL, NOT_EQUAL, AND, OR, NOT = range(10, 19)
+"""Elementwise operations, by numpy's names."""
+
+COPY, WHERE, SUM_ALONG, SUM = range(19, 23)
+"""Copy, copy where a condition holds, and sums along rows and over them."""
+
+LOAD, LOAD_TRUTH, STORE, STORE_TRUTH = range(23, 27)
+"""Between registers and memory with strides of its own, or that holds truths."""
+
 
 def _typed(context: Any, address: Any) -> Any:
     """A number as the address of memory."""
@@ -80,8 +90,8 @@ def interpret(code, address, joint, robot, block, registers, robots, joints, siz
                 to = address[o] + number * block[o] + j * joint[o]
                 at = address[x] + number * block[x] + j * joint[x]
                 by = address[y] + number * block[y] + j * joint[y]
-                if op >= 24:  # strides or kinds of their own
-                    if op == 24:
+                if op >= LOAD:  # strides or kinds of their own
+                    if op == LOAD:
                         out = _row(to, count, kind)
                         if robot[x] == 0:
                             value = _one(at, kind)[0]
@@ -90,11 +100,11 @@ def interpret(code, address, joint, robot, block, registers, robots, joints, siz
                         else:
                             for k in range(count):
                                 out[k] = _one(at + k * robot[x], kind)[0]
-                    elif op == 25:
+                    elif op == LOAD_TRUTH:
                         out = _row(to, count, kind)
                         for k in range(count):
                             out[k] = _one(at + k * robot[x], np.uint8)[0]
-                    elif op == 26:
+                    elif op == STORE:
                         a = _row(at, count, kind)
                         for k in range(count):
                             _one(to + k * robot[o], kind)[0] = a[k]
@@ -106,81 +116,81 @@ def interpret(code, address, joint, robot, block, registers, robots, joints, siz
                 out = _row(to, count, kind)
                 a = _row(at, count, kind)
                 b = _row(by, count, kind)
-                if op == 0:
+                if op == ADD:
                     for k in range(count):
                         out[k] = a[k] + b[k]
-                elif op == 1:
+                elif op == SUBTRACT:
                     for k in range(count):
                         out[k] = a[k] - b[k]
-                elif op == 2:
+                elif op == MULTIPLY:
                     for k in range(count):
                         out[k] = a[k] * b[k]
-                elif op == 3:
+                elif op == DIVIDE:
                     for k in range(count):
                         out[k] = a[k] / b[k]
-                elif op == 4:
+                elif op == MINIMUM:
                     for k in range(count):
                         out[k] = a[k] if a[k] < b[k] or a[k] != a[k] else b[k]
-                elif op == 5:
+                elif op == MAXIMUM:
                     for k in range(count):
                         out[k] = a[k] if a[k] > b[k] or a[k] != a[k] else b[k]
-                elif op == 6:
+                elif op == NEGATIVE:
                     for k in range(count):
                         out[k] = -a[k]
-                elif op == 7:
+                elif op == ABSOLUTE:
                     for k in range(count):
                         out[k] = abs(a[k])
-                elif op == 8:
+                elif op == SIGN:
                     for k in range(count):
                         out[k] = one if a[k] > 0 else (-one if a[k] < 0 else (a[k] if a[k] != a[k] else zero))
-                elif op == 9:
+                elif op == SQRT:
                     for k in range(count):
                         out[k] = np.sqrt(a[k])
-                elif op == 10:
+                elif op == GREATER:
                     for k in range(count):
                         out[k] = one if a[k] > b[k] else zero
-                elif op == 11:
+                elif op == GREATER_EQUAL:
                     for k in range(count):
                         out[k] = one if a[k] >= b[k] else zero
-                elif op == 12:
+                elif op == LESS:
                     for k in range(count):
                         out[k] = one if a[k] < b[k] else zero
-                elif op == 13:
+                elif op == LESS_EQUAL:
                     for k in range(count):
                         out[k] = one if a[k] <= b[k] else zero
-                elif op == 14:
+                elif op == EQUAL:
                     for k in range(count):
                         out[k] = one if a[k] == b[k] else zero
-                elif op == 15:
+                elif op == NOT_EQUAL:
                     for k in range(count):
                         out[k] = one if a[k] != b[k] else zero
-                elif op == 16:
+                elif op == AND:
                     for k in range(count):
                         out[k] = one if (a[k] != 0) & (b[k] != 0) else zero
-                elif op == 17:
+                elif op == OR:
                     for k in range(count):
                         out[k] = one if (a[k] != 0) | (b[k] != 0) else zero
-                elif op == 18:
+                elif op == NOT:
                     for k in range(count):
                         out[k] = one if a[k] == 0 else zero
-                elif op == 19:
+                elif op == COPY:
                     for k in range(count):
                         out[k] = a[k]
-                elif op == 20:
+                elif op == WHERE:
                     for k in range(count):
                         out[k] = a[k] if b[k] != 0 else out[k]
-                elif op == 21:  # along the row, which holds the sum everywhere
+                elif op == SUM_ALONG:  # along the row, which holds the sum everywhere
                     value = _sum(a)
                     for k in range(count):
                         out[k] = value
-                elif op == 23 and j == 0:
+                elif op == SUM and j == 0:
                     for k in range(count):
                         out[k] = a[k]
-                elif op == 23:  # over joints, into the first row
+                elif op == SUM:  # over joints, into the first row
                     total = _row(address[o] + number * block[o], count, kind)
                     for k in range(count):
                         total[k] = total[k] + a[k]
-            if op == 23 and joint[o] != 0:
+            if op == SUM and joint[o] != 0:
                 total = _row(address[o] + number * block[o], count, kind)
                 for j in range(1, joints):
                     out = _row(address[o] + number * block[o] + j * joint[o], count, kind)

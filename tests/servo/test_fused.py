@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from op3.robot import JOINTS
-from op3.servo import Effect, ServoLaw, Signals, catalogue, compiled_step, fused
+from op3.servo import Effect, ServoLaw, Signals, catalogue, fused
 from op3.servo.block_run import OPERATIONS, UNARY, BlockRun
 from op3.servo.compiled_step import CompiledStep
-from op3.servo.fused import fuse
+from op3.servo.fused import fuse, pick
 from op3.sim import load_model
 
 ROBOTS, NUM_JOINTS = 300, 6
@@ -60,7 +60,7 @@ def test_a_chain_with_every_kind_of_call():
     total, condition = np.empty((ROBOTS, 1), "<f4"), np.empty_like(q, dtype=bool)
     kept = np.empty((2, ROBOTS, NUM_JOINTS), "<f4")
     calls = [
-        partial(compiled_step._pick, np.nan_to_num(line, posinf=1.0), index, 0, out=picked),
+        partial(pick, np.nan_to_num(line, posinf=1.0), index, 0, out=picked),
         partial(np.multiply, picked[0], weights, out=scaled),
         partial(np.sum, scaled, (0,), keepdims=False, out=delayed),
         partial(np.multiply, delayed, 0.25, out=product),
