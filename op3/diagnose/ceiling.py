@@ -74,10 +74,10 @@ def ceiling(engine: WindowResiduals, base: Fit, residual: np.ndarray, seed: int 
 
     def columns(told: np.ndarray, joint: int) -> tuple[np.ndarray, np.ndarray]:
         torque = np.cos(told[:, :, joint] @ waves + phases)  # [window, tick, feature]
-        return projector.split_many(response(torque, joint))
+        return projector.split(np.moveaxis(response(torque, joint), -1, 0))
 
     parts = [columns(inputs, j) for j in range(joints)]
-    fitted, held = (np.concatenate([part[k] for part in parts], 1) for k in (0, 1))
+    fitted, held = (np.concatenate([part[k] for part in parts]).T for k in (0, 1))
     windows = int(engine.is_fit.sum())
     target, other = residual[engine.is_fit].reshape(-1), residual[~engine.is_fit].reshape(-1)
     runs = np.array([log for log, _ in engine.windows[:windows]])
@@ -97,7 +97,7 @@ def ceiling(engine: WindowResiduals, base: Fit, residual: np.ndarray, seed: int 
         shuffled = inputs.copy()
         ticks = shuffled[~engine.is_fit][:, :, best, k]
         shuffled[~engine.is_fit, :, best, k] = rng.permutation(ticks.ravel()).reshape(ticks.shape)
-        explained = columns(shuffled, best)[1] @ weights[own]
+        explained = weights[own] @ columns(shuffled, best)[1]
         used[name] = alone[best] - 1 + float(np.square(other - explained).sum()) / total
     return Ceiling(
         gain=1 - float(np.square(other - held @ weights).sum()) / total,

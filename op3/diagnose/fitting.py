@@ -1,7 +1,7 @@
 """Least squares on residuals with priors: the full refit of a model, and the cheap one of a hypothesis beside it."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -38,6 +38,11 @@ INFORMATION = 0.02
 together; priors weigh against this many."""
 
 
+COARSE, ROUGH = 2, 4
+"""By how much steps are stretched where differences of residuals are taken for those of fine ones, and where these only
+say where to look: of a dozen hypotheses for a refit the last few are others. Fitted so far, latencies go astray."""
+
+
 class Engine(Protocol):
     """What gives residuals: `op3.diagnose.WindowResiduals` or `op3.diagnose.FreeRunResiduals`."""
 
@@ -51,11 +56,11 @@ class Engine(Protocol):
         parameters: Mapping[str, Tensor] | None = None,
         candidates: int = 1,
         fit_only: bool = False,
-        coarse: bool = False,
+        stretch: int = 1,
     ) -> np.ndarray:
-        """Whitened residuals, ``[candidate, window, residual]``; coarse ones for differences alone.
+        """Whitened residuals, ``[candidate, window, residual]``; for differences alone, in steps stretched so far.
 
-        Of a stiff model coarse ones are like all others.
+        Those of a stiff model are not stretched.
         """
         ...
 
@@ -89,6 +94,14 @@ class Fit:
     jacobian: np.ndarray | None = None
     columns: np.ndarray | None = None
     coarse_error: np.ndarray | None = None
+    _known: dict[str, "Linear"] = field(default_factory=dict, init=False, repr=False)
+
+    def linear(self, is_fit: np.ndarray) -> "Linear":
+        """Least squares on the fitted windows, linear around the point; of a fit with a Jacobian."""
+        if "linear" not in self._known:
+            assert self.jacobian is not None
+            self._known["linear"] = Linear(self.jacobian[is_fit], self.coordinates)
+        return self._known["linear"]
 
     @property
     def parameters(self) -> dict[str, Tensor]:
@@ -122,12 +135,12 @@ def fit_base(
     engine.prepare(with_point(coordinates, point))
     evaluate = _penalised(engine, coordinates)
     for number in range(rounds):
-        jacobian = _with_penalty(_jacobian(engine, coordinates, point, fit_only=True), coordinates)
+        linear = Linear(_jacobian(engine, coordinates, point, fit_only=True), coordinates)
         before = losses = None
         for _ in range(1 if number == 0 else 2):
             residual = evaluate(point[None])[0]
             before = float(np.square(residual).sum()) if before is None else before
-            direction = bounded_step(jacobian, residual, coordinates.low - point, coordinates.high - point)
+            direction = linear.step(residual, coordinates.low - point, coordinates.high - point)
             points = point + np.array(LADDER)[:, None] * direction
             losses = np.square(evaluate(points)).sum(1)
             if losses.min() >= np.square(residual).sum():
@@ -154,7 +167,7 @@ def linearise(engine: Engine, coordinates: Coordinates, point: np.ndarray) -> Fi
     engine.prepare(with_point(coordinates, point))
     values = coordinates.values(point[None])
     residual = engine.residuals(coordinates.model, values, 1)[0]
-    coarse = engine.residuals(coordinates.model, values, 1, coarse=True)[0]
+    coarse = engine.residuals(coordinates.model, values, 1, stretch=COARSE)[0]
     jacobian = _jacobian(engine, coordinates, point, fit_only=False)
     return Fit(
         coordinates, point, mean_square(residual[engine.is_fit]), residual, jacobian, coarse_error=coarse - residual
@@ -165,7 +178,7 @@ def _jacobian(engine: Engine, coordinates: Coordinates, point: np.ndarray, fit_o
     """Differences of the residuals, inwards at the bounds, ``[window, residual, coordinate]``."""
     step = _steps(coordinates, point)
     points = np.concatenate([[point], point + np.diag(step)])
-    result = engine.residuals(coordinates.model, coordinates.values(points), len(points), fit_only, coarse=True)
+    result = engine.residuals(coordinates.model, coordinates.values(points), len(points), fit_only, stretch=COARSE)
     return np.moveaxis(result[1:] - result[0], 0, -1) / step.astype(np.float32)
 
 
@@ -174,11 +187,42 @@ def _steps(coordinates: Coordinates, point: np.ndarray) -> np.ndarray:
     return np.where(point + 2 * STEP * span > coordinates.high, -STEP, STEP) * span
 
 
-def _with_penalty(jacobian: np.ndarray, coordinates: Coordinates) -> np.ndarray:
-    """Rows of the fitted windows and of the priors, ``[residual, coordinate]``."""
-    flat = jacobian.reshape(-1, jacobian.shape[-1]).astype(np.float64)
-    deviation = np.array([entry.deviation for entry in coordinates.entries])
-    return np.concatenate([flat, np.diag(1.0 / deviation) / np.sqrt(INFORMATION)])
+class Linear:
+    """Least squares on residuals and priors that are linear in the coordinates.
+
+    Args:
+        jacobian: of the residuals of the fitted windows, ``[window, residual, coordinate]``; with `within` that of the
+            further coordinates.
+        coordinates: with their priors.
+        within: least squares of the first coordinates, where they are known.
+    """
+
+    def __init__(self, jacobian: np.ndarray, coordinates: Coordinates, within: "Linear | None" = None):
+        columns = [] if within is None else within.columns
+        added = jacobian.reshape(np.prod(jacobian.shape[:2]), jacobian.shape[2]).astype(np.float64)
+        self.columns = [*columns, added]
+        size, known = len(coordinates), len(coordinates) - added.shape[1]
+        products = np.zeros((size, size))
+        if within is not None:
+            products[:known, :known] = within.products
+        products[:, known:] = np.concatenate([part.T @ added for part in self.columns])
+        products[known:, :known] = products[:known, known:].T
+        self.products = products
+        deviation = np.array([entry.deviation for entry in coordinates.entries])
+        self._priors = 1.0 / deviation / np.sqrt(INFORMATION)
+
+    def step(self, residual: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Minimiser within bounds, ``[coordinate]``.
+
+        Args:
+            residual: of the fitted windows and behind them the priors'.
+            low: ``[coordinate]``.
+            high: ``[coordinate]``.
+        """
+        left = residual[: -len(self._priors)]
+        gradient = np.concatenate([part.T @ left for part in self.columns])
+        gradient += self._priors * residual[-len(self._priors) :]
+        return bounded_step(self.products + np.diag(self._priors**2), gradient, low, high)
 
 
 def refit(
@@ -213,19 +257,19 @@ def refit(
     assert base.jacobian is not None
     known, is_fit = len(base.coordinates), engine.is_fit
     problem = _Problem(engine, base, coordinates)
-    fitted = base.jacobian[is_fit]
     best = np.clip(start, coordinates.low, coordinates.high)
     residual = loss = columns = None
     if anchor is not None:
-        best, residual, loss = _along(problem, fitted, anchor, best, shares)
+        best, residual, loss = _along(problem, base.linear(is_fit), anchor, best, shares)
     for _ in range(iterations):
         step = _steps(coordinates, best)[known:]
-        probes = np.concatenate([[best], best + np.eye(len(best))[known:] * step[:, None]])
-        moved = problem.simulate(probes)
         if residual is None or loss is None:
-            residual, loss = moved[0], problem.loss(best, moved[0])
-        columns = np.moveaxis((moved[1:] - moved[0])[:, is_fit], 0, -1) / step.astype(np.float32)
-        point, reached, tried = problem.step(np.concatenate([fitted, columns], -1), best, moved[0])
+            residual = problem.simulate(best[None])[0]
+            loss = problem.loss(best, residual)
+        moved = problem.simulate(best + np.eye(len(best))[known:] * step[:, None])
+        columns = np.moveaxis((moved - residual)[:, is_fit], 0, -1) / step.astype(np.float32)
+        linear = Linear(columns, coordinates, base.linear(is_fit))
+        point, reached, tried = problem.step(linear, best, residual)
         if reached >= loss:
             break
         gained = 1 - reached / loss
@@ -273,9 +317,9 @@ def polish(engine: Engine, base: Fit, fit: Fit, steps: int = 2, jacobians: int =
     loss = problem.loss(point, residual)
     while True:
         jacobian = _jacobian(engine, fit.coordinates, point, fit_only=True)
-        before, jacobians = loss, jacobians - 1
+        linear, before, jacobians = Linear(jacobian, fit.coordinates), loss, jacobians - 1
         for _ in range(steps):
-            later, reached, tried = problem.step(jacobian, point, residual)
+            later, reached, tried = problem.step(linear, point, residual)
             if reached >= loss:
                 break
             point, residual, loss = later, tried, reached
@@ -297,8 +341,10 @@ class _Problem:
 
     def simulate(self, points: np.ndarray) -> np.ndarray:
         """Residuals ``[point, window, residual]``."""
+        if not len(points):
+            return np.empty((0, *self.coarse_error.shape), np.float32)
         values = self.coordinates.values(points)
-        result = self.engine.residuals(self.coordinates.model, values, len(points), coarse=True)
+        result = self.engine.residuals(self.coordinates.model, values, len(points), stretch=COARSE)
         return result - self.coarse_error
 
     def loss(self, point: np.ndarray, residual: np.ndarray) -> float:
@@ -306,7 +352,7 @@ class _Problem:
         data = float(np.square(residual[self.engine.is_fit].astype(np.float64)).sum())
         return data + float(np.square(self.coordinates.penalties(point)).sum()) / INFORMATION
 
-    def step(self, jacobian: np.ndarray, point: np.ndarray, residual: np.ndarray):
+    def step(self, linear: Linear, point: np.ndarray, residual: np.ndarray):
         """The best of several lengths of a bounded step: point, loss and residual there."""
         low, high = self.coordinates.low - point, self.coordinates.high - point
         now = np.concatenate(
@@ -315,7 +361,7 @@ class _Problem:
                 self.coordinates.penalties(point) / np.sqrt(INFORMATION),
             ]
         )
-        direction = bounded_step(_with_penalty(jacobian, self.coordinates), now, low, high)
+        direction = linear.step(now, low, high)
         return self.best(point + np.array(LADDER)[:, None] * direction)
 
     def best(self, points: np.ndarray):
@@ -326,12 +372,12 @@ class _Problem:
         return points[winner], reached[winner], tried[winner]
 
 
-def _along(problem: _Problem, fitted: np.ndarray, anchor: Fit, start: np.ndarray, shares: Sequence[float]):
+def _along(problem: _Problem, linear: Linear, anchor: Fit, start: np.ndarray, shares: Sequence[float]):
     """From an anchor part of the way to `start`, or beyond; point, residual and loss.
 
     Args:
         problem: of the refit.
-        fitted: Jacobian of the base on the fitted windows.
+        linear: least squares of the base.
         anchor: fit of the base alone.
         start: base and hypothesis.
         shares: of the way that are tried.
@@ -341,13 +387,12 @@ def _along(problem: _Problem, fitted: np.ndarray, anchor: Fit, start: np.ndarray
     loss = problem.loss(neutral, anchor.residual)
     secant = problem.simulate(start[None])[0][is_fit] - anchor.residual[is_fit]
     base = replace(coordinates, model=coordinates.model, entries=coordinates.entries[:known])
-    rows = _with_penalty(fitted, base)
     low, high = base.low - anchor.point, base.high - anchor.point
     priors = base.penalties(anchor.point) / np.sqrt(INFORMATION)
     points = []
     for share in shares:
         expected = (anchor.residual[is_fit] + share * secant).reshape(-1).astype(np.float64)
-        gives = bounded_step(rows, np.concatenate([expected, priors]), low, high)
+        gives = linear.step(np.concatenate([expected, priors]), low, high)
         points.append(neutral + share * (start - neutral) + np.concatenate([gives, np.zeros(len(start) - known)]))
     point, reached, tried = problem.best(np.clip(points, coordinates.low, coordinates.high))
     return (point, tried, reached) if reached < loss else (neutral, anchor.residual, loss)
@@ -388,13 +433,19 @@ def intervals(engine: Engine, base: Fit, fit: Fit, level: float = 0.9) -> np.nda
     return (quantile * spread / scale)[len(base.coordinates) :]
 
 
-def bounded_step(jacobian: np.ndarray, residual: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Minimiser of ``|residual + jacobian step|^2`` within bounds."""
-    scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-12)
-    scaled = jacobian / scale
-    hessian = scaled.T @ scaled + 1e-6 * np.eye(len(scale))
+def bounded_step(products: np.ndarray, gradient: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Minimiser of ``step' products step / 2 + gradient' step`` within bounds, ``[coordinate]``.
+
+    Args:
+        products: of a Jacobian's columns with each other, ``[coordinate, coordinate]``.
+        gradient: ``[coordinate]``.
+        low: ``[coordinate]``; what is above zero counts as zero.
+        high: ``[coordinate]``; likewise from below.
+    """
+    scale = np.maximum(np.sqrt(np.diag(products)), 1e-12)
+    hessian = products / scale / scale[:, None] + 1e-6 * np.eye(len(scale))
     low, high = np.minimum(low, 0.0) * scale, np.maximum(high, 0.0) * scale
-    return box_step(hessian, scaled.T @ residual, low, high) / scale
+    return box_step(hessian, gradient / scale, low, high) / scale
 
 
 def with_point(coordinates: Coordinates, point: np.ndarray) -> RobotModel:
@@ -411,12 +462,12 @@ def mean_square(residual: np.ndarray) -> float:
     return float(np.square(residual.astype(np.float64)).mean())
 
 
-def _penalised(engine: Engine, coordinates: Coordinates, coarse: bool = False) -> Callable[[np.ndarray], np.ndarray]:
+def _penalised(engine: Engine, coordinates: Coordinates, stretch: int = 1) -> Callable[[np.ndarray], np.ndarray]:
     """Residuals of the fitted windows and penalties of points ``[candidate, coordinate]``, as one vector each."""
 
     def evaluate(points: np.ndarray) -> np.ndarray:
         values = coordinates.values(points)
-        result = engine.residuals(coordinates.model, values, len(points), fit_only=True, coarse=coarse)
+        result = engine.residuals(coordinates.model, values, len(points), fit_only=True, stretch=stretch)
         flat = result.reshape(len(points), -1).astype(np.float64)
         return np.concatenate([flat, coordinates.penalties(points) / np.sqrt(INFORMATION)], 1)
 
@@ -436,7 +487,7 @@ def _best_form(
         points[:, names.index("stribeck_velocity")] *= FADES
     points = np.clip(points, coordinates.low, coordinates.high)
     choices = [replace(coordinates, model=model) for model in models]
-    losses = np.array([np.square(_penalised(engine, choice, coarse=True)(points)).sum(1) for choice in choices])
+    losses = np.array([np.square(_penalised(engine, choice, COARSE)(points)).sum(1) for choice in choices])
     form, place = np.unravel_index(losses.argmin(), losses.shape)
     return choices[form], points[place]
 
@@ -450,5 +501,5 @@ def _best_latency(engine: Engine, coordinates: Coordinates, point: np.ndarray) -
     grid = np.linspace(coordinates.low[at], coordinates.high[at], 9)
     points = np.tile(point, (len(grid), 1))
     points[:, at] = grid
-    losses = np.square(_penalised(engine, coordinates, coarse=True)(points)).sum(1)
+    losses = np.square(_penalised(engine, coordinates, COARSE)(points)).sum(1)
     return points[int(losses.argmin())]

@@ -122,10 +122,10 @@ class FreeRunResiduals:
         parameters: Mapping[str, Tensor] | None = None,
         candidates: int = 1,
         fit_only: bool = False,
-        coarse: bool = False,
+        stretch: int = 1,
     ) -> np.ndarray:
-        """Whitened residuals, ``[candidate, window, residual]``; coarse ones, of longer steps, for differences."""
-        choices = (self._coarse, self._coarse_fit) if coarse and not model.stiff else (self._all, self._fit)
+        """Whitened residuals, ``[candidate, window, residual]``; stretched steps are for differences."""
+        choices = (self._coarse, self._coarse_fit) if stretch > 1 and not model.stiff else (self._all, self._fit)
         replay = choices[1] if fit_only else choices[0]
         parts, size = [], 32
         for begin in range(0, candidates, size):

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import linalg
 
 from op3.diagnose.coordinates import CHAIN
-from op3.diagnose.fitting import INFORMATION, Engine, Fit
+from op3.diagnose.fitting import INFORMATION, ROUGH, Engine, Fit
 from op3.diagnose.hypotheses import Hypothesis, stacked
 from op3.servo.conditions import split_name
 
@@ -68,22 +68,13 @@ class Projector:
         self.residual = base.residual[is_fit].reshape(-1).astype(np.float64)
         self.held = base.residual[~is_fit].reshape(-1).astype(np.float64)
 
-    def _solve(self, right: np.ndarray) -> np.ndarray:
-        return self._scale * linalg.cho_solve(self._factor, self._scale * right)
-
-    def split(self, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What is left of a column ``[window, residual]`` on the fitted and on the other windows."""
-        fit = column[self._is_fit].reshape(-1).astype(np.float64)
-        rest = column[~self._is_fit].reshape(-1).astype(np.float64)
-        step = self._solve(self._fit.T @ fit)
-        return fit - self._fit @ step, rest - self._rest @ step
-
-    def split_many(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The same of columns ``[window, residual, column]``, as matrices ``[residual, column]``."""
-        count = columns.shape[-1]
-        fit, rest = (columns[where].reshape(-1, count) for where in (self._is_fit, ~self._is_fit))
-        step = self._scale[:, None] * linalg.cho_solve(self._factor, self._scale[:, None] * (self._fit.T @ fit))
-        return fit - self._fit @ step, rest - self._rest @ step
+    def split(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What is left of columns ``[column, window, residual]`` on the fitted and other windows, a row each."""
+        fit, rest = (
+            columns[:, where].reshape(len(columns), -1).astype(np.float64) for where in (self._is_fit, ~self._is_fit)
+        )
+        step = self._scale * linalg.cho_solve(self._factor, self._scale[:, None] * (self._fit.T @ fit.T)).T
+        return fit - step @ self._fit.T, rest - step @ self._rest.T
 
 
 def screen(
@@ -106,11 +97,12 @@ def screen(
         mine = [h for h in hypotheses if h.model is model and h.effect is effect]
         start = {**_neutral(mine[0], base), **base.parameters}
         sets = [start, *(h.moved(start, secant) for h in mine for secant in h.secants)]
-        output = engine.residuals(mine[0].model, stacked(sets), len(sets), coarse=True)
-        columns = iter(output[1:] - output[:1])
-        for hypothesis in mine:
-            for k in range(len(hypothesis.secants)):
-                result.append(_score(projector, next(columns), hypothesis, k, blocks))
+        output = engine.residuals(mine[0].model, stacked(sets), len(sets), stretch=ROUGH)
+        columns = output[1:] - output[:1]
+        fit, held = projector.split(columns)
+        secants = [(hypothesis, k) for hypothesis in mine for k in range(len(hypothesis.secants))]
+        for column, mine_fit, mine_held, (hypothesis, k) in zip(columns, fit, held, secants, strict=True):
+            result.append(_score(projector, column, mine_fit, mine_held, hypothesis, k, blocks))
         if progress is not None:
             progress((number + 1) / len(batches))
     return sorted(result, key=lambda s: -s.gain)
@@ -121,9 +113,16 @@ def _neutral(hypothesis: Hypothesis, base: Fit) -> dict:
     return hypothesis.neutral(base.coordinates.joints)
 
 
-def _score(projector: Projector, column: np.ndarray, h: Hypothesis, secant: int, blocks: np.ndarray) -> Screened:
+def _score(
+    projector: Projector,
+    column: np.ndarray,
+    fit: np.ndarray,
+    held: np.ndarray,
+    h: Hypothesis,
+    secant: int,
+    blocks: np.ndarray,
+) -> Screened:
     length = float(np.square(column, dtype=np.float64).sum())
-    fit, held = projector.split(column)
     strength = float(fit @ fit)
     visibility = float(np.sqrt(strength / max(1e-12, np.square(column[projector._is_fit], dtype=np.float64).sum())))
     if length < 1e-6 or strength < 1e-6:

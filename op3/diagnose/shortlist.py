@@ -23,6 +23,9 @@ base has given way to it far. A strong false mass of a link had the highest scor
 PARTNERS = 2
 """Look-alikes of the leader that are refitted besides, if the screen credits them with half of what it has."""
 
+CONFUSABLE = 3
+"""Effects that the catalogue takes for confounders of the leader, in its place, that are refitted besides."""
+
 EXCHANGED = {"current_lag": "command_latency"}
 """Effects that a parameter of the base stands for where they are not in the model: they are refitted in any case, and
 from where a part of it has become theirs. Lags of the current loop of 5 and 7 ms were taken for latency, and explained
@@ -66,6 +69,28 @@ def shortlist(screened: Sequence[Screened], suspects: Sequence[tuple[str, int, f
             elif s.hypothesis.effect.alias_class == alike:
                 picked.append(s)
     return picked
+
+
+def confusable(leader: Screened, screened: Sequence[Screened], picked: Sequence[Screened]) -> list[Screened]:
+    """What the catalogue says is taken for the leader of a shortlist, in the same place, and is not on the list yet.
+
+    A screen tells such effects apart badly: to leave one out because it had a little less credit decides between them.
+
+    Args:
+        leader: of the refits.
+        screened: every secant of every hypothesis.
+        picked: the shortlist.
+    """
+    effect, joints = leader.hypothesis.effect, leader.hypothesis.joints
+    known = {id(s.hypothesis) for s in picked}
+    best: dict[int, Screened] = {}
+    for s in sorted(screened, key=credit, reverse=True):
+        other = s.hypothesis.effect
+        alike = other.name in effect.confounders or effect.name in other.confounders
+        alike |= other.alias_class == effect.alias_class
+        if alike and s.hypothesis.joints == joints and id(s.hypothesis) not in known and s.strength > 0:
+            best.setdefault(id(s.hypothesis), s)
+    return list(best.values())[:CONFUSABLE]
 
 
 def credit(s: Screened) -> float:

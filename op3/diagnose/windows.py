@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from op3.diagnose.fitting import COARSE
 from op3.diagnose.motion import CHANNELS, HALF_WIDTH, PREROLL, FixedBase, SmoothLog, smooth_all
 from op3.diagnose.split import LogSplit
 from op3.diagnose.supply import open_voltages
@@ -166,6 +167,8 @@ class WindowResiduals:
         )
         self._starts = [Window(0, k * rows + PREROLL) for k in range(len(self.windows))]
         self._edits: dict[tuple[str, int | None], TrajectoryDynamics | None] = {}
+        self._changes: dict[tuple[str, int | None], TrajectoryDynamics] = {}
+        self._simulations: dict[tuple[float, bool, bool, int], WindowSimulation] = {}
         self._unchanged: dict[int, TrajectoryDynamics] = {}
 
     def _dynamics(self) -> TrajectoryDynamics:
@@ -210,13 +213,12 @@ class WindowResiduals:
         return self._unchanged[id(base)]
 
     def simulation(
-        self, model: RobotModel, fit_only: bool = False, coarse: bool = False, packets: np.ndarray | None = None
+        self, model: RobotModel, fit_only: bool = False, stretch: int = 1, packets: np.ndarray | None = None
     ) -> WindowSimulation:
-        """A simulation of the windows under a model; a coarse one takes steps of twice the length, if it can.
+        """A simulation of the windows under a model, in steps stretched at most so many times, if it can.
 
         With packets ``[variant, window, tick]`` the windows are there once for each variant, one after another.
         """
-        changes = {}
         for effect in model.effects:
             for edit in effect.edits:
                 known = model.parameters()[edit.parameter]
@@ -226,19 +228,39 @@ class WindowResiduals:
                 for joint in range(len(self.joints)) if known.per_joint else (None,):
                     change = self._change(model, edit.parameter, joint, amount)
                     if change is not None:
-                        changes[edit.parameter, joint] = change
+                        self._changes[edit.parameter, joint] = change
         if set(MISREADING) & set(model.effect_names):
-            changes |= {(ZERO, joint): self._elsewhere(joint) for joint in range(len(self.joints))}
-        given: dict[str, Any] = {**vars(self.motion), "changes": changes}
-        if self.motion.supply_resistance and any(e.drive != "current" for e in model.effects if isinstance(e, Motor)):
-            # the law lets the bus fall where the driver regulates current; others get what was measured
+            self._changes |= {(ZERO, joint): self._elsewhere(joint) for joint in range(len(self.joints))}
+        # the law lets the bus fall where the driver regulates current; others get what was measured
+        regulated = all(e.drive == "current" for e in model.effects if isinstance(e, Motor))
+        supplied = regulated or not self.motion.supply_resistance
+        substeps = round(self.period / self.timestep)
+        fitting = [k for k in range(1, stretch + 1) if substeps % k == 0]
+        timestep = self.timestep * (1 if model.stiff else fitting[-1])
+        if PacketDrop.name in model.effect_names:
+            told = [self.packets] if packets is None else list(packets)
+            return self._simulation(model, timestep, fit_only, supplied, told)
+        key = (timestep, fit_only, supplied, 1 if packets is None else len(packets))
+        if key not in self._simulations:
+            self._simulations[key] = self._simulation(model, timestep, fit_only, supplied, [None] * key[-1])
+        return self._simulations[key].under(_as_sent(model))
+
+    def _simulation(
+        self,
+        model: RobotModel,
+        timestep: float,
+        fit_only: bool,
+        supplied: bool,
+        variants: Sequence[np.ndarray | None],
+    ) -> WindowSimulation:
+        given: dict[str, Any] = {**vars(self.motion), "changes": self._changes}
+        if not supplied:
             given["inputs"] = {**given["inputs"], "bus_voltage": self.measured_voltage}
             given["supply_resistance"] = 0.0
-        variants = [self.packets] if packets is None else list(packets)
         motions = []
         for variant in variants:
             inputs = given["inputs"]
-            if PacketDrop.name in model.effect_names:
+            if variant is not None:
                 inputs = {**inputs, "packet": np.repeat(variant.reshape(-1, 1), len(self.joints), 1)}
             motions.append(MeasuredMotion(**{**given, "inputs": inputs}))
         starts = self._starts[: int(self.is_fit.sum())] if fit_only else self._starts
@@ -248,7 +270,7 @@ class WindowResiduals:
             [replace(start, motion=number) for number in range(len(motions)) for start in starts],
             self.ticks,
             self.joints,
-            timestep=self.timestep * (2 if coarse and not model.stiff else 1),
+            timestep=timestep,
             preroll=PREROLL,
         )
 
@@ -259,11 +281,11 @@ class WindowResiduals:
         candidates: int = 1,
         *,
         fit_only: bool = False,
-        coarse: bool = False,
+        stretch: int = 1,
         **offsets: Tensor,
     ) -> np.ndarray:
         """Simulated minus measured, ``[candidate, window, tick, joint, channel]``."""
-        simulation = self.simulation(model, fit_only, coarse)
+        simulation = self.simulation(model, fit_only, stretch)
         self.simulated_rows += candidates * len(simulation.windows)
         return self._compared(
             simulation.run(
@@ -290,7 +312,7 @@ class WindowResiduals:
             model: with losses of packets among its effects.
             parameters: by name, ``[1, joint]``.
         """
-        simulation = self.simulation(model, coarse=True, packets=packets)
+        simulation = self.simulation(model, stretch=COARSE, packets=packets)
         self.simulated_rows += len(simulation.windows)
         shape = (len(packets), len(self.windows))
         channels = {key: value[0].unflatten(0, shape) for key, value in simulation.run(parameters, 1).items()}
@@ -302,7 +324,7 @@ class WindowResiduals:
         self.scale = self._scale(error)
         values, offsets, count = self._nuisances(model)
         position, velocity = offsets
-        moved = self.errors(model, values, count, coarse=True, position_offset=position, velocity_offset=velocity)
+        moved = self.errors(model, values, count, stretch=COARSE, position_offset=position, velocity_offset=velocity)
         sensitivity = np.moveaxis(moved[1:] - moved[0], 0, -1)  # [window, tick, joint, channel, nuisance]
         flat = (sensitivity / self.scale[..., None]).reshape(len(self.windows), -1, count - 1)
         basis, strength, _ = np.linalg.svd(flat, full_matrices=False)
@@ -382,17 +404,17 @@ class WindowResiduals:
         parameters: Mapping[str, Tensor] | None = None,
         candidates: int = 1,
         fit_only: bool = False,
-        coarse: bool = False,
+        stretch: int = 1,
     ) -> np.ndarray:
         """Whitened residuals ``[candidate, window, residual]``; call `prepare` first.
 
-        Coarse ones, at twice the time step, cost half; their *differences* are as good as those of fine ones.
+        In steps of twice the length they cost half; their *differences* are as good as those of fine ones.
         """
         parts, size = [], 40
         for begin in range(0, candidates, size):
             piece = slice(begin, min(begin + size, candidates))
             values = {name: value[piece] for name, value in (parameters or {}).items()}
-            error = self.errors(model, values, piece.stop - begin, fit_only=fit_only, coarse=coarse)
+            error = self.errors(model, values, piece.stop - begin, fit_only=fit_only, stretch=stretch)
             parts.append(self.whiten(error).astype(np.float32))
         return np.concatenate(parts)
 

@@ -316,6 +316,8 @@ class _Program:
 
 def _compare(found: Array, expected: Array) -> None:
     """Refuse an array that is not, to rounding at its own size, what torch made of the same numbers."""
+    if found.dtype == expected.dtype and np.array_equal(found, expected):
+        return
     size = 1.0 + float(np.abs(expected, where=np.isfinite(expected), out=np.zeros(expected.shape)).max(initial=0.0))
     rounding = np.sqrt(np.finfo(expected.dtype).eps) if expected.dtype.kind == "f" else 0.0
     if found.dtype != expected.dtype or not np.allclose(found, expected, rtol=0, atol=rounding * size, equal_nan=True):

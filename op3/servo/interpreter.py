@@ -1,13 +1,9 @@
 """The loop behind `op3.servo.block_run`, compiled to machine code once and kept on disk."""
 
-from typing import Any
-
 import numba
 import numpy as np
-from numba.core import cgutils, types
-from numba.extending import intrinsic
 
-from op3.servo.machine_code import machine_code
+from op3.servo.machine_code import machine_code, row_at
 
 ADD, SUBTRACT, MULTIPLY, DIVIDE, MINIMUM, MAXIMUM, NEGATIVE, ABSOLUTE, SIGN, SQRT = range(10)
 GREATER, GREATER_EQUAL, LESS, LESS_EQUAL, EQUAL, NOT_EQUAL, AND, OR, NOT = range(10, 19)
@@ -20,29 +16,10 @@ LOAD, LOAD_TRUTH, STORE, STORE_TRUTH = range(23, 27)
 """Between registers and memory with strides of its own, or that holds truths."""
 
 
-def _typed(context: Any, address: Any) -> Any:
-    """A number as the address of memory."""
-
-    def generate(_: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.inttoptr(arguments[0], cgutils.voidptr_t)
-
-    return types.voidptr(address), generate
-
-
-_pointer: Any = intrinsic(_typed)
-_array: Any = numba.carray  # type: ignore[reportPrivateImportUsage]
-
-
-@numba.njit(inline="always")
-def _row(address, count, kind):
-    """Numbers that lie one behind the other."""
-    return _array(_pointer(address), count, kind)
-
-
 @numba.njit(inline="always")
 def _one(address, kind):
     """Room of one number."""
-    return _array(_pointer(address), 1, kind)
+    return row_at(address, 1, kind)
 
 
 @numba.njit(inline="always")
@@ -92,7 +69,7 @@ def interpret(code, address, joint, robot, block, registers, robots, joints, siz
                 by = address[y] + number * block[y] + j * joint[y]
                 if op >= LOAD:  # strides or kinds of their own
                     if op == LOAD:
-                        out = _row(to, count, kind)
+                        out = row_at(to, count, kind)
                         if robot[x] == 0:
                             value = _one(at, kind)[0]
                             for k in range(count):
@@ -101,21 +78,21 @@ def interpret(code, address, joint, robot, block, registers, robots, joints, siz
                             for k in range(count):
                                 out[k] = _one(at + k * robot[x], kind)[0]
                     elif op == LOAD_TRUTH:
-                        out = _row(to, count, kind)
+                        out = row_at(to, count, kind)
                         for k in range(count):
                             out[k] = _one(at + k * robot[x], np.uint8)[0]
                     elif op == STORE:
-                        a = _row(at, count, kind)
+                        a = row_at(at, count, kind)
                         for k in range(count):
                             _one(to + k * robot[o], kind)[0] = a[k]
                     else:
-                        a = _row(at, count, kind)
+                        a = row_at(at, count, kind)
                         for k in range(count):
                             _one(to + k * robot[o], np.uint8)[0] = a[k] != 0
                     continue
-                out = _row(to, count, kind)
-                a = _row(at, count, kind)
-                b = _row(by, count, kind)
+                out = row_at(to, count, kind)
+                a = row_at(at, count, kind)
+                b = row_at(by, count, kind)
                 if op == ADD:
                     for k in range(count):
                         out[k] = a[k] + b[k]
@@ -187,12 +164,12 @@ def interpret(code, address, joint, robot, block, registers, robots, joints, siz
                     for k in range(count):
                         out[k] = a[k]
                 elif op == SUM:  # over joints, into the first row
-                    total = _row(address[o] + number * block[o], count, kind)
+                    total = row_at(address[o] + number * block[o], count, kind)
                     for k in range(count):
                         total[k] = total[k] + a[k]
             if op == SUM and joint[o] != 0:
-                total = _row(address[o] + number * block[o], count, kind)
+                total = row_at(address[o] + number * block[o], count, kind)
                 for j in range(1, joints):
-                    out = _row(address[o] + number * block[o] + j * joint[o], count, kind)
+                    out = row_at(address[o] + number * block[o] + j * joint[o], count, kind)
                     for k in range(count):
                         out[k] = total[k]

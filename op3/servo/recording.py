@@ -105,6 +105,10 @@ def record(step: Callable[[Signals], None], signals: Mapping[str, Tensor], memor
     return Recording(recorder.calls, left, worked.state, worked.factors, moving)
 
 
+_ELEMENTARY: set[Any] = set()
+"""Operations that are not made of others."""
+
+
 class _Recorder(TorchDispatchMode):
     """Notes every operation that runs."""
 
@@ -113,10 +117,12 @@ class _Recorder(TorchDispatchMode):
         self.calls: list[Call] = []
 
     def __torch_dispatch__(self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: Any = None) -> Any:
-        with self:
-            composed = func.decompose(*args, **(kwargs or {}))
-        if composed is not NotImplemented:  # made of other operations, which were noted; so it is in inference mode
-            return composed
+        if func not in _ELEMENTARY:
+            with self:
+                composed = func.decompose(*args, **(kwargs or {}))
+            if composed is not NotImplemented:  # made of other operations, which were noted; so in inference mode
+                return composed
+            _ELEMENTARY.add(func)
         result = func(*args, **(kwargs or {}))
         self.calls.append(Call(func, args, kwargs or {}, result))
         return result

@@ -2,15 +2,81 @@
 
 import numpy as np
 
-from op3.servo.machine_code import machine_code
+from op3.servo.machine_code import machine_code, row_at
 
 SWEEPS = 3
 """Sweeps over the joints per step."""
 
 
 @machine_code
-def joint_step(mass, bias, pull, armature, damping, applied, bound, position, velocity, change, step, limbs):
-    """A step of every joint of every candidate in every window.
+def between(first, second, share, weights, edits, out):
+    """Dynamics between two ticks, with what edits of bodies add.
+
+    Args:
+        first: at a tick, ``[entry, window]``.
+        second: at the next.
+        share: of the way from tick to tick.
+        weights: of the edits, ``[edit, candidate, window]``.
+        edits: addresses of what a weight of one adds at the first tick, ``[entry, window]``; the next tick lies behind.
+        out: result, ``[entry, candidate, window]``; one candidate where nothing is edited.
+    """
+    entries, windows = first.shape
+    kind = first.dtype
+    share = kind.type(share)
+    plain = np.empty(windows, kind)
+    counts = np.zeros((len(edits), out.shape[1]), np.bool_)
+    for n in range(len(edits)):
+        for c in range(out.shape[1]):
+            counts[n, c] = np.any(weights[n, c] != 0)
+    for e in range(entries):
+        for w in range(windows):
+            plain[w] = first[e, w] + share * (second[e, w] - first[e, w])
+        for c in range(out.shape[1]):
+            for w in range(windows):
+                out[e, c, w] = plain[w]
+            for n in range(len(edits)):
+                if counts[n, c]:
+                    here = row_at(edits[n] + e * windows * first.itemsize, windows, kind)
+                    there = row_at(edits[n] + (entries + e) * windows * first.itemsize, windows, kind)
+                    for w in range(windows):
+                        out[e, c, w] += weights[n, c, w] * (here[w] + share * (there[w] - here[w]))
+
+
+@machine_code
+def pull_back(gradient, damping, position, velocity, measured_position, measured_velocity, accounted, limbs, out):
+    """How the bias changes, to first order, where a window has left the measurement.
+
+    Args:
+        gradient: of the bias by positions, ``[joint, joint, 1 | candidate, window]`` [N m/rad].
+        damping: by velocities, ``[joint, joint, window]`` [N m s/rad].
+        position: ``[joint, candidate, window]`` [rad].
+        velocity: [rad/s].
+        measured_position: ``[joint, window]`` [rad].
+        measured_velocity: [rad/s].
+        accounted: how far positions are off that are accounted for elsewhere, ``[joint, candidate, window]`` [rad].
+        limbs: first joint and the one after the last of every limb, ``[limb, 2]``.
+        out: result, ``[joint, candidate, window]`` [N m].
+    """
+    _, candidates, windows = position.shape
+    away, faster = np.empty(windows, position.dtype), np.empty(windows, position.dtype)
+    for c in range(candidates):
+        slope = gradient[:, :, min(c, gradient.shape[2] - 1)]
+        for limb in limbs:
+            for i in range(limb[0], limb[1]):
+                for w in range(windows):
+                    out[i, c, w] = 0
+            for k in range(limb[0], limb[1]):
+                for w in range(windows):
+                    away[w] = position[k, c, w] - accounted[k, c, w] - measured_position[k, w]
+                    faster[w] = velocity[k, c, w] - measured_velocity[k, w]
+                for i in range(limb[0], limb[1]):
+                    for w in range(windows):
+                        out[i, c, w] += slope[i, k, w] * away[w] + damping[i, k, w] * faster[w]
+
+
+@machine_code
+def joint_step(mass, bias, pull, armature, damping, applied, bound, position, velocity, change, load, step, limbs):
+    """A step of every joint of every candidate in every window, in place.
 
     Args:
         mass: ``[joint, joint, 1 | candidate, window]`` [kg m^2].
@@ -20,18 +86,14 @@ def joint_step(mass, bias, pull, armature, damping, applied, bound, position, ve
         damping: implicit, ``[joint, candidate, window]`` [N m s/rad].
         applied: torque of the servos [N m].
         bound: largest torque of dry friction [N m].
-        position: [rad].
+        position: [rad]; what it is after the step takes its place, as that of the velocity and its change does.
         velocity: [rad/s].
         change: of the velocity in the last step [rad/s].
+        load: result, torque at the load [N m].
         step: length of a step [s].
         limbs: first joint and the one after the last of every limb, ``[limb, 2]``; no mass couples two.
-
-    Returns:
-        Position, velocity and change of velocity after the step, and the torque at the load [N m].
     """
     joints, candidates, windows = position.shape
-    next_position, next_velocity = np.empty_like(position), np.empty_like(velocity)
-    next_change, load = np.empty_like(velocity), np.empty_like(velocity)
     kind = position.dtype
     local = np.empty((6, joints, windows), kind)
     total, force, high, change_of, own, rest = local[0], local[1], local[2], local[3], local[4], local[5]
@@ -55,9 +117,9 @@ def joint_step(mass, bias, pull, armature, damping, applied, bound, position, ve
                 solve_linear(here, total, force, change_of, limb[0], limb[1])
         for i in range(joints):
             for w in range(windows):
-                next_change[i, c, w] = change_of[i, w]
-                next_velocity[i, c, w] = rest[i, w] + change_of[i, w]
-                next_position[i, c, w] = position[i, c, w] + step * next_velocity[i, c, w]
+                change[i, c, w] = change_of[i, w]
+                velocity[i, c, w] = rest[i, w] + change_of[i, w]
+                position[i, c, w] += step * velocity[i, c, w]
                 if not dry:
                     moved = (armature[i, c, 0] + step * damping[i, c, w]) * change_of[i, w] / step
                     load[i, c, w] = moved - applied[i, c, w]
@@ -70,7 +132,6 @@ def joint_step(mass, bias, pull, armature, damping, applied, bound, position, ve
                             rest[i, w] += here[i, k, w] * change_of[k, w]
                     for w in range(windows):
                         load[i, c, w] = -(rest[i, w] / step + own[i, w])
-    return next_position, next_velocity, next_change, load
 
 
 @machine_code

@@ -12,6 +12,7 @@ of which is exact for its joint and leaves a held joint at exactly zero speed. S
 so a few are enough.
 """
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import NamedTuple
@@ -24,7 +25,7 @@ from op3.servo import RobotModel, ServoLaw, Signals
 from op3.servo.effects import Backlash, EncoderNonlinearity, EncoderOffset, Motor
 from op3.servo.law import SUPPLY
 from op3.sim.inputs import default_commands, expand_parameters, set_start
-from op3.sim.joint_step import joint_step
+from op3.sim.joint_step import between, joint_step, pull_back
 from op3.sim.trajectory_dynamics import TrajectoryDynamics
 from op3.sim.translated import RESULTS, Translated
 
@@ -143,7 +144,7 @@ class WindowSimulation:
                 raise ValueError(f"a window of {ticks} ticks at tick {window.tick} does not fit into {last + 1} ticks")
         self.model = model
         self.joints = tuple(joints)
-        self.ticks, self.preroll, self.timestep, self.dtype = ticks, preroll, timestep, dtype
+        self.ticks, self.preroll, self.period, self.timestep, self.dtype = ticks, preroll, period, timestep, dtype
         self.translated = translated
         self.windows = list(windows)
         self._motions = list(motions)
@@ -153,9 +154,12 @@ class WindowSimulation:
         self._rows = rows
         self.law = ServoLaw(model.effects, timestep, period, self.joints)
         dynamics = [motion.dynamics for motion in motions]
-        self._mass = self._gather([d.mass for d in dynamics])
-        self._bias = self._gather([d.bias for d in dynamics])
-        self._gradient = self._gather([d.gradient for d in dynamics])
+        mass = self._gather([d.mass for d in dynamics])
+        self.along = Along(
+            _by_entry(mass),
+            self._gather([d.bias for d in dynamics]),
+            _by_entry(self._gather([d.gradient for d in dynamics])),
+        )
         self._damping = self._gather([d.damping for d in dynamics])
         self._force = self._gather([d.radial_force for d in dynamics])
         self._position = self._gather([m.position for m in motions])
@@ -164,19 +168,25 @@ class WindowSimulation:
         self._read_position = self._gather([m.read_position for m in motions])
         self._read_velocity = self._gather([m.read_velocity for m in motions])
         self._current = self._gather([m.current for m in motions])[0]
-        self._time = self._gather([m.time for m in motions])[0].expand_as(self._current)
+        self._time = np.broadcast_to(self._gather([m.time for m in motions])[0], self._current.shape)
         common = set.intersection(*(set(motion.inputs) for motion in motions)) & set(SIGNAL_NAMES)
         self._inputs = {name: self._gather([m.inputs[name] for m in motions]) for name in sorted(common)}
-        self.limbs = coupled(self._mass)
-        self.limbs_of = np.array([(limb.start, limb.stop) for limb in self.limbs])
-        self._changes: dict[tuple[str, int | None], tuple[Tensor, Tensor, Tensor]] = {}
+        self.limbs = np.array([(limb.start, limb.stop) for limb in coupled(mass)])
+        self._changes: dict[tuple[str, int | None], Along] = {}
 
-    def _gather(self, arrays: Sequence[np.ndarray]) -> Tensor:
+    def under(self, model: RobotModel) -> "WindowSimulation":
+        """The same windows under another model; what was gathered is shared."""
+        other = copy.copy(self)
+        other.model = model
+        other.law = ServoLaw(model.effects, self.timestep, self.period, self.joints)
+        return other
+
+    def _gather(self, arrays: Sequence[np.ndarray]) -> np.ndarray:
         """Rows of the windows, ``[tick, joint, ..., window]``."""
         flat = np.concatenate(arrays)
         start = np.cumsum([0, *(len(array) for array in arrays)])[:-1]
         picked = flat[start[self._rows][None] + self._at]  # [tick, window, joint, ...]
-        return torch.from_numpy(np.ascontiguousarray(np.moveaxis(picked, 1, -1))).to(self.dtype)
+        return np.ascontiguousarray(np.moveaxis(picked, 1, -1), dtype=torch.empty(0, dtype=self.dtype).numpy().dtype)
 
     @torch.inference_mode()
     def run(
@@ -237,11 +247,11 @@ class WindowSimulation:
             for key in samples[0]
         }
 
-    def changes(self, values: Mapping[str, Tensor]) -> list["_Change"]:
+    def changes(self, values: Mapping[str, Tensor]) -> list["Change"]:
         """Edits of bodies that differ from the dynamics along the motions under these parameters."""
         result = []
         known = self.model.parameters()
-        for name, joint in self._motions[0].changes:
+        for name, joint in sorted(self._motions[0].changes, key=str):
             if name not in values or name == ZERO:
                 continue
             column = 0 if joint is None else min(joint, values[name].shape[1] - 1)
@@ -250,19 +260,19 @@ class WindowSimulation:
                 result.append(self.change(name, joint, weight))
         return result
 
-    def change(self, name: str, joint: int | None, weight: Tensor) -> "_Change":
+    def change(self, name: str, joint: int | None, weight: Tensor) -> "Change":
         """Dynamics added, at a weight ``[candidate, 1 | window]``."""
         key = (name, joint)
         if key not in self._changes:
             parts = [motion.changes[key] for motion in self._motions]
-            self._changes[key] = (
-                self._gather([p.mass for p in parts]),
+            self._changes[key] = Along(
+                _by_entry(self._gather([p.mass for p in parts])),
                 self._gather([p.bias for p in parts]),
-                self._gather([p.gradient for p in parts]),
+                _by_entry(self._gather([p.gradient for p in parts])),
             )
-        return _Change(weight, *self._changes[key])
+        return Change(weight.expand(-1, len(self.windows)).numpy(), self._changes[key])
 
-    def misread(self, shift: Tensor) -> tuple[list["_Change"], Tensor]:
+    def misread(self, shift: Tensor) -> tuple[list["Change"], np.ndarray]:
         """Dynamics added because joints stand elsewhere than they were read, and how far that is accounted for.
 
         Args:
@@ -273,21 +283,32 @@ class WindowSimulation:
             if (ZERO, joint) in self._motions[0].changes and bool(shift[joint].any()):
                 result.append(self.change(ZERO, joint, -shift[joint]))
                 accounted[joint] = shift[joint]
-        return result, accounted
+        return result, accounted.numpy()
 
 
-class _Change(NamedTuple):
-    """Dynamics added: a weight ``[candidate, 1 | window]`` times mass, bias and gradient per unit of a parameter."""
+class Along(NamedTuple):
+    """Dynamics along the windows: mass, bias and gradient, ``[tick, entry, window]``, entries row by row."""
 
-    weight: Tensor
-    mass: Tensor
-    bias: Tensor
-    gradient: Tensor
+    mass: np.ndarray
+    bias: np.ndarray
+    gradient: np.ndarray
 
 
-def coupled(mass: Tensor) -> list[slice]:
+class Change(NamedTuple):
+    """Dynamics added: a weight ``[candidate, window]`` times those per unit of a parameter."""
+
+    weight: np.ndarray
+    unit: Along
+
+
+def _by_entry(matrix: np.ndarray) -> np.ndarray:
+    """``[tick, joint, joint, window]`` as ``[tick, entry, window]``."""
+    return matrix.reshape(len(matrix), -1, matrix.shape[-1])
+
+
+def coupled(mass: np.ndarray) -> list[slice]:
     """Runs of neighbouring joints that no mass couples to the others; `mass` is ``[tick, joint, joint, window]``."""
-    linked = mass.abs().amax((0, 3)) > 1e-12
+    linked = np.abs(mass).max((0, 3)) > 1e-12
     limbs, first = [], 0
     for joint in range(1, len(linked) + 1):
         if joint == len(linked) or not linked[:joint, joint:].any():
@@ -297,7 +318,10 @@ def coupled(mass: Tensor) -> list[slice]:
 
 
 class _Run:
-    """One chunk of candidates; arrays are ``[joint, candidate, window]``, the law sees them as ``[sim, joint]``."""
+    """One chunk of candidates; arrays are ``[joint, candidate, window]``, the law sees them as ``[sim, joint]``.
+
+    Position, velocity and load are arrays that the law's translation reads where they are.
+    """
 
     def __init__(self, owner: WindowSimulation, values: Mapping[str, Tensor], candidates: int):
         self.o = owner
@@ -305,48 +329,52 @@ class _Run:
         self.law = owner.law
         self.law.set_parameters({name: self._per_row(value) for name, value in values.items()})
         armature = values.get(ROTOR.parameter, torch.zeros(candidates, 1, dtype=owner.dtype))
-        self.armature = armature.expand(candidates, self.count).T[:, :, None].contiguous()
+        self.armature = armature.expand(candidates, self.count).T[:, :, None].contiguous().numpy()
         # what a loose gear has behind its play is a load to its teeth as the link is
         behind = Backlash.behind(values) if Backlash.size in values and ROTOR.parameter in values else torch.zeros(1, 1)
-        self.behind = behind.to(owner.dtype).expand(candidates, self.count).T[:, :, None]
-        self.changes = owner.changes(values)
+        self.behind = behind.to(owner.dtype).expand(candidates, self.count).T[:, :, None].numpy()
+        changes = owner.changes(values)
         self.signals = Signals.zeros(candidates * self.num, self.count, dtype=owner.dtype)
-        self.q = self._block(owner._position[0]).clone()
-        self.v = self._block(owner._velocity[0]).clone()
+        self.q, self.v = self._block(owner._position[0]).copy(), self._block(owner._velocity[0]).copy()
+        self.u, self.load = np.zeros_like(self.v), np.zeros_like(self.v)
         self._expose()
         default_commands(self.signals, owner.model)
         self._inputs(0)
-        self.shift = self._undo_sensing()
-        misread, self.accounted = owner.misread(self.shift)
-        self.changes += misread
+        shift = self._undo_sensing()
+        misread, self.accounted = owner.misread(shift)
+        self.shift = shift.numpy()
+        self._edit([*changes, *misread])
+        self._translate, self._translated = owner.translated, None
         self._lead_state(0, 0)
-        set_start(self.signals, None, self._flat(self._block(owner._current)), self._flat(self._block(owner._time)))
+        set_start(self.signals, None, self._spread(owner._current), self._spread(owner._time))
         self.law.reset(self.signals)
         supply = owner._motions[0].supply_resistance
         if supply > 0.0:
             self.signals.state[SUPPLY] = torch.full((candidates * self.num, 1), supply, dtype=owner.dtype)
-        self._translate, self._translated = owner.translated, None
         self._phase_zero = torch.zeros(1, dtype=torch.int64)
-        self.u = torch.zeros_like(self.v)
 
     def _per_row(self, value: Tensor) -> Tensor:
         """``[candidate, joint]`` to ``[sim, joint]``, stored joint first."""
         return value.T[:, :, None].expand(value.shape[1], self.candidates, self.num).reshape(value.shape[1], -1).T
 
-    def _block(self, value: Tensor) -> Tensor:
-        """``[joint, window]`` to ``[joint, candidate, window]``."""
-        return value[:, None, :].expand(self.count, self.candidates, self.num)
+    def _block(self, value: np.ndarray) -> np.ndarray:
+        """``[joint | 1, window]`` to ``[joint, candidate, window]``."""
+        return np.broadcast_to(value[:, None, :], (self.count, self.candidates, self.num))
 
-    def _flat(self, block: Tensor) -> Tensor:
-        return block.reshape(self.count, -1).T
+    def _spread(self, value: np.ndarray) -> Tensor:
+        """``[joint | 1, window]`` as the law sees it, ``[sim, joint]``."""
+        return self._rows(self._block(value).copy())
+
+    def _rows(self, block: np.ndarray) -> Tensor:
+        """The same memory as the law sees it, ``[sim, joint]``."""
+        return torch.from_numpy(block.reshape(self.count, -1).T)
 
     def _expose(self) -> None:
-        self.signals.position = self._flat(self.q)
-        self.signals.velocity = self._flat(self.v)
+        self.signals.position, self.signals.velocity = self._rows(self.q), self._rows(self.v)
 
     def _inputs(self, tick: int) -> None:
         for name, value in self.o._inputs.items():
-            setattr(self.signals, name, self._flat(self._block(value[tick])))
+            setattr(self.signals, name, self._spread(value[tick]))
 
     def _undo_sensing(self) -> Tensor:
         """How much the true angle differs from its reading, ``[joint, candidate, window]``."""
@@ -356,41 +384,52 @@ class _Run:
             self.signals.position = self.signals.position + reading - self.signals.measured_position
         return (self.signals.position - reading).T.reshape(self.q.shape)
 
+    def _edit(self, changes: Sequence[Change]) -> None:
+        """Take edits of bodies into account."""
+        self._changes = changes
+        self._weights = np.zeros((len(changes), self.candidates, self.num), self.q.dtype)
+        for weight, change in zip(self._weights, changes, strict=True):
+            weight[:] = change.weight
+        # by tick and kind of dynamics, where in memory an edit begins
+        self._begin = [np.array([one.unit[k].ctypes.data for one in changes], np.int64) for k in range(3)]
+        self._apart = [array[0].nbytes for array in self.o.along]
+        rows = self.candidates if changes else 1
+        self._mixed = [np.empty((array.shape[1], rows, self.num), array.dtype) for array in self.o.along]
+
+    def _dynamics(self, kind: int, tick: int, share: float) -> np.ndarray:
+        """Mass (0), bias (1) or gradient (2) between two ticks, ``[joint, (joint,) 1 | candidate, window]``."""
+        along, out = self.o.along[kind], self._mixed[kind]
+        between(along[tick], along[tick + 1], share, self._weights, self._begin[kind] + tick * self._apart[kind], out)
+        return out if kind == 1 else out.reshape(self.count, self.count, *out.shape[1:])
+
     def _tick(self, tick: int) -> None:
         """A control period begins: the controller gets the readings of the log."""
         self._inputs(tick)
         self.law.tick(
             self.signals,
-            readings=(
-                self._flat(self._block(self.o._read_position[tick])),
-                self._flat(self._block(self.o._read_velocity[tick])),
-            ),
+            readings=(self._spread(self.o._read_position[tick]), self._spread(self.o._read_velocity[tick])),
         )
-
-    def _dynamics(self, tick: int, share: float) -> tuple[Tensor, Tensor, Tensor]:
-        """Mass, bias and gradient between two ticks, ``[joint, joint, 1 | candidate, window]``."""
-        o = self.o
-        mass = torch.lerp(o._mass[tick], o._mass[tick + 1], share)[:, :, None, :]
-        bias = torch.lerp(o._bias[tick], o._bias[tick + 1], share)[:, None, :]
-        gradient = o._gradient[tick][:, :, None, :]
-        for one in self.changes:
-            mass = mass + one.weight * torch.lerp(one.mass[tick], one.mass[tick + 1], share)[:, :, None, :]
-            bias = bias + one.weight * torch.lerp(one.bias[tick], one.bias[tick + 1], share)[:, None, :]
-            gradient = gradient + one.weight * one.gradient[tick][:, :, None, :]
-        return mass, bias, gradient
 
     def _lead_state(self, tick: int, phase: int) -> None:
         """State and load of the measured motion."""
         o, share = self.o, phase / self.o.substeps
-        q = torch.lerp(o._position[tick], o._position[tick + 1], share)
-        v = torch.lerp(o._velocity[tick], o._velocity[tick + 1], share)
-        a = torch.lerp(o._acceleration[tick], o._acceleration[tick + 1], share)
-        self.q, self.v = self._block(q) + self.shift, self._block(v).clone()
-        mass, bias, _ = self._dynamics(tick, share)
-        load = -((mass * a[None, :, None, :]).sum(1) + bias + self.behind * a[:, None, :])
-        self.signals.load_torque = self._flat(load.expand(self.q.shape))
-        self.signals.radial_force = self._flat(self._block(o._force[tick]))
-        self._expose()
+        q, v, a = (
+            (here[tick] + share * (here[tick + 1] - here[tick]))[:, None]
+            for here in (o._position, o._velocity, o._acceleration)
+        )
+        self._release()
+        self.q[...] = q + self.shift
+        self.v[...] = v
+        mass, bias = self._dynamics(0, tick, share), self._dynamics(1, tick, share)
+        self.load[...] = -((mass * a).sum(1) + bias + self.behind * a)
+        self.signals.radial_force = self._spread(o._force[tick])
+
+    def _release(self) -> None:
+        """Arrays that are about to be filled; until a translation reads them, memory may still refer to the last."""
+        if self._translated is None:
+            self.q, self.v, self.load = self.q.copy(), self.v.copy(), self.load.copy()
+            self._expose()
+            self.signals.load_torque = self._rows(self.load)
 
     def lead(self, tick: int) -> None:
         """One control period along the measured motion: only the law's memory moves."""
@@ -408,7 +447,9 @@ class _Run:
         if phase == 0:
             signals.phase = self._phase_zero
         if self._translate and self._translated is None:
-            self._translated = Translated.of(self.law.act, signals, RESULTS)
+            own = {"position": self.q, "velocity": self.v, "load_torque": self.load}
+            live = {name: array.reshape(self.count, -1).T for name, array in own.items()}
+            self._translated = Translated.of(self.law.act, signals, RESULTS, live)
             self._translate = self._translated is not None
         if self._translated is not None:
             self._translated.advance(signals)
@@ -420,65 +461,64 @@ class _Run:
         """Let go at this tick, with offsets ``[candidate, joint]``; what rests is in balance."""
         self._lead_state(tick, 0)
         self._balance(tick)
-        self.q = self.q + position_offset.T[:, :, None]
-        self.v = self.v + velocity_offset.T[:, :, None]
-        self.u = (self._block(self.o._acceleration[tick]) * self.o.timestep).contiguous()
-        self.pull = torch.zeros_like(self.q)
-        self._expose()
+        self._release()
+        self.q += position_offset.T[:, :, None].numpy()
+        self.v += velocity_offset.T[:, :, None].numpy()
+        self.u[...] = (self.o._acceleration[tick] * self.o.timestep)[:, None]
 
     def _balance(self, tick: int) -> None:
         """Let the law's elastic elements carry what the measured motion asks for."""
         o = self.o
-        rests = o._velocity[tick].abs() < REST
-        mass, bias, _ = self._dynamics(tick, 0.0)
-        acceleration = torch.where(rests, 0.0, o._acceleration[tick])
-        needed = (mass * acceleration[None, :, None, :]).sum(1) + bias + self.behind * acceleration[:, None, :]
-        applied = self.signals.applied_torque.T.reshape(self.q.shape)
-        at_rest = self._flat(self._block(rests))
-        self.law.balance(self.signals, self._flat((applied - needed).expand(self.q.shape)), at_rest)
+        rests = np.abs(o._velocity[tick]) < REST
+        mass, bias = self._dynamics(0, tick, 0.0), self._dynamics(1, tick, 0.0)
+        acceleration = np.where(rests, 0.0, o._acceleration[tick]).astype(self.q.dtype)[:, None]
+        needed = (mass * acceleration).sum(1) + bias + self.behind * acceleration
+        applied = self.signals.applied_torque.numpy().T.reshape(self.q.shape)
+        self.law.balance(self.signals, self._rows(applied - needed), self._spread(rests))
 
     def advance(self, tick: int) -> None:
         """One control period of simulation."""
         self._tick(tick)
-        self.signals.radial_force = self._flat(self._block(self.o._force[tick]))
-        self.pull = self._pull(tick)
+        self.signals.radial_force = self._spread(self.o._force[tick])
+        pull = self._pull(tick)
         for phase in range(self.o.substeps):
-            self._step(tick, phase)
+            self._step(tick, phase, pull)
 
-    def _pull(self, tick: int) -> Tensor:
+    def _pull(self, tick: int) -> np.ndarray:
         """How the bias changes, to first order, where the window has left the measurement; kept for a tick."""
-        o = self.o
-        away = self.q - self.accounted - o._position[tick][:, None, :]
-        faster = self.v - o._velocity[tick][:, None, :]
-        _, _, gradient = self._dynamics(tick, 0.0)
-        damping = o._damping[tick][:, :, None, :]
-        return torch.cat(
-            [
-                torch.addcmul(gradient[limb, limb] * away[limb], damping[limb, limb], faster[limb]).sum(1)
-                for limb in o.limbs
-            ]
+        o, out = self.o, np.empty_like(self.q)
+        pull_back(
+            self._dynamics(2, tick, 0.0),
+            o._damping[tick],
+            self.q,
+            self.v,
+            o._position[tick],
+            o._velocity[tick],
+            self.accounted,
+            o.limbs,
+            out,
         )
+        return out
 
-    def _step(self, tick: int, phase: int) -> None:
+    def _step(self, tick: int, phase: int, pull: np.ndarray) -> None:
         o, signals = self.o, self.signals
         self._law_step(phase)
-        mass, bias, _ = self._dynamics(tick, (phase + 0.5) / o.substeps)  # in the middle of the step
+        self._release()
+        share = (phase + 0.5) / o.substeps  # in the middle of the step
         torques = (signals.damping, signals.applied_torque, signals.friction_bound)
-        found = joint_step(
-            mass.numpy(),
-            bias.numpy(),
-            self.pull.numpy(),
-            self.armature.numpy(),
-            *(np.ascontiguousarray(torque.T.numpy()).reshape(self.q.shape) for torque in torques),
-            self.q.numpy(),
-            self.v.numpy(),
-            self.u.numpy(),
+        joint_step(
+            self._dynamics(0, tick, share),
+            self._dynamics(1, tick, share),
+            pull,
+            self.armature,
+            *(np.ascontiguousarray(torque.numpy().T).reshape(self.q.shape) for torque in torques),
+            self.q,
+            self.v,
+            self.u,
+            self.load,
             o.timestep,
-            o.limbs_of,
+            o.limbs,
         )
-        self.q, self.v, self.u, load = (torch.from_numpy(array) for array in found)
-        signals.load_torque = self._flat(load)
-        self._expose()
 
     def measure(self) -> dict[tuple[str, str], Tensor]:
         """What the sensors say, ``[joint, candidate, window]``."""

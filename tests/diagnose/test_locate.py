@@ -1,5 +1,7 @@
 """Where torque is missing, and what a black box finds, on residuals that are made of a known torque."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -58,7 +60,7 @@ def test_missing_friction_is_located(planned):
     """Friction that the model lacks in the knee puts the knee's cells first, with the torque against the motion."""
     engine, base = planned
     torque = -0.15 * np.sign(of_ticks(engine, engine.motion.velocity)[..., KNEE])
-    cells = locate(engine, Fit(**{**vars(base), "residual": lacking(engine, base, torque)}))
+    cells = locate(engine, replace(base, residual=lacking(engine, base, torque)))
     assert cells[0].joint == "r_knee"
     assert cells[0].chance < 0.05
     assert max(cell.torque for cell in cells if cell.joint == "r_knee") < -0.05

@@ -12,7 +12,10 @@ from op3.diagnose import Diagnosis, planned_suite, split_logs
 from op3.diagnose import settle as settling
 from op3.diagnose.coordinates import base_coordinates
 from op3.diagnose.decide import Contender, Own
+from op3.diagnose.diagnosis import _leaders
 from op3.diagnose.fitting import Fit
+from op3.diagnose.hypotheses import hypotheses
+from op3.diagnose.screen import Screened
 from op3.diagnose.settle import Candidate, as_in, merged, settle
 from op3.diagnose.verdict import Finding, Verdict
 from op3.robot import leg_suite
@@ -213,11 +216,53 @@ def test_a_better_place_of_the_base_is_taken(size, loss, moves):
     other = Fit(coordinates, np.append(elsewhere, size), loss, np.zeros((1, 1)))
     contender = replace(candidate("cogging").contender, size=size, smallest=0.005)
     diagnosis.refitted = [cast(Any, SimpleNamespace(fit=other, contender=contender))]
-    found = diagnosis._better_base(base, base)
+    found = diagnosis._better_base(base, [base])
     assert (found is not None) == moves
+    control = replace(base, point=elsewhere, loss=loss)  # or a control that started elsewhere has found the place
+    diagnosis.refitted = []
+    assert (diagnosis._better_base(base, [base, control]) is not None) == (loss < 0.95)
     if found is not None:
         start = coordinates.model.value("coulomb_friction")
         assert found.value("coulomb_friction") == pytest.approx(start + 0.01)
+
+
+@pytest.mark.parametrize(("alone", "gain"), [(0.9, 0.0), (0.99, 1.0 - 0.9 / 0.99)])
+def test_what_the_base_does_alone_is_not_the_effects(monkeypatch, alone, gain):
+    """Where the base has gone beside a hypothesis the control starts too; only what it cannot do there counts."""
+    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
+    diagnosis = Diagnosis(load_model("paper"), split_logs(planned_suite(load_model("paper"), runs)))
+    engine = cast(Any, diagnosis.engine)
+    engine.prepare(load_model("paper"))
+    residual = np.ones((len(engine.windows), (engine.ticks + 1) * len(engine.joints) * len(engine.channels)))
+    base = Fit(base_coordinates(load_model("paper"), engine.joints, fixed_base=True), np.zeros(0), 1.0, residual)
+    base = replace(base, point=base.coordinates.start)
+    starts = []
+
+    def refit(engine, base, coordinates, start, anchor=None, shares=()):
+        starts.append(start)
+        loss = 0.9 if len(coordinates) > len(base.coordinates) else alone
+        return Fit(coordinates, start + 0.001, loss, np.sqrt(loss) * residual)
+
+    monkeypatch.setattr("op3.diagnose.diagnosis.refit", refit)
+    monkeypatch.setattr("op3.diagnose.diagnosis.polish", lambda engine, base, fit: fit)
+    hypothesis = next(
+        h
+        for h in hypotheses(load_model("paper"), engine.joints, fixed_base=True)
+        if h.effect.name == "cogging" and h.joints == (3,)
+    )
+    picked = Screened(hypothesis, 0, 1.0, 0.1, 0.1, 9.0, 1.0, 1.0, residual[: engine.is_fit.sum()].ravel())
+    controls, (refitted,) = diagnosis._refit_each(base, base, [picked])
+    assert [control.loss for control in controls] == [1.0, alone]
+    np.testing.assert_allclose(starts[1], starts[0][: len(base.point)] + 0.001)
+    assert refitted.contender.gain == pytest.approx(gain, abs=1e-9)
+
+
+def test_only_what_is_close_to_the_best_is_gone_on_with():
+    """Refits that take off half of what the best does, four at most; none where even the best does next to nothing."""
+    assert _leaders([0.5, 0.8, 0.74, 0.99], 1.0) == [0, 2]
+    assert _leaders([0.61, 0.62, 0.6, 0.63, 0.64, 0.65], 1.0) == [2, 0, 1, 3]
+    assert _leaders([0.99, 0.985, 1.0], 1.0) == []
+    assert _leaders([], 1.0) == []
 
 
 def test_free_runs_have_no_say_in_packets_that_were_counted(monkeypatch):

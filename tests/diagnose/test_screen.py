@@ -12,7 +12,7 @@ from op3.diagnose.fitting import Fit, bounded_step, exchanged
 from op3.diagnose.hypotheses import hypotheses
 from op3.diagnose.motion import HALF_WIDTH, VELOCITY_LAG, kernels
 from op3.diagnose.screen import Projector, Screened, _score
-from op3.diagnose.shortlist import shortlist
+from op3.diagnose.shortlist import confusable, shortlist
 from op3.diagnose.verdict import Finding
 from op3.servo import Estimate, ServoLaw, catalogue, effect_class
 from op3.sim import load_model
@@ -40,8 +40,8 @@ def linear():
 def test_projection_is_orthogonal_to_the_base(linear):
     """What is left of a column on the fitted windows has nothing in common with any column of the base."""
     base, column, is_fit = linear
-    left, _ = Projector(base, is_fit).split(column)
-    np.testing.assert_allclose(base.jacobian[is_fit].reshape(-1, 2).T @ left, 0.0, atol=1e-6 * np.abs(left).sum())
+    left, _ = Projector(base, is_fit).split(column[None])
+    np.testing.assert_allclose(left @ base.jacobian[is_fit].reshape(-1, 2), 0.0, atol=1e-6 * np.abs(left).sum())
 
 
 def test_screen_finds_share_and_gain(linear):
@@ -54,7 +54,9 @@ def test_screen_finds_share_and_gain(linear):
         model=SimpleNamespace(value=lambda name: 0.0),
     )
     blocks = np.arange(is_fit.sum())
-    found = _score(Projector(base, is_fit), column.astype(np.float32), hypothesis, 0, blocks)
+    projector = Projector(base, is_fit)
+    fit, held = projector.split(column[None])
+    found = _score(projector, column.astype(np.float32), fit[0], held[0], hypothesis, 0, blocks)
     assert found.share == pytest.approx(0.5, abs=0.02)
     assert found.gain > 0.9
     assert found.statistic > 10.0
@@ -65,10 +67,10 @@ def test_bounded_step_solves_least_squares_within_bounds():
     """Without active bounds it is the least-squares step, with them it stops there."""
     rng = np.random.default_rng(1)
     jacobian, truth = rng.normal(size=(50, 3)), np.array([0.3, -0.2, 0.1])
-    residual = -jacobian @ truth
-    wide = bounded_step(jacobian, residual, np.full(3, -1.0), np.full(3, 1.0))
+    products, gradient = jacobian.T @ jacobian, -jacobian.T @ jacobian @ truth
+    wide = bounded_step(products, gradient, np.full(3, -1.0), np.full(3, 1.0))
     np.testing.assert_allclose(wide, truth, atol=1e-4)
-    narrow = bounded_step(jacobian, residual, np.full(3, -0.1), np.full(3, 0.1))
+    narrow = bounded_step(products, gradient, np.full(3, -0.1), np.full(3, 0.1))
     assert np.abs(narrow).max() <= 0.1 + 1e-9
 
 
@@ -272,6 +274,25 @@ def test_the_highest_scores_are_refitted_whatever_they_promise():
     assert picked == [*leaders, *shared, masses[5], masses[4]]
     lag = screened("current_lag", None, -1.0, 0.5)  # what a base stands for promises nothing where the base is
     assert shortlist([*rest, *masses, *shared, *leaders, lag]) == [*picked, lag]
+
+
+def test_what_is_taken_for_the_leader_is_refitted_in_its_place():
+    """Confounders by the catalogue, said of either, in the leader's joint, the most promising first; nothing twice."""
+    names = ("encoder_nonlinearity", "encoder_offset", "link_com", "cable_spring", "current_offset", "viscous")
+    found = {
+        (h.effect.name, h.joints): Screened(h, 0, 1.0, gain, gain, 1.0, 1.0, 1.0, np.zeros(1))
+        for gain, name in zip((0.1, -0.3, 0.03, 0.02, 0.01, 0.05), names, strict=True)
+        for h in hypotheses(load_model("paper"), ("a", "b"), fixed_base=True)
+        if h.effect.name == name
+    }
+    leader, known = found["encoder_nonlinearity", (1,)], found["link_com", (1,)]
+    added = confusable(leader, list(found.values()), [leader, known])
+    assert {one.hypothesis.joints for one in added} == {(1,)}
+    told = [one.hypothesis.effect.name for one in added]
+    assert "encoder_offset" in told
+    assert "viscous" not in told
+    assert "link_com" not in told
+    assert told[0] == "cable_spring"
 
 
 def test_a_lag_starts_where_a_delay_has_become_one():

@@ -5,6 +5,7 @@ import pytest
 
 from op3.diagnose import WindowResiduals, planned_suite, split_logs
 from op3.diagnose.coordinates import with_chain
+from op3.diagnose.fitting import COARSE, ROUGH
 from op3.diagnose.show import vetoed
 from op3.robot import LEG_JOINTS, leg_suite
 from op3.robot.units import CURRENT_UNIT
@@ -99,6 +100,14 @@ def test_commands_are_rounded_as_the_servos_take_them():
     assert controller.resolution == CURRENT_UNIT
 
 
+def test_steps_are_stretched_as_far_as_they_divide_a_tick():
+    """Of 8 ms: four steps of 2 ms and two of 4 ms, and no step of 3 ms."""
+    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
+    engine = WindowResiduals(split_logs(planned_suite(load_model("paper"), runs)), fit_windows=4, select_windows=2)
+    found = [engine.simulation(load_model("paper"), stretch=stretch).substeps for stretch in (1, COARSE, 3, ROUGH)]
+    assert found == [8, 4, 4, 2]
+
+
 @pytest.mark.parametrize(("name", "parameter"), [("backlash", "backlash_half_gap"), ("viscous", "viscous_friction")])
 def test_loose_gears_take_no_longer_steps(name, parameter):
     """Coarse residuals of a stiff model are the exact ones; of another they are not."""
@@ -108,5 +117,5 @@ def test_loose_gears_take_no_longer_steps(name, parameter):
     values = {known.name: known.nominal for known in made.parameters} | {parameter: 0.003}
     model = load_model("paper").with_effect(made(), values)
     engine.prepare(model)
-    exact, coarse = engine.residuals(model)[0], engine.residuals(model, coarse=True)[0]
+    exact, coarse = engine.residuals(model)[0], engine.residuals(model, stretch=COARSE)[0]
     assert np.array_equal(exact, coarse) == model.stiff == (name == "backlash")

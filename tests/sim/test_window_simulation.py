@@ -19,7 +19,7 @@ from op3.sim import (
     load_model,
     trajectory_dynamics,
 )
-from op3.sim.joint_step import solve_dry, solve_linear
+from op3.sim.joint_step import between, pull_back, solve_dry, solve_linear
 from op3.sim.translated import Translated
 from op3.tasks.setups import Setup
 
@@ -120,6 +120,47 @@ def test_windows_in_numpy_are_those_in_torch(recorded, name, monkeypatch):
     assert made[0] is not None
     for key, channel in in_torch.items():
         np.testing.assert_allclose(in_numpy[key], channel, rtol=0, atol=1e-9, err_msg=str(key))
+
+
+def test_the_same_windows_under_another_model(recorded):
+    """What shares the gathered motion finds what is gathered anew, and leaves the first simulation as it was."""
+    model, motion = recorded
+    other = model.with_effect(catalogue()["load_friction"](), {"load_friction": 0.1})
+    windows = [Window(0, 20), Window(0, 60)]
+    first = WindowSimulation(model, [motion], windows, 10, LEG)
+    before, key = first.run()["joint", "position"], ("joint", "position")
+    assert torch.equal(first.under(other).run()[key], WindowSimulation(other, [motion], windows, 10, LEG).run()[key])
+    assert torch.equal(first.run()[key], before)
+    assert not torch.equal(first.under(other).run()[key], before)
+
+
+@given(seed=st.integers(0, 10**6), edits=st.integers(0, 3))
+def test_dynamics_between_ticks_with_edits(seed, edits):
+    """A straight line between two ticks, of the plain dynamics and of every edit at its weight."""
+    rng = np.random.default_rng(seed)
+    plain, added = rng.normal(size=(2, 4, 5)), rng.normal(size=(edits, 2, 4, 5))
+    weights = rng.normal(size=(edits, 3, 5)) * (rng.random((edits, 3, 1)) < 0.7)
+    out, share = np.empty((4, 3 if edits else 1, 5)), rng.random()
+    places = np.array([one.ctypes.data for one in added], np.int64)
+    between(plain[0], plain[1], share, weights, places, out)
+    line = np.array([1.0 - share, share])
+    want = np.einsum("t,tew->ew", line, plain)[:, None] + np.einsum("t,ntew,ncw->ecw", line, added, weights)
+    np.testing.assert_allclose(np.broadcast_to(out, want.shape), want, rtol=0, atol=1e-12)
+
+
+@given(seed=st.integers(0, 10**6))
+def test_pull_is_gradient_and_damping_within_limbs(seed):
+    """Matrices of two limbs times how far and how much faster joints are than was measured."""
+    rng = np.random.default_rng(seed)
+    gradient, damping = rng.normal(size=(4, 4, 2, 5)), rng.normal(size=(4, 4, 5))
+    q, v, accounted = rng.normal(size=(3, 4, 2, 5))
+    measured_q, measured_v = rng.normal(size=(2, 4, 5))
+    out = np.empty_like(q)
+    pull_back(gradient, damping, q, v, measured_q, measured_v, accounted, np.array([[0, 3], [3, 4]]), out)
+    linked = np.array([[1, 1, 1, 0]] * 3 + [[0, 0, 0, 1]])
+    away, faster = q - accounted - measured_q[:, None], v - measured_v[:, None]
+    want = np.einsum("ik,ikcw,kcw->icw", linked, gradient, away) + np.einsum("ik,ikw,kcw->icw", linked, damping, faster)
+    np.testing.assert_allclose(out, want, rtol=0, atol=1e-12)
 
 
 def test_window_must_fit(recorded):
