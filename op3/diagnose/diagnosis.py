@@ -448,6 +448,11 @@ class Diagnosis:
             controls.append(refit(self.engine, base, base.coordinates, beside))
             controls = [polish(self.engine, base, one) for one in controls]
         control = _best(controls)
+        if control is not controls[0]:  # a better place, from which the leaders go on too
+            for number in leaders:
+                start = np.concatenate([control.point, fits[number].point[len(base.coordinates) :]])
+                again = refit(self.engine, base, fits[number].coordinates, start)
+                fits[number] = _best([fits[number], polish(self.engine, base, again)])
         fits = [
             s.hypothesis.counted(fit) if isinstance(s.hypothesis, LossHypothesis) else fit
             for s, fit in zip(picked, fits, strict=True)
