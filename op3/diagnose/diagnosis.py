@@ -25,6 +25,7 @@ from op3.diagnose.decide import (
     Own,
     decide,
     local_ceiling,
+    shows_at_home,
     unresolved,
 )
 from op3.diagnose.findings import Refitted, apart, finding_of, size_at, smallest, with_finding
@@ -72,6 +73,9 @@ POLISHED = 4
 
 PROMISING = 0.02
 """Share of the loss that the best has to take off by then: of 45 rounds in which none did, one ended with a name."""
+
+AT_HOME = 2
+"""Faults of single joints that are refitted once more besides, where they explain much of their joint alone."""
 
 LEADING = 3
 """Effects that are looked for in single joints of a robot on its feet."""
@@ -441,6 +445,9 @@ class Diagnosis:
             picked = [*picked, *confusable(picked[best], self.screened, picked)]
             fits += [self._refit_one(base, control, screened) for screened in picked[len(fits) :]]
         controls, leaders = [control], _leaders([fit.loss for fit in fits], control.loss)
+        own = [self._own(s.hypothesis, fit, control) for s, fit in zip(picked, fits, strict=True)]
+        at_home = [i for i, one in enumerate(own) if one is not None and i not in leaders and shows_at_home(one)]
+        leaders += sorted(at_home, key=lambda i: fits[i].loss)[:AT_HOME]
         for number in leaders:
             fits[number] = polish(self.engine, base, fits[number])
         if leaders:

@@ -21,11 +21,14 @@ LADDER = (1.0, 0.6, 0.3, 0.08)
 SHARES = (0.15, 0.4, 0.8, 1.3, 2.0)
 """Shares of the way to a hypothesis that are tried first."""
 
-ROUNDS = 4
+ROUNDS = 3
 """Jacobians of a base at most."""
 
 FADES = np.array([1.0, 0.7, 1.4])
 """Factors on the Stribeck velocity that are tried with every form of a law."""
+
+LOSSLESS = 0.95
+"""Efficiency beyond which a gear is taken to have no losses; all forms of these are the same there."""
 
 WORTHWHILE = 0.05
 """Share of the loss that a Jacobian has to take off for another one to be worth its simulations."""
@@ -131,35 +134,56 @@ def fit_base(
         progress: called with the share done.
     """
     point = np.clip(coordinates.start if start is None else start, coordinates.low, coordinates.high)
-    model = coordinates.model
-    engine.prepare(with_point(coordinates, point))
-    evaluate = _penalised(engine, coordinates)
+    models = [coordinates.model, *alternatives]
     for number in range(rounds):
+        engine.prepare(with_point(coordinates, point))
+        evaluate = _penalised(engine, coordinates)
         linear = Linear(_jacobian(engine, coordinates, point, fit_only=True), coordinates)
-        before = losses = None
-        for _ in range(1 if number == 0 else 2):
-            residual = evaluate(point[None])[0]
-            before = float(np.square(residual).sum()) if before is None else before
-            direction = linear.step(residual, coordinates.low - point, coordinates.high - point)
-            points = point + np.array(LADDER)[:, None] * direction
-            losses = np.square(evaluate(points)).sum(1)
-            if losses.min() >= np.square(residual).sum():
-                break
-            point = points[int(losses.argmin())]
+        (residual,) = evaluate(point[None])
+        before = float(np.square(residual).sum())
+        point, after = _descend(evaluate, coordinates, linear, point, residual, 1 if number == 0 else 2)
         if progress is not None:
             progress((number + 1) / (rounds + 1))
-        assert before is not None
-        assert losses is not None
         if start is None and number == 0:
             point = _best_latency(engine, coordinates, point)
-        if number < 2 and alternatives:
-            coordinates, point = _best_form(engine, coordinates, [model, *alternatives], point)
-            evaluate = _penalised(engine, coordinates)
-        gained = 1 - min(losses.min(), before) / before
-        if gained < worthwhile and (number or start is not None):
+        chosen = coordinates.model
+        if alternatives:
+            coordinates, point = _best_form(engine, coordinates, models, point, linear)
+        gained = 1 - after / before
+        if gained < worthwhile and (number or start is not None) and coordinates.model is chosen:
             break
-        engine.prepare(with_point(coordinates, point))
+    if alternatives:
+        coordinates, point = _with_losses(engine, coordinates, models, point, worthwhile)
     return linearise(engine, coordinates, point)
+
+
+def _with_losses(
+    engine: Engine, coordinates: Coordinates, models: Sequence[RobotModel], point: np.ndarray, worthwhile: float
+) -> tuple[Coordinates, np.ndarray]:
+    """The same, or another form of the gear's losses that fits about as well, where these have vanished.
+
+    No gear is without losses. What is missing may drive them to none in one form, where all forms are the same, and not
+    in the other: beside a mass that was hidden both were needed, and a friction by load then stood for the two.
+    """
+    names = [entry.parameter for entry in coordinates.entries]
+    at = names.index("backward_efficiency") if "backward_efficiency" in names else None
+    if at is None or point[at] < LOSSLESS:
+        return coordinates, point
+    forms = {effect.name: effect for effect in coordinates.model.effects}
+    best = coordinates, point
+    least = (1.0 + WORTHWHILE) * float(np.square(_penalised(engine, coordinates)(point[None])).sum())
+    for model in models:
+        differ = [effect.name for effect in model.effects if effect != forms[effect.name]]
+        if differ != ["dte"]:
+            continue
+        choice = replace(coordinates, model=model)
+        start = np.where(np.arange(len(point)) == at, coordinates.start, point)
+        other = fit_base(engine, choice, start=start, worthwhile=worthwhile)
+        engine.prepare(with_point(coordinates, point))
+        loss = float(np.square(_penalised(engine, choice)(other.point[None])).sum())
+        if loss < least and other.point[at] < LOSSLESS:
+            best, least = (choice, other.point), loss
+    return best
 
 
 def linearise(engine: Engine, coordinates: Coordinates, point: np.ndarray) -> Fit:
@@ -475,21 +499,62 @@ def _penalised(engine: Engine, coordinates: Coordinates, stretch: int = 1) -> Ca
 
 
 def _best_form(
-    engine: Engine, coordinates: Coordinates, models: Sequence[RobotModel], point: np.ndarray
+    engine: Engine, coordinates: Coordinates, models: Sequence[RobotModel], point: np.ndarray, linear: Linear
 ) -> tuple[Coordinates, np.ndarray]:
     """Coordinates of the model that fits best, and where.
 
-    The range of speeds over which static friction fades means another number in another form, so some are tried.
+    The same numbers mean something else in another form, so each form may first go where it fits better: in the range
+    of speeds over which static friction fades, of which some are tried, then in everything, along a Jacobian of any of
+    the forms.
+
+    Args:
+        engine: gives the residuals.
+        coordinates: of the form that was fitted.
+        models: in all forms.
+        point: that was reached.
+        linear: least squares about a point nearby.
     """
     names = [entry.parameter for entry in coordinates.entries]
     points = np.tile(point, (len(FADES), 1))
     if "stribeck_velocity" in names:
         points[:, names.index("stribeck_velocity")] *= FADES
     points = np.clip(points, coordinates.low, coordinates.high)
-    choices = [replace(coordinates, model=model) for model in models]
-    losses = np.array([np.square(_penalised(engine, choice, COARSE)(points)).sum(1) for choice in choices])
-    form, place = np.unravel_index(losses.argmin(), losses.shape)
-    return choices[form], points[place]
+    best, least = (coordinates, point), np.inf
+    for model in models:
+        choice = replace(coordinates, model=model)
+        evaluate = _penalised(engine, choice, COARSE)
+        start, _, residual = _least(evaluate, points)
+        reached, loss = _descend(evaluate, choice, linear, start, residual, 1)
+        if loss < least:
+            best, least = (choice, reached), loss
+    return best
+
+
+def _descend(
+    evaluate: Callable[[np.ndarray], np.ndarray],
+    coordinates: Coordinates,
+    linear: Linear,
+    point: np.ndarray,
+    residual: np.ndarray,
+    steps: int,
+) -> tuple[np.ndarray, float]:
+    """Some steps along a Jacobian; where they end, and the loss there."""
+    loss = float(np.square(residual).sum())
+    for _ in range(steps):
+        direction = linear.step(residual, coordinates.low - point, coordinates.high - point)
+        reached, least, left = _least(evaluate, point + np.array(LADDER)[:, None] * direction)
+        if least >= loss:
+            break
+        point, loss, residual = reached, least, left
+    return point, loss
+
+
+def _least(evaluate: Callable[[np.ndarray], np.ndarray], points: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+    """The best of some points, its loss and its residuals."""
+    residuals = evaluate(points)
+    losses = np.square(residuals).sum(1)
+    place = int(losses.argmin())
+    return points[place], float(losses[place]), residuals[place]
 
 
 def _best_latency(engine: Engine, coordinates: Coordinates, point: np.ndarray) -> np.ndarray:

@@ -102,7 +102,9 @@ class Hypothesis:
                     if name in CHAIN and not CHAIN[name][2]:
                         low = 0.0  # the chain itself has what is expected
                 start = float(np.clip(share * amount, low, high))
-                entries.append(Coordinate(name, columns, low, high, start, 0.0, 2 * (high - low), "add"))
+                # the angle that an effect depends on stands for its size where only a part of a turn is seen
+                expected = 2 * (high - low) if len(secant) == 1 else (known.high - known.low) / 2
+                entries.append(Coordinate(name, columns, low, high, start, 0.0, expected, "add"))
         start = np.array([entry.start for entry in entries])
         return base.extended(self.model, entries), start
 
