@@ -58,7 +58,7 @@ from op3.diagnose.preflight import CAPPED, Caution, preflight
 from op3.diagnose.screen import Screened, screen
 from op3.diagnose.settle import Candidate, settle
 from op3.diagnose.setups import setup_hypotheses
-from op3.diagnose.shortlist import EXCHANGED, confusable, credit, shortlist
+from op3.diagnose.shortlist import EXCHANGED, confusable, credit, shortlist, worth_a_round
 from op3.diagnose.show import show
 from op3.diagnose.soften import softened
 from op3.diagnose.split import LogSplit
@@ -72,7 +72,7 @@ POLISHED = 4
 """Leaders that are refitted once more with Jacobians of their own, as the control is."""
 
 PROMISING = 0.02
-"""Share of the loss that the best has to take off by then: of 45 rounds in which none did, one ended with a name."""
+"""Share of the loss that the best has to take off by then."""
 
 AT_HOME = 2
 """Faults of single joints that are refitted once more besides, where they explain much of their joint alone."""
@@ -226,7 +226,7 @@ class Diagnosis:
         for number in range(rounds):
             verdict = self._round(model, first=number == 0)
             verdicts.append(verdict)
-            if len(self._candidates) == number:
+            if len(self._candidates) == number or not self._worth_another(self._candidates[-1][0]):
                 break
             # of an ambiguous or unknown verdict with the best: the next round may find the other
             model = self._candidates[-1][0].model
@@ -244,6 +244,14 @@ class Diagnosis:
             verdict = verdict if first.vetoed else first
         verdict = replace(verdict, reason=verdict.reason + beside)
         return verdict if unknown else self._doubly_checked(verdict)
+
+    def _worth_another(self, leader: Candidate) -> bool:
+        """Whether to look for something beside what was found last."""
+        if not isinstance(self.engine, WindowResiduals):
+            return True
+        (fit,) = (r.fit for r in self.refitted if r.contender is leader.contender)
+        fitted = self.engine.is_fit
+        return worth_a_round(self.screened, fit.residual[fitted], self.engine.blocks[fitted])
 
     def _void(self) -> Verdict:
         """Logs that contradict themselves: nothing is fitted to them, and nothing named."""

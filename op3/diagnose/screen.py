@@ -163,6 +163,25 @@ def _one_sided(h: Hypothesis, name: str) -> bool:
     )
 
 
+def foreseen(screened: Sequence[Screened], residual: np.ndarray, blocks: np.ndarray) -> list[tuple[float, float]]:
+    """What each secant would explain of another residual: share of its squares, and the score as in `Screened`.
+
+    Args:
+        screened: with directions beyond the base.
+        residual: of the fitted windows, that the base's parameters explain nothing of, ``[window, residual]``.
+        blocks: of each window, ``[window]``.
+    """
+    blocks = np.unique(blocks, return_inverse=True)[1]
+    left, whole = residual.reshape(-1), float(np.square(residual, dtype=np.float64).sum())
+    result = []
+    for s in screened:
+        product = s.direction * left
+        scores = np.bincount(blocks, product.reshape(len(blocks), -1).sum(1, dtype=np.float64))
+        total = float(scores.sum()) ** 2
+        result.append((total / max(1e-12, whole), total / max(1e-12, float(np.square(scores).sum()))))
+    return result
+
+
 def cosines(screened: Sequence[Screened]) -> np.ndarray:
     """How alike hypotheses look once the base has had its say, ``[hypothesis, hypothesis]``."""
     directions = np.stack([s.direction for s in screened])

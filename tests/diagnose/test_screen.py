@@ -1,5 +1,6 @@
 """The linear algebra of the screen and of refits, on a linear engine whose answers are known."""
 
+import dataclasses
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -12,7 +13,7 @@ from op3.diagnose.fitting import Fit, bounded_step, exchanged
 from op3.diagnose.hypotheses import hypotheses
 from op3.diagnose.motion import HALF_WIDTH, VELOCITY_LAG, kernels
 from op3.diagnose.screen import Projector, Screened, _score
-from op3.diagnose.shortlist import confusable, shortlist
+from op3.diagnose.shortlist import confusable, shortlist, worth_a_round
 from op3.diagnose.verdict import Finding
 from op3.servo import Estimate, ServoLaw, catalogue, effect_class
 from op3.sim import load_model
@@ -274,6 +275,40 @@ def test_the_highest_scores_are_refitted_whatever_they_promise():
     assert picked == [*leaders, *shared, masses[5], masses[4]]
     lag = screened("current_lag", None, -1.0, 0.5)  # what a base stands for promises nothing where the base is
     assert shortlist([*rest, *masses, *shared, *leaders, lag]) == [*picked, lag]
+
+
+@pytest.mark.parametrize(
+    ("name", "share", "everywhere", "worth"),
+    [
+        ("cogging", 0.04, True, True),
+        ("cogging", 0.01, True, False),
+        ("cogging", 0.10, False, False),  # of one second
+        ("cogging", 0.30, False, True),
+        ("velocity_filter", 0.08, True, False),  # which the base has, and has not quite reached
+        ("velocity_filter", 0.16, True, True),
+    ],
+)
+def test_another_round_follows_where_the_screen_foresees_a_gain(name, share, everywhere, worth):
+    """A secant that points along what the leader leaves, in many seconds or far, and no other."""
+    rng = np.random.default_rng(3)
+    shape = (20, 30)
+    direction = rng.normal(size=shape)
+    if not everywhere:
+        direction[1:] = 0.0
+    direction /= np.linalg.norm(direction)
+    rest = rng.normal(size=shape)
+    rest -= (rest * direction).sum() * direction
+    rest /= np.linalg.norm(rest)
+    residual = 7.0 * (np.sqrt(share) * direction + np.sqrt(1.0 - share) * rest)
+    joints = None if name == "velocity_filter" else (1,)
+    (hypothesis,) = (
+        h
+        for h in hypotheses(load_model("paper"), ("a", "b"), fixed_base=True)
+        if h.effect.name == name and h.joints == joints
+    )
+    one = Screened(hypothesis, 0, 1.0, 0.1, 0.1, 9.0, 1.0, 1.0, direction.reshape(-1))
+    assert worth_a_round([one], residual, np.arange(20)) is worth
+    assert not worth_a_round([dataclasses.replace(one, visibility=0.01)], residual, np.arange(20))
 
 
 def test_what_is_taken_for_the_leader_is_refitted_in_its_place():
