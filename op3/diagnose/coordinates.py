@@ -43,7 +43,7 @@ NEAR = 0.1
 OUTLIER = 1.5
 """Standard deviations from the median of all joints beyond which a joint's own fault is looked into."""
 
-OUTLYING_READING = 2.5
+OUTLYING_READING = 2.0
 """Standard deviations of a joint's part in the chain of measurement beyond which a fault there is looked into."""
 
 CHAIN_FAULTS: Mapping[str, str] = {"current_offset": "current_offset"}

@@ -55,6 +55,7 @@ from op3.diagnose.packets import (
     without_losses,
 )
 from op3.diagnose.preflight import CAPPED, Caution, preflight
+from op3.diagnose.ripple import with_ripples
 from op3.diagnose.screen import Screened, screen
 from op3.diagnose.settle import Candidate, settle
 from op3.diagnose.setups import setup_hypotheses
@@ -201,6 +202,8 @@ class Diagnosis:
             if isinstance(self.engine, WindowResiduals):
                 lost = supposed_losses(self.engine, base) if planned else loss_hypothesis(self.engine, base)
                 candidates += [] if lost is None else [lost]
+        if isinstance(self.engine, WindowResiduals) and not planned:
+            candidates = with_ripples(candidates, self.engine, base)
         if self.fixed_base:
             return screen(self.engine, base, candidates, lambda share: self._report("screen", share))
         # on its feet a simulation is dear: single joints are asked of the leading effects alone

@@ -30,6 +30,9 @@ FADES = np.array([1.0, 0.7, 1.4])
 LOSSLESS = 0.95
 """Efficiency beyond which a gear is taken to have no losses; all forms of these are the same there."""
 
+LOSSES_WORTH = 0.1
+"""Share of the loss by which another form, in which the gear keeps its losses, may be worse."""
+
 WORTHWHILE = 0.05
 """Share of the loss that a Jacobian has to take off for another one to be worth its simulations."""
 
@@ -171,7 +174,7 @@ def _with_losses(
         return coordinates, point
     forms = {effect.name: effect for effect in coordinates.model.effects}
     best = coordinates, point
-    least = (1.0 + WORTHWHILE) * float(np.square(_penalised(engine, coordinates)(point[None])).sum())
+    least = (1.0 + LOSSES_WORTH) * float(np.square(_penalised(engine, coordinates)(point[None])).sum())
     for model in models:
         differ = [effect.name for effect in model.effects if effect != forms[effect.name]]
         if differ != ["dte"]:
@@ -486,14 +489,23 @@ def mean_square(residual: np.ndarray) -> float:
     return float(np.square(residual.astype(np.float64)).mean())
 
 
-def _penalised(engine: Engine, coordinates: Coordinates, stretch: int = 1) -> Callable[[np.ndarray], np.ndarray]:
-    """Residuals of the fitted windows and penalties of points ``[candidate, coordinate]``, as one vector each."""
+def _penalised(
+    engine: Engine, coordinates: Coordinates, stretch: int = 1, error: np.ndarray | float = 0.0
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Residuals of the fitted windows and penalties of points ``[candidate, coordinate]``, as one vector each.
+
+    Args:
+        engine: gives the residuals.
+        coordinates: of the points.
+        stretch: of the steps of the simulation.
+        error: of such steps, which is added.
+    """
 
     def evaluate(points: np.ndarray) -> np.ndarray:
         values = coordinates.values(points)
         result = engine.residuals(coordinates.model, values, len(points), fit_only=True, stretch=stretch)
         flat = result.reshape(len(points), -1).astype(np.float64)
-        return np.concatenate([flat, coordinates.penalties(points) / np.sqrt(INFORMATION)], 1)
+        return np.concatenate([flat, coordinates.penalties(points) / np.sqrt(INFORMATION)], 1) + error
 
     return evaluate
 
@@ -514,6 +526,8 @@ def _best_form(
         point: that was reached.
         linear: least squares about a point nearby.
     """
+    # forms differ by less than coarse steps are wrong by, which is nearly the same for all of them
+    fine, coarse = (_penalised(engine, coordinates, stretch)(point[None])[0] for stretch in (1, COARSE))
     names = [entry.parameter for entry in coordinates.entries]
     points = np.tile(point, (len(FADES), 1))
     if "stribeck_velocity" in names:
@@ -522,7 +536,7 @@ def _best_form(
     best, least = (coordinates, point), np.inf
     for model in models:
         choice = replace(coordinates, model=model)
-        evaluate = _penalised(engine, choice, COARSE)
+        evaluate = _penalised(engine, choice, COARSE, error=fine - coarse)
         start, _, residual = _least(evaluate, points)
         reached, loss = _descend(evaluate, choice, linear, start, residual, 1)
         if loss < least:

@@ -10,6 +10,7 @@ from op3.diagnose.findings import with_finding
 from op3.diagnose.fitting import with_point
 from op3.diagnose.hypotheses import Hypothesis, hypotheses
 from op3.diagnose.packets import loss_hypothesis, without_losses
+from op3.diagnose.ripple import with_ripples
 from op3.diagnose.screen import screen
 from op3.diagnose.show import show
 from op3.diagnose.windows import WindowResiduals
@@ -59,6 +60,8 @@ def _with(diagnosis: Diagnosis, model: RobotModel, name: str, columns: tuple[int
     else:
         every = hypotheses(fitted, engine.joints, fixed_base=diagnosis.fixed_base)
         mine = [h for h in every if h.effect.name == name and h.joints == columns]
+        if isinstance(engine, WindowResiduals):
+            mine = with_ripples(mine, engine, base)
     if not mine:
         return None
     refitted = diagnosis.refit_of(base, screen(engine, base, mine)[:SECANTS])

@@ -56,7 +56,7 @@ def current_control(
     return torch.clamp(wanted, -bus_voltage, bus_voltage)
 
 
-SETTLING = 3
+SETTLING = 4
 """Newton's steps to a settled voltage."""
 
 LEAST_VOLTAGE = 1.0

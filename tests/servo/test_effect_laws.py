@@ -10,7 +10,6 @@ from op3.servo import Effect, RobotModel, ServoLaw, Signals, catalogue, paramete
 from op3.servo.effect import Trunk
 from op3.servo.effects import (
     AsymmetricFriction,
-    Cogging,
     Coulomb,
     CurrentLag,
     CurrentOffset,
@@ -358,17 +357,6 @@ def test_a_supply_gives_what_its_resistance_leaves():
     left = signals.bus_voltage - 0.4 * signals.current.sum() - CONSTANT * signals.velocity
     np.testing.assert_allclose(signals.current.numpy(), (left / MOTOR["terminal_resistance"]).numpy(), rtol=1e-6)
     assert signals.bus_voltage.unique().item() == pytest.approx(11.1), "the voltage without current stays what it is"
-
-
-def test_a_ripple_is_found_in_a_residual_torque():
-    """Periods and phase of a ripple in a noisy residual are read off again."""
-    generator = torch.Generator().manual_seed(0)
-    position = torch.linspace(-1.0, 1.2, 800, dtype=torch.float64)
-    torque = 0.02 * torch.sin(17.0 * position + 0.7) + 0.1 + 0.05 * position
-    torque = torque + 0.01 * torch.randn(800, generator=generator, dtype=torch.float64)
-    periods, phase = Cogging.strongest_period(position, torque)
-    assert periods == pytest.approx(17.0, abs=0.5)
-    assert phase == pytest.approx(0.7, abs=0.2)
 
 
 def slid(compliance: float, motion: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from op3.servo import law
@@ -169,6 +169,7 @@ def test_law_is_differentiable():
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0.01, 0.6))
+@example(1051, 0.5625)  # needs a fourth step
 def test_a_bus_settles_where_its_currents_hold_it(seed, supply_resistance):
     """``V = V0 - R_s sum |I(V)|`` to 50 mV, however many servos the fall itself limits."""
     generator = torch.Generator().manual_seed(seed)

@@ -6,7 +6,6 @@ from math import pi
 from typing import ClassVar
 
 import torch
-from torch import Tensor
 
 from op3.servo.effect import Effect, Parameter, Prepared, Scope, Signals, Stage, register
 
@@ -42,28 +41,6 @@ class Cogging(Effect):
         """Add the ripple."""
         angle = prepared["cogging_periods"] * signals.position + prepared["cogging_phase"]
         signals.applied_torque = signals.applied_torque + prepared["cogging_amplitude"] * torch.sin(angle)
-
-    @staticmethod
-    def strongest_period(position: Tensor, torque: Tensor, low: float = 6.0, high: float = 60.0) -> tuple[float, float]:
-        """Periods per turn and phase [rad] of the ripple that explains most of a residual torque.
-
-        Args:
-            position: angles of one joint [rad], ``[sample]``.
-            torque: residual torque [N m], ``[sample]``; its mean and slope over the angle are taken out.
-            low: fewest periods per turn.
-            high: most periods per turn.
-        """
-        level = torch.stack([torch.ones_like(position), position], 1)
-        best, found = -1.0, (low, 0.0)
-        for periods in torch.arange(low, high + 0.25, 0.5).tolist():
-            waves = torch.stack([torch.sin(periods * position), torch.cos(periods * position)], 1)
-            basis = torch.cat([level, waves], 1)
-            coefficients = torch.linalg.lstsq(basis, torque[:, None]).solution
-            explained = -(torque - (basis @ coefficients)[:, 0]).square().sum().item()
-            if best == -1.0 or explained > best:
-                best = explained
-                found = (periods, torch.atan2(coefficients[3, 0], coefficients[2, 0]).item())
-        return found
 
 
 @register
