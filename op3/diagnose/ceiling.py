@@ -34,6 +34,9 @@ RIDGES = (0.03, 0.3, 3.0, 30.0)
 FOLDS = 4
 """Parts of the fitted runs, each left out in turn, by which the penalty is chosen."""
 
+ASKED = 0.03
+"""Gain from which on it is asked what the black box uses."""
+
 INPUTS = ("angle", "velocity", "direction", "current", "power", "load", "temperature", "voltage", "time")
 """What the black box is told about a joint."""
 
@@ -46,7 +49,8 @@ class Ceiling:
         gain: share of the residual of the choosing runs.
         fit_gain: share of the residual of the fitted runs.
         by_joint: gain of each joint's torque alone, ``[joint]``.
-        inputs: loss of gain when one input of the best joint is shuffled among ticks, by its name.
+        inputs: loss of gain when one input of the best joint is shuffled among ticks, by its name; none where the gain
+            is not worth to be asked for.
     """
 
     gain: float
@@ -90,17 +94,18 @@ def ceiling(engine: WindowResiduals, base: Fit, residual: np.ndarray, seed: int 
     for j in range(joints):
         own = slice(j * FEATURES, (j + 1) * FEATURES)
         alone[j] = 1 - float(np.square(other - held[:, own] @ weights[own]).sum()) / total
+    gain = 1 - float(np.square(other - held @ weights).sum()) / total
     best = int(alone.argmax())
     own = slice(best * FEATURES, (best + 1) * FEATURES)
     used = {}
-    for k, name in enumerate(INPUTS):
+    for k, name in enumerate(INPUTS if gain > ASKED else ()):
         shuffled = inputs.copy()
         ticks = shuffled[~engine.is_fit][:, :, best, k]
         shuffled[~engine.is_fit, :, best, k] = rng.permutation(ticks.ravel()).reshape(ticks.shape)
         explained = weights[own] @ columns(shuffled, best)[1]
         used[name] = alone[best] - 1 + float(np.square(other - explained).sum()) / total
     return Ceiling(
-        gain=1 - float(np.square(other - held @ weights).sum()) / total,
+        gain=gain,
         fit_gain=1 - float(np.square(target - fitted @ weights).sum()) / float(target @ target),
         by_joint=alone,
         inputs=dict(sorted(used.items(), key=lambda pair: -pair[1])),
@@ -156,4 +161,5 @@ def _regularised(gram: np.ndarray, right: np.ndarray, ridge: float) -> np.ndarra
 def where(result: Ceiling, joints: Sequence[str]) -> str:
     """Where the black box finds something and what it uses, in words."""
     used = [name for name, loss in result.inputs.items() if loss > 0.2 * max(result.inputs.values(), default=0.0)][:3]
-    return f"most in {joints[int(result.by_joint.argmax())]}, as a function of {', '.join(used)}"
+    told = f", as a function of {', '.join(used)}" if used else ""
+    return f"most in {joints[int(result.by_joint.argmax())]}{told}"

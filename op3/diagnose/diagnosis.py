@@ -19,6 +19,7 @@ from op3.diagnose.coordinates import (
 from op3.diagnose.decide import (
     CEILING,
     DOUBLY_CHECKED,
+    LARGE_GAP,
     UNDECIDED,
     Contender,
     Decision,
@@ -38,6 +39,7 @@ from op3.diagnose.fitting import (
     Fit,
     exchanged,
     fit_base,
+    likeliest,
     linearise,
     polish,
     refit,
@@ -253,6 +255,8 @@ class Diagnosis:
         if not isinstance(self.engine, WindowResiduals):
             return True
         (fit,) = (r.fit for r in self.refitted if r.contender is leader.contender)
+        if np.median(self._left(fit)) > LARGE_GAP:
+            return True  # whatever a screen around the first base foresees
         fitted = self.engine.is_fit
         return worth_a_round(self.screened, fit.residual[fitted], self.engine.blocks[fitted])
 
@@ -498,8 +502,10 @@ class Diagnosis:
         if effect not in EXCHANGED:
             return fit
         starts = exchanged(fit.coordinates, control.point, EXCHANGED[effect], EXCHANGES)
-        fits = [fit, *(refit(self.engine, base, fit.coordinates, start) for start in starts)]
-        return min(fits, key=lambda one: one.loss)
+        if not starts:
+            return fit
+        start = likeliest(self.engine, base, fit.coordinates, starts)
+        return _best([fit, refit(self.engine, base, fit.coordinates, start)])
 
     def _losses(self, fit: Fit) -> np.ndarray:
         """Squares summed by block of a second, ``[block]``."""

@@ -27,6 +27,9 @@ ROUNDS = 3
 FADES = np.array([1.0, 0.7, 1.4])
 """Factors on the Stribeck velocity that are tried with every form of a law."""
 
+FAR = 2.0
+"""How many times the loss of the best form one may begin with and still be gone on with."""
+
 LOSSLESS = 0.95
 """Efficiency beyond which a gear is taken to have no losses; all forms of these are the same there."""
 
@@ -307,6 +310,11 @@ def refit(
     return Fit(coordinates, best, mean_square(residual[is_fit]), residual, None, columns)
 
 
+def likeliest(engine: Engine, base: Fit, coordinates: Coordinates, starts: Sequence[np.ndarray]) -> np.ndarray:
+    """The start with the smallest loss, ``[coordinate]``."""
+    return _Problem(engine, base, coordinates).best(np.stack(starts))[0]
+
+
 def exchanged(coordinates: Coordinates, point: np.ndarray, other: str, amounts: Sequence[float]) -> list[np.ndarray]:
     """Starts at which a hypothesis has taken over what a parameter of the base stands for.
 
@@ -533,15 +541,19 @@ def _best_form(
     if "stribeck_velocity" in names:
         points[:, names.index("stribeck_velocity")] *= FADES
     points = np.clip(points, coordinates.low, coordinates.high)
-    best, least = (coordinates, point), np.inf
+    begun = []
     for model in models:
         choice = replace(coordinates, model=model)
         evaluate = _penalised(engine, choice, COARSE, error=fine - coarse)
-        start, _, residual = _least(evaluate, points)
-        reached, loss = _descend(evaluate, choice, linear, start, residual, 1)
-        if loss < least:
-            best, least = (choice, reached), loss
-    return best
+        begun.append((choice, evaluate, *_least(evaluate, points)))
+    least = min(loss for _, _, _, loss, _ in begun)
+    reached = [
+        (*_descend(evaluate, choice, linear, start, residual, 1), choice)
+        for choice, evaluate, start, loss, residual in begun
+        if loss < FAR * least
+    ]
+    place, _, chosen = min(reached, key=lambda one: one[1])
+    return chosen, place
 
 
 def _descend(

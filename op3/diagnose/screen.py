@@ -58,10 +58,12 @@ class Projector:
         assert base.jacobian is not None
         size = len(base.coordinates)
         self._is_fit = is_fit
-        self._fit = base.jacobian[is_fit].reshape(-1, size).astype(np.float64)
-        self._rest = base.jacobian[~is_fit].reshape(-1, size).astype(np.float64)
+        # single precision, as simulations are: a column of which a fiftieth is left still has four digits
+        self._fit = base.jacobian[is_fit].reshape(-1, size).astype(np.float32)
+        self._rest = base.jacobian[~is_fit].reshape(-1, size).astype(np.float32)
         deviation = np.array([entry.deviation for entry in base.coordinates.entries])
-        normal = self._fit.T @ self._fit + np.diag(1.0 / deviation**2) / INFORMATION
+        fitted = self._fit.astype(np.float64)
+        normal = fitted.T @ fitted + np.diag(1.0 / deviation**2) / INFORMATION
         scale = 1.0 / np.sqrt(np.diag(normal))
         self._scale = scale
         self._factor = linalg.cho_factor(normal * scale[:, None] * scale + 1e-9 * np.eye(size))
@@ -71,9 +73,10 @@ class Projector:
     def split(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What is left of columns ``[column, window, residual]`` on the fitted and other windows, a row each."""
         fit, rest = (
-            columns[:, where].reshape(len(columns), -1).astype(np.float64) for where in (self._is_fit, ~self._is_fit)
+            columns[:, where].reshape(len(columns), -1).astype(np.float32) for where in (self._is_fit, ~self._is_fit)
         )
-        step = self._scale * linalg.cho_solve(self._factor, self._scale[:, None] * (self._fit.T @ fit.T)).T
+        product = self._scale[:, None] * (self._fit.T @ fit.T)
+        step = (self._scale * linalg.cho_solve(self._factor, product).T).astype(np.float32)
         return fit - step @ self._fit.T, rest - step @ self._rest.T
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,8 +81,7 @@ class Pick:
     count: int
 
 
-@dataclass(frozen=True)
-class Cell:
+class Cell(NamedTuple):
     """Where an operand ``[robot, joint]`` lies; robots that lie apart, and their joints together, change places.
 
     Attributes:
@@ -102,8 +101,7 @@ class Cell:
     picked: Pick | None = None
 
 
-@dataclass(frozen=True)
-class Step:
+class Step(NamedTuple):
     """One elementary operation: a cell from cells and numbers, where a cell's condition holds."""
 
     operation: int

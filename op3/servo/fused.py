@@ -10,7 +10,6 @@ bit by bit.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -253,7 +252,7 @@ class _Plan:
             place, cell = self._cell(to), self._cell(from_)
             if place is None or cell is None:
                 return None
-            found.append(Step(COPY, place, (replace(cell, picked=pick),)))
+            found.append(Step(COPY, place, (cell._replace(picked=pick),)))
         return found
 
     def _operand(self, value: Any) -> Cell | float | None:
@@ -273,10 +272,15 @@ class _Plan:
     def _new_cell(self, array: Array) -> Cell | None:
         if (array.dtype != self.float and array.dtype != np.bool_) or array.ndim > 2:
             return None
-        sizes, steps = (1,) * (2 - array.ndim) + array.shape, (0,) * (2 - array.ndim) + array.strides
-        if any(size not in (1, whole) for size, whole in zip(sizes, self.whole, strict=True)):
+        height = width = 1
+        robot = joint = 0
+        if array.ndim == 2:
+            (height, width), (robot, joint) = array.shape, array.strides
+        elif array.ndim == 1:
+            (width,), (joint,) = array.shape, array.strides
+        if height not in (1, self.whole[0]) or width not in (1, self.whole[1]):
             return None
-        robot, joint = (step if size > 1 else 0 for size, step in zip(sizes, steps, strict=True))
+        robot, joint = robot if height > 1 else 0, joint if width > 1 else 0
         if self.turned:
             robot, joint = joint, robot
         cell = Cell(_root(array), array.__array_interface__["data"][0], robot, joint, array.dtype)

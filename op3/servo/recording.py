@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import torch
@@ -30,22 +29,16 @@ class Call:
         arguments: positional ones, tensors or nests of them among other values.
         options: keyword ones.
         result: a tensor, or several.
+        reads: tensors among the arguments.
+        results: tensors that it made.
     """
 
     function: Any
     arguments: tuple[Any, ...]
     options: Mapping[str, Any]
     result: Any
-
-    @cached_property
-    def reads(self) -> list[Tensor]:
-        """Tensors among the arguments."""
-        return list(_tensors((self.arguments, self.options)))
-
-    @cached_property
-    def results(self) -> list[Tensor]:
-        """Tensors that it made."""
-        return list(_tensors(self.result))
+    reads: Sequence[Tensor]
+    results: Sequence[Tensor]
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,14 +117,17 @@ class _Recorder(TorchDispatchMode):
                 return composed
             _ELEMENTARY.add(func)
         result = func(*args, **(kwargs or {}))
-        self.calls.append(Call(func, args, kwargs or {}, result))
+        reads, results = _tensors((*args, *kwargs.values()) if kwargs else args), _tensors((result,))
+        self.calls.append(Call(func, args, kwargs or {}, result, reads, results))
         return result
 
 
-def _tensors(nest: Any) -> Iterator[Tensor]:
+def _tensors(nest: Iterable[Any]) -> list[Tensor]:
     """Tensors in a nest of lists, tuples and dictionaries."""
-    if isinstance(nest, Tensor):
-        yield nest
-    elif isinstance(nest, list | tuple | dict):
-        for each in nest.values() if isinstance(nest, dict) else nest:
-            yield from _tensors(each)
+    found: list[Tensor] = []
+    for each in nest:
+        if isinstance(each, Tensor):
+            found.append(each)
+        elif isinstance(each, list | tuple | dict):
+            found += _tensors(each.values() if isinstance(each, dict) else each)
+    return found
