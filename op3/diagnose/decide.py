@@ -103,7 +103,7 @@ BEATEN = np.float64(1e12)
 RESAMPLES = 1000
 """Bootstrap resamples over blocks of a second."""
 
-CONTACTS = ("backlash",)
+CONTACTS = ("backlash", "compliance")
 """Effects with free flight and impacts, in which small errors of the start grow: what the right one leaves is large as
 well."""
 

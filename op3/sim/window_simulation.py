@@ -22,7 +22,8 @@ import torch
 from torch import Tensor
 
 from op3.servo import RobotModel, ServoLaw, Signals
-from op3.servo.effects import Backlash, EncoderNonlinearity, EncoderOffset, Motor
+from op3.servo.effects import Backlash, Compliance, EncoderNonlinearity, EncoderOffset, Motor
+from op3.servo.effects.transmission import Transmission
 from op3.servo.law import SUPPLY
 from op3.sim.inputs import default_commands, expand_parameters, set_start
 from op3.sim.joint_step import between, joint_step, pull_back
@@ -330,8 +331,9 @@ class _Run:
         self.law.set_parameters({name: self._per_row(value) for name, value in values.items()})
         armature = values.get(ROTOR.parameter, torch.zeros(candidates, 1, dtype=owner.dtype))
         self.armature = armature.expand(candidates, self.count).T[:, :, None].contiguous().numpy()
-        # what a loose gear has behind its play is a load to its teeth as the link is
-        behind = Backlash.behind(values) if Backlash.size in values and ROTOR.parameter in values else torch.zeros(1, 1)
+        # what a gear has behind its play or its spring is a load to its teeth as the link is
+        soft = ROTOR.parameter in values and (Backlash.size in values or Compliance.size in values)
+        behind = Transmission.behind(values) if soft else torch.zeros(1, 1)
         self.behind = behind.to(owner.dtype).expand(candidates, self.count).T[:, :, None].numpy()
         changes = owner.changes(values)
         self.signals = Signals.zeros(candidates * self.num, self.count, dtype=owner.dtype)

@@ -245,6 +245,23 @@ def test_the_load_tells_on_which_flank_a_gap_begins(hinge):
     assert sim.measure()[("joint", "position")].item() == pytest.approx(1.0 - 0.010 - 2 * -load / 300, abs=1e-4)
 
 
+@pytest.mark.parametrize("wheels", [0.0, 0.0008])
+def test_what_lies_behind_a_spring_swings_with_the_link(hinge, wheels):
+    """Behind a rotor that friction holds, the link swings at ``sqrt((K + m g l cos q) / (J + J_o))``."""
+    stiffness = 50.0
+    values = {"coulomb_friction": 50.0, "gear_compliance": 1 / stiffness, "wheel_inertia": wheels, "armature": ARMATURE}
+    sim = simulation(hinge, Coulomb(), Compliance(damping_ratio=0.0), timestep=1e-4, period=0.001, **values)
+    sim.reset([0.05], load_torque=-1e-9)  # the spring is not bent, and gravity pulls
+    places = []
+    for _ in range(400):
+        sim.advance()
+        places.append(sim.measure()[("joint", "position")].item())
+    swing = np.array(places) - np.mean(places)
+    turns = np.flatnonzero(np.diff(np.sign(swing)) != 0)
+    frequency = np.pi * (len(turns) - 1) / ((turns[-1] - turns[0]) * 0.001)
+    assert frequency == pytest.approx(np.sqrt((stiffness + MOMENT) / (LINK + wheels)), rel=0.02)
+
+
 def test_what_lies_behind_the_play_falls_with_the_link(hinge):
     """In free fall through a wide gap the link carries the wheels behind the gap, and not the rotor."""
     behind, gap = 0.0005, 0.3

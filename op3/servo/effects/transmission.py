@@ -42,6 +42,15 @@ class Transmission(Effect):
     damping_ratio: float
 
     @staticmethod
+    def behind(values: Mapping[str, Tensor]) -> Tensor:
+        """Inertia behind play and spring [kg m^2], where there are any, by the effects' parameters and the armature."""
+        own = torch.zeros_like(values["armature"])
+        for size, inertia in (("gear_compliance", "wheel_inertia"), ("backlash_half_gap", "output_inertia")):
+            if size in values:
+                own = torch.where(values[size] > 0, values[inertia], own)
+        return torch.minimum(own, MOST_BEHIND * values["armature"])
+
+    @staticmethod
     def rotor_angle(position: Tensor, load_torque: Tensor, prepared: Prepared) -> Tensor:
         """Angle of the rotor [rad] at rest: on the flank that carries the load, the spring bent by it.
 
@@ -199,7 +208,7 @@ class Backlash(Transmission):
             least=0.0,
         ),
     )
-    borrows: ClassVar[tuple[str, ...]] = ("armature", "gear_compliance")
+    borrows: ClassVar[tuple[str, ...]] = ("armature", "gear_compliance", "wheel_inertia")
     size: ClassVar[str] = "backlash_half_gap"
     smallest: ClassVar[float] = 0.001
     secants: ClassVar[tuple[Mapping[str, float], ...]] = tuple(
@@ -225,12 +234,6 @@ class Backlash(Transmission):
             compliance = compliance + values["gear_compliance"]
         return self._prepared(gap, compliance, values["armature"] - self.behind(values), clock)
 
-    @staticmethod
-    def behind(values: Mapping[str, Tensor]) -> Tensor:
-        """Inertia behind the play [kg m^2], where there is any, by the effect's parameters and the armature."""
-        own = torch.minimum(values["output_inertia"], MOST_BEHIND * values["armature"])
-        return torch.where(values["backlash_half_gap"] > 0, own, 0.0)
-
 
 @register
 @dataclass(frozen=True)
@@ -250,11 +253,23 @@ class Compliance(Transmission):
     source: ClassVar[str] = "gear train and bracket, 50 to 500 N m/rad, loss factor 0.02 to 0.1"
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("gear_compliance", "rad/(N m)", 0.0, 0.02, 0.0, 0.0, "c = 1 / K", least=0.0),
+        Parameter(
+            "wheel_inertia",
+            "kg m2",
+            0.0,
+            0.001,
+            0.0,
+            None,
+            "J_o, part of the armature that turns with the link; of a loose gear `output_inertia` does",
+            least=0.0,
+        ),
     )
-    borrows: ClassVar[tuple[str, ...]] = ("armature", "backlash_half_gap")
+    borrows: ClassVar[tuple[str, ...]] = ("armature", "backlash_half_gap", "output_inertia")
     size: ClassVar[str] = "gear_compliance"
     smallest: ClassVar[float] = 0.002
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"gear_compliance": 0.004}, {"gear_compliance": 0.015})
+    secants: ClassVar[tuple[Mapping[str, float], ...]] = tuple(
+        {"gear_compliance": compliance, "wheel_inertia": 0.0005} for compliance in (0.004, 0.015)
+    )
     fingerprint: ClassVar[str] = "an extra resonance at sqrt(1 / (c J)); IMU against kinematics in proportion to load"
     confounders: ClassVar[tuple[str, ...]] = ("backlash", "lugre", "current_lag", "link_inertia")
     separating_experiment: ClassVar[str] = "static ladder of loads with IMU or camera; chirp up to the resonance"
@@ -267,4 +282,4 @@ class Compliance(Transmission):
         """Stiffness; none where backlash takes it along."""
         compliance = values["gear_compliance"]
         own = torch.zeros_like(compliance) if "backlash_half_gap" in values else compliance
-        return self._prepared(torch.zeros_like(compliance), own, values["armature"], clock)
+        return self._prepared(torch.zeros_like(compliance), own, values["armature"] - self.behind(values), clock)
