@@ -188,6 +188,11 @@ class Contender:
     own: Own | None = None
     confounders: tuple[str, ...] = ()
 
+    @property
+    def explained(self) -> float:
+        """Share of the residual that it explains, mean of choosing and fitted runs."""
+        return 0.5 * (self.gain + self.fit_gain)
+
 
 @dataclass(frozen=True)
 class Decision:
@@ -276,7 +281,7 @@ def decide(
     others = [i for i in counting if i != best and not _more_than(contenders[i], contenders[best], control)]
     shares = _credited(shares, contenders, best, others)
     rivals = _rivals(contenders, best, others, control, shares, rng)
-    if not rivals and shares[best] < PICKED and _explained(contenders[best]) < CLEAR_GAIN:
+    if not rivals and shares[best] < PICKED and contenders[best].explained < CLEAR_GAIN:
         said = f"the best that counts, {contenders[best].label}, explains {contenders[best].gain:.1%}"
         return Decision("nothing_missing", (), shares, f"{said}, and {shares[best]:.0%} of resamples agree")
     if not rivals:
@@ -395,7 +400,7 @@ def _meets(contender: Contender, left: np.ndarray | None) -> bool:
     if joint is None or contender.effect not in CONTACTS or contender.joints != (joint,):
         return False
     assert left is not None
-    large = abs(contender.size) >= SMALLEST_SIZE * contender.smallest and _explained(contender) >= SMALLEST_GAIN
+    large = abs(contender.size) >= SMALLEST_SIZE * contender.smallest and contender.explained >= SMALLEST_GAIN
     return large and _closed(contender, left, joint) >= EXPLAINED_CONTACT
 
 
@@ -420,10 +425,10 @@ def _left_over(contender: Contender, found: Sequence[Contender]) -> bool:
     """Whether a further effect is no more than what the law of an earlier one may have left."""
     share, explained = 1.0, []  # of what the first round had to explain
     for one in found:
-        explained.append(share * _explained(one))
-        share *= 1.0 - _explained(one)
+        explained.append(share * one.explained)
+        share *= 1.0 - one.explained
     return any(
-        share * _explained(contender) < _residue(one, contender) * gained
+        share * contender.explained < _residue(one, contender) * gained
         for one, gained in zip(found, explained, strict=True)
     )
 
@@ -456,7 +461,7 @@ def _counts(contender: Contender, control: np.ndarray, found: Sequence[Contender
     """
     statistic, trimmed = evidence(contender, control)
     score = signed_ranks(control - contender.losses)
-    explained, least = _explained(contender), min(contender.gain, contender.fit_gain)
+    explained, least = contender.explained, min(contender.gain, contender.fit_gain)
     further = bool(found)
     if abs(contender.size) < SMALLEST_SIZE * contender.smallest or (further and score < SMALLEST_Z):
         return False
@@ -480,7 +485,7 @@ def _begins(contender: Contender, control: np.ndarray) -> bool:
     """
     statistic, trimmed = evidence(contender, control)
     large = abs(contender.size) >= SMALLEST_SIZE * contender.smallest and not contender.implausible
-    return large and _explained(contender) >= DOUBLY_CHECKED and statistic >= CLEAR_T and trimmed >= TRIMMED_GAIN
+    return large and contender.explained >= DOUBLY_CHECKED and statistic >= CLEAR_T and trimmed >= TRIMMED_GAIN
 
 
 def _counts_at_home(contender: Contender, control: np.ndarray) -> bool:
@@ -495,10 +500,6 @@ def shows_at_home(own: Own) -> bool:
         return False
     trimmed = float(np.sort(own.gained)[:-TRIMMED].sum() / own.control.sum())
     return trimmed >= TRIMMED_GAIN and _statistic(own.gained) >= OWN_T and signed_ranks(own.gained) >= OWN_Z
-
-
-def _explained(contender: Contender) -> float:
-    return 0.5 * (contender.gain + contender.fit_gain)
 
 
 def _unexplained(
@@ -521,7 +522,7 @@ def _unexplained(
             return f"{gap}, and {name} explains {max(share, 0.0):.0%} of what is above it"
         if best is not None and not contact and _stands_out(best.left) == joint:
             return f"{gap}, and {name} leaves {best.left[joint]:.1f} there"
-    explained = _explained(best) if best is not None and counting else 0.0
+    explained = best.explained if best is not None and counting else 0.0
     if ceiling is not None and ceiling > CEILING and explained < EXPLAINED * ceiling:
         return f"a black box explains {ceiling:.0%} of the residual, {name} explains {explained:.0%}"
     if counting and all(contenders[i].implausible for i in counting):

@@ -332,7 +332,7 @@ class Diagnosis:
     def _doubly_checked(self, verdict: Verdict) -> Verdict:
         """The verdict, or that nothing is missing where windows show little of it and free runs speak against it."""
         leaders = [candidates[0].contender for candidates in self._candidates]
-        gains = [max(one.gain, one.own.gain if one.own else 0.0) for one in leaders]
+        gains = [max(one.explained, one.own.gain if one.own else 0.0) for one in leaders]
         if not verdict.vetoed or not verdict.effects or max(gains, default=1.0) >= DOUBLY_CHECKED:
             return verdict
         names = " and ".join(dict.fromkeys(effect.name for effect in verdict.effects))
