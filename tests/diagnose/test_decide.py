@@ -67,6 +67,18 @@ def test_look_alikes_need_more_certainty(control, rng):
         assert decide([first, second], control, rng).verdict == verdict
 
 
+def test_what_explains_more_in_the_same_place_counts_too(control, rng):
+    """Uneven seconds spoil the statistics of the best; beside a look-alike that counts it is a candidate, alone not."""
+    uneven = contender("current_offset@1", 0.09, noise=0.28)
+    uneven = dataclasses.replace(uneven, losses=uneven.losses - uneven.losses.mean() + 0.91, alias_class="bias")
+    clean = dataclasses.replace(contender("cable_spring@1", 0.07, seed=1), alias_class="bias")
+    assert 2.0 < evidence(uneven, control)[0] < 3.0
+    assert decide([uneven], control, rng).verdict == "nothing_missing"
+    assert 0 in decide([uneven, clean], control, rng).candidates
+    elsewhere = dataclasses.replace(clean, joints=(2,))
+    assert 0 not in decide([uneven, elsewhere], control, rng).candidates
+
+
 def test_size_that_does_not_matter_is_not_named(control, rng):
     """However well it explains, an effect of a tenth of the smallest size that matters is passed over."""
     decision = decide([contender("dte", 0.3, size=0.01)], control, rng)
