@@ -61,7 +61,7 @@ from op3.diagnose.ripple import with_ripples
 from op3.diagnose.screen import Screened, screen
 from op3.diagnose.settle import Candidate, settle
 from op3.diagnose.setups import setup_hypotheses
-from op3.diagnose.shortlist import EXCHANGED, confusable, credit, shortlist, worth_a_round
+from op3.diagnose.shortlist import EXCHANGED, confusable, credit, shortlist, stands_alone, worth_a_round
 from op3.diagnose.show import show
 from op3.diagnose.soften import softened
 from op3.diagnose.split import LogSplit
@@ -434,7 +434,9 @@ class Diagnosis:
     def _refit(self, base: Fit) -> tuple[list[Fit], list[Refitted]]:
         """Refit the no-op control and the shortlist; for the first result see `_refit_each`."""
         control = refit(self.engine, base, base.coordinates, base.point)
-        picked = shortlist(self.screened, base.coordinates.suspects(base.point))
+        windows = self.engine if isinstance(self.engine, WindowResiduals) else None
+        home = stands_alone(windows.squares_by_joint(base.residual)) if windows else None
+        picked = shortlist(self.screened, base.coordinates.suspects(base.point), home)
         return self._refit_each(base, control, picked)
 
     def refit_of(self, base: Fit, picked: Sequence[Screened]) -> list[Refitted]:

@@ -1,6 +1,7 @@
 """The linear algebra of the screen and of refits, on a linear engine whose answers are known."""
 
 import dataclasses
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -13,7 +14,7 @@ from op3.diagnose.fitting import Fit, bounded_step, exchanged
 from op3.diagnose.hypotheses import hypotheses
 from op3.diagnose.motion import HALF_WIDTH, VELOCITY_LAG, kernels
 from op3.diagnose.screen import Projector, Screened, _score
-from op3.diagnose.shortlist import confusable, shortlist, worth_a_round
+from op3.diagnose.shortlist import confusable, shortlist, stands_alone, worth_a_round
 from op3.diagnose.verdict import Finding
 from op3.servo import Estimate, ServoLaw, catalogue, effect_class
 from op3.sim import load_model
@@ -275,6 +276,20 @@ def test_the_highest_scores_are_refitted_whatever_they_promise():
     assert picked == [*leaders, *shared, masses[5], masses[4]]
     lag = screened("current_lag", None, -1.0, 0.5)  # what a base stands for promises nothing where the base is
     assert shortlist([*rest, *masses, *shared, *leaders, lag]) == [*picked, lag]
+
+
+def test_a_joint_with_most_of_the_loss_is_asked_by_its_fitted_runs():
+    """A secant that promises much of the fitted runs and less than nothing of the others is refitted in that joint."""
+    leaders = [screened("cogging", joint, 0.1 - 0.01 * joint, 3.0) for joint in range(6)]
+    spring = replace(screened("cable_spring", 4, 0.0, 1.0), gain=-0.5, fit_gain=0.2)
+    elsewhere = replace(screened("cable_spring", 2, 0.0, 1.0), gain=-0.5, fit_gain=0.2)
+    scored = [screened("viscous", joint, -1.0, 9.0) for joint in (0, 1)]
+    every = [*leaders, *scored, elsewhere, spring]
+    assert stands_alone(np.array([[1.0, 1.0, 1.0, 1.0, 4.0, 1.0]])) == 4
+    assert stands_alone(np.array([[1.0, 1.0, 1.0, 1.0, 2.0, 1.0]])) is None
+    assert stands_alone(np.array([[3.0]])) is None
+    assert spring not in shortlist(every)
+    assert shortlist(every, home=4) == [*shortlist(every), spring]
 
 
 @pytest.mark.parametrize(
