@@ -103,7 +103,7 @@ BEATEN = np.float64(1e12)
 RESAMPLES = 1000
 """Bootstrap resamples over blocks of a second."""
 
-CONTACTS = ("backlash", "compliance")
+CONTACTS = ("backlash",)
 """Effects with free flight and impacts, in which small errors of the start grow: what the right one leaves is large as
 well."""
 
@@ -258,9 +258,10 @@ def decide(
     """
     order = sorted(range(len(contenders)), key=lambda i: float(contenders[i].losses.sum()))
     counted = [i for i in order if _counts(contenders[i], control, found, i == order[0]) or _meets(contenders[i], left)]
-    counted = [i for i in order if i in counted or _as_well(contenders, i, counted, control, found)]
-    counting = _within_bounds(contenders, counted, control)
-    losses = [BEATEN if i in counted and i not in counting else c.losses for i, c in enumerate(contenders)]
+    beside = [i for i in order if i not in counted and _as_well(contenders, i, counted, control, found)]
+    counting = _within_bounds(contenders, [i for i in order if i in counted or i in beside], control)
+    beaten = {*counted, *beside} - set(counting)
+    losses = [BEATEN if i in beaten else c.losses for i, c in enumerate(contenders)]
     shares = pick_shares(np.stack(np.broadcast_arrays(*losses)), rng) if contenders else np.zeros(0)
     gap = _unexplained(contenders, counting, order, ceiling, left)
     if gap:
@@ -268,27 +269,41 @@ def decide(
         return Decision("unknown", tuple(begun), shares, gap)
     if not counting:
         if not contenders:
-            return Decision("nothing_missing", (), shares, "no effect of the catalogue can be seen in these logs")
+            return _nothing("no effect of the catalogue can be seen in these logs", shares, left)
         best = contenders[order[0]]
+        # what is missing may not count as long as the rest is missing
+        begun = order[:1] if _begins(best, control) else []
         said = f"the best of the catalogue, {best.label}, explains {max(best.gain, 0):.1%}"
-        usual = float(np.median(left)) if left is not None and left.size else 0.0
-        if usual > LARGE_GAP:  # much is missing, and what it is does not count, perhaps as long as the rest is missing
-            begun = order[:1] if _begins(best, control) else []
-            return Decision(
-                "unknown", tuple(begun), shares, f"residual velocities are {usual:.1f} times the noise, and {said}"
-            )
-        return Decision("nothing_missing", (), shares, said)
+        return _nothing(said, shares, left, begun)
     best = _simplest(contenders, counting, control)
     others = [i for i in counting if i != best and not _more_than(contenders[i], contenders[best], control)]
     shares = _credited(shares, contenders, best, others)
     rivals = _rivals(contenders, best, others, control, shares, rng)
+    if best in beside and not rivals:  # it alone would not have been named
+        rivals = [i for i in counting if i in counted][:1]
     if not rivals and shares[best] < PICKED and contenders[best].explained < CLEAR_GAIN:
         said = f"the best that counts, {contenders[best].label}, explains {contenders[best].gain:.1%}"
-        return Decision("nothing_missing", (), shares, f"{said}, and {shares[best]:.0%} of resamples agree")
+        return _nothing(f"{said}, and {shares[best]:.0%} of resamples agree", shares, left)
     if not rivals:
         return Decision("named", (best,), shares, _what_it_explains(contenders[best]))
     members = (best, *rivals)[:MOST_CANDIDATES]
     return Decision("ambiguous", members, shares, "these explain the residual about equally well")
+
+
+def large_gap(left: np.ndarray | None) -> float:
+    """What is left in most joints, in standard deviations of a reading, if that is too much for nothing; else 0."""
+    usual = float(np.median(left)) if left is not None and left.size else 0.0
+    return usual if usual > LARGE_GAP else 0.0
+
+
+def _nothing(said: str, shares: np.ndarray, left: np.ndarray | None, begun: Sequence[int] = ()) -> Decision:
+    """That nothing is missing; where much is, that it is unknown."""
+    usual = large_gap(left)
+    if usual:
+        return Decision(
+            "unknown", tuple(begun), shares, f"residual velocities are {usual:.1f} times the noise, and {said}"
+        )
+    return Decision("nothing_missing", (), shares, said)
 
 
 def weigh(contenders: Sequence[Contender], control: np.ndarray, rng: np.random.Generator) -> tuple[int, list[int]]:
@@ -485,18 +500,22 @@ def _as_well(
     control: np.ndarray,
     found: Sequence[Contender],
 ) -> bool:
-    """Whether a contender explains more than the best that counts, in the same place.
+    """Whether a contender explains more than the best that counts, in the same joints.
 
     That something is there is known then, and which it is must not hang on a threshold: a sensor's zero explained most,
     with a t of 2.8 and ranks of 2.2, and three that look like it counted.
     """
-    if not counted or contenders[number].joints != contenders[counted[0]].joints:
-        return False
     one = contenders[number]
+    if not counted or one.joints is None or one.joints != contenders[counted[0]].joints:
+        return False
+    if one.implausible or abs(one.size) < SMALLEST_SIZE * one.smallest or _left_over(one, found):
+        return False
+    if found and signed_ranks(control - one.losses) < SMALLEST_Z:
+        return False
     statistic, trimmed = evidence(one, control)
-    large = abs(one.size) >= SMALLEST_SIZE * one.smallest and not one.implausible and not _left_over(one, found)
     more = float(one.losses.sum()) < float(contenders[counted[0]].losses.sum())
-    return large and more and statistic >= CLEAR_T and trimmed >= TRIMMED_GAIN
+    more &= min(one.gain, one.fit_gain) > 0.25 * SMALLEST_GAIN and one.explained >= SMALLEST_GAIN
+    return more and statistic >= CLEAR_T and trimmed >= TRIMMED_GAIN
 
 
 def _begins(contender: Contender, control: np.ndarray) -> bool:

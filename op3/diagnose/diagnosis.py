@@ -19,12 +19,12 @@ from op3.diagnose.coordinates import (
 from op3.diagnose.decide import (
     CEILING,
     DOUBLY_CHECKED,
-    LARGE_GAP,
     UNDECIDED,
     Contender,
     Decision,
     Own,
     decide,
+    large_gap,
     local_ceiling,
     shows_at_home,
     unresolved,
@@ -255,7 +255,7 @@ class Diagnosis:
         if not isinstance(self.engine, WindowResiduals):
             return True
         (fit,) = (r.fit for r in self.refitted if r.contender is leader.contender)
-        if np.median(self._left(fit)) > LARGE_GAP:
+        if large_gap(self._left(fit)):
             return True  # whatever a screen around the first base foresees
         fitted = self.engine.is_fit
         return worth_a_round(self.screened, fit.residual[fitted], self.engine.blocks[fitted])
@@ -333,7 +333,8 @@ class Diagnosis:
         """The verdict, or that nothing is missing where windows show little of it and free runs speak against it."""
         leaders = [candidates[0].contender for candidates in self._candidates]
         gains = [max(one.explained, one.own.gain if one.own else 0.0) for one in leaders]
-        if not verdict.vetoed or not verdict.effects or max(gains, default=1.0) >= DOUBLY_CHECKED:
+        large = any(large_gap(one.left) for one in leaders)
+        if not verdict.vetoed or not verdict.effects or max(gains, default=1.0) >= DOUBLY_CHECKED or large:
             return verdict
         names = " and ".join(dict.fromkeys(effect.name for effect in verdict.effects))
         reason = f"the best of the catalogue, {names}, explains {max(gains):.1%}, and free runs are no better with it"

@@ -11,6 +11,8 @@ from torch import Tensor
 from op3.diagnose.coordinates import Coordinates
 from op3.identify.box_step import box_step
 from op3.servo import Estimate, RobotModel
+from op3.servo.conditions import split_name
+from op3.servo.effect import parameter
 
 STEP = 1e-2
 """Step of finite differences, as a share of a coordinate's range: above the kinks of stiction."""
@@ -171,23 +173,24 @@ def _with_losses(
     No gear is without losses. What is missing may drive them to none in one form, where all forms are the same, and not
     in the other: beside a mass that was hidden both were needed, and a friction by load then stood for the two.
     """
-    names = [entry.parameter for entry in coordinates.entries]
-    at = names.index("backward_efficiency") if "backward_efficiency" in names else None
-    if at is None or point[at] < LOSSLESS:
+    kept = [e.kind == "value" and split_name(e.parameter)[0] == "backward_efficiency" for e in coordinates.entries]
+    vanished = np.array(kept) & (point >= LOSSLESS)
+    if not vanished.any():
         return coordinates, point
     forms = {effect.name: effect for effect in coordinates.model.effects}
     best = coordinates, point
+    start = np.where(vanished, parameter("backward_efficiency").nominal, point)
+    engine.prepare(with_point(coordinates, point))
     least = (1.0 + LOSSES_WORTH) * float(np.square(_penalised(engine, coordinates)(point[None])).sum())
     for model in models:
         differ = [effect.name for effect in model.effects if effect != forms[effect.name]]
         if differ != ["dte"]:
             continue
         choice = replace(coordinates, model=model)
-        start = np.where(np.arange(len(point)) == at, coordinates.start, point)
         other = fit_base(engine, choice, start=start, worthwhile=worthwhile)
         engine.prepare(with_point(coordinates, point))
         loss = float(np.square(_penalised(engine, choice)(other.point[None])).sum())
-        if loss < least and other.point[at] < LOSSLESS:
+        if loss < least and (other.point[vanished] < LOSSLESS).all():
             best, least = (choice, other.point), loss
     return best
 
@@ -297,7 +300,10 @@ def refit(
             residual = problem.simulate(best[None])[0]
             loss = problem.loss(best, residual)
         moved = problem.simulate(best + np.eye(len(best))[known:] * step[:, None])
-        columns = np.moveaxis((moved - residual)[:, is_fit], 0, -1) / step.astype(np.float32)
+        here = residual
+        if anchor is not None and residual is anchor.residual and coordinates.model.stiff:
+            here = problem.simulate(best[None])[0]  # its steps are not those of the anchor
+        columns = np.moveaxis((moved - here)[:, is_fit], 0, -1) / step.astype(np.float32)
         linear = Linear(columns, coordinates, base.linear(is_fit))
         point, reached, tried = problem.step(linear, best, residual)
         if reached >= loss:

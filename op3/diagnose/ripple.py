@@ -46,8 +46,9 @@ def with_ripples(candidates: Sequence[Hypothesis], engine: WindowResiduals, base
     position, velocity = ticks(engine.motion.position), ticks(engine.motion.velocity)
     result = []
     for h in candidates:
-        if h.effect is Cogging and h.joints is not None and len(h.joints) == 1:
-            (j,) = h.joints
+        where = range(len(engine.joints)) if h.joints is None else h.joints
+        if h.effect is Cogging and len(where) == 1:
+            (j,) = where
             lines = ripples(position[..., j], velocity[..., j], torque[..., j])
             h = replace(h, secants=lines or h.secants)
         result.append(h)

@@ -87,14 +87,14 @@ def shortlist(
 
 
 def stands_alone(squares: np.ndarray) -> int | None:
-    """The joint that holds `HOME_SHARE` of the loss; None if none does.
+    """The joint that holds `HOME_SHARE` of the loss, and twice what one of so many joints would; None if none does.
 
     Args:
         squares: of the residuals, ``[window, joint]``.
     """
     by_joint = squares.sum(0)
     worst = int(by_joint.argmax())
-    return worst if len(by_joint) > 1 and by_joint[worst] > HOME_SHARE * by_joint.sum() else None
+    return worst if by_joint[worst] > max(HOME_SHARE, 2.0 / len(by_joint)) * by_joint.sum() else None
 
 
 def _at_home(screened: Sequence[Screened], picked: Sequence[Screened], home: int | None) -> list[Screened]:
@@ -103,7 +103,7 @@ def _at_home(screened: Sequence[Screened], picked: Sequence[Screened], home: int
         return []
     best: dict[str, Screened] = {}
     for s in sorted(screened, key=lambda s: -s.fit_gain):
-        if s.hypothesis.joints == (home,) and s.strength > 0:
+        if s.hypothesis.joints == (home,) and s.strength > 0 and s.visibility > 0.02:
             best.setdefault(s.hypothesis.effect.name, s)
     known = {s.hypothesis.effect.name for s in picked if s.hypothesis.joints == (home,)}
     return [s for name, s in best.items() if name not in known][:HOME]

@@ -79,6 +79,35 @@ def test_what_explains_more_in_the_same_place_counts_too(control, rng):
     assert 0 not in decide([uneven, elsewhere], control, rng).candidates
 
 
+def test_what_does_harm_to_unseen_runs_is_no_candidate(control, rng):
+    """An effect that learns the fitted runs by heart does not push aside what explains a little of all of them."""
+    learned = dataclasses.replace(contender("stribeck@1", 0.12, noise=0.2), gain=-0.05, fit_gain=0.28)
+    honest = contender("cable_spring@1", 0.07, seed=1)
+    assert learned.losses.sum() < honest.losses.sum()
+    decision = decide([learned, honest], control, rng)
+    assert 0 not in decision.candidates
+    # nor, behind another effect, one whose gains are those of a few seconds
+    few = np.full(BLOCKS, 1.005)
+    few[:6] = 0.0
+    few = dataclasses.replace(contender("stribeck@1", 0.12), losses=few)
+    found = [dataclasses.replace(contender("latency", 0.5, seed=3), gain=0.5)]
+    assert 0 in decide([few, honest], control, rng).candidates
+    assert 0 not in decide([few, honest], control, rng, found=found).candidates
+
+
+@pytest.mark.parametrize("contenders", [0, 1, 2])
+def test_a_large_gap_is_never_nothing(contenders, control, rng):
+    """Where residual velocities are nine times the noise in all joints something is missing, whatever the names do."""
+    small = contender("dte", 0.01)
+    picked = [
+        contender("cable_spring@1", 0.07, seed=1),
+        dataclasses.replace(contender("viscous@2", 0.09, seed=2), size=1e-4),  # wins all resamples, and does not count
+    ]
+    given = ([], [small], picked)[contenders]
+    assert decide(given, control, rng, left=np.full(6, 9.0)).verdict == "unknown"
+    assert decide(given, control, rng, left=np.full(6, 1.0)).verdict == "nothing_missing"
+
+
 def test_size_that_does_not_matter_is_not_named(control, rng):
     """However well it explains, an effect of a tenth of the smallest size that matters is passed over."""
     decision = decide([contender("dte", 0.3, size=0.01)], control, rng)
