@@ -146,8 +146,17 @@ class Verdict:
         content["share"] = self.share
         content["located"] = list(self.details.get("located", ()))
         content["ceiling"] = dict(self.details.get("ceiling", {}))
-        content["ranking"] = list(self.details.get("ranking", ()))
+        content["ranking"] = self._ranking()
         return content
+
+    def _ranking(self) -> list[dict[str, Any]]:
+        """What was considered in the first round, best first, behind what was named in the end."""
+        considered = list(self.details.get("ranking", ()))
+        first = []
+        for effect in self.effects:
+            same = [one for one in considered if (one["name"], set(one["joints"])) == (effect.name, set(effect.joints))]
+            first.append(same[0] if same else {"name": effect.name, "joints": list(effect.joints)})
+        return first + [one for one in considered if one not in first]
 
 
 def _phrase(effect: Finding) -> str:

@@ -86,6 +86,21 @@ def test_a_sentence_tells_alternatives_from_what_comes_on_top(verdict, instead, 
     assert [entry.get("instead_of", "") for entry in said.plain()["effects"]] == list(instead)
 
 
+def test_the_ranking_begins_with_what_was_named():
+    """An effect that a later round has found stands before what the first round thought best, and no entry is lost."""
+    paper = load_model("paper")
+    found = tuple(Finding(n, (j,), False, 1.0, "-", (1.0, 1.0), 1.0, {}, 0.1) for n, j in (("two", "b"), ("new", "c")))
+    considered = [{"name": n, "joints": [j], "gain": 0.1} for n, j in (("one", "a"), ("two", "a"), ("two", "b"))]
+    ranking = Verdict("named", found, "", paper, paper, details={"ranking": considered}).plain()["ranking"]
+    assert [(r["name"], r["joints"]) for r in ranking] == [
+        ("two", ["b"]),
+        ("new", ["c"]),
+        ("one", ["a"]),
+        ("two", ["a"]),
+    ]
+    assert ranking[0]["gain"] == 0.1
+
+
 EFFECTS = {"cogging": "cogging_amplitude", "cable_spring": "cable_stiffness", "quadratic_drag": "quadratic_drag"}
 
 
