@@ -135,6 +135,7 @@ class Diagnosis:
         self.screened: list[Screened] = []
         self.refitted: list[Refitted] = []
         self._candidates: list[list[Candidate]] = []
+        self._lossless = False  # whether the last screen has looked for lost packets and found none
 
     def refit_base(self, model: RobotModel, fitted: bool = False) -> Fit:
         """Refit the model's own parameters, with the measurement chain and the spread of its servos.
@@ -198,12 +199,14 @@ class Diagnosis:
         fitted = with_point(base.coordinates, base.point)
         candidates = hypotheses(fitted, self.engine.joints, fixed_base=self.fixed_base, without=self.without)
         candidates += setup_hypotheses(fitted, self.split.logs, self.without)
+        self._lossless = False
         if any(h.effect is PacketDrop for h in candidates):
             # which packets got lost is read off the logs: nothing fits that drew its own
             candidates = [h for h in candidates if h.effect is not PacketDrop]
             if isinstance(self.engine, WindowResiduals):
                 lost = supposed_losses(self.engine, base) if planned else loss_hypothesis(self.engine, base)
                 candidates += [] if lost is None else [lost]
+                self._lossless = lost is None
         if isinstance(self.engine, WindowResiduals) and not planned:
             candidates = with_ripples(candidates, self.engine, base)
         if self.fixed_base:
@@ -258,7 +261,18 @@ class Diagnosis:
         if large_gap(self._left(fit)):
             return True  # whatever a screen around the first base foresees
         fitted = self.engine.is_fit
-        return worth_a_round(self.screened, fit.residual[fitted], self.engine.blocks[fitted])
+        if worth_a_round(self.screened, fit.residual[fitted], self.engine.blocks[fitted]):
+            return True
+        return self._lossless and self.loses_after_all(fit)
+
+    def loses_after_all(self, leader: Fit) -> bool:
+        """Whether packets seem lost beside a leader: the base may have been too wrong to tell."""
+        assert isinstance(self.engine, WindowResiduals)
+        assert self.base is not None
+        assert self.base.coarse_error is not None
+        stiff = leader.coordinates.model.stiff and not self.base.coordinates.model.stiff
+        error = np.zeros_like(self.base.coarse_error) if stiff else self.base.coarse_error
+        return lost_packets(self.engine, replace(leader, coarse_error=error)) is not None
 
     def _void(self) -> Verdict:
         """Logs that contradict themselves: nothing is fitted to them, and nothing named."""

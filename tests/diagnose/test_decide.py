@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from op3.diagnose.decide import (
+    SMALLEST_Z,
     Contender,
     Own,
     decide,
@@ -301,6 +302,16 @@ def test_a_further_effect_may_be_smaller(control, rng):
     assert decide([steady], control, rng).verdict == "nothing_missing"
     few = in_one_joint("coulomb", "dry", 1.6, gain=0.024)
     assert decide([few], control, rng, found=earlier).verdict == "nothing_missing"
+
+
+@pytest.mark.parametrize(("name", "verdict"), [("packet_drop", "named"), ("latency", "nothing_missing")])
+def test_what_acts_in_few_seconds_may_be_a_further_effect(control, rng, name, verdict):
+    """Of sixty seconds fourteen have gained much and the others lost a little: ranks tell little, and need not."""
+    gained = np.full(BLOCKS, -0.02) + 0.01 * rng.normal(size=BLOCKS)
+    gained[:14] += rng.uniform(0.6, 1.0, size=14)
+    seldom = dataclasses.replace(contender(name, 0.2), losses=control - gained)
+    assert signed_ranks(gained) < SMALLEST_Z
+    assert decide([seldom], control, rng, found=[contender("current_lag", 0.3)]).verdict == verdict
 
 
 @pytest.mark.parametrize(
