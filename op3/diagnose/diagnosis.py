@@ -324,12 +324,13 @@ class Diagnosis:
         until one is not vetoed.
         """
         base, model, share = without_losses(verdict.base), without_losses(verdict.model), 1.0
-        shown = show(base, model, self.split, lambda share: self._report("show", share))
+        faulty = [effect.joints[0] for effect in verdict.effects if len(effect.joints) == 1]
+        shown = show(base, model, self.split, lambda share: self._report("show", share), faulty=faulty)
         # of packets that were counted tick by tick a free run tells nothing
         free = any(effect.name != PacketDrop.name and not effect.instead_of for effect in verdict.effects)
         vetoed = bool(shown["vetoed"]) and free and verdict.model is not verdict.base
         for between in softened(base, model, self.split.fit) if vetoed else ():
-            again = show(base, between[0], self.split, known=shown["before"])
+            again = show(base, between[0], self.split, known=shown["before"], faulty=faulty)
             if not again["vetoed"]:
                 shown, vetoed, (model, share) = again, False, between
                 break

@@ -286,7 +286,7 @@ def test_free_runs_have_no_say_in_packets_that_were_counted(monkeypatch):
     diagnosis = Diagnosis(load_model("paper"), split_logs(planned_suite(load_model("paper"), runs)))
     asked: list[float | None] = []
 
-    def show(base, model, split, progress=None, known=None):
+    def show(base, model, split, progress=None, known=None, faulty=()):
         asked.append(model.value("drop_probability") if "packet_drop" in model.effect_names else None)
         return {"gap": {}, "loss": {}, "vetoed": True, "before": None}
 

@@ -6,7 +6,7 @@ import pytest
 from op3.diagnose import WindowResiduals, planned_suite, split_logs
 from op3.diagnose.coordinates import with_chain
 from op3.diagnose.fitting import COARSE, ROUGH
-from op3.diagnose.show import vetoed
+from op3.diagnose.show import show, vetoed
 from op3.robot import LEG_JOINTS, leg_suite
 from op3.robot.units import CURRENT_UNIT
 from op3.servo import Estimate, RobotModel, effect_class
@@ -74,6 +74,21 @@ def test_squares_are_told_by_joint():
 def test_free_runs_veto_what_they_speak_against(improved, worsened, after, expected):
     """Neither a better channel nor a lower loss alone outweighs a channel that is worse."""
     assert vetoed(improved, worsened, 1.0, after) is expected
+
+
+@pytest.mark.parametrize(("faulty", "expected"), [((), True), (("r_hip_pitch",), False), (("r_hip_yaw",), True)])
+def test_a_fault_counts_as_better_where_its_own_joint_is(faulty, expected):
+    """A friction that is right in one joint, and another that is wrong: only asked by itself the first is better."""
+    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:3]
+    paper = load_model("paper")
+    usual = paper.value("coulomb_friction")
+
+    def rubbing(**joints: float) -> RobotModel:
+        return paper.with_values({"coulomb_friction": Estimate(usual, joints=joints)})
+
+    split = split_logs(planned_suite(rubbing(r_hip_pitch=usual + 0.05), runs))
+    half_right = rubbing(r_hip_pitch=usual + 0.05, r_hip_yaw=usual + 0.07)
+    assert show(paper, half_right, split, faulty=faulty)["vetoed"] is expected
 
 
 def test_a_joint_counts_less_only_in_windows_that_stand_out():
