@@ -23,8 +23,10 @@ from op3.diagnose.decide import (
     Contender,
     Decision,
     Own,
+    better_at_home,
     decide,
     large_gap,
+    leaves_a_joint,
     local_ceiling,
     shows_at_home,
     unresolved,
@@ -234,7 +236,7 @@ class Diagnosis:
         for number in range(rounds):
             verdict = self._round(model, first=number == 0)
             verdicts.append(verdict)
-            if len(self._candidates) == number or not self._worth_another(self._candidates[-1][0]):
+            if len(self._candidates) == number or not self._worth_another(self._candidates[-1]):
                 break
             # of an ambiguous or unknown verdict with the best: the next round may find the other
             model = self._candidates[-1][0].model
@@ -253,13 +255,19 @@ class Diagnosis:
         verdict = replace(verdict, reason=verdict.reason + beside)
         return verdict if unknown else self._doubly_checked(verdict)
 
-    def _worth_another(self, leader: Candidate) -> bool:
+    def _worth_another(self, found: Sequence[Candidate]) -> bool:
         """Whether to look for something beside what was found last."""
-        if not isinstance(self.engine, WindowResiduals):
-            return True
-        (fit,) = (r.fit for r in self.refitted if r.contender is leader.contender)
-        if large_gap(self._left(fit)):
+        if not isinstance(self.engine, WindowResiduals) or len(found) > 1:
+            return True  # of two that could not be told apart the one may show beside the other
+        leader = found[0].contender
+        (fit,) = (r.fit for r in self.refitted if r.contender is leader)
+        if large_gap(leader.left) or leaves_a_joint(leader):
             return True  # whatever a screen around the first base foresees
+        others = [r for r in self.refitted if r.contender.joints != leader.joints]
+        if any(
+            own is not None and better_at_home(own) for own in (self._own(r.hypothesis, r.fit, fit) for r in others)
+        ):
+            return True
         fitted = self.engine.is_fit
         if worth_a_round(self.screened, fit.residual[fitted], self.engine.blocks[fitted]):
             return True

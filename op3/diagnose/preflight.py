@@ -41,6 +41,10 @@ UNREACHED = (0.1, 0.3)
 FULL_DUTY = 0.97
 """A servo at this duty gives all it has."""
 
+TIMING = ("latency", "current_lag", "velocity_filter", "packet_drop")
+"""Effects that are seen in when a servo answers. They make loops swing until the servos give all they have, so logs in
+which these do are what they look like."""
+
 FIRMWARE = ("position_servo", "latency")
 """Effects of a servo's own loop that its duty would confirm or contradict."""
 
@@ -57,16 +61,18 @@ class Caution:
         joints: of which it is said; empty where it is said of all.
         effects: of which it is said; empty where it is said of all.
         void: whether the logs contradict themselves, so that fitting them means nothing.
+        spared: effects of which it is not said.
     """
 
     text: str
     joints: tuple[str, ...] = ()
     effects: tuple[str, ...] = ()
     void: bool = False
+    spared: tuple[str, ...] = ()
 
     def weakens(self, joints: Sequence[str], effect: str = "") -> bool:
         """Whether the name of an effect in these joints, or in all where there are none, is not to be trusted."""
-        if self.effects and effect not in self.effects:
+        if (self.effects and effect not in self.effects) or effect in self.spared:
             return False
         return self.void or not self.joints or (bool(joints) and set(joints) <= set(self.joints))
 
@@ -158,6 +164,7 @@ def _saturated(logs: Sequence[Rollout]) -> Caution | None:
         f"{_listed(found, joints)} could not give what was asked in {shares.max():.0%} of the rows, by current limit or"
         " voltage, so that gear and friction hardly show; record at lower gains or amplitudes, with a charged battery.",
         () if len(found) == len(joints) else found,
+        spared=TIMING,
     )
 
 

@@ -12,9 +12,11 @@ from op3.diagnose.decide import (
     SMALLEST_Z,
     Contender,
     Own,
+    better_at_home,
     decide,
     difference_interval,
     evidence,
+    leaves_a_joint,
     local_ceiling,
     pick_shares,
     signed_ranks,
@@ -352,6 +354,36 @@ def test_what_a_law_leaves_is_no_further_effect(control, rng):
     assert decide([contender("load_friction@3", 0.2)], control, rng, found=[latency]).verdict == "named"
     limb = [dataclasses.replace(one, alias_class="gravity_phase") for one in (elsewhere, earlier[0])]
     assert decide(limb[:1], control, rng, found=limb[1:]).verdict == "nothing_missing"
+
+
+@pytest.mark.parametrize(("left", "verdict"), [(6.0, "named"), (3.0, "nothing_missing")])
+def test_a_large_gap_is_more_than_a_law_leaves(control, rng, left, verdict):
+    """Behind a latency that leaves six times the noise in all joints, a lag that may be taken for it counts."""
+    earlier = dataclasses.replace(contender("latency", 0.96), left=np.full(6, left))
+    lag = dataclasses.replace(contender("current_lag", 0.66), confounders=("latency",))
+    assert decide([lag], control, rng, found=[earlier]).verdict == verdict
+
+
+@pytest.mark.parametrize(
+    ("name", "most", "room"),
+    [("compliance@3", 2.4, True), ("compliance@3", 1.5, False), ("backlash@3", 6.0, False), ("backlash@2", 6.0, True)],
+)
+def test_a_joint_that_stands_out_leaves_room(name, most, room):
+    """What is left in one joint is another effect's, but impacts in the joint itself leave much."""
+    left = np.array([1.0, 0.9, 1.1, most, 1.2, 1.0])
+    assert leaves_a_joint(dataclasses.replace(contender(name, 0.5), left=left)) is room
+    assert not leaves_a_joint(contender(name, 0.5))  # of free runs nothing is known
+
+
+@pytest.mark.parametrize(
+    ("gain", "fit_gain", "seconds", "better"),
+    [(0.3, 0.15, BLOCKS, True), (0.3, 0.05, BLOCKS, False), (0.05, 0.3, BLOCKS, False), (0.3, 0.3, 3, False)],
+)
+def test_a_fault_has_to_beat_the_leader_in_its_joint(gain, fit_gain, seconds, better):
+    """In fitted and choosing runs, and in more than a few seconds."""
+    gained = np.full(BLOCKS, -0.01)
+    gained[:seconds] = 1.0
+    assert better_at_home(Own(gain, fit_gain, np.full(BLOCKS, 5.0), gained)) is better
 
 
 def test_a_size_beyond_what_is_plausible_is_not_named(control, rng):

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from op3.diagnose import Diagnosis, planned_suite, split_logs
+from op3.diagnose import Diagnosis, WindowResiduals, planned_suite, split_logs
 from op3.diagnose import settle as settling
 from op3.diagnose.coordinates import base_coordinates
 from op3.diagnose.decide import Contender, Own
@@ -187,6 +187,49 @@ def test_what_takes_the_place_of_a_look_alike_is_no_surer(monkeypatch, rivals, c
     told = settle(engine, load_model("paper"), rounds, np.random.default_rng(0), cast(Any, moved))
     assert [(one.name, one.confidence) for one in told.effects] == [("cable_spring", confidence)]
     assert told.superfluous == ("cogging",)
+
+
+@pytest.mark.parametrize(
+    ("number", "other", "own_joint", "expected"),
+    [
+        (1, (4, 1.0), 0.0, False),  # a fault that explains nothing
+        (1, (4, 0.8), 0.0, True),  # one that explains a fifth of its joint, of which the leader explains nothing
+        (1, (4, 0.8), 0.8, False),  # as much as the leader does
+        (2, (4, 1.0), 0.0, True),  # two that could not be told apart
+    ],
+)
+def test_another_round_follows_what_refits_have_shown(number, other, own_joint, expected):
+    """Whatever the screen foresees: where something is undecided, or where a refit beats the leader elsewhere."""
+    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:3]
+    diagnosis = Diagnosis(load_model("paper"), split_logs(planned_suite(load_model("paper"), runs)))
+    engine = cast(WindowResiduals, diagnosis.engine)
+    base = base_coordinates(load_model("paper"), engine.joints, fixed_base=True)
+    shape = (len(engine.windows), engine.ticks + 1, len(engine.joints), len(engine.channels))
+    rng = np.random.default_rng(0)
+    noise = rng.normal(size=shape)
+
+    def fit(share: float, joint: int) -> Fit:
+        residual = noise.copy()
+        residual[:, :, joint] *= np.sqrt(share)
+        return Fit(base, base.start, 1.0, residual.reshape(len(residual), -1))
+
+    every = hypotheses(load_model("paper"), engine.joints, fixed_base=True)
+    faults = {h.joints: h for h in every if h.effect.name == "asymmetric_friction" and h.joints is not None}
+    leader = candidate("cogging")
+    joint, share = other
+    engine.prepare(load_model("paper"))
+    diagnosis.refitted = [
+        cast(Any, SimpleNamespace(fit=fit(own_joint or 1.0, joint), contender=leader.contender, hypothesis=faults[0,])),
+        cast(
+            Any,
+            SimpleNamespace(
+                fit=fit(share, joint),
+                contender=replace(leader.contender, joints=(joint,)),
+                hypothesis=faults[joint,],
+            ),
+        ),
+    ]
+    assert diagnosis._worth_another([leader] * number) is expected
 
 
 @pytest.mark.parametrize(
