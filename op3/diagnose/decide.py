@@ -55,6 +55,11 @@ the whole has not become worse: the other joints' residuals, which it leaves as 
 friction that explained 0.03 of all explained 0.19 of its joint's (t 3.9, score of the ranks 5.5), a friction that
 depends on the angle 0.19 (2.3, 4.5). On five empty legs the leaders explained at most 0.01 in both (score 2.6)."""
 
+FURTHER_Z = 2.5
+"""Score of the ranks that a further effect must reach in any case, if it explains `SMALLEST_GAIN`; of one that explains
+less `SMALLEST_Z` is asked. Behind the one effect that was hidden in 17 legs, what explained that much had t of 1.7 at
+most."""
+
 OCCASIONAL = ("packet_drop",)
 """Effects that act in few seconds, each of which tells by itself: behind others too they need not reach a score of the
 ranks. Lost packets beside a lag of the current loop explained 0.28 of what that left with a t of 3.4, the ranks 1.7."""
@@ -79,9 +84,10 @@ STANDING = 1.8
 one effect was hidden the leader left up to 1.5 times, impacts aside; beside a cable's spring that was hidden too, 2.0
 to 3."""
 
-BESIDE_GAIN, BESIDE_Z = 0.1, 2.5
+BESIDE_GAIN, BESIDE_SHARED_GAIN, BESIDE_Z = 0.1, 0.03, 2.5
 """Share of a joint's residual under the leader by which another effect there has to be better, in fitted and choosing
-runs, and the score of the ranks, for a further round."""
+runs, for a further round; the same of an effect of all joints in those that the leader does not act in; and the score
+of the ranks. Where one effect was hidden in a joint, none of all joints was better in the others at all."""
 
 ALONG_THE_LIMB = "gravity_phase"
 """Alias class of effects that act in the other joints of a limb as well: they are confused from joint to joint."""
@@ -317,13 +323,15 @@ def leaves_a_joint(leader: Contender) -> bool:
     return leader.effect not in CONTACTS or leader.joints != (int(left.argmax()),)
 
 
-def better_at_home(other: Own) -> bool:
-    """Whether a fault explains more of its joint than what was found does.
+def better_beside(one: Own, alone: bool = True) -> bool:
+    """Whether an effect explains more of some joints than what was found does.
 
     Args:
-        other: of that fault, where the control is what was found.
+        one: what it explains there, where the control is what was found.
+        alone: whether it is a fault of one joint.
     """
-    return min(other.gain, other.fit_gain) >= BESIDE_GAIN and signed_ranks(other.gained) >= BESIDE_Z
+    least = BESIDE_GAIN if alone else BESIDE_SHARED_GAIN
+    return min(one.gain, one.fit_gain) >= least and signed_ranks(one.gained) >= BESIDE_Z
 
 
 def _nothing(said: str, shares: np.ndarray, left: np.ndarray | None, begun: Sequence[int] = ()) -> Decision:
@@ -511,7 +519,8 @@ def _counts(contender: Contender, control: np.ndarray, found: Sequence[Contender
     score = signed_ranks(control - contender.losses)
     explained, least = contender.explained, min(contender.gain, contender.fit_gain)
     further = bool(found)
-    seldom = further and score < SMALLEST_Z and contender.effect not in OCCASIONAL
+    ranks = FURTHER_Z if explained >= SMALLEST_GAIN else SMALLEST_Z
+    seldom = further and score < ranks and contender.effect not in OCCASIONAL
     if abs(contender.size) < SMALLEST_SIZE * contender.smallest or seldom:
         return False
     if _left_over(contender, found):

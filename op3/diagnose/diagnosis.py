@@ -23,7 +23,7 @@ from op3.diagnose.decide import (
     Contender,
     Decision,
     Own,
-    better_at_home,
+    better_beside,
     decide,
     large_gap,
     leaves_a_joint,
@@ -263,10 +263,7 @@ class Diagnosis:
         (fit,) = (r.fit for r in self.refitted if r.contender is leader)
         if large_gap(leader.left) or leaves_a_joint(leader):
             return True  # whatever a screen around the first base foresees
-        others = [r for r in self.refitted if r.contender.joints != leader.joints]
-        if any(
-            own is not None and better_at_home(own) for own in (self._own(r.hypothesis, r.fit, fit) for r in others)
-        ):
+        if any(self._beats(other, leader, fit) for other in self.refitted):
             return True
         fitted = self.engine.is_fit
         if worth_a_round(self.screened, fit.residual[fitted], self.engine.blocks[fitted]):
@@ -574,11 +571,23 @@ class Diagnosis:
         """What a fault of one joint explains there; None for free runs, whose blocks are few."""
         if hypothesis.joints is None or len(hypothesis.joints) != 1 or not isinstance(self.engine, WindowResiduals):
             return None
-        (joint,) = hypothesis.joints
-        before, after = (self.engine.squares_by_joint(one.residual)[:, joint] for one in (control, fit))
+        return self._explained_in(hypothesis.joints, fit, control)
+
+    def _explained_in(self, joints: Sequence[int], fit: Fit, control: Fit) -> Own:
+        """What a fit explains in some joints."""
+        assert isinstance(self.engine, WindowResiduals)
+        before, after = (self.engine.squares_by_joint(one.residual)[:, joints].sum(1) for one in (control, fit))
         fitted = self.engine.is_fit
         gains = [1.0 - after[at].sum() / max(before[at].sum(), 1e-12) for at in (~fitted, fitted)]
         return Own(float(gains[0]), float(gains[1]), self._by_block(before), self._by_block(before - after))
+
+    def _beats(self, other: Refitted, leader: Contender, fit: Fit) -> bool:
+        """Whether another refit explains more than the leader's: of its own joint, or of those it leaves alone."""
+        own, home = other.hypothesis.joints, leader.joints or ()
+        joints = [j for j in range(len(self.engine.joints)) if j not in home] if own is None and home else own
+        if not joints or own == leader.joints or (own is not None and len(own) > 1):
+            return False
+        return better_beside(self._explained_in(joints, other.fit, fit), alone=own is not None)
 
     def finding_of(self, refitted: Refitted, base: Fit, confidence: float) -> Finding:
         """What a refit has found, with its interval."""

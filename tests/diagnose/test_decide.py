@@ -9,10 +9,12 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from op3.diagnose.decide import (
+    FURTHER_Z,
+    SMALLEST_T,
     SMALLEST_Z,
     Contender,
     Own,
-    better_at_home,
+    better_beside,
     decide,
     difference_interval,
     evidence,
@@ -306,6 +308,17 @@ def test_a_further_effect_may_be_smaller(control, rng):
     assert decide([few], control, rng, found=earlier).verdict == "nothing_missing"
 
 
+@pytest.mark.parametrize(("gained", "verdict"), [(0.2, "named"), (0.13, "nothing_missing")])
+def test_a_further_effect_that_explains_enough_needs_less_of_the_ranks(control, rng, gained, verdict):
+    """Of sixty seconds 28 gain: the ranks say 2.8 and t more than 3, of 7.7 % of the residual and of 4.5 %."""
+    gains = np.where(np.arange(BLOCKS) % 15 < 7, gained, -0.03) + 1e-4 * rng.normal(size=BLOCKS)
+    explained = float(gains.mean())
+    further = dataclasses.replace(contender("coulomb@1", explained), gain=explained, losses=control - gains)
+    assert FURTHER_Z < signed_ranks(gains) < SMALLEST_Z
+    assert evidence(further, control)[0] > SMALLEST_T
+    assert decide([further], control, rng, found=[contender("dte", 0.3)]).verdict == verdict
+
+
 @pytest.mark.parametrize(("name", "verdict"), [("packet_drop", "named"), ("latency", "nothing_missing")])
 def test_what_acts_in_few_seconds_may_be_a_further_effect(control, rng, name, verdict):
     """Of sixty seconds fourteen have gained much and the others lost a little: ranks tell little, and need not."""
@@ -383,7 +396,10 @@ def test_a_fault_has_to_beat_the_leader_in_its_joint(gain, fit_gain, seconds, be
     """In fitted and choosing runs, and in more than a few seconds."""
     gained = np.full(BLOCKS, -0.01)
     gained[:seconds] = 1.0
-    assert better_at_home(Own(gain, fit_gain, np.full(BLOCKS, 5.0), gained)) is better
+    one = Own(gain, fit_gain, np.full(BLOCKS, 5.0), gained)
+    assert better_beside(one) is better
+    # of what all joints share less will do, in as many seconds
+    assert better_beside(one, alone=False) is (seconds == BLOCKS)
 
 
 def test_a_size_beyond_what_is_plausible_is_not_named(control, rng):
