@@ -14,6 +14,11 @@ DOUBLY_CHECKED = 0.08
 friction explained 0.05 of windows, and free runs were worse with it; a true zero error of an encoder that they did not
 bear either explained 0.09."""
 
+OWN_CHECKED = 0.25
+"""What explains less of its own joint than this, and of all joints less than `SMALLEST_GAIN`, counts only if free runs
+of that joint do not speak against it either. With twenty joints one may look faulty by chance: an elbow of an empty
+robot had 0.15."""
+
 SMALLEST_T = 3.0
 """Gain over its standard error, seconds being independent, that an effect must reach. A few odd windows give a large
 gain with a t of 1 to 2; empty development legs reached 2.9 at a gain of 0.04."""
@@ -321,6 +326,12 @@ def leaves_a_joint(leader: Contender) -> bool:
     if not left.size or left.max() <= STANDING * float(np.median(left)):
         return False
     return leader.effect not in CONTACTS or leader.joints != (int(left.argmax()),)
+
+
+def shown_by_windows(one: Contender) -> float:
+    """The larger of the shares of all joints' residual and of its own joint's that speak for a name by themselves."""
+    own = 0.0 if one.own is None else one.own.gain
+    return max(one.explained, own if own >= OWN_CHECKED or one.explained >= SMALLEST_GAIN else 0.0)
 
 
 def better_beside(one: Own, alone: bool = True) -> bool:

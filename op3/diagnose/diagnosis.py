@@ -28,6 +28,7 @@ from op3.diagnose.decide import (
     large_gap,
     leaves_a_joint,
     local_ceiling,
+    shown_by_windows,
     shows_at_home,
     unresolved,
 )
@@ -352,7 +353,7 @@ class Diagnosis:
     def _doubly_checked(self, verdict: Verdict) -> Verdict:
         """The verdict, or that nothing is missing where windows show little of it and free runs speak against it."""
         leaders = [candidates[0].contender for candidates in self._candidates]
-        gains = [max(one.explained, one.own.gain if one.own else 0.0) for one in leaders]
+        gains = [shown_by_windows(one) for one in leaders]
         large = any(large_gap(one.left) for one in leaders)
         if not verdict.vetoed or not verdict.effects or max(gains, default=1.0) >= DOUBLY_CHECKED or large:
             return verdict

@@ -239,7 +239,9 @@ def test_another_round_follows_what_refits_have_shown(number, other, own_joint, 
         (0.05, 0.05, False, "named"),
         (0.12, 0.12, True, "named"),
         # a fault of one joint, whose share of all residuals is small
-        (0.03, 0.19, True, "named"),
+        (0.03, 0.30, True, "named"),
+        (0.03, 0.19, True, "nothing_missing"),
+        (0.06, 0.19, True, "named"),
     ],
 )
 def test_small_effects_need_free_runs_that_agree(monkeypatch, gain, at_home, vetoed, expected):
@@ -248,7 +250,7 @@ def test_small_effects_need_free_runs_that_agree(monkeypatch, gain, at_home, vet
     diagnosis = Diagnosis(load_model("paper"), split_logs(planned_suite(load_model("paper"), runs)))
     one = candidate("cogging")
     own = Own(at_home, at_home, np.ones(8), np.zeros(8))
-    diagnosis._candidates = [[replace(one, contender=replace(one.contender, gain=gain, own=own))]]
+    diagnosis._candidates = [[replace(one, contender=replace(one.contender, gain=gain, fit_gain=gain, own=own))]]
     shown: list[Verdict] = []
     monkeypatch.setattr(diagnosis, "_shown", lambda verdict: shown.append(verdict) or verdict)
     paper = load_model("paper")
