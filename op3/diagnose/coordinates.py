@@ -38,7 +38,8 @@ SPREAD_LIMIT = 2.0
 
 
 NEAR = 0.1
-"""Relative difference from the median up to which joints are taken to have one value and a spread."""
+"""Relative difference from the median up to which joints are taken to have one value and a spread; as far as the spread
+goes in any case."""
 
 OUTLIER = 1.5
 """Standard deviations from the median of all joints beyond which a joint's own fault is looked into."""
@@ -289,7 +290,8 @@ def _alike(model: RobotModel, known: Parameter, joints: Sequence[str]) -> list[t
     if len(own) == 1 or np.ptp(own) < 1e-12:
         return [(None, float(own[0]))]
     middle = float(np.median(own))
-    near = np.abs(own - middle) <= NEAR * abs(middle) + 1e-12
+    spread = SPREAD_LIMIT * SPREAD.get(known.name, 0.0)  # all others may be at its other end
+    near = np.abs(own - middle) <= max(NEAR, 2.0 * spread / (1.0 - spread)) * abs(middle) + 1e-12
     groups = [] if middle == known.neutral else [(tuple(np.flatnonzero(near).tolist()), float(own[near].mean()))]
     return [*groups, *(((int(j),), float(own[j])) for j in np.flatnonzero(~near))]
 

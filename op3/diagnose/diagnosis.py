@@ -64,7 +64,7 @@ from op3.diagnose.ripple import with_ripples
 from op3.diagnose.screen import Screened, screen
 from op3.diagnose.settle import Candidate, settle
 from op3.diagnose.setups import setup_hypotheses
-from op3.diagnose.shortlist import EXCHANGED, confusable, credit, shortlist, stands_alone, worth_a_round
+from op3.diagnose.shortlist import EXCHANGED, confusable, credit, promising, shortlist, stands_alone, worth_a_round
 from op3.diagnose.show import show
 from op3.diagnose.soften import softened
 from op3.diagnose.split import LogSplit
@@ -234,11 +234,15 @@ class Diagnosis:
         if any(caution.void for caution in self.cautions):
             return self._void()
         model, verdicts, self._candidates = self.given, [], []
+        signs = True
         for number in range(rounds):
-            verdict = self._round(model, first=number == 0)
-            verdicts.append(verdict)
-            if len(self._candidates) == number or not self._worth_another(self._candidates[-1]):
+            verdict = self._round(model, first=number == 0, surely=signs)
+            if verdict is None:
                 break
+            verdicts.append(verdict)
+            if len(self._candidates) == number:
+                break
+            signs = self._signs_of_more(self._candidates[-1])
             # of an ambiguous or unknown verdict with the best: the next round may find the other
             model = self._candidates[-1][0].model
         while self._candidates and verdicts[len(self._candidates) - 1].verdict == "unknown":
@@ -256,8 +260,8 @@ class Diagnosis:
         verdict = replace(verdict, reason=verdict.reason + beside)
         return verdict if unknown else self._doubly_checked(verdict)
 
-    def _worth_another(self, found: Sequence[Candidate]) -> bool:
-        """Whether to look for something beside what was found last."""
+    def _signs_of_more(self, found: Sequence[Candidate]) -> bool:
+        """Whether what was found last leaves signs of something beside it; without them a screen has to show one."""
         if not isinstance(self.engine, WindowResiduals) or len(found) > 1:
             return True  # of two that could not be told apart the one may show beside the other
         leader = found[0].contender
@@ -362,7 +366,8 @@ class Diagnosis:
         sound = replace(verdict, verdict="nothing_missing", effects=(), reason=reason, separate_by="", vetoed=False)
         return self._shown(replace(sound, model=verdict.base))
 
-    def _round(self, model: RobotModel, first: bool) -> Verdict:
+    def _round(self, model: RobotModel, first: bool, surely: bool) -> Verdict | None:
+        """One round; none unless its screen is promising or it is to be carried through surely."""
         rng = np.random.default_rng([self.seed, 11])
         self.base = base = self.refit_base(model, fitted=not first)
         if first and isinstance(self.engine, WindowResiduals) and PacketDrop.name in model.effect_names:
@@ -371,6 +376,8 @@ class Diagnosis:
                 self.engine.packets = found.packets
                 self.base = base = self.refit_base(with_point(base.coordinates, base.point), fitted=True)
         self.screened = self.screen(base)
+        if not surely and not promising(self.screened):
+            return None
         controls, self.refitted = self._refit(base)
         elsewhere = self._better_base(base, controls)
         if elsewhere is not None:

@@ -189,6 +189,17 @@ def test_what_takes_the_place_of_a_look_alike_is_no_surer(monkeypatch, rivals, c
     assert told.superfluous == ("cogging",)
 
 
+@pytest.mark.parametrize(("surely", "ends"), [(False, True), (True, False)])
+def test_a_round_without_signs_ends_with_its_screen(monkeypatch, surely, ends):
+    """Nothing that is foreseen, nothing that is refitted; other signs carry a round through."""
+    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
+    diagnosis = Diagnosis(load_model("paper"), split_logs(planned_suite(load_model("paper"), runs)))
+    monkeypatch.setattr(diagnosis, "screen", lambda base: [])
+    monkeypatch.setattr(diagnosis, "refit_base", lambda model, fitted: diagnosis.linearised())
+    verdict = diagnosis._round(load_model("paper"), first=False, surely=surely)
+    assert (verdict is None) is ends
+
+
 @pytest.mark.parametrize(
     ("number", "other", "own_joint", "expected"),
     [
@@ -229,7 +240,7 @@ def test_another_round_follows_what_refits_have_shown(number, other, own_joint, 
             ),
         ),
     ]
-    assert diagnosis._worth_another([leader] * number) is expected
+    assert diagnosis._signs_of_more([leader] * number) is expected
 
 
 @pytest.mark.parametrize(

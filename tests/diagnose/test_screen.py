@@ -14,7 +14,7 @@ from op3.diagnose.fitting import Fit, bounded_step, exchanged
 from op3.diagnose.hypotheses import hypotheses
 from op3.diagnose.motion import HALF_WIDTH, VELOCITY_LAG, kernels
 from op3.diagnose.screen import Projector, Screened, _score
-from op3.diagnose.shortlist import confusable, shortlist, stands_alone, worth_a_round
+from op3.diagnose.shortlist import confusable, promising, shortlist, stands_alone, worth_a_round
 from op3.diagnose.verdict import Finding
 from op3.servo import Estimate, ServoLaw, catalogue, effect_class
 from op3.sim import load_model
@@ -128,6 +128,38 @@ def test_joint_that_stands_out_of_the_spread_is_suspected():
     ((effect, joint, apart),) = coordinates.suspects(point)
     assert (effect, joint) == ("coulomb", 2)
     assert apart == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize(("name", "share"), [("coulomb_friction", 0.06), ("torque_constant", 0.04)])
+def test_a_spread_at_its_bounds_is_still_a_spread(name, share):
+    """A fault that was not named yet pulls its joint to one end and the others to the other."""
+    joints = ("a", "b", "c", "d")
+    usual = load_model("paper").value(name)
+    own = {joint: usual * (1.0 + (share if joint == "c" else -share)) for joint in joints}
+    model = load_model("paper").with_values({name: Estimate(usual, joints=own)})
+    entries = base_coordinates(model, joints, fixed_base=True).entries
+    assert [e.joints for e in entries if e.parameter == name and e.kind == "value"] == [(0, 1, 2, 3)]
+
+
+@pytest.mark.parametrize(
+    ("name", "gain", "fit_gain", "worth"),
+    [
+        ("cogging", 0.09, 0.07, True),
+        ("cogging", 0.03, 0.03, False),
+        ("cogging", 0.12, 0.02, False),
+        ("velocity_filter", 0.08, 0.08, False),  # which the base has
+        ("velocity_filter", 0.15, 0.15, True),
+    ],
+)
+def test_refits_follow_a_promising_screen(name, gain, fit_gain, worth):
+    """In fitted and in choosing runs, and more of what the base has already."""
+    joints = None if name == "velocity_filter" else (1,)
+    every = hypotheses(load_model("paper"), ("a", "b"), fixed_base=True)
+    (hypothesis,) = (h for h in every if h.effect.name == name and h.joints == joints)
+    one = Screened(hypothesis, 0, 1.0, gain, fit_gain, 9.0, 1.0, 1.0, np.zeros(1))
+    assert promising([one]) is worth
+    assert not promising([dataclasses.replace(one, visibility=0.01)])
+    assert not promising([])
 
 
 def test_named_fault_of_one_joint_stays_in_its_joint():
