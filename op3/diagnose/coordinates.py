@@ -225,7 +225,9 @@ class Coordinates:
         return Coordinates(model, self.joints, (*self.entries, *more))
 
 
-def base_coordinates(model: RobotModel, joints: Sequence[str], *, fixed_base: bool) -> Coordinates:
+def base_coordinates(
+    model: RobotModel, joints: Sequence[str], *, fixed_base: bool, named: Sequence[tuple[str, int]] = ()
+) -> Coordinates:
     """What is refitted before and beside every hypothesis: the model's own parameters, and the spread of its servos.
 
     A forward efficiency of a current-driven servo is left out: it cannot be told from the torque constant. So are
@@ -235,6 +237,7 @@ def base_coordinates(model: RobotModel, joints: Sequence[str], *, fixed_base: bo
         model: whose parameters.
         joints: joint names.
         fixed_base: whether the base is held.
+        named: parameters and joints in which a fault has been named: these keep a value of their own.
     """
     entries: list[Coordinate] = []
     drive = next((getattr(e, "drive", "current") for e in model.effects if e.name == "motor"), "current")
@@ -250,7 +253,7 @@ def base_coordinates(model: RobotModel, joints: Sequence[str], *, fixed_base: bo
                 continue
             low, high = _range(known, model.value(known.name))
             span = high - low
-            for columns, start in _alike(model, known, joints):
+            for columns, start in _alike(model, known, joints, {joint for name, joint in named if name == known.name}):
                 ends = (low, high, *_range(known, start))
                 entries.append(
                     Coordinate(known.name, columns, min(ends), max(ends), start, start, max(ends) - min(ends))
@@ -281,7 +284,9 @@ def _range(known: Parameter, value: float) -> tuple[float, float]:
     return max(known.least, min(ends)), min(known.most, max(ends))
 
 
-def _alike(model: RobotModel, known: Parameter, joints: Sequence[str]) -> list[tuple[tuple[int, ...] | None, float]]:
+def _alike(
+    model: RobotModel, known: Parameter, joints: Sequence[str], named: set[int]
+) -> list[tuple[tuple[int, ...] | None, float]]:
     """Joints that share a value, and the value: all; or those near the median, and each of the others by itself.
 
     Joints in which an effect is off stay so.
@@ -292,6 +297,7 @@ def _alike(model: RobotModel, known: Parameter, joints: Sequence[str]) -> list[t
     middle = float(np.median(own))
     spread = SPREAD_LIMIT * SPREAD.get(known.name, 0.0)  # all others may be at its other end
     near = np.abs(own - middle) <= max(NEAR, 2.0 * spread / (1.0 - spread)) * abs(middle) + 1e-12
+    near[sorted(named)] = False
     groups = [] if middle == known.neutral else [(tuple(np.flatnonzero(near).tolist()), float(own[near].mean()))]
     return [*groups, *(((int(j),), float(own[j])) for j in np.flatnonzero(~near))]
 

@@ -89,6 +89,9 @@ OUTSTANDING = 2.5
 """How many times the median of all joints that is: model errors are shared by joints of one make. Empty development
 legs gave up to 1.7, strong outsiders 4 and more."""
 
+ROOM = 2.0
+"""Residual velocity, in standard deviations of a reading, up to which a joint leaves no room for a further effect."""
+
 STANDING = 1.8
 """How many times the median of all joints the residual velocity of one is that leaves room for a further effect. Where
 one effect was hidden the leader left up to 1.5 times, impacts aside; beside a cable's spring that was hidden too, 2.0
@@ -325,12 +328,16 @@ def large_gap(left: np.ndarray | None) -> float:
     return usual if usual > LARGE_GAP else 0.0
 
 
-def leaves_a_joint(leader: Contender) -> bool:
-    """Whether what was found leaves more in one joint than in others; impacts in their own joint do."""
-    left = leader.left
-    if not left.size or left.max() <= STANDING * float(np.median(left)):
+def leaves_a_joint(leaders: Sequence[Contender]) -> bool:
+    """Whether what was found leaves more in one joint than in others; impacts in their own joint do.
+
+    Args:
+        leaders: of every round; what the last leaves counts.
+    """
+    left = leaders[-1].left
+    if not left.size or left.max() <= max(ROOM, STANDING * float(np.median(left))):
         return False
-    return leader.effect not in CONTACTS or leader.joints != (int(left.argmax()),)
+    return not any(one.effect in CONTACTS and one.joints == (int(left.argmax()),) for one in leaders)
 
 
 def shown_by_windows(one: Contender) -> float:
@@ -493,9 +500,14 @@ def _within_bounds(contenders: Sequence[Contender], counting: list[int], control
 
 
 def _left_over(contender: Contender, found: Sequence[Contender]) -> bool:
-    """Whether a further effect is no more than what the law of an earlier one may have left; that is no large gap."""
-    if found and large_gap(found[-1].left):
-        return False
+    """Whether a further effect is no more than what the law of an earlier one may have left.
+
+    That is no large gap; what takes half of its squares away is more.
+    """
+    if found and large_gap(found[-1].left) and contender.left.size:
+        before, after = (float(np.median(np.square(one.left))) for one in (found[-1], contender))
+        if after < 0.5 * before:
+            return False
     share, explained = 1.0, []  # of what the first round had to explain
     for one in found:
         explained.append(share * one.explained)
@@ -537,7 +549,8 @@ def _counts(contender: Contender, control: np.ndarray, found: Sequence[Contender
     explained, least = contender.explained, min(contender.gain, contender.fit_gain)
     further = bool(found)
     ranks = FURTHER_Z if explained >= SMALLEST_GAIN else SMALLEST_Z
-    seldom = further and score < ranks and contender.effect not in OCCASIONAL
+    occasional = contender.effect in OCCASIONAL and explained >= SMALLEST_GAIN
+    seldom = further and score < ranks and not occasional
     if abs(contender.size) < SMALLEST_SIZE * contender.smallest or seldom:
         return False
     if _left_over(contender, found):

@@ -34,6 +34,7 @@ from op3.diagnose.decide import (
 )
 from op3.diagnose.findings import Refitted, apart, finding_of, size_at, smallest, with_finding
 from op3.diagnose.fitting import (
+    COARSE,
     LEAST_GAIN,
     ROUNDS,
     SHARES,
@@ -172,7 +173,9 @@ class Diagnosis:
 
     def _coordinates(self, model: RobotModel) -> Coordinates:
         """What a base refits; on its feet, where a simulation is dear, only what all joints share."""
-        coordinates = base_coordinates(model, self.engine.joints, fixed_base=self.fixed_base)
+        findings = [candidates[0].finding for candidates in self._candidates]
+        named = [(one.parameter, self.engine.joints.index(one.joints[0])) for one in findings if not one.shared]
+        coordinates = base_coordinates(model, self.engine.joints, fixed_base=self.fixed_base, named=named)
         if self.fixed_base:
             return coordinates
         return replace(coordinates, entries=tuple(e for e in coordinates.entries if len(e.joints or (0, 0)) > 1))
@@ -240,7 +243,7 @@ class Diagnosis:
             if verdict is None:
                 break
             verdicts.append(verdict)
-            if len(self._candidates) == number:
+            if len(self._candidates) == number or number + 1 == rounds:
                 break
             signs = self._signs_of_more(self._candidates[-1])
             # of an ambiguous or unknown verdict with the best: the next round may find the other
@@ -258,7 +261,7 @@ class Diagnosis:
             first = self._shown(verdicts[0])  # it may be better alone
             verdict = verdict if first.vetoed else first
         verdict = replace(verdict, reason=verdict.reason + beside)
-        return verdict if unknown else self._doubly_checked(verdict)
+        return self._doubly_checked(verdict)
 
     def _signs_of_more(self, found: Sequence[Candidate]) -> bool:
         """Whether what was found last leaves signs of something beside it; without them a screen has to show one."""
@@ -266,7 +269,7 @@ class Diagnosis:
             return True  # of two that could not be told apart the one may show beside the other
         leader = found[0].contender
         (fit,) = (r.fit for r in self.refitted if r.contender is leader)
-        if large_gap(leader.left) or leaves_a_joint(leader):
+        if large_gap(leader.left) or leaves_a_joint([one[0].contender for one in self._candidates]):
             return True  # whatever a screen around the first base foresees
         if any(self._beats(other, leader, fit) for other in self.refitted):
             return True
@@ -279,10 +282,12 @@ class Diagnosis:
         """Whether packets seem lost beside a leader: the base may have been too wrong to tell."""
         assert isinstance(self.engine, WindowResiduals)
         assert self.base is not None
-        assert self.base.coarse_error is not None
-        stiff = leader.coordinates.model.stiff and not self.base.coordinates.model.stiff
-        error = np.zeros_like(self.base.coarse_error) if stiff else self.base.coarse_error
-        return lost_packets(self.engine, replace(leader, coarse_error=error)) is not None
+        self.engine.prepare(with_point(leader.coordinates, leader.point))  # which knows what is usual far better
+        model, values = leader.coordinates.model, leader.parameters
+        fine, coarse = (self.engine.residuals(model, values, stretch=stretch)[0] for stretch in (1, COARSE))
+        found = lost_packets(self.engine, replace(leader, coarse_error=coarse - fine))
+        self.engine.prepare(with_point(self.base.coordinates, self.base.point))
+        return found is not None
 
     def _void(self) -> Verdict:
         """Logs that contradict themselves: nothing is fitted to them, and nothing named."""
@@ -334,7 +339,8 @@ class Diagnosis:
         until one is not vetoed.
         """
         base, model, share = without_losses(verdict.base), without_losses(verdict.model), 1.0
-        faulty = [effect.joints[0] for effect in verdict.effects if len(effect.joints) == 1]
+        alone = [e for e in verdict.effects if len(e.joints) == 1 and not e.shared and not e.instead_of]
+        faulty = [effect.joints[0] for effect in alone]
         shown = show(base, model, self.split, lambda share: self._report("show", share), faulty=faulty)
         # of packets that were counted tick by tick a free run tells nothing
         free = any(effect.name != PacketDrop.name and not effect.instead_of for effect in verdict.effects)

@@ -369,11 +369,13 @@ def test_what_a_law_leaves_is_no_further_effect(control, rng):
     assert decide(limb[:1], control, rng, found=limb[1:]).verdict == "nothing_missing"
 
 
-@pytest.mark.parametrize(("left", "verdict"), [(6.0, "named"), (3.0, "nothing_missing")])
-def test_a_large_gap_is_more_than_a_law_leaves(control, rng, left, verdict):
-    """Behind a latency that leaves six times the noise in all joints, a lag that may be taken for it counts."""
+@pytest.mark.parametrize(
+    ("left", "after", "verdict"), [(6.0, 3.9, "named"), (6.0, 5.9, "nothing_missing"), (3.0, 1.0, "nothing_missing")]
+)
+def test_a_large_gap_is_more_than_a_law_leaves(control, rng, left, after, verdict):
+    """Behind a latency that leaves six times the noise in all joints, a lag that closes much of that counts."""
     earlier = dataclasses.replace(contender("latency", 0.96), left=np.full(6, left))
-    lag = dataclasses.replace(contender("current_lag", 0.66), confounders=("latency",))
+    lag = dataclasses.replace(contender("current_lag", 0.66), confounders=("latency",), left=np.full(6, after))
     assert decide([lag], control, rng, found=[earlier]).verdict == verdict
 
 
@@ -384,8 +386,11 @@ def test_a_large_gap_is_more_than_a_law_leaves(control, rng, left, verdict):
 def test_a_joint_that_stands_out_leaves_room(name, most, room):
     """What is left in one joint is another effect's, but impacts in the joint itself leave much."""
     left = np.array([1.0, 0.9, 1.1, most, 1.2, 1.0])
-    assert leaves_a_joint(dataclasses.replace(contender(name, 0.5), left=left)) is room
-    assert not leaves_a_joint(contender(name, 0.5))  # of free runs nothing is known
+    leader = dataclasses.replace(contender(name, 0.5), left=left)
+    assert leaves_a_joint([leader]) is room
+    assert leaves_a_joint([leader, dataclasses.replace(contender("latency", 0.5), left=left)]) is room
+    assert not leaves_a_joint([dataclasses.replace(leader, left=0.5 * left)]) or most > 4
+    assert not leaves_a_joint([contender(name, 0.5)])  # of free runs nothing is known
 
 
 @pytest.mark.parametrize(

@@ -209,7 +209,7 @@ def test_a_round_without_signs_ends_with_its_screen(monkeypatch, surely, ends):
         (2, (4, 1.0), 0.0, True),  # two that could not be told apart
     ],
 )
-def test_another_round_follows_what_refits_have_shown(number, other, own_joint, expected):
+def test_another_round_follows_what_refits_have_shown(monkeypatch, number, other, own_joint, expected):
     """Whatever the screen foresees: where something is undecided, or where a refit beats the leader elsewhere."""
     runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:3]
     diagnosis = Diagnosis(load_model("paper"), split_logs(planned_suite(load_model("paper"), runs)))
@@ -240,7 +240,40 @@ def test_another_round_follows_what_refits_have_shown(number, other, own_joint, 
             ),
         ),
     ]
+    diagnosis._candidates = [[leader] * number]
     assert diagnosis._signs_of_more([leader] * number) is expected
+    # whatever refits say: a joint that stands out, and losses that show beside the leader alone
+    if not expected:
+        diagnosis._lossless = True
+        monkeypatch.setattr(diagnosis, "loses_after_all", lambda fit: fit is diagnosis.refitted[0].fit)
+        assert diagnosis._signs_of_more([leader])
+        diagnosis._lossless = False
+        apart = replace(leader.contender, left=np.array([1.0, 1.0, 1.0, 1.0, 1.0, 3.0]))
+        diagnosis._candidates = [[replace(leader, contender=apart)]]
+        diagnosis.refitted = [cast(Any, SimpleNamespace(**{**vars(diagnosis.refitted[0]), "contender": apart}))]
+        assert diagnosis._signs_of_more(diagnosis._candidates[0])
+
+
+def test_an_effect_of_all_joints_asks_for_a_round_where_the_leader_does_not_act():
+    """A lag that explains a tenth of the other joints beside a spring of one; not what it explains of that one."""
+    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:3]
+    diagnosis = Diagnosis(load_model("paper"), split_logs(planned_suite(load_model("paper"), runs)))
+    engine = cast(WindowResiduals, diagnosis.engine)
+    engine.prepare(load_model("paper"))
+    base = base_coordinates(load_model("paper"), engine.joints, fixed_base=True)
+    shape = (len(engine.windows), engine.ticks + 1, len(engine.joints), len(engine.channels))
+    noise = np.random.default_rng(0).normal(size=shape)
+    every = hypotheses(load_model("paper"), engine.joints, fixed_base=True)
+    lag = next(h for h in every if h.effect.name == "current_lag" and h.joints is None)
+    leader = replace(candidate("cogging").contender, joints=(2,))
+    for joints, expected in (([0, 1, 3, 4, 5], True), ([2], False)):
+        residual = noise.copy()
+        residual[:, :, joints] *= np.sqrt(0.9)
+        other = Fit(base, base.start, 1.0, residual.reshape(len(residual), -1))
+        unmoved = Fit(base, base.start, 1.0, noise.reshape(len(noise), -1))
+        refitted = cast(Any, SimpleNamespace(fit=other, hypothesis=lag))
+        assert diagnosis._beats(refitted, leader, unmoved) is expected
+        assert not diagnosis._beats(refitted, replace(leader, joints=None), unmoved)
 
 
 @pytest.mark.parametrize(
@@ -341,8 +374,10 @@ def test_free_runs_have_no_say_in_packets_that_were_counted(monkeypatch):
     runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
     diagnosis = Diagnosis(load_model("paper"), split_logs(planned_suite(load_model("paper"), runs)))
     asked: list[float | None] = []
+    joints: list[list[str]] = []
 
     def show(base, model, split, progress=None, known=None, faulty=()):
+        joints.append(list(faulty))
         asked.append(model.value("drop_probability") if "packet_drop" in model.effect_names else None)
         return {"gap": {}, "loss": {}, "vetoed": True, "before": None}
 
@@ -363,3 +398,5 @@ def test_free_runs_have_no_say_in_packets_that_were_counted(monkeypatch):
     assert both.model.value("drop_probability") == 0.02
     assert "cogging" not in both.model.effect_names
     assert asked == [0.0, 0.0, 0.0]
+    # the joints of single joints' effects that the model has, not those of their rivals
+    assert joints == [["a"], ["a"], ["a", "a"]]

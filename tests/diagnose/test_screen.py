@@ -139,6 +139,9 @@ def test_a_spread_at_its_bounds_is_still_a_spread(name, share):
     model = load_model("paper").with_values({name: Estimate(usual, joints=own)})
     entries = base_coordinates(model, joints, fixed_base=True).entries
     assert [e.joints for e in entries if e.parameter == name and e.kind == "value"] == [(0, 1, 2, 3)]
+    # once it was named it is the joint's own
+    entries = base_coordinates(model, joints, fixed_base=True, named=[(name, 2)]).entries
+    assert [e.joints for e in entries if e.parameter == name and e.kind == "value"] == [(0, 1, 3), (2,)]
 
 
 @pytest.mark.parametrize(
