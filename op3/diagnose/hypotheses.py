@@ -152,7 +152,9 @@ def _places(base: RobotModel, model: RobotModel, effect: type[Effect], joints: S
     name = effect.name
     secants = tuple(_own(effect, secant) for secant in effect.secants)
     secants = tuple(secant for secant in secants if secant)
-    known = [p.name in CHAIN or p.name in HELD for p in effect.parameters]
+    # of what the base refits in every joint by itself, such as the zeros of current sensors, nothing is left to share
+    by_joint = {p for p, (_, _, own) in CHAIN.items() if own and len(joints) > 1}
+    known = [(p.name in CHAIN and p.name not in by_joint) or p.name in HELD for p in effect.parameters]
     refitted = name in base.effect_names and not any(known)
     refitted |= name in OF_THE_MOTOR and "motor" in base.effect_names
     if {"shared", "robot"} & set(effect.scopes) and not refitted:

@@ -130,6 +130,23 @@ def test_joint_that_stands_out_of_the_spread_is_suspected():
     assert apart == pytest.approx(4.0)
 
 
+def test_zeros_of_current_sensors_are_each_joints_own():
+    """The base gives every joint one, so that one of all alike would only let each go further."""
+    joints = ("a", "b", "c")
+    places = {
+        h.joints
+        for h in hypotheses(with_chain(load_model("paper")), joints, fixed_base=True)
+        if h.effect.name == "current_offset"
+    }
+    assert places == {(0,), (1,), (2,)}
+    (alone,) = (
+        h
+        for h in hypotheses(with_chain(load_model("paper")), ("a",), fixed_base=True)
+        if h.effect.name == "current_offset"
+    )
+    assert alone.joints is None
+
+
 @pytest.mark.parametrize(("name", "share"), [("coulomb_friction", 0.06), ("torque_constant", 0.04)])
 def test_a_spread_at_its_bounds_is_still_a_spread(name, share):
     """A fault that was not named yet pulls its joint to one end and the others to the other."""
