@@ -72,7 +72,8 @@ most."""
 
 OCCASIONAL = ("packet_drop",)
 """Effects that act in few seconds, each of which tells by itself: behind others too they need not reach a score of the
-ranks. Lost packets beside a lag of the current loop explained 0.28 of what that left with a t of 3.4, the ranks 1.7."""
+ranks if they explain `SMALLEST_GAIN`. Lost packets beside a lag of the current loop explained 0.28 of what that left
+with a t of 3.4, the ranks 1.7."""
 
 TRIMMED = 3
 """Seconds with the largest gain that are left out for the next rule."""
@@ -541,7 +542,7 @@ def _counts(contender: Contender, control: np.ndarray, found: Sequence[Contender
     Args:
         contender: which.
         control: losses without it, ``[block]``.
-        found: the leaders of earlier rounds. Behind them the ranks must reach their threshold, but of `OCCASIONAL`.
+        found: the leaders of earlier rounds. Behind them the ranks must reach `FURTHER_Z`, but of `OCCASIONAL`.
         leads: whether it explains most; a further effect that does may explain less than is usual.
     """
     statistic, trimmed = evidence(contender, control)
