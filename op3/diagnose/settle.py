@@ -13,10 +13,20 @@ import numpy as np
 
 from op3.diagnose.backward import left_out, with_findings
 from op3.diagnose.coordinates import FAULTS, Coordinates
-from op3.diagnose.decide import LATER_GAIN, OWN_GAIN, SMALLEST_GAIN, UNDECIDED, Contender, weigh
+from op3.diagnose.decide import (
+    BEATEN,
+    LATER_GAIN,
+    OWN_GAIN,
+    SMALLEST_GAIN,
+    SMALLEST_SIZE,
+    UNDECIDED,
+    Contender,
+    weigh,
+)
 from op3.diagnose.fitting import Engine, fit_base, with_point
 from op3.diagnose.verdict import Finding
 from op3.servo import RobotModel
+from op3.servo.effect import parameter
 
 NEEDED = (0.5 * SMALLEST_GAIN, 0.5 * LATER_GAIN)
 """Share of the residual that must come back without the first effect, and without a further one, for it to be needed:
@@ -96,8 +106,11 @@ def settle(
         squares = _squares(engine, models[0], models)
         losses = squares.sum(2)
         standing, own = [leader, *rivals[k]], losses[[0, *range(2, len(losses))]]
+        vain = [False, *(_vain(given, *pair, engine.joints) for pair in zip(rivals[k], models[2:], strict=True))]
+        own[vain] = BEATEN
         weighed = [replace(one.contender, losses=loss) for one, loss in zip(standing, own, strict=True)]
         best, alike = weigh(weighed, losses[1], rng)
+        alike = [i for i in alike if not vain[i]]
         needed = bool(1.0 - own[best].sum() / losses[1].sum() >= NEEDED[min(k, 1)])
         needed |= _at_home(squares[0 if best == 0 else 1 + best], squares[1], standing[best].contender.joints)
         leaders[k], rivals[k] = (standing[best], [standing[i] for i in alike]) if needed else (None, [])
@@ -116,6 +129,14 @@ def settle(
             effects += [replace(one, instead_of=leader.finding.name) for one in left]
     gone = [candidates[0].finding.name for candidates, leader in zip(rounds, leaders, strict=True) if leader is None]
     return Settled(tuple(effects), final, tuple(gone))
+
+
+def _vain(given: RobotModel, rival: Candidate, model: RobotModel, joints: Sequence[str]) -> bool:
+    """Whether a rival has next to no size where it was refitted: then it is the base that explains beside it."""
+    told = as_in(given, model, rival.finding, joints)
+    if told is rival.finding:
+        return False  # told against others, or as more of what there was
+    return abs(told.size - (parameter(told.parameter).neutral or 0.0)) < SMALLEST_SIZE * rival.contender.smallest
 
 
 def _squares(engine: Engine, reference: RobotModel, models: Sequence[RobotModel]) -> np.ndarray:

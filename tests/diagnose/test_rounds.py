@@ -119,6 +119,8 @@ def candidate(name: str) -> Candidate:
         # what each model leaves in every second: with both, without the first, with the rival in place of the first
         ({"both": 1.0, "without": 2.0, "rival": 1.5}, [("cogging", ""), ("quadratic_drag", "")]),
         ({"both": 1.5, "without": 2.0, "rival": 1.0}, [("cable_spring", ""), ("quadratic_drag", "")]),
+        # the same rival of half the smallest size that matters: it is the base that explains
+        ({"both": 1.5, "without": 2.0, "rival": 1.0, "size": 0.0005}, [("cogging", ""), ("quadratic_drag", "")]),
         ({"both": 1.0, "without": 1.001, "rival": 1.0}, [("quadratic_drag", "")]),
         # little of all comes back without the first, but all of that in its joint, a fiftieth of the whole
         ({"both": 1.0, "without": 1.005, "rival": 1.1, "home": True}, [("cogging", ""), ("quadratic_drag", "")]),
@@ -140,8 +142,12 @@ def test_earlier_names_are_weighed_beside_later_ones(monkeypatch, left, expected
             else "without"
         )
 
+    def refitted(moved, point):
+        smaller = kind(moved.model) == "rival" and "size" in left
+        return moved.model.with_values({"cable_stiffness": left["size"]}) if smaller else moved.model
+
     monkeypatch.setattr(settling, "fit_base", lambda engine, moved, **_: moved)
-    monkeypatch.setattr(settling, "with_point", lambda moved, point: moved.model)
+    monkeypatch.setattr(settling, "with_point", refitted)
 
     def squares(engine, reference, models) -> np.ndarray:
         """Whole squares in joint a and others; where said, all that a model leaves more is in joint a."""
