@@ -103,6 +103,11 @@ BESIDE_GAIN, BESIDE_SHARED_GAIN, BESIDE_Z = 0.1, 0.03, 2.5
 runs, for a further round; the same of an effect of all joints in those that the leader does not act in; and the score
 of the ranks. Where one effect was hidden in a joint, none of all joints was better in the others at all."""
 
+ANOTHER = 0.5
+"""Share of what the leader explains that an effect must explain, both of all joints, for a further round if the two are
+not alike: then they are two. A lag of the current loop that was hidden beside one of friction explained 0.85 of what
+that did; where one effect was hidden, others that were not its confounders explained 0.12 of it at most."""
+
 ALONG_THE_LIMB = "gravity_phase"
 """Alias class of effects that act in the other joints of a limb as well: they are confused from joint to joint."""
 
@@ -357,6 +362,20 @@ def better_beside(one: Own, alone: bool = True) -> bool:
     least = BESIDE_GAIN if alone else BESIDE_SHARED_GAIN
     gain = min(one.gain, one.fit_gain)
     return gain >= OWN_CLEAR or (gain >= least and signed_ranks(one.gained) >= BESIDE_Z)
+
+
+def of_another_kind(one: Contender, leader: Contender, control: np.ndarray) -> bool:
+    """Whether an effect of all joints counts beside a leader of all joints that it cannot be taken for.
+
+    Args:
+        one: which.
+        leader: what was found.
+        control: losses without either, ``[block]``.
+    """
+    shared = one.joints is None and leader.joints is None and one.effect != leader.effect
+    if not shared or _confused(one, leader) or _cosine(one, leader) > LOOK_ALIKE or one.implausible:
+        return False
+    return one.explained >= ANOTHER * leader.explained and _counts(one, control, (), False)
 
 
 def _nothing(said: str, shares: np.ndarray, left: np.ndarray | None, begun: Sequence[int] = ()) -> Decision:

@@ -28,6 +28,7 @@ from op3.diagnose.decide import (
     large_gap,
     leaves_a_joint,
     local_ceiling,
+    of_another_kind,
     shown_by_windows,
     shows_at_home,
     unresolved,
@@ -93,6 +94,9 @@ EXCHANGES = (0.004, 0.006)
 NEUTRAL = 0.05
 """Size below which an effect is none, as a share of the smallest that matters."""
 
+WHOLES = (1.0, 0.75, 2.5, 5.0)
+"""Secants that a refit may begin with, whatever share of one the screen takes for the best."""
+
 CELLS = 20
 """Cells of residual torque that are kept."""
 
@@ -139,6 +143,7 @@ class Diagnosis:
         self.screened: list[Screened] = []
         self.refitted: list[Refitted] = []
         self._candidates: list[list[Candidate]] = []
+        self._control = np.zeros(0)  # losses of the last no-op control, ``[block]``
         self._lossless = False  # whether the last screen has looked for lost packets and found none
 
     def refit_base(self, model: RobotModel, fitted: bool = False) -> Fit:
@@ -273,6 +278,8 @@ class Diagnosis:
             return True  # whatever a screen around the first base foresees
         if any(self._beats(other, leader, fit) for other in self.refitted):
             return True
+        if any(of_another_kind(other.contender, leader, self._control) for other in self.refitted):
+            return True
         fitted = self.engine.is_fit
         if worth_a_round(self.screened, fit.residual[fitted], self.engine.blocks[fitted]):
             return True
@@ -395,9 +402,10 @@ class Diagnosis:
         windows = self.engine if isinstance(self.engine, WindowResiduals) else None
         located = locate(windows, base, self.seed) if windows else []
         box = ceiling(windows, base, control.residual, self.seed) if windows and first else None
+        self._control = self._losses(control)
         decision = decide(
             [r.contender for r in self.refitted],
-            self._losses(control),
+            self._control,
             rng,
             ceiling=None if box is None else local_ceiling(box.gain, box.by_joint),
             left=self._left(control),
@@ -530,7 +538,7 @@ class Diagnosis:
         coordinates, more = hypothesis.coordinates(base.coordinates, secant, share)
         start = np.concatenate([control.point, more])
         # an effect that is not local explains nothing on the way to its secant
-        shares = (*SHARES, *(whole / abs(share) for whole in (1.0, 0.75)))
+        shares = (*SHARES, *(whole / abs(share) for whole in WHOLES))
         fit = refit(self.engine, base, coordinates, start, anchor=control, shares=shares)
         return self._across_the_ridge(hypothesis.effect.name, base, control, fit)
 

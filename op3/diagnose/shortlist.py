@@ -9,6 +9,7 @@ from op3.diagnose.coordinates import CHAIN, CHAIN_FAULTS
 from op3.diagnose.decide import LOOK_ALIKE
 from op3.diagnose.screen import Screened, foreseen
 from op3.servo import effect_class
+from op3.servo.effect import parameter
 
 SHORTLIST = 6
 """Hypotheses that are refitted, by what the screen credits them with."""
@@ -23,7 +24,12 @@ base has given way to it far. A strong false mass of a link had the highest scor
 PARTNERS = 2
 """Look-alikes of the leader that are refitted besides, if the screen credits them with half of what it has."""
 
-CONFUSABLE = 3
+SHAPED = 0.4
+"""Share of the best secant's credit with which further ones of an effect of all joints are refitted too, where they
+differ in a number that says not how much but where: between the speeds over which static friction fades no refit finds
+its way."""
+
+CONFUSABLE = 5
 """Effects that the catalogue takes for confounders of the leader, in its place, that are refitted besides."""
 
 HOME, HOME_SHARE = 4, 0.4
@@ -77,6 +83,7 @@ def shortlist(
     picked = picked + partners[:PARTNERS]
     shared = [s for s in ordered if s.hypothesis.joints is None and s not in picked]
     picked = picked + shared[:SHARED]
+    picked += _otherwise(screened, picked)
     scored = sorted((s for s in ordered if s not in picked), key=lambda s: -s.statistic)
     picked = picked + scored[:SCORED]
     picked += [s for s in ordered if s.hypothesis.effect.name in EXCHANGED and s not in picked]
@@ -90,6 +97,23 @@ def shortlist(
             elif s.hypothesis.effect.alias_class == alike:
                 picked.append(s)
     return picked + _at_home(screened, picked, home)
+
+
+def _otherwise(screened: Sequence[Screened], picked: Sequence[Screened]) -> list[Screened]:
+    """Further secants of what is picked in all joints, see `SHAPED`."""
+    chosen = {id(s.hypothesis): s for s in picked if s.hypothesis.joints is None and _shape(s)}
+    return [
+        s
+        for s in screened
+        if id(s.hypothesis) in chosen
+        and _shape(s) != _shape(chosen[id(s.hypothesis)])
+        and credit(s) >= max(FAINT, SHAPED * credit(chosen[id(s.hypothesis)]))
+    ]
+
+
+def _shape(s: Screened) -> dict[str, float]:
+    """What a secant says that is no amount."""
+    return {n: v for n, v in s.hypothesis.secants[s.secant].items() if parameter(n).neutral is None}
 
 
 def stands_alone(squares: np.ndarray) -> int | None:
@@ -150,6 +174,7 @@ def confusable(leader: Screened, screened: Sequence[Screened], picked: Sequence[
     """What the catalogue says is taken for the leader of a shortlist, in the same place, and is not on the list yet.
 
     A screen tells such effects apart badly: to leave one out because it had a little less credit decides between them.
+    Their secants are chosen by the fitted runs alone, as what they would explain of others is foreseen worst here.
 
     Args:
         leader: of the refits.
@@ -159,7 +184,7 @@ def confusable(leader: Screened, screened: Sequence[Screened], picked: Sequence[
     effect, joints = leader.hypothesis.effect, leader.hypothesis.joints
     known = {id(s.hypothesis) for s in picked}
     best: dict[int, Screened] = {}
-    for s in sorted(screened, key=credit, reverse=True):
+    for s in sorted(screened, key=lambda s: -s.fit_gain):
         other = s.hypothesis.effect
         alike = other.name in effect.confounders or effect.name in other.confounders
         alike |= other.alias_class == effect.alias_class

@@ -19,6 +19,7 @@ from op3.diagnose.decide import (
     difference_interval,
     evidence,
     leaves_a_joint,
+    of_another_kind,
     local_ceiling,
     pick_shares,
     signed_ranks,
@@ -411,6 +412,28 @@ def test_a_fault_has_to_beat_the_leader_in_its_joint(gain, fit_gain, seconds, be
     assert better_beside(one) is better
     # of what all joints share less will do, in as many seconds
     assert better_beside(one, alone=False) is (better or seconds == BLOCKS)
+
+
+@pytest.mark.parametrize(
+    ("label", "gain", "changes", "another"),
+    [
+        ("current_lag", 0.2, {}, True),
+        ("current_lag", 0.1, {}, False),  # too little
+        ("current_lag@2", 0.2, {}, False),  # a fault of one joint, of which is asked elsewhere
+        ("lugre", 0.2, {}, False),  # the same in another form
+        ("current_lag", 0.2, {"confounders": ("lugre",)}, False),
+        ("current_lag", 0.2, {"implausible": True}, False),
+        ("current_lag", 0.2, {"size": 0.01}, False),
+        ("current_lag", 0.2, {"direction": np.array([1.0, 0.1])}, False),  # alike to these logs
+        ("current_lag", 0.2, {"direction": np.array([0.1, 1.0])}, True),
+    ],
+)
+def test_an_effect_of_another_kind_is_a_sign_of_more(control, label, gain, changes, another):
+    """Two of all joints that explain much and are not alike are two effects, whichever explains more."""
+    leader = dataclasses.replace(contender("lugre", 0.3), direction=np.array([1.0, 0.0]))
+    one = dataclasses.replace(contender(label, gain, seed=1), **changes)
+    assert of_another_kind(one, leader, control) is another
+    assert not of_another_kind(one, dataclasses.replace(leader, joints=(3,)), control)
 
 
 def test_a_size_beyond_what_is_plausible_is_not_named(control, rng):

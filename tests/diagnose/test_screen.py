@@ -313,7 +313,8 @@ def test_no_fit_asks_for_more_than_an_effect_can_do(name):
 def screened(name: str, joint: int | None, gain: float, score: float) -> Screened:
     """One secant of an effect, in a direction of its own."""
     effect = SimpleNamespace(name=name, alias_class="")
-    hypothesis = cast(Any, SimpleNamespace(effect=effect, joints=None if joint is None else (joint,)))
+    joints = None if joint is None else (joint,)
+    hypothesis = cast(Any, SimpleNamespace(effect=effect, joints=joints, secants=({},)))
     direction = np.random.default_rng([*name.encode(), 9 if joint is None else joint]).normal(size=500)
     return Screened(hypothesis, 0, 1.0, gain, gain, score, 1.0, 1.0, direction / np.linalg.norm(direction))
 
@@ -395,6 +396,36 @@ def test_what_is_taken_for_the_leader_is_refitted_in_its_place():
     assert "viscous" not in told
     assert "link_com" not in told
     assert told[0] == "cable_spring"
+
+
+def test_look_alikes_are_refitted_along_what_the_fitted_runs_prefer():
+    """Of the axes along which a centre of mass may be off, the one that the other runs are foreseen to dislike most."""
+    model, joints = load_model("paper"), ("a", "b")
+    leader, moved = (
+        next(h for h in hypotheses(model, joints, fixed_base=True) if h.effect.name == name and h.joints == (1,))
+        for name in ("encoder_offset", "link_com")
+    )
+    first = Screened(leader, 0, 1.0, 0.1, 0.1, 9.0, 1.0, 1.0, np.zeros(1))
+    axes = [Screened(moved, k, 1.0, -0.1 * k, 0.02 * k, 1.0, 1.0, 1.0, np.zeros(1)) for k in range(3)]
+    assert confusable(first, [first, *axes], [first]) == [axes[2]]
+
+
+@pytest.mark.parametrize(("gain", "further"), [(0.05, True), (0.03, False), (0.01, False)])
+def test_static_friction_is_refitted_over_several_ranges_of_speed(gain, further):
+    """Those in which the screen gives it much of what the best has; an amount that differs is no other range."""
+    model, joints = load_model("paper_without_stribeck"), ("a", "b")
+    static = next(
+        h
+        for h in hypotheses(model, joints, fixed_base=True)
+        if h.effect.name == "stribeck" and h.joints is None and len(h.secants) > 2
+    )
+    best, other, small = (
+        Screened(static, k, 1.0, one, one, 1.0, 1.0, 1.0, np.zeros(1)) for k, one in enumerate((0.1, gain, 0.001))
+    )
+    assert shortlist([best, other, small]) == ([best, other] if further else [best])
+    mass = next(h for h in hypotheses(model, joints, fixed_base=True) if h.effect.name == "quadratic_drag")
+    amounts = [Screened(mass, 0, share, 0.1, 0.1, 1.0, 1.0, 1.0, np.zeros(1)) for share in (1.0, 2.0)]
+    assert shortlist(amounts) == amounts[:1]
 
 
 def test_a_lag_starts_where_a_delay_has_become_one():
