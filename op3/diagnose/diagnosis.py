@@ -155,7 +155,7 @@ class Diagnosis:
                 gives joints their spread back.
         """
         full = _full(model)
-        coordinates = self._coordinates(full)
+        coordinates = self._coordinates(full, [candidates[0].finding for candidates in self._candidates])
         forms = [full, *other_forms(full)]
         place = None if self.cache is None else self.cache / f"base-{self._key(full)}-{'one' if fitted else 'all'}.npz"
         if place is not None and place.is_file():
@@ -176,9 +176,8 @@ class Diagnosis:
             np.savez(place, point=fit.point, form=[m is fit.coordinates.model for m in forms].index(True))
         return fit
 
-    def _coordinates(self, model: RobotModel) -> Coordinates:
-        """What a base refits; on its feet, where a simulation is dear, only what all joints share."""
-        findings = [candidates[0].finding for candidates in self._candidates]
+    def _coordinates(self, model: RobotModel, findings: Sequence[Finding]) -> Coordinates:
+        """What a base refits of a model with findings; on its feet, where a simulation is dear, only what is shared."""
         named = [(one.parameter, self.engine.joints.index(one.joints[0])) for one in findings if not one.shared]
         coordinates = base_coordinates(model, self.engine.joints, fixed_base=self.fixed_base, named=named)
         if self.fixed_base:
@@ -188,7 +187,7 @@ class Diagnosis:
     def linearised(self) -> Fit:
         """The given model as it is, with the Jacobian of everything that a base would refit."""
         full = _full(self.given)
-        coordinates = self._coordinates(full)
+        coordinates = self._coordinates(full, ())
         return linearise(self.engine, coordinates, coordinates.start)
 
     def _key(self, model: RobotModel) -> str:
@@ -322,7 +321,9 @@ class Diagnosis:
     def _together(self, verdicts: Sequence[Verdict]) -> Verdict:
         """All that rounds have found: earlier names weighed again beside later ones."""
         rng = np.random.default_rng([self.seed, 17])
-        settled = settle(self.engine, self.given, self._candidates, rng, lambda model: self._coordinates(_full(model)))
+        settled = settle(
+            self.engine, self.given, self._candidates, rng, lambda model, found: self._coordinates(_full(model), found)
+        )
         said = [f"{effect.name} explains {effect.gain:.0%}" for effect in settled.effects if not effect.instead_of]
         reason = f"{', then '.join(said)} of the residual that was left"
         if settled.superfluous:

@@ -73,7 +73,7 @@ def settle(
     given: RobotModel,
     rounds: Sequence[Sequence[Candidate]],
     rng: np.random.Generator,
-    coordinates: Callable[[RobotModel], Coordinates],
+    coordinates: Callable[[RobotModel, Sequence[Finding]], Coordinates],
 ) -> Settled:
     """Weigh what was found in earlier rounds again, beside all that was found later.
 
@@ -82,15 +82,15 @@ def settle(
         given: model that the first round started from.
         rounds: the candidates of each round, the one that the next round went on from first.
         rng: of the resampling.
-        coordinates: what a base refits of a model.
+        coordinates: what a base refits of a model that has these findings: a fault only of an effect that it has.
     """
     rounds = merged(given, rounds)
     final = rounds[-1][0].model
     leaders: list[Candidate | None] = [candidates[0] for candidates in rounds]
     rivals = [list(candidates[1:]) for candidates in rounds]
 
-    def refitted(model: RobotModel) -> RobotModel:
-        moved = coordinates(model)
+    def refitted(model: RobotModel, *found: Candidate | None) -> RobotModel:
+        moved = coordinates(model, [one.finding for one in found if one is not None])
         fit = fit_base(engine, moved, rounds=2, start=moved.start)
         return with_point(fit.coordinates, fit.point)
 
@@ -102,7 +102,9 @@ def settle(
         rivals[k] = [one for one in rivals[k] if one.place not in named and not one.finding.by]
         without = left_out(given, leader.finding, final, engine.joints)
         exchanged = [with_findings(given, [one.finding], one.model, engine.joints, without) for one in rivals[k]]
-        models = [refitted(model) for model in (final, without, *exchanged)]
+        others = [one for one in leaders if one is not leader]
+        models = [refitted(final, *leaders), refitted(without, *others)]
+        models += [refitted(model, rival, *others) for model, rival in zip(exchanged, rivals[k], strict=True)]
         squares = _squares(engine, models[0], models)
         losses = squares.sum(2)
         standing, own = [leader, *rivals[k]], losses[[0, *range(2, len(losses))]]

@@ -113,6 +113,11 @@ def candidate(name: str) -> Candidate:
     return Candidate(found, contender, model)
 
 
+def refittable(model, found) -> Any:
+    """Stands for what a base refits of a model."""
+    return SimpleNamespace(model=model, start=None, coordinates=SimpleNamespace(model=model), point=None)
+
+
 @pytest.mark.parametrize(
     ("left", "expected"),
     [
@@ -146,6 +151,12 @@ def test_earlier_names_are_weighed_beside_later_ones(monkeypatch, left, expected
         smaller = kind(moved.model) == "rival" and "size" in left
         return moved.model.with_values({"cable_stiffness": left["size"]}) if smaller else moved.model
 
+    freed = []
+
+    def free(model, found):
+        freed.append((kind(model), {one.name for one in found}))
+        return refittable(model, found)
+
     monkeypatch.setattr(settling, "fit_base", lambda engine, moved, **_: moved)
     monkeypatch.setattr(settling, "with_point", refitted)
 
@@ -163,10 +174,15 @@ def test_earlier_names_are_weighed_beside_later_ones(monkeypatch, left, expected
     monkeypatch.setattr(settling, "_squares", squares)
     rounds = [[first, rival], [second, rival]]
     engine = cast(Any, SimpleNamespace(joints=("a", "b", "c")))
-    moved = lambda model: SimpleNamespace(model=model, start=None, coordinates=SimpleNamespace(model=model), point=None)  # noqa: E731
-    told = settle(engine, load_model("paper"), rounds, np.random.default_rng(0), cast(Any, moved))
+    told = settle(engine, load_model("paper"), rounds, np.random.default_rng(0), cast(Any, free))
     assert [(one.name, one.instead_of) for one in told.effects][: len(expected)] == expected
     assert told.superfluous == (() if expected[0][0] != "quadratic_drag" else ("cogging",))
+    # a fault that is asked for is free where it is in the model, or its joint would have it as a number of the base
+    assert freed == [
+        ("both", {"cogging", "quadratic_drag"}),
+        ("without", {"quadratic_drag"}),
+        ("rival", {"cable_spring", "quadratic_drag"}),
+    ]
 
 
 def test_a_fault_may_be_needed_in_its_joint_alone():
@@ -188,9 +204,8 @@ def test_what_takes_the_place_of_a_look_alike_is_no_surer(monkeypatch, rivals, c
     monkeypatch.setattr(settling, "with_point", lambda moved, point: moved.model)
     monkeypatch.setattr(settling, "_squares", lambda engine, reference, models: np.ones((len(models), 8, 3)))
     engine = cast(Any, SimpleNamespace(joints=("a", "b", "c")))
-    moved = lambda model: SimpleNamespace(model=model, start=None, coordinates=SimpleNamespace(model=model), point=None)  # noqa: E731
     rounds = [[first, second if rivals else third], [second]]
-    told = settle(engine, load_model("paper"), rounds, np.random.default_rng(0), cast(Any, moved))
+    told = settle(engine, load_model("paper"), rounds, np.random.default_rng(0), cast(Any, refittable))
     assert [(one.name, one.confidence) for one in told.effects] == [("cable_spring", confidence)]
     assert told.superfluous == ("cogging",)
 
