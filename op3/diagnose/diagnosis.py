@@ -66,7 +66,16 @@ from op3.diagnose.ripple import with_ripples
 from op3.diagnose.screen import Screened, screen
 from op3.diagnose.settle import Candidate, settle
 from op3.diagnose.setups import setup_hypotheses
-from op3.diagnose.shortlist import EXCHANGED, confusable, credit, promising, shortlist, stands_alone, worth_a_round
+from op3.diagnose.shortlist import (
+    EXCHANGED,
+    confusable,
+    credit,
+    hides_another,
+    promising,
+    shortlist,
+    stands_alone,
+    worth_a_round,
+)
 from op3.diagnose.show import show
 from op3.diagnose.soften import softened
 from op3.diagnose.split import LogSplit
@@ -272,6 +281,8 @@ class Diagnosis:
         if not isinstance(self.engine, WindowResiduals) or len(found) > 1:
             return True  # of two that could not be told apart the one may show beside the other
         leader = found[0].contender
+        if hides_another(leader.effect):
+            return True
         (fit,) = (r.fit for r in self.refitted if r.contender is leader)
         if large_gap(leader.left) or leaves_a_joint([one[0].contender for one in self._candidates]):
             return True  # whatever a screen around the first base foresees

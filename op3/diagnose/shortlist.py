@@ -165,6 +165,11 @@ def promising(screened: Sequence[Screened]) -> bool:
     return False
 
 
+def hides_another(effect: str) -> bool:
+    """Whether an effect may stand for one of `EXCHANGED`, of which no screen around it foresees anything."""
+    return any(p.name in EXCHANGED.values() for p in effect_class(effect).parameters)
+
+
 def _known(s: Screened) -> bool:
     """Whether it is a secant of what the base has in all joints already."""
     return s.hypothesis.joints is None and bool(set(s.hypothesis.secants[s.secant]) & set(CHAIN))

@@ -371,12 +371,18 @@ def test_what_a_law_leaves_is_no_further_effect(control, rng):
 
 
 @pytest.mark.parametrize(
-    ("left", "after", "verdict"), [(6.0, 3.9, "named"), (6.0, 5.9, "nothing_missing"), (3.0, 1.0, "nothing_missing")]
+    ("gain", "left", "after", "verdict"),
+    [
+        (0.25, 6.0, 3.9, "named"),
+        (0.25, 6.0, 5.9, "nothing_missing"),
+        (0.25, 3.0, 1.0, "nothing_missing"),
+        (0.40, 3.0, 2.5, "named"),  # of much of what is left
+    ],
 )
-def test_a_large_gap_is_more_than_a_law_leaves(control, rng, left, after, verdict):
+def test_a_large_gap_is_more_than_a_law_leaves(control, rng, gain, left, after, verdict):
     """Behind a latency that leaves six times the noise in all joints, a lag that closes much of that counts."""
     earlier = dataclasses.replace(contender("latency", 0.96), left=np.full(6, left))
-    lag = dataclasses.replace(contender("current_lag", 0.66), confounders=("latency",), left=np.full(6, after))
+    lag = dataclasses.replace(contender("current_lag", gain), confounders=("latency",), left=np.full(6, after))
     assert decide([lag], control, rng, found=[earlier]).verdict == verdict
 
 

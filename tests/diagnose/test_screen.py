@@ -14,7 +14,7 @@ from op3.diagnose.fitting import Fit, bounded_step, exchanged
 from op3.diagnose.hypotheses import hypotheses
 from op3.diagnose.motion import HALF_WIDTH, VELOCITY_LAG, kernels
 from op3.diagnose.screen import Projector, Screened, _score
-from op3.diagnose.shortlist import confusable, promising, shortlist, stands_alone, worth_a_round
+from op3.diagnose.shortlist import confusable, hides_another, promising, shortlist, stands_alone, worth_a_round
 from op3.diagnose.verdict import Finding
 from op3.servo import Estimate, ServoLaw, catalogue, effect_class
 from op3.sim import load_model
@@ -426,6 +426,11 @@ def test_static_friction_is_refitted_over_several_ranges_of_speed(gain, further)
     mass = next(h for h in hypotheses(model, joints, fixed_base=True) if h.effect.name == "quadratic_drag")
     amounts = [Screened(mass, 0, share, 0.1, 0.1, 1.0, 1.0, 1.0, np.zeros(1)) for share in (1.0, 2.0)]
     assert shortlist(amounts) == amounts[:1]
+
+
+def test_behind_a_latency_a_lag_is_always_asked_for():
+    """No screen foresees what a lag would explain beside a delay that stands for it; nothing else hides one so."""
+    assert [name for name in catalogue() if hides_another(name)] == ["latency"]
 
 
 def test_a_lag_starts_where_a_delay_has_become_one():
