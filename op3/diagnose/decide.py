@@ -54,10 +54,11 @@ SHARED_RESIDUE = 0.03
 strong latency (0.92, 0.96) load_friction seemed to explain 0.023 and 0.004 of what that did; in true pairs of shared
 effects the second had at least 0.057."""
 
-NO_RESIDUE = 0.3
-"""Share of what is left that no law that is a little wrong leaves to a confounder. Behind a strong latency that was
-hidden with a lag of the current loop the lag explained 0.34 and 0.61 of it (0.007 and 0.042 of what the latency did);
-in 35 development legs with one effect no confounder explained 0.03."""
+BEHIND, BEHIND_GAIN = {"current_lag": "latency"}, 0.3
+"""Effects of all joints that another stands for where they are not in the model, and the share of what that one leaves,
+in fitted and choosing runs, from which on they are no residue of its law: behind strong latencies that were hidden with
+a lag of the current loop, and explained 0.93 and 0.98, the lag explained 0.61 and 0.34 of the rest. Behind seven that
+were hidden alone it explained less than 0.03."""
 
 LATER_Z = 4.0
 """Score of the ranks that will do in place of t for a further effect if fitted and choosing runs both gain
@@ -108,10 +109,11 @@ BESIDE_GAIN, BESIDE_SHARED_GAIN, BESIDE_Z = 0.1, 0.03, 2.5
 runs, for a further round; the same of an effect of all joints in those that the leader does not act in; and the score
 of the ranks. Where one effect was hidden in a joint, none of all joints was better in the others at all."""
 
-ANOTHER = 0.5
-"""Share of what the leader explains that an effect must explain, both of all joints, for a further round if the two are
-not alike: then they are two. A lag of the current loop that was hidden beside one of friction explained 0.85 of what
-that did; where one effect was hidden, others that were not its confounders explained 0.12 of it at most."""
+ANOTHER = 0.4
+"""Share of what the leader explains that an effect must explain, both of all joints, beyond the square of the cosine
+between the two, which one effect gives another for nothing: then they are two, and a further round follows. A lag of
+the current loop that was hidden beside one of friction explained 0.85 of what that did at a cosine of 0.24; where one
+effect was hidden, others that were not its confounders explained 0.12 of it at most."""
 
 ALONG_THE_LIMB = "gravity_phase"
 """Alias class of effects that act in the other joints of a limb as well: they are confused from joint to joint."""
@@ -369,18 +371,21 @@ def better_beside(one: Own, alone: bool = True) -> bool:
     return gain >= OWN_CLEAR or (gain >= least and signed_ranks(one.gained) >= BESIDE_Z)
 
 
-def of_another_kind(one: Contender, leader: Contender, control: np.ndarray) -> bool:
+def of_another_kind(one: Contender, leader: Contender, control: np.ndarray, found: Sequence[Contender] = ()) -> bool:
     """Whether an effect of all joints counts beside a leader of all joints that it cannot be taken for.
 
     Args:
-        one: which.
+        one: which; where its direction is not known, it is taken for the leader.
         leader: what was found.
         control: losses without either, ``[block]``.
+        found: the leaders of earlier rounds.
     """
     shared = one.joints is None and leader.joints is None and one.effect != leader.effect
-    if not shared or _confused(one, leader) or _cosine(one, leader) > LOOK_ALIKE or one.implausible:
+    known = one.direction.size and one.direction.shape == leader.direction.shape
+    if not shared or not known or _confused(one, leader) or one.implausible:
         return False
-    return one.explained >= ANOTHER * leader.explained and _counts(one, control, (), False)
+    enough = one.explained >= (_cosine(one, leader) ** 2 + ANOTHER) * leader.explained
+    return enough and _counts(one, control, found, False)
 
 
 def _nothing(said: str, shares: np.ndarray, left: np.ndarray | None, begun: Sequence[int] = ()) -> Decision:
@@ -527,15 +532,12 @@ def _within_bounds(contenders: Sequence[Contender], counting: list[int], control
 def _left_over(contender: Contender, found: Sequence[Contender]) -> bool:
     """Whether a further effect is no more than what the law of an earlier one may have left.
 
-    That is no large gap; what takes half of its squares away is more. Nor is it much: what explains `NO_RESIDUE` of all
-    that a confounder leaves is more than its residue.
+    That is no large gap; what takes half of its squares away is more.
     """
     if found and large_gap(found[-1].left) and contender.left.size:
         before, after = (float(np.median(np.square(one.left))) for one in (found[-1], contender))
         if after < 0.5 * before:
             return False
-    if contender.explained >= NO_RESIDUE and any(_confused(one, contender) for one in found):
-        return False
     share, explained = 1.0, []  # of what the first round had to explain
     for one in found:
         explained.append(share * one.explained)
@@ -548,9 +550,11 @@ def _left_over(contender: Contender, found: Sequence[Contender]) -> bool:
 
 def _residue(one: Contender, other: Contender) -> float:
     """Share of what an earlier effect explained that may be left of it for another to explain."""
+    shared = one.joints is None and other.joints is None and one.effect != other.effect
+    if shared and BEHIND.get(other.effect) == one.effect and min(other.gain, other.fit_gain) >= BEHIND_GAIN:
+        return 0.0
     if _confused(one, other):
         return RESIDUE
-    shared = one.joints is None and other.joints is None and one.effect != other.effect
     return SHARED_RESIDUE if shared else 0.0
 
 
@@ -569,7 +573,8 @@ def _counts(contender: Contender, control: np.ndarray, found: Sequence[Contender
     Args:
         contender: which.
         control: losses without it, ``[block]``.
-        found: the leaders of earlier rounds. Behind them the ranks must reach `FURTHER_Z`, but of `OCCASIONAL`.
+        found: the leaders of earlier rounds. Behind them the ranks must reach `FURTHER_Z`, but of `OCCASIONAL` and of
+            what explains `OWN_CLEAR` of its joint.
         leads: whether it explains most; a further effect that does may explain less than is usual.
     """
     statistic, trimmed = evidence(contender, control)
@@ -578,7 +583,9 @@ def _counts(contender: Contender, control: np.ndarray, found: Sequence[Contender
     further = bool(found)
     ranks = FURTHER_Z if explained >= SMALLEST_GAIN else SMALLEST_Z
     occasional = contender.effect in OCCASIONAL and explained >= SMALLEST_GAIN
-    seldom = further and score < ranks and not occasional
+    own = contender.own
+    at_home = own is not None and min(own.gain, own.fit_gain) >= OWN_CLEAR and shows_at_home(own)
+    seldom = further and score < ranks and not occasional and not at_home
     if abs(contender.size) < SMALLEST_SIZE * contender.smallest or seldom:
         return False
     if _left_over(contender, found):

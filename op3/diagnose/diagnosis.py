@@ -82,6 +82,8 @@ from op3.diagnose.split import LogSplit
 from op3.diagnose.verdict import Finding, Verdict
 from op3.diagnose.windows import WindowResiduals
 from op3.servo import RobotModel, effect_class
+from op3.servo.conditions import split_name
+from op3.servo.effect import parameter
 from op3.servo.effects import PacketDrop
 from op3.sim import model_hash
 
@@ -288,7 +290,8 @@ class Diagnosis:
             return True  # whatever a screen around the first base foresees
         if any(self._beats(other, leader, fit) for other in self.refitted):
             return True
-        if any(of_another_kind(other.contender, leader, self._control) for other in self.refitted):
+        earlier = [one[0].contender for one in self._candidates[:-1]]
+        if any(of_another_kind(other.contender, leader, self._control, earlier) for other in self.refitted):
             return True
         fitted = self.engine.is_fit
         if worth_a_round(self.screened, fit.residual[fitted], self.engine.blocks[fitted]):
@@ -516,7 +519,8 @@ class Diagnosis:
         if best is not None and fits[best].loss < (1.0 - PROMISING) * control.loss:
             picked = [*picked, *confusable(picked[best], self.screened, picked)]
             fits += [self._refit_one(base, control, screened) for screened in picked[len(fits) :]]
-        controls, leaders = [control], _leaders([fit.loss for fit in fits], control.loss)
+        places = [(s.hypothesis.effect.name, s.hypothesis.joints) for s in picked]
+        controls, leaders = [control], _leaders([fit.loss for fit in fits], control.loss, places)
         own = [self._own(s.hypothesis, fit, control) for s, fit in zip(picked, fits, strict=True)]
         at_home = [i for i, one in enumerate(own) if one is not None and i not in leaders and shows_at_home(one)]
         leaders += sorted(at_home, key=lambda i: fits[i].loss)[:AT_HOME]
@@ -549,8 +553,10 @@ class Diagnosis:
         share = screened.share if abs(screened.share) > 0.3 else 0.5 * (np.sign(screened.share) or 1.0)
         coordinates, more = hypothesis.coordinates(base.coordinates, secant, share)
         start = np.concatenate([control.point, more])
-        # an effect that is not local explains nothing on the way to its secant
-        shares = (*SHARES, *(whole / abs(share) for whole in WHOLES))
+        # an effect that is not local explains nothing on the way to its secant; its bounds may have cut that short
+        amounts = [s / a for s, (n, a) in zip(more, secant.items(), strict=True) if _is_amount(n) and s and a]
+        reached = abs(amounts[0]) if amounts else abs(share)
+        shares = (*SHARES, *(whole / reached for whole in WHOLES))
         fit = refit(self.engine, base, coordinates, start, anchor=control, shares=shares)
         return self._across_the_ridge(hypothesis.effect.name, base, control, fit)
 
@@ -665,11 +671,23 @@ def _best(fits: Sequence[Fit]) -> Fit:
     return min(fits, key=lambda fit: fit.loss)
 
 
-def _leaders(losses: Sequence[float], control: float) -> list[int]:
-    """Whose refits are worth to be gone on with: none where none takes off enough, nor those far behind the best."""
-    order = sorted(range(len(losses)), key=lambda i: losses[i])[:POLISHED]
+def _leaders(losses: Sequence[float], control: float, places: Sequence[Any]) -> list[int]:
+    """Whose refits are worth to be gone on with: none where none takes off enough, nor those far behind the best.
+
+    Args:
+        losses: of the refits.
+        control: loss without any.
+        places: effect and joints of each; of several refits in one place the best goes on.
+    """
+    order = sorted(range(len(losses)), key=lambda i: losses[i])
+    order = [i for n, i in enumerate(order) if places[i] not in [places[j] for j in order[:n]]][:POLISHED]
     gains = [1.0 - losses[i] / control for i in order]
     return [i for i, gain in zip(order, gains, strict=True) if gain > max(PROMISING, 0.5 * gains[0])]
+
+
+def _is_amount(name: str) -> bool:
+    """Whether a number of a secant says how much, and not where or how fast."""
+    return parameter(split_name(name)[0]).neutral is not None
 
 
 def _full(model: RobotModel) -> RobotModel:

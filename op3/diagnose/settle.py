@@ -82,7 +82,8 @@ def settle(
         given: model that the first round started from.
         rounds: the candidates of each round, the one that the next round went on from first.
         rng: of the resampling.
-        coordinates: what a base refits of a model that has these findings: a fault only of an effect that it has.
+        coordinates: what a base refits of a model: of what sits in one joint, that joint's own value only if it is
+            among these findings.
     """
     rounds = merged(given, rounds)
     final = rounds[-1][0].model
@@ -108,11 +109,10 @@ def settle(
         squares = _squares(engine, models[0], models)
         losses = squares.sum(2)
         standing, own = [leader, *rivals[k]], losses[[0, *range(2, len(losses))]]
-        vain = [False, *(_vain(given, *pair, engine.joints) for pair in zip(rivals[k], models[2:], strict=True))]
-        own[vain] = BEATEN
+        beside = [models[0], *models[2:]]
+        own[[_vain(one, model, models[1], engine.joints) for one, model in zip(standing, beside, strict=True)]] = BEATEN
         weighed = [replace(one.contender, losses=loss) for one, loss in zip(standing, own, strict=True)]
         best, alike = weigh(weighed, losses[1], rng)
-        alike = [i for i in alike if not vain[i]]
         needed = bool(1.0 - own[best].sum() / losses[1].sum() >= NEEDED[min(k, 1)])
         needed |= _at_home(squares[0 if best == 0 else 1 + best], squares[1], standing[best].contender.joints)
         leaders[k], rivals[k] = (standing[best], [standing[i] for i in alike]) if needed else (None, [])
@@ -133,12 +133,28 @@ def settle(
     return Settled(tuple(effects), final, tuple(gone))
 
 
-def _vain(given: RobotModel, rival: Candidate, model: RobotModel, joints: Sequence[str]) -> bool:
-    """Whether a rival has next to no size where it was refitted: then it is the base that explains beside it."""
-    told = as_in(given, model, rival.finding, joints)
-    if told is rival.finding:
-        return False  # told against others, or as more of what there was
-    return abs(told.size - (parameter(told.parameter).neutral or 0.0)) < SMALLEST_SIZE * rival.contender.smallest
+def _vain(one: Candidate, model: RobotModel, without: RobotModel, joints: Sequence[str]) -> bool:
+    """Whether an effect has next to no size where it was refitted: then it is the base that explains beside it.
+
+    Args:
+        one: which.
+        model: refitted with it.
+        without: refitted without it. That has it as far as it is the base's, such as a filter that every robot has, or
+            a friction that other joints have too.
+        joints: names.
+    """
+    column, amounts = 0 if one.finding.shared else list(joints).index(one.finding.joints[0]), 0
+    for name in one.finding.parameters:
+        known = parameter(name)
+        if known.neutral is None or name not in model.parameters():
+            continue  # says where, not how much; or is no number of the models, as packets that were counted
+        amounts += 1
+        values = [m.tensors(joints)[name][0] if name in m.parameters() else None for m in (model, without)]
+        now, before = (known.neutral if v is None else float(v[column if len(v) > 1 else 0]) for v in values)
+        least = one.contender.smallest if name == one.finding.parameter else 0.1 * (known.high - known.low)
+        if abs(now - before) >= SMALLEST_SIZE * least:
+            return False
+    return amounts > 0
 
 
 def _squares(engine: Engine, reference: RobotModel, models: Sequence[RobotModel]) -> np.ndarray:

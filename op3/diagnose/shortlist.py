@@ -9,6 +9,7 @@ from op3.diagnose.coordinates import CHAIN, CHAIN_FAULTS
 from op3.diagnose.decide import LOOK_ALIKE
 from op3.diagnose.screen import Screened, foreseen
 from op3.servo import effect_class
+from op3.servo.conditions import split_name
 from op3.servo.effect import parameter
 
 SHORTLIST = 6
@@ -24,10 +25,10 @@ base has given way to it far. A strong false mass of a link had the highest scor
 PARTNERS = 2
 """Look-alikes of the leader that are refitted besides, if the screen credits them with half of what it has."""
 
-SHAPED = 0.4
+SHAPED, SHAPES = 0.4, 4
 """Share of the best secant's credit with which further ones of an effect of all joints are refitted too, where they
-differ in a number that says not how much but where: between the speeds over which static friction fades no refit finds
-its way."""
+differ in a number that says not how much but where, and how many: between the speeds over which static friction fades
+no refit finds its way."""
 
 CONFUSABLE = 5
 """Effects that the catalogue takes for confounders of the leader, in its place, that are refitted besides."""
@@ -102,18 +103,22 @@ def shortlist(
 def _otherwise(screened: Sequence[Screened], picked: Sequence[Screened]) -> list[Screened]:
     """Further secants of what is picked in all joints, see `SHAPED`."""
     chosen = {id(s.hypothesis): s for s in picked if s.hypothesis.joints is None and _shape(s)}
-    return [
+    further = [
         s
         for s in screened
         if id(s.hypothesis) in chosen
+        and s.strength > 0
+        and s.visibility > 0.02
         and _shape(s) != _shape(chosen[id(s.hypothesis)])
         and credit(s) >= max(FAINT, SHAPED * credit(chosen[id(s.hypothesis)]))
     ]
+    return sorted(further, key=credit, reverse=True)[:SHAPES]
 
 
 def _shape(s: Screened) -> dict[str, float]:
     """What a secant says that is no amount."""
-    return {n: v for n, v in s.hypothesis.secants[s.secant].items() if parameter(n).neutral is None}
+    secant = s.hypothesis.secants[s.secant]
+    return {name: value for name, value in secant.items() if parameter(split_name(name)[0]).neutral is None}
 
 
 def stands_alone(squares: np.ndarray) -> int | None:
@@ -179,7 +184,8 @@ def confusable(leader: Screened, screened: Sequence[Screened], picked: Sequence[
     """What the catalogue says is taken for the leader of a shortlist, in the same place, and is not on the list yet.
 
     A screen tells such effects apart badly: to leave one out because it had a little less credit decides between them.
-    Their secants are chosen by the fitted runs alone, as what they would explain of others is foreseen worst here.
+    So what it foresees of the fitted runs alone says which come first and along which secant: of an axis along which a
+    centre of mass was off, and of the phase of an encoder's error, it foresaw less than nothing of the other runs.
 
     Args:
         leader: of the refits.

@@ -423,13 +423,13 @@ def test_a_fault_has_to_beat_the_leader_in_its_joint(gain, fit_gain, seconds, be
 @pytest.mark.parametrize(
     ("label", "gain", "changes", "another"),
     [
-        ("current_lag", 0.2, {}, True),
-        ("current_lag", 0.1, {}, False),  # too little
+        ("current_lag", 0.2, {}, False),  # its direction is not known
+        ("current_lag", 0.1, {"direction": np.array([0.1, 1.0])}, False),  # too little
         ("current_lag@2", 0.2, {}, False),  # a fault of one joint, of which is asked elsewhere
         ("lugre", 0.2, {}, False),  # the same in another form
-        ("current_lag", 0.2, {"confounders": ("lugre",)}, False),
-        ("current_lag", 0.2, {"implausible": True}, False),
-        ("current_lag", 0.2, {"size": 0.01}, False),
+        ("current_lag", 0.2, {"confounders": ("lugre",), "direction": np.array([0.1, 1.0])}, False),
+        ("current_lag", 0.2, {"implausible": True, "direction": np.array([0.1, 1.0])}, False),
+        ("current_lag", 0.2, {"size": 0.01, "direction": np.array([0.1, 1.0])}, False),
         ("current_lag", 0.2, {"direction": np.array([1.0, 0.1])}, False),  # alike to these logs
         ("current_lag", 0.2, {"direction": np.array([0.1, 1.0])}, True),
     ],

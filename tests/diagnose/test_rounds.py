@@ -384,10 +384,12 @@ def test_what_the_base_does_alone_is_not_the_effects(monkeypatch, alone, gain):
 
 def test_only_what_is_close_to_the_best_is_gone_on_with():
     """Refits that take off half of what the best does, four at most; none where even the best does next to nothing."""
-    assert _leaders([0.5, 0.8, 0.74, 0.99], 1.0) == [0, 2]
-    assert _leaders([0.61, 0.62, 0.6, 0.63, 0.64, 0.65], 1.0) == [2, 0, 1, 3]
-    assert _leaders([0.99, 0.985, 1.0], 1.0) == []
-    assert _leaders([], 1.0) == []
+    places = list("abcdef")
+    assert _leaders([0.5, 0.8, 0.74, 0.99], 1.0, places) == [0, 2]
+    assert _leaders([0.61, 0.62, 0.6, 0.63, 0.64, 0.65], 1.0, places) == [2, 0, 1, 3]
+    assert _leaders([0.61, 0.62, 0.6, 0.63, 0.64, 0.65], 1.0, list("aaabbc")) == [2, 3, 5]
+    assert _leaders([0.99, 0.985, 1.0], 1.0, places) == []
+    assert _leaders([], 1.0, []) == []
 
 
 def test_free_runs_have_no_say_in_packets_that_were_counted(monkeypatch):

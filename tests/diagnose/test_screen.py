@@ -423,9 +423,17 @@ def test_static_friction_is_refitted_over_several_ranges_of_speed(gain, further)
         Screened(static, k, 1.0, one, one, 1.0, 1.0, 1.0, np.zeros(1)) for k, one in enumerate((0.1, gain, 0.001))
     )
     assert shortlist([best, other, small]) == ([best, other] if further else [best])
-    mass = next(h for h in hypotheses(model, joints, fixed_base=True) if h.effect.name == "quadratic_drag")
-    amounts = [Screened(mass, 0, share, 0.1, 0.1, 1.0, 1.0, 1.0, np.zeros(1)) for share in (1.0, 2.0)]
+    assert shortlist([best, dataclasses.replace(other, visibility=0.01)]) == [best]
+    soft = next(h for h in hypotheses(model, joints, fixed_base=True) if h.effect.name == "lugre" and h.joints is None)
+    amounts = [Screened(soft, k, 1.0, 0.1, 0.1, 1.0, 1.0, 1.0, np.zeros(1)) for k in range(2)]
     assert shortlist(amounts) == amounts[:1]
+
+
+def test_what_differs_by_set_up_can_be_refitted():
+    """Its numbers carry the condition in their names, which no catalogue has."""
+    one = screened("encoder_offset", None, 0.1, 1.0)
+    one.hypothesis.secants = ({"encoder_offset@length=1e-1": 0.01},)
+    assert shortlist([one, replace(one, gain=0.09)]) == [one]
 
 
 def test_behind_a_latency_a_lag_is_always_asked_for():
