@@ -16,8 +16,8 @@ bear either explained 0.09."""
 
 OWN_CLEAR, OWN_CLEAR_Z = 0.35, 2.0
 """Share of its joint's residual, in fitted and choosing runs, from which on the fault of a joint needs only this of the
-ranks: a terminal resistance acts where a servo is at its voltage, and elsewhere not at all. Beside a sagging supply it
-explained 0.64 and 0.44 of its joint."""
+ranks, and from `OWN_GAIN` to which it needs the less of them the more it explains: a terminal resistance acts where a
+servo is at its voltage, and elsewhere not at all. Beside a sagging supply it explained 0.64 and 0.44 of its joint."""
 
 OWN_CHECKED = 0.25
 """What explains less of its own joint than this, and of all joints less than `SMALLEST_GAIN`, counts only if free runs
@@ -647,7 +647,8 @@ def shows_at_home(own: Own) -> bool:
     if min(own.gain, own.fit_gain) < OWN_GAIN:
         return False
     trimmed = float(np.sort(own.gained)[:-TRIMMED].sum() / own.control.sum())
-    ranks = OWN_CLEAR_Z if min(own.gain, own.fit_gain) >= OWN_CLEAR else OWN_Z
+    # the more it explains, the fewer seconds it need act in
+    ranks = np.interp(min(own.gain, own.fit_gain), (OWN_GAIN, OWN_CLEAR), (OWN_Z, OWN_CLEAR_Z))
     return trimmed >= TRIMMED_GAIN and _statistic(own.gained) >= OWN_T and signed_ranks(own.gained) >= ranks
 
 

@@ -220,7 +220,8 @@ def score_case(
         ranking; `class`: exact, or an ambiguous verdict with an exact candidate; `joint`: joints right where one
         joint holds the effect and its name is right; `detected`; `alarm` (nulls); `unknown_right` (outsiders); `both`
         and `one` (pairs); `extra`: a right claim beside a name that is not hidden; `confidence` and `right` of the
-        first claim; `confident_wrong`; `covered`: size within the interval; `size_ratio`; `closure`: share of the gap
+        first claim; `confident_wrong`: a claim, first or further, that is stated with confidence and not hidden;
+        `covered`: size within the interval; `size_ratio`; `closure`: share of the gap
         beyond the noise floor that was closed; `oracle_closure`: of what the oracle closes; `explained` and
         `black_box`: share of the residual that the first claim, and a black box, explain; `processor_seconds`: CPU time
         of the diagnosis.
@@ -262,8 +263,8 @@ def score_case(
     invented = any(all(claim.name != one.name for one in truth) for claim in claims)
     row["extra"] = verdict.verdict == "named" and right and invented if hidden else None
     row["right"] = right if first is not None and first.confidence is not None else None
-    confident = first is not None and (first.confidence or 0.0) > CONFIDENT
-    row["confident_wrong"] = bool(confident and not right)
+    confident = [claim for claim in claims if (claim.confidence or 0.0) > CONFIDENT]
+    row["confident_wrong"] = any(not any(claim.same(one) for one in truth) for claim in confident)
     row.update(_sizes(truth, claims))
     row["closure"] = closure(verdict.gap or {})
     row["oracle_closure"] = None if oracle is None else oracle_closure(verdict.gap or {}, oracle.get("gap") or {})

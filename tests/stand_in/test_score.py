@@ -62,6 +62,15 @@ def test_the_right_name_in_the_wrong_joint_is_not_exact():
     assert row["confident_wrong"] is True
 
 
+@pytest.mark.parametrize(("confidence", "misleads"), [(0.9, True), (0.6, False)])
+def test_a_further_name_misleads_as_the_first_does(confidence, misleads):
+    """The hidden effect is named first; a second that is not hidden is wrong with the confidence that it states."""
+    right = Claim("backlash", ("r_knee",), 0.004, (0.003, 0.005), 0.95)
+    row = score_case(BACKLASH, named(right, Claim("lugre", ("r_hip_pitch",), confidence=confidence)))
+    assert row["exact"] is True
+    assert row["confident_wrong"] is misleads
+
+
 def test_an_alias_counts_only_where_it_is_called_ambiguous():
     """`compliance` before `backlash` is right as a class when the verdict is ambiguous, and wrong when named."""
     wrong, true = Claim("compliance", ("r_knee",), confidence=0.6), Claim("backlash", ("r_knee",), confidence=0.4)
