@@ -10,6 +10,8 @@ from scipy import stats
 
 from op3.diagnose.decide import (
     FURTHER_Z,
+    OWN_CLEAR_Z,
+    OWN_Z,
     SMALLEST_T,
     SMALLEST_Z,
     Contender,
@@ -22,6 +24,7 @@ from op3.diagnose.decide import (
     local_ceiling,
     of_another_kind,
     pick_shares,
+    shows_at_home,
     signed_ranks,
     unresolved,
 )
@@ -349,6 +352,15 @@ def test_a_fault_is_seen_in_its_own_joint(control, rng, gain, fit_gain, seconds,
     assert decision.verdict == verdict
     if verdict == "named":
         assert decision.reason == "it explains 20% of the residual of its joint"
+
+
+@pytest.mark.parametrize(("gain", "enough"), [(0.12, False), (0.3, True)])
+def test_a_fault_that_explains_more_of_its_joint_needs_fewer_seconds(gain, enough):
+    """Of sixty seconds half have gained and the others lost a little: the ranks score about 3."""
+    rng = np.random.default_rng(2)
+    gained = np.where(np.arange(BLOCKS) < 28, 1.0, -0.05) * rng.uniform(0.5, 1.5, size=BLOCKS)
+    assert OWN_CLEAR_Z + 0.5 < signed_ranks(gained) < OWN_Z - 0.5
+    assert shows_at_home(Own(gain, gain, np.full(BLOCKS, 2.0), gained)) is enough
 
 
 def test_what_a_law_leaves_is_no_further_effect(control, rng):
