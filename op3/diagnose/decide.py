@@ -648,7 +648,7 @@ def shows_at_home(own: Own) -> bool:
         return False
     trimmed = float(np.sort(own.gained)[:-TRIMMED].sum() / own.control.sum())
     # the more it explains, the fewer seconds it need act in
-    ranks = np.interp(min(own.gain, own.fit_gain), (OWN_GAIN, OWN_CLEAR), (OWN_Z, OWN_CLEAR_Z))
+    ranks = float(np.interp(min(own.gain, own.fit_gain), (OWN_GAIN, OWN_CLEAR), (OWN_Z, OWN_CLEAR_Z)))
     return trimmed >= TRIMMED_GAIN and _statistic(own.gained) >= OWN_T and signed_ranks(own.gained) >= ranks
 
 
