@@ -28,6 +28,12 @@ DWELL = 0.5
 REVERSALS = 6
 """Changes of direction that a joint must make: backlash, friction and delay differ in them."""
 
+FEWEST_LINES, FASTEST_LINE = 1.5, 20.0
+"""Sines that the command of a joint must amount to in its richest run, and up to where they are counted [Hz]: one sine
+tells two numbers of a joint (Ljung, System Identification, 2nd ed., section 13.2, persistence of excitation), and
+position, speed and load are locked to each other. A walk in the air has 1.1 to 1.2, arms that sway with three sines
+2.2, rich legs 20. Of 16 walks with one effect each five got a further or a wrong name with a confidence above 0.8."""
+
 SPEED_SPAN = 0.04
 """Time over which a speed is taken [s]."""
 
@@ -62,6 +68,7 @@ class Caution:
         effects: of which it is said; empty where it is said of all.
         void: whether the logs contradict themselves, so that fitting them means nothing.
         spared: effects of which it is not said.
+        most: whether it is said of most joints that moved, and so of what all joints share too.
     """
 
     text: str
@@ -69,12 +76,15 @@ class Caution:
     effects: tuple[str, ...] = ()
     void: bool = False
     spared: tuple[str, ...] = ()
+    most: bool = False
 
     def weakens(self, joints: Sequence[str], effect: str = "") -> bool:
         """Whether the name of an effect in these joints, or in all where there are none, is not to be trusted."""
         if (self.effects and effect not in self.effects) or effect in self.spared:
             return False
-        return self.void or not self.joints or (bool(joints) and set(joints) <= set(self.joints))
+        if self.void or not self.joints:
+            return True
+        return set(joints) <= set(self.joints) if joints else self.most
 
 
 def preflight(split: LogSplit, model: RobotModel) -> tuple[Caution, ...]:
@@ -126,6 +136,7 @@ def _excitation(logs: Sequence[Rollout]) -> list[Caution]:
                 f"Friction, delay and play look alike in joints that were hardly excited: {lacks}{more}. Record slow"
                 " triangles at 0.02 to 0.3 rad/s and multisines beyond 1 rad/s in every joint.",
                 () if whole else (*still, *poor),
+                most=2 * len(poor) > len(joints) - len(still),
             )
         )
     return said
@@ -133,7 +144,7 @@ def _excitation(logs: Sequence[Rollout]) -> list[Caution]:
 
 def _lacking(logs: Sequence[Rollout], joint: int) -> str:
     """What the excitation of a joint lacks; empty if nothing."""
-    slow = fast = reach = 0.0
+    slow = fast = reach = lines = 0.0
     reversals = 0
     for log in logs:
         time, angle = log.array("time")[:, 0], log.array("joint/position")[:, joint]
@@ -144,13 +155,31 @@ def _lacking(logs: Sequence[Rollout], joint: int) -> str:
         fast += period * float((np.abs(speed) > FAST).sum())
         reversals += int((np.diff(np.sign(speed[np.abs(speed) > SLOW[0]])) != 0).sum())
         reach = max(reach, float(np.ptp(angle)))
+        lines = max(lines, _lines(log, joint))
     if reach < REACH:
         return f"covered {reach:.2f} rad"
     if reversals < REVERSALS:
         return f"turned {reversals} times"
     if slow < DWELL:
         return f"was slower than {SLOW[1]:g} rad/s for {slow:.1f} s only"
-    return f"was faster than {FAST:g} rad/s for {fast:.1f} s only" if fast < DWELL else ""
+    if fast < DWELL:
+        return f"was faster than {FAST:g} rad/s for {fast:.1f} s only"
+    return "moved with little more than one sine a run" if lines < FEWEST_LINES else ""
+
+
+def _lines(log: Rollout, joint: int) -> float:
+    """How many sines of equal power the speed of a joint's command amounts to; of its position where none is logged.
+
+    The participation ratio of the spectrum, in units of that of one sine.
+    """
+    name = "command/position" if "command/position" in log else "joint/position"
+    period = float(np.median(np.diff(log.array("time")[:, 0])))
+    speed = np.diff(log.array(name)[:, joint])
+    lines = np.fft.rfft(np.hanning(len(speed)) * (speed - speed.mean()))
+    power = np.square(np.abs(lines[np.fft.rfftfreq(len(speed), period) < FASTEST_LINE]))
+    total = float(power.sum())
+    # a Hann window spreads a sine over three bins, with powers of 1/4, 1 and 1/4
+    return 0.5 * total**2 / float(np.square(power).sum()) if total > 0 else 0.0
 
 
 def _saturated(logs: Sequence[Rollout]) -> Caution | None:

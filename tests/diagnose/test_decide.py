@@ -233,15 +233,18 @@ def test_look_alikes_by_cosine_are_candidates(control, rng):
 
 
 def test_fewer_numbers_are_preferred(control, rng):
-    """Two numbers that explain a twentieth more than one alike do not win; where they explain a third more, they do."""
+    """Two numbers that explain a twentieth more than one alike do not win; where they explain a third more, they do.
+
+    Where the resamples prefer the two, the one is not quite sure.
+    """
     plain = dataclasses.replace(contender("coulomb@1", 0.30), joints=(1,), direction=np.array([1.0, 0.0]))
-    for gain, name in ((0.315, "coulomb@1"), (0.45, "position_friction@1")):
+    for gain, name, share in ((0.315, "coulomb@1", 0.8), (0.45, "position_friction@1", 1.0)):
         richer = contender("position_friction@1", gain, seed=1)
         richer = dataclasses.replace(richer, joints=(1,), numbers=2, direction=np.array([0.95, 0.31]))
         decision = decide([richer, plain], control, rng)
         assert decision.verdict == "named"
         assert [richer, plain][decision.candidates[0]].label == name
-        assert decision.shares[decision.candidates[0]] > 0.9
+        assert decision.shares[decision.candidates[0]] == pytest.approx(share, abs=0.02)
 
 
 def test_forms_of_one_effect_share_their_confidence(control, rng):

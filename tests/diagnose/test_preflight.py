@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from op3.diagnose import Diagnosis, split_logs
 from op3.diagnose.labels import mislabelled
-from op3.diagnose.preflight import Caution, preflight
+from op3.diagnose.preflight import Caution, _lines, preflight
 from op3.diagnose.split import LogSplit
 from op3.robot import leg_suite
 from op3.rollout import Metadata, Rollout
@@ -14,10 +16,15 @@ from op3.stand_in.cases import draw_case
 from op3.stand_in.leg import record_leg
 
 
-def log(duration: float, reach: float, speed: float = 3.0) -> Rollout:
-    """Two joints, of which the second moves by `reach` [rad]; they turn `speed` times a second, over 2 pi."""
+def log(duration: float, reach: float, speed: float = 3.0, multiples=(1.0,)) -> Rollout:
+    """Two joints, of which the second moves by `reach` [rad]; they turn `speed` times a second, over 2 pi.
+
+    Args:
+        multiples: of `speed` that are added up, each with the same amplitude of the velocity.
+    """
     time = np.arange(round(duration * 125)) / 125
-    position = np.stack([np.sin(speed * time), reach * np.sin(speed * time)], 1)
+    wave = sum(np.sin(multiple * speed * time) / multiple for multiple in multiples)
+    position = np.stack([wave, reach * wave], 1)
     metadata = Metadata(joints=("r_knee", "r_hip_pitch"), robot="simulated", mount="stand", rate=125.0)
     return Rollout.from_arrays({"time": time, "joint/position": position, "command/position": position}, metadata)
 
@@ -54,7 +61,45 @@ def test_short_logs_and_still_joints_are_told():
 
 def test_rich_logs_pass():
     """Twenty seconds with all joints in motion, slow at their turns and fast between, say nothing."""
-    assert said(log(20.0, 0.5)) == ()
+    assert said(log(20.0, 0.5, multiples=(1.0, 2.7))) == ()
+
+
+def test_one_sine_is_told():
+    """Runs of one sine each lock speed to position, however many there are; the richest run counts."""
+    walks = [log(10.0, 0.5, speed) for speed in (2.0, 3.0, 4.0)]
+    (caution,) = said(*walks)
+    assert "one sine" in caution.text
+    assert caution.weakens((), "stribeck")
+    assert said(*walks, log(10.0, 0.5, multiples=(1.0, 2.7))) == ()
+
+
+@given(st.floats(1.0, 30.0), st.integers(1, 4), st.floats(0.01, 10.0))
+def test_lines_are_counted(slowest, number, scale):
+    """So many sines of equal speed are so many lines, whatever their size."""
+    one = log(20.0, scale, slowest, multiples=1.0 + np.arange(number))
+    assert _lines(one, 1) == pytest.approx(number, rel=0.12)
+
+
+@pytest.mark.parametrize("rich", [0, 1, 2])
+def test_what_most_moving_joints_lack_is_said_of_what_all_share(rich):
+    """Of three joints that move two with one sine each speak against a shared effect, and one does not."""
+    time = np.arange(2500) / 125
+    sine, wave = np.sin(3.0 * time), np.sin(3.0 * time) + np.sin(8.1 * time) / 2.7
+    position = np.stack([*[wave] * rich, *[sine] * (3 - rich), 0 * time], 1)
+    metadata = Metadata(
+        joints=("r_knee", "r_hip_pitch", "r_ank_pitch", "r_hip_yaw"), robot="simulated", mount="stand", rate=125.0
+    )
+    _, caution = said(
+        Rollout.from_arrays({"time": time, "joint/position": position, "command/position": position}, metadata)
+    )
+    assert caution.weakens((), "stribeck") is (rich < 2)
+    assert caution.weakens(("r_ank_pitch",), "stribeck")
+    assert caution.weakens(("r_knee",), "stribeck") is (rich == 0)
+
+
+def test_a_target_that_stays_has_no_lines():
+    """A held joint is no sine."""
+    assert _lines(log(5.0, 0.0), 1) == 0.0
 
 
 def test_slow_motion_alone_is_told():
