@@ -1,7 +1,7 @@
 """The workflow: refit the base, screen, refit the shortlist, decide, add, show."""
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from op3.diagnose.ceiling import Ceiling, ceiling, where
 from op3.diagnose.coordinates import (
+    Coordinate,
     Coordinates,
     base_coordinates,
     other_forms,
@@ -554,8 +555,9 @@ class Diagnosis:
         coordinates, more = hypothesis.coordinates(base.coordinates, secant, share)
         start = np.concatenate([control.point, more])
         # an effect that is not local explains nothing on the way to its secant; its bounds may have cut that short
-        amounts = [s / a for s, (n, a) in zip(more, secant.items(), strict=True) if _is_amount(n) and s and a]
-        reached = abs(amounts[0]) if amounts else abs(share)
+        new = coordinates.entries[len(base.coordinates) :]
+        moved = [(s - e.prior) / secant[e.parameter] for s, e in zip(more, new, strict=True) if _moves(e, secant)]
+        reached = next((abs(part) for part in moved if part), abs(share))
         shares = (*SHARES, *(whole / reached for whole in WHOLES))
         fit = refit(self.engine, base, coordinates, start, anchor=control, shares=shares)
         return self._across_the_ridge(hypothesis.effect.name, base, control, fit)
@@ -685,9 +687,9 @@ def _leaders(losses: Sequence[float], control: float, places: Sequence[Any]) -> 
     return [i for i, gain in zip(order, gains, strict=True) if gain > max(PROMISING, 0.5 * gains[0])]
 
 
-def _is_amount(name: str) -> bool:
-    """Whether a number of a secant says how much, and not where or how fast."""
-    return parameter(split_name(name)[0]).neutral is not None
+def _moves(entry: Coordinate, secant: Mapping[str, float]) -> bool:
+    """Whether a secant says how much of a coordinate there is, and not where or how fast, or nothing."""
+    return bool(secant.get(entry.parameter)) and parameter(split_name(entry.parameter)[0]).neutral is not None
 
 
 def _full(model: RobotModel) -> RobotModel:
