@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from op3.diagnose import Diagnosis, Verdict, diagnose_swings, split_logs, suited
-from op3.diagnose.setups import setup_hypotheses
+from op3.diagnose.setups import SetupHypothesis, setup_hypotheses
+from op3.diagnose.split import LogSplit
 from op3.diagnose.swing import FEWEST, split_swings, swings
 from op3.rollout import LogError, Metadata, Rollout, read_logs
 from op3.sim import load_model
@@ -62,6 +63,19 @@ def test_set_ups_are_told_apart_by_their_metadata():
     assert hypothesis.label(("servo",)) == "encoder_offset by length"
     assert hypothesis.names == ("encoder_offset@length=5e-2", "encoder_offset@length=1e-1")
     assert setup_hypotheses(model, [pendulum(0.1), pendulum(0.1)]) == []
+
+
+def test_set_ups_are_refitted_each_from_where_it_stands():
+    """Arms of two lengths that swing at one rate, as no two pendulums do: their zeros come apart, and explain some."""
+    logs = [pendulum(length) for length in [0.05, 0.1] * 3]
+    split = LogSplit(tuple(logs[:2]), tuple(logs[2:4]), tuple(logs[4:]))
+    diagnosis = Diagnosis(load_model("xl330_m1"), split, seed=0)
+    base = diagnosis.refit_base(diagnosis.given)
+    every = [s for s in diagnosis.screen(base) if isinstance(s.hypothesis, SetupHypothesis)]
+    refitted = min(diagnosis.refit_of(base, every), key=lambda one: one.fit.loss)
+    short, long = refitted.fit.point[len(base.coordinates) :]
+    assert refitted.contender.fit_gain > 0.05
+    assert abs(short - long) > 0.1
 
 
 def test_a_model_driven_by_current_becomes_one_of_the_servo():
