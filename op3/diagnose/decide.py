@@ -324,7 +324,7 @@ def decide(
         begun = order[:1] if _begins(best, control) else []
         said = f"the best of the catalogue, {best.label}, explains {max(best.gain, 0):.1%}"
         return _nothing(said, shares, left, begun)
-    best = _simplest(contenders, counting, control)
+    best = _in_all_joints(contenders, _simplest(contenders, counting, control), shares, found)
     others = [i for i in counting if i != best and not _more_than(contenders[i], contenders[best], control)]
     alone = _credited(shares, contenders, best, [i for i in order if i != best])[best]
     shares = _credited(shares, contenders, best, others)
@@ -423,6 +423,22 @@ def _simplest(contenders: Sequence[Contender], counting: Sequence[int], control:
     for i in counting[1:]:
         if contenders[i].numbers < contenders[best].numbers and _more_than(contenders[best], contenders[i], control):
             best = i
+    return best
+
+
+def _in_all_joints(contenders: Sequence[Contender], best: int, shares: np.ndarray, found: Sequence[Contender]) -> int:
+    """The same effect in all joints, if it wins more of the resamples than a fault that counts, else the fault.
+
+    That the effect is there is known then. Bristles in all joints explained 0.16 and 0.04 with a t of 1.2, those of one
+    joint alone 0.06 and 0.10, and counted.
+    """
+    fault = contenders[best]
+    for i, one in enumerate(contenders):
+        if one.effect != fault.effect or one.joints is not None or shares[i] <= shares[best]:
+            continue
+        large = abs(one.size) >= SMALLEST_SIZE * one.smallest and not one.implausible and not _left_over(one, found)
+        if large and min(one.gain, one.fit_gain) > 0.25 * SMALLEST_GAIN and one.explained >= SMALLEST_GAIN:
+            return i
     return best
 
 

@@ -76,6 +76,25 @@ def test_look_alikes_need_more_certainty(control, rng):
         assert decide([first, second], control, rng).verdict == verdict
 
 
+@pytest.mark.parametrize(
+    ("shared", "size", "named"),
+    [
+        ("lugre", 1.0, "lugre"),
+        ("lugre", 0.01, "lugre@1"),  # too small to matter
+        ("stribeck", 1.0, "lugre@1"),  # another effect does not stand for it
+    ],
+)
+def test_a_fault_that_counts_speaks_for_the_same_effect_in_all_joints(control, rng, shared, size, named):
+    """In all joints it explains more, in uneven seconds, and wins most resamples; by itself it would be nothing."""
+    gained = np.full(BLOCKS, -0.04)
+    gained[:6] = 1.6
+    whole = dataclasses.replace(contender(shared, 0.12, size=size), losses=control - gained)
+    fault = contender("lugre@1", 0.11, seed=1)
+    assert decide([whole], control, rng).verdict == "nothing_missing"
+    decision = decide([whole, fault], control, rng)
+    assert [whole, fault][decision.candidates[0]].label == named
+
+
 def test_what_explains_more_in_the_same_place_counts_too(control, rng):
     """Uneven seconds spoil the statistics of the best; beside a look-alike that counts it is a candidate, alone not."""
     uneven = contender("current_offset@1", 0.09, noise=0.28)
