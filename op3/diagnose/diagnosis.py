@@ -43,7 +43,6 @@ from op3.diagnose.fitting import (
     WORTHWHILE,
     Engine,
     Fit,
-    exchanged,
     fit_base,
     likeliest,
     linearise,
@@ -63,6 +62,7 @@ from op3.diagnose.packets import (
     without_losses,
 )
 from op3.diagnose.preflight import CAPPED, Caution, preflight
+from op3.diagnose.ridges import exchanged, redrawn
 from op3.diagnose.ripple import with_ripples
 from op3.diagnose.screen import Screened, screen
 from op3.diagnose.settle import Candidate, settle
@@ -85,7 +85,7 @@ from op3.diagnose.windows import WindowResiduals
 from op3.servo import RobotModel, effect_class
 from op3.servo.conditions import split_name
 from op3.servo.effect import parameter
-from op3.servo.effects import PacketDrop
+from op3.servo.effects import PacketDrop, QuadraticDrag
 from op3.sim import model_hash
 
 POLISHED = 4
@@ -560,13 +560,16 @@ class Diagnosis:
         reached = next((abs(part) for part in moved if part), abs(share))
         shares = (*SHARES, *(whole / reached for whole in WHOLES))
         fit = refit(self.engine, base, coordinates, start, anchor=control, shares=shares)
-        return self._across_the_ridge(hypothesis.effect.name, base, control, fit)
+        return self._across_the_ridge(hypothesis, base, control, fit)
 
-    def _across_the_ridge(self, effect: str, base: Fit, control: Fit, fit: Fit) -> Fit:
-        """The fit, or a better one from where a part of what the base has become is the effect's, see `EXCHANGED`."""
-        if effect not in EXCHANGED:
-            return fit
-        starts = exchanged(fit.coordinates, control.point, EXCHANGED[effect], EXCHANGES)
+    def _across_the_ridge(self, hypothesis: Hypothesis, base: Fit, control: Fit, fit: Fit) -> Fit:
+        """The fit, or a better one from where a part of what the base has become is the effect's, see `ridges`."""
+        effect, starts = hypothesis.effect.name, []
+        if effect in EXCHANGED:
+            starts = exchanged(fit.coordinates, control.point, EXCHANGED[effect], EXCHANGES)
+        elif effect == QuadraticDrag.name and hypothesis.joints is None:
+            speeds = np.concatenate([log.array("joint/velocity").ravel() for log in self.split.fit])
+            starts = redrawn(fit.coordinates, control.point, speeds)
         if not starts:
             return fit
         start = likeliest(self.engine, base, fit.coordinates, starts)

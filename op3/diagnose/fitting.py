@@ -321,28 +321,6 @@ def likeliest(engine: Engine, base: Fit, coordinates: Coordinates, starts: Seque
     return _Problem(engine, base, coordinates).best(np.stack(starts))[0]
 
 
-def exchanged(coordinates: Coordinates, point: np.ndarray, other: str, amounts: Sequence[float]) -> list[np.ndarray]:
-    """Starts at which a hypothesis has taken over what a parameter of the base stands for.
-
-    A lag looks like a delay of the same length: between the two lies a ridge that no step along a Jacobian crosses.
-
-    Args:
-        coordinates: base and hypothesis; none start where that is more than one number.
-        point: of the base's coordinates, ``[coordinate]``.
-        other: the base's parameter.
-        amounts: that change from one to the other.
-    """
-    names = [entry.parameter for entry in coordinates.entries[: len(point)]]
-    if len(coordinates) != len(point) + 1 or other not in names:
-        return []
-    starts = []
-    for amount in amounts:
-        start = np.append(point, coordinates.entries[-1].prior + amount)
-        start[names.index(other)] -= amount
-        starts.append(np.clip(start, coordinates.low, coordinates.high))
-    return starts
-
-
 def polish(engine: Engine, base: Fit, fit: Fit, steps: int = 2, jacobians: int = 3) -> Fit:
     """Go on from a refit with Jacobians of its own: far from the base, the base's is no longer right.
 

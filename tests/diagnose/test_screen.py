@@ -10,9 +10,10 @@ import pytest
 
 from op3.diagnose.backward import left_out, with_findings
 from op3.diagnose.coordinates import Coordinate, Coordinates, base_coordinates, with_chain
-from op3.diagnose.fitting import Fit, bounded_step, exchanged
+from op3.diagnose.fitting import Fit, bounded_step
 from op3.diagnose.hypotheses import hypotheses
 from op3.diagnose.motion import HALF_WIDTH, VELOCITY_LAG, kernels
+from op3.diagnose.ridges import CURVE, exchanged, redrawn
 from op3.diagnose.screen import Projector, Screened, _score
 from op3.diagnose.shortlist import confusable, hides_another, promising, shortlist, stands_alone, worth_a_round
 from op3.diagnose.verdict import Finding
@@ -451,3 +452,24 @@ def test_a_lag_starts_where_a_delay_has_become_one():
     starts = exchanged(both, np.array([0.1, 0.005]), "command_latency", (0.004, 0.006))
     np.testing.assert_allclose(starts, [[0.1, 0.001, 0.004], [0.1, 0.0, 0.005]])
     assert exchanged(Coordinates(model, ("a",), (friction, lag)), np.array([0.1]), "command_latency", (0.004,)) == []
+
+
+def test_a_drag_starts_where_the_curve_of_friction_stays():
+    """Beside a drag of 0.012 a bent curve of friction is nearly what it was, at every speed that the robot had."""
+    model, speeds = load_model("paper"), 4.0 * np.random.default_rng(1).normal(size=(500, 2)) ** 3
+    friction = [Coordinate(name, None, 0.0, 1.0, 0.1, 0.1) for name in CURVE]
+    drag = Coordinate("quadratic_drag", None, 0.0, 0.05, 0.0, 0.0, kind="add")
+    bent = np.array([0.034, 0.22, 0.095, 0.125])
+    both = Coordinates(model, ("a",), (*friction, drag))
+    v = np.linspace(0.0, 4.0, 50)
+
+    def torque(point):
+        coulomb, excess, viscous, fade, drag = point
+        return coulomb + excess * np.exp(-((v / fade) ** 2)) + viscous * v + drag * v**2
+
+    (start,) = redrawn(both, bent, np.clip(speeds, -4.0, 4.0), (0.012,))
+    before = torque([*bent, 0.0])
+    assert start[-1] == 0.012
+    assert np.abs(torque(start) - before).max() < 0.15 * before.max()
+    assert start[2] < 0.7 * bent[2]
+    assert redrawn(Coordinates(model, ("a",), (*friction[1:], drag)), bent[1:], speeds) == []

@@ -1,0 +1,92 @@
+"""Where a refit begins when the base stands for the effect it asks for, and no step along a Jacobian leads there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import nnls
+
+from op3.diagnose.coordinates import Coordinates
+
+CURVE = ("coulomb_friction", "static_friction_excess", "viscous_friction", "stribeck_velocity")
+"""Parameters of a base's friction over speed; where static friction fades comes last."""
+
+FADES = (0.05, 0.07, 0.1, 0.14, 0.2, 0.3)
+"""Speeds over which static friction may fade in a curve that is drawn anew [rad/s]."""
+
+DRAGS = (0.006, 0.012, 0.024)
+"""Drags that are tried [N m s^2/rad^2]: from what is hardly seen to the largest of a worn or over-greased gear."""
+
+SPEEDS = 80
+"""Speeds at which two curves are compared, equally many of the robot's rows between any two."""
+
+
+def exchanged(coordinates: Coordinates, point: np.ndarray, other: str, amounts: Sequence[float]) -> list[np.ndarray]:
+    """Starts at which a hypothesis has taken over what a parameter of the base stands for.
+
+    A lag looks like a delay of the same length: between the two lies a ridge that no step along a Jacobian crosses.
+
+    Args:
+        coordinates: base and hypothesis; none start where that is more than one number.
+        point: of the base's coordinates, ``[coordinate]``.
+        other: the base's parameter.
+        amounts: that change from one to the other.
+    """
+    names = [entry.parameter for entry in coordinates.entries[: len(point)]]
+    if len(coordinates) != len(point) + 1 or other not in names:
+        return []
+    starts = []
+    for amount in amounts:
+        start = np.append(point, coordinates.entries[-1].prior + amount)
+        start[names.index(other)] -= amount
+        starts.append(np.clip(start, coordinates.low, coordinates.high))
+    return starts
+
+
+def redrawn(
+    coordinates: Coordinates, point: np.ndarray, speeds: np.ndarray, drags: Sequence[float] = DRAGS
+) -> list[np.ndarray]:
+    """Starts at which a drag over v |v| has taken its part of the base's friction, and the curve stays as it was.
+
+    Without the drag a base bends its curve by little Coulomb friction, much static friction that fades late, and much
+    viscous friction: F(v) = Fc + Fs exp(-(v / vs)^2) + b v. All four have to change at once for it to come back.
+
+    Args:
+        coordinates: base and hypothesis; none start where that is more than one number, or joints have curves of their
+            own only.
+        point: of the base's coordinates, ``[coordinate]``.
+        speeds: that the robot had [rad/s], any shape.
+        drags: how much of it [N m s^2/rad^2].
+    """
+    places = _shared(coordinates, len(point))
+    if len(coordinates) != len(point) + 1 or any(name not in places for name in CURVE):
+        return []
+    v = np.quantile(np.abs(speeds), np.linspace(0.02, 0.998, SPEEDS))
+    coulomb, excess, viscous, fade = (point[places[name]] for name in CURVE)
+    curve = coulomb + excess * np.exp(-((v / fade) ** 2)) + viscous * v
+    starts = []
+    for drag in drags:
+        parts, fade = _drawn(v, curve - drag * v**2)
+        start = np.append(point, drag)
+        start[[places[name] for name in CURVE]] = [*parts, fade]
+        starts.append(np.clip(start, coordinates.low, coordinates.high))
+    return starts
+
+
+def _drawn(v: np.ndarray, curve: np.ndarray) -> tuple[np.ndarray, float]:
+    """Coulomb, static and viscous friction, and the speed over which the static one fades, nearest to a curve."""
+    shapes = [np.stack([np.ones_like(v), np.exp(-((v / fade) ** 2)), v], 1) for fade in FADES]
+    fits = [nnls(shape, curve) for shape in shapes]
+    nearest = min(range(len(FADES)), key=lambda n: fits[n][1])
+    return fits[nearest][0], FADES[nearest]
+
+
+def _shared(coordinates: Coordinates, known: int) -> dict[str, int]:
+    """Where the first coordinates say what all joints have, or all but the faulty ones."""
+    most = max((len(entry.joints or ()) for entry in coordinates.entries[:known]), default=0)
+    return {
+        entry.parameter: place
+        for place, entry in enumerate(coordinates.entries[:known])
+        if entry.kind == "value" and (entry.joints is None or (len(entry.joints) > 1 and 2 * len(entry.joints) > most))
+    }
