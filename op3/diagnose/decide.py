@@ -16,8 +16,8 @@ bear either explained 0.09."""
 
 OWN_CLEAR, OWN_CLEAR_Z = 0.35, 2.0
 """Share of its joint's residual, in fitted and choosing runs, from which on the fault of a joint needs only this of the
-ranks, and from `OWN_GAIN` to which it needs the less of them the more it explains: a terminal resistance acts where a
-servo is at its voltage, and elsewhere not at all. Beside a sagging supply it explained 0.64 and 0.44 of its joint."""
+ranks; between `OWN_GAIN` and this the score falls linearly from `OWN_Z`. A terminal resistance acts where a servo is at
+its voltage, and elsewhere not at all. Beside a sagging supply it explained 0.64 and 0.44 of its joint."""
 
 OWN_CHECKED = 0.25
 """What explains less of its own joint than this, and of all joints less than `SMALLEST_GAIN`, counts only if free runs
@@ -142,9 +142,10 @@ PARSIMONY = 0.1
 """Share of what the best explains that a hypothesis with fewer numbers may fall short of it and still be preferred: a
 further number explains some of what any law gets wrong."""
 
-PREFERRED = 0.8
-"""Confidence in what was preferred so to another effect that wins more of the resamples. A non-linear encoder that was
-hidden behind a viscous joint was taken for a zero error, which has one number less and explained 0.097 for 0.103."""
+PREFERRED = 0.7
+"""Confidence at most in what was preferred so to another that counts and wins more of the resamples. A non-linear
+encoder that was hidden behind a viscous joint was taken for a zero error, which has one number less and explained 0.097
+for 0.103."""
 
 BEATEN = np.float64(1e12)
 """Loss in place of that of a contender that is out of the question."""
@@ -324,12 +325,14 @@ def decide(
         begun = order[:1] if _begins(best, control) else []
         said = f"the best of the catalogue, {best.label}, explains {max(best.gain, 0):.1%}"
         return _nothing(said, shares, left, begun)
-    best = _in_all_joints(contenders, _simplest(contenders, counting, control), shares, found)
+    best = _in_all_joints(contenders, _simplest(contenders, counting, control), control, shares, found)
     others = [i for i in counting if i != best and not _more_than(contenders[i], contenders[best], control)]
     alone = _credited(shares, contenders, best, [i for i in order if i != best])[best]
+    passed = [i for i in counting if i != best and i not in others and shares[i] > alone]
     shares = _credited(shares, contenders, best, others)
     rivals = _rivals(contenders, best, others, control, shares, rng)
-    shares[best] = min(shares[best], max(alone, PREFERRED))
+    if passed:
+        shares[best] = min(shares[best], PREFERRED)
     if best in beside and not rivals:  # it alone would not have been named
         rivals = [i for i in counting if i in counted][:1]
     if not rivals and shares[best] < PICKED and contenders[best].explained < CLEAR_GAIN:
@@ -426,18 +429,29 @@ def _simplest(contenders: Sequence[Contender], counting: Sequence[int], control:
     return best
 
 
-def _in_all_joints(contenders: Sequence[Contender], best: int, shares: np.ndarray, found: Sequence[Contender]) -> int:
-    """The same effect in all joints, if it wins more of the resamples than a fault that counts, else the fault.
+def _in_all_joints(
+    contenders: Sequence[Contender],
+    best: int,
+    control: np.ndarray,
+    shares: np.ndarray,
+    found: Sequence[Contender],
+) -> int:
+    """The same effect in all joints, if it wins more of the resamples than the fault that counts, else the best.
 
-    That the effect is there is known then. Bristles in all joints explained 0.16 and 0.04 with a t of 1.2, those of one
-    joint alone 0.06 and 0.10, and counted.
+    That the effect is there is known then, so it need not reach the t or the ranks of one that is not, but for acting
+    in more than a few seconds. Bristles in all joints explained 0.16 and 0.04 with a t of 1.2, those of one joint alone
+    0.06 and 0.10, and counted.
     """
     fault = contenders[best]
+    if fault.joints is None:
+        return best
     for i, one in enumerate(contenders):
         if one.effect != fault.effect or one.joints is not None or shares[i] <= shares[best]:
             continue
         large = abs(one.size) >= SMALLEST_SIZE * one.smallest and not one.implausible and not _left_over(one, found)
-        if large and min(one.gain, one.fit_gain) > 0.25 * SMALLEST_GAIN and one.explained >= SMALLEST_GAIN:
+        often = evidence(one, control)[1] >= TRIMMED_GAIN
+        often &= not found or signed_ranks(control - one.losses) >= SMALLEST_Z
+        if large and often and min(one.gain, one.fit_gain) > 0.25 * SMALLEST_GAIN and one.explained >= SMALLEST_GAIN:
             return i
     return best
 

@@ -257,13 +257,33 @@ def test_fewer_numbers_are_preferred(control, rng):
     Where the resamples prefer the two, the one is not quite sure.
     """
     plain = dataclasses.replace(contender("coulomb@1", 0.30), joints=(1,), direction=np.array([1.0, 0.0]))
-    for gain, name, share in ((0.315, "coulomb@1", 0.8), (0.45, "position_friction@1", 1.0)):
+    for gain, name, share in ((0.315, "coulomb@1", 0.7), (0.45, "position_friction@1", 1.0)):
         richer = contender("position_friction@1", gain, seed=1)
         richer = dataclasses.replace(richer, joints=(1,), numbers=2, direction=np.array([0.95, 0.31]))
         decision = decide([richer, plain], control, rng)
         assert decision.verdict == "named"
         assert [richer, plain][decision.candidates[0]].label == name
         assert decision.shares[decision.candidates[0]] == pytest.approx(share, abs=0.02)
+
+
+def test_what_is_preferred_and_wins_is_as_sure_as_both(control, rng):
+    """Fewer numbers that win most resamples are credited with those of the richer law."""
+    plain = dataclasses.replace(contender("coulomb@1", 0.30, noise=0.1), joints=(1,), direction=np.array([1.0, 0.0]))
+    richer = dataclasses.replace(plain, label="position_friction@1", effect="position_friction", numbers=2)
+    noise = np.random.default_rng(5).normal(size=BLOCKS)
+    richer = dataclasses.replace(richer, losses=plain.losses + 0.1 * (noise - noise.mean()) + 0.009)
+    assert 0.5 < pick_shares(np.stack([plain.losses, richer.losses]), rng)[0] < 0.95
+    assert decide([plain, richer], control, rng).shares[0] > 0.95
+
+
+def test_another_form_in_all_joints_stands_for_nothing(control, rng):
+    """An effect of all joints that counts is not replaced by another law of it that explains more in few seconds."""
+    gained = np.full(BLOCKS, -0.002)
+    gained[:3] = 2.0
+    other = dataclasses.replace(contender("lugre", 0.1), losses=control - gained)
+    assert decide([other, contender("lugre", 0.07)], control, rng).candidates == (1,)
+    fault = contender("lugre@1", 0.09)
+    assert [other, fault][decide([other, fault], control, rng).candidates[0]].label == "lugre@1"
 
 
 def test_forms_of_one_effect_share_their_confidence(control, rng):

@@ -65,19 +65,19 @@ def test_rich_logs_pass():
 
 
 def test_one_sine_is_told():
-    """Runs of one sine each lock speed to position, however many there are; the richest run counts."""
+    """Runs of one sine each at much the same rate lock speed to position, however many there are."""
     walks = [log(10.0, 0.5, speed) for speed in (2.0, 3.0, 4.0)]
     (caution,) = said(*walks)
     assert "one sine" in caution.text
     assert caution.weakens((), "stribeck")
-    assert said(*walks, log(10.0, 0.5, multiples=(1.0, 2.7))) == ()
+    assert said(*walks, log(30.0, 0.5, multiples=(1.0, 2.7, 5.3, 7.9))) == ()
 
 
-@given(st.floats(1.0, 30.0), st.integers(1, 4), st.floats(0.01, 10.0))
+@given(st.floats(4.0, 30.0), st.integers(1, 4), st.floats(0.1, 10.0))
 def test_lines_are_counted(slowest, number, scale):
     """So many sines of equal speed are so many lines, whatever their size."""
     one = log(20.0, scale, slowest, multiples=1.0 + np.arange(number))
-    assert _lines(one, 1) == pytest.approx(number, rel=0.12)
+    assert _lines([one], 1) == pytest.approx(number, rel=0.15)
 
 
 @pytest.mark.parametrize("rich", [0, 1, 2])
@@ -97,14 +97,34 @@ def test_what_most_moving_joints_lack_is_said_of_what_all_share(rich):
     assert caution.weakens(("r_knee",), "stribeck") is (rich == 0)
 
 
-def test_a_target_that_stays_has_no_lines():
-    """A held joint is no sine."""
-    assert _lines(log(5.0, 0.0), 1) == 0.0
+def test_what_moves_without_a_command_is_not_judged_by_it():
+    """A swing with the torque off, or a joint that is pushed: the target stays, and says nothing of the motion."""
+    free = log(20.0, 0.5)
+    held = changed([free], lambda arrays: arrays["command", "position"].fill(0.3))
+    assert _lines(held, 1) == np.inf
+    assert said(*held) == ()
+
+
+@pytest.mark.parametrize("walked", [4.0, 8.0, 12.0])
+def test_standing_still_is_no_further_line(walked):
+    """A walk of some seconds that then stands for as long is one sine still, and so is one with a hole in its clock."""
+    one = log(2 * walked, 1.0, 8.0)
+
+    def stop(arrays):
+        late = arrays["time"][:, 0] > walked
+        for channel in (("joint", "position"), ("command", "position")):
+            arrays[channel][late] = arrays[channel][~late][-1]
+
+    assert _lines(changed([one], stop), 0) < 2.0
+    gap = one.array("time")[:, 0] < 0.4 * walked
+    late = one.array("time")[:, 0] > 0.4 * walked + 0.2
+    arrays = {key: one.array(key)[gap | late] for key in one.channels}
+    assert _lines([Rollout.from_arrays(arrays, one.metadata)], 0) < 2.0
 
 
 def test_slow_motion_alone_is_told():
     """Joints that never move fast tell nothing of viscous friction or delay."""
-    (caution,) = said(log(40.0, 0.8, speed=0.5))
+    caution, _ = said(log(40.0, 0.8, speed=0.5))
     assert "faster than" in caution.text
     assert caution.joints == ()
 
