@@ -448,10 +448,7 @@ def _in_all_joints(
     for i, one in enumerate(contenders):
         if one.effect != fault.effect or one.joints is not None or shares[i] <= shares[best]:
             continue
-        large = abs(one.size) >= SMALLEST_SIZE * one.smallest and not one.implausible and not _left_over(one, found)
-        often = evidence(one, control)[1] >= TRIMMED_GAIN
-        often &= not found or signed_ranks(control - one.losses) >= SMALLEST_Z
-        if large and often and min(one.gain, one.fit_gain) > 0.25 * SMALLEST_GAIN and one.explained >= SMALLEST_GAIN:
+        if _matters(one, control, found):
             return i
     return best
 
@@ -651,14 +648,18 @@ def _as_well(
     one = contenders[number]
     if not counted or one.joints is None or one.joints != contenders[counted[0]].joints:
         return False
+    more = float(one.losses.sum()) < float(contenders[counted[0]].losses.sum())
+    return more and evidence(one, control)[0] >= CLEAR_T and _matters(one, control, found)
+
+
+def _matters(one: Contender, control: np.ndarray, found: Sequence[Contender]) -> bool:
+    """Whether an effect is large, plausible and no residue, and explains enough in more than a few seconds."""
     if one.implausible or abs(one.size) < SMALLEST_SIZE * one.smallest or _left_over(one, found):
         return False
     if found and signed_ranks(control - one.losses) < SMALLEST_Z:
         return False
-    statistic, trimmed = evidence(one, control)
-    more = float(one.losses.sum()) < float(contenders[counted[0]].losses.sum())
-    more &= min(one.gain, one.fit_gain) > 0.25 * SMALLEST_GAIN and one.explained >= SMALLEST_GAIN
-    return more and statistic >= CLEAR_T and trimmed >= TRIMMED_GAIN
+    enough = min(one.gain, one.fit_gain) > 0.25 * SMALLEST_GAIN and one.explained >= SMALLEST_GAIN
+    return enough and evidence(one, control)[1] >= TRIMMED_GAIN
 
 
 def _begins(contender: Contender, control: np.ndarray) -> bool:

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import torch
 from scipy.optimize import nnls
 
 from op3.diagnose.coordinates import Coordinates
+from op3.servo.law import stribeck_fade
 
 CURVE = ("coulomb_friction", "static_friction_excess", "viscous_friction", "stribeck_velocity")
 """Parameters of a base's friction over speed; where static friction fades comes last."""
@@ -16,7 +18,7 @@ FADES = (0.05, 0.07, 0.1, 0.14, 0.2, 0.3)
 """Speeds over which static friction may fade in a curve that is drawn anew [rad/s]."""
 
 DRAGS = (0.006, 0.012, 0.024)
-"""Drags that are tried [N m s^2/rad^2]: from what is hardly seen to the largest of a worn or over-greased gear."""
+"""Drags that are tried [N m s^2/rad^2]."""
 
 SPEEDS = 80
 """Speeds at which two curves are compared, equally many of the robot's rows between any two."""
@@ -64,7 +66,7 @@ def redrawn(
         return []
     v = np.quantile(np.abs(speeds), np.linspace(0.02, 0.998, SPEEDS))
     coulomb, excess, viscous, fade = (point[places[name]] for name in CURVE)
-    curve = coulomb + excess * np.exp(-((v / fade) ** 2)) + viscous * v
+    curve = _shapes(v, fade) @ np.array([coulomb, excess, viscous])
     starts = []
     for drag in drags:
         parts, fade = _drawn(v, curve - drag * v**2)
@@ -76,10 +78,15 @@ def redrawn(
 
 def _drawn(v: np.ndarray, curve: np.ndarray) -> tuple[np.ndarray, float]:
     """Coulomb, static and viscous friction, and the speed over which the static one fades, nearest to a curve."""
-    shapes = [np.stack([np.ones_like(v), np.exp(-((v / fade) ** 2)), v], 1) for fade in FADES]
-    fits = [nnls(shape, curve) for shape in shapes]
+    fits = [nnls(_shapes(v, fade), curve) for fade in FADES]
     nearest = min(range(len(FADES)), key=lambda n: fits[n][1])
     return fits[nearest][0], FADES[nearest]
+
+
+def _shapes(v: np.ndarray, fade: float) -> np.ndarray:
+    """Coulomb, static and viscous friction of size one over speed, ``[speed, 3]``."""
+    near_rest = stribeck_fade(torch.from_numpy(v), torch.tensor(fade, dtype=torch.float64), gaussian=True).numpy()
+    return np.stack([np.ones_like(v), near_rest, v], 1)
 
 
 def _shared(coordinates: Coordinates, known: int) -> dict[str, int]:
