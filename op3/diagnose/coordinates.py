@@ -75,6 +75,7 @@ FORMS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "dte": ("form", ("passive", "power")),
     "stribeck": ("fade", ("exponential", "gaussian")),
     "load_friction": ("form", ("sum", "motor")),
+    "encoder_nonlinearity": ("velocity", ("bent", "apart")),
 }
 """Laws that the literature writes in several ways with the same parameters: the option that says which, and its values.
 Which of them a servo obeys is not what is asked, so none of them may decide a name."""

@@ -243,9 +243,12 @@ def test_filtered_velocity_of_a_ramp_lags_by_its_time_constant():
         law.step(signals)
 
 
-def test_a_bent_encoder_reads_a_velocity_that_fits_its_angle():
-    """The reported velocity is the derivative of the reported angle."""
-    law, signals = law_of(EncoderNonlinearity(), encoder_nonlinearity=0.02, encoder_nonlinearity_phase=0.4)
+@pytest.mark.parametrize("velocity", ["bent", "apart"])
+def test_a_bent_encoder_reads_a_velocity_that_fits_its_angle(velocity):
+    """The reported velocity is the derivative of the reported angle, or the true one where another sensor gives it."""
+    law, signals = law_of(
+        EncoderNonlinearity(velocity=velocity), encoder_nonlinearity=0.02, encoder_nonlinearity_phase=0.4
+    )
     readings = []
     for position in (0.7 - 1e-6, 0.7 + 1e-6):
         signals.position = torch.full_like(signals.position, position)
@@ -253,7 +256,8 @@ def test_a_bent_encoder_reads_a_velocity_that_fits_its_angle():
         law.sense(signals)
         readings.append(signals.measured_position.item())
         assert readings[-1] == pytest.approx(position + 0.02 * np.sin(position + 0.4))
-    assert signals.measured_velocity.item() == pytest.approx((readings[1] - readings[0]) / 2e-6, rel=1e-6)
+    slope = (readings[1] - readings[0]) / 2e-6 if velocity == "bent" else 1.0
+    assert signals.measured_velocity.item() == pytest.approx(slope, rel=1e-6)
 
 
 def bound(effect: Effect, position: float, velocity: float, load: float = 0.0, **values) -> float:

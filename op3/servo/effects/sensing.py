@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import pi
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import torch
 from torch import Tensor
@@ -52,7 +52,12 @@ class EncoderOffset(Effect):
 @register
 @dataclass(frozen=True)
 class EncoderNonlinearity(Effect):
-    """The encoder's reading bends with the angle: a magnet that sits off its axis."""
+    """The encoder's reading bends with the angle: a magnet that sits off its axis.
+
+    Attributes:
+        velocity: ``bent``: the servo computes its velocity from this reading. ``apart``: it has it from the motor's own
+            sensor, or corrects it, and the angle alone bends.
+    """
 
     name: ClassVar[str] = "encoder_nonlinearity"
     stage: ClassVar[Stage] = Stage.SENSING
@@ -74,11 +79,14 @@ class EncoderNonlinearity(Effect):
     alias_class: ClassVar[str] = "gravity_phase"
     scopes: ClassVar[tuple[Scope, ...]] = ("joint",)
 
+    velocity: Literal["bent", "apart"] = "bent"
+
     def apply(self, signals: Signals, prepared: Prepared) -> None:
-        """Bend the reading, and with it the velocity that the servo computes from it."""
+        """Bend the reading, and with it the velocity if the servo computes it from that."""
         bend, angle = prepared["encoder_nonlinearity"], signals.position + prepared["encoder_nonlinearity_phase"]
         signals.measured_position = signals.measured_position + bend * torch.sin(angle)
-        signals.measured_velocity = signals.measured_velocity * (1.0 + bend * torch.cos(angle))
+        if self.velocity == "bent":
+            signals.measured_velocity = signals.measured_velocity * (1.0 + bend * torch.cos(angle))
 
 
 @register
