@@ -281,8 +281,9 @@ class Diagnosis:
 
     def _signs_of_more(self, found: Sequence[Candidate]) -> bool:
         """Whether what was found last leaves signs of something beside it; without them a screen has to show one."""
-        if not isinstance(self.engine, WindowResiduals) or len(found) > 1:
-            return True  # of two that could not be told apart the one may show beside the other
+        unsure = len(found) > 1 or found[0].finding.confidence <= UNDECIDED
+        if not isinstance(self.engine, WindowResiduals) or unsure:
+            return True  # of two that are hard to tell apart the one may show beside the other
         leader = found[0].contender
         if hides_another(leader.effect):
             return True
