@@ -222,15 +222,16 @@ def test_a_round_without_signs_ends_with_its_screen(monkeypatch, surely, ends):
 
 
 @pytest.mark.parametrize(
-    ("number", "other", "own_joint", "expected"),
+    ("number", "confidence", "other", "own_joint", "expected"),
     [
-        (1, (4, 1.0), 0.0, False),  # a fault that explains nothing
-        (1, (4, 0.8), 0.0, True),  # one that explains a fifth of its joint, of which the leader explains nothing
-        (1, (4, 0.8), 0.8, False),  # as much as the leader does
-        (2, (4, 1.0), 0.0, True),  # two that could not be told apart
+        (1, 0.9, (4, 1.0), 0.0, False),  # a fault that explains nothing
+        (1, 0.9, (4, 0.8), 0.0, True),  # one that explains a fifth of its joint, of which the leader explains nothing
+        (1, 0.9, (4, 0.8), 0.8, False),  # as much as the leader does
+        (1, 0.7, (4, 1.0), 0.0, True),  # a leader that is not sure
+        (2, 0.9, (4, 1.0), 0.0, True),  # two that could not be told apart
     ],
 )
-def test_another_round_follows_what_refits_have_shown(monkeypatch, number, other, own_joint, expected):
+def test_another_round_follows_what_refits_have_shown(monkeypatch, number, confidence, other, own_joint, expected):
     """Whatever the screen foresees: where something is undecided, or where a refit beats the leader elsewhere."""
     runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:3]
     diagnosis = Diagnosis(load_model("paper"), split_logs(planned_suite(load_model("paper"), runs)))
@@ -248,6 +249,7 @@ def test_another_round_follows_what_refits_have_shown(monkeypatch, number, other
     every = hypotheses(load_model("paper"), engine.joints, fixed_base=True)
     faults = {h.joints: h for h in every if h.effect.name == "asymmetric_friction" and h.joints is not None}
     leader = candidate("cogging")
+    leader = replace(leader, finding=replace(leader.finding, confidence=confidence))
     joint, share = other
     engine.prepare(load_model("paper"))
     diagnosis.refitted = [
