@@ -25,6 +25,7 @@ from op3.diagnose.decide import (
     Decision,
     Own,
     better_beside,
+    beyond_doubt,
     decide,
     large_gap,
     leaves_a_joint,
@@ -388,8 +389,9 @@ class Diagnosis:
         """The verdict, or that nothing is missing where windows show little of it and free runs speak against it."""
         leaders = [candidates[0].contender for candidates in self._candidates]
         gains = [shown_by_windows(one) for one in leaders]
-        large = any(large_gap(one.left) for one in leaders)
-        if not verdict.vetoed or not verdict.effects or max(gains, default=1.0) >= DOUBLY_CHECKED or large:
+        clear = max(gains, default=1.0) >= DOUBLY_CHECKED or any(candidates[0].sure for candidates in self._candidates)
+        clear |= any(large_gap(one.left) for one in leaders)
+        if not verdict.vetoed or not verdict.effects or clear:
             return verdict
         names = " and ".join(dict.fromkeys(effect.name for effect in verdict.effects))
         reason = f"the best of the catalogue, {names}, explains {max(gains):.1%}, and free runs are no better with it"
@@ -471,7 +473,9 @@ class Diagnosis:
             finding = self.finding_of(refitted, base, min(float(share), most))
             if found:
                 finding = replace(finding, instead_of=found[0].finding.name)
-            found.append(Candidate(finding, refitted.contender, with_finding(refitted, finding, self.engine.joints)))
+            model = with_finding(refitted, finding, self.engine.joints)
+            one = refitted.contender
+            found.append(Candidate(finding, one, model, beyond_doubt(one, self._control)))
         if self._weak([one.finding for one in found]):
             capped = [replace(one.finding, confidence=min(one.finding.confidence, CAPPED)) for one in found]
             found = [replace(one, finding=finding) for one, finding in zip(found, capped, strict=True)]

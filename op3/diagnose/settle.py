@@ -41,11 +41,13 @@ class Candidate:
         finding: what was found.
         contender: its numbers.
         model: refitted with it.
+        sure: whether windows alone leave no doubt of it.
     """
 
     finding: Finding
     contender: Contender
     model: RobotModel
+    sure: bool = False
 
     @property
     def place(self) -> tuple[Any, ...]:

@@ -305,6 +305,22 @@ def test_fewer_numbers_are_preferred(control, rng, further, uneven, name, share)
     assert decision.shares[decision.candidates[0]] == pytest.approx(share, abs=0.02)
 
 
+@pytest.mark.parametrize(("known", "preferred"), [(("coulomb",), "coulomb@1"), ((), "position_friction@1")])
+def test_fewer_numbers_are_preferred_of_confounders(control, rng, known, preferred):
+    """What the catalogue says to be confused is alike, whatever the cosine to these logs; else the best is best."""
+    plain = dataclasses.replace(contender("coulomb@1", 0.30), direction=np.array([1.0, 0.0]))
+    uneven = np.random.default_rng(5).normal(size=BLOCKS)
+    richer = dataclasses.replace(
+        contender("position_friction@1", 0.305),
+        losses=plain.losses - 0.005 - 0.03 * (uneven - uneven.mean()),
+        numbers=2,
+        direction=np.array([0.69, 0.72]),
+        confounders=known,
+    )
+    decision = decide([richer, plain], control, rng)
+    assert [richer, plain][decision.candidates[0]].label == preferred
+
+
 def test_what_is_preferred_and_wins_is_as_sure_as_both(control, rng):
     """Fewer numbers that win most resamples are credited with those of the richer law."""
     plain = dataclasses.replace(contender("coulomb@1", 0.30, noise=0.1), joints=(1,), direction=np.array([1.0, 0.0]))
@@ -391,6 +407,21 @@ def test_a_further_effect_may_be_smaller(control, rng):
     assert decide([steady], control, rng).verdict == "nothing_missing"
     few = in_one_joint("coulomb", "dry", 1.6, gain=0.024)
     assert decide([few], control, rng, found=earlier).verdict == "nothing_missing"
+
+
+@pytest.mark.parametrize(
+    ("label", "gain", "left", "verdict"),
+    [
+        ("stribeck", 0.03, 1.0, "nothing_missing"),
+        ("stribeck", 0.03, 2.4, "named"),
+        ("stribeck", 0.06, 1.0, "named"),
+        ("stribeck@1", 0.03, 1.0, "named"),
+    ],
+)
+def test_a_small_further_effect_of_all_joints_needs_room(control, rng, label, gain, left, verdict):
+    """Where all that is left is noise, three percent of it in all joints are what a law gets wrong."""
+    earlier = [dataclasses.replace(contender("viscous@2", 0.3), left=np.full(6, left))]
+    assert decide([contender(label, gain)], control, rng, found=earlier).verdict == verdict
 
 
 @pytest.mark.parametrize(("gained", "verdict"), [(0.2, "named"), (0.13, "nothing_missing")])
