@@ -104,6 +104,9 @@ LEADING = 3
 EXCHANGES = (0.004, 0.006)
 """Parts that are tried [s]; the loss there may be larger, as everything else has yet to give way."""
 
+SETTLED, MOVING = 4, 0.01
+"""How often a base is gone on with from where its fit has stopped, and the share of the loss from which on it is."""
+
 NEUTRAL = 0.05
 """Size below which an effect is none, as a share of the smallest that matters."""
 
@@ -184,9 +187,24 @@ class Diagnosis:
             worthwhile=WORTHWHILE if fitted else LEAST_GAIN,
             progress=lambda share: self._report("base", share),
         )
+        fit = self._settled(fit)
         if place is not None:
             place.parent.mkdir(parents=True, exist_ok=True)
             np.savez(place, point=fit.point, form=[m is fit.coordinates.model for m in forms].index(True))
+        return fit
+
+    def _settled(self, fit: Fit) -> Fit:
+        """The base where it no longer moves: what is left of its way would be credited to whatever is refitted beside.
+
+        Free runs are simulated as often as their fit may be.
+        """
+        if not isinstance(self.engine, WindowResiduals):
+            return fit
+        for _ in range(SETTLED):
+            further = polish(self.engine, fit, refit(self.engine, fit, fit.coordinates, fit.point))
+            if further.loss > (1.0 - MOVING) * fit.loss:
+                break
+            fit = linearise(self.engine, fit.coordinates, further.point)
         return fit
 
     def _coordinates(self, model: RobotModel, findings: Sequence[Finding]) -> Coordinates:

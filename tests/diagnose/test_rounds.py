@@ -13,7 +13,7 @@ from op3.diagnose import settle as settling
 from op3.diagnose.coordinates import base_coordinates
 from op3.diagnose.decide import Contender, Own
 from op3.diagnose.diagnosis import _leaders
-from op3.diagnose.fitting import Fit
+from op3.diagnose.fitting import Fit, linearise, polish, refit
 from op3.diagnose.hypotheses import hypotheses
 from op3.diagnose.screen import Screened
 from op3.diagnose.settle import Candidate, as_in, merged, settle
@@ -328,6 +328,20 @@ def test_small_effects_need_free_runs_that_agree(monkeypatch, gain, at_home, vet
     assert verdict.verdict == expected
     assert bool(verdict.effects) == (expected == "named")
     assert [v.model is paper for v in shown] == ([] if expected == "named" else [True])
+
+
+def test_a_base_is_gone_on_with_until_it_no_longer_moves():
+    """From values of another robot it goes on; where it has come to rest it stays as it is."""
+    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
+    diagnosis = Diagnosis(load_model("paper"), split_logs(planned_suite(load_model("paper_without_dte"), runs)))
+    engine = diagnosis.engine
+    coordinates = base_coordinates(load_model("paper"), engine.joints, fixed_base=True)
+    begun = linearise(engine, coordinates, coordinates.start)
+    onward = polish(engine, begun, refit(engine, begun, coordinates, begun.point))
+    settled = diagnosis._settled(begun)
+    assert onward.loss < 0.9 * begun.loss
+    assert np.abs(settled.point - coordinates.start).max() > 0.01
+    assert diagnosis._settled(settled) is settled
 
 
 @pytest.mark.parametrize(
