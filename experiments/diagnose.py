@@ -1,4 +1,4 @@
-"""Say what a model lacks, from logs of a robot on the stand.
+"""Say what a model lacks, from logs of a robot on the stand, on the floor, or of a servo on a bench.
 
 python experiments/diagnose.py data=<folder of logs> model=<model.yaml or name in conf/servo>
 python experiments/diagnose.py data=<folder of logs> model=paper mode=loop      # several effects, one after another
@@ -8,6 +8,7 @@ python experiments/diagnose.py planned=leg_suite mode=aliasing   # what a suite 
 python experiments/diagnose.py "planned=[squat_fast,multisine_legs]" mode=aliasing
 """
 
+import os
 import sys
 import time
 from pathlib import Path
@@ -27,8 +28,10 @@ from op3.diagnose import (
     Verdict,
     aliasing,
     diagnose_swings,
+    diagnosed_mount,
     downstream,
     engine_for,
+    on_other_mounts,
     planned_motions,
     planned_suite,
     split_logs,
@@ -36,7 +39,7 @@ from op3.diagnose import (
 )
 from op3.policy import PolicyBundle
 from op3.report import run_provenance
-from op3.report.diagnosis import write_page
+from op3.report.diagnosis import log_verdict, write_page
 from op3.robot import leg_suite
 from op3.rollout import Rollout, read_logs
 from op3.sim import load_model, save_model
@@ -76,7 +79,7 @@ def diagnose(cfg: DictConfig) -> dict[str, Any]:
     if cfg.planned and cfg.mode != "aliasing":
         raise ValueError("planned= has no measurement to diagnose: add mode=aliasing, or give data= instead")
     data: Any = None if cfg.planned else plain(cfg.data)
-    logs = planned_logs(cfg) if cfg.planned else read_logs(data)
+    logs, others = diagnosed_mount(planned_logs(cfg) if cfg.planned else read_logs(data))
     model = suited(load_model(cfg.model), logs)
     split = split_logs(logs, seed=cfg.seed)
     engine = engine_for(split, cfg.fit_windows, cfg.select_windows)
@@ -99,6 +102,9 @@ def diagnose(cfg: DictConfig) -> dict[str, Any]:
     options = {"seed": cfg.seed, "rounds": rounds, "without": tuple(cfg.without), "progress": progress}
     swing = diagnose_swings(model, logs, **options)
     content = verdict.plain() | ({} if swing is None else {"free_swing": swing.plain()})
+    if others:
+        content["mount"] = logs[0].metadata.mount
+        content["other_mounts"] = on_other_mounts(verdict.base, verdict.model, others, cfg.seed)
     save_model(verdict.model, folder / "model.yaml")
     if cfg.policy is not None:
         content["downstream"] = returns(cfg, verdict)
@@ -109,10 +115,12 @@ def diagnose(cfg: DictConfig) -> dict[str, Any]:
         run_provenance(seed=cfg.seed, data=data),
         swing,
         content.get("downstream"),
+        content.get("other_mounts"),
     )
     content["processor_seconds"] = round(time.process_time() - IMPORTED, 1)
     # last, so that a verdict means that all is there
     (folder / "verdict.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
+    log_verdict(content, folder, plain(cfg), os.environ.get("WANDB_MODE", cfg.wandb))
     print(f"\n{verdict.sentence}")
     if swing is not None:
         print(f"While torque is off: {swing.sentence}")

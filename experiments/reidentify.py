@@ -81,7 +81,7 @@ def diagnosed(cfg: DictConfig, folder: Path) -> str:
         )
     logs = plain(cfg.data if cfg.diagnosis is None else cfg.diagnosis)
     listed = logs if isinstance(logs, str) else f"[{','.join(logs)}]"
-    where = [f"data={listed}", f"model={cfg.model}", f"seed={cfg.seed}"]
+    where = [f"data={listed}", f"model={cfg.model}", f"seed={cfg.seed}", f"wandb={cfg.wandb}"]
     return str(Stages(folder).run("diagnose", "diagnose.py", *where) / "model.yaml")
 
 

@@ -5,6 +5,7 @@ from op3.diagnose.bench_model import suited
 from op3.diagnose.diagnosis import Diagnosis
 from op3.diagnose.downstream import downstream
 from op3.diagnose.free_run import FreeRunResiduals, engine_for
+from op3.diagnose.mounts import diagnosed_mount, on_other_mounts
 from op3.diagnose.planned import planned_motions, planned_suite
 from op3.diagnose.split import LogSplit, split_logs
 from op3.diagnose.swing import diagnose_swings
@@ -20,8 +21,10 @@ __all__ = [
     "WindowResiduals",
     "aliasing",
     "diagnose_swings",
+    "diagnosed_mount",
     "downstream",
     "engine_for",
+    "on_other_mounts",
     "planned_motions",
     "planned_suite",
     "split_logs",

@@ -72,9 +72,9 @@ def ceiling(engine: WindowResiduals, base: Fit, residual: np.ndarray, seed: int 
     inputs = _inputs(engine)
     joints, count = len(engine.joints), inputs.shape[-1]
     projector = Projector(base, engine.is_fit)
-    waves = _waves(count, rng)
+    waves = random_waves(count, rng)
     phases = rng.uniform(0, 2 * np.pi, FEATURES)
-    response = Response(engine, base)
+    response = Response(engine, base.parameters)
 
     def columns(told: np.ndarray, joint: int) -> tuple[np.ndarray, np.ndarray]:
         torque = np.cos(told[:, :, joint] @ waves + phases)  # [window, tick, feature]
@@ -112,7 +112,7 @@ def ceiling(engine: WindowResiduals, base: Fit, residual: np.ndarray, seed: int 
     )
 
 
-def _waves(count: int, rng: np.random.Generator) -> np.ndarray:
+def random_waves(count: int, rng: np.random.Generator) -> np.ndarray:
     """Wave numbers of the features, ``[input, feature]``, each of one or two inputs."""
     waves = np.zeros((count, FEATURES))
     for feature in range(FEATURES):
@@ -123,15 +123,40 @@ def _waves(count: int, rng: np.random.Generator) -> np.ndarray:
 
 def _inputs(engine: WindowResiduals) -> np.ndarray:
     """Standardised inputs of the black box, ``[window, tick, joint, input]``."""
-    motion, rows = engine.motion, PREROLL + engine.ticks + 1
-    shape = motion.position.shape
-    v = motion.velocity
-    voltage = np.zeros(shape) if engine.measured_voltage is None else engine.measured_voltage
-    given = [motion.inputs.get("temperature", np.zeros(shape)), voltage]
-    told = [motion.position, v, np.tanh(v / 0.05), motion.current, motion.current * v, motion.dynamics.bias, *given]
-    told = np.stack([*told, np.broadcast_to(motion.time, shape)], -1)
+    told = told_of_windows(engine)
     told = (told - told.mean(0)) / np.maximum(told.std(0), 1e-6)
+    rows = PREROLL + engine.ticks + 1
     return told.reshape(len(engine.windows), rows, *told.shape[1:])[:, PREROLL : PREROLL + engine.ticks]
+
+
+def told_of_windows(engine: WindowResiduals) -> np.ndarray:
+    """Inputs of the black box along the motion of all windows, ``[row, joint, input]``."""
+    motion = engine.motion
+    zeros = np.zeros(motion.position.shape)
+    return told(
+        motion.position,
+        motion.velocity,
+        motion.current,
+        motion.dynamics.bias,
+        motion.inputs.get("temperature", zeros),
+        zeros if engine.measured_voltage is None else engine.measured_voltage,
+        motion.time,
+    )
+
+
+def told(
+    position: np.ndarray,
+    velocity: np.ndarray,
+    current: np.ndarray,
+    load: np.ndarray,
+    temperature: np.ndarray,
+    voltage: np.ndarray,
+    time: np.ndarray,
+) -> np.ndarray:
+    """`INPUTS` of what a joint goes through, ``[tick, joint, input]``; each ``[tick, joint]``, time ``[tick, 1]``."""
+    direction = np.tanh(velocity / 0.05)
+    channels = [position, velocity, direction, current, current * velocity, load, temperature, voltage]
+    return np.stack([*channels, np.broadcast_to(time, position.shape)], -1)
 
 
 def _best_ridge(fitted: np.ndarray, target: np.ndarray, runs: np.ndarray) -> float | None:

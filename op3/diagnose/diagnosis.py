@@ -63,7 +63,8 @@ from op3.diagnose.packets import (
     without_losses,
 )
 from op3.diagnose.preflight import CAPPED, Caution, preflight
-from op3.diagnose.ridges import exchanged, redrawn
+from op3.diagnose.reach import TorqueBox
+from op3.diagnose.ridges import delayed, exchanged, redrawn
 from op3.diagnose.ripple import with_ripples
 from op3.diagnose.screen import Screened, screen
 from op3.diagnose.settle import Candidate, settle
@@ -78,7 +79,7 @@ from op3.diagnose.shortlist import (
     stands_alone,
     worth_a_round,
 )
-from op3.diagnose.show import show
+from op3.diagnose.show import show, shown_logs, with_ceiling
 from op3.diagnose.soften import softened
 from op3.diagnose.split import LogSplit
 from op3.diagnose.verdict import Finding, Verdict
@@ -86,7 +87,7 @@ from op3.diagnose.windows import WindowResiduals
 from op3.servo import RobotModel, effect_class
 from op3.servo.conditions import split_name
 from op3.servo.effect import parameter
-from op3.servo.effects import PacketDrop, QuadraticDrag
+from op3.servo.effects import Latency, PacketDrop, QuadraticDrag
 from op3.sim import model_hash
 
 POLISHED = 4
@@ -295,8 +296,7 @@ class Diagnosis:
         if kept > 1 and verdict.vetoed:
             first = self._shown(verdicts[0])  # it may be better alone
             verdict = verdict if first.vetoed else first
-        verdict = replace(verdict, reason=verdict.reason + beside)
-        return self._doubly_checked(verdict)
+        return self._with_ceiling(self._doubly_checked(replace(verdict, reason=verdict.reason + beside)))
 
     def _signs_of_more(self, found: Sequence[Candidate]) -> bool:
         """Whether what was found last leaves signs of something beside it; without them a screen has to show one."""
@@ -415,6 +415,15 @@ class Diagnosis:
         reason = f"the best of the catalogue, {names}, explains {max(gains):.1%}, and free runs are no better with it"
         sound = replace(verdict, verdict="nothing_missing", effects=(), reason=reason, separate_by="", vetoed=False)
         return self._shown(replace(sound, model=verdict.base))
+
+    def _with_ceiling(self, verdict: Verdict) -> Verdict:
+        """The verdict with the gap that a black box leaves; only windows tell the torques that it learns."""
+        if not isinstance(self.engine, WindowResiduals):
+            return verdict
+        base = without_losses(verdict.base)
+        box = TorqueBox(self.engine, base, self.seed)
+        push = box.torques(shown_logs(self.split)) if box else []
+        return replace(verdict, gap=with_ceiling(verdict.gap, self.split, base, push, self.seed))
 
     def _round(self, model: RobotModel, first: bool, surely: bool) -> Verdict | None:
         """One round; none unless its screen is promising or it is to be carried through surely."""
@@ -593,10 +602,15 @@ class Diagnosis:
         elif effect == QuadraticDrag.name and hypothesis.joints is None:
             speeds = np.concatenate([log.array("joint/velocity").ravel() for log in self.split.fit])
             starts = redrawn(fit.coordinates, control.point, speeds)
+        elif effect == Latency.name and hypothesis.joints is None:
+            starts = delayed(fit.coordinates, control.point)
         if not starts:
             return fit
         start = likeliest(self.engine, base, fit.coordinates, starts)
-        return _best([fit, refit(self.engine, base, fit.coordinates, start)])
+        across = refit(self.engine, base, fit.coordinates, start)
+        if effect == Latency.name:  # so far from the base that its Jacobian does not lead down there
+            across = polish(self.engine, base, across)
+        return _best([fit, across])
 
     def _losses(self, fit: Fit) -> np.ndarray:
         """Squares summed by block of a second, ``[block]``."""

@@ -5,10 +5,12 @@ Its means by joint, speed, driving or driven, and load form a fixed family of ce
 tells how large the largest of them would be by chance.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from torch import Tensor
 
 from op3.diagnose.fitting import Fit
 from op3.diagnose.motion import PREROLL
@@ -66,17 +68,16 @@ class Response:
 
     Args:
         engine: whose windows.
-        base: gives the rotors' inertia.
+        parameters: of the base, ``[1, joint]``; they give the rotors' inertia.
     """
 
-    def __init__(self, engine: WindowResiduals, base: Fit):
+    def __init__(self, engine: WindowResiduals, parameters: Mapping[str, Tensor]):
         self.engine = engine
         rows = PREROLL + engine.ticks + 1
 
         def windowed(values: np.ndarray) -> np.ndarray:
             return values.reshape(len(engine.windows), rows, *values.shape[1:])[:, PREROLL:]
 
-        parameters = base.parameters
         armature = parameters["armature"][0].numpy() if "armature" in parameters else 0.0
         mass = windowed(engine.motion.dynamics.mass) + np.eye(len(engine.joints)) * armature
         self.mobility = np.linalg.inv(mass)  # [window, tick, joint, joint]
@@ -114,21 +115,29 @@ def remaining(engine: WindowResiduals, residual: np.ndarray) -> np.ndarray:
     return np.sqrt(np.square(plain[..., at] / FLOOR[engine.channels[at]]).mean((0, 1)))
 
 
-def residual_torque(engine: WindowResiduals, base: Fit, residual: np.ndarray) -> np.ndarray:
+def residual_torque(
+    engine: WindowResiduals,
+    parameters: Mapping[str, Tensor],
+    residual: np.ndarray,
+    pieces: int = PIECES,
+    prior: float = PRIOR,
+) -> np.ndarray:
     """Torque that the model lacks, ``[window, piece, joint]`` [N m], by ridge regression in each window.
 
     Args:
         engine: whose windows.
-        base: see `Response`.
+        parameters: see `Response`.
         residual: simulated minus measured, ``[window, residual]``.
+        pieces: of a window, in each of which the torque is constant.
+        prior: standard deviation that is expected [N m].
     """
-    response = Response(engine, base)
-    piece = (np.arange(engine.ticks) * PIECES // engine.ticks)[:, None] == np.arange(PIECES)
+    response = Response(engine, parameters)
+    piece = (np.arange(engine.ticks) * pieces // engine.ticks)[:, None] == np.arange(pieces)
     pulses = np.broadcast_to(piece.astype(float), (len(residual), *piece.shape))
     columns = np.concatenate([response(pulses, j) for j in range(len(engine.joints))], -1).astype(np.float64)
-    gram = columns.transpose(0, 2, 1) @ columns + np.eye(columns.shape[-1]) / PRIOR**2
+    gram = columns.transpose(0, 2, 1) @ columns + np.eye(columns.shape[-1]) / prior**2
     lacking = np.linalg.solve(gram, -(columns.transpose(0, 2, 1) @ residual[..., None].astype(np.float64)))
-    return lacking[..., 0].reshape(len(residual), len(engine.joints), PIECES).transpose(0, 2, 1)
+    return lacking[..., 0].reshape(len(residual), len(engine.joints), pieces).transpose(0, 2, 1)
 
 
 def locate(engine: WindowResiduals, base: Fit, seed: int = 0) -> list[Cell]:
@@ -145,7 +154,7 @@ def locate(engine: WindowResiduals, base: Fit, seed: int = 0) -> list[Cell]:
         windows = values.reshape(len(engine.windows), rows, -1)[:, PREROLL : PREROLL + engine.ticks]
         return np.stack([part.mean(1) for part in np.array_split(windows, PIECES, 1)], 1)  # [window, piece, joint]
 
-    torque = residual_torque(engine, base, base.residual)
+    torque = residual_torque(engine, base.parameters, base.residual)
     v, i, load = (by_piece(x) for x in (engine.motion.velocity, engine.motion.current, engine.motion.dynamics.bias))
     oriented = torque * np.sign(v)
     second = np.unique(engine.blocks, return_inverse=True)[1]

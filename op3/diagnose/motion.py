@@ -252,14 +252,13 @@ class FixedBase:
     """
 
     def __init__(self, joints: Sequence[str], tilt: tuple[float, float] = (0.0, 0.0)):
-        scene = build_scene("stand", tilt_roll=tilt[0], tilt_pitch=tilt[1])
         unknown = [joint for joint in joints if joint not in JOINTS]
         if unknown:
             raise LogError(
                 f"the robot has no joint {unknown[0]!r}", "use the joint names of op3.robot", column="joints"
             )
-        elements = {element.name: element for element in scene.joints}
-        _remove_idle_limbs(elements, set(joints))
+        scene = build_scene("stand", tilt_roll=tilt[0], tilt_pitch=tilt[1], joints=joints)
+        elements: dict[str, Any] = {str(element.name): element for element in scene.joints}
         moved = [elements[joint] for joint in joints]
         attach_servos(moved)
         self.names = [str(element.full_identifier) for element in moved]
@@ -302,17 +301,3 @@ class FixedBase:
                 model_field(changed, field)[...] = array[0]
         mujoco.mj_setConst(changed, mujoco.MjData(changed))
         return changed
-
-
-def _remove_idle_limbs(elements: dict[str, Any], wanted: set[str]) -> None:
-    """Take away limbs without a joint of the logs: on a fixed base they change nothing."""
-    for name in list(elements):
-        if name not in elements:
-            continue
-        body = elements[name].parent
-        first = not any(element.parent is body.parent for element in elements.values())
-        inside = {joint.name for joint in body.find_all("joint")}
-        if first and not inside & wanted:
-            body.remove()
-            for gone in inside:
-                elements.pop(gone)

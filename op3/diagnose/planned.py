@@ -8,7 +8,7 @@ import numpy as np
 
 from op3.diagnose.coordinates import with_chain
 from op3.diagnose.preflight import STILL
-from op3.diagnose.show import whole_robot
+from op3.diagnose.show import with_whole_limbs
 from op3.robot import LEG_JOINTS, Excitation, Motion
 from op3.rollout import Metadata, Rollout
 from op3.servo import RobotModel
@@ -39,7 +39,7 @@ def planned_suite(model: RobotModel, suite: Sequence[Excitation]) -> list[Rollou
     for number, run in enumerate(once):
         commands.append(_command(run, number, begin))
         begin += datetime.timedelta(seconds=run.motion.duration + PAUSE)
-    predictions = Replay([whole_robot(log) for log in commands]).run(with_chain(model))
+    predictions = Replay([with_whole_limbs(log) for log in commands]).run(with_chain(model))
     logs = []
     for log, prediction in zip(commands, predictions, strict=True):
         columns = [prediction.log.joints.index(joint) for joint in log.joints]

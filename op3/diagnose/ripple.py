@@ -42,7 +42,7 @@ def with_ripples(candidates: Sequence[Hypothesis], engine: WindowResiduals, base
     def ticks(values: np.ndarray) -> np.ndarray:
         return values.reshape(len(fitted), rows, -1)[fitted, PREROLL : PREROLL + engine.ticks]
 
-    torque = residual_torque(engine, base, base.residual)[fitted]  # [window, piece, joint]
+    torque = residual_torque(engine, base.parameters, base.residual)[fitted]  # [window, piece, joint]
     position, velocity = ticks(engine.motion.position), ticks(engine.motion.velocity)
     result = []
     for h in candidates:

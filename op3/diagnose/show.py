@@ -10,7 +10,7 @@ from op3.diagnose.free_run import settle_time
 from op3.diagnose.split import LogSplit
 from op3.identify.loss import TrajectoryLoss
 from op3.robot import pose
-from op3.robot.joints import JOINTS
+from op3.robot.joints import JOINTS, whole_limbs
 from op3.rollout import Rollout
 from op3.servo import RobotModel
 from op3.tasks import Prediction, Replay
@@ -25,12 +25,13 @@ CHANNELS = {("joint", "position"): "rad", ("joint", "velocity"): "rad/s", ("join
 """Channels whose gap is shown, and their units."""
 
 
-def whole_robot(log: Rollout) -> Rollout:
-    """A log of some joints on the stand as one of the whole robot, the other joints held in the pose "stand"."""
-    if log.metadata.mount != "stand" or log.joints == JOINTS:
+def with_whole_limbs(log: Rollout) -> Rollout:
+    """A log of some joints on the stand as one of their limbs, whose other joints are held in the pose "stand"."""
+    joints = whole_limbs(log.joints)
+    if log.metadata.mount != "stand" or log.joints == joints:
         return log
-    columns = [JOINTS.index(joint) for joint in log.joints]
-    standing, rows = pose("stand"), log.rows
+    columns = [joints.index(joint) for joint in log.joints]
+    standing, rows = pose("stand")[[JOINTS.index(joint) for joint in joints]], log.rows
     fill = {"position": standing, "p_gain": 6.0, "d_gain": 0.1, "torque_enable": 1.0, "temperature": 25.0}
     arrays: dict[Any, np.ndarray] = {}
     for key in log.channels:
@@ -39,10 +40,10 @@ def whole_robot(log: Rollout) -> Rollout:
             arrays[key] = value
             continue
         other = float(value.mean()) if key[1] == "voltage" else fill.get(key[1], 0.0)
-        whole = np.tile(np.broadcast_to(other, len(JOINTS)).astype(float), (rows, 1))
+        whole = np.tile(np.broadcast_to(other, len(joints)).astype(float), (rows, 1))
         whole[:, columns] = value
         arrays[key] = whole
-    return Rollout.from_arrays(arrays, log.metadata.replace(joints=JOINTS))
+    return Rollout.from_arrays(arrays, log.metadata.replace(joints=joints))
 
 
 def free_runs(model: RobotModel, logs: Sequence[Rollout]) -> list[Prediction]:
@@ -51,7 +52,8 @@ def free_runs(model: RobotModel, logs: Sequence[Rollout]) -> list[Prediction]:
 
 
 def _replay(logs: Sequence[Rollout]) -> Replay:
-    return Replay([whole_robot(log) for log in logs], settle=settle_time(logs))
+    # a few logs keep one thread busy; handing their steps to more took three times the processor time
+    return Replay([with_whole_limbs(log) for log in logs], settle=settle_time(logs), num_threads=1)
 
 
 def show(
@@ -75,10 +77,10 @@ def show(
         faulty: joints of which each was named alone. What became better in one of them became better.
 
     Returns:
-        ``gap`` by channel with ``before``, ``after``, ``floor`` and ``systematic`` (what all repeats have in common,
-        under the first model) as root mean squares over all joints of the logs,
-        each with a 90 % interval over seconds; ``loss`` with ``paper_eq7`` before and after; ``vetoed``, see `vetoed`;
-        and the predictions.
+        ``gap`` by channel with ``before``, ``after``, ``floor``, ``ceiling`` (None, see `with_ceiling`) and
+        ``systematic`` (what all repeats have in common, under the first model) as root mean squares over all joints of
+        the logs; before, after, floor and ceiling with a 90 % interval over seconds; ``loss`` with ``paper_eq7`` before
+        and after; ``vetoed``, see `vetoed`; and the predictions.
     """
     logs = shown_logs(split)
     replay = _replay(logs)
@@ -99,14 +101,18 @@ def show(
         low, high = _difference(blocks[0], blocks[1], rng)
         improved |= low > 0 or any(_better_in(joint, first, second, logs, key, seed) for joint in faulty)
         worsened |= high < 0
+        floor = _floor(split, key)
         entry: dict[str, Any] = {
             "before": _root(blocks[0]),
             "after": _root(blocks[1]),
-            "floor": _floor(split, key),
+            "floor": None if floor is None else _root(floor),
+            "ceiling": None,
             "systematic": _systematic(split, first, logs, key),
             "unit": unit,
             "before_interval": _interval(blocks[0], rng),
             "after_interval": _interval(blocks[1], rng),
+            "floor_interval": None if floor is None else _interval(floor, rng),
+            "ceiling_interval": None,
         }
         entry["closure"] = _closure(entry)
         gap["/".join(key)] = entry
@@ -117,6 +123,38 @@ def show(
         "before": first,
         "after": second,
     }
+
+
+def with_ceiling(
+    gap: Mapping[str, Mapping[str, Any]], split: LogSplit, base: RobotModel, push: Sequence[np.ndarray], seed: int = 0
+) -> dict[str, dict[str, Any]]:
+    """A gap with what a black box leaves of it: free runs of the base with the torque that it finds lacking.
+
+    Args:
+        gap: of `show`.
+        split: whose ``show`` logs are simulated.
+        base: the refitted base.
+        push: torque [N m] along each of `shown_logs`, ``[row, joint]``; none where the black box has found nothing, and
+            the ceiling is what the base leaves.
+        seed: of the bootstrap.
+    """
+    result = {name: dict(entry) for name, entry in gap.items()}
+    logs, rng = shown_logs(split), np.random.default_rng([seed, 31])
+    predictions: Sequence[Prediction] = ()
+    if push:
+        columns = [with_whole_limbs(log).joints for log in logs]
+        whole = [np.zeros((len(one), len(joints))) for one, joints in zip(push, columns, strict=True)]
+        for one, torque, log, joints in zip(whole, push, logs, columns, strict=True):
+            one[:, [joints.index(joint) for joint in log.joints]] = torque
+        predictions = _replay(logs).run(base, push=whole)
+    for name, entry in result.items():
+        if predictions:
+            group, channel = name.split("/")
+            blocks = _squares(predictions, logs, (group, channel))
+            entry["ceiling"], entry["ceiling_interval"] = _root(blocks), _interval(blocks, rng)
+        else:
+            entry["ceiling"], entry["ceiling_interval"] = entry["before"], entry["before_interval"]
+    return result
 
 
 def vetoed(improved: bool, worsened: bool, before: float, after: float) -> bool:
@@ -168,11 +206,8 @@ def _squares(
         simulated = prediction.channels[key][0].numpy()[:, columns]
         measured = log.array(key)[: len(simulated), [log.joints.index(joint) for joint in picked]]
         error = np.square(simulated - measured).mean(1)
-        error = np.nan_to_num(error, nan=1e6, posinf=1e6)
-        time = log.array("time")[: len(error), 0]
-        second = (time - time[0]).astype(int)
-        values.extend(error[second == s].mean() for s in np.unique(second))
-    return np.array(values)
+        values.append(_by_second(np.nan_to_num(error, nan=1e6, posinf=1e6), log))
+    return np.concatenate(values)
 
 
 def _root(blocks: np.ndarray) -> float:
@@ -191,13 +226,21 @@ def _difference(one: np.ndarray, other: np.ndarray, rng: np.random.Generator) ->
     return float(low), float(high)
 
 
-def _floor(split: LogSplit, key: tuple[str, str]) -> float | None:
-    """Root mean square by which repeats of one command differ from their mean; None without repeats."""
+def _floor(split: LogSplit, key: tuple[str, str]) -> np.ndarray | None:
+    """Mean squares by which repeats of one command differ from their mean, by second, ``[block]``; None without any."""
     squares = []
     for group in split.repeats:
         values = np.stack([split.show[i].array(key) for i in group])
-        squares.append(np.square(values - values.mean(0)).sum(0).mean() / (len(group) - 1))
-    return float(np.sqrt(np.mean(squares))) if squares else None
+        noise = np.square(values - values.mean(0)).sum(0).mean(1) / (len(group) - 1)
+        squares.append(_by_second(noise, split.show[group[0]]))
+    return np.concatenate(squares) if squares else None
+
+
+def _by_second(values: np.ndarray, log: Rollout) -> np.ndarray:
+    """Means over the seconds of a log's first rows, ``[second]``."""
+    time = log.array("time")[: len(values), 0]
+    second = (time - time[0]).astype(int)
+    return np.array([values[second == s].mean() for s in np.unique(second)])
 
 
 def _systematic(

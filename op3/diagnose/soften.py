@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from op3.diagnose.free_run import settle_time
-from op3.diagnose.show import whole_robot
+from op3.diagnose.show import with_whole_limbs
 from op3.identify.loss import TrajectoryLoss
 from op3.rollout import Rollout
 from op3.servo import Estimate, RobotModel
@@ -35,12 +35,12 @@ def softened(base: RobotModel, model: RobotModel, logs: Sequence[Rollout]) -> li
     Returns:
         Those that are better than the base.
     """
-    whole = [whole_robot(log) for log in logs[:MOST_LOGS]]
+    whole = [with_whole_limbs(log) for log in logs[:MOST_LOGS]]
     joints = whole[0].joints
     shares = torch.tensor([0.0, *SHARES], dtype=torch.float64)
     values = _between(base, model, joints, shares)
     loss = TrajectoryLoss(tuple(logs[0].joints))(
-        Replay(whole, settle=settle_time(logs)).run(model, values, len(shares))
+        Replay(whole, settle=settle_time(logs), num_threads=1).run(model, values, len(shares))
     )
     loss = torch.nan_to_num(loss, nan=torch.inf)
     better = [int(i) for i in loss.argsort() if loss[i] < loss[0]]

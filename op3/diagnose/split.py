@@ -64,11 +64,11 @@ def split_logs(logs: Sequence[Rollout], seed: int = 0) -> LogSplit:
     if len(usable) < 5:
         return _split_in_time(usable)
     rng = np.random.default_rng([seed, 7])
-    groups = _repeats(usable)
+    groups = repeats(usable)
     repeated = [i for group in groups for i in group]
     rest = [i for i in range(len(usable)) if i not in repeated]
     if len(rest) < 3:
-        groups, repeated, rest = [], [], list(range(len(usable)))
+        groups, repeated, rest = (), [], list(range(len(usable)))
     show = list(repeated)
     if not show:
         show = _pick(usable, rest, max(1, round(SHOW_SHARE * len(rest))), rng)
@@ -83,8 +83,8 @@ def split_logs(logs: Sequence[Rollout], seed: int = 0) -> LogSplit:
     )
 
 
-def _repeats(logs: Sequence[Rollout]) -> list[list[int]]:
-    """Groups of logs whose commands are equal."""
+def repeats(logs: Sequence[Rollout]) -> tuple[tuple[int, ...], ...]:
+    """Groups of logs whose commands are equal, as indices."""
     groups: list[list[int]] = []
     for i, log in enumerate(logs):
         for group in groups:
@@ -93,7 +93,7 @@ def _repeats(logs: Sequence[Rollout]) -> list[list[int]]:
                 break
         else:
             groups.append([i])
-    return [group for group in groups if len(group) > 1]
+    return tuple(tuple(group) for group in groups if len(group) > 1)
 
 
 def _same_commands(one: Rollout, other: Rollout) -> bool:

@@ -76,6 +76,7 @@ class WindowResiduals:
         select_windows: how many of the runs that choose.
         ticks: length of a window.
         timestep: of the simulation [s].
+        smooth_logs: the fitted logs and those that choose, if they have been smoothed before.
 
     Raises:
         LogError: if logs differ in joints or rate, or the base is free.
@@ -94,6 +95,7 @@ class WindowResiduals:
         select_windows: int = 36,
         ticks: int = 25,
         timestep: float = 0.001,
+        smooth_logs: Sequence[SmoothLog] | None = None,
     ):
         self.split, self.ticks, self.timestep = split, ticks, timestep
         first = split.fit[0]
@@ -106,7 +108,7 @@ class WindowResiduals:
                     column="joints",
                 )
         self.joints = first.joints
-        logs = smooth_all([*split.fit, *split.select])
+        logs = list(smooth_logs or smooth_all([*split.fit, *split.select]))
         if len({round(log.period, 6) for log in logs}) > 1:
             raise LogError("the logs have different rates", "diagnose logs of one rate at a time", column="time")
         self.period = logs[0].period
@@ -318,10 +320,20 @@ class WindowResiduals:
         channels = {key: value[0].unflatten(0, shape) for key, value in simulation.run(parameters, 1).items()}
         return self.whiten(self._compared(channels)).astype(np.float32)
 
-    def prepare(self, model: RobotModel) -> None:
-        """Take the scale of the residuals, and what nuisances of single windows explain, from this model."""
+    def prepare(self, model: RobotModel, nuisances: bool = True) -> None:
+        """Take the scale of the residuals, and what nuisances of single windows explain, from this model.
+
+        Args:
+            model: whose residuals are usual.
+            nuisances: whether what differs from window to window is taken out of them.
+        """
         error = self.errors(model)[0]
         self.scale = self._scale(error)
+        if not nuisances:
+            self._nuisance = np.zeros((len(self.windows), error[0].size, 0), error.dtype)
+            self._shrink = np.zeros((len(self.windows), 0), error.dtype)
+            self._weight = np.ones((len(self.windows), 1))
+            return
         values, offsets, count = self._nuisances(model)
         position, velocity = offsets
         moved = self.errors(model, values, count, stretch=COARSE, position_offset=position, velocity_offset=velocity)

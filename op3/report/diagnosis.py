@@ -8,8 +8,9 @@ import numpy as np
 
 from op3.diagnose import LogSplit, Verdict
 from op3.diagnose.preflight import FIRMWARE
-from op3.diagnose.show import whole_robot, worst_joint
+from op3.diagnose.show import with_whole_limbs, worst_joint
 from op3.report.page import Page
+from op3.report.run_logger import RunLogger
 from op3.report.traces import traces_figure
 from op3.servo import effect_class
 from op3.tasks import Prediction
@@ -28,6 +29,7 @@ def write_page(
     provenance: Mapping[str, Any],
     swing: Verdict | None = None,
     returns: Mapping[str, Any] | None = None,
+    elsewhere: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Path:
     """Write the page of a verdict.
 
@@ -38,6 +40,7 @@ def write_page(
         provenance: where the numbers come from, see `op3.report.run_provenance`.
         swing: verdict on the free swings alone, of a bench whose servo was switched off.
         returns: of a policy before and after, see `op3.diagnose.downstream`.
+        elsewhere: gap and loss on logs of other mounts, see `op3.diagnose.on_other_mounts`.
     """
     detail = verdict.reason[:1].upper() + verdict.reason[1:] + "."
     if verdict.vetoed:
@@ -48,6 +51,7 @@ def write_page(
         note = f"before {values['before']:.3g}" + ("" if floor is None else f", repeats differ by {floor:.3g}")
         page.tile(f"Gap in {channel.split('/')[1]}", values["after"], values["unit"], note)
     _gap(page, verdict)
+    _elsewhere(page, elsewhere or {})
     _where(page, verdict)
     _why(page, verdict)
     _firmware(page, verdict, split)
@@ -66,6 +70,40 @@ def write_page(
     return page.write(path)
 
 
+def log_verdict(
+    content: Mapping[str, Any], folder: Path, config: Mapping[str, Any], wandb_mode: str | None = None
+) -> None:
+    """Log a verdict to wandb; the jobs of a multirun are one group.
+
+    Args:
+        content: of ``verdict.yaml``.
+        folder: of the run.
+        config: settings.
+        wandb_mode: ``offline``, ``online`` or ``disabled``.
+    """
+    if wandb_mode == "disabled":
+        return  # half a second that many short runs need not pay
+    summary: dict[str, Any] = {
+        "verdict": content["verdict"],
+        "sentence": content["sentence"],
+        "effects": ", ".join(f"{e['name']} in {', '.join(e['joints'])}" for e in content["effects"]),
+        "confidence": max((e["confidence"] for e in content["effects"]), default=None),
+        **_flat("", content),
+        **{
+            k: v for mount, told in content.get("other_mounts", {}).items() for k, v in _flat(f"{mount}.", told).items()
+        },
+    }
+    with RunLogger(folder, config=config, mode=wandb_mode) as logger:
+        logger.summary({name: value for name, value in summary.items() if value is not None})
+
+
+def _flat(prefix: str, content: Mapping[str, Any]) -> dict[str, Any]:
+    """Gap and loss under one name each."""
+    ends = ("before", "after", "floor", "ceiling", "closure")
+    gap = {f"{prefix}gap.{key}.{end}": entry.get(end) for key, entry in content["gap"].items() for end in ends}
+    return gap | {f"{prefix}loss.paper_eq7.{end}": content["loss"][end] for end in ends[:2] if content["loss"]}
+
+
 def _gap(page: Page, verdict: Verdict) -> None:
     page.section("The gap on logs that nothing was chosen by")
     page.text(
@@ -78,17 +116,34 @@ def _gap(page: Page, verdict: Verdict) -> None:
             values["unit"],
             values["before"],
             values["after"],
+            values["ceiling"],
             values["floor"],
             None if values["closure"] is None else 100 * values["closure"],
         ]
         for channel, values in verdict.gap.items()
     ]
     page.table(
-        ["channel", "unit", "before", "after", "floor", "closed [%]"], rows, "Root mean square over joints and runs"
+        ["channel", "unit", "before", "after", "black box", "floor", "closed [%]"],
+        rows,
+        "Root mean square over joints and runs",
     )
     if verdict.loss:
         page.text(
             f"Loss of the paper's eq. (7): {verdict.loss['before']:.4g} before, {verdict.loss['after']:.4g} after."
+        )
+
+
+def _elsewhere(page: Page, elsewhere: Mapping[str, Mapping[str, Any]]) -> None:
+    """The gap on logs of other mounts, of which nothing was fitted or chosen."""
+    for mount, told in elsewhere.items():
+        rows = [[channel, v["unit"], v["before"], v["after"], v["floor"]] for channel, v in told["gap"].items()]
+        page.table(
+            ["channel", "unit", "before", "after", "floor"],
+            rows,
+            f"The same models on {told['logs']} logs of the mount {mount}, the first {told['seconds']:.3g} s of each",
+        )
+        page.text(
+            f"Loss of the paper's eq. (7): {told['loss']['before']:.4g} before, {told['loss']['after']:.4g} after."
         )
 
 
@@ -190,7 +245,8 @@ def _traces(page: Page, verdict: Verdict, split: LogSplit) -> None:
         predictions["after"] = shown["after"][0].channels
     page.section("One of the logs")
     page.figure(
-        traces_figure(whole_robot(log), predictions, [joint]), f"{joint}, the joint that the base model predicts worst"
+        traces_figure(with_whole_limbs(log), predictions, [joint]),
+        f"{joint}, the joint that the base model predicts worst",
     )
 
 

@@ -64,8 +64,17 @@ CONTROLLED_JOINTS: tuple[str, ...] = tuple(name for name in JOINTS if name[2:] i
 HELD_JOINTS: tuple[str, ...] = tuple(name for name in JOINTS if name not in CONTROLLED_JOINTS)
 """The other ten: head, arms and hip yaws."""
 
+LIMBS: tuple[tuple[str, ...], ...] = (JOINTS[:2], JOINTS[2:5], JOINTS[5:8], JOINTS[8:14], JOINTS[14:])
+"""Joints of the head, the arms and the legs, each limb from the trunk outwards."""
+
 GEAR_RATIO = 353.5
 """Reduction of the XM430-W350's gear train, motor turns per output turn."""
+
+
+def whole_limbs(joints: Iterable[str]) -> tuple[str, ...]:
+    """All joints of the limbs in which these are, in `JOINTS` order."""
+    wanted = set(joints)
+    return tuple(joint for limb in LIMBS if wanted & set(limb) for joint in limb)
 
 
 def _mirrored(joint: _Joint) -> tuple[str, int]:

@@ -7,6 +7,7 @@ then `compile` makes a MuJoCo model of whatever the tree holds at that moment.
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -17,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from op3.robot.assets import asset_path
 from op3.robot.board import AXIS_HEIGHT, TILT, TOP_HEIGHT
+from op3.robot.joints import JOINTS, LIMBS, whole_limbs
 from op3.robot.kinematics import check_joint_position, quaternion, rotation_matrix
 from op3.robot.op3_entity import OP3
 from op3.robot.poses import level_soles, pose, standing_height
@@ -49,7 +51,8 @@ class Scene:
     Attributes:
         arena: the composer arena that holds everything.
         robot: the robot in it, None on the bench.
-        joints: hinge elements [joint]: in `JOINTS` order, or the one servo of the bench.
+        joints: hinge elements [joint]: in `JOINTS` order, of a robot without some limbs only those that are there, or
+            the one servo of the bench.
         name: one of `SCENES`.
         mount: how the robot is held, as logs call it: "stand", "pendulum" or what it stands on.
         tilt_roll: roll of a fixed base in rad.
@@ -154,7 +157,9 @@ class Scene:
         return np.zeros(0)
 
 
-def build_scene(name: str, *, tilt_roll: float = 0.0, tilt_pitch: float = 0.0) -> Scene:
+def build_scene(
+    name: str, *, tilt_roll: float = 0.0, tilt_pitch: float = 0.0, joints: Sequence[str] | None = None
+) -> Scene:
     """A new scene.
 
     Args:
@@ -165,21 +170,37 @@ def build_scene(name: str, *, tilt_roll: float = 0.0, tilt_pitch: float = 0.0) -
             robot whose heights `place_tiles` sets.
         tilt_roll: roll of the stand in rad.
         tilt_pitch: pitch of the stand in rad, positive forward.
+        joints: on the stand, limbs without any of these are left away: with a fixed trunk the others do not feel them.
+            None: the whole robot.
     """
     if name not in SCENES:
         raise ValueError(f"unknown scene {name!r}; the scenes are {', '.join(SCENES)}")
     if name != "stand" and (tilt_roll or tilt_pitch):
         raise ValueError(f"only the scene 'stand' can be tilted, got tilt_roll and tilt_pitch for {name!r}")
+    if name != "stand" and joints is not None:
+        raise ValueError(f"only on the scene 'stand' limbs can be left away, got joints for {name!r}")
     if name == "bench":
         return build_bench()
     if name == "stand":
         arena, robot = composer.Arena(xml_path=str(asset_path("scenes/stand.xml"))), OP3()
+        kept = _without_limbs(robot, JOINTS if joints is None else joints)
         root: Any = arena.mjcf_model
         mount = root.find("site", "mount")
         mount.quat = quaternion(tilt_roll, tilt_pitch)
         arena.attach(robot, mount)
-        return Scene(arena, robot, tuple(robot.joints), name, name, tilt_roll, tilt_pitch)
+        return Scene(arena, robot, kept, name, name, tilt_roll, tilt_pitch)
     return _on_floor(name)
+
+
+def _without_limbs(robot: OP3, wanted: Sequence[str]) -> tuple[mjcf.Element, ...]:
+    """Take limbs without any wanted joint from a robot, and return the joints of those that are left."""
+    joints = dict(zip(JOINTS, robot.joints, strict=True))
+    kept = whole_limbs(wanted)
+    for limb in LIMBS:
+        if limb[0] not in kept:
+            root: Any = joints[limb[0]].parent
+            root.remove()
+    return tuple(joints[name] for name in kept)
 
 
 def _on_floor(name: str) -> Scene:

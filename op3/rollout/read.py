@@ -37,9 +37,9 @@ def read_logs(paths: str | Path | Iterable[str | Path]) -> list[Rollout]:
     """Read many logs, sorted by path.
 
     Args:
-        paths: A log, a folder of logs (rollout folders, CSV files and servo-bench JSON directly in it), a
-            glob pattern (`logs/**/*.csv`), or several of these, whose order is kept. In a folder, JSON files
-            that hold no recording are passed over.
+        paths: A log, a folder of logs (rollout folders, CSV files and servo-bench JSON directly in it; where there are
+            none, in the folders in it, as a multirun leaves them), a glob pattern (`logs/**/*.csv`), or several of
+            these, whose order is kept. In a folder, JSON files that hold no recording are passed over.
     """
     if isinstance(paths, str | Path):
         found = _expand(paths)
@@ -54,7 +54,7 @@ def _expand(path: str | Path) -> list[Path]:
     """The single logs that a path, folder or pattern stands for."""
     path = Path(path)
     if path.is_dir() and not (path / METADATA_FILE).is_file():
-        found = sorted(entry for entry in path.iterdir() if _is_log(entry))
+        found = _inside(path)
         where = "the folder holds no log"
     elif path.exists() or not glob.has_magic(str(path)):
         return [path]
@@ -64,6 +64,15 @@ def _expand(path: str | Path) -> list[Path]:
     if not found:
         raise LogError(where, f"name a folder or pattern with {_KINDS}", source=path)
     return found
+
+
+def _inside(folder: Path) -> list[Path]:
+    """Logs directly in a folder; where there are none, those of the folders in it."""
+    entries = sorted(folder.iterdir())
+    found = [entry for entry in entries if _is_log(entry)]
+    if found:
+        return found
+    return [log for entry in entries if entry.is_dir() and entry.name[0] != "." for log in _inside(entry)]
 
 
 def _is_log(path: Path) -> bool:

@@ -241,6 +241,14 @@ class BatchSimulation:
         detached = {name: torch.as_tensor(value, dtype=torch.float64).detach() for name, value in commands.items()}
         set_commands(self.signals, detached)
 
+    def push(self, torque: np.ndarray) -> None:
+        """Torque on the joints beside what their servos give, held until the next call or reset.
+
+        Args:
+            torque: [N m], ``[sim, joint]``.
+        """
+        self.batch.bind("qfrc_applied")[:, self.ports.dof] = torque
+
     def advance(self) -> None:
         """One control period: a tick of the law, then its simulation steps."""
         signals, law, ports = self.signals, self.law, self.ports

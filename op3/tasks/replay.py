@@ -50,7 +50,8 @@ class Replay:
 
     The simulation starts from the log's first row at rest, holds the first command for ``settle`` seconds, and
     then receives each command at the control tick at which it was in force. Nothing measured after the first
-    row reaches the simulation, except the bus voltage where the log has it.
+    row reaches the simulation, except the bus voltage where the log has it. A log from the stand may have some limbs
+    only, whole ones; the others are left away.
 
     Args:
         logs: what to replay; mounts may differ.
@@ -76,9 +77,9 @@ class Replay:
             raise ValueError("there is nothing to replay: give at least one log")
         self.logs = list(logs)
         self._groups: list[_Group] = []
-        mounts = [_mount(log) for log in logs]
+        mounts = [(*_mount(log), log.joints) for log in logs]
         for mount, members in groupby(sorted(range(len(logs)), key=mounts.__getitem__), key=mounts.__getitem__):
-            setup = Setup.of_mount(mount[0], bench_timestep, tilt=mount[1:])
+            setup = Setup.of_mount(mount[0], bench_timestep, mount[1:3], mount[3])
             self._groups.append(_Group(list(members), logs, setup, settle, record_period, duration, num_threads))
 
     @property
@@ -92,6 +93,7 @@ class Replay:
         parameters: Mapping[str, Tensor] | None = None,
         candidates: int = 1,
         progress: Callable[[float], None] | None = None,
+        push: Sequence[np.ndarray] | None = None,
     ) -> list[Prediction]:
         """Simulate every log for every candidate.
 
@@ -100,13 +102,19 @@ class Replay:
             parameters: by name, which may carry a condition: ``[candidate]`` or ``[candidate, joint]``.
             candidates: number of parameter sets.
             progress: called with the share done, 0 to 1.
+            push: torque on the joints beside the servos' [N m], of each log ``[row, joint]``; of a robot only.
 
         Returns:
             One prediction per log, in the order of the logs.
+
+        Raises:
+            ValueError: if a bench is to be pushed.
         """
+        if push is not None and any(group.setup.base_body is None for group in self._groups):
+            raise ValueError("push: a bench has no place for a torque beside its servo's")
         predictions: dict[int, Prediction] = {}
         for group in self._groups:
-            predictions.update(group.run(model, parameters or {}, candidates, progress))
+            predictions.update(group.run(model, parameters or {}, candidates, progress, push))
         return [predictions[i] for i in range(len(self.logs))]
 
 
@@ -192,8 +200,15 @@ class _Group:
                 result[name] = row if len(row) == 1 else row.repeat(candidates, 1)
         return result
 
-    def run(self, model, parameters, candidates, progress) -> dict[int, Prediction]:
+    def _held_push(self, push: Sequence[np.ndarray]) -> np.ndarray:
+        """Torque in force at every tick, ``[tick, log, joint]``."""
+        at = np.arange(self.ticks) * self.period + 0.5 * self.period
+        rows = [np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 1) for time in self.times]
+        return np.stack([push[i][row] for i, row in zip(self.members, rows, strict=True)], axis=1)
+
+    def run(self, model, parameters, candidates, progress, push) -> dict[int, Prediction]:
         simulation = self.setup.simulation(model, self.logs, candidates, self.num_threads)
+        pushed = None if push is None else self._held_push(push)
         simulation.set_parameters(parameters_per_log(model, parameters, self.logs, candidates))
         qpos = np.tile(self.qpos, (candidates, 1))
         commands = self._complete(model)
@@ -207,6 +222,8 @@ class _Group:
                 if progress is not None and len(samples) % 25 == 0:
                     progress(tick / self.ticks)
             simulation.command(**self._held(commands, tick, candidates, constants=False))
+            if pushed is not None:
+                simulation.push(np.tile(pushed[tick], (candidates, 1)))
             simulation.advance()
         samples.append(simulation.measure())
         return self._predictions(simulation, samples, candidates)

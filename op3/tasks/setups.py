@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from op3.robot import build_bench, build_scene
+from op3.robot.joints import JOINTS
 from op3.robot.scenes import Scene
 from op3.rollout import LogError, Rollout
 from op3.servo import RobotModel
@@ -40,7 +41,11 @@ class Setup:
 
     @classmethod
     def of_mount(
-        cls, mount: str, bench_timestep: float = BENCH_CONTROL_PERIOD, tilt: tuple[float, float] = (0.0, 0.0)
+        cls,
+        mount: str,
+        bench_timestep: float = BENCH_CONTROL_PERIOD,
+        tilt: tuple[float, float] = (0.0, 0.0),
+        joints: Sequence[str] | None = None,
     ) -> "Setup":
         """The setup for logs of this mount.
 
@@ -48,13 +53,18 @@ class Setup:
             mount: ``floor``, ``stand``, ``pendulum`` or a brick surface.
             bench_timestep: simulation step of a pendulum, and cycle of its servo's position loop [s].
             tilt: roll and pitch of the stand [rad].
+            joints: of the logs; on the stand the robot has no more limbs than these. None: all.
 
         Raises:
             ValueError: for a ground that commands alone do not tell, such as a board that moved.
         """
         if mount in ("board", "board_weight", "terrain"):
             raise ValueError(f"a log of the mount {mount!r} cannot be replayed: its ground is not in the log")
-        scene = build_bench() if mount == "pendulum" else build_scene(mount, tilt_roll=tilt[0], tilt_pitch=tilt[1])
+        limbs = joints if mount == "stand" and set(joints or ()) & set(JOINTS) else None
+        if mount == "pendulum":
+            scene = build_bench()
+        else:
+            scene = build_scene(mount, tilt_roll=tilt[0], tilt_pitch=tilt[1], joints=limbs)
         attach_servos(scene.joints)
         robot = scene.robot
         return cls(

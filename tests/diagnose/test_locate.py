@@ -34,7 +34,7 @@ def of_ticks(engine: WindowResiduals, values: np.ndarray) -> np.ndarray:
 def lacking(engine: WindowResiduals, base: Fit, torque: np.ndarray) -> np.ndarray:
     """Residual of a model that lacks a torque ``[window, tick]`` in the knee, and noise."""
     noise = 0.3 * np.random.default_rng(5).normal(size=base.residual.shape)
-    return (noise - Response(engine, base)(torque[..., None], KNEE)[..., 0]).astype(np.float32)
+    return (noise - Response(engine, base.parameters)(torque[..., None], KNEE)[..., 0]).astype(np.float32)
 
 
 def test_planned_logs_carry_what_a_recording_has(planned):
@@ -48,7 +48,7 @@ def test_missing_torque_is_measured(planned):
     """A constant torque of 0.1 N m that the knee's model lacks is found there, within a third, and nowhere else."""
     engine, base = planned
     ticks = (len(engine.windows), engine.ticks)
-    found = residual_torque(engine, base, lacking(engine, base, np.full(ticks, 0.1)))
+    found = residual_torque(engine, base.parameters, lacking(engine, base, np.full(ticks, 0.1)))
     moving = np.abs(of_ticks(engine, engine.motion.velocity)[..., KNEE]).min(1) > 0.1
     assert moving.sum() > 5
     mean = found[moving].mean((0, 1))

@@ -58,7 +58,7 @@ def test_the_screen_asks_for_the_lines_of_each_joint():
     base = Diagnosis(model, split, engine=engine).linearised()
     rows = PREROLL + engine.ticks + 1
     q = engine.motion.position.reshape(len(engine.windows), rows, -1)[:, PREROLL : PREROLL + engine.ticks, KNEE]
-    lacking = -Response(engine, base)((0.03 * np.sin(29.0 * q + 0.5))[..., None], KNEE)[..., 0]
+    lacking = -Response(engine, base.parameters)((0.03 * np.sin(29.0 * q + 0.5))[..., None], KNEE)[..., 0]
     noise = 0.1 * np.random.default_rng(4).normal(size=lacking.shape)
     base = replace(base, residual=(lacking + noise).astype(np.float32))
     before = hypotheses(model, engine.joints, fixed_base=True)

@@ -13,7 +13,7 @@ from op3.diagnose.coordinates import Coordinate, Coordinates, base_coordinates, 
 from op3.diagnose.fitting import Fit, bounded_step
 from op3.diagnose.hypotheses import hypotheses
 from op3.diagnose.motion import HALF_WIDTH, VELOCITY_LAG, kernels
-from op3.diagnose.ridges import CURVE, exchanged, redrawn
+from op3.diagnose.ridges import CURVE, delayed, exchanged, redrawn
 from op3.diagnose.screen import Projector, Screened, _score
 from op3.diagnose.shortlist import confusable, hides_another, promising, shortlist, stands_alone, worth_a_round
 from op3.diagnose.verdict import Finding
@@ -332,13 +332,32 @@ def test_the_highest_scores_are_refitted_whatever_they_promise():
     assert shortlist([*rest, *masses, *shared, *leaders, lag]) == [*picked, lag]
 
 
+def replace_joint(one: Screened, joint: int) -> Any:
+    """The same hypothesis in another joint."""
+    return SimpleNamespace(effect=one.hypothesis.effect, joints=(joint,), secants=({},))
+
+
+def test_an_axis_that_fits_is_refitted_whatever_other_runs_foresee():
+    """Of a fault's secants the one that explains most of the fitted runs is refitted too."""
+    leaders = [screened("cogging", joint, 0.1 - 0.01 * joint, 3.0) for joint in range(6)]
+    scored = [screened("viscous", joint, -1.0, 9.0) for joint in (0, 1, 2, 3)]
+    axis = replace(screened("link_com", 5, 0.0, 1.0), gain=-0.2, fit_gain=0.04)
+    other = replace(axis, secant=1, gain=0.002, fit_gain=0.0)
+    faint = replace(screened("link_com", 1, 0.0, 1.0), gain=-0.2, fit_gain=0.005)
+    everywhere = replace(screened("viscous", None, 0.0, 1.0), gain=-0.2, fit_gain=0.05)
+    assert shortlist([*leaders, *scored, other, faint, axis, everywhere])[-1] is axis
+    assert faint not in shortlist([*leaders, *scored, other, faint, axis, everywhere])
+
+
 def test_a_joint_with_most_of_the_loss_is_asked_by_its_fitted_runs():
     """A secant that promises much of the fitted runs and less than nothing of the others is refitted in that joint."""
     leaders = [screened("cogging", joint, 0.1 - 0.01 * joint, 3.0) for joint in range(6)]
     spring = replace(screened("cable_spring", 4, 0.0, 1.0), gain=-0.5, fit_gain=0.2)
     elsewhere = replace(screened("cable_spring", 2, 0.0, 1.0), gain=-0.5, fit_gain=0.2)
     scored = [screened("viscous", joint, -1.0, 9.0) for joint in (0, 1, 2, 3)]
-    every = [*leaders, *scored, elsewhere, spring]
+    # what explains more of the fitted runs elsewhere is refitted before
+    ahead = [replace(elsewhere, hypothesis=replace_joint(elsewhere, joint), fit_gain=0.3) for joint in (0, 1, 2)]
+    every = [*leaders, *scored, *ahead, elsewhere, spring]
     assert stands_alone(np.array([[1.0, 1.0, 1.0, 1.0, 4.0, 1.0]])) == 4
     assert stands_alone(np.array([[1.0, 1.0, 1.0, 1.0, 2.0, 1.0]])) is None
     assert stands_alone(np.array([[3.0]])) is None
@@ -452,6 +471,17 @@ def test_a_lag_starts_where_a_delay_has_become_one():
     starts = exchanged(both, np.array([0.1, 0.005]), "command_latency", (0.004, 0.006))
     np.testing.assert_allclose(starts, [[0.1, 0.001, 0.004], [0.1, 0.0, 0.005]])
     assert exchanged(Coordinates(model, ("a",), (friction, lag)), np.array([0.1]), "command_latency", (0.004,)) == []
+
+
+def test_a_latency_starts_where_lags_are_as_expected():
+    """A base that lags more than is expected gives its lags up for a latency; one that does not is left alone."""
+    current = Coordinate("current_time_constant", None, 0.0, 0.005, 0.0005, 0.0005, 0.0003)
+    velocity = Coordinate("velocity_time_constant", None, 0.0, 0.008, 0.002, 0.002, 0.0006)
+    latency = Coordinate("command_latency", None, 0.0, 0.016, 0.0, 0.0, kind="add")
+    both = Coordinates(load_model("paper"), ("a",), (velocity, current, latency))
+    starts = delayed(both, np.array([0.004, 0.0006]), (0.004, 0.02))
+    np.testing.assert_allclose(starts, [[0.002, 0.0005, 0.004], [0.002, 0.0005, 0.016]])
+    assert delayed(both, np.array([0.0025, 0.0006])) == []
 
 
 def test_a_drag_starts_where_the_curve_of_friction_stays():

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from op3.robot import JOINTS, SCENES, Scene, build_bench, build_scene, pose, standing_height
+from op3.robot.joints import LIMBS
 from op3.robot.kinematics import rotation_matrix
 from op3.robot.poses import SQUAT_LEAN
 
@@ -197,3 +198,12 @@ def test_bench_description():
     assert scene.initial_qpos([0.4]).tolist() == [0.4]
     with pytest.raises(ValueError, match=r"must be positive, got 0.0 kg and 0.1 m"):
         build_bench(0.0, 0.1)
+
+
+def test_a_stand_may_hold_some_limbs_only():
+    """Limbs without a wanted joint are left away, whole limbs stay; on a floor that is refused."""
+    scene = build_scene("stand", joints=("r_knee", "head_tilt"))
+    assert [str(joint.name) for joint in scene.joints] == [*LIMBS[0], *LIMBS[-1]]
+    assert scene.compile().nq == 8
+    with pytest.raises(ValueError, match="stand"):
+        build_scene("floor", joints=("r_knee",))

@@ -55,3 +55,10 @@ def test_single_log_kinds(shelf):
     with pytest.raises(LogError, match=r"'\.txt' is not a log's"):
         read_log(shelf / "notes.txt")
     assert read_log(shelf / "a" / "metadata.yaml").rows == 5
+
+
+def test_a_folder_without_logs_gives_those_of_its_folders(tmp_path):
+    """What a multirun leaves, a folder for every job, is read as one; hidden folders are not."""
+    for place, rows in (("1/a", 5), ("0/b", 6), (".hidden/c", 7)):
+        rollout(rows).save(tmp_path / place)
+    assert [log.rows for log in read_logs(tmp_path)] == [6, 5]

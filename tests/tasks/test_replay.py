@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from op3.robot import squat
+from op3.robot.joints import JOINTS, LIMBS
 from op3.robot.motions import Motion
 from op3.rollout import LogError, Rollout
 from op3.servo import RobotModel
@@ -198,3 +199,41 @@ def test_a_played_bench_has_the_values_of_its_length():
     assert error.abs().max() < 1e-3
     shared = Replay([log], settle=0.0).run(bench_model())[0].channels[("joint", "position")][0] - position
     assert shared.abs().max() > 1e-2
+
+
+def test_a_leg_alone_moves_as_on_the_whole_robot(logs):
+    """With a fixed trunk the other limbs are not felt: a log of one leg gives the same numbers, in fewer joints."""
+    leg = LIMBS[-1]
+    columns = [JOINTS.index(joint) for joint in leg]
+    arrays = {
+        k: logs[0].array(k)[:, columns] if k[0] in ("joint", "command") else logs[0].array(k) for k in logs[0].channels
+    }
+    alone = Rollout.from_arrays(arrays, logs[0].metadata.replace(joints=leg))
+    both = Replay([alone, logs[0]]).run(load_model("paper"))
+    for key in (("joint", "position"), ("joint", "current")):
+        one, whole = (prediction.channels[key][0] for prediction in both)
+        torch.testing.assert_close(one, whole[:, columns], atol=1e-9, rtol=0)
+
+
+def test_a_push_turns_the_joint_that_it_acts_on(logs):
+    """A torque beside the servo's moves its joint in its direction; none at all changes no bit."""
+    knee = JOINTS.index("l_knee")
+    pushed = np.zeros((len(logs[0]), len(JOINTS)))
+    replay = Replay(logs[:1])
+    free, still = (replay.run(load_model("paper"), push=push)[0] for push in (None, [pushed]))
+    assert torch.equal(free.channels["joint", "position"], still.channels["joint", "position"])
+    pushed[:, knee] = 1.5
+    moved = (
+        replay.run(load_model("paper"), push=[pushed])[0].channels["joint", "position"]
+        - free.channels["joint", "position"]
+    )
+    assert moved[0, -1, knee] > 0.02
+    assert moved[0, -1, knee] == moved[0, -1].abs().max()
+
+
+def test_a_bench_is_not_pushed():
+    """A pendulum has no place for a torque beside its servo's, and says so."""
+    model = bench_model()
+    log = play(bench_task(model, swing(), 0.3, 0.1, firmware_gain=16.0))
+    with pytest.raises(ValueError, match="push"):
+        Replay([log]).run(model, push=[np.zeros((len(log), 1))])

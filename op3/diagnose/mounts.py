@@ -1,0 +1,60 @@
+"""Logs of several mounts: what is found on the stand, shown apart on logs of the robot on its feet."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from op3.diagnose.free_run import BEGINNING
+from op3.diagnose.show import show
+from op3.diagnose.split import LogSplit, repeats
+from op3.rollout import LogError, Rollout
+from op3.servo import RobotModel
+
+FIRST = ("stand", "pendulum", "floor")
+"""Mounts whose logs are diagnosed if there are any, the first of them that there is: the stand tells most of servos."""
+
+
+def diagnosed_mount(logs: Sequence[Rollout]) -> tuple[list[Rollout], dict[str, list[Rollout]]]:
+    """The logs that are diagnosed, and those of other mounts, on which what is found is shown apart.
+
+    Raises:
+        LogError: if logs of a bench are among logs of a robot: these are two machines.
+    """
+    by_mount: dict[str, list[Rollout]] = {}
+    for log in logs:
+        by_mount.setdefault(log.metadata.mount, []).append(log)
+    if "pendulum" in by_mount and len(by_mount) > 1:
+        raise LogError(
+            f"logs of a bench are mixed with logs of a robot ({', '.join(sorted(by_mount))})",
+            "diagnose them one after the other",
+            source=by_mount["pendulum"][0].metadata.recording,
+            column="mount",
+        )
+    first = next((mount for mount in FIRST if mount in by_mount), next(iter(by_mount), ""))
+    return by_mount.pop(first, []), by_mount
+
+
+def on_other_mounts(
+    before: RobotModel, after: RobotModel, others: dict[str, list[Rollout]], seed: int = 0
+) -> dict[str, dict[str, Any]]:
+    """Gap and loss under two models on logs that neither was fitted to, by mount.
+
+    Only the first `BEGINNING` seconds of each are simulated: a free run of a robot on its feet that has gone astray
+    says nothing of what comes later.
+
+    Args:
+        before: the refitted base.
+        after: the model with what was named.
+        others: logs by mount.
+        seed: of the bootstrap.
+
+    Returns:
+        By mount ``logs``, how many; ``seconds`` of the longest; ``gap`` and ``loss`` as of a verdict.
+    """
+    result = {}
+    for mount, logs in others.items():
+        begun = [(log, float(log.array("time")[0, 0])) for log in logs]
+        parts = tuple(log.between(start, start + BEGINNING) for log, start in begun)
+        shown = show(before, after, LogSplit((), (), parts, repeats(parts)), seed=seed)
+        longest = max(part.duration for part in parts)
+        result[mount] = {"logs": len(parts), "seconds": longest, "gap": shown["gap"], "loss": shown["loss"]}
+    return result

@@ -1,0 +1,43 @@
+"""Logs of several mounts: which are diagnosed, and what is shown of the others."""
+
+import pytest
+
+from op3.diagnose import diagnosed_mount, on_other_mounts
+from op3.robot import squat
+from op3.rollout import LogError, Rollout
+from op3.sim import load_model
+from op3.tasks import play, squat_task
+
+
+@pytest.fixture(scope="module")
+def logs() -> list[Rollout]:
+    """A squat on the floor, twice, and one on the stand."""
+    model, short = load_model("paper"), squat(duration=1.0)
+    floor, stand = (play(squat_task(model, short, mount=mount)) for mount in ("floor", "stand"))
+    return [floor, stand, floor]
+
+
+def test_the_stand_is_diagnosed_and_the_floor_kept_apart(logs):
+    """Of logs of both the stand's are diagnosed; of logs of one mount all are."""
+    mine, others = diagnosed_mount(logs)
+    assert [log.metadata.mount for log in mine] == ["stand"]
+    assert {mount: len(kept) for mount, kept in others.items()} == {"floor": 2}
+    assert diagnosed_mount(logs[::2]) == (logs[::2], {})
+
+
+def test_a_bench_among_a_robots_logs_is_refused(logs):
+    """They are two machines, and the message says what to do."""
+    bench = Rollout(logs[0].data, logs[0].metadata.replace(mount="pendulum", mass=0.5, length=0.1))
+    with pytest.raises(LogError, match="one after the other"):
+        diagnosed_mount([*logs, bench])
+
+
+def test_models_are_compared_on_the_other_mounts(logs):
+    """The model that made the floor's logs leaves next to nothing there, another one more, in gap and loss."""
+    right = load_model("paper")
+    wrong = right.with_values({"coulomb_friction": 0.3})
+    told = on_other_mounts(wrong, right, {"floor": logs[::2]})["floor"]
+    assert told["logs"] == 2
+    assert told["gap"]["joint/position"]["after"] < 0.5 * told["gap"]["joint/position"]["before"]
+    assert told["gap"]["joint/position"]["floor"] == 0.0  # the same log twice
+    assert told["loss"]["after"] < told["loss"]["before"]

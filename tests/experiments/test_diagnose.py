@@ -1,0 +1,91 @@
+"""The diagnosis script as a user runs it."""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from op3.robot import squat
+from op3.rollout import Rollout
+from op3.sim import load_model
+from op3.tasks import play, squat_task
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+def diagnose(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(REPOSITORY / "experiments" / "diagnose.py"), *arguments]
+    return subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory) -> Path:
+    """Three squats of the right leg on the stand, with a little noise, and one of the whole robot on the floor."""
+    folder, model, rng = tmp_path_factory.mktemp("logs"), load_model("paper"), np.random.default_rng(3)
+    for number, frequency in enumerate((0.4, 0.7, 1.0)):
+        log = play(squat_task(model, squat(frequency=frequency, duration=3.0), mount="stand"))
+        arrays = {k: log.array(k)[:, 14:] if k[0] in ("joint", "command") else log.array(k) for k in log.channels}
+        arrays["joint", "position"] = arrays["joint", "position"] + rng.normal(
+            0, 6e-4, arrays["joint", "position"].shape
+        )
+        metadata = log.metadata.replace(joints=log.joints[14:], recording=f"squat_{number}")
+        Rollout.from_arrays(arrays, metadata).save(folder / f"squat_{number}")
+    play(squat_task(model, squat(duration=1.0), mount="floor")).save(folder / "floor")
+    return folder
+
+
+def test_jobs_write_verdict_page_and_one_wandb_group(logs, tmp_path):
+    """Two jobs on nine seconds of logs: no name for certain, all that a verdict holds, the floor apart, one group."""
+    windows = ["fit_windows=12", "select_windows=6"]
+    options = [
+        f"data={logs}",
+        "seed=0,1",
+        "without=[backlash,compliance]",
+        *windows,
+        f"hydra.sweep.dir={tmp_path}/sweep",
+    ]
+    done = diagnose("-m", *options)
+    assert done.returncode == 0, done.stderr
+    for job in ("0", "1"):
+        folder = tmp_path / "sweep" / job
+        told = yaml.safe_load((folder / "verdict.yaml").read_text())
+        assert told["verdict"] in ("ambiguous", "nothing_missing", "unknown")
+        assert told["cannot_tell"]
+        for gap in told["gap"].values():
+            for end in ("before", "after", "ceiling"):
+                low, high = gap[f"{end}_interval"]
+                assert low <= gap[end] <= high
+            assert gap["floor"] is None  # no command was repeated
+        assert told["loss"]["name"] == "paper_eq7"
+        assert (told["mount"], told["other_mounts"]["floor"]["logs"]) == ("stand", 1)
+        assert load_model(str(folder / "model.yaml")).effect_names
+        assert "logs of the mount floor" in (folder / "index.html").read_text()
+        (run,) = folder.glob("wandb/offline-run-*/*.wandb")
+        expected = (f"{tmp_path.name}/sweep", "gap.joint/position.before", "floor.loss.paper_eq7.after")
+        deadline = time.monotonic() + 30  # another process of wandb writes the file, late on a busy machine
+        while not all(text.encode() in run.read_bytes() for text in expected) and time.monotonic() < deadline:
+            time.sleep(0.1)
+        assert all(text.encode() in run.read_bytes() for text in expected)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "data is missing"),
+        (["data={logs}/none"], "none"),
+        (["data={logs}", "model=papr"], "paper_without_dte"),
+        (["data={logs}", "mode=twice"], "once, loop or aliasing"),
+        (["planned=leg_suite"], "mode=aliasing"),
+    ],
+)
+def test_wrong_input_is_one_sentence(logs, tmp_path, arguments, message):
+    """A wrong argument ends the run with its reason and a non-zero exit, and leaves no verdict."""
+    done = diagnose(*(a.format(logs=logs) for a in arguments), f"hydra.run.dir={tmp_path}")
+    assert done.returncode != 0
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "verdict.yaml").exists()
