@@ -351,7 +351,8 @@ class Diagnosis:
 
     def _said(self, findings: Sequence[Finding]) -> tuple[Caution, ...]:
         """Cautions of all effects, and those of the effects that were found."""
-        return tuple(caution for caution in self.cautions if not caution.effects or _speaks(caution, findings))
+        said = (caution for caution in self.cautions if not caution.assumed)
+        return tuple(caution for caution in said if not caution.effects or _speaks(caution, findings))
 
     def _together(self, verdicts: Sequence[Verdict]) -> Verdict:
         """All that rounds have found: earlier names weighed again beside later ones."""
@@ -470,8 +471,9 @@ class Diagnosis:
             model=candidates[0].model if findings and not weak else fitted,
             base=fitted,
             cannot_tell=tuple(caution.text for caution in self._said(findings)),
+            assumed=tuple(caution.text for caution in self.cautions if caution.assumed),
             weak=weak and bool(findings),
-            separate_by=_separating(findings) if decision.verdict == "ambiguous" else "",
+            separate_by=_separating(findings) if decision.verdict == "ambiguous" or weak else "",
             details={
                 **self._details(decision),
                 "located": [cell.plain() for cell in located[:CELLS]],
@@ -600,8 +602,7 @@ class Diagnosis:
         if effect in EXCHANGED:
             starts = exchanged(fit.coordinates, control.point, EXCHANGED[effect], EXCHANGES)
         elif effect == QuadraticDrag.name and hypothesis.joints is None:
-            speeds = np.concatenate([log.array("joint/velocity").ravel() for log in self.split.fit])
-            starts = redrawn(fit.coordinates, control.point, speeds)
+            starts = redrawn(fit.coordinates, control.point, self._speeds())
         elif effect == Latency.name and hypothesis.joints is None:
             starts = delayed(fit.coordinates, control.point)
         if not starts:
@@ -611,6 +612,18 @@ class Diagnosis:
         if effect == Latency.name:  # so far from the base that its Jacobian does not lead down there
             across = polish(self.engine, base, across)
         return _best([fit, across])
+
+    def _speeds(self) -> np.ndarray:
+        """Velocities that the joints had in fitted runs [rad/s], any shape; of logs without them, by their angles."""
+        if isinstance(self.engine, WindowResiduals):
+            return self.engine.motion.velocity
+        rates = [log.array("joint/velocity") for log in self.split.fit if "joint/velocity" in log]
+        rates += [
+            np.gradient(log.array("joint/position"), log.array("time")[:, 0], axis=0)
+            for log in self.split.fit
+            if "joint/velocity" not in log
+        ]
+        return np.concatenate([rate.ravel() for rate in rates])
 
     def _losses(self, fit: Fit) -> np.ndarray:
         """Squares summed by block of a second, ``[block]``."""

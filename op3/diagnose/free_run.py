@@ -18,6 +18,12 @@ from op3.tasks import Replay
 FLOOR = {("joint", "position"): 0.005, ("joint", "velocity"): 0.1, ("joint", "current"): 0.02, ("joint", "duty"): 0.03}
 """Differences that do not matter in a free run, by channel [rad, rad/s, A, -]."""
 
+IMU = {
+    ("imu", "orientation"): (0.01, 2),
+    ("imu", "angular_velocity"): (0.1, 3),
+}
+"""The same of a robot on its feet [rad, rad/s], and how many values of each count: of the orientation not the yaw."""
+
 ROBUST = 3.0
 """Differences beyond this many usual ones count less (pseudo-Huber): in some runs something else happened."""
 
@@ -63,7 +69,8 @@ def _shortened(logs: Sequence[Rollout]) -> list[Rollout]:
 class FreeRunResiduals:
     """Free runs of the logs of a split, and the residuals of any model on them.
 
-    The servo's duty is compared where it was logged: a false controller gain, or a delay, would show in it.
+    The servo's duty is compared where it was logged: a false controller gain, or a delay, would show in it. So is what
+    the IMU of a robot on its feet says.
 
     Args:
         split: the logs; all of one mount, with the same joints.
@@ -91,6 +98,8 @@ class FreeRunResiduals:
         if first.metadata.mount == "pendulum":
             # bench logs carry a velocity that the recorders computed from positions
             self.channels = tuple(key for key in self.channels if key != ("joint", "velocity"))
+        held = first.metadata.mount in ("stand", "pendulum")
+        self.imu = () if held else tuple(key for key in IMU if all(key in log for log in logs))
         settle, coarse = settle_time(logs), COARSER * timestep
         self._fit = Replay(fit, settle=settle, bench_timestep=timestep)
         self._all = Replay(logs, settle=settle, bench_timestep=timestep)
@@ -104,17 +113,23 @@ class FreeRunResiduals:
         self.blocks = np.concatenate(
             [first + np.arange(seconds) // BLOCK for first, seconds in zip(begins, self._seconds, strict=False)]
         )
-        self.scale = np.array([FLOOR[key] for key in self.channels])
+        self._floor = np.array([FLOOR[key] for key in self.channels])
+        self._imu_floor = np.array([floor for floor, count in (IMU[key] for key in self.imu) for _ in range(count)])
+        self.scale, self.imu_scale = self._floor, self._imu_floor
 
     def prepare(self, model: RobotModel) -> None:
         """Take the usual size of the residuals from this model."""
-        usual = 1.4826 * np.median(np.abs(self._errors(self._all, model, {}, 1)), axis=(0, 1, 2, 3))
-        self.scale = np.sqrt(np.array([FLOOR[key] for key in self.channels]) ** 2 + usual**2)
+        joints, trunk = self._errors(self._all, model, {}, 1)
+        usual = 1.4826 * np.median(np.abs(joints), axis=(0, 1, 2, 3))
+        self.scale = np.sqrt(self._floor**2 + usual**2)
+        usual = 1.4826 * np.median(np.abs(trunk), axis=(0, 1, 2))
+        self.imu_scale = np.sqrt(self._imu_floor**2 + usual**2)
 
     def squares_by_joint(self, residual: np.ndarray) -> np.ndarray:
         """Sums of squares of residuals ``[window, residual]``, ``[window, joint]``."""
-        shape = (len(residual), -1, len(self.joints), len(self.channels))
-        return np.square(residual.reshape(shape).astype(np.float64)).sum((1, 3))
+        shape = (len(residual), SECOND, len(self.joints), len(self.channels))
+        of_joints = residual[:, : int(np.prod(shape[1:]))]
+        return np.square(of_joints.reshape(shape).astype(np.float64)).sum((1, 3))
 
     def residuals(
         self,
@@ -131,20 +146,28 @@ class FreeRunResiduals:
         for begin in range(0, candidates, size):
             count = min(size, candidates - begin)
             values = {name: value[begin : begin + count] for name, value in (parameters or {}).items()}
-            error = self._errors(replay, model, values, count) / self.scale
-            tamed = np.sign(error) * np.sqrt(2 * ROBUST * (np.sqrt(error**2 + ROBUST**2) - ROBUST))
-            parts.append(tamed.reshape(*tamed.shape[:2], -1).astype(np.float32))
+            joints, trunk = self._errors(replay, model, values, count)
+            both = [_tamed(joints / self.scale), _tamed(trunk / self.imu_scale)]
+            parts.append(np.concatenate([one.reshape(*one.shape[:2], -1) for one in both], -1).astype(np.float32))
         return np.concatenate(parts)
 
-    def _errors(self, replay: Replay, model: RobotModel, values: Mapping[str, Tensor], count: int) -> np.ndarray:
-        """Simulated minus measured, ``[candidate, window, sample, joint, channel]``."""
+    def _errors(
+        self, replay: Replay, model: RobotModel, values: Mapping[str, Tensor], count: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Simulated minus measured: ``[candidate, window, sample, joint, channel]``, and of the IMU its values last."""
         predictions = replay.run(model, values, count)
-        parts = []
+        parts, imu = [], []
         for prediction, seconds in zip(predictions, self._seconds, strict=False):
             channels = prediction.channels
             errors = [self._on_grid(channels[key].numpy(), prediction.log, key, seconds) for key in self.channels]
             parts.append(np.stack(errors, -1))
-        return np.nan_to_num(np.concatenate(parts, 1), nan=1e3, posinf=1e3, neginf=-1e3)
+            told = [self._on_grid(channels[key].numpy(), prediction.log, key, seconds) for key in self.imu]
+            told = [values[..., : IMU[key][1]] for values, key in zip(told, self.imu, strict=True)]
+            imu.append(np.concatenate([*told, np.zeros((*errors[0].shape[:3], 0))], -1))
+        return (
+            np.nan_to_num(np.concatenate(parts, 1), nan=1e3, posinf=1e3, neginf=-1e3),
+            np.nan_to_num(np.concatenate(imu, 1), nan=1e3, posinf=1e3, neginf=-1e3),
+        )
 
     def _on_grid(self, simulated: np.ndarray, log: Rollout, key: tuple[str, str], seconds: int) -> np.ndarray:
         """Differences on the grid, ``[candidate, second, sample, joint]``."""
@@ -153,6 +176,11 @@ class FreeRunResiduals:
         nearest = np.clip(np.searchsorted(time, np.arange(seconds * SECOND) * GRID), 0, error.shape[1] - 1)
         picked = error[:, nearest]
         return picked.reshape(len(picked), seconds, SECOND, -1)
+
+
+def _tamed(error: np.ndarray) -> np.ndarray:
+    """Whitened errors, of which large ones count less."""
+    return np.sign(error) * np.sqrt(2 * ROBUST * (np.sqrt(error**2 + ROBUST**2) - ROBUST))
 
 
 def engine_for(split: LogSplit, fit_windows: int = 60, select_windows: int = 36) -> WindowResiduals | FreeRunResiduals:

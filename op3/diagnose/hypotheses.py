@@ -33,7 +33,7 @@ FAULTY = 1.6
 """How many times larger than the catalogue's range for a sound robot an effect may be found: what is looked for is a
 fault. Beyond it a size is not plausible."""
 
-HELD_ONLY = ("gyro_bias", "imu_mount", "ground_tilt", "left_right_asymmetry")
+UNHELD_ONLY = ("gyro_bias", "imu_mount", "ground_tilt")
 """Effects that a robot with a held base, or a bench, does not show."""
 
 
@@ -134,7 +134,9 @@ def hypotheses(
         if not effect.secants or name in without or name in unfit:
             continue
         outside = [edit for edit in effect.edits if edit.target in ("base_body", "foot_geom", "ground_geom")]
-        if fixed_base and (outside or name in HELD_ONLY):
+        if fixed_base and (outside or name in UNHELD_ONLY):
+            continue
+        if name == "left_right_asymmetry" and not all(_sides(joints).values()):
             continue
         if tuple(joints) == BENCH_JOINTS and any(edit not in (ROTOR, LINK) for edit in effect.edits):
             continue
@@ -161,9 +163,14 @@ def _places(base: RobotModel, model: RobotModel, effect: type[Effect], joints: S
         yield Hypothesis(effect, None, model, secants)
     if "joint" in effect.scopes and name not in CHAIN_TIMING and len(joints) > 1:
         yield from (Hypothesis(effect, (j,), model, secants) for j in range(len(joints)))
-    sides = {side: tuple(j for j, n in enumerate(joints) if n.startswith(side)) for side in ("l_", "r_")}
+    sides = _sides(joints)
     if "side" in effect.scopes and all(sides.values()):
         yield from (Hypothesis(effect, columns, model, secants) for columns in sides.values())
+
+
+def _sides(joints: Sequence[str]) -> dict[str, tuple[int, ...]]:
+    """Columns of the joints on the left and on the right."""
+    return {side: tuple(j for j, n in enumerate(joints) if n.startswith(side)) for side in ("l_", "r_")}
 
 
 def _variants(model: RobotModel, name: str) -> list[RobotModel]:

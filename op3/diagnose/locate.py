@@ -25,6 +25,9 @@ SPEEDS = {"slow": (REST, 0.2), "middling": (0.2, 1.0), "fast": (1.0, np.inf)}
 PIECES = 4
 """Pieces of a window in each of which the residual torque is constant."""
 
+NOISY = 1.5
+"""Times the usual noise of a velocity reading beyond which the logs' own counts in its place."""
+
 PRIOR = 0.1
 """Prior standard deviation of the residual torque of a piece [N m]."""
 
@@ -109,10 +112,13 @@ def remaining(engine: WindowResiduals, residual: np.ndarray) -> np.ndarray:
     """
     count = len(engine.channels)
     plain = engine.unwhitened(residual).reshape(len(residual), engine.ticks + 1, len(engine.joints), count)
-    at = engine.channels.index(
-        ("joint", "velocity") if ("joint", "velocity") in engine.channels else engine.channels[0]
-    )
-    return np.sqrt(np.square(plain[..., at] / FLOOR[engine.channels[at]]).mean((0, 1)))
+    velocity = ("joint", "velocity") in engine.channels
+    at = engine.channels.index(("joint", "velocity") if velocity else engine.channels[0])
+    noise = np.full(len(engine.joints), FLOOR[engine.channels[at]])
+    if velocity:
+        told = engine.smooth_logs[0].sensing.spread
+        noise = np.where(told > NOISY * noise, told, noise)
+    return np.sqrt(np.square(plain[..., at] / noise).mean((0, 1)))
 
 
 def residual_torque(

@@ -10,14 +10,20 @@ import numpy as np
 
 from op3.robot import build_scene, pose
 from op3.robot.joints import JOINTS
-from op3.rollout import LogError, Rollout
+from op3.rollout import LogError, Rollout, stand_tilt
 from op3.servo import RobotModel
 from op3.sim import ServoPorts, TrajectoryDynamics, attach_servos, trajectory_dynamics
 from op3.sim.edits import edited_fields, model_field
 from op3.sim.window_simulation import ROTOR
 
 HALF_WIDTH = 3
-"""Ticks on each side that the local cubic of the smoothed state sees."""
+"""Ticks of 8 ms on each side that the local cubic of the smoothed state sees; of others as many as last as long."""
+
+TICK = 0.008
+"""Usual time between rows [s]."""
+
+SAME_RATE = 0.02
+"""Relative difference up to which rows come at the rate that the metadata say."""
 
 POSITION_NOISE = 0.0006
 """Of a position reading, half a count of a 4096-step encoder and a little more [rad]."""
@@ -70,6 +76,7 @@ class SmoothLog:
         rough: how far the readings are from the smoothed state, in standard deviations, ``[tick]``.
         inputs: by signal name.
         tilt: roll and pitch of the stand [rad].
+        sensing: what its velocity readings are like.
     """
 
     log: Rollout
@@ -83,6 +90,12 @@ class SmoothLog:
     rough: np.ndarray
     inputs: Mapping[str, np.ndarray]
     tilt: tuple[float, float]
+    sensing: "VelocitySensing"
+
+    @property
+    def half_width(self) -> int:
+        """Ticks on each side that a smoothed state has seen."""
+        return half_width(self.period)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,11 +104,27 @@ class VelocitySensing:
 
     Attributes:
         lag: how late they are [s], ``[joint]``.
-        noise: their standard deviation [rad/s], ``[joint]``.
+        noise: their standard deviation [rad/s], ``[joint]``, as far as smoothing heeds it.
+        spread: the same, however large.
     """
 
     lag: np.ndarray
     noise: np.ndarray
+    spread: np.ndarray
+
+
+def half_width(period: float) -> int:
+    """Ticks on each side of a smoothed state, see `HALF_WIDTH`."""
+    return max(2, round(HALF_WIDTH * TICK / period))
+
+
+def period_of(log: Rollout) -> float:
+    """Time between rows [s]: what the metadata say where the rows bear it out, else what the stamps say."""
+    time = log.array("time")[:, 0]
+    # stamps may be rounded to milliseconds, which the mean does not feel, or rows be missing, which the median does not
+    mean, median = float(time[-1] - time[0]) / max(1, len(time) - 1), float(np.median(np.diff(time)))
+    told = 1.0 / log.metadata.rate
+    return told if min(abs(told - mean), abs(told - median)) <= SAME_RATE * told else median
 
 
 def kernels(
@@ -144,6 +173,7 @@ def velocity_sensing(logs: Sequence[SmoothLog]) -> VelocitySensing:
     """
     period, joints = logs[0].period, logs[0].position.shape[1]
     lag, noise = np.full(joints, VELOCITY_LAG), np.full(joints, LEAST_VELOCITY_NOISE)
+    spread = noise.copy()
     for j in range(joints):
         features, missed, jerky = [], [], []
         for log in logs:
@@ -156,11 +186,11 @@ def velocity_sensing(logs: Sequence[SmoothLog]) -> VelocitySensing:
         moves = np.abs(x).max(1) > 0
         if moves.any():
             calm = moves & (np.abs(x).max(1) <= np.median(np.abs(x).max(1)[moves]))
-            spread = 1.4826 * np.median(third[calm]) / np.sqrt(20.0)
-            noise[j] = np.clip(spread, LEAST_VELOCITY_NOISE, VELOCITY_NOISE)
+            spread[j] = 1.4826 * np.median(third[calm]) / np.sqrt(20.0)
+            noise[j] = np.clip(spread[j], LEAST_VELOCITY_NOISE, VELOCITY_NOISE)
         if np.sqrt(np.square(x[:, 1]).mean()) > EXCITED * np.sqrt(2) * noise[j] / period:
             lag[j] = np.clip(np.linalg.lstsq(x, y, rcond=1e-6)[0].sum(), 0.0, LONGEST_LAG)
-    return VelocitySensing(lag, noise)
+    return VelocitySensing(lag, noise, spread)
 
 
 def smooth(log: Rollout, sensing: VelocitySensing | None = None) -> SmoothLog:
@@ -174,11 +204,11 @@ def smooth(log: Rollout, sensing: VelocitySensing | None = None) -> SmoothLog:
         LogError: if it lacks positions or commands, or is too short.
     """
     time = log.array("time")[:, 0] - log.array("time")[0, 0]
-    period = max(1, round(1e3 * float(np.median(np.diff(time))))) * 1e-3
+    period, half = period_of(log), half_width(period_of(log))
     # the first row is as early or late as any other
     time = time - float(np.median(time - period * np.round(time / period)))
-    grid = np.arange(int(time[-1] / period + 1e-6) + 1) * period
-    if len(grid) < 2 * HALF_WIDTH + 2:
+    grid = np.arange(int(time[-1] / period + 0.25) + 1) * period
+    if len(grid) < 2 * half + 2:
         raise LogError("the log is too short", "record some seconds", source=log.metadata.recording, column="time")
     if "joint/position" not in log or "command/position" not in log:
         raise LogError(
@@ -196,12 +226,13 @@ def smooth(log: Rollout, sensing: VelocitySensing | None = None) -> SmoothLog:
     q = readings["joint", "position"]
     v = readings.get(("joint", "velocity"), np.gradient(q, period, axis=0))
     if sensing is None:
-        sensing = VelocitySensing(np.full(q.shape[1], VELOCITY_LAG), np.full(q.shape[1], VELOCITY_NOISE))
+        usual = np.full(q.shape[1], VELOCITY_NOISE)
+        sensing = VelocitySensing(np.full(q.shape[1], VELOCITY_LAG), usual, np.zeros(q.shape[1]))
     by_joint = zip(sensing.lag, sensing.noise, strict=True)
-    weights = np.stack([kernels(period, lag=lag, noise=noise) for lag, noise in by_joint], -1)
-    padded = [np.pad(x, ((HALF_WIDTH, HALF_WIDTH), (0, 0)), mode="edge") for x in (q, v)]
+    weights = np.stack([kernels(period, half, lag, noise) for lag, noise in by_joint], -1)
+    padded = [np.pad(x, ((half, half), (0, 0)), mode="edge") for x in (q, v)]
     lagged = np.stack(
-        [np.stack([x[lag : lag + len(grid)] for lag in range(2 * HALF_WIDTH + 1)]) for x in padded]
+        [np.stack([x[lag : lag + len(grid)] for lag in range(2 * half + 1)]) for x in padded]
     )  # [position | velocity, lag, tick, joint]
     state = np.einsum("oklj,kltj->otj", weights, lagged)
     held = np.clip(np.searchsorted(time, grid + 0.3 * period, side="right") - 1, 0, len(time) - 1)
@@ -210,12 +241,9 @@ def smooth(log: Rollout, sensing: VelocitySensing | None = None) -> SmoothLog:
     inputs = {signal: log.array(key)[held] for key, signal in INPUTS.items() if key in log}
     if "bus_voltage" in inputs:
         inputs["bus_voltage"] = _interpolated(log.array("joint/voltage"), time, grid)
-    tilt = (0.0, 0.0)
-    if "imu/orientation" in log:
-        roll, pitch = log.array("imu/orientation")[:, :2].mean(0)
-        tilt = (round(float(roll), 2) + 0.0, round(float(pitch), 2) + 0.0)
+    tilt = stand_tilt(log) or (0.0, 0.0)
     rough = _roughness(state, lagged, period, sensing)
-    return SmoothLog(log, period, grid, state[0], state[1], state[2], readings, control, rough, inputs, tilt)
+    return SmoothLog(log, period, grid, state[0], state[1], state[2], readings, control, rough, inputs, tilt, sensing)
 
 
 def _roughness(state: np.ndarray, lagged: np.ndarray, period: float, sensing: VelocitySensing) -> np.ndarray:
@@ -227,7 +255,8 @@ def _roughness(state: np.ndarray, lagged: np.ndarray, period: float, sensing: Ve
         period: between ticks [s].
         sensing: of the velocities.
     """
-    t = np.arange(-HALF_WIDTH, HALF_WIDTH + 1)[:, None, None] * period
+    half = len(lagged[0]) // 2
+    t = np.arange(-half, half + 1)[:, None, None] * period
     position, velocity, acceleration = state
     late = t - sensing.lag
     misfit = np.stack(

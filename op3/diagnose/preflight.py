@@ -9,7 +9,8 @@ from scipy import signal
 
 from op3.diagnose.labels import asked_current, mislabelled
 from op3.diagnose.split import LogSplit
-from op3.rollout import Rollout
+from op3.robot.joints import whole_limbs
+from op3.rollout import Rollout, stand_tilt
 from op3.servo import RobotModel
 
 SHORTEST = 15.0
@@ -78,6 +79,7 @@ class Caution:
         void: whether the logs contradict themselves, so that fitting them means nothing.
         spared: effects of which it is not said.
         most: whether it is said of most joints that moved, and so of what all joints share too.
+        assumed: whether it only says what was taken for granted, and speaks against no name.
     """
 
     text: str
@@ -86,10 +88,11 @@ class Caution:
     void: bool = False
     spared: tuple[str, ...] = ()
     most: bool = False
+    assumed: bool = False
 
     def weakens(self, joints: Sequence[str], effect: str = "") -> bool:
         """Whether the name of an effect in these joints, or in all where there are none, is not to be trusted."""
-        if (self.effects and effect not in self.effects) or effect in self.spared:
+        if self.assumed or (self.effects and effect not in self.effects) or effect in self.spared:
             return False
         if self.void or not self.joints:
             return True
@@ -106,7 +109,13 @@ def preflight(split: LogSplit, model: RobotModel) -> tuple[Caution, ...]:
     wrong = mislabelled(split.logs, model)
     if wrong:
         return tuple(Caution(text, void=True) for text in wrong)
-    said = (_short(split.fit), *_excitation(split.fit), _saturated(split.fit), _unseen_duty(split.fit))
+    said = (
+        _short(split.fit),
+        *_excitation(split.fit),
+        _saturated(split.fit),
+        _unseen_duty(split.fit),
+        *_assumed(split.logs),
+    )
     return tuple(caution for caution in said if caution)
 
 
@@ -118,6 +127,31 @@ def _short(logs: Sequence[Rollout]) -> Caution | None:
         f"The fitted runs last {duration:.0f} s in all; record at least {SHORTEST:.0f} s, better 100 s in several"
         " runs with three repeats of one of them."
     )
+
+
+def _assumed(logs: Sequence[Rollout]) -> list[Caution]:
+    """What is taken for granted of a robot on the stand, as its logs do not tell; where it is wrong much is unknown."""
+    if logs[0].metadata.mount != "stand":
+        return []
+    said, joints = [], logs[0].joints
+    absent = [joint for joint in whole_limbs(joints) if joint not in joints]
+    if absent:
+        said.append(
+            Caution(
+                f"The logs lack {', '.join(absent)} of the same limbs, which were taken to be held in the pose"
+                ' "stand"; record all joints of a limb if they were elsewhere, or moved.',
+                assumed=True,
+            )
+        )
+    if any(stand_tilt(log) is None for log in logs):
+        said.append(
+            Caution(
+                "Logs without imu/orientation were taken to be of a level stand; record it, or write `tilt: [roll,"
+                " pitch]` in rad into `extra` of their metadata, if it was tilted.",
+                assumed=True,
+            )
+        )
+    return said
 
 
 def _excitation(logs: Sequence[Rollout]) -> list[Caution]:

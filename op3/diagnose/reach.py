@@ -21,8 +21,8 @@ from op3.servo import RobotModel
 WINDOWS = (360, 120)
 """Windows of the fitted runs, and of those that choose; all are learned, as nothing is chosen here."""
 
-TICKS = 6
-"""Length of a window."""
+LENGTH = 0.05
+"""Length of a window [s]."""
 
 PRIOR = 0.3
 """Standard deviation of the torque in a window that is expected [N m]: rather more than there is, as a tight one would
@@ -55,7 +55,11 @@ class TorqueBox:
         self._phases = rng.uniform(0, 2 * np.pi, FEATURES)
         self._first = _started(engine.smooth_logs[0].log)
         fit, select = WINDOWS
-        lengths: dict[str, Any] = {"fit_windows": fit, "select_windows": select, "ticks": TICKS}
+        lengths: dict[str, Any] = {
+            "fit_windows": fit,
+            "select_windows": select,
+            "ticks": max(2, round(LENGTH / engine.period)),
+        }
         tiles = WindowResiduals(engine.split, **lengths, smooth_logs=engine.smooth_logs)
         tiles.prepare(base, nuisances=False)
         parameters = base.tensors(tiles.joints)

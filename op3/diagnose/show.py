@@ -97,9 +97,9 @@ def show(
     for key, unit in CHANNELS.items():
         if not all(key in log for log in logs):
             continue
-        blocks = [_squares(predictions, logs, key) for predictions in (first, second)]
+        blocks = [_blocks(split, predictions, logs, key) for predictions in (first, second)]
         low, high = _difference(blocks[0], blocks[1], rng)
-        improved |= low > 0 or any(_better_in(joint, first, second, logs, key, seed) for joint in faulty)
+        improved |= low > 0 or any(_better_in(joint, split, first, second, logs, key, seed) for joint in faulty)
         worsened |= high < 0
         floor = _floor(split, key)
         entry: dict[str, Any] = {
@@ -150,7 +150,7 @@ def with_ceiling(
     for name, entry in result.items():
         if predictions:
             group, channel = name.split("/")
-            blocks = _squares(predictions, logs, (group, channel))
+            blocks = _blocks(split, predictions, logs, (group, channel))
             entry["ceiling"], entry["ceiling_interval"] = _root(blocks), _interval(blocks, rng)
         else:
             entry["ceiling"], entry["ceiling_interval"] = entry["before"], entry["before_interval"]
@@ -181,6 +181,7 @@ def shown_logs(split: LogSplit) -> tuple[Rollout, ...]:
 
 def _better_in(
     joint: str,
+    split: LogSplit,
     before: Sequence[Prediction],
     after: Sequence[Prediction],
     logs: Sequence[Rollout],
@@ -188,8 +189,27 @@ def _better_in(
     seed: int,
 ) -> bool:
     """Whether a joint by itself became better, beyond its interval; all others hide it."""
-    blocks = [_squares(predictions, logs, key, (joint,)) for predictions in (before, after)]
+    blocks = [_blocks(split, predictions, logs, key, (joint,)) for predictions in (before, after)]
     return _difference(blocks[0], blocks[1], np.random.default_rng([seed, 23]))[0] > 0
+
+
+def _blocks(
+    split: LogSplit,
+    predictions: Sequence[Prediction],
+    logs: Sequence[Rollout],
+    key: tuple[str, str],
+    joints: Sequence[str] | None = None,
+) -> np.ndarray:
+    """Mean square by second of every command, ``[block]``: its repeats, which miss alike, are one piece of evidence."""
+    by_log = _squares(predictions, logs, key, joints)
+    places = {id(log): i for i, log in enumerate(logs)}
+    groups = [[places[id(split.show[i])] for i in group if id(split.show[i]) in places] for group in split.repeats]
+    groups += [[i] for i in range(len(logs)) if not any(i in group for group in groups)]
+    blocks = []
+    for group in groups:
+        seconds = min((len(by_log[i]) for i in group), default=0)
+        blocks += [np.mean([by_log[i][:seconds] for i in group], axis=0)] if seconds else []
+    return np.concatenate(blocks)
 
 
 def _squares(
@@ -197,8 +217,8 @@ def _squares(
     logs: Sequence[Rollout],
     key: tuple[str, str],
     joints: Sequence[str] | None = None,
-) -> np.ndarray:
-    """Mean square by second of every run, of some joints or all, ``[block]``."""
+) -> list[np.ndarray]:
+    """Mean square by second of every run, of some joints or all, ``[second]`` each."""
     values = []
     for prediction, log in zip(predictions, logs, strict=True):
         picked = joints or log.joints
@@ -207,7 +227,7 @@ def _squares(
         measured = log.array(key)[: len(simulated), [log.joints.index(joint) for joint in picked]]
         error = np.square(simulated - measured).mean(1)
         values.append(_by_second(np.nan_to_num(error, nan=1e6, posinf=1e6), log))
-    return np.concatenate(values)
+    return values
 
 
 def _root(blocks: np.ndarray) -> float:
@@ -230,10 +250,16 @@ def _floor(split: LogSplit, key: tuple[str, str]) -> np.ndarray | None:
     """Mean squares by which repeats of one command differ from their mean, by second, ``[block]``; None without any."""
     squares = []
     for group in split.repeats:
-        values = np.stack([split.show[i].array(key) for i in group])
+        values = _stacked(split, group, key)
         noise = np.square(values - values.mean(0)).sum(0).mean(1) / (len(group) - 1)
         squares.append(_by_second(noise, split.show[group[0]]))
     return np.concatenate(squares) if squares else None
+
+
+def _stacked(split: LogSplit, group: Sequence[int], key: tuple[str, str]) -> np.ndarray:
+    """A channel of repeats, as far as the shortest goes, ``[repeat, row, joint]``."""
+    rows = min(split.show[i].rows for i in group)
+    return np.stack([split.show[i].array(key)[:rows] for i in group])
 
 
 def _by_second(values: np.ndarray, log: Rollout) -> np.ndarray:
@@ -252,14 +278,14 @@ def _systematic(
     """
     places, squares = {id(log): i for i, log in enumerate(logs)}, []
     for group in split.repeats:
-        values = np.stack([split.show[i].array(key) for i in group])
+        values = _stacked(split, group, key)
         noise = np.square(values - values.mean(0)).sum(0).mean() / (len(group) - 1)
         simulated = []
         for i in group:
             at = places.get(id(split.show[i]))
             if at is not None:
                 columns = [predictions[at].log.joints.index(joint) for joint in logs[at].joints]
-                simulated.append(predictions[at].channels[key][0].numpy()[:, columns])
+                simulated.append(predictions[at].channels[key][0].numpy()[: len(values[0]), columns])
         gap = np.square(values.mean(0) - np.mean(simulated, 0)).mean()
         squares.append(np.nan_to_num(gap - noise / len(group), nan=1e6))
     return float(np.sqrt(max(float(np.mean(squares)), 0.0))) if squares else None

@@ -6,13 +6,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from op3.rollout import LogError, Rollout
+from op3.rollout import LogError, Rollout, stand_tilt
 
 SELECT_SHARE = 0.25
 """Share of the runs that are not repeats by which hypotheses are chosen."""
 
 SHOW_SHARE = 0.2
 """Share of the runs that only show, where no command was repeated."""
+
+SAME_COMMAND = 1e-3
+"""Differences up to which commands are the same [rad, A/rad, A s/rad]: logs are rounded, and written as text."""
+
+SAME_TILT = 0.02
+"""Differences up to which two stands are tilted alike [rad]."""
+
+FEW_ROWS, SAME_LENGTH = 3, 0.01
+"""Rows, or share of them, by which runs of the same commands may differ in length."""
 
 SHORTEST = 2.0
 """Logs shorter than this are not used [s]."""
@@ -67,19 +76,27 @@ def split_logs(logs: Sequence[Rollout], seed: int = 0) -> LogSplit:
     groups = repeats(usable)
     repeated = [i for group in groups for i in group]
     rest = [i for i in range(len(usable)) if i not in repeated]
-    if len(rest) < 3:
-        groups, repeated, rest = (), [], list(range(len(usable)))
     show = list(repeated)
-    if not show:
-        show = _pick(usable, rest, max(1, round(SHOW_SHARE * len(rest))), rng)
-        rest = [i for i in rest if i not in show]
-    select = _pick(usable, rest, max(1, round(SELECT_SHARE * len(rest))), rng)
-    fit = [i for i in rest if i not in select]
+    if len(rest) < 3:  # then a command's runs go one way together
+        alike = {group[0]: list(group) for group in groups}
+        heads = [*alike, *rest]
+        if len(heads) < 3:
+            return _split_in_time(usable)
+        show = [i for head in _pick(usable, heads, 1, rng) for i in alike.get(head, [head])]
+        left = [head for head in heads if head not in show]
+        select = [i for head in _pick(usable, left, 1, rng) for i in alike.get(head, [head])]
+        fit = [i for head in left if head not in select for i in alike.get(head, [head])]
+    else:
+        if not show:
+            show = _pick(usable, rest, max(1, round(SHOW_SHARE * len(rest))), rng)
+            rest = [i for i in rest if i not in show]
+        select = _pick(usable, rest, max(1, round(SELECT_SHARE * len(rest))), rng)
+        fit = [i for i in rest if i not in select]
     return LogSplit(
         fit=tuple(usable[i] for i in fit),
         select=tuple(usable[i] for i in select),
         show=tuple(usable[i] for i in show),
-        repeats=tuple(tuple(show.index(i) for i in group) for group in groups),
+        repeats=tuple(tuple(show.index(i) for i in group) for group in groups if group[0] in show),
     )
 
 
@@ -97,18 +114,21 @@ def repeats(logs: Sequence[Rollout]) -> tuple[tuple[int, ...], ...]:
 
 
 def _same_commands(one: Rollout, other: Rollout) -> bool:
-    if one.joints != other.joints or one.metadata.mount != other.metadata.mount or one.rows != other.rows:
+    if one.joints != other.joints or one.metadata.mount != other.metadata.mount:
+        return False
+    rows = min(one.rows, other.rows)
+    if max(one.rows, other.rows) - rows > max(FEW_ROWS, SAME_LENGTH * rows):
         return False
     if (one.metadata.mass, one.metadata.length) != (other.metadata.mass, other.metadata.length):
         return False
     keys = [key for key in one.channels if key[0] == "command"]
     if keys != [key for key in other.channels if key[0] == "command"]:
         return False
-    if "imu/orientation" in one and "imu/orientation" in other and one.metadata.mount == "stand":
-        apart = one.array("imu/orientation")[:, :2].mean(0) - other.array("imu/orientation")[:, :2].mean(0)
-        if np.abs(apart).max() > 0.02:
+    if one.metadata.mount == "stand":
+        tilts = np.array([stand_tilt(log) or (0.0, 0.0) for log in (one, other)])
+        if np.abs(tilts[0] - tilts[1]).max() > SAME_TILT:
             return False
-    return all(np.array_equal(one.array(key), other.array(key)) for key in keys)
+    return all(np.allclose(one.array(key)[:rows], other.array(key)[:rows], rtol=0, atol=SAME_COMMAND) for key in keys)
 
 
 def _kind(log: Rollout) -> str:

@@ -72,6 +72,7 @@ class Verdict:
         base: the refitted base model.
         separate_by: experiment that tells candidates apart; empty unless ambiguous.
         cannot_tell: what the logs are too poor for, and what to record next; empty if they are rich enough.
+        assumed: sentences about what the logs do not tell and was taken for granted.
         weak: whether `cannot_tell` speaks against the names, which are candidates then, and the model is left without.
         gap: by channel, before and after on the runs that show.
         loss: ``paper_eq7`` before and after on the runs that show.
@@ -87,6 +88,7 @@ class Verdict:
     base: RobotModel
     separate_by: str = ""
     cannot_tell: tuple[str, ...] = ()
+    assumed: tuple[str, ...] = ()
     weak: bool = False
     gap: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     loss: Mapping[str, Any] = field(default_factory=dict)
@@ -140,6 +142,8 @@ class Verdict:
             content["separate_by"] = self.separate_by
         if self.cannot_tell:
             content["cannot_tell"] = list(self.cannot_tell)
+        if self.assumed:
+            content["assumed"] = list(self.assumed)
         content["gap"] = {name: dict(values) for name, values in self.gap.items()}
         content["loss"] = dict(self.loss)
         content["vetoed"] = self.vetoed

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from op3.diagnose.fitting import COARSE
-from op3.diagnose.motion import CHANNELS, HALF_WIDTH, PREROLL, FixedBase, SmoothLog, smooth_all
+from op3.diagnose.motion import CHANNELS, PREROLL, FixedBase, SmoothLog, smooth_all
 from op3.diagnose.split import LogSplit
 from op3.diagnose.supply import open_voltages
 from op3.robot.units import CURRENT_UNIT
@@ -48,8 +48,14 @@ TIMING = ("current_time_constant", "command_latency")
 FLOOR = {("joint", "position"): 0.0006, ("joint", "velocity"): 0.02, ("joint", "current"): 0.004}
 """Standard deviation of a reading, by channel [rad, rad/s, A]."""
 
-SEARCH = 24
-"""Ticks among which a window starts where the state is known best: not in the middle of a jerk."""
+LENGTH = 0.2
+"""Length of a window [s]."""
+
+STEP = 0.001
+"""Longest step of a simulation that is not stretched [s]; a tick is a whole number of steps."""
+
+SEARCH = 0.192
+"""Time within which a window starts where the state is known best [s]: not in the middle of a jerk."""
 
 HUBER = 2.0
 """A joint whose residual in a window is larger than this, in its usual ones, counts less there."""
@@ -74,8 +80,7 @@ class WindowResiduals:
         split: the logs; all on a stand, with the same joints.
         fit_windows: how many windows of the fitted runs.
         select_windows: how many of the runs that choose.
-        ticks: length of a window.
-        timestep: of the simulation [s].
+        ticks: length of a window; by default as many as last `LENGTH`.
         smooth_logs: the fitted logs and those that choose, if they have been smoothed before.
 
     Raises:
@@ -93,11 +98,10 @@ class WindowResiduals:
         *,
         fit_windows: int = 60,
         select_windows: int = 36,
-        ticks: int = 25,
-        timestep: float = 0.001,
+        ticks: int | None = None,
         smooth_logs: Sequence[SmoothLog] | None = None,
     ):
-        self.split, self.ticks, self.timestep = split, ticks, timestep
+        self.split = split
         first = split.fit[0]
         for log in split.logs:
             if log.metadata.mount != "stand" or log.joints != first.joints:
@@ -112,6 +116,8 @@ class WindowResiduals:
         if len({round(log.period, 6) for log in logs}) > 1:
             raise LogError("the logs have different rates", "diagnose logs of one rate at a time", column="time")
         self.period = logs[0].period
+        self.ticks = ticks = round(LENGTH / self.period) if ticks is None else ticks
+        self.timestep = self.period / np.ceil(self.period / STEP - 1e-6)
         fit = _choose(logs[: len(split.fit)], fit_windows, ticks)
         select = _choose(logs[len(split.fit) :], select_windows, ticks)
         self.windows = [*fit, *((log + len(split.fit), tick) for log, tick in select)]
@@ -442,7 +448,8 @@ def _as_sent(model: RobotModel) -> RobotModel:
 
 def _choose(logs: Sequence[SmoothLog], count: int, ticks: int) -> list[tuple[int, int]]:
     """Evenly spread starts (log, tick) of windows that do not overlap while there is room, at smooth places."""
-    lead, tail = max(PREROLL, HALF_WIDTH), ticks + HALF_WIDTH + 1
+    half = logs[0].half_width if logs else 0
+    lead, tail = max(PREROLL, half), ticks + half + 1
     room = np.array([max(0, len(log.time) - lead - tail) for log in logs])
     if room.sum() == 0:
         raise LogError("the logs are shorter than a window", "record a few seconds per run", column="time")
@@ -450,7 +457,7 @@ def _choose(logs: Sequence[SmoothLog], count: int, ticks: int) -> list[tuple[int
     stride = max(total / count, ticks / 2)
     starts = []
     edges = np.cumsum([0, *room])
-    aside = int(0.5 * max(0.0, min(stride - ticks, SEARCH)))
+    aside = int(0.5 * max(0.0, min(stride - ticks, SEARCH / logs[0].period)))
     for at in np.arange(stride / 2, total, stride):
         log = int(np.searchsorted(edges, at, side="right") - 1)
         tick = lead + int(at - edges[log])

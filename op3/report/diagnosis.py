@@ -177,7 +177,7 @@ def _why(page: Page, verdict: Verdict) -> None:
         page.text(f"`{effect.name}`: `{cls.equation}`. It shows {cls.fingerprint}.")
     if verdict.separate_by:
         page.text(f"To tell the candidates apart: {verdict.separate_by}.")
-    for text in verdict.cannot_tell:
+    for text in (*verdict.cannot_tell, *verdict.assumed):
         page.text(text)
     ranking = verdict.details.get("ranking", ())[:RANKED]
     rows = [

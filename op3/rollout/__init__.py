@@ -8,6 +8,7 @@ from op3.rollout.read import read_log, read_logs
 from op3.rollout.recorder import Recorder
 from op3.rollout.rollout import Rollout
 from op3.rollout.schema import CHANNELS, Channel, Key, column_names, schema_table
+from op3.rollout.stand import stand_tilt
 
 __all__ = [
     "CHANNELS",
@@ -28,4 +29,5 @@ __all__ = [
     "read_log",
     "read_logs",
     "schema_table",
+    "stand_tilt",
 ]

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from op3.rollout import LogError, Rollout
+from op3.rollout import LogError, Rollout, stand_tilt
 from op3.servo import RobotModel
 from op3.tasks.conditions import parameters_per_log
 from op3.tasks.setups import BENCH_CONTROL_PERIOD, Setup
@@ -51,7 +51,8 @@ class Replay:
     The simulation starts from the log's first row at rest, holds the first command for ``settle`` seconds, and
     then receives each command at the control tick at which it was in force. Nothing measured after the first
     row reaches the simulation, except the bus voltage where the log has it. A log from the stand may have some limbs
-    only, whole ones; the others are left away.
+    only, whole ones; the others are left away. A robot's PD ticks at the rate of the log's rows, or at the
+    ``control_rate`` [Hz] of its metadata's ``extra``.
 
     Args:
         logs: what to replay; mounts may differ.
@@ -77,9 +78,9 @@ class Replay:
             raise ValueError("there is nothing to replay: give at least one log")
         self.logs = list(logs)
         self._groups: list[_Group] = []
-        mounts = [(*_mount(log), log.joints) for log in logs]
+        mounts = [(*_mount(log), log.joints, _control_period(log)) for log in logs]
         for mount, members in groupby(sorted(range(len(logs)), key=mounts.__getitem__), key=mounts.__getitem__):
-            setup = Setup.of_mount(mount[0], bench_timestep, mount[1:3], mount[3])
+            setup = Setup.of_mount(mount[0], bench_timestep, mount[1:3], *mount[3:])
             self._groups.append(_Group(list(members), logs, setup, settle, record_period, duration, num_threads))
 
     @property
@@ -264,10 +265,14 @@ class _Channels(Mapping[tuple[str, str], Tensor]):
 
 def _mount(log: Rollout) -> tuple[str, float, float]:
     """What holds the robot, and the roll and pitch of a stand, to a hundredth of a radian."""
-    if log.metadata.mount != "stand" or "imu/orientation" not in log:
-        return log.metadata.mount, 0.0, 0.0
-    roll, pitch = log.array("imu/orientation")[:, :2].mean(0)
-    return "stand", round(float(roll), 2) + 0.0, round(float(pitch), 2) + 0.0
+    tilt = stand_tilt(log) if log.metadata.mount == "stand" else None
+    return log.metadata.mount, *(tilt or (0.0, 0.0))
+
+
+def _control_period(log: Rollout) -> float:
+    """Time between commands to a robot [s], by the metadata; rounded, so that logs of one rate are one group."""
+    rate = log.metadata.extra.get("control_rate", log.metadata.rate)
+    return round(1.0 / float(rate), 6)
 
 
 def _fallback(command: str, log: Rollout) -> float:

@@ -46,6 +46,7 @@ class Setup:
         bench_timestep: float = BENCH_CONTROL_PERIOD,
         tilt: tuple[float, float] = (0.0, 0.0),
         joints: Sequence[str] | None = None,
+        control_period: float = OP3_CONTROL_PERIOD,
     ) -> "Setup":
         """The setup for logs of this mount.
 
@@ -54,6 +55,8 @@ class Setup:
             bench_timestep: simulation step of a pendulum, and cycle of its servo's position loop [s].
             tilt: roll and pitch of the stand [rad].
             joints: of the logs; on the stand the robot has no more limbs than these. None: all.
+            control_period: time between commands to a robot [s]; a simulation step is a whole part of it, of at most
+                1 ms.
 
         Raises:
             ValueError: for a ground that commands alone do not tell, such as a board that moved.
@@ -66,13 +69,16 @@ class Setup:
         else:
             scene = build_scene(mount, tilt_roll=tilt[0], tilt_pitch=tilt[1], joints=limbs)
         attach_servos(scene.joints)
-        robot = scene.robot
+        robot, mj_model = scene.robot, scene.compile(visual=False)
+        if robot is not None:
+            steps = np.ceil(control_period / mj_model.opt.timestep - 1e-6)
+            mj_model.opt.timestep = control_period / steps
         return cls(
             scene=scene,
-            mj_model=scene.compile(visual=False),
+            mj_model=mj_model,
             joints=tuple(joint.name for joint in scene.joints),
             base_body=None if robot is None else robot.trunk.full_identifier,
-            control_period=bench_timestep if robot is None else OP3_CONTROL_PERIOD,
+            control_period=bench_timestep if robot is None else control_period,
         )
 
     def simulation(

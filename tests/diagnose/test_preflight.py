@@ -10,7 +10,7 @@ from op3.diagnose.labels import mislabelled
 from op3.diagnose.preflight import Caution, _lines, preflight
 from op3.diagnose.split import LogSplit
 from op3.robot import leg_suite
-from op3.rollout import Metadata, Rollout
+from op3.rollout import Metadata, Rollout, stand_tilt
 from op3.sim import load_model
 from op3.stand_in.cases import draw_case
 from op3.stand_in.leg import record_leg
@@ -30,8 +30,8 @@ def log(duration: float, reach: float, speed: float = 3.0, multiples=(1.0,)) -> 
 
 
 def said(*logs: Rollout) -> tuple[Caution, ...]:
-    """What preflight has to say of logs that are fitted."""
-    return preflight(LogSplit(logs, (), ()), load_model("paper"))
+    """What preflight has to say against logs that are fitted."""
+    return tuple(one for one in preflight(LogSplit(logs, (), ()), load_model("paper")) if not one.assumed)
 
 
 def changed(logs, change) -> list[Rollout]:
@@ -57,6 +57,20 @@ def test_short_logs_and_still_joints_are_told():
     assert short.joints == ()
     assert still.joints == ("r_hip_pitch",)
     assert "r_knee" not in still.text
+
+
+def test_what_is_taken_for_granted_is_told_and_weakens_nothing():
+    """Joints of a limb that are not in the logs, and a stand whose tilt nobody told; with both told nothing is said."""
+    bare = log(20.0, 0.5, multiples=(1.0, 2.7))
+    limb, tilt = (one for one in preflight(LogSplit((bare,), (), ()), load_model("paper")) if one.assumed)
+    assert "r_ank_roll" in limb.text
+    assert "tilt" in tilt.text
+    assert not limb.weakens(())
+    assert not tilt.weakens(("r_knee",))
+    told = Rollout(bare.data, bare.metadata.replace(extra={"tilt": [0.0, 0.3]}))
+    assert stand_tilt(told) == (0.0, 0.3)
+    (left,) = (one for one in preflight(LogSplit((told,), (), ()), load_model("paper")) if one.assumed)
+    assert left.text == limb.text
 
 
 def test_rich_logs_pass():
