@@ -19,8 +19,8 @@ FLOOR = {("joint", "position"): 0.005, ("joint", "velocity"): 0.1, ("joint", "cu
 """Differences that do not matter in a free run, by channel [rad, rad/s, A, -]."""
 
 IMU = {
-    ("imu", "orientation"): (0.01, 2),
-    ("imu", "angular_velocity"): (0.1, 3),
+    ("imu", "orientation"): (0.005, 2),
+    ("imu", "angular_velocity"): (0.02, 3),
 }
 """The same of a robot on its feet [rad, rad/s], and how many values of each count: of the orientation not the yaw."""
 

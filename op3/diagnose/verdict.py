@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from op3.diagnose.coordinates import CHAIN
+from op3.robot.joints import JOINTS
 from op3.servo import RobotModel
 
 VERDICTS = ("named", "ambiguous", "unknown", "nothing_missing")
@@ -130,6 +132,22 @@ class Verdict:
         link = "; besides, " if any(len(group) > 1 for group in groups) else " and "
         return link.join(", or ".join(group) for group in groups)
 
+    def measurement_chain(self) -> list[dict[str, Any]]:
+        """What the base takes for granted of every chain of measurement, as found: small lags, zeros and presliding.
+
+        Of what joints have each for itself the one furthest from what is expected. A lag that is larger than any
+        servo's is an effect that the base has taken upon itself, and is told by its ``deviations``.
+        """
+        known, told = self.base.parameters(), []
+        for name, (expected, deviation, _) in CHAIN.items():
+            if name in known:
+                values = self.base.tensors(list(self.details.get("joints", ())) or JOINTS)[name][0].numpy()
+                found = float(values[abs(values - expected).argmax()])
+                apart = round((found - expected) / deviation, 1)
+                entry = {"name": name, "found": _rounded(found), "expected": expected, "unit": known[name].unit}
+                told.append({**entry, "deviations": apart})
+        return told
+
     def plain(self) -> dict[str, Any]:
         """The content of ``verdict.yaml``."""
         content: dict[str, Any] = {
@@ -150,6 +168,7 @@ class Verdict:
         content["share"] = self.share
         content["located"] = list(self.details.get("located", ()))
         content["ceiling"] = dict(self.details.get("ceiling", {}))
+        content["measurement_chain"] = self.measurement_chain()
         content["ranking"] = self._ranking()
         return content
 

@@ -18,6 +18,9 @@ from op3.tasks import Prediction
 LOCATED = 10
 """Cells of residual torque on the page."""
 
+UNUSUAL = 2.5
+"""Standard deviations from what is expected of a chain of measurement beyond which the page says so."""
+
 RANKED = 12
 """Hypotheses listed on the page."""
 
@@ -295,3 +298,10 @@ def _base(page: Page, verdict: Verdict) -> None:
         for name, known in verdict.base.parameters().items()
     ]
     page.table(["parameter", "unit", "base", "with what was named"], rows, "Shared values; joints may differ a little")
+    unusual = [one for one in verdict.measurement_chain() if abs(one["deviations"]) > UNUSUAL]
+    if unusual:
+        said = ", ".join(f"`{one['name']}` {one['found']:.3g} {one['unit']}" for one in unusual)
+        page.text(
+            f"The base takes more upon itself than a chain of measurement usually has: {said}. That may be an effect by"
+            " itself; measure it apart."
+        )

@@ -10,7 +10,7 @@ import pytest
 
 from op3.diagnose import Diagnosis, WindowResiduals, planned_suite, split_logs
 from op3.diagnose import settle as settling
-from op3.diagnose.coordinates import base_coordinates
+from op3.diagnose.coordinates import base_coordinates, with_chain
 from op3.diagnose.decide import Contender, Own
 from op3.diagnose.diagnosis import _leaders
 from op3.diagnose.fitting import Fit, linearise, polish, refit
@@ -102,6 +102,23 @@ def test_the_ranking_begins_with_what_was_named():
 
 
 EFFECTS = {"cogging": "cogging_amplitude", "cable_spring": "cable_stiffness", "quadratic_drag": "quadratic_drag"}
+
+
+def test_a_verdict_tells_what_the_base_has_taken_upon_itself():
+    """Of the chain of measurement: the value, what is expected of it, and how far they are apart."""
+    base = with_chain(load_model("paper")).with_values(
+        {"velocity_time_constant": 0.005, "current_offset": Estimate(0.0, joints={"r_knee": -0.006})}
+    )
+    told = {one["name"]: one for one in Verdict("nothing_missing", (), "", base, base).plain()["measurement_chain"]}
+    assert told["velocity_time_constant"] == {
+        "name": "velocity_time_constant",
+        "found": 0.005,
+        "expected": 0.002,
+        "unit": "s",
+        "deviations": 5.0,
+    }
+    assert (told["current_offset"]["found"], told["current_offset"]["deviations"]) == (-0.006, -2.0)
+    assert abs(told["bristle_compliance"]["deviations"]) < 0.1
 
 
 def candidate(name: str) -> Candidate:
