@@ -34,6 +34,7 @@ from op3.diagnose import (
     on_other_mounts,
     planned_motions,
     planned_suite,
+    preflight,
     split_logs,
     suited,
 )
@@ -42,15 +43,23 @@ from op3.report import run_provenance
 from op3.report.diagnosis import log_verdict, write_page
 from op3.robot import leg_suite
 from op3.rollout import Rollout, read_logs
+from op3.servo import effect_class
 from op3.sim import load_model, save_model
 
 IMPORTED = time.process_time()
 
 
+_stage = ""
+
+
 def progress(stage: str, share: float) -> None:
-    """One line on the terminal that says how far the diagnosis is."""
+    """One line on the terminal that says how far the diagnosis is; elsewhere a line for each stage."""
+    global _stage
     if sys.stderr.isatty():
         print(f"\r{stage:>8} {'#' * round(30 * share):<30} {share:4.0%}", end="", file=sys.stderr, flush=True)
+    elif stage != _stage:
+        print(f"{stage} ...", file=sys.stderr, flush=True)
+    _stage = stage
 
 
 def planned_logs(cfg: DictConfig) -> list[Rollout]:
@@ -76,6 +85,10 @@ def diagnose(cfg: DictConfig) -> dict[str, Any]:
     folder = Path(HydraConfig.get().runtime.output_dir)
     if cfg.mode not in ("once", "loop", "aliasing"):
         raise ValueError(f"mode must be once, loop or aliasing, got {cfg.mode!r}")
+    if cfg.planned and not OmegaConf.is_missing(cfg, "data"):
+        raise ValueError("planned= and data= exclude each other: the one is simulated, the other was recorded")
+    for name in cfg.without:
+        effect_class(name)
     if cfg.planned and cfg.mode != "aliasing":
         raise ValueError("planned= has no measurement to diagnose: add mode=aliasing, or give data= instead")
     data: Any = None if cfg.planned else plain(cfg.data)
@@ -97,6 +110,9 @@ def diagnose(cfg: DictConfig) -> dict[str, Any]:
         (folder / "aliasing.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
         print(f"\n{content['sentence']}\n{folder / 'aliasing.yaml'}")
         return content
+    diagnosis.cautions = preflight(split, model)
+    for caution in diagnosis.cautions:
+        print(caution.text, file=sys.stderr, flush=True)  # before the work, which may then not be worth it
     rounds = cfg.rounds if cfg.mode == "loop" else 1
     verdict = diagnosis.run(rounds)
     options = {"seed": cfg.seed, "rounds": rounds, "without": tuple(cfg.without), "progress": progress}
@@ -131,7 +147,7 @@ def diagnose(cfg: DictConfig) -> dict[str, Any]:
 @hydra.main(config_path="../conf", config_name="diagnose", version_base="1.3")
 def main(cfg: DictConfig) -> None:
     """Compose the config and diagnose."""
-    with one_sentence():
+    with one_sentence("The same command with the same hydra.run.dir goes on behind the refitted base."):
         torch.set_num_threads(1)
         threadpool_limits(1)  # as in `Diagnosis.run`, for what is outside of it
         if OmegaConf.is_missing(cfg, "data") and not cfg.planned:

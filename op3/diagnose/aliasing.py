@@ -42,17 +42,18 @@ def report(best: Mapping[str, Screened], most: int) -> dict[str, Any]:
     hidden = sorted(label for label, s in best.items() if s.visibility < VISIBLE)
     labels = list(seen)
     pairs: list[dict[str, Any]] = []
+    count = 0
     if labels:
         cosine = cosines(list(seen.values()))
         first, second = np.triu_indices(len(labels), 1)
-        for i in np.argsort(-np.abs(cosine[first, second])):
+        size = np.abs(cosine[first, second])
+        count = int((size >= ALIKE).sum())
+        for i in np.argsort(-size)[: min(count, most)]:
             a, b = int(first[i]), int(second[i])
-            if abs(cosine[a, b]) < ALIKE or len(pairs) >= most:
-                break
             pairs.append({"effects": [labels[a], labels[b]], "cosine": round(float(cosine[a, b]), 3)})
     return {
         "sentence": f"These logs show {len(best) - len(hidden)} of {len(best)} hypotheses, "
-        f"and {len(pairs)} pairs look alike to them.",
+        f"and {count} pairs look alike to them.",
         "visibility": {label: round(s.visibility, 3) for label, s in best.items()},
         "hidden": hidden,
         "alike": pairs,

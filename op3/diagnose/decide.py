@@ -359,7 +359,10 @@ def decide(
     if not rivals:
         return Decision("named", (best,), shares, _what_it_explains(contenders[best]))
     members = (best, *rivals)[:MOST_CANDIDATES]
-    return Decision("ambiguous", members, shares, "these explain the residual about equally well")
+    said = ", ".join(f"{contenders[i].label} {max(contenders[i].explained, 0.0):.0%}" for i in members)
+    return Decision(
+        "ambiguous", members, shares, f"resamples of these logs do not decide between what explains: {said}"
+    )
 
 
 def large_gap(left: np.ndarray | None) -> float:
@@ -394,6 +397,12 @@ def shown_by_windows(one: Contender) -> float:
     """The larger of the shares of all joints' residual and of its own joint's that speak for a name by themselves."""
     own = 0.0 if one.own is None else one.own.gain
     return max(one.explained, own if own >= OWN_CHECKED or one.explained >= SMALLEST_GAIN else 0.0)
+
+
+def worth_a_candidate(one: Contender) -> bool:
+    """Whether an effect of logs that are too few or too poor for a name explains enough to be told as a candidate."""
+    large = abs(one.size) >= SMALLEST_SIZE * one.smallest and not one.implausible
+    return large and min(one.gain, one.fit_gain) >= CLEAR_GAIN
 
 
 def better_beside(one: Own, alone: bool = True) -> bool:

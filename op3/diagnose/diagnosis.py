@@ -34,6 +34,7 @@ from op3.diagnose.decide import (
     shown_by_windows,
     shows_at_home,
     unresolved,
+    worth_a_candidate,
 )
 from op3.diagnose.findings import Refitted, apart, finding_of, size_at, smallest, with_finding
 from op3.diagnose.fitting import (
@@ -269,7 +270,7 @@ class Diagnosis:
             return self._run(rounds)
 
     def _run(self, rounds: int) -> Verdict:
-        self.cautions = preflight(self.split, self.given)
+        self.cautions = self.cautions or preflight(self.split, self.given)
         if any(caution.void for caution in self.cautions):
             return self._void()
         model, verdicts, self._candidates = self.given, [], []
@@ -458,6 +459,7 @@ class Diagnosis:
             left=self._left(control),
             found=[candidates[0].contender for candidates in self._candidates],
         )
+        decision = self._or_candidate(decision)
         members = [self.refitted[i] for i in decision.candidates]
         candidates = self._found(members, base, decision.shares[list(decision.candidates)])
         findings = tuple(one.finding for one in candidates) if decision.verdict != "unknown" else ()
@@ -482,6 +484,17 @@ class Diagnosis:
                 else {"gain": round(box.gain, 4), "inputs": where(box, self.engine.joints)},
             },
         )
+
+    def _or_candidate(self, decision: Decision) -> Decision:
+        """The decision, or what explains much in logs that cannot carry a name: too few pieces of them to count."""
+        weak = any(caution.weakens(()) for caution in self.cautions)
+        if decision.verdict != "nothing_missing" or decision.candidates or not weak or not self.refitted:
+            return decision
+        best = min(range(len(self.refitted)), key=lambda i: float(self.refitted[i].contender.losses.sum()))
+        one = self.refitted[best].contender
+        if not worth_a_candidate(one):
+            return decision
+        return replace(decision, verdict="ambiguous", candidates=(best,), reason=f"{decision.reason} of these few logs")
 
     def _better_base(self, base: Fit, controls: Sequence[Fit]) -> RobotModel | None:
         """The base where a refit has found it a better place without its effect; None where none has.

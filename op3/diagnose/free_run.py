@@ -122,8 +122,9 @@ class FreeRunResiduals:
         joints, trunk = self._errors(self._all, model, {}, 1)
         usual = 1.4826 * np.median(np.abs(joints), axis=(0, 1, 2, 3))
         self.scale = np.sqrt(self._floor**2 + usual**2)
-        usual = 1.4826 * np.median(np.abs(trunk), axis=(0, 1, 2))
-        self.imu_scale = np.sqrt(self._imu_floor**2 + usual**2)
+        if self.imu:
+            usual = 1.4826 * np.median(np.abs(trunk), axis=(0, 1, 2))
+            self.imu_scale = np.sqrt(self._imu_floor**2 + usual**2)
 
     def squares_by_joint(self, residual: np.ndarray) -> np.ndarray:
         """Sums of squares of residuals ``[window, residual]``, ``[window, joint]``."""

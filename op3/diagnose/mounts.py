@@ -17,8 +17,17 @@ def diagnosed_mount(logs: Sequence[Rollout]) -> tuple[list[Rollout], dict[str, l
     """The logs that are diagnosed, and those of other mounts, on which what is found is shown apart.
 
     Raises:
-        LogError: if logs of a bench are among logs of a robot: these are two machines.
+        LogError: if logs are of different robots or servos, or of a bench and of a robot.
     """
+    for field in ("robot", "servo"):
+        told = {str(getattr(log.metadata, field)): log for log in logs if getattr(log.metadata, field) is not None}
+        if len(told) > 1:
+            raise LogError(
+                f"the logs are of different {field}s ({', '.join(sorted(told))})",
+                "diagnose those of one at a time",
+                source=list(told.values())[-1].metadata.recording,
+                column=field,
+            )
     by_mount: dict[str, list[Rollout]] = {}
     for log in logs:
         by_mount.setdefault(log.metadata.mount, []).append(log)

@@ -1,5 +1,6 @@
 """Which logs are fitted, which choose, and which only show."""
 
+import hashlib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -60,10 +61,12 @@ def split_logs(logs: Sequence[Rollout], seed: int = 0) -> LogSplit:
         logs: all logs of one robot.
         seed: of the choice among runs of one kind.
 
+    Logs that hold the same numbers, as a simulation gives for the same seed, are one.
+
     Raises:
         LogError: if no log is long enough.
     """
-    usable = [log for log in logs if log.duration >= SHORTEST]
+    usable = _different([log for log in logs if log.duration >= SHORTEST])
     if not usable:
         raise LogError(
             f"no log is {SHORTEST:g} s long",
@@ -98,6 +101,17 @@ def split_logs(logs: Sequence[Rollout], seed: int = 0) -> LogSplit:
         show=tuple(usable[i] for i in show),
         repeats=tuple(tuple(show.index(i) for i in group) for group in groups if group[0] in show),
     )
+
+
+def _different(logs: Sequence[Rollout]) -> list[Rollout]:
+    """Each log once, whatever it is called."""
+    known: dict[bytes, Rollout] = {}
+    for log in logs:
+        numbers = hashlib.sha256()
+        for key in log.channels:
+            numbers.update(np.ascontiguousarray(log.array(key)).tobytes())
+        known.setdefault(numbers.digest(), log)
+    return list(known.values())
 
 
 def repeats(logs: Sequence[Rollout]) -> tuple[tuple[int, ...], ...]:

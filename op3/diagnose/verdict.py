@@ -120,7 +120,7 @@ class Verdict:
             return "The model lacks something that no effect of the catalogue explains."
         if self.cannot_tell:
             return "Nothing can be named: these logs cannot tell, which is not to say that nothing is missing."
-        return "Nothing is missing: what the model does not explain is as small as what no effect could explain."
+        return "Nothing is missing that these logs show: no effect of the catalogue explains more than chance would."
 
     @property
     def found(self) -> str:
@@ -190,7 +190,9 @@ def _phrase(effect: Finding) -> str:
         where = f"that differs by {effect.by}"
     low, high = effect.interval
     unit = "" if effect.unit == "-" else f" {effect.unit}"
-    return f"{effect.name} {where}, {effect.size:.3g}{unit} ({low:.3g} to {high:.3g})"
+    # where the number is not the effect's own, say which it is
+    which = "" if not effect.parameter or effect.name in effect.parameter else f"{effect.parameter} "
+    return f"{effect.name} {where}, {which}{effect.size:.3g}{unit} ({low:.3g} to {high:.3g})"
 
 
 def _rounded(value: float) -> float:

@@ -117,10 +117,10 @@ def _gap(page: Page, verdict: Verdict) -> None:
         [
             channel,
             values["unit"],
-            values["before"],
-            values["after"],
-            values["ceiling"],
-            values["floor"],
+            _with_interval(values, "before"),
+            _with_interval(values, "after"),
+            _with_interval(values, "ceiling"),
+            _with_interval(values, "floor"),
             None if values["closure"] is None else 100 * values["closure"],
         ]
         for channel, values in verdict.gap.items()
@@ -128,12 +128,20 @@ def _gap(page: Page, verdict: Verdict) -> None:
     page.table(
         ["channel", "unit", "before", "after", "black box", "floor", "closed [%]"],
         rows,
-        "Root mean square over joints and runs",
+        "Root mean square over joints and runs; 90 % intervals over seconds",
     )
     if verdict.loss:
         page.text(
             f"Loss of the paper's eq. (7): {verdict.loss['before']:.4g} before, {verdict.loss['after']:.4g} after."
         )
+
+
+def _with_interval(values: Mapping[str, Any], end: str) -> str | None:
+    """A number and its interval."""
+    if values[end] is None:
+        return None
+    low, high = values[f"{end}_interval"]
+    return f"{values[end]:.3g} ({low:.3g} to {high:.3g})"
 
 
 def _elsewhere(page: Page, elsewhere: Mapping[str, Mapping[str, Any]]) -> None:
@@ -177,7 +185,8 @@ def _why(page: Page, verdict: Verdict) -> None:
     page.section("Why this, and what it is not")
     for effect in verdict.effects:
         cls = effect_class(effect.name)
-        page.text(f"`{effect.name}`: `{cls.equation}`. It shows {cls.fingerprint}.")
+        sure = f"Its confidence is {effect.confidence:.2f}."
+        page.text(f"`{effect.name}`: `{cls.equation}`. It shows {cls.fingerprint}. {sure}")
     if verdict.separate_by:
         page.text(f"To tell the candidates apart: {verdict.separate_by}.")
     for text in (*verdict.cannot_tell, *verdict.assumed):

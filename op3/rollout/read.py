@@ -59,7 +59,8 @@ def _expand(path: str | Path) -> list[Path]:
     elif path.exists() or not glob.has_magic(str(path)):
         return [path]
     else:
-        found = [Path(name) for name in sorted(glob.glob(str(path), recursive=True))]
+        matched = [Path(name) for name in sorted(glob.glob(str(path), recursive=True))]
+        found = [entry for entry in matched if _is_log(entry)] or matched  # of files that are none the first is named
         where = "no file matches the pattern"
     if not found:
         raise LogError(where, f"name a folder or pattern with {_KINDS}", source=path)

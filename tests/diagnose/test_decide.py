@@ -28,6 +28,7 @@ from op3.diagnose.decide import (
     shows_at_home,
     signed_ranks,
     unresolved,
+    worth_a_candidate,
 )
 
 BLOCKS = 60
@@ -593,3 +594,15 @@ def test_names_that_leave_a_large_gap_resolve_nothing(names, left, expected):
     rest = np.array([0.2, 0.2, 0.2, 1.0, 0.2, 0.2]) * left
     named = [dataclasses.replace(contender(name, 0.3), left=rest) for name in names]
     assert unresolved(named) is expected
+
+
+@pytest.mark.parametrize(
+    ("gain", "size", "implausible", "told"),
+    [(0.5, 0.2, False, True), (0.1, 0.2, False, False), (0.5, 0.01, False, False), (0.5, 0.2, True, False)],
+)
+def test_what_poor_logs_show_much_of_is_worth_a_candidate(gain, size, implausible, told):
+    """In logs that carry no name an effect that explains much, with a size that matters, is told, and no other."""
+    one = dataclasses.replace(
+        contender("dte", gain), gain=gain, fit_gain=gain, size=size, smallest=0.1, implausible=implausible
+    )
+    assert worth_a_candidate(one) == told

@@ -34,6 +34,15 @@ def test_a_bench_among_a_robots_logs_is_refused(logs):
         diagnosed_mount([*logs, bench])
 
 
+@pytest.mark.parametrize(("field", "other"), [("robot", "real"), ("servo", "xl330")])
+def test_different_machines_are_refused(logs, field, other):
+    """Logs of another robot, or of other servos, are not diagnosed together."""
+    stranger = Rollout(logs[1].data, logs[1].metadata.replace(**{field: other}))
+    mine = Rollout(logs[1].data, logs[1].metadata.replace(servo="xm430-w350"))
+    with pytest.raises(LogError, match=f"different {field}s"):
+        diagnosed_mount([mine, stranger])
+
+
 def test_models_are_compared_on_the_other_mounts(logs):
     """The model that made the floor's logs leaves next to nothing there, another one more, in gap and loss."""
     right = load_model("paper")

@@ -110,6 +110,12 @@ def test_repeats_may_differ_by_a_row_and_in_digits(leg):
         assert 0 < entry["floor"] < entry["before"]
 
 
+def test_a_log_that_is_there_twice_counts_once(leg):
+    """What a simulation gives for the same seed is no repeat, whatever the copy is called."""
+    copies = [Rollout(log.data, log.metadata.replace(recording="copy")) for log in leg]
+    assert len(split_logs([*leg, *copies]).logs) == len(leg)
+
+
 def test_repeats_go_one_way_together(leg):
     """With little else to fit, all runs of a command fit, choose or show; none is in two places."""
     several = [leg[0], leg[3], leg[5], *(without(log, rows=log.rows - 1) for log in (leg[0], leg[3]))]
