@@ -12,7 +12,7 @@ from torch import Tensor
 from op3.rollout import LogError, Rollout, stand_tilt
 from op3.servo import RobotModel
 from op3.tasks.conditions import parameters_per_log
-from op3.tasks.setups import BENCH_CONTROL_PERIOD, Setup
+from op3.tasks.setups import BENCH_CONTROL_PERIOD, OP3_CONTROL_PERIOD, Setup
 
 COMMAND_CHANNELS = {
     ("command", "position"): "position_target",
@@ -26,6 +26,10 @@ COMMAND_CHANNELS = {
 """Channels of a log that drive the simulation, and the command each becomes.
 
 Two of them are measured: the voltage of the bus, and the temperature of the servos."""
+
+
+SAME_RATE = 0.02
+"""Relative difference up to which a measured rate is the usual one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,9 +274,13 @@ def _mount(log: Rollout) -> tuple[str, float, float]:
 
 
 def _control_period(log: Rollout) -> float:
-    """Time between commands to a robot [s], by the metadata; rounded, so that logs of one rate are one group."""
-    rate = log.metadata.extra.get("control_rate", log.metadata.rate)
-    return round(1.0 / float(rate), 6)
+    """Time between commands to a robot [s], by the metadata; the usual one if it is nearly that, or of a bench.
+
+    Logs are simulated together where it is the same.
+    """
+    period = 1.0 / float(log.metadata.extra.get("control_rate", log.metadata.rate))
+    usual = abs(period - OP3_CONTROL_PERIOD) < SAME_RATE * period
+    return OP3_CONTROL_PERIOD if usual or log.metadata.mount == "pendulum" else round(period, 6)
 
 
 def _fallback(command: str, log: Rollout) -> float:

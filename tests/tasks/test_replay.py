@@ -237,3 +237,15 @@ def test_a_bench_is_not_pushed():
     log = play(bench_task(model, swing(), 0.3, 0.1, firmware_gain=16.0))
     with pytest.raises(ValueError, match="push"):
         Replay([log]).run(model, push=[np.zeros((len(log), 1))])
+
+
+def test_logs_of_nearly_one_rate_are_simulated_together(logs):
+    """Recorders tell the rate that they measured: on a bench it never matters, on a robot two percent do not."""
+    model = bench_model()
+    bench = [play(bench_task(model, swing(), 0.3, length, firmware_gain=16.0)) for length in (0.05, 0.1)]
+    uneven = [
+        Rollout(log.data, log.metadata.replace(rate=rate)) for log, rate in zip(bench, (189.3, 190.7), strict=True)
+    ]
+    assert len(Replay(uneven)._groups) == 1
+    robot = [Rollout(logs[0].data, logs[0].metadata.replace(rate=rate)) for rate in (124.4, 125.6, 62.5)]
+    assert [len(group.logs) for group in Replay(robot)._groups] == [2, 1]
