@@ -606,3 +606,20 @@ def test_what_poor_logs_show_much_of_is_worth_a_candidate(gain, size, implausibl
         contender("dte", gain), gain=gain, fit_gain=gain, size=size, smallest=0.1, implausible=implausible
     )
     assert worth_a_candidate(one) == told
+
+
+@pytest.mark.parametrize(
+    ("effect", "gain", "counts"), [("voltage_sag", 0.08, True), ("voltage_sag", 0.05, False), ("dte", 0.08, False)]
+)
+def test_what_acts_at_the_voltage_alone_needs_few_seconds(control, rng, effect, gain, counts):
+    """A sag in every eighth second, with as much won as lost in others: t and ranks are small, and it counts still."""
+    gained = np.resize([2.6, -2.6], BLOCKS) * gain
+    gained[::8] = 8.0 * gain
+    gained[1::8][:4] *= -1.0  # as many up as down beside them
+    gained = np.round(gained * 1024) / 1024  # so that equal ones stay equal
+    one = dataclasses.replace(contender(effect, gain), losses=control - gained)
+    statistic, trimmed = evidence(one, control)
+    assert 2.0 < statistic < SMALLEST_T
+    assert trimmed > 0.02
+    assert signed_ranks(gained) < SMALLEST_Z
+    assert (decide([one], control, rng).verdict == "named") == counts
