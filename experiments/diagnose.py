@@ -34,7 +34,6 @@ from op3.diagnose import (
     on_other_mounts,
     planned_motions,
     planned_suite,
-    preflight,
     split_logs,
     suited,
 )
@@ -102,6 +101,7 @@ def diagnose(cfg: DictConfig) -> dict[str, Any]:
         seed=cfg.seed,
         engine=engine,
         progress=progress,
+        warn=lambda text: print(text, file=sys.stderr, flush=True),
         without=tuple(cfg.without),
         cache=folder / ".diagnosis",
     )
@@ -110,9 +110,6 @@ def diagnose(cfg: DictConfig) -> dict[str, Any]:
         (folder / "aliasing.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
         print(f"\n{content['sentence']}\n{folder / 'aliasing.yaml'}")
         return content
-    diagnosis.cautions = preflight(split, model)
-    for caution in diagnosis.cautions:
-        print(caution.text, file=sys.stderr, flush=True)  # before the work, which may then not be worth it
     rounds = cfg.rounds if cfg.mode == "loop" else 1
     verdict = diagnosis.run(rounds)
     options = {"seed": cfg.seed, "rounds": rounds, "without": tuple(cfg.without), "progress": progress}

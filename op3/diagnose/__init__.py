@@ -7,7 +7,6 @@ from op3.diagnose.downstream import downstream
 from op3.diagnose.free_run import FreeRunResiduals, engine_for
 from op3.diagnose.mounts import diagnosed_mount, on_other_mounts
 from op3.diagnose.planned import planned_motions, planned_suite
-from op3.diagnose.preflight import preflight
 from op3.diagnose.split import LogSplit, split_logs
 from op3.diagnose.swing import diagnose_swings
 from op3.diagnose.verdict import Finding, Verdict
@@ -28,7 +27,6 @@ __all__ = [
     "on_other_mounts",
     "planned_motions",
     "planned_suite",
-    "preflight",
     "split_logs",
     "suited",
 ]

@@ -169,16 +169,17 @@ def _best_ridge(fitted: np.ndarray, target: np.ndarray, runs: np.ndarray) -> flo
         left, told = fitted[out], target[out]
         part_gram, part_right = gram - left.T @ left, right - left.T @ told
         for k, ridge in enumerate(RIDGES):
-            errors[k] += np.square(told - left @ _regularised(part_gram, part_right, ridge)).sum()
+            errors[k] += np.square(told - left @ regularised(part_gram, part_right, ridge)).sum()
     best = int(errors.argmin())
     return RIDGES[best] if errors[best] < float(target @ target) else None
 
 
 def _solve(fitted: np.ndarray, target: np.ndarray, ridge: float) -> np.ndarray:
-    return _regularised(fitted.T @ fitted, fitted.T @ target, ridge)
+    return regularised(fitted.T @ fitted, fitted.T @ target, ridge)
 
 
-def _regularised(gram: np.ndarray, right: np.ndarray, ridge: float) -> np.ndarray:
+def regularised(gram: np.ndarray, right: np.ndarray, ridge: float) -> np.ndarray:
+    """Ridge regression from its normal equations; the penalty is a share of the mean squared column."""
     size = len(gram)
     return linalg.solve(gram + (ridge * np.trace(gram) / size + 1e-12) * np.eye(size), right, assume_a="pos")
 

@@ -133,6 +133,7 @@ class Diagnosis:
         seed: of every resampling.
         engine: gives residuals; by default windows for logs of a robot on the stand, free runs for others.
         progress: called with the stage and the share done.
+        warn: called with what logs cannot tell, before anything is fitted.
         without: names of effects not to consider.
         cache: folder in which the refitted base is kept, so that an interrupted diagnosis goes on behind it.
     """
@@ -145,6 +146,7 @@ class Diagnosis:
         seed: int = 0,
         engine: Engine | None = None,
         progress: Progress | None = None,
+        warn: Callable[[str], None] | None = None,
         without: Sequence[str] = (),
         cache: Path | None = None,
     ):
@@ -152,6 +154,7 @@ class Diagnosis:
         self.split = split
         self.seed = seed
         self._report = progress or (lambda stage, share: None)
+        self._warn = warn or (lambda text: None)
         self.engine: Engine = engine or engine_for(split)
         self.fixed_base = split.fit[0].metadata.mount in ("stand", "pendulum")
         self.without = tuple(without)
@@ -270,7 +273,9 @@ class Diagnosis:
             return self._run(rounds)
 
     def _run(self, rounds: int) -> Verdict:
-        self.cautions = self.cautions or preflight(self.split, self.given)
+        self.cautions = preflight(self.split, self.given)
+        for caution in self.cautions:
+            self._warn(caution.text)  # before the work, which may then not be worth it
         if any(caution.void for caution in self.cautions):
             return self._void()
         model, verdicts, self._candidates = self.given, [], []
@@ -627,7 +632,7 @@ class Diagnosis:
         return _best([fit, across])
 
     def _speeds(self) -> np.ndarray:
-        """Velocities that the joints had in fitted runs [rad/s], any shape; of logs without them, by their angles."""
+        """Velocities that the joints had [rad/s], any shape: those of the windows, or of the fitted runs."""
         if isinstance(self.engine, WindowResiduals):
             return self.engine.motion.velocity
         rates = [log.array("joint/velocity") for log in self.split.fit if "joint/velocity" in log]

@@ -6,15 +6,14 @@ has not seen.
 """
 
 from collections.abc import Sequence
-from datetime import datetime
 from typing import Any
 
 import numpy as np
 
-from op3.diagnose.ceiling import FEATURES, FOLDS, INPUTS, random_waves, told, told_of_windows
+from op3.diagnose.ceiling import FEATURES, FOLDS, INPUTS, random_waves, regularised, told, told_of_windows
 from op3.diagnose.locate import REST, residual_torque
 from op3.diagnose.motion import PREROLL, FixedBase, SmoothLog, smooth_all
-from op3.diagnose.windows import WindowResiduals
+from op3.diagnose.windows import WindowResiduals, began, since
 from op3.rollout import Rollout
 from op3.servo import RobotModel
 
@@ -53,7 +52,7 @@ class TorqueBox:
         self.joints = engine.joints
         self._waves = random_waves(len(INPUTS), rng)
         self._phases = rng.uniform(0, 2 * np.pi, FEATURES)
-        self._first = _started(engine.smooth_logs[0].log)
+        self._origin = began(engine.smooth_logs)
         fit, select = WINDOWS
         lengths: dict[str, Any] = {
             "fit_windows": fit,
@@ -81,7 +80,7 @@ class TorqueBox:
         """What the base lacks along other logs of the robot [N m], ``[row, joint]`` each."""
         result = []
         for log, smooth in zip(logs, smooth_all(logs), strict=True):
-            inputs = self._inputs(log, smooth)
+            inputs = self._inputs(smooth)
             torque = np.stack([self._features(inputs, j) @ w for j, w in enumerate(self.weights)], 1)
             rows = np.clip(np.searchsorted(smooth.time, log.array("time")[:, 0] - log.array("time")[0, 0]), 0, None)
             result.append(torque[np.minimum(rows, len(torque) - 1)])
@@ -92,9 +91,8 @@ class TorqueBox:
         given = (seen[:, joint] - self._mean[joint]) / self._deviation[joint]
         return np.concatenate([np.cos(given @ self._waves + self._phases), np.ones((len(given), 1))], 1)
 
-    def _inputs(self, log: Rollout, smooth: SmoothLog) -> np.ndarray:
+    def _inputs(self, smooth: SmoothLog) -> np.ndarray:
         zeros = np.zeros(smooth.position.shape)
-        begun = _started(log) - self._first if log.metadata.date else 0.0
         return told(
             smooth.position,
             smooth.velocity,
@@ -102,14 +100,8 @@ class TorqueBox:
             FixedBase(self.joints, smooth.tilt).dynamics(smooth.position, smooth.velocity).bias,
             smooth.inputs.get("temperature", zeros),
             smooth.inputs.get("bus_voltage", zeros),
-            begun + smooth.time[:, None],
+            since(self._origin, smooth) + smooth.time[:, None],
         )
-
-
-def _started(log: Rollout) -> float:
-    """When a log began [s]; 0 where its metadata do not tell."""
-    date = log.metadata.date
-    return 0.0 if date is None else datetime.fromisoformat(str(date)).timestamp()
 
 
 def _by_window(tiles: WindowResiduals, values: np.ndarray) -> np.ndarray:
@@ -132,12 +124,7 @@ def _learned(columns: np.ndarray, lacking: np.ndarray, runs: np.ndarray) -> np.n
         out = np.isin(runs, fold)
         left, told_there = columns[out], target[out]
         for k, ridge in enumerate(RIDGES):
-            weights = _ridge(gram - left.T @ left, right - left.T @ told_there, ridge)
+            weights = regularised(gram - left.T @ left, right - left.T @ told_there, ridge)
             errors[k] += np.square(told_there - left @ weights).sum()
     best = int(errors.argmin())
-    return _ridge(gram, right, RIDGES[best]) if errors[best] < float(target @ target) else nothing
-
-
-def _ridge(gram: np.ndarray, right: np.ndarray, ridge: float) -> np.ndarray:
-    size = len(gram)
-    return np.linalg.solve(gram + (ridge * np.trace(gram) / size + 1e-12) * np.eye(size), right)
+    return regularised(gram, right, RIDGES[best]) if errors[best] < float(target @ target) else nothing

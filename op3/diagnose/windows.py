@@ -153,7 +153,7 @@ class WindowResiduals:
             by_log = {id(log): voltage for log, voltage in zip(logs, opened, strict=True)}
             inputs["bus_voltage"] = stacked(lambda log: by_log[id(log)])
         tilts = [log.tilt for log, _ in spans]
-        started = _started(logs)
+        origin = began(logs)
         self._tilted: list[tuple[FixedBase, np.ndarray]] = []
         for tilt in sorted(set(tilts)):
             at = np.concatenate([np.arange(k * rows, (k + 1) * rows) for k, own in enumerate(tilts) if own == tilt])
@@ -167,7 +167,7 @@ class WindowResiduals:
             q,
             v,
             stacked(lambda log: log.readings.get(("joint", "current"), np.zeros_like(log.position))),
-            np.concatenate([started[id(log)] + log.time[span, None] for log, span in spans]),
+            np.concatenate([since(origin, log) + log.time[span, None] for log, span in spans]),
             inputs,
             self._dynamics(),
             {},
@@ -466,14 +466,20 @@ def _choose(logs: Sequence[SmoothLog], count: int, ticks: int) -> list[tuple[int
     return starts
 
 
-def _started(logs: Sequence[SmoothLog]) -> dict[int, float]:
-    """When each log began after the first of them [s], by its id; 0 where the metadata do not tell."""
-    dates = {id(log): log.log.metadata.date for log in logs}
-    if any(date is None for date in dates.values()):
-        return dict.fromkeys(dates, 0.0)
-    times = {key: datetime.fromisoformat(str(date)).timestamp() for key, date in dates.items()}
-    first = min(times.values())
-    return {key: time - first for key, time in times.items()}
+def began(logs: Sequence[SmoothLog]) -> float | None:
+    """When the first of the logs began [s since 1970]; None where the metadata of one do not tell."""
+    dates = [log.log.metadata.date for log in logs]
+    return None if any(date is None for date in dates) else min(map(_timestamp, dates))
+
+
+def since(origin: float | None, log: SmoothLog) -> float:
+    """How long after an origin a log began [s]; 0 where either is not known."""
+    date = log.log.metadata.date
+    return 0.0 if origin is None or date is None else _timestamp(date) - origin
+
+
+def _timestamp(date: Any) -> float:
+    return datetime.fromisoformat(str(date)).timestamp()
 
 
 def _merged(parts: Sequence[tuple[np.ndarray, TrajectoryDynamics]], rows: int) -> TrajectoryDynamics:

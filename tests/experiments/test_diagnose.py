@@ -50,6 +50,7 @@ def test_jobs_write_verdict_page_and_one_wandb_group(logs, tmp_path):
     ]
     done = diagnose("-m", *options)
     assert done.returncode == 0, done.stderr
+    assert done.stderr.count("record at least") == 2  # said before the work, once a job
     for job in ("0", "1"):
         folder = tmp_path / "sweep" / job
         told = yaml.safe_load((folder / "verdict.yaml").read_text())
