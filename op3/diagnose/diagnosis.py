@@ -38,7 +38,6 @@ from op3.diagnose.decide import (
 )
 from op3.diagnose.findings import Refitted, apart, finding_of, size_at, smallest, with_finding
 from op3.diagnose.fitting import (
-    COARSE,
     LEAST_GAIN,
     ROUNDS,
     SHARES,
@@ -330,9 +329,7 @@ class Diagnosis:
         assert isinstance(self.engine, WindowResiduals)
         assert self.base is not None
         self.engine.prepare(with_point(leader.coordinates, leader.point))  # which knows what is usual far better
-        model, values = leader.coordinates.model, leader.parameters
-        fine, coarse = (self.engine.residuals(model, values, stretch=stretch)[0] for stretch in (1, COARSE))
-        found = lost_packets(self.engine, replace(leader, coarse_error=coarse - fine))
+        found = lost_packets(self.engine, leader)
         self.engine.prepare(with_point(self.base.coordinates, self.base.point))
         return found is not None
 

@@ -80,6 +80,9 @@ class FreeRunResiduals:
         LogError: if logs differ in joints or mount.
     """
 
+    stretch = COARSER
+    """Of the steps on the bench; those of a robot are as they are."""
+
     def __init__(self, split: LogSplit, *, timestep: float = 0.002):
         self.split = split
         fit, select = (_shortened(split.fit), _shortened(split.select))

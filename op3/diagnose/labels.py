@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 from scipy.optimize import nnls
 
-from op3.diagnose.motion import FixedBase, SmoothLog, smooth
+from op3.diagnose.motion import SmoothLog, fixed_base, smooth
 from op3.rollout import Rollout
 from op3.servo import RobotModel
 
@@ -238,7 +238,7 @@ class _Samples:
 
             self._parts.append(
                 (
-                    FixedBase(joints, tilt),
+                    fixed_base(tuple(joints), tilt),
                     stacked(lambda g: g.position),
                     stacked(lambda g: g.velocity),
                     stacked(lambda g: g.acceleration),

@@ -3,6 +3,7 @@
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import mujoco
@@ -330,3 +331,9 @@ class FixedBase:
                 model_field(changed, field)[...] = array[0]
         mujoco.mj_setConst(changed, mujoco.MjData(changed))
         return changed
+
+
+@lru_cache(maxsize=16)
+def fixed_base(joints: tuple[str, ...], tilt: tuple[float, float] = (0.0, 0.0)) -> FixedBase:
+    """The same, compiled once for logs of the same joints and tilt."""
+    return FixedBase(joints, tilt)

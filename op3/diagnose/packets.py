@@ -152,21 +152,19 @@ def lost_packets(engine: WindowResiduals, base: Fit) -> LostPackets | None:
         engine: prepared; what it knows of packets does not matter, and is left as it is.
         base: fitted, without losses.
     """
-    assert base.coarse_error is not None
     model, windows, ticks = with_losses(base), len(engine.windows), PREROLL + engine.ticks + 1
     values = {**model.tensors(engine.joints), **base.parameters}
     values[PacketDrop.size] = torch.full_like(values[PacketDrop.size], 0.5)
-    coarse_error = base.coarse_error.astype(np.float64)
 
     def asked(packets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What it changes in the squares if a packet is taken otherwise, and by how much they fall, [window, tick]."""
-        residual = engine.residuals_with(packets[None], model, values)[0] - coarse_error
+        residual = engine.residuals_with(packets[None], model, values)[0].astype(np.float64)
         changed, gained = np.zeros((2, windows, ticks))
         every = np.arange(PREROLL - 1, ticks - 2)
         for asking in np.array_split(every, -(-len(every) // TOGETHER)):
             otherwise = np.tile(packets, (len(asking), 1, 1))
             otherwise[np.arange(len(asking)), :, asking] *= -1
-            for tick, other in zip(asking, engine.residuals_with(otherwise, model, values) - coarse_error, strict=True):
+            for tick, other in zip(asking, engine.residuals_with(otherwise, model, values), strict=True):
                 changed[:, tick] = np.square(other - residual).sum(1)
                 gained[:, tick] = np.square(residual).sum(1) - np.square(other).sum(1)
         return changed, gained

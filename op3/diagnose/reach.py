@@ -12,7 +12,7 @@ import numpy as np
 
 from op3.diagnose.ceiling import FEATURES, FOLDS, INPUTS, random_waves, regularised, told, told_of_windows
 from op3.diagnose.locate import REST, residual_torque
-from op3.diagnose.motion import PREROLL, FixedBase, SmoothLog, smooth_all
+from op3.diagnose.motion import PREROLL, SmoothLog, fixed_base, smooth_all
 from op3.diagnose.windows import WindowResiduals, began, since
 from op3.rollout import Rollout
 from op3.servo import RobotModel
@@ -93,11 +93,12 @@ class TorqueBox:
 
     def _inputs(self, smooth: SmoothLog) -> np.ndarray:
         zeros = np.zeros(smooth.position.shape)
+        base = fixed_base(self.joints, smooth.tilt)
         return told(
             smooth.position,
             smooth.velocity,
             smooth.readings.get(("joint", "current"), zeros),
-            FixedBase(self.joints, smooth.tilt).dynamics(smooth.position, smooth.velocity).bias,
+            base.along(base.mj_model, smooth.position, smooth.velocity).bias,
             smooth.inputs.get("temperature", zeros),
             smooth.inputs.get("bus_voltage", zeros),
             since(self._origin, smooth) + smooth.time[:, None],

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from op3.diagnose.fitting import COARSE
-from op3.diagnose.motion import CHANNELS, PREROLL, FixedBase, SmoothLog, smooth_all
+from op3.diagnose.motion import CHANNELS, PREROLL, FixedBase, SmoothLog, fixed_base, smooth_all
 from op3.diagnose.split import LogSplit
 from op3.diagnose.supply import open_voltages
 from op3.robot.units import CURRENT_UNIT
@@ -92,6 +92,9 @@ class WindowResiduals:
             `op3.diagnose.packets`.
     """
 
+    stretch = 1
+    """Of steps where differences count: none."""
+
     def __init__(
         self,
         split: LogSplit,
@@ -157,7 +160,7 @@ class WindowResiduals:
         self._tilted: list[tuple[FixedBase, np.ndarray]] = []
         for tilt in sorted(set(tilts)):
             at = np.concatenate([np.arange(k * rows, (k + 1) * rows) for k, own in enumerate(tilts) if own == tilt])
-            self._tilted.append((FixedBase(self.joints, tilt), at))
+            self._tilted.append((fixed_base(self.joints, tilt), at))
         q, v = stacked(lambda log: log.control[0]), stacked(lambda log: log.control[1])
         self.motion = MeasuredMotion(
             self.period,
@@ -313,14 +316,14 @@ class WindowResiduals:
     def residuals_with(
         self, packets: np.ndarray, model: RobotModel, parameters: Mapping[str, Tensor] | None = None
     ) -> np.ndarray:
-        """Whitened coarse residuals of one model if other packets had arrived, ``[variant, window, residual]``.
+        """Whitened residuals of one model if other packets had arrived, ``[variant, window, residual]``.
 
         Args:
             packets: as the attribute, ``[variant, window, tick]``.
             model: with losses of packets among its effects.
             parameters: by name, ``[1, joint]``.
         """
-        simulation = self.simulation(model, stretch=COARSE, packets=packets)
+        simulation = self.simulation(model, packets=packets)
         self.simulated_rows += len(simulation.windows)
         shape = (len(packets), len(self.windows))
         channels = {key: value[0].unflatten(0, shape) for key, value in simulation.run(parameters, 1).items()}
@@ -426,7 +429,7 @@ class WindowResiduals:
     ) -> np.ndarray:
         """Whitened residuals ``[candidate, window, residual]``; call `prepare` first.
 
-        In steps of twice the length they cost half; their *differences* are as good as those of fine ones.
+        In stretched steps they cost less, and differ from those of fine ones.
         """
         parts, size = [], 40
         for begin in range(0, candidates, size):

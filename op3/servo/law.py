@@ -311,8 +311,12 @@ def last_arrivals(weights: Tensor) -> Tensor:
     Returns:
         1 for the newest command that acts in the step, 0 for the others, ``[phase, command, sim, joint]``.
     """
-    newest = (weights > 0).to(torch.uint8).argmax(1, keepdim=True)
-    return torch.zeros_like(weights).scatter_(1, newest, 1.0)
+    acts = (weights > 0).unbind(1)
+    newest, known = [], torch.zeros_like(acts[0])
+    for each in acts:
+        newest.append(each & ~known)
+        known = known | each
+    return torch.stack(newest, 1).to(weights.dtype)
 
 
 def at_phase(table: Tensor, phase: int | Tensor) -> Tensor:

@@ -6,7 +6,6 @@ import torch
 from scipy import stats
 
 from op3.diagnose import Diagnosis, WindowResiduals, planned_suite, split_logs
-from op3.diagnose.fitting import COARSE
 from op3.diagnose.motion import PREROLL
 from op3.diagnose.packets import ARRIVED, LOST, LossHypothesis, LostPackets, as_lossy, lost_packets, without_losses
 from op3.robot import leg_suite
@@ -133,5 +132,5 @@ def test_packets_asked_together_are_as_asked_alone():
     together = engine.residuals_with(variants, model)
     for packets, found in zip(variants, together, strict=True):
         engine.packets = packets
-        np.testing.assert_allclose(found, engine.residuals(model, stretch=COARSE)[0], rtol=0, atol=1e-3)
+        np.testing.assert_allclose(found, engine.residuals(model)[0], rtol=0, atol=1e-3)
     assert np.abs(together[1] - together[0]).max() > 0.1
