@@ -119,6 +119,7 @@ class BlockRun:
         kind: of the numbers.
         size: robots in a block.
         compact: parameters with one number per block and joint, ``[joint, block]``.
+        sources: the arrays that these were read from, spread to all robots and joints.
         alive: whatever owns the memory.
     """
 
@@ -130,10 +131,11 @@ class BlockRun:
         kind: np.dtype[Any],
         size: int,
         compact: Mapping[Cell, Array],
+        sources: Mapping[Cell, Array],
         alive: Sequence[Any],
     ):
         self.shape, self.kind, self.size = shape, kind, size
-        self._alive, self._compact = alive, compact
+        self._alive, self._compact, self._sources = alive, compact, sources
         self._private = private
         self._places: list[tuple[int, int, int, int, int]] = []  # register or -1, address, joint, robot, block
         self._numbers: dict[Any, int] = {}
@@ -255,6 +257,16 @@ class BlockRun:
         self._code = np.array(code, dtype=np.int64)
         self._picked = [(pick, np.array(places), np.array(bases)) for pick, (places, bases) in self._picks.items()]
         self._carry_out(0)  # so that the machine code is loaded before it is needed
+
+    def renew(self) -> bool:
+        """Read parameters with one number per block and joint anew; False if a block has several now."""
+        for cell, numbers in self._compact.items():
+            value = self._sources[cell]
+            blocks = value[:: self.size].T
+            if not np.array_equal(np.repeat(blocks, self.size, 1)[:, : len(value)], value.T):
+                return False
+            numbers[...] = blocks
+        return True
 
     def __len__(self) -> int:
         """Number of operations."""

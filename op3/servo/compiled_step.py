@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from op3.servo.block_run import Array
+from op3.servo.block_run import Array, BlockRun
 from op3.servo.effect import Signals
 from op3.servo.fused import fuse, pick
 from op3.servo.recording import Call, Recording, Untranslatable, record
@@ -70,6 +70,7 @@ class CompiledStep:
         outputs: names of the signals that are wanted.
         live: arrays that stand for inputs and change by themselves, by the signal's name.
         filled: signals that the caller fills before every step; the others keep what the last step made of them.
+        parameters: tensors of the step, by any key, that `renew` may put others in place of.
 
     Attributes:
         inputs: arrays to be filled in before a call, by the signal's name; what the step does not read is missing.
@@ -89,6 +90,7 @@ class CompiledStep:
         outputs: Sequence[str],
         live: Mapping[str, Array] | None = None,
         filled: Sequence[str] = (),
+        parameters: Mapping[Any, Tensor] | None = None,
     ):
         given = _inputs(signals, live or {})
         memory = {name: _in_order(value, signals.position) for name, value in signals.state.items()}
@@ -115,7 +117,7 @@ class CompiledStep:
         own += [None for _ in recording.factors]
         try:
             with np.errstate(all="ignore"):
-                program = _Program(recording, needed, places, wanted, own)
+                program = _Program(recording, needed, places, wanted, own, renewable=parameters is not None)
         except Untranslatable:
             raise
         except Exception as error:  # an operation with arguments of a kind that is not known here
@@ -134,6 +136,21 @@ class CompiledStep:
         self._runs: Sequence[Callable[[], Any]] = fuse(
             self._calls, signals.position.detach().numpy(), program.results, changing
         )
+        self._renewal = None
+        if parameters is not None:
+            calls_of_parameters = recording.of_parameters(needed)
+            if calls_of_parameters is not None:
+                self._renewal = _Renewal(calls_of_parameters, parameters, program.parameters)
+
+    def renew(self, parameters: Mapping[Any, Tensor]) -> bool:
+        """Put other parameters in place of those given; what the step remembers is to be filled in by the caller.
+
+        Returns:
+            Whether that could be done. If not, the step is of no use any more.
+        """
+        if self._renewal is None or not self._renewal(parameters):
+            return False
+        return all(run.renew() for run in self._runs if isinstance(run, BlockRun))
 
     def __len__(self) -> int:
         """Number of operations in a step."""
@@ -153,6 +170,59 @@ class CompiledStep:
                 call()
         for before, after in self._renewed:
             before[...] = after
+
+
+class _Renewal:
+    """Parameters of a step, and what it made of them before it ran for the first time.
+
+    Args:
+        calls: on parameters alone.
+        parameters: that may be others, by key.
+        known: by the id of a tensor, the tensor and what the step holds of it.
+    """
+
+    def __init__(
+        self, calls: Sequence[Call], parameters: Mapping[Any, Tensor], known: Mapping[int, tuple[Tensor, Any]]
+    ):
+        self._calls, self._parameters, self._known = calls, dict(parameters), dict(known)
+
+    def __call__(self, parameters: Mapping[Any, Tensor]) -> bool:
+        """Write others into the arrays of the step; False if they are of another kind."""
+        if parameters.keys() != self._parameters.keys():
+            return False
+        now: dict[int, Tensor] = {}
+        for key, before in self._parameters.items():
+            value = parameters[key].detach()
+            if value.shape != before.shape or value.dtype != before.dtype:
+                return False
+            if not torch.equal(now.setdefault(id(before), value), value):
+                return False  # what was one tensor are two
+        with torch.no_grad():
+            for call in self._calls:
+                made = call.function(*_put(call.arguments, now), **_put(call.options, now))
+                several = [made] if isinstance(made, Tensor) else list(made)
+                now |= {id(before): value for before, value in zip(call.results, several, strict=True)}
+        for place, (before, held) in self._known.items():
+            if place not in now:
+                continue
+            value = now[place]
+            if not isinstance(held, np.ndarray):
+                if value.item() != held:
+                    return False
+                continue
+            if value.shape != before.shape or value.dtype != before.dtype:
+                return False
+            np.copyto(held, value.numpy())
+        return True
+
+
+def _put(nest: Any, now: Mapping[int, Tensor]) -> Any:
+    """A nest of arguments with other tensors in it."""
+    if isinstance(nest, Tensor):
+        return now.get(id(nest), nest)
+    if isinstance(nest, Mapping):
+        return {name: _put(each, now) for name, each in nest.items()}
+    return type(nest)(_put(each, now) for each in nest) if isinstance(nest, list | tuple) else nest
 
 
 def _inputs(signals: Signals, live: Mapping[str, Array]) -> dict[str, Tensor]:
@@ -182,9 +252,11 @@ class _Program:
         places: arrays for what changes from step to step, by the id of the tensor.
         wanted: tensors to be computed.
         own: for each of these, the tensor whose array takes it over after the step, if one does.
+        renewable: whether parameters lie in arrays of the program's own.
 
     Attributes:
         calls: of one step.
+        parameters: what was read of tensors that do not change, by id.
         results: arrays of what is wanted. None shares memory with what changes before it is read.
     """
 
@@ -195,8 +267,11 @@ class _Program:
         places: Mapping[int, Array],
         wanted: Sequence[Tensor],
         own: Sequence[Tensor | None],
+        renewable: bool = False,
     ):
         self.calls: list[Callable[[], Any]] = []
+        self.parameters: dict[int, tuple[Tensor, Any]] = {}
+        self._renewable = renewable
         self._known: dict[tuple[Any, ...], Any] = {}
         self._values: dict[int, Any] = dict(places)
         for call in recording.calls:
@@ -243,8 +318,11 @@ class _Program:
     def _look_up(self, argument: Any) -> Any:
         if isinstance(argument, Tensor):
             if id(argument) not in self._values:  # parameters, and what was made of them
-                fixed = argument.detach().numpy()
+                own = argument.detach().clone() if self._renewable else argument.detach()
+                fixed = own.numpy()
                 self._values[id(argument)] = fixed.item() if fixed.ndim == 0 else fixed
+                if self._renewable:
+                    self.parameters[id(argument)] = argument, self._values[id(argument)]
             return self._values[id(argument)]
         return [self._look_up(each) for each in argument] if isinstance(argument, list | tuple) else argument
 

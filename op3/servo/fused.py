@@ -82,6 +82,7 @@ class _Plan:
                 self.used.setdefault(root, []).append((number, cell))
         filled = {_root(array) for array in (_result_of(call) for call in calls) if array is not None}
         self.fixed = set(self.used) - filled - {_root(array) for array in changing}
+        self.sources: dict[Cell, Array] = {}
         self.size, self.compact = self._groups()
 
     def _within_blocks(self, steps: list[list[Step] | None]) -> list[list[Step] | None]:
@@ -121,7 +122,8 @@ class _Plan:
             if self.turned or run // parts < SHORTEST_RUN:
                 return size, {}
             size = run // parts
-        return size, {cell: np.ascontiguousarray(value[::size].T) for cell, value in whole.items()}
+        self.sources = whole
+        return size, {cell: np.array(value[::size].T, order="C") for cell, value in whole.items()}
 
     def runs(self) -> Iterator[tuple[bool, int, int]]:
         """Neighbouring calls of one kind: whether they can run in blocks, the first, and the one after the last."""
@@ -136,7 +138,7 @@ class _Plan:
         """Calls from one to another, all of which can run in blocks."""
         steps = [step for steps in self.steps[begin:end] for step in steps or ()]
         private = self._private(begin, end, steps)
-        return BlockRun(steps, private, self.shape, self.float, self.size, self.compact, self.alive)
+        return BlockRun(steps, private, self.shape, self.float, self.size, self.compact, self.sources, self.alive)
 
     def _private(self, begin: int, end: int, steps: Sequence[Step]) -> set[int]:
         """Roots of arrays that nobody sees but these steps, and that these see in one way and fill before they read."""

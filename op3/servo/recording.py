@@ -59,6 +59,13 @@ class Recording:
     factors: Mapping[str, Tensor]
     moving: set[int]
 
+    def of_parameters(self, needed: set[int]) -> list[Call] | None:
+        """Operations on parameters alone whose results are needed; None if numbers of parameters decide something."""
+        fixed = [call for call in self.calls if not any(id(made) in self.moving for made in call.results)]
+        if any(tag in call.function.tags for call in fixed for tag in DECIDING):
+            return None
+        return [call for call in fixed if any(id(made) in needed for made in call.results)]
+
     def needed(self, wanted: Sequence[Tensor]) -> set[int]:
         """Ids of the tensors that have to be known for those wanted."""
         needed = {id(tensor) for tensor in wanted}

@@ -61,6 +61,10 @@ class ServoLaw:
             own |= {name: values[name] for name in effect.borrows if name in values}
             self._prepared[effect.name] = effect.prepare(own, self.clock)
 
+    def prepared(self) -> dict[tuple[str, str], Tensor]:
+        """What was made of the parameters, by effect and name."""
+        return {(effect, name): value for effect, own in self._prepared.items() for name, value in own.items()}
+
     def reset(self, signals: Signals) -> None:
         """Start from the joint state and commands in the signals, as if they had been held for long."""
         signals.state.clear()

@@ -48,6 +48,7 @@ class Translated:
         signals: Signals,
         outputs: Sequence[str],
         live: Mapping[str, NDArray[Any]] | None = None,
+        parameters: Mapping[Any, Tensor] | None = None,
     ) -> Translated | None:
         """The step in numpy; None where it has no translation.
 
@@ -56,11 +57,17 @@ class Translated:
             signals: after a step.
             outputs: names of the signals that are wanted.
             live: arrays that stand for inputs and are filled by somebody else before every step.
+            parameters: see `renew`.
         """
         try:
-            return cls(CompiledStep(step, signals, outputs, live, tuple(live or ())), tuple(live or ()))
+            made = CompiledStep(step, signals, outputs, live, tuple(live or ()), parameters)
+            return cls(made, tuple(live or ()))
         except Untranslatable:
             return None
+
+    def renew(self, parameters: Mapping[Any, Tensor]) -> bool:
+        """Serve other parameters, see `op3.servo.compiled_step.CompiledStep.renew`."""
+        return self.step.renew(parameters)
 
     def hear(self, signals: Signals) -> None:
         """Take over what was put into the signals since the last step.

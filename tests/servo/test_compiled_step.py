@@ -1,5 +1,7 @@
 """A step of torch operations in numpy: the same numbers in every step, or a refusal."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 import torch
@@ -136,3 +138,74 @@ def test_single_precision_stays_single():
         lambda s: setattr(s, "speed", torch.where(s.velocity > 0, 0.5, s.velocity)), made, ("speed",)
     )
     assert compiled.outputs["speed"].dtype == np.float32
+
+
+@pytest.mark.parametrize("robots", [2, 90])
+def test_a_step_with_other_parameters_is_a_new_one(robots, monkeypatch):
+    """Renewed, it does what one translated with these parameters does, bit by bit; one number each, and by block."""
+    monkeypatch.setattr(fused, "FEWEST", 1)
+
+    def step(gain: torch.Tensor, limit: torch.Tensor, s: Signals) -> None:
+        scale = torch.exp(gain) * 2.0  # of parameters alone
+        s.speed = torch.minimum(s.velocity * scale - s.position * gain, limit) + s.velocity.abs() * scale
+
+    def parameters(seed: int) -> dict[str, torch.Tensor]:
+        generator = torch.Generator().manual_seed(seed)
+        gain = torch.randn(2, 3, generator=generator, dtype=torch.float64).repeat_interleave(robots, 0)
+        return {
+            "gain": gain,
+            "limit": torch.rand(2 * robots, 3, generator=generator, dtype=torch.float64)[:, :1] + gain,
+        }
+
+    def compiled(given: dict[str, torch.Tensor]) -> CompiledStep:
+        start = Signals.zeros(2 * robots, 3)
+        start.position, start.velocity = torch.zeros(2, 3, 2 * robots, dtype=torch.float64).mT  # robots side by side
+        return CompiledStep(partial(step, given["gain"], given["limit"]), start, ("speed",), parameters=given)
+
+    renewed = compiled(parameters(0))
+    for seed in range(1, 4):
+        other = parameters(seed)
+        new = compiled(other)
+        assert renewed.renew(other)
+        for name, array in new.inputs.items():
+            array[...] = np.random.default_rng(seed).normal(size=array.shape)
+            renewed.inputs[name][...] = array
+        new()
+        renewed()
+        np.testing.assert_array_equal(renewed.outputs["speed"], new.outputs["speed"])
+    assert torch.equal(other["gain"], parameters(3)["gain"])  # nobody else's tensors were written
+
+
+@pytest.mark.parametrize("reason", ["shape", "blocks", "number", "aliased", "branch", "unknown"])
+def test_parameters_of_another_kind_need_a_new_step(reason, monkeypatch):
+    """Nothing is renewed that was translated for other shapes, blocks, numbers or branches."""
+    monkeypatch.setattr(fused, "FEWEST", 1)
+    gain = torch.ones(80, 3, dtype=torch.float64)
+    given = {"gain": gain, "limit": torch.tensor(1.0, dtype=torch.float64), "other": 2.0 * gain}
+    if reason == "aliased":
+        given["other"] = gain
+
+    def step(s: Signals) -> None:
+        s.speed = torch.minimum(s.velocity * given["gain"], given["limit"]) + s.position.abs() * given["other"]
+        if reason == "branch" and bool(given["gain"].all()):
+            s.speed = -s.speed
+
+    start = Signals.zeros(80, 3)
+    start.position, start.velocity = torch.zeros(2, 3, 80, dtype=torch.float64).mT  # robots side by side
+    compiled = CompiledStep(step, start, ("speed",), parameters=given)
+    later = {name: value.clone() for name, value in given.items()}
+    if reason == "branch":
+        assert not compiled.renew(later)
+        return
+    assert compiled.renew(later)
+    if reason == "shape":
+        later["gain"] = later["gain"][:40]
+    elif reason == "blocks":
+        later["gain"][7] = 3.0
+    elif reason == "number":
+        later["limit"] += 1.0
+    elif reason == "aliased":
+        later["other"] *= 2.0
+    else:
+        del later["other"]
+    assert not compiled.renew(later)

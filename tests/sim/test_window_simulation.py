@@ -122,6 +122,29 @@ def test_windows_in_numpy_are_those_in_torch(recorded, name, monkeypatch):
         np.testing.assert_allclose(in_numpy[key], channel, rtol=0, atol=1e-9, err_msg=str(key))
 
 
+@pytest.mark.parametrize("name", ["latency", "backlash", "lugre", "velocity_filter", "current_lag", "voltage_sag"])
+def test_runs_with_other_parameters_take_up_the_translation(recorded, name, monkeypatch):
+    """Whether a run starts from a translation of its own or from an earlier run's, its numbers are the same."""
+    renew, renewed = Translated.renew, []
+    monkeypatch.setattr(Translated, "renew", lambda *arguments: renewed.append(renew(*arguments)) or renewed[-1])
+    model, motion = recorded
+    kind = catalogue()[name]
+    model = model if name in model.effect_names else model.with_effect(kind())
+    values = secant_values(kind.secants[0], {known: model.value(known) for known in model.parameters()})
+    model = model.with_values({known: value for known, value in values.items() if known in model.parameters()})
+    windows = [Window(0, 20), Window(0, 60)]
+    used = WindowSimulation(model, [motion], windows, 8, LEG)
+    for friction in (0.05, 0.1, 0.02):
+        parameters = {
+            "coulomb_friction": torch.tensor([friction, 0.2], dtype=torch.float64),
+            "armature": torch.tensor([0.01, 0.01 + 0.1 * friction], dtype=torch.float64),
+        }
+        fresh = WindowSimulation(model, [motion], windows, 8, LEG).run(parameters, 2)
+        for key, channel in used.run(parameters, 2).items():
+            np.testing.assert_array_equal(channel, fresh[key], err_msg=str(key))
+    assert renewed == [name != "backlash"] * 2  # which lets its parameters decide what a step does
+
+
 def test_the_same_windows_under_another_model(recorded):
     """What shares the gathered motion finds what is gathered anew, and leaves the first simulation as it was."""
     model, motion = recorded
