@@ -163,6 +163,7 @@ class Diagnosis:
         self.screened: list[Screened] = []
         self.refitted: list[Refitted] = []
         self._candidates: list[list[Candidate]] = []
+        self._controlled: tuple[Fit, Fit] | None = None  # a base, and its no-op control
         self._control = np.zeros(0)  # losses of the last no-op control, ``[block]``
         self._lossless = False  # whether the last screen has looked for lost packets and found none
 
@@ -205,11 +206,19 @@ class Diagnosis:
         if not isinstance(self.engine, WindowResiduals):
             return fit
         for _ in range(SETTLED):
-            further = polish(self.engine, fit, refit(self.engine, fit, fit.coordinates, fit.point))
+            further = self._control_of(fit)
             if further.loss > (1.0 - MOVING) * fit.loss:
                 break
             fit = linearise(self.engine, fit.coordinates, further.point)
         return fit
+
+    def _control_of(self, base: Fit) -> Fit:
+        """The no-op control: a base refitted as a hypothesis is. Of free runs only where a leader is polished too."""
+        if self._controlled is None or self._controlled[0] is not base:
+            control = refit(self.engine, base, base.coordinates, base.point)
+            windows = isinstance(self.engine, WindowResiduals)
+            self._controlled = base, polish(self.engine, base, control) if windows else control
+        return self._controlled[1]
 
     def _coordinates(self, model: RobotModel, findings: Sequence[Finding]) -> Coordinates:
         """What a base refits of a model with findings; on its feet, where a simulation is dear, only what is shared."""
@@ -541,7 +550,7 @@ class Diagnosis:
 
     def _refit(self, base: Fit) -> tuple[list[Fit], list[Refitted]]:
         """Refit the no-op control and the shortlist; for the first result see `_refit_each`."""
-        control = refit(self.engine, base, base.coordinates, base.point)
+        control = self._control_of(base)
         windows = self.engine if isinstance(self.engine, WindowResiduals) else None
         home = stands_alone(windows.squares_by_joint(base.residual)) if windows else None
         picked = shortlist(self.screened, base.coordinates.suspects(base.point), home)
@@ -549,7 +558,7 @@ class Diagnosis:
 
     def refit_of(self, base: Fit, picked: Sequence[Screened]) -> list[Refitted]:
         """Refit some hypotheses beside a base."""
-        return self._refit_each(base, refit(self.engine, base, base.coordinates, base.point), picked)[1]
+        return self._refit_each(base, self._control_of(base), picked)[1]
 
     def _refit_each(self, base: Fit, control: Fit, picked: Sequence[Screened]) -> tuple[list[Fit], list[Refitted]]:
         """Refit each hypothesis from the control, the most promising to the end, and the control likewise.
@@ -578,8 +587,9 @@ class Diagnosis:
             fits[number] = polish(self.engine, base, fits[number])
         if leaders:
             beside = _best([fits[number] for number in leaders]).point[: len(base.coordinates)]
-            controls.append(refit(self.engine, base, base.coordinates, beside))
-            controls = [polish(self.engine, base, one) for one in controls]
+            controls.append(polish(self.engine, base, refit(self.engine, base, base.coordinates, beside)))
+            if not isinstance(self.engine, WindowResiduals):
+                controls[0] = polish(self.engine, base, control)
         control = _best(controls)
         if control is not controls[0]:  # a better place, from which the leaders go on too
             for number in leaders:

@@ -298,8 +298,11 @@ def refit(
     problem = _Problem(engine, base, coordinates)
     best = np.clip(start, coordinates.low, coordinates.high)
     residual = loss = columns = None
+    at_anchor = False
     if anchor is not None:
         best, residual, loss = _along(problem, base.linear(is_fit), anchor, best, shares)
+        at_anchor = residual is None
+        residual = anchor.residual[is_fit] if residual is None else residual
     for _ in range(iterations):
         step = _steps(coordinates, best)[known:]
         if residual is None or loss is None:
@@ -307,19 +310,19 @@ def refit(
             loss = problem.loss(best, residual)
         moved = problem.simulate(best + np.eye(len(best))[known:] * step[:, None])
         here = residual
-        if anchor is not None and residual is anchor.residual and coordinates.model.stiff:
+        if at_anchor and coordinates.model.stiff:
             here = problem.simulate(best[None])[0]  # its steps are not those of the anchor
-        columns = np.moveaxis((moved - here)[:, is_fit], 0, -1) / step.astype(np.float32)
+        columns = np.moveaxis(moved - here, 0, -1) / step.astype(np.float32)
         linear = Linear(columns, coordinates, base.linear(is_fit))
         point, reached, tried = problem.step(linear, best, residual)
         if reached >= loss:
             break
         gained = 1 - reached / loss
-        best, loss, residual = point, reached, tried
+        best, loss, residual, at_anchor = point, reached, tried, False
         if gained < 2e-3:
             break
-    assert residual is not None
-    return Fit(coordinates, best, mean_square(residual[is_fit]), residual, None, columns)
+    whole = anchor.residual if anchor is not None and at_anchor else problem.everywhere(best)
+    return Fit(coordinates, best, mean_square(whole[is_fit]), whole, None, columns)
 
 
 def likeliest(engine: Engine, base: Fit, coordinates: Coordinates, starts: Sequence[np.ndarray]) -> np.ndarray:
@@ -338,7 +341,7 @@ def polish(engine: Engine, base: Fit, fit: Fit, steps: int = 2, jacobians: int =
         jacobians: at most so many; one more only where the last lowered the loss by `WORTHWHILE`.
     """
     problem = _Problem(engine, base, fit.coordinates)
-    point, residual = fit.point, fit.residual
+    point, residual = fit.point, fit.residual[engine.is_fit]
     loss = problem.loss(point, residual)
     while True:
         jacobian = _jacobian(engine, fit.coordinates, point, fit_only=True)
@@ -351,7 +354,8 @@ def polish(engine: Engine, base: Fit, fit: Fit, steps: int = 2, jacobians: int =
         if not jacobians or loss > (1 - WORTHWHILE) * before:
             break
     columns = jacobian[..., len(base.coordinates) :]
-    return Fit(fit.coordinates, point, mean_square(residual[engine.is_fit]), residual, None, columns)
+    whole = fit.residual if point is fit.point else problem.everywhere(point)
+    return Fit(fit.coordinates, point, mean_square(whole[engine.is_fit]), whole, None, columns)
 
 
 class _Problem:
@@ -365,16 +369,23 @@ class _Problem:
         self.coarse_error = np.zeros_like(base.coarse_error) if exact else base.coarse_error
 
     def simulate(self, points: np.ndarray) -> np.ndarray:
-        """Residuals ``[point, window, residual]``."""
+        """Residuals of the fitted windows, ``[point, window, residual]``."""
+        error = self.coarse_error[self.engine.is_fit]
         if not len(points):
-            return np.empty((0, *self.coarse_error.shape), np.float32)
+            return np.empty((0, *error.shape), np.float32)
         values = self.coordinates.values(points)
-        result = self.engine.residuals(self.coordinates.model, values, len(points), stretch=self.engine.stretch)
+        result = self.engine.residuals(self.coordinates.model, values, len(points), True, self.engine.stretch)
+        return result - error
+
+    def everywhere(self, point: np.ndarray) -> np.ndarray:
+        """Residuals of all windows, ``[window, residual]``."""
+        values = self.coordinates.values(point[None])
+        result = self.engine.residuals(self.coordinates.model, values, 1, stretch=self.engine.stretch)[0]
         return result - self.coarse_error
 
     def loss(self, point: np.ndarray, residual: np.ndarray) -> float:
-        """Squares of the fitted windows and of the priors."""
-        data = float(np.square(residual[self.engine.is_fit].astype(np.float64)).sum())
+        """Squares of the fitted windows, and of the priors."""
+        data = float(np.square(residual.astype(np.float64)).sum())
         return data + float(np.square(self.coordinates.penalties(point)).sum()) / INFORMATION
 
     def step(self, linear: Linear, point: np.ndarray, residual: np.ndarray):
@@ -382,7 +393,7 @@ class _Problem:
         low, high = self.coordinates.low - point, self.coordinates.high - point
         now = np.concatenate(
             [
-                residual[self.engine.is_fit].reshape(-1).astype(np.float64),
+                residual.reshape(-1).astype(np.float64),
                 self.coordinates.penalties(point) / np.sqrt(INFORMATION),
             ]
         )
@@ -398,7 +409,9 @@ class _Problem:
 
 
 def _along(problem: _Problem, linear: Linear, anchor: Fit, start: np.ndarray, shares: Sequence[float]):
-    """From an anchor part of the way to `start`, or beyond; point, residual and loss.
+    """From an anchor part of the way to `start`, or beyond; point, residual of the fitted windows, and loss.
+
+    The residual is None where nothing is better than the anchor.
 
     Args:
         problem: of the refit.
@@ -409,18 +422,19 @@ def _along(problem: _Problem, linear: Linear, anchor: Fit, start: np.ndarray, sh
     """
     coordinates, known, is_fit = problem.coordinates, len(anchor.point), problem.engine.is_fit
     neutral = np.concatenate([anchor.point, [entry.prior for entry in coordinates.entries[known:]]])
-    loss = problem.loss(neutral, anchor.residual)
-    secant = problem.simulate(start[None])[0][is_fit] - anchor.residual[is_fit]
+    before = anchor.residual[is_fit]
+    loss = problem.loss(neutral, before)
+    secant = problem.simulate(start[None])[0] - before
     base = replace(coordinates, model=coordinates.model, entries=coordinates.entries[:known])
     low, high = base.low - anchor.point, base.high - anchor.point
     priors = base.penalties(anchor.point) / np.sqrt(INFORMATION)
     points = []
     for share in shares:
-        expected = (anchor.residual[is_fit] + share * secant).reshape(-1).astype(np.float64)
+        expected = (before + share * secant).reshape(-1).astype(np.float64)
         gives = linear.step(np.concatenate([expected, priors]), low, high)
         points.append(neutral + share * (start - neutral) + np.concatenate([gives, np.zeros(len(start) - known)]))
     point, reached, tried = problem.best(np.clip(points, coordinates.low, coordinates.high))
-    return (point, tried, reached) if reached < loss else (neutral, anchor.residual, loss)
+    return (point, tried, reached) if reached < loss else (neutral, None, loss)
 
 
 def intervals(engine: Engine, base: Fit, fit: Fit, level: float = 0.9) -> np.ndarray:
