@@ -14,7 +14,6 @@ from scipy import linalg
 
 from op3.diagnose.fitting import Fit
 from op3.diagnose.locate import Response
-from op3.diagnose.motion import PREROLL
 from op3.diagnose.screen import Projector
 from op3.diagnose.windows import WindowResiduals
 
@@ -125,8 +124,7 @@ def _inputs(engine: WindowResiduals) -> np.ndarray:
     """Standardised inputs of the black box, ``[window, tick, joint, input]``."""
     told = told_of_windows(engine)
     told = (told - told.mean(0)) / np.maximum(told.std(0), 1e-6)
-    rows = PREROLL + engine.ticks + 1
-    return told.reshape(len(engine.windows), rows, *told.shape[1:])[:, PREROLL : PREROLL + engine.ticks]
+    return engine.by_window(told)
 
 
 def told_of_windows(engine: WindowResiduals) -> np.ndarray:

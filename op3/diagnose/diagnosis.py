@@ -18,12 +18,7 @@ from op3.diagnose.coordinates import (
     with_chain,
 )
 from op3.diagnose.decide import (
-    CEILING,
-    DOUBLY_CHECKED,
-    UNDECIDED,
-    Contender,
     Decision,
-    Own,
     better_beside,
     beyond_doubt,
     decide,
@@ -35,6 +30,10 @@ from op3.diagnose.decide import (
     shows_at_home,
     unresolved,
     worth_a_candidate,
+)
+from op3.diagnose.evidence import (
+    Contender,
+    Own,
 )
 from op3.diagnose.findings import Refitted, apart, finding_of, size_at, smallest, with_finding
 from op3.diagnose.fitting import (
@@ -82,6 +81,11 @@ from op3.diagnose.shortlist import (
 from op3.diagnose.show import show, shown_logs, with_ceiling
 from op3.diagnose.soften import softened
 from op3.diagnose.split import LogSplit
+from op3.diagnose.thresholds import (
+    CEILING,
+    DOUBLY_CHECKED,
+    UNDECIDED,
+)
 from op3.diagnose.verdict import Finding, Verdict
 from op3.diagnose.windows import WindowResiduals
 from op3.servo import RobotModel, effect_class

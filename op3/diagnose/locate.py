@@ -13,7 +13,6 @@ import numpy as np
 from torch import Tensor
 
 from op3.diagnose.fitting import Fit
-from op3.diagnose.motion import PREROLL
 from op3.diagnose.windows import FLOOR, WindowResiduals
 
 REST = 0.02
@@ -76,15 +75,10 @@ class Response:
 
     def __init__(self, engine: WindowResiduals, parameters: Mapping[str, Tensor]):
         self.engine = engine
-        rows = PREROLL + engine.ticks + 1
-
-        def windowed(values: np.ndarray) -> np.ndarray:
-            return values.reshape(len(engine.windows), rows, *values.shape[1:])[:, PREROLL:]
-
         armature = parameters["armature"][0].numpy() if "armature" in parameters else 0.0
-        mass = windowed(engine.motion.dynamics.mass) + np.eye(len(engine.joints)) * armature
+        mass = engine.by_window(engine.motion.dynamics.mass, end=True) + np.eye(len(engine.joints)) * armature
         self.mobility = np.linalg.inv(mass)  # [window, tick, joint, joint]
-        self.moves = (np.abs(windowed(engine.motion.velocity)) > REST).astype(float)
+        self.moves = (np.abs(engine.by_window(engine.motion.velocity, end=True)) > REST).astype(float)
 
     def __call__(self, torque: np.ndarray, joint: int) -> np.ndarray:
         """Whitened change of the residual, ``[window, residual, feature]``; `torque` is ``[window, tick, feature]``."""
@@ -154,11 +148,10 @@ def locate(engine: WindowResiduals, base: Fit, seed: int = 0) -> list[Cell]:
         base: with its residual.
         seed: of the random signs.
     """
-    rows = PREROLL + engine.ticks + 1
 
     def by_piece(values: np.ndarray) -> np.ndarray:
-        windows = values.reshape(len(engine.windows), rows, -1)[:, PREROLL : PREROLL + engine.ticks]
-        return np.stack([part.mean(1) for part in np.array_split(windows, PIECES, 1)], 1)  # [window, piece, joint]
+        parts = np.array_split(engine.by_window(values), PIECES, 1)
+        return np.stack([part.mean(1) for part in parts], 1)  # [window, piece, joint]
 
     torque = residual_torque(engine, base.parameters, base.residual)
     v, i, load = (by_piece(x) for x in (engine.motion.velocity, engine.motion.current, engine.motion.dynamics.bias))

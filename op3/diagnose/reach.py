@@ -12,7 +12,7 @@ import numpy as np
 
 from op3.diagnose.ceiling import FEATURES, FOLDS, INPUTS, random_waves, regularised, told, told_of_windows
 from op3.diagnose.locate import REST, residual_torque
-from op3.diagnose.motion import PREROLL, SmoothLog, fixed_base, smooth_all
+from op3.diagnose.motion import SmoothLog, fixed_base, smooth_all
 from op3.diagnose.windows import WindowResiduals, began, since
 from op3.rollout import Rollout
 from op3.servo import RobotModel
@@ -107,9 +107,7 @@ class TorqueBox:
 
 def _by_window(tiles: WindowResiduals, values: np.ndarray) -> np.ndarray:
     """Means over the ticks of all windows, ``[window, ...]``, of values ``[row, ...]``."""
-    rows = PREROLL + tiles.ticks + 1
-    windows = values.reshape(len(tiles.windows), rows, *values.shape[1:])
-    return windows[:, PREROLL : PREROLL + tiles.ticks].mean(1)
+    return tiles.by_window(values).mean(1)
 
 
 def _learned(columns: np.ndarray, lacking: np.ndarray, runs: np.ndarray) -> np.ndarray:

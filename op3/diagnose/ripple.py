@@ -12,7 +12,6 @@ import numpy as np
 from op3.diagnose.fitting import Fit
 from op3.diagnose.hypotheses import Hypothesis
 from op3.diagnose.locate import PIECES, REST, residual_torque
-from op3.diagnose.motion import PREROLL
 from op3.diagnose.windows import WindowResiduals
 from op3.servo.effects import Cogging
 
@@ -36,11 +35,10 @@ def with_ripples(candidates: Sequence[Hypothesis], engine: WindowResiduals, base
     """
     if not any(h.effect is Cogging for h in candidates):
         return list(candidates)
-    rows = PREROLL + engine.ticks + 1
     fitted = engine.is_fit
 
     def ticks(values: np.ndarray) -> np.ndarray:
-        return values.reshape(len(fitted), rows, -1)[fitted, PREROLL : PREROLL + engine.ticks]
+        return engine.by_window(values)[fitted]
 
     torque = residual_torque(engine, base.parameters, base.residual)[fitted]  # [window, piece, joint]
     position, velocity = ticks(engine.motion.position), ticks(engine.motion.velocity)

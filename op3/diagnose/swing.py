@@ -5,13 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from op3.diagnose.decide import SMALLEST_GAIN
 from op3.diagnose.diagnosis import Diagnosis
 from op3.diagnose.findings import FORM_ERROR, QUANTILE, setup_finding
 from op3.diagnose.fitting import with_point
 from op3.diagnose.setups import SetupHypothesis, setup_hypotheses
 from op3.diagnose.show import show
 from op3.diagnose.split import LogSplit
+from op3.diagnose.thresholds import (
+    SMALLEST_GAIN,
+)
 from op3.diagnose.verdict import Finding, Verdict
 from op3.rollout import Rollout
 from op3.servo import RobotModel

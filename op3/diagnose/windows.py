@@ -414,6 +414,16 @@ class WindowResiduals:
         plain = residual / self._weight
         return plain.reshape(len(residual), self.ticks + 1, len(self.joints), len(self.channels)) * self.scale
 
+    def by_window(self, values: np.ndarray, end: bool = False) -> np.ndarray:
+        """What lies along the motion of all windows, ``[row, ...]``, as ``[window, tick, ...]`` without their leads.
+
+        Args:
+            values: of all rows.
+            end: whether the tick at which a window ends is one of them.
+        """
+        windows = values.reshape(len(self.windows), PREROLL + self.ticks + 1, *values.shape[1:])
+        return windows[:, PREROLL : None if end else -1]
+
     def squares_by_joint(self, residual: np.ndarray) -> np.ndarray:
         """Sums of squares of whitened residuals ``[window, residual]``, ``[window, joint]``."""
         shape = (len(residual), self.ticks + 1, len(self.joints), len(self.channels))

@@ -9,26 +9,30 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from op3.diagnose.decide import (
+    better_beside,
+    decide,
+    leaves_a_joint,
+    local_ceiling,
+    of_another_kind,
+    shows_at_home,
+    unresolved,
+    worth_a_candidate,
+)
+from op3.diagnose.evidence import (
+    Contender,
+    Own,
+    difference_interval,
+    evidence,
+    pick_shares,
+    signed_ranks,
+)
+from op3.diagnose.thresholds import (
     FURTHER_Z,
     OWN_CLEAR_Z,
     OWN_Z,
     SMALLEST_T,
     SMALLEST_Z,
     UNDECIDED,
-    Contender,
-    Own,
-    better_beside,
-    decide,
-    difference_interval,
-    evidence,
-    leaves_a_joint,
-    local_ceiling,
-    of_another_kind,
-    pick_shares,
-    shows_at_home,
-    signed_ranks,
-    unresolved,
-    worth_a_candidate,
 )
 
 BLOCKS = 60
