@@ -627,3 +627,28 @@ def test_what_acts_at_the_voltage_alone_needs_few_seconds(control, rng, effect, 
     assert trimmed > 0.02
     assert signed_ranks(gained) < SMALLEST_Z
     assert (decide([one], control, rng).verdict == "named") == counts
+
+
+@pytest.mark.parametrize(
+    ("label", "gain", "fit_gain", "verdict"),
+    [
+        ("encoder_offset@1", 0.025, 0.025, "named"),
+        ("latency", 0.02, 0.02, "named"),
+        ("stribeck", 0.025, 0.025, "nothing_missing"),  # what a law of friction gets wrong looks like that
+        ("encoder_offset@1", 0.01, 0.06, "nothing_missing"),  # of the fitted runs alone
+        ("encoder_offset@1", 0.012, 0.012, "nothing_missing"),
+    ],
+)
+def test_what_is_not_of_friction_counts_though_it_is_small(control, rng, label, gain, fit_gain, verdict):
+    """A zero or a latency that explains 2 % in nearly every second is there; a friction that does may not be."""
+    one = dataclasses.replace(contender(label, 0.5 * (gain + fit_gain), noise=0.01), gain=gain, fit_gain=fit_gain)
+    assert min(evidence(one, control)[0], signed_ranks(control - one.losses)) > SMALLEST_T
+    assert decide([one], control, rng).verdict == verdict
+
+
+def test_what_is_small_needs_both_seconds_and_ranks(control, rng):
+    """Explained in a few seconds, 3 % speak for nothing."""
+    gained = np.full(BLOCKS, -0.01)
+    gained[:4] = 0.6
+    few = dataclasses.replace(contender("encoder_offset@1", 0.03), losses=control - gained)
+    assert decide([few], control, rng).verdict == "nothing_missing"
