@@ -118,7 +118,7 @@ def decide(
     shares = pick_shares(np.stack(np.broadcast_arrays(*losses)), rng) if contenders else np.zeros(0)
     gap = _unexplained(contenders, counting, order, ceiling, left)
     if gap:
-        begun = [i for i in counting[:1] if _stands_out(left) is not None and not contenders[i].implausible]
+        begun = [i for i in counting[:1] if stands_out(left) is not None and not contenders[i].implausible]
         return Decision("unknown", tuple(begun), shares, gap)
     if not counting:
         if not contenders:
@@ -310,7 +310,7 @@ def local_ceiling(gain: float, by_joint: np.ndarray) -> float | None:
     return largest if largest > 0 and largest >= CONCENTRATED * gain else None
 
 
-def _stands_out(left: np.ndarray | None) -> int | None:
+def stands_out(left: np.ndarray | None) -> int | None:
     """The joint in which something is missing whatever the catalogue says; None if there is none."""
     if left is None or not left.size or left.max() <= max(LARGE_GAP, OUTSTANDING * float(np.median(left))):
         return None
@@ -331,6 +331,19 @@ def unresolved(named: Sequence[Contender]) -> bool:
     return not any(one.effect in CONTACTS and one.joints == (int(left.argmax()),) for one in named)
 
 
+def contradicted(named: Sequence[Contender], joint: int | None) -> bool:
+    """Whether the joint in which a later round finds something unknown is the one of a fault that was named.
+
+    A hard stop was taken for friction by load, which explained half of it and left 37 times the noise. Impacts, whose
+    rattling stays, are no such fault.
+
+    Args:
+        named: the leader of every round.
+        joint: that stands out beside them, see `stands_out`; None if none does.
+    """
+    return joint is not None and any(one.joints == (joint,) and one.effect not in CONTACTS for one in named)
+
+
 def _closed(contender: Contender, left: np.ndarray, joint: int) -> float:
     """Share of a joint's gap, beyond what is usual in others, that a contender explains."""
     usual = float(np.median(left))
@@ -339,7 +352,7 @@ def _closed(contender: Contender, left: np.ndarray, joint: int) -> float:
 
 def _meets(contender: Contender, left: np.ndarray | None) -> bool:
     """Whether a contender with contacts explains the joint that stands out as well as such effects can."""
-    joint = _stands_out(left)
+    joint = stands_out(left)
     if joint is None or contender.effect not in CONTACTS or contender.joints != (joint,):
         return False
     assert left is not None
@@ -516,7 +529,7 @@ def _unexplained(
     """Why something is missing that the catalogue does not explain; empty if there is no sign of it."""
     best = contenders[(counting or order)[0]] if contenders else None
     name = "nothing in the catalogue" if best is None else f"the best of the catalogue, {best.label},"
-    joint = _stands_out(left)
+    joint = stands_out(left)
     if joint is not None and left is not None:
         usual = float(np.median(left))
         share = _closed(best, left, joint) if best is not None and counting else 0.0
@@ -524,7 +537,7 @@ def _unexplained(
         gap = f"residual velocities are {left[joint]:.1f} times the noise in one joint, {usual:.1f} in others"
         if share < (EXPLAINED_CONTACT if contact else EXPLAINED):
             return f"{gap}, and {name} explains {max(share, 0.0):.0%} of what is above it"
-        if best is not None and not contact and _stands_out(best.left) == joint:
+        if best is not None and not contact and stands_out(best.left) == joint:
             return f"{gap}, and {name} leaves {best.left[joint]:.1f} there"
     explained = best.explained if best is not None and counting else 0.0
     if ceiling is not None and ceiling > CEILING and explained < EXPLAINED * ceiling:

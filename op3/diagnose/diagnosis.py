@@ -21,6 +21,7 @@ from op3.diagnose.decide import (
     Decision,
     better_beside,
     beyond_doubt,
+    contradicted,
     decide,
     large_gap,
     leaves_a_joint,
@@ -28,6 +29,7 @@ from op3.diagnose.decide import (
     of_another_kind,
     shown_by_windows,
     shows_at_home,
+    stands_out,
     unresolved,
     worth_a_candidate,
 )
@@ -309,6 +311,9 @@ class Diagnosis:
             del self._candidates[begun[0] :]  # nor have later rounds found what was missing there
         kept = len(self._candidates)
         unknown = [verdict for verdict in verdicts[kept:] if verdict.verdict == "unknown"]
+        if unknown and contradicted([one[0].contender for one in self._candidates], unknown[0].details["apart"]):
+            self._candidates, kept = [], 0
+            verdicts = [replace(unknown[0], base=verdicts[0].base, model=verdicts[0].base)]
         beside = f"; beside that, {unknown[0].reason}" if kept and unknown else ""
         verdict = self._shown(self._together(verdicts[:kept]) if kept > 1 else verdicts[0])
         if kept > 1 and verdict.vetoed:
@@ -493,6 +498,7 @@ class Diagnosis:
             separate_by=_separating(findings) if decision.verdict == "ambiguous" or weak else "",
             details={
                 **self._details(decision),
+                "apart": stands_out(self._left(control)),
                 "located": [cell.plain() for cell in located[:CELLS]],
                 "ceiling": {}
                 if box is None

@@ -10,6 +10,7 @@ from scipy import stats
 
 from op3.diagnose.decide import (
     better_beside,
+    contradicted,
     decide,
     leaves_a_joint,
     local_ceiling,
@@ -652,3 +653,18 @@ def test_what_is_small_needs_both_seconds_and_ranks(control, rng):
     gained[:4] = 0.6
     few = dataclasses.replace(contender("encoder_offset@1", 0.03), losses=control - gained)
     assert decide([few], control, rng).verdict == "nothing_missing"
+
+
+@pytest.mark.parametrize(
+    ("label", "joint", "expected"),
+    [
+        ("load_friction@2", 2, True),
+        ("load_friction@2", 1, False),
+        ("load_friction@2", None, False),
+        ("dte", 2, False),
+        ("backlash@2", 2, False),
+    ],
+)
+def test_a_fault_is_contradicted_by_what_it_leaves_in_its_joint(label, joint, expected):
+    """Where the joint of a fault still stands out and nothing explains that, the fault was not it; impacts rattle on."""
+    assert contradicted([contender(label, 0.4)], joint) == expected
