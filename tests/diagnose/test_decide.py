@@ -666,5 +666,5 @@ def test_what_is_small_needs_both_seconds_and_ranks(control, rng):
     ],
 )
 def test_a_fault_is_contradicted_by_what_it_leaves_in_its_joint(label, joint, expected):
-    """Where the joint of a fault still stands out and nothing explains that, the fault was not it; impacts rattle on."""
+    """Where the joint of a fault still stands out and nothing explains that, it was another; impacts rattle on."""
     assert contradicted([contender(label, 0.4)], joint) == expected
