@@ -33,10 +33,7 @@ from op3.diagnose.decide import (
     unresolved,
     worth_a_candidate,
 )
-from op3.diagnose.evidence import (
-    Contender,
-    Own,
-)
+from op3.diagnose.evidence import Contender, Own
 from op3.diagnose.findings import Refitted, apart, finding_of, size_at, smallest, with_finding
 from op3.diagnose.fitting import (
     LEAST_GAIN,
@@ -83,11 +80,7 @@ from op3.diagnose.shortlist import (
 from op3.diagnose.show import show, shown_logs, with_ceiling
 from op3.diagnose.soften import softened
 from op3.diagnose.split import LogSplit
-from op3.diagnose.thresholds import (
-    CEILING,
-    DOUBLY_CHECKED,
-    UNDECIDED,
-)
+from op3.diagnose.thresholds import CEILING, DOUBLY_CHECKED, UNDECIDED
 from op3.diagnose.verdict import Finding, Verdict
 from op3.diagnose.windows import WindowResiduals
 from op3.servo import RobotModel, effect_class
@@ -471,12 +464,13 @@ class Diagnosis:
         located = locate(windows, base, self.seed) if windows else []
         box = ceiling(windows, base, control.residual, self.seed) if windows and first else None
         self._control = self._losses(control)
+        left = self._left(control)
         decision = decide(
             [r.contender for r in self.refitted],
             self._control,
             rng,
             ceiling=None if box is None else local_ceiling(box.gain, box.by_joint),
-            left=self._left(control),
+            left=left,
             found=[candidates[0].contender for candidates in self._candidates],
         )
         decision = self._or_candidate(decision)
@@ -498,7 +492,7 @@ class Diagnosis:
             separate_by=_separating(findings) if decision.verdict == "ambiguous" or weak else "",
             details={
                 **self._details(decision),
-                "apart": stands_out(self._left(control)),
+                "apart": stands_out(left),
                 "located": [cell.plain() for cell in located[:CELLS]],
                 "ceiling": {}
                 if box is None

@@ -6,9 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from op3.diagnose.coordinates import CHAIN_FAULTS, FAULTS
-from op3.diagnose.evidence import (
-    Contender,
-)
+from op3.diagnose.evidence import Contender
 from op3.diagnose.fitting import Engine, Fit, intervals, with_point
 from op3.diagnose.hypotheses import Hypothesis
 from op3.diagnose.packets import LossHypothesis, LostPackets

@@ -13,21 +13,10 @@ import numpy as np
 
 from op3.diagnose.backward import left_out, with_findings
 from op3.diagnose.coordinates import FAULTS, Coordinates
-from op3.diagnose.decide import (
-    BEATEN,
-    weigh,
-)
-from op3.diagnose.evidence import (
-    Contender,
-)
+from op3.diagnose.decide import BEATEN, weigh
+from op3.diagnose.evidence import Contender
 from op3.diagnose.fitting import Engine, fit_base, with_point
-from op3.diagnose.thresholds import (
-    LATER_GAIN,
-    OWN_GAIN,
-    SMALLEST_GAIN,
-    SMALLEST_SIZE,
-    UNDECIDED,
-)
+from op3.diagnose.thresholds import LATER_GAIN, OWN_GAIN, SMALLEST_GAIN, SMALLEST_SIZE, UNDECIDED
 from op3.diagnose.verdict import Finding
 from op3.servo import RobotModel
 from op3.servo.effect import parameter

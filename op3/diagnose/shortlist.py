@@ -7,9 +7,7 @@ import numpy as np
 
 from op3.diagnose.coordinates import CHAIN, CHAIN_FAULTS
 from op3.diagnose.screen import Screened, foreseen
-from op3.diagnose.thresholds import (
-    LOOK_ALIKE,
-)
+from op3.diagnose.thresholds import LOOK_ALIKE
 from op3.servo import effect_class
 from op3.servo.conditions import split_name
 from op3.servo.effect import parameter

@@ -11,9 +11,7 @@ from op3.diagnose.fitting import with_point
 from op3.diagnose.setups import SetupHypothesis, setup_hypotheses
 from op3.diagnose.show import show
 from op3.diagnose.split import LogSplit
-from op3.diagnose.thresholds import (
-    SMALLEST_GAIN,
-)
+from op3.diagnose.thresholds import SMALLEST_GAIN
 from op3.diagnose.verdict import Finding, Verdict
 from op3.rollout import Rollout
 from op3.servo import RobotModel

@@ -93,7 +93,7 @@ class WindowResiduals:
     """
 
     stretch = 1
-    """Of steps where differences count: none."""
+    """Steps are nowhere stretched where a fit depends on them."""
 
     def __init__(
         self,

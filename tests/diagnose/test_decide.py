@@ -19,22 +19,8 @@ from op3.diagnose.decide import (
     unresolved,
     worth_a_candidate,
 )
-from op3.diagnose.evidence import (
-    Contender,
-    Own,
-    difference_interval,
-    evidence,
-    pick_shares,
-    signed_ranks,
-)
-from op3.diagnose.thresholds import (
-    FURTHER_Z,
-    OWN_CLEAR_Z,
-    OWN_Z,
-    SMALLEST_T,
-    SMALLEST_Z,
-    UNDECIDED,
-)
+from op3.diagnose.evidence import Contender, Own, difference_interval, evidence, pick_shares, signed_ranks
+from op3.diagnose.thresholds import FURTHER_Z, OWN_CLEAR_Z, OWN_Z, SMALLEST_T, SMALLEST_Z, UNDECIDED
 
 BLOCKS = 60
 

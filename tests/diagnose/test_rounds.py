@@ -12,10 +12,7 @@ from op3.diagnose import Diagnosis, WindowResiduals, planned_suite, split_logs
 from op3.diagnose import settle as settling
 from op3.diagnose.coordinates import base_coordinates, with_chain
 from op3.diagnose.diagnosis import _leaders
-from op3.diagnose.evidence import (
-    Contender,
-    Own,
-)
+from op3.diagnose.evidence import Contender, Own
 from op3.diagnose.fitting import Fit, linearise, polish, refit
 from op3.diagnose.hypotheses import hypotheses
 from op3.diagnose.screen import Screened
