@@ -39,6 +39,7 @@ from op3.diagnose.thresholds import (
     MOST_CANDIDATES,
     NAMED_SHARE,
     OCCASIONAL,
+    OF_A_MAKE,
     OUTSTANDING,
     OWN_CHECKED,
     OWN_CLEAR,
@@ -56,6 +57,7 @@ from op3.diagnose.thresholds import (
     RIVAL,
     ROOM,
     SHARED_RESIDUE,
+    SHORT,
     SMALLEST_GAIN,
     SMALLEST_T,
     SMALLEST_Z,
@@ -136,6 +138,8 @@ def decide(
     rivals = _rivals(contenders, best, others, control, shares, rng)
     if passed:
         shares[best] = min(shares[best], PREFERRED)
+    if not rivals and _doubtful(contenders, best):
+        shares[best] = min(shares[best], UNDECIDED)
     if not rivals and _rivals(contenders, best, others, control, shares, rng, SURELY_ALIKE):
         shares[best] = min(shares[best], UNDECIDED)
     if best in beside and not rivals:  # it alone would not have been named
@@ -274,6 +278,23 @@ def _in_all_joints(
         if _matters(one, control, found):
             return i
     return best
+
+
+def _doubtful(contenders: Sequence[Contender], best: int) -> bool:
+    """Whether a name wins the resamples and is to be doubted all the same.
+
+    A law that servos of a make share is, where it would be that of one joint; so is a delay no longer than the lag that
+    any chain of measurement may have; and so is what another effect of the same joints explains more of, with a size
+    that is not plausible: friction that depends on the angle was called Coulomb friction, as its worst angle had not
+    been seen.
+    """
+    one = contenders[best]
+    if one.joints is not None and len(one.joints) == 1 and one.effect in OF_A_MAKE:
+        return True
+    if abs(one.size) < SHORT.get(one.effect, 0.0):
+        return True
+    beyond = [c for c in contenders if c.implausible and c.joints == one.joints and c.effect != one.effect]
+    return any(float(c.losses.sum()) < float(one.losses.sum()) for c in beyond)
 
 
 def _more_than(one: Contender, other: Contender, control: np.ndarray) -> bool:

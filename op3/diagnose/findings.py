@@ -100,14 +100,18 @@ def _loss_finding(
     joints: Sequence[str], hypothesis: LossHypothesis, found: LostPackets, refitted: Refitted, confidence: float
 ) -> Finding:
     """Lost packets, as they were counted."""
-    name = hypothesis.effect.size
+    name, form = hypothesis.effect.size, FORM_ERROR * QUANTILE * found.share
+    low, high = (abs(end - found.share) for end in found.interval())
     return Finding(
         name=hypothesis.effect.name,
         joints=tuple(joints),
         shared=True,
         size=found.share,
         unit=parameter(name).unit,
-        interval=found.interval(),
+        interval=(
+            max(0.0, found.share - float(np.hypot(low, form))),
+            min(1.0, found.share + float(np.hypot(high, form))),
+        ),
         confidence=confidence,
         parameters={name: found.share},
         gain=refitted.contender.gain,

@@ -63,11 +63,13 @@ class LostPackets:
         packets: `ARRIVED` or `LOST`, of the ticks of every window and those before it, ``[window, tick]``.
         telling: number of packets that could be seen to be lost.
         lost: how many of them were.
+        together: how many follow each other without one that arrived, on average.
     """
 
     packets: np.ndarray
     telling: int
     lost: int
+    together: float = 1.0
 
     @property
     def share(self) -> float:
@@ -75,10 +77,15 @@ class LostPackets:
         return self.lost / self.telling
 
     def interval(self, level: float = 0.9) -> tuple[float, float]:
-        """Of the probability of a loss (Clopper and Pearson, Biometrika 1934)."""
-        tail, arrived = 0.5 * (1 - level), self.telling - self.lost
-        low = special.betaincinv(self.lost, arrived + 1, tail) if self.lost else 0.0
-        high = special.betaincinv(self.lost + 1, arrived, 1 - tail) if arrived else 1.0
+        """Of the probability of a loss (Clopper and Pearson, Biometrika 1934).
+
+        Losses that follow each other are not independent: of those that come in rows of a geometric length, the
+        variance of a count is larger by twice the mean length less one, so that they count for so many fewer.
+        """
+        alike = max(1.0, 2.0 * self.together - 1.0)
+        tail, lost, arrived = 0.5 * (1 - level), self.lost / alike, (self.telling - self.lost) / alike
+        low = special.betaincinv(lost, arrived + 1, tail) if lost else 0.0
+        high = special.betaincinv(lost + 1, arrived, 1 - tail) if arrived else 1.0
         return float(low), float(high)
 
 
@@ -144,9 +151,8 @@ def lost_packets(engine: WindowResiduals, base: Fit) -> LostPackets | None:
     """Ask every packet of every window whether it was lost; None where too few clearly were.
 
     Losses are looked for one by one in each window, the clearest first, as each changes what another would do. In the
-    end every packet is asked once more beside all that were found, and counted: what windows share counts once.
-    Packets count as lost or not independently of each other; where several in a row get lost, the interval is too
-    narrow.
+    end those are counted whose loss would show if all others had arrived: which these are does not hang on what was
+    lost, while behind a lost packet another one shows at half the speed of the command. What windows share counts once.
 
     Args:
         engine: prepared; what it knows of packets does not matter, and is left as it is.
@@ -170,18 +176,20 @@ def lost_packets(engine: WindowResiduals, base: Fit) -> LostPackets | None:
         return changed, gained
 
     packets = np.full((windows, ticks), ARRIVED)
-    for number in range(PASSES + 1):
-        changed, gained = asked(packets)
-        telling = changed > TELLING
-        clear, half = telling & (gained > CLEAR * changed), telling & (gained > DOUBTFUL * changed)
-        if number == 0 and clear.sum() < max(LEAST, 2 * (half & ~clear).sum()):
-            return None
+    changed, gained = asked(packets)
+    telling, shown = changed > TELLING, changed > SHOWN
+    clear, half = telling & (gained > CLEAR * changed), telling & (gained > DOUBTFUL * changed)
+    if clear.sum() < max(LEAST, 2 * (half & ~clear).sum()):
+        return None
+    for number in range(PASSES):
+        if number:
+            changed, gained = asked(packets)
         likely = np.where((changed > SHOWN) & (gained > LIKELY * changed), gained, 0.0)
         rows, best = np.flatnonzero(likely.any(1)), likely.argmax(1)
-        if number == PASSES or not len(rows):
+        if not len(rows):
             break
         packets[rows, best[rows]] *= -1
-    return _counted(engine, packets, telling)
+    return _counted(engine, packets, shown)
 
 
 def _counted(engine: WindowResiduals, packets: np.ndarray, telling: Mask) -> LostPackets | None:
@@ -190,5 +198,8 @@ def _counted(engine: WindowResiduals, packets: np.ndarray, telling: Mask) -> Los
     for row, tick in zip(*np.nonzero(telling), strict=True):
         log, first = engine.windows[row]
         verdicts[log, first - PREROLL + int(tick)] = bool(packets[row, tick] == LOST)
-    lost = sum(verdicts.values())
-    return LostPackets(packets, len(verdicts), lost) if LEAST <= lost <= MOST * len(verdicts) else None
+    lost = {place for place, was in verdicts.items() if was}
+    if not LEAST <= len(lost) <= MOST * len(verdicts):
+        return None
+    rows = sum((log, tick - 1) not in lost for log, tick in lost)
+    return LostPackets(packets, len(verdicts), len(lost), len(lost) / rows)

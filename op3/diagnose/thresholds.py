@@ -172,6 +172,20 @@ PARSIMONY_T, PARSIMONY_Z = 2.5, 3.0
 """Gain of the best over it in standard errors, and score of its ranks, at which it is not, however little more the best
 explains: what a law gets wrong does not tell in nearly every second."""
 
+OF_A_MAKE = (
+    *("dte", "stribeck", "lugre", "load_friction", "directional_friction", "antagonistic_friction", "quadratic_drag"),
+    *("friction_drift",),
+)
+"""Laws of a gear and its grease, which servos of one make share. In one joint alone such a name has `UNDECIDED` at
+most: what else may be wrong in a joint, a hard stop, a vibration, an encoder, looks like one of these before a servo of
+the same make follows another law. Of the names that were stated with more than 0.8 in 320 legs seven were wrong, four
+of them these; of the right ones none was."""
+
+SHORT = {"latency": 0.0017}
+"""Sizes below which a name has `UNDECIDED` at most, because what every chain of measurement has a little of may be as
+large: behind another effect a lag of the current loop of 2.8 ms, of which the base takes 1.7 ms for the chain's, was
+told as a delay of 1.4 ms."""
+
 PREFERRED = 0.7
 """Confidence at most in what was preferred so to another that counts and wins more of the resamples. A non-linear
 encoder that was hidden behind a viscous joint was taken for a zero error, which has one number less and explained 0.097

@@ -53,6 +53,34 @@ def test_clear_winner_is_named(control, rng):
     assert decision.shares[1] > 0.99
 
 
+@pytest.mark.parametrize(
+    ("label", "size", "doubted"),
+    [
+        ("stribeck@3", 1.0, True),
+        ("stribeck", 1.0, False),
+        ("coulomb@3", 1.0, False),
+        ("latency", 0.0014, True),
+        ("latency", 0.003, False),
+    ],
+)
+def test_names_that_are_seldom_right_are_stated_with_less(control, rng, label, size, doubted):
+    """A law of a make in one joint, and a delay as short as any lag, however clearly they win."""
+    one = dataclasses.replace(contender(label, 0.3), size=size, smallest=0.001)
+    decision = decide([one, contender("viscous@1", 0.05, seed=1)], control, rng)
+    assert (decision.verdict, decision.candidates) == ("named", (0,))
+    assert decision.shares[0] == (UNDECIDED if doubted else 1.0)
+
+
+def test_a_name_that_is_beaten_by_an_implausible_one_is_stated_with_less(control, rng):
+    """It is named, as the other one would need an impossible size; in another joint that says nothing."""
+    named = contender("coulomb@3", 0.3)
+    for place, confidence in (("3", UNDECIDED), ("2", 1.0)):
+        beyond = dataclasses.replace(contender(f"position_friction@{place}", 0.4, seed=1), implausible=True)
+        decision = decide([named, beyond], control, rng)
+        assert (decision.verdict, decision.candidates) == ("named", (0,))
+        assert decision.shares[0] == confidence
+
+
 def test_equals_are_ambiguous(control, rng):
     """Two that explain the same, each better in other seconds, are both candidates."""
     pair = [contender("dte", 0.2, noise=0.1), contender("load_friction", 0.2, seed=1, noise=0.1)]
