@@ -636,7 +636,7 @@ class Diagnosis:
             starts = delayed(fit.coordinates, control.point)
         if not starts:
             return fit
-        start = likeliest(self.engine, base, fit.coordinates, starts)
+        start = likeliest(self.engine, fit.coordinates, starts)
         across = refit(self.engine, base, fit.coordinates, start)
         if effect == Latency.name:  # so far from the base that its Jacobian does not lead down there
             across = polish(self.engine, base, across)

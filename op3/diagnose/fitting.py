@@ -61,7 +61,6 @@ class Engine(Protocol):
     joints: tuple[str, ...]
     is_fit: np.ndarray
     blocks: np.ndarray
-    stretch: int  # of steps where differences count
 
     def residuals(
         self,
@@ -97,7 +96,6 @@ class Fit:
         jacobian: of the residuals of all windows, ``[window, residual, coordinate]``; None unless asked for.
         residual: of all windows, ``[window, residual]``.
         columns: Jacobian of the coordinates beyond those of the base, of the fitted windows.
-        coarse_error: what the engine's stretched steps add to the residual at the point, ``[window, residual]``.
     """
 
     coordinates: Coordinates
@@ -106,7 +104,6 @@ class Fit:
     residual: np.ndarray
     jacobian: np.ndarray | None = None
     columns: np.ndarray | None = None
-    coarse_error: np.ndarray | None = None
     _known: dict[str, "Linear"] = field(default_factory=dict, init=False, repr=False)
 
     def linear(self, is_fit: np.ndarray) -> "Linear":
@@ -202,21 +199,16 @@ def linearise(engine: Engine, coordinates: Coordinates, point: np.ndarray) -> Fi
     engine.prepare(with_point(coordinates, point))
     values = coordinates.values(point[None])
     residual = engine.residuals(coordinates.model, values, 1)[0]
-    stretched = engine.stretch > 1
-    coarse = engine.residuals(coordinates.model, values, 1, stretch=engine.stretch)[0] if stretched else residual
     jacobian = _jacobian(engine, coordinates, point, fit_only=False)
-    return Fit(
-        coordinates, point, mean_square(residual[engine.is_fit]), residual, jacobian, coarse_error=coarse - residual
-    )
+    return Fit(coordinates, point, mean_square(residual[engine.is_fit]), residual, jacobian)
 
 
 def _jacobian(
-    engine: Engine, coordinates: Coordinates, point: np.ndarray, fit_only: bool, stretch: int | None = None
+    engine: Engine, coordinates: Coordinates, point: np.ndarray, fit_only: bool, stretch: int = 1
 ) -> np.ndarray:
     """Differences of the residuals, inwards at the bounds, ``[window, residual, coordinate]``."""
     step = _steps(coordinates, point)
     points = np.concatenate([[point], point + np.diag(step)])
-    stretch = engine.stretch if stretch is None else stretch
     result = engine.residuals(coordinates.model, coordinates.values(points), len(points), fit_only, stretch)
     return np.moveaxis(result[1:] - result[0], 0, -1) / step.astype(np.float32)
 
@@ -278,8 +270,7 @@ def refit(
 
     Only the columns of the new coordinates are renewed, which makes an iteration cost two small batches of simulations
     however many parameters the base has; the step is searched along its length, so that a Jacobian that is no longer
-    quite right costs speed and not correctness. Where the engine stretches steps, what is added to the base's residual
-    is the difference of two coarse simulations.
+    quite right costs speed and not correctness.
 
     With an anchor the first step goes from it along the hypothesis, the base giving way as its Jacobian says, and
     nothing worse than the anchor is ever returned.
@@ -295,7 +286,7 @@ def refit(
     """
     assert base.jacobian is not None
     known, is_fit = len(base.coordinates), engine.is_fit
-    problem = _Problem(engine, base, coordinates)
+    problem = _Problem(engine, coordinates)
     best = np.clip(start, coordinates.low, coordinates.high)
     residual = loss = columns = None
     at_anchor = False
@@ -308,11 +299,9 @@ def refit(
         if residual is None or loss is None:
             residual = problem.simulate(best[None])[0]
             loss = problem.loss(best, residual)
-        moved = problem.simulate(best + np.eye(len(best))[known:] * step[:, None])
-        here = residual
-        if at_anchor and coordinates.model.stiff:
-            here = problem.simulate(best[None])[0]  # its steps are not those of the anchor
-        columns = np.moveaxis(moved - here, 0, -1) / step.astype(np.float32)
+        further = best + np.eye(len(best))[known:] * step[:, None]
+        moved = problem.simulate(further) if len(further) else residual[None][:0]
+        columns = np.moveaxis(moved - residual, 0, -1) / step.astype(np.float32)
         linear = Linear(columns, coordinates, base.linear(is_fit))
         point, reached, tried = problem.step(linear, best, residual)
         if reached >= loss:
@@ -325,9 +314,9 @@ def refit(
     return Fit(coordinates, best, mean_square(whole[is_fit]), whole, None, columns)
 
 
-def likeliest(engine: Engine, base: Fit, coordinates: Coordinates, starts: Sequence[np.ndarray]) -> np.ndarray:
+def likeliest(engine: Engine, coordinates: Coordinates, starts: Sequence[np.ndarray]) -> np.ndarray:
     """The start with the smallest loss, ``[coordinate]``."""
-    return _Problem(engine, base, coordinates).best(np.stack(starts))[0]
+    return _Problem(engine, coordinates).best(np.stack(starts))[0]
 
 
 def polish(engine: Engine, base: Fit, fit: Fit, steps: int = 2, jacobians: int = 3) -> Fit:
@@ -335,12 +324,12 @@ def polish(engine: Engine, base: Fit, fit: Fit, steps: int = 2, jacobians: int =
 
     Args:
         engine: gives the residuals.
-        base: whose coarse error is taken off.
+        base: whose coordinates are the first of the fit's.
         fit: where to start; its columns are kept.
         steps: along each Jacobian.
         jacobians: at most so many; one more only where the last lowered the loss by `WORTHWHILE`.
     """
-    problem = _Problem(engine, base, fit.coordinates)
+    problem = _Problem(engine, fit.coordinates)
     point, residual = fit.point, fit.residual[engine.is_fit]
     loss = problem.loss(point, residual)
     while True:
@@ -361,27 +350,18 @@ def polish(engine: Engine, base: Fit, fit: Fit, steps: int = 2, jacobians: int =
 class _Problem:
     """Least squares of one refit: simulation, loss with priors, and a step along a Jacobian."""
 
-    def __init__(self, engine: Engine, base: Fit, coordinates: Coordinates):
-        assert base.coarse_error is not None
+    def __init__(self, engine: Engine, coordinates: Coordinates):
         self.engine, self.coordinates = engine, coordinates
-        # beside a base that was simulated in longer steps a stiff effect is not
-        exact = coordinates.model.stiff and not base.coordinates.model.stiff
-        self.coarse_error = np.zeros_like(base.coarse_error) if exact else base.coarse_error
 
     def simulate(self, points: np.ndarray) -> np.ndarray:
         """Residuals of the fitted windows, ``[point, window, residual]``."""
-        error = self.coarse_error[self.engine.is_fit]
-        if not len(points):
-            return np.empty((0, *error.shape), np.float32)
-        values = self.coordinates.values(points)
-        result = self.engine.residuals(self.coordinates.model, values, len(points), True, self.engine.stretch)
-        return result - error
+        return self.engine.residuals(
+            self.coordinates.model, self.coordinates.values(points), len(points), fit_only=True
+        )
 
     def everywhere(self, point: np.ndarray) -> np.ndarray:
         """Residuals of all windows, ``[window, residual]``."""
-        values = self.coordinates.values(point[None])
-        result = self.engine.residuals(self.coordinates.model, values, 1, stretch=self.engine.stretch)[0]
-        return result - self.coarse_error
+        return self.engine.residuals(self.coordinates.model, self.coordinates.values(point[None]), 1)[0]
 
     def loss(self, point: np.ndarray, residual: np.ndarray) -> float:
         """Squares of the fitted windows, and of the priors."""
@@ -501,23 +481,19 @@ def mean_square(residual: np.ndarray) -> float:
     return float(np.square(residual.astype(np.float64)).mean())
 
 
-def _penalised(
-    engine: Engine, coordinates: Coordinates, stretch: int = 1, error: np.ndarray | float = 0.0
-) -> Callable[[np.ndarray], np.ndarray]:
+def _penalised(engine: Engine, coordinates: Coordinates) -> Callable[[np.ndarray], np.ndarray]:
     """Residuals of the fitted windows and penalties of points ``[candidate, coordinate]``, as one vector each.
 
     Args:
         engine: gives the residuals.
         coordinates: of the points.
-        stretch: of the steps of the simulation.
-        error: of such steps, which is added.
     """
 
     def evaluate(points: np.ndarray) -> np.ndarray:
         values = coordinates.values(points)
-        result = engine.residuals(coordinates.model, values, len(points), fit_only=True, stretch=stretch)
+        result = engine.residuals(coordinates.model, values, len(points), fit_only=True)
         flat = result.reshape(len(points), -1).astype(np.float64)
-        return np.concatenate([flat, coordinates.penalties(points) / np.sqrt(INFORMATION)], 1) + error
+        return np.concatenate([flat, coordinates.penalties(points) / np.sqrt(INFORMATION)], 1)
 
     return evaluate
 
@@ -538,11 +514,6 @@ def _best_form(
         point: that was reached.
         linear: least squares about a point nearby.
     """
-    # forms differ by less than stretched steps are wrong by, which is nearly the same for all of them
-    error: np.ndarray | float = 0.0
-    if engine.stretch > 1:
-        fine, coarse = (_penalised(engine, coordinates, stretch)(point[None])[0] for stretch in (1, engine.stretch))
-        error = fine - coarse
     names = [entry.parameter for entry in coordinates.entries]
     points = np.tile(point, (len(FADES), 1))
     if "stribeck_velocity" in names:
@@ -551,7 +522,7 @@ def _best_form(
     begun = []
     for model in models:
         choice = replace(coordinates, model=model)
-        evaluate = _penalised(engine, choice, engine.stretch, error=error)
+        evaluate = _penalised(engine, choice)
         begun.append((choice, evaluate, *_least(evaluate, points)))
     least = min(loss for _, _, _, loss, _ in begun)
     reached = [
@@ -599,5 +570,5 @@ def _best_latency(engine: Engine, coordinates: Coordinates, point: np.ndarray) -
     grid = np.linspace(coordinates.low[at], coordinates.high[at], 9)
     points = np.tile(point, (len(grid), 1))
     points[:, at] = grid
-    losses = np.square(_penalised(engine, coordinates, engine.stretch)(points)).sum(1)
+    losses = np.square(_penalised(engine, coordinates)(points)).sum(1)
     return points[int(losses.argmin())]

@@ -80,9 +80,6 @@ class FreeRunResiduals:
         LogError: if logs differ in joints or mount.
     """
 
-    stretch = COARSER
-    """Of the steps on the bench; those of a robot are as they are."""
-
     def __init__(self, split: LogSplit, *, timestep: float = 0.002):
         self.split = split
         fit, select = (_shortened(split.fit), _shortened(split.select))
@@ -143,7 +140,7 @@ class FreeRunResiduals:
         fit_only: bool = False,
         stretch: int = 1,
     ) -> np.ndarray:
-        """Whitened residuals, ``[candidate, window, residual]``; stretched steps are for differences."""
+        """Whitened residuals, ``[candidate, window, residual]``; steps are stretched by `COARSER`, on benches only."""
         choices = (self._coarse, self._coarse_fit) if stretch > 1 and not model.stiff else (self._all, self._fit)
         replay = choices[1] if fit_only else choices[0]
         parts, size = [], 32

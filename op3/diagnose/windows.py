@@ -92,9 +92,6 @@ class WindowResiduals:
             `op3.diagnose.packets`.
     """
 
-    stretch = 1
-    """Steps are nowhere stretched where a fit depends on them."""
-
     def __init__(
         self,
         split: LogSplit,
