@@ -23,13 +23,14 @@ class LoadFriction(Effect):
 
     Attributes:
         form: ``sum``: in proportion to what motor and load press together, as published. ``motor``: to the motor's
-            torque alone, as where most is lost in the first stages, which the load reaches through all others.
+            torque alone, as where most is lost in the first stages, which the load reaches through all others; twice
+            that, so that in slow motion, where both are alike, a share means the same in both forms.
     """
 
     name: ClassVar[str] = "load_friction"
     stage: ClassVar[Stage] = Stage.LOAD
     equation: ClassVar[str] = (
-        "tau_fric += (l + s ls) |tau_m - tau_a|, s = exp(-|w| / w_static); form `motor`: |tau_m| in place of the"
+        "tau_fric += (l + s ls) |tau_m - tau_a|, s = exp(-|w| / w_static); form `motor`: 2 |tau_m| in place of the"
         " difference"
     )
     source: ClassVar[str] = f"{SOURCE}, models M3 and M4"
@@ -54,8 +55,8 @@ class LoadFriction(Effect):
     def apply(self, signals: Signals, prepared: Prepared) -> None:
         """Raise the bound."""
         share = prepared["load_friction"] + signals.fade * prepared["load_friction_excess"]
-        load_share = share if self.form == "sum" else 0.0 * share
-        bound = law.load_friction(signals.motor_torque, signals.load_torque, share, load_share)
+        motor_share, load_share = (share, share) if self.form == "sum" else (2.0 * share, 0.0 * share)
+        bound = law.load_friction(signals.motor_torque, signals.load_torque, motor_share, load_share)
         signals.friction_bound = signals.friction_bound + bound
 
 
