@@ -57,6 +57,7 @@ from op3.diagnose.thresholds import (
     RIVAL,
     ROOM,
     SHARED_RESIDUE,
+    SHARED_ROOM,
     SHORT,
     SMALLEST_GAIN,
     SMALLEST_T,
@@ -454,6 +455,7 @@ def _counts(contender: Contender, control: np.ndarray, found: Sequence[Contender
     occasional = contender.effect in OCCASIONAL and explained >= SMALLEST_GAIN
     own = contender.own
     at_home = own is not None and min(own.gain, own.fit_gain) >= OWN_CLEAR and shows_at_home(own)
+    at_home |= further and _firm_at_home(contender)
     seldom = further and score < ranks and not occasional and not at_home
     if not contender.large or seldom:
         return False
@@ -471,12 +473,12 @@ def _counts(contender: Contender, control: np.ndarray, found: Sequence[Contender
     firm = contender.effect in FIRM and not further and not contender.implausible
     firm &= least >= FIRM_GAIN and trimmed >= FIRM_TRIMMED and statistic >= SMALLEST_T and score >= FURTHER_Z
     common = ((usual or limited) and trimmed >= TRIMMED_GAIN) or (clear and trimmed >= CLEAR_TRIMMED) or firm
-    return common or (further and leads and small) or _counts_at_home(contender, control)
+    return common or (further and leads and small) or _counts_at_home(contender, control, further)
 
 
 def _room(left: np.ndarray) -> bool:
     """Whether most joints leave room for a further effect; where that is not known they may."""
-    return not left.size or float(np.median(left)) > ROOM
+    return not left.size or float(np.median(left)) > SHARED_ROOM
 
 
 def beyond_doubt(contender: Contender, control: np.ndarray) -> bool:
@@ -524,20 +526,34 @@ def _begins(contender: Contender, control: np.ndarray) -> bool:
     return large and contender.explained >= DOUBLY_CHECKED and statistic >= CLEAR_T and trimmed >= TRIMMED_GAIN
 
 
-def _counts_at_home(contender: Contender, control: np.ndarray) -> bool:
+def _counts_at_home(contender: Contender, control: np.ndarray, further: bool) -> bool:
     """Whether a fault of one joint explains enough of this joint's residuals at no other's cost."""
     own = contender.own
-    return own is not None and evidence(contender, control)[0] >= OWN_TOTAL_T and shows_at_home(own)
+    if own is None or evidence(contender, control)[0] < OWN_TOTAL_T:
+        return False
+    return shows_at_home(own) or (further and _firm_at_home(contender))
 
 
-def shows_at_home(own: Own) -> bool:
-    """Whether a fault of one joint explains enough of this joint's residuals, nearly everywhere."""
+def _firm_at_home(contender: Contender) -> bool:
+    """Whether what is not of friction explains enough of its joint's residuals: with the usual t, and fewer ranks."""
+    own, firm = contender.own, contender.effect in FIRM and not contender.implausible
+    return firm and own is not None and shows_at_home(own, SMALLEST_T, FURTHER_Z)
+
+
+def shows_at_home(own: Own, statistic: float = OWN_T, most_ranks: float = OWN_Z) -> bool:
+    """Whether a fault of one joint explains enough of this joint's residuals, nearly everywhere.
+
+    Args:
+        own: what it explains there.
+        statistic: that it must reach.
+        most_ranks: score that its ranks must reach if it explains `OWN_GAIN`.
+    """
     if min(own.gain, own.fit_gain) < OWN_GAIN:
         return False
     trimmed = float(np.sort(own.gained)[:-TRIMMED].sum() / own.control.sum())
     # the more it explains, the fewer seconds it need act in
-    ranks = float(np.interp(min(own.gain, own.fit_gain), (OWN_GAIN, OWN_CLEAR), (OWN_Z, OWN_CLEAR_Z)))
-    return trimmed >= TRIMMED_GAIN and statistic_of(own.gained) >= OWN_T and signed_ranks(own.gained) >= ranks
+    ranks = float(np.interp(min(own.gain, own.fit_gain), (OWN_GAIN, OWN_CLEAR), (most_ranks, OWN_CLEAR_Z)))
+    return trimmed >= TRIMMED_GAIN and statistic_of(own.gained) >= statistic and signed_ranks(own.gained) >= ranks
 
 
 def _unexplained(
@@ -578,7 +594,7 @@ def _rivals(contenders, best, others, control, shares, rng, alike_share: float =
         if other.effect == winner.effect and (other.joints == winner.joints or shares[best] > 0.5):
             continue  # the same effect in another form or place is a matter of joints, not of names
         low, _ = difference_interval(winner.losses, other.losses, rng)
-        close = float((control - other.losses).sum()) > RIVAL * gained
+        close = float((control - other.losses).sum()) > RIVAL * gained and not _less_at_home(other, winner)
         # look-alikes differ by little more than what any model gets wrong: more certainty is asked for
         same = bool(winner.alias_class) and other.alias_class == winner.alias_class
         alike = (same or _cosine(winner, other) > LOOK_ALIKE) and other.effect != winner.effect
@@ -586,6 +602,16 @@ def _rivals(contenders, best, others, control, shares, rng, alike_share: float =
         if close and (alike or (low <= 0 and shares[best] < NAMED_SHARE)):
             rivals.append(i)
     return rivals
+
+
+def _less_at_home(one: Contender, other: Contender) -> bool:
+    """Whether one explains much less than another of the residuals of the joint in which both sit.
+
+    What it explains of other joints is what the base does there beside it.
+    """
+    if one.own is None or other.own is None or one.joints != other.joints:
+        return False
+    return one.own.gain + one.own.fit_gain < RIVAL * (other.own.gain + other.own.fit_gain)
 
 
 def _look_alike(one: Contender, other: Contender) -> bool:

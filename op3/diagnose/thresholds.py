@@ -42,7 +42,7 @@ LATER_GAIN, LATER_TRIMMED = 0.02, 0.01
 """Gain of a further effect that counts where t and the score of the ranks both reach their thresholds: one of a single
 joint, beside one of all, has a small share of what is left. A true asymmetry of friction in one joint had 4.4 and 5.1
 at a gain of 0.024, beside a lag of the current loop. Where nothing further was hidden the smaller of the two reached
-2.5 in 23 development legs, at a gain of up to 0.11. Of an effect of all joints this holds only where these have `ROOM`:
+2.5 in 23 development legs, at a gain of up to 0.11. Of an effect of all joints this holds only above `SHARED_ROOM`:
 five robots without static friction seemed to have some behind the one effect that was hidden (0.02 to 0.04, t of 3.6 to
 4.9), while all that was left was 0.9 to 1.1 times the noise; a true one behind bristles explained 0.03 of 2.3 times."""
 
@@ -56,7 +56,7 @@ SHARED_RESIDUE = 0.03
 strong latency (0.92, 0.96) load_friction seemed to explain 0.023 and 0.004 of what that did; in true pairs of shared
 effects the second had at least 0.057."""
 
-BEHIND, BEHIND_GAIN = {"current_lag": "latency"}, 0.06
+BEHIND, BEHIND_GAIN = {"current_lag": "latency"}, 0.04
 """Effects of all joints that another stands for where they are not in the model, and the share of what that one leaves,
 in fitted and choosing runs, from which on they are no residue of its law: behind strong latencies that were hidden with
 a lag of the current loop, and explained 0.93 and 0.98, the lag explained 0.61 and 0.34 of the rest. Behind seven that
@@ -120,6 +120,9 @@ legs gave up to 1.7, strong outsiders 4 and more."""
 
 ROOM = 2.0
 """Residual velocity, in standard deviations of a reading, up to which a joint leaves no room for a further effect."""
+
+SHARED_ROOM = 1.5
+"""The same for an effect of all joints, of most of them."""
 
 STANDING = 1.8
 """How many times the median of all joints the residual velocity of one is that leaves room for a further effect. Where
