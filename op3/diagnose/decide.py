@@ -5,67 +5,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from op3.diagnose.evidence import Contender, Own, difference_interval, evidence, pick_shares, signed_ranks, statistic_of
+from op3.diagnose.counting import as_well, begins, confused, counts, matters, meets
+from op3.diagnose.evidence import Contender, cosine, difference_interval, pick_shares, signed_ranks, statistic_of
+from op3.diagnose.gaps import but_contacts, closed, large_gap, stands_out
 from op3.diagnose.thresholds import (
     ALIKE_SHARE,
-    ALONG_THE_LIMB,
-    ANOTHER,
-    BEHIND,
-    BEHIND_GAIN,
-    BESIDE_GAIN,
-    BESIDE_SHARED_GAIN,
-    BESIDE_Z,
-    BEYOND_DOUBT,
     CEILING,
     CLEAR_GAIN,
-    CLEAR_T,
-    CLEAR_TRIMMED,
-    CONCENTRATED,
     CONTACTS,
-    DOUBLY_CHECKED,
     EXPLAINED,
     EXPLAINED_CONTACT,
-    FIRM,
-    FIRM_GAIN,
-    FIRM_TRIMMED,
-    FURTHER_Z,
-    LARGE_GAP,
-    LATER_GAIN,
-    LATER_TRIMMED,
-    LATER_Z,
-    LIMITED,
-    LIMITED_GAIN,
     LOOK_ALIKE,
     MOST_CANDIDATES,
     NAMED_SHARE,
-    OCCASIONAL,
     OF_A_MAKE,
-    OUTSTANDING,
-    OWN_CHECKED,
-    OWN_CLEAR,
-    OWN_CLEAR_Z,
-    OWN_GAIN,
-    OWN_T,
-    OWN_TOTAL_T,
-    OWN_Z,
     PARSIMONY,
     PARSIMONY_T,
     PARSIMONY_Z,
     PICKED,
     PREFERRED,
-    RESIDUE,
     RIVAL,
-    ROOM,
-    SHARED_RESIDUE,
-    SHARED_ROOM,
     SHORT,
     SMALLEST_GAIN,
-    SMALLEST_T,
-    SMALLEST_Z,
-    STANDING,
     SURELY_ALIKE,
-    TRIMMED,
-    TRIMMED_GAIN,
     UNDECIDED,
 )
 
@@ -111,10 +73,10 @@ def decide(
         left: residual velocity of each joint under the control, see `Contender`; None if not known.
         found: the leaders of earlier rounds.
     """
-    left = _but_contacts(left, found)
+    left = but_contacts(left, found)
     order = sorted(range(len(contenders)), key=lambda i: float(contenders[i].losses.sum()))
-    counted = [i for i in order if _counts(contenders[i], control, found, i == order[0]) or _meets(contenders[i], left)]
-    beside = [i for i in order if i not in counted and _as_well(contenders, i, counted, control, found)]
+    counted = [i for i in order if counts(contenders[i], control, found, i == order[0]) or meets(contenders[i], left)]
+    beside = [i for i in order if i not in counted and as_well(contenders, i, counted, control, found)]
     counting = _within_bounds(contenders, [i for i in order if i in counted or i in beside], control)
     beaten = {*counted, *beside} - set(counting)
     losses = [BEATEN if i in beaten else c.losses for i, c in enumerate(contenders)]
@@ -128,7 +90,7 @@ def decide(
             return _nothing("no effect of the catalogue can be seen in these logs", shares, left)
         best = contenders[order[0]]
         # what is missing may not count as long as the rest is missing
-        begun = order[:1] if _begins(best, control) else []
+        begun = order[:1] if begins(best, control) else []
         said = f"the best of the catalogue, {best.label}, explains {max(best.gain, 0):.1%}"
         return _nothing(said, shares, left, begun)
     best = _in_all_joints(contenders, _simplest(contenders, counting, control), control, shares, found)
@@ -155,74 +117,6 @@ def decide(
     return Decision(
         "ambiguous", members, shares, f"resamples of these logs do not decide between what explains: {said}"
     )
-
-
-def large_gap(left: np.ndarray | None) -> float:
-    """What is left in most joints, in standard deviations of a reading, if that is too much for nothing; else 0."""
-    usual = float(np.median(left)) if left is not None and left.size else 0.0
-    return usual if usual > LARGE_GAP else 0.0
-
-
-def _but_contacts(left: np.ndarray | None, found: Sequence[Contender]) -> np.ndarray | None:
-    """What is left in each joint; of one in which contacts were found, whose rattling stays, what is left in most."""
-    at = [joint for one in found if one.effect in CONTACTS for joint in one.joints or ()]
-    if left is None or not left.size or not at:
-        return left
-    result = left.copy()
-    result[at] = np.median(left)
-    return result
-
-
-def leaves_a_joint(leaders: Sequence[Contender]) -> bool:
-    """Whether what was found leaves more in one joint than in others; impacts in their own joint do.
-
-    Args:
-        leaders: of every round; what the last leaves counts.
-    """
-    left = leaders[-1].left
-    if not left.size or left.max() <= max(ROOM, STANDING * float(np.median(left))):
-        return False
-    return not any(one.effect in CONTACTS and one.joints == (int(left.argmax()),) for one in leaders)
-
-
-def shown_by_windows(one: Contender) -> float:
-    """The larger of the shares of all joints' residual and of its own joint's that speak for a name by themselves."""
-    own = 0.0 if one.own is None else one.own.gain
-    return max(one.explained, own if own >= OWN_CHECKED or one.explained >= SMALLEST_GAIN else 0.0)
-
-
-def worth_a_candidate(one: Contender) -> bool:
-    """Whether an effect of logs that are too few or too poor for a name explains enough to be told as a candidate."""
-    return one.large and not one.implausible and min(one.gain, one.fit_gain) >= CLEAR_GAIN
-
-
-def better_beside(one: Own, alone: bool = True) -> bool:
-    """Whether an effect explains more of some joints than what was found does.
-
-    Args:
-        one: what it explains there, where the control is what was found.
-        alone: whether it is a fault of one joint.
-    """
-    least = BESIDE_GAIN if alone else BESIDE_SHARED_GAIN
-    gain = min(one.gain, one.fit_gain)
-    return gain >= OWN_CLEAR or (gain >= least and signed_ranks(one.gained) >= BESIDE_Z)
-
-
-def of_another_kind(one: Contender, leader: Contender, control: np.ndarray, found: Sequence[Contender] = ()) -> bool:
-    """Whether an effect of all joints counts beside a leader of all joints that it cannot be taken for.
-
-    Args:
-        one: which; where its direction is not known, it is taken for the leader.
-        leader: what was found.
-        control: losses without either, ``[block]``.
-        found: the leaders of earlier rounds.
-    """
-    shared = one.joints is None and leader.joints is None and one.effect != leader.effect
-    known = one.direction.size and one.direction.shape == leader.direction.shape
-    if not shared or not known or _confused(one, leader) or one.implausible:
-        return False
-    enough = one.explained >= (_cosine(one, leader) ** 2 + ANOTHER) * leader.explained
-    return enough and _counts(one, control, found, False)
 
 
 def _nothing(said: str, shares: np.ndarray, left: np.ndarray | None, begun: Sequence[int] = ()) -> Decision:
@@ -276,7 +170,7 @@ def _in_all_joints(
     for i, one in enumerate(contenders):
         if one.effect != fault.effect or one.joints is not None or shares[i] <= shares[best]:
             continue
-        if _matters(one, control, found):
+        if matters(one, control, found):
             return i
     return best
 
@@ -321,67 +215,6 @@ def _credited(shares: np.ndarray, contenders: Sequence[Contender], best: int, ot
     return result
 
 
-def local_ceiling(gain: float, by_joint: np.ndarray) -> float | None:
-    """What a black box explains in one joint; None where no joint stands out.
-
-    Args:
-        gain: of all joints' torques together.
-        by_joint: of each alone, ``[joint]``.
-    """
-    largest = float(by_joint.max()) if by_joint.size else 0.0
-    return largest if largest > 0 and largest >= CONCENTRATED * gain else None
-
-
-def stands_out(left: np.ndarray | None) -> int | None:
-    """The joint in which something is missing whatever the catalogue says; None if there is none."""
-    if left is None or not left.size or left.max() <= max(LARGE_GAP, OUTSTANDING * float(np.median(left))):
-        return None
-    return int(left.argmax())
-
-
-def unresolved(named: Sequence[Contender]) -> bool:
-    """Whether what several rounds have named leaves a gap as large as `LARGE_GAP`; of impacts in its joint it may.
-
-    That the joint stands out no longer is not enough: names that are not the right ones bend all others as well.
-
-    Args:
-        named: the leader of every round; what the last leaves counts.
-    """
-    left = named[-1].left if named else np.zeros(0)
-    if not left.size or left.max() <= LARGE_GAP:
-        return False
-    return not any(one.effect in CONTACTS and one.joints == (int(left.argmax()),) for one in named)
-
-
-def contradicted(named: Sequence[Contender], joint: int | None) -> bool:
-    """Whether the joint in which a later round finds something unknown is the one of a fault that was named.
-
-    A hard stop was taken for friction by load, which explained half of it and left 37 times the noise. Impacts, whose
-    rattling stays, are no such fault.
-
-    Args:
-        named: the leader of every round.
-        joint: that stands out beside them, see `stands_out`; None if none does.
-    """
-    return joint is not None and any(one.joints == (joint,) and one.effect not in CONTACTS for one in named)
-
-
-def _closed(contender: Contender, left: np.ndarray, joint: int) -> float:
-    """Share of a joint's gap, beyond what is usual in others, that a contender explains."""
-    usual = float(np.median(left))
-    return float((left[joint] ** 2 - contender.left[joint] ** 2) / (left[joint] ** 2 - usual**2))
-
-
-def _meets(contender: Contender, left: np.ndarray | None) -> bool:
-    """Whether a contender with contacts explains the joint that stands out as well as such effects can."""
-    joint = stands_out(left)
-    if joint is None or contender.effect not in CONTACTS or contender.joints != (joint,):
-        return False
-    assert left is not None
-    large = contender.large and contender.explained >= SMALLEST_GAIN
-    return large and _closed(contender, left, joint) >= EXPLAINED_CONTACT
-
-
 def _what_it_explains(contender: Contender) -> str:
     own = contender.own
     if own is None or contender.gain >= SMALLEST_GAIN:
@@ -399,163 +232,6 @@ def _within_bounds(contenders: Sequence[Contender], counting: list[int], control
     return plausible if gained[0] > RIVAL * gained[1] else beyond
 
 
-def _left_over(contender: Contender, found: Sequence[Contender]) -> bool:
-    """Whether a further effect is no more than what the law of an earlier one may have left.
-
-    That is no large gap; what takes half of its squares away is more.
-    """
-    if found and large_gap(found[-1].left) and contender.left.size:
-        before, after = (float(np.median(np.square(one.left))) for one in (found[-1], contender))
-        if after < 0.5 * before:
-            return False
-    share, explained = 1.0, []  # of what the first round had to explain
-    for one in found:
-        explained.append(share * one.explained)
-        share *= 1.0 - one.explained
-    return any(
-        share * contender.explained < _residue(one, contender) * gained
-        for one, gained in zip(found, explained, strict=True)
-    )
-
-
-def _residue(one: Contender, other: Contender) -> float:
-    """Share of what an earlier effect explained that may be left of it for another to explain."""
-    shared = one.joints is None and other.joints is None and one.effect != other.effect
-    if shared and BEHIND.get(other.effect) == one.effect and min(other.gain, other.fit_gain) >= BEHIND_GAIN:
-        return 0.0
-    if _confused(one, other):
-        return RESIDUE
-    return SHARED_RESIDUE if shared else 0.0
-
-
-def _confused(one: Contender, other: Contender) -> bool:
-    """Whether two effects, in these joints, may be taken for each other; an effect and the rest of itself are one."""
-    same_class = bool(one.alias_class) and one.alias_class == other.alias_class
-    alike = same_class or one.effect in other.confounders or other.effect in one.confounders
-    apart = one.joints is not None and other.joints is not None and not set(one.joints) & set(other.joints)
-    apart &= one.alias_class != ALONG_THE_LIMB
-    return alike and not apart and (one.effect, one.joints) != (other.effect, other.joints)
-
-
-def _counts(contender: Contender, control: np.ndarray, found: Sequence[Contender], leads: bool) -> bool:
-    """Whether a contender is large enough, explains enough, and does so in more than a few blocks.
-
-    Args:
-        contender: which.
-        control: losses without it, ``[block]``.
-        found: the leaders of earlier rounds. Behind them the ranks must reach `FURTHER_Z`, but of `OCCASIONAL` and of
-            what explains `OWN_CLEAR` of its joint.
-        leads: whether it explains most; a further effect that does may explain less than is usual.
-    """
-    statistic, trimmed = evidence(contender, control)
-    score = signed_ranks(control - contender.losses)
-    explained, least = contender.explained, min(contender.gain, contender.fit_gain)
-    further = bool(found)
-    ranks = FURTHER_Z if explained >= SMALLEST_GAIN else SMALLEST_Z
-    occasional = contender.effect in OCCASIONAL and explained >= SMALLEST_GAIN
-    own = contender.own
-    at_home = own is not None and min(own.gain, own.fit_gain) >= OWN_CLEAR and shows_at_home(own)
-    at_home |= further and _firm_at_home(contender)
-    seldom = further and score < ranks and not occasional and not at_home
-    if not contender.large or seldom:
-        return False
-    if _left_over(contender, found):
-        return False
-    steady = least >= SMALLEST_GAIN and score >= SMALLEST_Z
-    usual = least > 0.25 * SMALLEST_GAIN and explained >= SMALLEST_GAIN and (statistic >= SMALLEST_T or steady)
-    clear = least >= 0.5 * CLEAR_GAIN and explained >= CLEAR_GAIN and statistic >= CLEAR_T
-    small = explained >= LATER_GAIN and statistic >= SMALLEST_T and trimmed >= LATER_TRIMMED
-    small &= least >= 0.5 * LATER_GAIN
-    small |= least >= LATER_GAIN and score >= LATER_Z
-    small &= contender.joints is not None or not found or _room(found[-1].left)
-    limited = contender.effect in LIMITED and contender.joints is None and explained >= LIMITED_GAIN
-    limited &= least >= 0.5 * LIMITED_GAIN and statistic >= CLEAR_T
-    firm = contender.effect in FIRM and not further and not contender.implausible
-    firm &= least >= FIRM_GAIN and trimmed >= FIRM_TRIMMED and statistic >= SMALLEST_T and score >= FURTHER_Z
-    common = ((usual or limited) and trimmed >= TRIMMED_GAIN) or (clear and trimmed >= CLEAR_TRIMMED) or firm
-    return common or (further and leads and small) or _counts_at_home(contender, control, further)
-
-
-def _room(left: np.ndarray) -> bool:
-    """Whether most joints leave room for a further effect; where that is not known they may."""
-    return not left.size or float(np.median(left)) > SHARED_ROOM
-
-
-def beyond_doubt(contender: Contender, control: np.ndarray) -> bool:
-    """Whether seconds and ranks leave no doubt of a contender, see `BEYOND_DOUBT`."""
-    return min(evidence(contender, control)[0], signed_ranks(control - contender.losses)) >= BEYOND_DOUBT
-
-
-def _as_well(
-    contenders: Sequence[Contender],
-    number: int,
-    counted: Sequence[int],
-    control: np.ndarray,
-    found: Sequence[Contender],
-) -> bool:
-    """Whether a contender explains more than the best that counts, in the same joints.
-
-    That something is there is known then, and which it is must not hang on a threshold: a sensor's zero explained most,
-    with a t of 2.8 and ranks of 2.2, and three that look like it counted.
-    """
-    one = contenders[number]
-    if not counted or one.joints is None or one.joints != contenders[counted[0]].joints:
-        return False
-    more = float(one.losses.sum()) < float(contenders[counted[0]].losses.sum())
-    return more and evidence(one, control)[0] >= CLEAR_T and _matters(one, control, found)
-
-
-def _matters(one: Contender, control: np.ndarray, found: Sequence[Contender]) -> bool:
-    """Whether an effect is large, plausible and no residue, and explains enough in more than a few seconds."""
-    if one.implausible or not one.large or _left_over(one, found):
-        return False
-    if found and signed_ranks(control - one.losses) < SMALLEST_Z:
-        return False
-    enough = min(one.gain, one.fit_gain) > 0.25 * SMALLEST_GAIN and one.explained >= SMALLEST_GAIN
-    return enough and evidence(one, control)[1] >= TRIMMED_GAIN
-
-
-def _begins(contender: Contender, control: np.ndarray) -> bool:
-    """Whether an effect that does not count may be a part of what is missing, so that the rest is looked for beside it.
-
-    Two strong effects hide each other: a lag of friction explained 0.12 with a t of 2.7, the static friction that was
-    hidden with it 0.05.
-    """
-    statistic, trimmed = evidence(contender, control)
-    large = contender.large and not contender.implausible
-    return large and contender.explained >= DOUBLY_CHECKED and statistic >= CLEAR_T and trimmed >= TRIMMED_GAIN
-
-
-def _counts_at_home(contender: Contender, control: np.ndarray, further: bool) -> bool:
-    """Whether a fault of one joint explains enough of this joint's residuals at no other's cost."""
-    own = contender.own
-    if own is None or evidence(contender, control)[0] < OWN_TOTAL_T:
-        return False
-    return shows_at_home(own) or (further and _firm_at_home(contender))
-
-
-def _firm_at_home(contender: Contender) -> bool:
-    """Whether what is not of friction explains enough of its joint's residuals: with the usual t, and fewer ranks."""
-    own, firm = contender.own, contender.effect in FIRM and not contender.implausible
-    return firm and own is not None and shows_at_home(own, SMALLEST_T, FURTHER_Z)
-
-
-def shows_at_home(own: Own, statistic: float = OWN_T, most_ranks: float = OWN_Z) -> bool:
-    """Whether a fault of one joint explains enough of this joint's residuals, nearly everywhere.
-
-    Args:
-        own: what it explains there.
-        statistic: that it must reach.
-        most_ranks: score that its ranks must reach if it explains `OWN_GAIN`.
-    """
-    if min(own.gain, own.fit_gain) < OWN_GAIN:
-        return False
-    trimmed = float(np.sort(own.gained)[:-TRIMMED].sum() / own.control.sum())
-    # the more it explains, the fewer seconds it need act in
-    ranks = float(np.interp(min(own.gain, own.fit_gain), (OWN_GAIN, OWN_CLEAR), (most_ranks, OWN_CLEAR_Z)))
-    return trimmed >= TRIMMED_GAIN and statistic_of(own.gained) >= statistic and signed_ranks(own.gained) >= ranks
-
-
 def _unexplained(
     contenders: Sequence[Contender],
     counting: Sequence[int],
@@ -569,7 +245,7 @@ def _unexplained(
     joint = stands_out(left)
     if joint is not None and left is not None:
         usual = float(np.median(left))
-        share = _closed(best, left, joint) if best is not None and counting else 0.0
+        share = closed(best, left, joint) if best is not None and counting else 0.0
         contact = best is not None and best.effect in CONTACTS and best.joints == (joint,)
         gap = f"residual velocities are {left[joint]:.1f} times the noise in one joint, {usual:.1f} in others"
         if share < (EXPLAINED_CONTACT if contact else EXPLAINED):
@@ -597,7 +273,7 @@ def _rivals(contenders, best, others, control, shares, rng, alike_share: float =
         close = float((control - other.losses).sum()) > RIVAL * gained and not _less_at_home(other, winner)
         # look-alikes differ by little more than what any model gets wrong: more certainty is asked for
         same = bool(winner.alias_class) and other.alias_class == winner.alias_class
-        alike = (same or _cosine(winner, other) > LOOK_ALIKE) and other.effect != winner.effect
+        alike = (same or cosine(winner, other) > LOOK_ALIKE) and other.effect != winner.effect
         alike &= bool(shares[best] < alike_share)
         if close and (alike or (low <= 0 and shares[best] < NAMED_SHARE)):
             rivals.append(i)
@@ -616,11 +292,4 @@ def _less_at_home(one: Contender, other: Contender) -> bool:
 
 def _look_alike(one: Contender, other: Contender) -> bool:
     """Whether two effects of the same joints look alike, to these logs or by the catalogue."""
-    return _cosine(one, other) > LOOK_ALIKE or _confused(one, other)
-
-
-def _cosine(one: Contender, other: Contender) -> float:
-    """How alike two secants are beyond the base, without sign; 0 where they are not known."""
-    if not one.direction.size or one.direction.shape != other.direction.shape:
-        return 0.0
-    return float(abs(one.direction @ other.direction))
+    return cosine(one, other) > LOOK_ALIKE or confused(one, other)

@@ -17,22 +17,15 @@ from op3.diagnose.coordinates import (
     other_forms,
     with_chain,
 )
-from op3.diagnose.decide import (
-    Decision,
+from op3.diagnose.counting import (
     better_beside,
     beyond_doubt,
-    contradicted,
-    decide,
-    large_gap,
-    leaves_a_joint,
-    local_ceiling,
     of_another_kind,
     shown_by_windows,
     shows_at_home,
-    stands_out,
-    unresolved,
     worth_a_candidate,
 )
+from op3.diagnose.decide import Decision, decide
 from op3.diagnose.evidence import Contender, Own
 from op3.diagnose.findings import Refitted, apart, finding_of, size_at, smallest, with_finding
 from op3.diagnose.fitting import (
@@ -50,6 +43,7 @@ from op3.diagnose.fitting import (
     with_point,
 )
 from op3.diagnose.free_run import engine_for
+from op3.diagnose.gaps import contradicted, large_gap, leaves_a_joint, local_ceiling, stands_out, unresolved
 from op3.diagnose.hypotheses import Hypothesis, hypotheses
 from op3.diagnose.locate import locate, remaining
 from op3.diagnose.packets import (

@@ -119,3 +119,10 @@ def signed_ranks(differences: np.ndarray) -> float:
     ranks = (np.cumsum(alike) - (alike - 1) / 2)[place]
     variance = count * (count + 1) * (2 * count + 1) / 24 - float((alike**3 - alike).sum()) / 48
     return (float(ranks[differences > 0].sum()) - count * (count + 1) / 4) / float(np.sqrt(variance))
+
+
+def cosine(one: Contender, other: Contender) -> float:
+    """How alike two secants are beyond the base, without sign; 0 where they are not known."""
+    if not one.direction.size or one.direction.shape != other.direction.shape:
+        return 0.0
+    return float(abs(one.direction @ other.direction))

@@ -8,18 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from op3.diagnose.decide import (
-    better_beside,
-    contradicted,
-    decide,
-    leaves_a_joint,
-    local_ceiling,
-    of_another_kind,
-    shows_at_home,
-    unresolved,
-    worth_a_candidate,
-)
+from op3.diagnose.counting import better_beside, of_another_kind, shows_at_home, worth_a_candidate
+from op3.diagnose.decide import decide
 from op3.diagnose.evidence import Contender, Own, difference_interval, evidence, pick_shares, signed_ranks
+from op3.diagnose.gaps import contradicted, leaves_a_joint, local_ceiling, unresolved
 from op3.diagnose.thresholds import FURTHER_Z, OWN_CLEAR_Z, OWN_Z, SMALLEST_T, SMALLEST_Z, UNDECIDED
 
 BLOCKS = 60
