@@ -23,6 +23,8 @@ from op3.diagnose.thresholds import (
     EXPLAINED_CONTACT,
     FIRM,
     FIRM_GAIN,
+    FIRM_OWN_T,
+    FIRM_OWN_Z,
     FIRM_TRIMMED,
     FURTHER_Z,
     LATER_GAIN,
@@ -55,8 +57,8 @@ def counts(contender: Contender, control: np.ndarray, found: Sequence[Contender]
     Args:
         contender: which.
         control: losses without it, ``[block]``.
-        found: the leaders of earlier rounds. Behind them the ranks must reach `FURTHER_Z`, but of `OCCASIONAL` and of
-            what explains `OWN_CLEAR` of its joint.
+        found: the leaders of earlier rounds. Behind them the ranks must reach `FURTHER_Z`, but of `OCCASIONAL`, of
+            what explains `OWN_CLEAR` of its joint, and of what is not of friction and shows there.
         leads: whether it explains most; a further effect that does may explain less than is usual.
     """
     statistic, trimmed = evidence(contender, control)
@@ -144,7 +146,7 @@ def _counts_at_home(contender: Contender, control: np.ndarray, further: bool) ->
 def _firm_at_home(contender: Contender) -> bool:
     """Whether what is not of friction explains enough of its joint's residuals: with the usual t, and fewer ranks."""
     own, firm = contender.own, contender.effect in FIRM and not contender.implausible
-    return firm and own is not None and shows_at_home(own, SMALLEST_T, FURTHER_Z)
+    return firm and own is not None and shows_at_home(own, FIRM_OWN_T, FIRM_OWN_Z)
 
 
 def shows_at_home(own: Own, statistic: float = OWN_T, most_ranks: float = OWN_Z) -> bool:

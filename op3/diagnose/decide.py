@@ -101,7 +101,7 @@ def decide(
     rivals = _rivals(contenders, best, others, control, shares, rng)
     if passed:
         shares[best] = min(shares[best], PREFERRED)
-    if not rivals and _doubtful(contenders, best):
+    if not rivals and _doubtful(contenders, best, control):
         shares[best] = min(shares[best], UNDECIDED)
     if not rivals and _rivals(contenders, best, others, control, shares, rng, SURELY_ALIKE):
         shares[best] = min(shares[best], UNDECIDED)
@@ -175,21 +175,22 @@ def _in_all_joints(
     return best
 
 
-def _doubtful(contenders: Sequence[Contender], best: int) -> bool:
+def _doubtful(contenders: Sequence[Contender], best: int, control: np.ndarray) -> bool:
     """Whether a name wins the resamples and is to be doubted all the same.
 
     A law that servos of a make share is, where it would be that of one joint; so is a delay no longer than the lag that
-    any chain of measurement may have; and so is what another effect of the same joints explains more of, with a size
-    that is not plausible: friction that depends on the angle was called Coulomb friction, as its worst angle had not
-    been seen.
+    any chain of measurement may have; and so is what another effect of the same joints explains a tenth more of, with
+    a size that is not plausible: friction that depends on the angle was called Coulomb friction, as its worst angle
+    had not been seen.
     """
     one = contenders[best]
     if one.joints is not None and len(one.joints) == 1 and one.effect in OF_A_MAKE:
         return True
     if abs(one.size) < SHORT.get(one.effect, 0.0):
         return True
+    gained = float((control - one.losses).sum())
     beyond = [c for c in contenders if c.implausible and c.joints == one.joints and c.effect != one.effect]
-    return any(float(c.losses.sum()) < float(one.losses.sum()) for c in beyond)
+    return any(float((one.losses - c.losses).sum()) > PARSIMONY * gained for c in beyond)
 
 
 def _more_than(one: Contender, other: Contender, control: np.ndarray) -> bool:
@@ -287,7 +288,8 @@ def _less_at_home(one: Contender, other: Contender) -> bool:
     """
     if one.own is None or other.own is None or one.joints != other.joints:
         return False
-    return one.own.gain + one.own.fit_gain < RIVAL * (other.own.gain + other.own.fit_gain)
+    explained = other.own.gain + other.own.fit_gain
+    return explained > 0 and one.own.gain + one.own.fit_gain < RIVAL * explained
 
 
 def _look_alike(one: Contender, other: Contender) -> bool:

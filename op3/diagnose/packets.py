@@ -63,7 +63,8 @@ class LostPackets:
         packets: `ARRIVED` or `LOST`, of the ticks of every window and those before it, ``[window, tick]``.
         telling: number of packets that could be seen to be lost.
         lost: how many of them were.
-        together: how many follow each other without one that arrived, on average.
+        together: how many follow each other without one that arrived, on average: what the chance that the next one
+            is lost too says of rows of a geometric length.
     """
 
     packets: np.ndarray
@@ -201,5 +202,7 @@ def _counted(engine: WindowResiduals, packets: np.ndarray, telling: Mask) -> Los
     lost = {place for place, was in verdicts.items() if was}
     if not LEAST <= len(lost) <= MOST * len(verdicts):
         return None
-    rows = sum((log, tick - 1) not in lost for log, tick in lost)
-    return LostPackets(packets, len(verdicts), len(lost), len(lost) / rows)
+    # only where the next packet tells too: what does not would end every row
+    followed = [(log, tick + 1) in lost for log, tick in lost if (log, tick + 1) in verdicts]
+    again = sum(followed) / (len(followed) + 1)
+    return LostPackets(packets, len(verdicts), len(lost), 1.0 / (1.0 - again))

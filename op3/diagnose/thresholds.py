@@ -58,9 +58,9 @@ effects the second had at least 0.057."""
 
 BEHIND, BEHIND_GAIN = {"current_lag": "latency"}, 0.04
 """Effects of all joints that another stands for where they are not in the model, and the share of what that one leaves,
-in fitted and choosing runs, from which on they are no residue of its law: behind strong latencies that were hidden with
-a lag of the current loop, and explained 0.93 and 0.98, the lag explained 0.61 and 0.34 of the rest. Behind seven that
-were hidden alone it explained less than 0.03."""
+in fitted and choosing runs, from which on they are no residue of its law: behind latencies that were hidden with a lag
+of the current loop, and explained 0.93 to 0.98, the lag explained 0.61 and 0.34 of the rest, a moderate one 0.045 and
+0.085. Behind seven that were hidden alone it explained less than 0.03."""
 
 LATER_Z = 4.0
 """Score of the ranks that will do in place of t for a further effect if fitted and choosing runs both gain
@@ -72,6 +72,11 @@ OWN_GAIN, OWN_T, OWN_Z, OWN_TOTAL_T = 0.08, 2.0, 4.0, 1.0
 the whole has not become worse: the other joints' residuals, which it leaves as they are, hide it. A true asymmetry of
 friction that explained 0.03 of all explained 0.19 of its joint's (t 3.9, score of the ranks 5.5), a friction that
 depends on the angle 0.19 (2.3, 4.5). On five empty legs the leaders explained at most 0.01 in both (score 2.6)."""
+
+FIRM_OWN_T, FIRM_OWN_Z = 3.0, 2.5
+"""The same of what is not of friction behind another effect: more of t, and less of the ranks where it explains
+`OWN_GAIN`. A centre of mass that was hidden with a false mass explained 0.19 and 0.11 of its joint with 3.5 and 2.7.
+Behind 45 effects that were hidden alone none that was not there explained more than 0.043 of its joint in both."""
 
 FURTHER_Z = 2.5
 """Score of the ranks that a further effect must reach in any case, if it explains `SMALLEST_GAIN`; of one that explains
@@ -122,7 +127,9 @@ ROOM = 2.0
 """Residual velocity, in standard deviations of a reading, up to which a joint leaves no room for a further effect."""
 
 SHARED_ROOM = 1.5
-"""The same for an effect of all joints, of most of them."""
+"""The same for an effect of all joints, of most of them. Behind one of 45 effects that were hidden alone a small one of
+all joints seemed to be there (0.04, t 4.4), where 0.9 was left; a static friction that was hidden behind bristles
+explained 0.04 of 1.9."""
 
 STANDING = 1.8
 """How many times the median of all joints the residual velocity of one is that leaves room for a further effect. Where
@@ -180,14 +187,14 @@ OF_A_MAKE = (
     *("friction_drift",),
 )
 """Laws of a gear and its grease, which servos of one make share. In one joint alone such a name has `UNDECIDED` at
-most: what else may be wrong in a joint, a hard stop, a vibration, an encoder, looks like one of these before a servo of
-the same make follows another law. Of the names that were stated with more than 0.8 in 320 legs seven were wrong, four
-of them these; of the right ones none was."""
+most. That is a prior: what else may be wrong in a joint, a hard stop, a vibration, an encoder, looks like one of these,
+and a servo that follows another law than others of its make is rare. Four of seven names that were wrong and stated
+with more than 0.8 in 320 legs were of this kind; how often a right one is, these legs do not tell: none hid any."""
 
 SHORT = {"latency": 0.0017}
-"""Sizes below which a name has `UNDECIDED` at most, because what every chain of measurement has a little of may be as
-large: behind another effect a lag of the current loop of 2.8 ms, of which the base takes 1.7 ms for the chain's, was
-told as a delay of 1.4 ms."""
+"""Sizes below which a name has `UNDECIDED` at most, because the chain of measurement that a base takes for granted may
+have as much: a lag of the current loop up to four standard deviations from what is usual, see
+`op3.diagnose.coordinates.CHAIN`. Behind another effect a lag of 2.8 ms was told as a delay of 1.4 ms."""
 
 PREFERRED = 0.7
 """Confidence at most in what was preferred so to another that counts and wins more of the resamples. A non-linear

@@ -289,7 +289,7 @@ def test_frictions_of_speed_direction_and_place_are_their_formulas():
 
 
 def test_friction_by_load_follows_the_torque_of_its_form():
-    """With motor and load against each other their sum is lost from, in the other form the motor's torque alone."""
+    """With motor and load against each other their sum is lost from, in the other form twice the motor's torque."""
     for form, torque in (("sum", lambda motor, load: abs(motor - load)), ("motor", lambda motor, load: 2 * abs(motor))):
         law, signals = law_of(LoadFriction(form=form), load_friction=0.2)
         signals.velocity, signals.load_torque = signals.velocity + 1.0, signals.load_torque - 0.3

@@ -24,7 +24,8 @@ class LoadFriction(Effect):
     Attributes:
         form: ``sum``: in proportion to what motor and load press together, as published. ``motor``: to the motor's
             torque alone, as where most is lost in the first stages, which the load reaches through all others; twice
-            that, so that in slow motion, where both are alike, a share means the same in both forms.
+            that, so that a share means the same in both forms to first order: in slow motion both torques are alike
+            but for what is lost. At a share of a half a motor cannot move this gear.
     """
 
     name: ClassVar[str] = "load_friction"
