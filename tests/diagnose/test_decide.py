@@ -4,31 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from scipy import stats
+from contenders import BLOCKS, contender
 
-from op3.diagnose.counting import better_beside, of_another_kind, shows_at_home, worth_a_candidate
 from op3.diagnose.decide import decide
-from op3.diagnose.evidence import Contender, Own, difference_interval, evidence, pick_shares, signed_ranks
-from op3.diagnose.gaps import contradicted, leaves_a_joint, local_ceiling, unresolved
-from op3.diagnose.thresholds import FURTHER_Z, OWN_CLEAR_Z, OWN_Z, SMALLEST_T, SMALLEST_Z, UNDECIDED
-
-BLOCKS = 60
-
-
-def contender(label: str, gain: float, *, seed: int = 0, size: float = 1.0, noise: float = 0.02) -> Contender:
-    rng = np.random.default_rng(seed)
-    losses = 1.0 - gain + noise * rng.normal(size=BLOCKS)
-    effect, _, joint = label.partition("@")
-    joints = (int(joint),) if joint else None
-    return Contender(label, effect, joints, effect, gain, gain, losses, size, 0.1, False)
-
-
-@pytest.fixture
-def control() -> np.ndarray:
-    """The base explains nothing more."""
-    return np.ones(BLOCKS)
+from op3.diagnose.evidence import Contender, Own, evidence, pick_shares, signed_ranks
+from op3.diagnose.thresholds import FURTHER_Z, SMALLEST_T, SMALLEST_Z, UNDECIDED
 
 
 def test_nothing_missing_where_all_gains_are_small(control, rng):
@@ -199,15 +179,6 @@ def test_an_effect_that_helps_nearly_everywhere_counts(control, rng):
     assert decide([only_fitted], base, rng).verdict == "nothing_missing"
 
 
-@given(st.lists(st.integers(-20, 20), min_size=8, max_size=60).filter(any))
-def test_signed_ranks_are_wilcoxons(differences):
-    """The standard score agrees with scipy's, with ties and zeros."""
-    values = np.array(differences, dtype=float)
-    score = stats.wilcoxon(values, alternative="greater", method="asymptotic", zero_method="wilcox").zstatistic
-    assert signed_ranks(values) == pytest.approx(float(score), abs=1e-9)
-    assert signed_ranks(-values) == pytest.approx(-float(score), abs=1e-9)
-
-
 def test_gap_of_one_joint_that_no_effect_closes_is_unknown(control, rng):
     """A joint whose residual is five times that of the others: unknown, unless the best effect brings it down."""
     left = np.array([2.0, 2.0, 10.0, 2.0])
@@ -241,13 +212,6 @@ def test_a_name_that_few_resamples_pick_is_not_stated(control, rng):
         decision = decide([better, contender("stribeck@5", gain, seed=1)], control, rng)
         assert decision.shares[1] < 0.3
         assert decision.verdict == verdict
-
-
-def test_black_box_counts_where_one_joint_carries_it():
-    """Torque that a black box finds in all joints alike is a law that is a little wrong, not an outsider."""
-    assert local_ceiling(0.3, np.array([0.05, 0.06, 0.1, 0.09])) is None
-    assert local_ceiling(0.2, np.array([0.0, 0.18, 0.01])) == pytest.approx(0.18)
-    assert local_ceiling(0.0, np.zeros(3)) is None
 
 
 def test_size_beyond_what_is_plausible_is_not_a_name(control, rng):
@@ -361,25 +325,6 @@ def test_forms_of_one_effect_share_their_confidence(control, rng):
     assert decision.shares[decision.candidates[0]] > 0.99
 
 
-def test_shares_sum_to_one_and_follow_the_loss(rng):
-    """Every resample has one winner, and a contender that is better in every block wins all."""
-    losses = np.stack([np.full(BLOCKS, 2.0), np.full(BLOCKS, 1.0)])
-    assert pick_shares(losses, rng).tolist() == [0.0, 1.0]
-
-
-def test_interval_of_a_difference_covers_it(rng):
-    """The difference of two losses lies in its interval."""
-    better, worse = np.ones(BLOCKS), 1.2 + 0.1 * np.random.default_rng(3).normal(size=BLOCKS)
-    low, high = difference_interval(better, worse, rng)
-    assert low < (worse - better).sum() < high
-
-
-@pytest.fixture
-def rng() -> np.random.Generator:
-    """Of the resampling."""
-    return np.random.default_rng(0)
-
-
 def in_one_joint(effect: str, kind: str, after: float, gain: float = 0.07) -> Contender:
     """A fault of joint 3 that leaves so much there, and whose gain is that of a few seconds."""
     losses = np.ones(BLOCKS)
@@ -478,15 +423,6 @@ def test_a_fault_is_seen_in_its_own_joint(control, rng, gain, fit_gain, seconds,
         assert decision.reason == "it explains 20% of the residual of its joint"
 
 
-@pytest.mark.parametrize(("gain", "enough"), [(0.12, False), (0.3, True)])
-def test_a_fault_that_explains_more_of_its_joint_needs_fewer_seconds(gain, enough):
-    """Of sixty seconds half have gained and the others lost a little: the ranks score about 3."""
-    rng = np.random.default_rng(2)
-    gained = np.where(np.arange(BLOCKS) < 28, 1.0, -0.05) * rng.uniform(0.5, 1.5, size=BLOCKS)
-    assert OWN_CLEAR_Z + 0.5 < signed_ranks(gained) < OWN_Z - 0.5
-    assert shows_at_home(Own(gain, gain, np.full(BLOCKS, 2.0), gained)) is enough
-
-
 @pytest.mark.parametrize(
     ("effect", "bound", "verdict"),
     [
@@ -553,62 +489,6 @@ def test_a_large_gap_is_more_than_a_law_leaves(control, rng, effect, gain, left,
     assert decide([lag], control, rng, found=[earlier]).verdict == verdict
 
 
-@pytest.mark.parametrize(
-    ("name", "most", "room"),
-    [("compliance@3", 2.4, True), ("compliance@3", 1.5, False), ("backlash@3", 6.0, False), ("backlash@2", 6.0, True)],
-)
-def test_a_joint_that_stands_out_leaves_room(name, most, room):
-    """What is left in one joint is another effect's, but impacts in the joint itself leave much."""
-    left = np.array([1.0, 0.9, 1.1, most, 1.2, 1.0])
-    leader = dataclasses.replace(contender(name, 0.5), left=left)
-    assert leaves_a_joint([leader]) is room
-    assert leaves_a_joint([leader, dataclasses.replace(contender("latency", 0.5), left=left)]) is room
-    assert not leaves_a_joint([dataclasses.replace(leader, left=0.5 * left)]) or most > 4
-    assert not leaves_a_joint([contender(name, 0.5)])  # of free runs nothing is known
-
-
-@pytest.mark.parametrize(
-    ("gain", "fit_gain", "seconds", "better"),
-    [
-        (0.3, 0.15, BLOCKS, True),
-        (0.3, 0.05, BLOCKS, False),
-        (0.05, 0.3, BLOCKS, False),
-        (0.3, 0.3, 3, False),
-        (0.4, 0.4, 3, True),  # so much may be of few seconds
-    ],
-)
-def test_a_fault_has_to_beat_the_leader_in_its_joint(gain, fit_gain, seconds, better):
-    """In fitted and choosing runs, and in more than a few seconds."""
-    gained = np.full(BLOCKS, -0.01)
-    gained[:seconds] = 1.0
-    one = Own(gain, fit_gain, np.full(BLOCKS, 5.0), gained)
-    assert better_beside(one) is better
-    # of what all joints share less will do, in as many seconds
-    assert better_beside(one, alone=False) is (better or seconds == BLOCKS)
-
-
-@pytest.mark.parametrize(
-    ("label", "gain", "changes", "another"),
-    [
-        ("current_lag", 0.2, {}, False),  # its direction is not known
-        ("current_lag", 0.1, {"direction": np.array([0.1, 1.0])}, False),  # too little
-        ("current_lag@2", 0.2, {}, False),  # a fault of one joint, of which is asked elsewhere
-        ("lugre", 0.2, {}, False),  # the same in another form
-        ("current_lag", 0.2, {"confounders": ("lugre",), "direction": np.array([0.1, 1.0])}, False),
-        ("current_lag", 0.2, {"implausible": True, "direction": np.array([0.1, 1.0])}, False),
-        ("current_lag", 0.2, {"size": 0.01, "direction": np.array([0.1, 1.0])}, False),
-        ("current_lag", 0.2, {"direction": np.array([1.0, 0.1])}, False),  # alike to these logs
-        ("current_lag", 0.2, {"direction": np.array([0.1, 1.0])}, True),
-    ],
-)
-def test_an_effect_of_another_kind_is_a_sign_of_more(control, label, gain, changes, another):
-    """Two of all joints that explain much and are not alike are two effects, whichever explains more."""
-    leader = dataclasses.replace(contender("lugre", 0.3), direction=np.array([1.0, 0.0]))
-    one = dataclasses.replace(contender(label, gain, seed=1), **changes)
-    assert of_another_kind(one, leader, control) is another
-    assert not of_another_kind(one, dataclasses.replace(leader, joints=(3,)), control)
-
-
 def test_a_size_beyond_what_is_plausible_is_not_named(control, rng):
     """What ended at its bound gives way to one that explains nearly as much, and is unknown where none does."""
     at_bound = dataclasses.replace(contender("link_com@4", 0.5), implausible=True)
@@ -617,36 +497,6 @@ def test_a_size_beyond_what_is_plausible_is_not_named(control, rng):
     assert (decision.verdict, decision.candidates) == ("named", (1,))
     assert decision.shares.tolist() == [0.0, 1.0]
     assert decide([at_bound, far], control, rng).verdict == "unknown"
-
-
-@pytest.mark.parametrize(
-    ("names", "left", "expected"),
-    [
-        (["load_friction@3", "velocity_filter"], 48.0, True),
-        (["lugre", "backlash@3"], 48.0, False),
-        (["lugre", "backlash@2"], 48.0, True),
-        (["load_friction@3", "velocity_filter"], 12.0, True),
-        (["load_friction@3", "velocity_filter"], 2.0, False),
-        ([], 48.0, False),
-    ],
-)
-def test_names_that_leave_a_large_gap_resolve_nothing(names, left, expected):
-    """Behind a hard stop other effects explain some of its impacts; play in the joint itself leaves impacts as well."""
-    rest = np.array([0.2, 0.2, 0.2, 1.0, 0.2, 0.2]) * left
-    named = [dataclasses.replace(contender(name, 0.3), left=rest) for name in names]
-    assert unresolved(named) is expected
-
-
-@pytest.mark.parametrize(
-    ("gain", "size", "implausible", "told"),
-    [(0.5, 0.2, False, True), (0.1, 0.2, False, False), (0.5, 0.01, False, False), (0.5, 0.2, True, False)],
-)
-def test_what_poor_logs_show_much_of_is_worth_a_candidate(gain, size, implausible, told):
-    """In logs that carry no name an effect that explains much, with a size that matters, is told, and no other."""
-    one = dataclasses.replace(
-        contender("dte", gain), gain=gain, fit_gain=gain, size=size, smallest=0.1, implausible=implausible
-    )
-    assert worth_a_candidate(one) == told
 
 
 @pytest.mark.parametrize(
@@ -689,18 +539,3 @@ def test_what_is_small_needs_both_seconds_and_ranks(control, rng):
     gained[:4] = 0.6
     few = dataclasses.replace(contender("encoder_offset@1", 0.03), losses=control - gained)
     assert decide([few], control, rng).verdict == "nothing_missing"
-
-
-@pytest.mark.parametrize(
-    ("label", "joint", "expected"),
-    [
-        ("load_friction@2", 2, True),
-        ("load_friction@2", 1, False),
-        ("load_friction@2", None, False),
-        ("dte", 2, False),
-        ("backlash@2", 2, False),
-    ],
-)
-def test_a_fault_is_contradicted_by_what_it_leaves_in_its_joint(label, joint, expected):
-    """Where the joint of a fault still stands out and nothing explains that, it was another; impacts rattle on."""
-    assert contradicted([contender(label, 0.4)], joint) == expected
