@@ -1,7 +1,7 @@
 """The workflow: refit the base, screen, refit the shortlist, decide, add, show."""
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,43 +11,34 @@ from threadpoolctl import threadpool_limits
 
 from op3.diagnose.ceiling import Ceiling, ceiling, where
 from op3.diagnose.coordinates import (
-    Coordinate,
     Coordinates,
     base_coordinates,
     other_forms,
     with_chain,
 )
 from op3.diagnose.counting import (
-    better_beside,
     beyond_doubt,
     of_another_kind,
     shown_by_windows,
-    shows_at_home,
     worth_a_candidate,
 )
 from op3.diagnose.decide import Decision, decide
-from op3.diagnose.evidence import Contender, Own
-from op3.diagnose.findings import Refitted, apart, finding_of, size_at, smallest, with_finding
+from op3.diagnose.findings import Refitted, finding_of, with_finding
 from op3.diagnose.fitting import (
     LEAST_GAIN,
     ROUNDS,
-    SHARES,
     WORTHWHILE,
     Engine,
     Fit,
     fit_base,
-    likeliest,
     linearise,
-    polish,
-    refit,
     with_point,
 )
 from op3.diagnose.free_run import engine_for
 from op3.diagnose.gaps import contradicted, large_gap, leaves_a_joint, local_ceiling, stands_out, unresolved
-from op3.diagnose.hypotheses import Hypothesis, hypotheses
-from op3.diagnose.locate import locate, remaining
+from op3.diagnose.hypotheses import hypotheses
+from op3.diagnose.locate import locate
 from op3.diagnose.packets import (
-    LossHypothesis,
     as_lossy,
     loss_hypothesis,
     lost_packets,
@@ -56,19 +47,15 @@ from op3.diagnose.packets import (
 )
 from op3.diagnose.preflight import CAPPED, Caution, preflight
 from op3.diagnose.reach import TorqueBox
-from op3.diagnose.ridges import delayed, exchanged, redrawn
+from op3.diagnose.refits import Refits, best_of
 from op3.diagnose.ripple import with_ripples
 from op3.diagnose.screen import Screened, screen
 from op3.diagnose.settle import Candidate, settle
 from op3.diagnose.setups import setup_hypotheses
 from op3.diagnose.shortlist import (
-    EXCHANGED,
-    confusable,
     credit,
     hides_another,
     promising,
-    shortlist,
-    stands_alone,
     worth_a_round,
 )
 from op3.diagnose.show import show, shown_logs, with_ceiling
@@ -78,25 +65,11 @@ from op3.diagnose.thresholds import CEILING, DOUBLY_CHECKED, UNDECIDED
 from op3.diagnose.verdict import Finding, Verdict
 from op3.diagnose.windows import WindowResiduals
 from op3.servo import RobotModel, effect_class
-from op3.servo.conditions import split_name
-from op3.servo.effect import parameter
-from op3.servo.effects import Latency, PacketDrop, QuadraticDrag
+from op3.servo.effects import PacketDrop
 from op3.sim import model_hash
-
-POLISHED = 4
-"""Leaders that are refitted once more with Jacobians of their own, as the control is."""
-
-PROMISING = 0.02
-"""Share of the loss that the best has to take off by then."""
-
-AT_HOME = 2
-"""Faults of single joints that are refitted once more besides, where they explain much of their joint alone."""
 
 LEADING = 3
 """Effects that are looked for in single joints of a robot on its feet."""
-
-EXCHANGES = (0.004, 0.006)
-"""Parts that are tried [s]; the loss there may be larger, as everything else has yet to give way."""
 
 SETTLED, MOVING = 4, 0.01
 """How often a base is gone on with from where its fit has stopped, and the share of the loss from which on it is."""
@@ -104,14 +77,8 @@ SETTLED, MOVING = 4, 0.01
 NEUTRAL = 0.05
 """Size below which an effect is none, as a share of the smallest that matters."""
 
-WHOLES = (1.0, 0.75, 2.5, 5.0)
-"""Secants that a refit may begin with, whatever share of one the screen takes for the best."""
-
 CELLS = 20
 """Cells of residual torque that are kept."""
-
-BOUND = 1e-3
-"""A size this close to its bound, as a share of its range, is implausible."""
 
 Progress = Callable[[str, float], None]
 
@@ -148,6 +115,7 @@ class Diagnosis:
         self._report = progress or (lambda stage, share: None)
         self._warn = warn or (lambda text: None)
         self.engine: Engine = engine or engine_for(split)
+        self.refits = Refits(self.engine, split, lambda stage, share: self._report(stage, share))
         self.fixed_base = split.fit[0].metadata.mount in ("stand", "pendulum")
         self.without = tuple(without)
         self.cache = cache
@@ -156,7 +124,6 @@ class Diagnosis:
         self.screened: list[Screened] = []
         self.refitted: list[Refitted] = []
         self._candidates: list[list[Candidate]] = []
-        self._controlled: tuple[Fit, Fit] | None = None  # a base, and its no-op control
         self._control = np.zeros(0)  # losses of the last no-op control, ``[block]``
         self._lossless = False  # whether the last screen has looked for lost packets and found none
 
@@ -199,19 +166,11 @@ class Diagnosis:
         if not isinstance(self.engine, WindowResiduals):
             return fit
         for _ in range(SETTLED):
-            further = self._control_of(fit)
+            further = self.refits.control_of(fit)
             if further.loss > (1.0 - MOVING) * fit.loss:
                 break
             fit = linearise(self.engine, fit.coordinates, further.point)
         return fit
-
-    def _control_of(self, base: Fit) -> Fit:
-        """The no-op control: a base refitted as a hypothesis is. Of free runs only where a leader is polished too."""
-        if self._controlled is None or self._controlled[0] is not base:
-            control = refit(self.engine, base, base.coordinates, base.point)
-            windows = isinstance(self.engine, WindowResiduals)
-            self._controlled = base, polish(self.engine, base, control) if windows else control
-        return self._controlled[1]
 
     def _coordinates(self, model: RobotModel, findings: Sequence[Finding]) -> Coordinates:
         """What a base refits of a model with findings; on its feet, where a simulation is dear, only what is shared."""
@@ -319,7 +278,7 @@ class Diagnosis:
         (fit,) = (r.fit for r in self.refitted if r.contender is leader)
         if large_gap(leader.left) or leaves_a_joint([one[0].contender for one in self._candidates]):
             return True  # whatever a screen around the first base foresees
-        if any(self._beats(other, leader, fit) for other in self.refitted):
+        if any(self.refits.beats(other, leader, fit) for other in self.refitted):
             return True
         earlier = [one[0].contender for one in self._candidates[:-1]]
         if any(of_another_kind(other.contender, leader, self._control, earlier) for other in self.refitted):
@@ -446,19 +405,19 @@ class Diagnosis:
         self.screened = self.screen(base)
         if not surely and not promising(self.screened):
             return None
-        controls, self.refitted = self._refit(base)
+        controls, self.refitted = self.refits.shortlisted(base, self.screened)
         elsewhere = self._better_base(base, controls)
         if elsewhere is not None:
             self.base = base = self.refit_base(elsewhere, fitted=True)
             self.screened = self.screen(base)
-            controls, self.refitted = self._refit(base)
-        control = _best(controls)
+            controls, self.refitted = self.refits.shortlisted(base, self.screened)
+        control = best_of(controls)
         fitted = with_point(base.coordinates, base.point)
         windows = self.engine if isinstance(self.engine, WindowResiduals) else None
         located = locate(windows, base, self.seed) if windows else []
         box = ceiling(windows, base, control.residual, self.seed) if windows and first else None
-        self._control = self._losses(control)
-        left = self._left(control)
+        self._control = self.refits.losses(control)
+        left = self.refits.left(control)
         decision = decide(
             [r.contender for r in self.refitted],
             self._control,
@@ -511,7 +470,7 @@ class Diagnosis:
         The loss has many valleys. What explains more with an effect of next to no size explains it with the base.
         """
         neutral = [r.fit for r in self.refitted if abs(r.contender.size) < NEUTRAL * r.contender.smallest]
-        best = _best([*controls, *neutral])
+        best = best_of([*controls, *neutral])
         if best.loss > (1.0 - WORTHWHILE) * controls[0].loss:
             return None
         return with_point(base.coordinates, best.point[: len(base.coordinates)])
@@ -532,180 +491,19 @@ class Diagnosis:
             found = [replace(one, finding=finding) for one, finding in zip(found, capped, strict=True)]
         return found
 
-    def _left(self, fit: Fit) -> np.ndarray:
-        """Residual velocity by joint, in standard deviations of a reading; empty for free runs."""
-        return remaining(self.engine, fit.residual) if isinstance(self.engine, WindowResiduals) else np.zeros(0)
-
     def _reason(self, decision: Decision, control: Fit, box: Ceiling | None) -> str:
         """The reason; of an unknown verdict also where the gap is and on what it depends."""
         if decision.verdict != "unknown":
             return decision.reason
-        left = self._left(control)
+        left = self.refits.left(control)
         place = f"; the gap is largest in {self.engine.joints[int(left.argmax())]}" if left.size else ""
         if box is not None and (local_ceiling(box.gain, box.by_joint) or 0.0) > CEILING:
             place += f"; a black box finds it {where(box, self.engine.joints)}"
         return decision.reason + place
 
-    def _refit(self, base: Fit) -> tuple[list[Fit], list[Refitted]]:
-        """Refit the no-op control and the shortlist; for the first result see `_refit_each`."""
-        control = self._control_of(base)
-        windows = self.engine if isinstance(self.engine, WindowResiduals) else None
-        home = stands_alone(windows.squares_by_joint(base.residual)) if windows else None
-        picked = shortlist(self.screened, base.coordinates.suspects(base.point), home)
-        return self._refit_each(base, control, picked)
-
     def refit_of(self, base: Fit, picked: Sequence[Screened]) -> list[Refitted]:
         """Refit some hypotheses beside a base."""
-        return self._refit_each(base, self._control_of(base), picked)[1]
-
-    def _refit_each(self, base: Fit, control: Fit, picked: Sequence[Screened]) -> tuple[list[Fit], list[Refitted]]:
-        """Refit each hypothesis from the control, the most promising to the end, and the control likewise.
-
-        The loss has many valleys, and an effect that is not there may lead the base into a better one. So the control
-        also starts from where the base has gone beside the best hypothesis; what it explains then is not the effect's.
-        Of 80 legs in which nothing was missing three got a name without that, none of the three with it.
-
-        Returns:
-            Controls from where the base was, and beside the best if there is one; and the refits, against the better.
-        """
-        fits: list[Fit] = []
-        for number, screened in enumerate(picked):
-            fits.append(self._refit_one(base, control, screened))
-            self._report("refit", (number + 1) / (len(picked) + POLISHED))
-        best = min(range(len(fits)), key=lambda i: fits[i].loss, default=None)
-        if best is not None and fits[best].loss < (1.0 - PROMISING) * control.loss:
-            picked = [*picked, *confusable(picked[best], self.screened, picked)]
-            fits += [self._refit_one(base, control, screened) for screened in picked[len(fits) :]]
-        places = [(s.hypothesis.effect.name, s.hypothesis.joints) for s in picked]
-        controls, leaders = [control], _leaders([fit.loss for fit in fits], control.loss, places)
-        own = [self._own(s.hypothesis, fit, control) for s, fit in zip(picked, fits, strict=True)]
-        at_home = [i for i, one in enumerate(own) if one is not None and i not in leaders and shows_at_home(one)]
-        leaders += sorted(at_home, key=lambda i: fits[i].loss)[:AT_HOME]
-        for number in leaders:
-            fits[number] = polish(self.engine, base, fits[number])
-        if leaders:
-            beside = _best([fits[number] for number in leaders]).point[: len(base.coordinates)]
-            controls.append(polish(self.engine, base, refit(self.engine, base, base.coordinates, beside)))
-            if not isinstance(self.engine, WindowResiduals):
-                controls[0] = polish(self.engine, base, control)
-        control = _best(controls)
-        if control is not controls[0]:  # a better place, from which the leaders go on too
-            for number in leaders:
-                start = np.concatenate([control.point, fits[number].point[len(base.coordinates) :]])
-                again = refit(self.engine, base, fits[number].coordinates, start)
-                fits[number] = _best([fits[number], polish(self.engine, base, again)])
-        fits = [
-            s.hypothesis.counted(fit) if isinstance(s.hypothesis, LossHypothesis) else fit
-            for s, fit in zip(picked, fits, strict=True)
-        ]
-        result = [
-            Refitted(s.hypothesis, s, fit, self._contender(s.hypothesis, fit, control, base, s.direction))
-            for s, fit in zip(picked, fits, strict=True)
-        ]
-        return controls, result
-
-    def _refit_one(self, base: Fit, control: Fit, screened: Screened) -> Fit:
-        """Refit a hypothesis from the control, in the direction that the screen has found."""
-        hypothesis = screened.hypothesis
-        secant = hypothesis.secants[screened.secant]
-        share = screened.share if abs(screened.share) > 0.3 else 0.5 * (np.sign(screened.share) or 1.0)
-        coordinates, more = hypothesis.coordinates(base.coordinates, secant, share)
-        start = np.concatenate([control.point, more])
-        # an effect that is not local explains nothing on the way to its secant; its bounds may have cut that short
-        new = coordinates.entries[len(base.coordinates) :]
-        moved = [(s - e.prior) / secant[e.parameter] for s, e in zip(more, new, strict=True) if _moves(e, secant)]
-        reached = next((abs(part) for part in moved if part), abs(share))
-        shares = (*SHARES, *(whole / reached for whole in WHOLES))
-        fit = refit(self.engine, base, coordinates, start, anchor=control, shares=shares)
-        return self._across_the_ridge(hypothesis, base, control, fit)
-
-    def _across_the_ridge(self, hypothesis: Hypothesis, base: Fit, control: Fit, fit: Fit) -> Fit:
-        """The fit, or a better one from where a part of what the base has become is the effect's, see `ridges`."""
-        effect, starts = hypothesis.effect.name, []
-        if effect in EXCHANGED:
-            starts = exchanged(fit.coordinates, control.point, EXCHANGED[effect], EXCHANGES)
-        elif effect == QuadraticDrag.name and hypothesis.joints is None:
-            starts = redrawn(fit.coordinates, control.point, self._speeds())
-        elif effect == Latency.name and hypothesis.joints is None:
-            starts = delayed(fit.coordinates, control.point)
-        if not starts:
-            return fit
-        start = likeliest(self.engine, fit.coordinates, starts)
-        across = refit(self.engine, base, fit.coordinates, start)
-        if effect == Latency.name:  # so far from the base that its Jacobian does not lead down there
-            across = polish(self.engine, base, across)
-        return _best([fit, across])
-
-    def _speeds(self) -> np.ndarray:
-        """Velocities that the joints had [rad/s], any shape: those of the windows, or of the fitted runs."""
-        if isinstance(self.engine, WindowResiduals):
-            return self.engine.motion.velocity
-        rates = [log.array("joint/velocity") for log in self.split.fit if "joint/velocity" in log]
-        rates += [
-            np.gradient(log.array("joint/position"), log.array("time")[:, 0], axis=0)
-            for log in self.split.fit
-            if "joint/velocity" not in log
-        ]
-        return np.concatenate([rate.ravel() for rate in rates])
-
-    def _losses(self, fit: Fit) -> np.ndarray:
-        """Squares summed by block of a second, ``[block]``."""
-        return self._by_block(np.square(fit.residual.astype(np.float64)).sum(1))
-
-    def _by_block(self, values: np.ndarray) -> np.ndarray:
-        """Sums of what windows have by block, ``[block]``."""
-        return np.bincount(np.unique(self.engine.blocks, return_inverse=True)[1], values)
-
-    def _contender(self, hypothesis: Hypothesis, fit: Fit, control: Fit, base: Fit, direction: np.ndarray) -> Contender:
-        held = ~self.engine.is_fit
-
-        def gain(where: np.ndarray) -> float:
-            before = np.square(control.residual[where].astype(np.float64)).sum()
-            return float(1 - np.square(fit.residual[where].astype(np.float64)).sum() / before)
-
-        place = size_at(hypothesis, fit, base)
-        entry = fit.coordinates.entries[place]
-        reach = BOUND * (entry.high - entry.low)
-        at = fit.point[place]
-        return Contender(
-            label=hypothesis.label(self.engine.joints),
-            effect=hypothesis.effect.name,
-            joints=hypothesis.joints,
-            alias_class=hypothesis.effect.alias_class,
-            gain=gain(held),
-            fit_gain=gain(self.engine.is_fit),
-            losses=self._losses(fit),
-            size=apart(hypothesis, fit, float(at)),
-            smallest=smallest(hypothesis, entry.parameter),
-            implausible=bool(entry.high - at < reach or at - entry.low < reach),
-            left=self._left(fit),
-            direction=direction,
-            numbers=len(fit.coordinates) - len(base.coordinates),
-            own=self._own(hypothesis, fit, control),
-            confounders=hypothesis.effect.confounders,
-        )
-
-    def _own(self, hypothesis: Hypothesis, fit: Fit, control: Fit) -> Own | None:
-        """What a fault of one joint explains there; None for free runs, whose blocks are few."""
-        if hypothesis.joints is None or len(hypothesis.joints) != 1 or not isinstance(self.engine, WindowResiduals):
-            return None
-        return self._explained_in(hypothesis.joints, fit, control)
-
-    def _explained_in(self, joints: Sequence[int], fit: Fit, control: Fit) -> Own:
-        """What a fit explains in some joints."""
-        assert isinstance(self.engine, WindowResiduals)
-        before, after = (self.engine.squares_by_joint(one.residual)[:, joints].sum(1) for one in (control, fit))
-        fitted = self.engine.is_fit
-        gains = [1.0 - after[at].sum() / max(before[at].sum(), 1e-12) for at in (~fitted, fitted)]
-        return Own(float(gains[0]), float(gains[1]), self._by_block(before), self._by_block(before - after))
-
-    def _beats(self, other: Refitted, leader: Contender, fit: Fit) -> bool:
-        """Whether another refit explains more than the leader's: of its own joint, or of those it leaves alone."""
-        own, home = other.hypothesis.joints, leader.joints or ()
-        joints = [j for j in range(len(self.engine.joints)) if j not in home] if own is None and home else own
-        if not joints or own == leader.joints or (own is not None and len(own) > 1):
-            return False
-        return better_beside(self._explained_in(joints, other.fit, fit), alone=own is not None)
+        return self.refits.each(base, self.refits.control_of(base), picked, self.screened)[1]
 
     def finding_of(self, refitted: Refitted, base: Fit, confidence: float) -> Finding:
         """What a refit has found, with its interval."""
@@ -742,30 +540,6 @@ class Diagnosis:
             if label not in refitted
         ]
         return {"ranking": ranking, "joints": list(joints)}
-
-
-def _best(fits: Sequence[Fit]) -> Fit:
-    """The fit with the smallest loss."""
-    return min(fits, key=lambda fit: fit.loss)
-
-
-def _leaders(losses: Sequence[float], control: float, places: Sequence[Any]) -> list[int]:
-    """Whose refits are worth to be gone on with: none where none takes off enough, nor those far behind the best.
-
-    Args:
-        losses: of the refits.
-        control: loss without any.
-        places: effect and joints of each; of several refits in one place the best goes on.
-    """
-    order = sorted(range(len(losses)), key=lambda i: losses[i])
-    order = [i for n, i in enumerate(order) if places[i] not in [places[j] for j in order[:n]]][:POLISHED]
-    gains = [1.0 - losses[i] / control for i in order]
-    return [i for i, gain in zip(order, gains, strict=True) if gain > max(PROMISING, 0.5 * gains[0])]
-
-
-def _moves(entry: Coordinate, secant: Mapping[str, float]) -> bool:
-    """Whether a secant says how much of a coordinate there is, and not where or how fast, or nothing."""
-    return bool(secant.get(entry.parameter)) and parameter(split_name(entry.parameter)[0]).neutral is not None
 
 
 def _full(model: RobotModel) -> RobotModel:

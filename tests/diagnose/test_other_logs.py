@@ -94,7 +94,7 @@ def test_speeds_are_known_without_velocities(leg):
     """Where a drag begins is told by the speeds that joints had; of logs without velocities, by their angles."""
     split = split_logs([without(log, "joint/velocity") for log in leg])
     diagnosis = Diagnosis(load_model("paper"), split, engine=WindowResiduals(split, fit_windows=8, select_windows=4))
-    speeds = diagnosis._speeds()
+    speeds = diagnosis.refits._speeds()
     assert np.isfinite(speeds).all()
     assert np.abs(speeds).max() > 0.1
 

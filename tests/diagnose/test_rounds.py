@@ -11,10 +11,10 @@ import pytest
 from op3.diagnose import Diagnosis, WindowResiduals, planned_suite, split_logs
 from op3.diagnose import settle as settling
 from op3.diagnose.coordinates import base_coordinates, with_chain
-from op3.diagnose.diagnosis import _leaders
 from op3.diagnose.evidence import Contender, Own
 from op3.diagnose.fitting import Fit, linearise, polish, refit
 from op3.diagnose.hypotheses import hypotheses
+from op3.diagnose.refits import _leaders
 from op3.diagnose.screen import Screened
 from op3.diagnose.settle import Candidate, as_in, merged, settle
 from op3.diagnose.verdict import Finding, Verdict
@@ -312,8 +312,8 @@ def test_an_effect_of_all_joints_asks_for_a_round_where_the_leader_does_not_act(
         other = Fit(base, base.start, 1.0, residual.reshape(len(residual), -1))
         unmoved = Fit(base, base.start, 1.0, noise.reshape(len(noise), -1))
         refitted = cast(Any, SimpleNamespace(fit=other, hypothesis=lag))
-        assert diagnosis._beats(refitted, leader, unmoved) is expected
-        assert not diagnosis._beats(refitted, replace(leader, joints=None), unmoved)
+        assert diagnosis.refits.beats(refitted, leader, unmoved) is expected
+        assert not diagnosis.refits.beats(refitted, replace(leader, joints=None), unmoved)
 
 
 @pytest.mark.parametrize(
@@ -404,15 +404,15 @@ def test_what_the_base_does_alone_is_not_the_effects(monkeypatch, alone, gain):
         loss = 0.9 if len(coordinates) > len(base.coordinates) else alone
         return Fit(coordinates, start + 0.001, loss, np.sqrt(loss) * residual)
 
-    monkeypatch.setattr("op3.diagnose.diagnosis.refit", refit)
-    monkeypatch.setattr("op3.diagnose.diagnosis.polish", lambda engine, base, fit: fit)
+    monkeypatch.setattr("op3.diagnose.refits.refit", refit)
+    monkeypatch.setattr("op3.diagnose.refits.polish", lambda engine, base, fit: fit)
     hypothesis = next(
         h
         for h in hypotheses(load_model("paper"), engine.joints, fixed_base=True)
         if h.effect.name == "cogging" and h.joints == (3,)
     )
     picked = Screened(hypothesis, 0, 1.0, 0.1, 0.1, 9.0, 1.0, 1.0, residual[: engine.is_fit.sum()].ravel())
-    controls, (refitted,) = diagnosis._refit_each(base, base, [picked])
+    controls, (refitted,) = diagnosis.refits.each(base, base, [picked], [])
     assert [control.loss for control in controls] == [1.0, alone]
     np.testing.assert_allclose(starts[1], starts[0][: len(base.point)] + 0.001)
     assert refitted.contender.gain == pytest.approx(gain, abs=1e-9)
