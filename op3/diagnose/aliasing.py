@@ -1,6 +1,6 @@
 """What these logs can tell at all: which effects they show, and which look alike."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,8 +24,9 @@ def aliasing(diagnosis: Diagnosis, most: int = 60, *, planned: bool = False) -> 
         planned: whether the logs were simulated by the model, which is then not refitted.
 
     Returns:
-        ``sentence``; ``visibility`` by effect and joint; ``hidden``, those below `VISIBLE`; ``alike``, pairs with their
-        cosine, the most alike first.
+        ``sentence``; ``visibility`` by effect and joint; ``hidden``, those below `VISIBLE`, and ``show_by``, the
+        experiment of the catalogue that shows each; ``alike``, pairs with their cosine and what would separate them,
+        the most alike first.
     """
     base = diagnosis.linearised() if planned else diagnosis.refit_base(diagnosis.given)
     best: dict[str, Screened] = {}
@@ -50,11 +51,21 @@ def report(best: Mapping[str, Screened], most: int) -> dict[str, Any]:
         count = int((size >= ALIKE).sum())
         for i in np.argsort(-size)[: min(count, most)]:
             a, b = int(first[i]), int(second[i])
-            pairs.append({"effects": [labels[a], labels[b]], "cosine": round(float(cosine[a, b]), 3)})
+            both = [labels[a], labels[b]]
+            pairs.append(
+                {"effects": both, "cosine": round(float(cosine[a, b]), 3), "separate_by": _separating(best, both)}
+            )
     return {
         "sentence": f"These logs show {len(best) - len(hidden)} of {len(best)} hypotheses, "
         f"and {count} pairs look alike to them.",
         "visibility": {label: round(s.visibility, 3) for label, s in best.items()},
         "hidden": hidden,
+        "show_by": {label: _separating(best, [label]) for label in hidden},
         "alike": pairs,
     }
+
+
+def _separating(best: Mapping[str, Screened], labels: Sequence[str]) -> str:
+    """The experiments that the catalogue gives for the effects of some labels, each once."""
+    said = dict.fromkeys(best[label].hypothesis.effect.separating_experiment for label in labels)
+    return "; ".join(text for text in said if text)

@@ -265,7 +265,11 @@ class Diagnosis:
         if kept > 1 and verdict.vetoed:
             first = self._shown(verdicts[0])  # it may be better alone
             verdict = verdict if first.vetoed else first
-        return self._with_ceiling(self._doubly_checked(replace(verdict, reason=verdict.reason + beside)))
+        verdict = self._doubly_checked(replace(verdict, reason=verdict.reason + beside))
+        if verdict.verdict == "nothing_missing" and self._too_poor():
+            # that is nothing to go by where nothing could have shown
+            verdict = replace(verdict, verdict="unknown", weak=True)
+        return self._with_ceiling(verdict)
 
     def _signs_of_more(self, found: Sequence[Candidate]) -> bool:
         """Whether what was found last leaves signs of something beside it; without them a screen has to show one."""
@@ -315,6 +319,10 @@ class Diagnosis:
     def _weak(self, findings: Sequence[Finding]) -> bool:
         """Whether the logs cannot carry these names."""
         return any(_speaks(caution, findings) for caution in self.cautions)
+
+    def _too_poor(self) -> bool:
+        """Whether the logs could not carry the name of an effect of all joints."""
+        return any(caution.weakens(()) for caution in self.cautions)
 
     def _said(self, findings: Sequence[Finding]) -> tuple[Caution, ...]:
         """Cautions of all effects, and those of the effects that were found."""
@@ -455,7 +463,7 @@ class Diagnosis:
 
     def _or_candidate(self, decision: Decision) -> Decision:
         """The decision, or what explains much in logs that cannot carry a name: too few pieces of them to count."""
-        weak = any(caution.weakens(()) for caution in self.cautions)
+        weak = self._too_poor()
         if decision.verdict != "nothing_missing" or decision.candidates or not weak or not self.refitted:
             return decision
         best = min(range(len(self.refitted)), key=lambda i: float(self.refitted[i].contender.losses.sum()))

@@ -9,7 +9,7 @@ import numpy as np
 from op3.diagnose.coordinates import with_chain
 from op3.diagnose.preflight import STILL
 from op3.diagnose.show import with_whole_limbs
-from op3.robot import LEG_JOINTS, Excitation, Motion
+from op3.robot import LEG_JOINTS, Excitation, Motion, check_motion
 from op3.rollout import Metadata, Rollout
 from op3.servo import RobotModel
 from op3.tasks import Replay, simulate_motion
@@ -55,7 +55,12 @@ def planned_motions(model: RobotModel, motions: Sequence[Motion]) -> list[Rollou
     Args:
         model: of the robot.
         motions: all of which can be played on the stand.
+
+    Raises:
+        ValueError: if one cannot, or no joint moves; one sentence.
     """
+    for motion in motions:
+        check_motion(motion, "stand")
     logs = [simulate_motion(with_chain(model), motion, "stand") for motion in motions]
     reach = np.max([np.ptp(log.array("joint/position"), axis=0) for log in logs], axis=0)
     columns = np.flatnonzero(reach > STILL)

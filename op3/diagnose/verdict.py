@@ -101,6 +101,8 @@ class Verdict:
     @property
     def sentence(self) -> str:
         """The verdict in one sentence."""
+        if self.weak and not self.effects:
+            return "These logs cannot tell whether anything is missing: " + " ".join(self.cannot_tell)
         if self.weak:
             either = ", or ".join(_phrase(effect) for effect in self.effects)
             return f"These logs cannot tell what is missing; what they have points to {either}."
@@ -119,7 +121,7 @@ class Verdict:
         if self.verdict == "unknown":
             return "The model lacks something that no effect of the catalogue explains."
         if self.cannot_tell:
-            return "Nothing can be named: these logs cannot tell, which is not to say that nothing is missing."
+            return "Nothing is missing that these logs show; of some joints or effects they cannot tell."
         return "Nothing is missing that these logs show: no effect of the catalogue explains more than chance would."
 
     @property

@@ -111,7 +111,8 @@ def _gap(page: Page, verdict: Verdict) -> None:
     page.section("The gap on logs that nothing was chosen by")
     page.text(
         "Free runs in closed loop, from the first row and the commands alone, over the logs that show. The floor is how"
-        " far repeats of one command differ from their mean: no model can do better."
+        " far repeats of one command differ from their mean: a model that is better than that fits these runs as well"
+        " as they repeat. The black box may be worse than before where it has learned what does not hold here."
     )
     rows = [
         [
@@ -206,7 +207,8 @@ def _why(page: Page, verdict: Verdict) -> None:
     page.table(
         ["effect", "joints", "explains, choosing runs [%]", "fitted runs [%]", "wins [%]", "score"],
         rows,
-        "Hypotheses, best first; those with a share of wins were refitted together with the base",
+        "Hypotheses, best first; those with a share of wins were refitted together with the base. Wins are of"
+        " resamples; a stated confidence may be less, as these do not tell what a law does that is a little wrong",
     )
 
 

@@ -259,3 +259,15 @@ def test_short_logs_give_no_confident_name():
     assert verdict.verdict != "named"
     assert all(effect.confidence <= 0.5 for effect in verdict.effects)
     assert any("record at least" in text for text in verdict.cannot_tell)
+
+
+def test_logs_in_which_nothing_moved_are_not_sound(leg):
+    """No name, and a verdict that no script takes for a sound robot."""
+
+    def hold(arrays):
+        for key in (("joint", "position"), ("joint", "velocity"), ("joint", "current"), ("command", "position")):
+            arrays[key][:] = arrays[key][:1]
+
+    verdict = Diagnosis(load_model("paper"), split_logs(changed(leg, hold))).run()
+    assert (verdict.verdict, verdict.effects) == ("unknown", ())
+    assert verdict.sentence.startswith("These logs cannot tell whether anything is missing: ")

@@ -81,6 +81,7 @@ def test_jobs_write_verdict_page_and_one_wandb_group(logs, tmp_path):
         (["data={logs}", "model=papr"], "paper_without_dte"),
         (["data={logs}", "mode=twice"], "once, loop or aliasing"),
         (["planned=leg_suite"], "mode=aliasing"),
+        (["planned=push_down", "mode=aliasing"], "push_down"),
     ],
 )
 def test_wrong_input_is_one_sentence(logs, tmp_path, arguments, message):
