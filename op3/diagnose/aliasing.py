@@ -1,11 +1,12 @@
 """What these logs can tell at all: which effects they show, and which look alike."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from op3.diagnose.diagnosis import Diagnosis
+from op3.diagnose.hypotheses import separating
 from op3.diagnose.screen import Screened, cosines
 
 ALIKE = 0.7
@@ -52,20 +53,13 @@ def report(best: Mapping[str, Screened], most: int) -> dict[str, Any]:
         for i in np.argsort(-size)[: min(count, most)]:
             a, b = int(first[i]), int(second[i])
             both = [labels[a], labels[b]]
-            pairs.append(
-                {"effects": both, "cosine": round(float(cosine[a, b]), 3), "separate_by": _separating(best, both)}
-            )
+            apart = separating(seen[label].hypothesis.effect.name for label in both)
+            pairs.append({"effects": both, "cosine": round(float(cosine[a, b]), 3), "separate_by": apart})
     return {
         "sentence": f"These logs show {len(best) - len(hidden)} of {len(best)} hypotheses, "
         f"and {count} pairs look alike to them.",
         "visibility": {label: round(s.visibility, 3) for label, s in best.items()},
         "hidden": hidden,
-        "show_by": {label: _separating(best, [label]) for label in hidden},
+        "show_by": {label: best[label].hypothesis.effect.separating_experiment for label in hidden},
         "alike": pairs,
     }
-
-
-def _separating(best: Mapping[str, Screened], labels: Sequence[str]) -> str:
-    """The experiments that the catalogue gives for the effects of some labels, each once."""
-    said = dict.fromkeys(best[label].hypothesis.effect.separating_experiment for label in labels)
-    return "; ".join(text for text in said if text)

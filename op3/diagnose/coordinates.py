@@ -61,6 +61,15 @@ CHAIN: Mapping[str, tuple[float, float, bool]] = {
 Unmodelled, a velocity filter of 2 ms passes for a wrong terminal resistance in nearly every case.
 """
 
+CHAIN_REACH = 4
+"""Standard deviations that a part of the chain may differ from what is expected."""
+
+
+def chain_limit(name: str) -> float:
+    """The most that a base takes for granted of a part of the chain of measurement, in the parameter's unit."""
+    value, deviation, _ = CHAIN[name]
+    return value + CHAIN_REACH * deviation
+
 
 def with_chain(model: RobotModel) -> RobotModel:
     """The model with the effects of the measurement chain on, at what is expected of them."""
@@ -309,7 +318,7 @@ def _chain(model: RobotModel, known: Parameter, joints: Sequence[str]) -> list[C
     It has one after the effect has been named: what every chain has a little of is then no longer what is expected.
     """
     value, deviation, own = CHAIN[known.name]
-    low, high = max(known.least, value - 4 * deviation), value + 4 * deviation
+    low, high = max(known.least, value - CHAIN_REACH * deviation), chain_limit(known.name)
     now, span = model.tensors(joints)[known.name][0].tolist(), known.high - known.low
     entries = []
     for number, columns in enumerate([(j,) for j in range(len(joints))] if own else [None]):

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from op3.diagnose.coordinates import chain_limit
 from op3.diagnose.counting import as_well, begins, confused, counts, matters, meets
 from op3.diagnose.evidence import Contender, cosine, difference_interval, pick_shares, signed_ranks, statistic_of
 from op3.diagnose.gaps import but_contacts, closed, large_gap, stands_out
@@ -186,7 +187,7 @@ def _doubtful(contenders: Sequence[Contender], best: int, control: np.ndarray) -
     one = contenders[best]
     if one.joints is not None and len(one.joints) == 1 and one.effect in OF_A_MAKE:
         return True
-    if abs(one.size) < SHORT.get(one.effect, 0.0):
+    if one.effect in SHORT and abs(one.size) < chain_limit(SHORT[one.effect]):
         return True
     gained = float((control - one.losses).sum())
     beyond = [c for c in contenders if c.implausible and c.joints == one.joints and c.effect != one.effect]

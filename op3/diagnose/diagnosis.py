@@ -36,7 +36,7 @@ from op3.diagnose.fitting import (
 )
 from op3.diagnose.free_run import engine_for
 from op3.diagnose.gaps import contradicted, large_gap, leaves_a_joint, local_ceiling, stands_out, unresolved
-from op3.diagnose.hypotheses import hypotheses
+from op3.diagnose.hypotheses import hypotheses, separating
 from op3.diagnose.locate import locate
 from op3.diagnose.packets import (
     as_lossy,
@@ -64,7 +64,7 @@ from op3.diagnose.split import LogSplit
 from op3.diagnose.thresholds import CEILING, DOUBLY_CHECKED, UNDECIDED
 from op3.diagnose.verdict import Finding, Verdict
 from op3.diagnose.windows import WindowResiduals
-from op3.servo import RobotModel, effect_class
+from op3.servo import RobotModel
 from op3.servo.effects import PacketDrop
 from op3.sim import model_hash
 
@@ -115,7 +115,7 @@ class Diagnosis:
         self._report = progress or (lambda stage, share: None)
         self._warn = warn or (lambda text: None)
         self.engine: Engine = engine or engine_for(split)
-        self.refits = Refits(self.engine, split, lambda stage, share: self._report(stage, share))
+        self.refits = Refits(self.engine, split, self._report)
         self.fixed_base = split.fit[0].metadata.mount in ("stand", "pendulum")
         self.without = tuple(without)
         self.cache = cache
@@ -347,7 +347,7 @@ class Diagnosis:
             reason=reason,
             base=verdicts[0].base,
             model=settled.model,
-            separate_by=_separating([one for one in settled.effects if one.instead_of or one.name in instead]),
+            separate_by=separating(one.name for one in settled.effects if one.instead_of or one.name in instead),
             details=verdicts[0].details,
         )
 
@@ -450,7 +450,7 @@ class Diagnosis:
             cannot_tell=tuple(caution.text for caution in self._said(findings)),
             assumed=tuple(caution.text for caution in self.cautions if caution.assumed),
             weak=weak and bool(findings),
-            separate_by=_separating(findings) if decision.verdict == "ambiguous" or weak else "",
+            separate_by=separating(one.name for one in findings) if decision.verdict == "ambiguous" or weak else "",
             details={
                 **self._details(decision),
                 "apart": stands_out(left),
@@ -558,9 +558,3 @@ def _full(model: RobotModel) -> RobotModel:
 def _speaks(caution: Caution, findings: Sequence[Finding]) -> bool:
     """Whether a caution speaks against one of these names."""
     return any(caution.weakens(() if f.shared else f.joints, f.name) for f in findings)
-
-
-def _separating(findings: Sequence[Finding]) -> str:
-    """What would tell the candidates apart, by the catalogue."""
-    said = dict.fromkeys(effect_class(finding.name).separating_experiment for finding in findings)
-    return "; ".join(text for text in said if text)

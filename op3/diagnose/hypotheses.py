@@ -1,6 +1,6 @@
 """What could be missing: every effect of the catalogue, in every place where it can sit."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +9,7 @@ from torch import Tensor
 
 from op3.diagnose.coordinates import CHAIN, FORMS, HELD, Coordinate, Coordinates, other_forms
 from op3.robot.motions import BENCH_JOINTS
-from op3.servo import Effect, Parameter, RobotModel, catalogue
+from op3.servo import Effect, Parameter, RobotModel, catalogue, effect_class
 from op3.servo.effect import parameter
 from op3.sim.pendulum_simulation import LINK, ROTOR
 
@@ -189,6 +189,12 @@ def _own(effect: type[Effect], secant: Mapping[str, float]) -> dict[str, float]:
     """A secant without parameters of other effects, which the base refits."""
     own = {p.name for p in effect.parameters}
     return {name: amount for name, amount in secant.items() if name in own}
+
+
+def separating(effects: Iterable[str]) -> str:
+    """What the catalogue says would separate some effects, by their names, each experiment once."""
+    said = dict.fromkeys(effect_class(name).separating_experiment for name in effects)
+    return "; ".join(text for text in said if text)
 
 
 def stacked(values: Sequence[Mapping[str, Tensor]]) -> dict[str, Tensor]:

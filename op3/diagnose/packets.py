@@ -27,7 +27,8 @@ lost. In a leg that lost none 0 of 821 such packets seemed lost, in two that los
 did."""
 
 SHOWN = 40.0
-"""The same for a packet that is taken as lost where others were."""
+"""The same for a packet that is taken as lost where others were, and for those among which losses are counted: a window
+in which rows of packets got lost counts less, so that few of them reach `TELLING`."""
 
 LIKELY, CLEAR = 0.5, 0.7
 """Share of that by which the squares have to fall for a packet to be taken as lost, and to be clearly lost. Of one that

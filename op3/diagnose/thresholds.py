@@ -191,10 +191,10 @@ most. That is a prior: what else may be wrong in a joint, a hard stop, a vibrati
 and a servo that follows another law than others of its make is rare. Four of seven names that were wrong and stated
 with more than 0.8 in 320 legs were of this kind; how often a right one is, these legs do not tell: none hid any."""
 
-SHORT = {"latency": 0.0017}
-"""Sizes below which a name has `UNDECIDED` at most, because the chain of measurement that a base takes for granted may
-have as much: a lag of the current loop up to four standard deviations from what is usual, see
-`op3.diagnose.coordinates.CHAIN`. Behind another effect a lag of 2.8 ms was told as a delay of 1.4 ms."""
+SHORT = {"latency": "current_time_constant"}
+"""Effects whose names have `UNDECIDED` at most where they are no larger than what a base takes for granted of this part
+of the chain of measurement, see `op3.diagnose.coordinates.chain_limit`. Behind another effect a lag of 2.8 ms was told
+as a delay of 1.4 ms."""
 
 PREFERRED = 0.7
 """Confidence at most in what was preferred so to another that counts and wins more of the resamples. A non-linear

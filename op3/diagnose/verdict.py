@@ -75,7 +75,8 @@ class Verdict:
         separate_by: experiment that tells candidates apart; empty unless ambiguous.
         cannot_tell: what the logs are too poor for, and what to record next; empty if they are rich enough.
         assumed: sentences about what the logs do not tell and was taken for granted.
-        weak: whether `cannot_tell` speaks against the names, which are candidates then, and the model is left without.
+        weak: whether `cannot_tell` speaks against the names, which are candidates then, and the model is left
+            without; or, where nothing was found, against there being nothing.
         gap: by channel, before and after on the runs that show.
         loss: ``paper_eq7`` before and after on the runs that show.
         vetoed: whether free runs on the runs that show speak against it, see `op3.diagnose.show.vetoed`.

@@ -45,9 +45,10 @@ def test_names_that_are_seldom_right_are_stated_with_less(control, rng, label, s
 
 def test_a_name_that_is_beaten_by_an_implausible_one_is_stated_with_less(control, rng):
     """It is named, as the other one would need an impossible size; in another joint that says nothing."""
-    named = contender("coulomb@3", 0.3)
-    for place, confidence in (("3", UNDECIDED), ("2", 1.0)):
-        beyond = dataclasses.replace(contender(f"position_friction@{place}", 0.4, seed=1), implausible=True)
+    named = contender("coulomb@3", 0.3, noise=0.0)
+    for place, gain, confidence in (("3", 0.4, UNDECIDED), ("2", 0.4, 1.0), ("3", 0.31, 1.0)):
+        beyond = contender(f"position_friction@{place}", gain, seed=1, noise=0.0)
+        beyond = dataclasses.replace(beyond, implausible=True)
         decision = decide([named, beyond], control, rng)
         assert (decision.verdict, decision.candidates) == ("named", (0,))
         assert decision.shares[0] == confidence
