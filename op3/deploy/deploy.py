@@ -17,7 +17,7 @@ from op3.deploy.limits import Command, Limits
 from op3.deploy.loop import Loop
 from op3.deploy.operator import Console, Operator, Yes
 from op3.deploy.panel import Panel
-from op3.deploy.phases import D_GAIN, HELD_P_GAIN, GainRamp, Hold, Move, Phase, Relax
+from op3.deploy.phases import GainRamp, Hold, Move, Phase, Relax
 from op3.deploy.policy_runner import FollowPolicy
 from op3.deploy.safety import Onlooker, Safety
 from op3.deploy.serial_port import SerialPort
@@ -25,6 +25,7 @@ from op3.deploy.session import Logs, Outcome, Phases, Session
 from op3.deploy.start_checks import StartChecks
 from op3.deploy.state import Calibration, State
 from op3.deploy.ticker import PERIOD, POLICY_TICKS
+from op3.policy.actions import D_GAIN, HELD_GAIN
 from op3.robot import JOINTS, pose
 from op3.rollout import Metadata
 
@@ -137,7 +138,7 @@ def run(
     plan: Plan | None = None,
     *,
     start: ArrayLike | None = None,
-    p_gain: ArrayLike = HELD_P_GAIN,
+    p_gain: ArrayLike = HELD_GAIN,
     d_gain: ArrayLike = D_GAIN,
     recording: str | None = None,
     report: Callable[[str], None] | None = None,

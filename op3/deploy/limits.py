@@ -7,14 +7,17 @@ written into the servos' own current limit as well.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.state import State
 from op3.robot import JOINTS, SOFT_LIMITS
 from op3.robot.units import CONTINUOUS_CURRENT_COUNTS, CURRENT_UNIT
+from op3.settings import Count, NotNegative, Positive, Whole, settings
 
 Array = NDArray[np.float64]
 
@@ -26,7 +29,11 @@ IS_LEG = np.array([name[2:] in _LEG_PARTS for name in JOINTS])
 """[joint] True for the twelve joints of the legs."""
 
 
-@dataclass(frozen=True)
+PeakCounts = Annotated[Count, Field(le=1193)]
+"""A goal current that the servo's register takes [2.69 mA]."""
+
+
+@settings("limits")
 class Limits:
     """What the robot may do.
 
@@ -47,43 +54,30 @@ class Limits:
         damp_time: how long joints are damped before torque goes off [s].
     """
 
-    leg_current_counts: int = 855
-    arm_current_counts: int = 430
-    continuous_current_counts: int = CONTINUOUS_CURRENT_COUNTS
-    thermal_time: float = 60.0
-    temperature: float = 72.0
-    voltage: float = 10.0
-    start_voltage: float = 10.5
-    fall_angle_deg: float = 45.0
-    fall_time: float = 0.1
-    coast_ticks: int = 3
-    loss_time: float = 0.096
-    imu_repeats: int = 25
-    damp_gain: float = 0.2
-    damp_time: float = 0.5
+    leg_current_counts: PeakCounts = 855
+    arm_current_counts: PeakCounts = 430
+    continuous_current_counts: Count = CONTINUOUS_CURRENT_COUNTS
+    thermal_time: Positive = 60.0
+    temperature: Positive = 72.0
+    voltage: Positive = 10.0
+    start_voltage: Positive = 10.5
+    fall_angle_deg: Positive = 45.0
+    fall_time: Positive = 0.1
+    coast_ticks: Whole = 3
+    loss_time: Positive = 0.096
+    imu_repeats: Annotated[Count, Field(ge=2)] = 25
+    damp_gain: NotNegative = 0.2
+    damp_time: NotNegative = 0.5
 
     def __post_init__(self):
-        for name, value in vars(self).items():
-            if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-                raise ValueError(f"limits: {name} must be a finite number, got {value!r}")
         for name in ("leg_current_counts", "arm_current_counts"):
-            value = getattr(self, name)
-            if not self.continuous_current_counts <= value <= 1193:
+            if getattr(self, name) < self.continuous_current_counts:
                 low = self.continuous_current_counts
                 raise ValueError(
-                    f"limits: {name} must be between continuous_current_counts ({low}) and 1193, got {value}"
+                    f"limits: {name} must be at least continuous_current_counts ({low}), got {getattr(self, name)}"
                 )
-        if self.continuous_current_counts <= 0:
-            raise ValueError(
-                f"limits: continuous_current_counts must be positive, got {self.continuous_current_counts}"
-            )
-        for name in ("thermal_time", "fall_time", "fall_angle_deg", "loss_time", "voltage", "temperature"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise ValueError(f"limits: {name} must be positive, got {getattr(self, name)}")
         if self.start_voltage < self.voltage:
             raise ValueError(f"limits: start_voltage {self.start_voltage} V lies below voltage {self.voltage} V")
-        if self.damp_gain < 0 or self.damp_time < 0 or self.coast_ticks < 0 or self.imu_repeats < 2:
-            raise ValueError("limits: damp_gain, damp_time and coast_ticks must be at least 0, imu_repeats at least 2")
 
     @property
     def peak(self) -> Array:

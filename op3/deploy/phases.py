@@ -11,16 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 from op3.deploy.limits import HIGH, LOW, Command
 from op3.deploy.state import State
 from op3.deploy.ticker import PERIOD
+from op3.policy.actions import D_GAIN, HELD_GAIN
 from op3.robot import JOINTS, Motion
 from op3.stand_in.play import sample
 
 Array = NDArray[np.float64]
-
-HELD_P_GAIN = 6.0
-"""P gain of joints that only hold [A/rad]; as in training."""
-
-D_GAIN = 0.1
-"""D gain of every joint [A s/rad] (paper Sec. action space)."""
 
 GAIN_RAMP_TIME = 1.0
 """How long the P gains take from nothing to full, about the pose that was measured [s]."""
@@ -79,7 +74,7 @@ class GainRamp(_Plain):
 
     name = "ramp"
 
-    def __init__(self, p_gain: ArrayLike = HELD_P_GAIN, d_gain: ArrayLike = D_GAIN, duration: float = GAIN_RAMP_TIME):
+    def __init__(self, p_gain: ArrayLike = HELD_GAIN, d_gain: ArrayLike = D_GAIN, duration: float = GAIN_RAMP_TIME):
         self._p_gain, self._d_gain = np.asarray(p_gain, dtype=float), d_gain
         self._ticks = max(1, round(duration / PERIOD))
         self._pose: Array | None = None
@@ -105,7 +100,7 @@ class Move(_Plain):
     def __init__(
         self,
         pose: ArrayLike,
-        p_gain: ArrayLike = HELD_P_GAIN,
+        p_gain: ArrayLike = HELD_GAIN,
         d_gain: ArrayLike = D_GAIN,
         *,
         least_time: float = LEAST_MOVE_TIME,
@@ -139,7 +134,7 @@ class Relax(_Plain):
     name = "relax"
     log = "after"
 
-    def __init__(self, pose: ArrayLike, p_gain: ArrayLike = HELD_P_GAIN, duration: float = GAIN_RAMP_TIME):
+    def __init__(self, pose: ArrayLike, p_gain: ArrayLike = HELD_GAIN, duration: float = GAIN_RAMP_TIME):
         self._pose, self._p_gain = pose, np.asarray(p_gain, dtype=float)
         self._ticks = max(1, round(duration / PERIOD))
 
@@ -164,7 +159,7 @@ class Hold(_Plain):
     def __init__(
         self,
         pose: ArrayLike,
-        p_gain: ArrayLike = HELD_P_GAIN,
+        p_gain: ArrayLike = HELD_GAIN,
         d_gain: ArrayLike = D_GAIN,
         *,
         until: Callable[[], bool] | None = None,
@@ -193,7 +188,7 @@ class FollowMotion(_Plain):
     name = "motion"
     log = "run"
 
-    def __init__(self, motion: Motion, p_gain: ArrayLike = HELD_P_GAIN, d_gain: ArrayLike = D_GAIN):
+    def __init__(self, motion: Motion, p_gain: ArrayLike = HELD_GAIN, d_gain: ArrayLike = D_GAIN):
         self.targets = sample(motion, PERIOD)
         self.p_gain, self.d_gain = (self._gain(n, v) for n, v in (("p_gain", p_gain), ("d_gain", d_gain)))
         outside = (self.targets < LOW) | (self.targets > HIGH)

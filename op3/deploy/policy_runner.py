@@ -11,12 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command
-from op3.deploy.phases import HELD_P_GAIN
 from op3.deploy.state import State
 from op3.deploy.ticker import PERIOD, POLICY_TICKS
 from op3.policy import PolicyBundle
 from op3.policy.observation import BALANCE_LAYOUT, WALK_LAYOUT, History, observe
-from op3.robot import JOINTS, indices, pose
+from op3.robot import JOINTS, pose
 from op3.tasks.task import POLICY_PERIOD, TASKS
 
 Array = NDArray[np.float64]
@@ -50,7 +49,6 @@ class PolicyRunner:
             raise ValueError("the policy sees the phase of a gait; give cycle=<seconds>")
         self.bundle = bundle
         self._cycle = cycle
-        self._controlled = indices(manifest.action_map.joints)
         self._warm_up()
         self.reset()
 
@@ -113,10 +111,7 @@ class PolicyRunner:
     def command(self, action: Array) -> Command:
         """Commands of all joints: those that the policy does not command hold the stand pose."""
         action_map = self.bundle.manifest.action_map
-        target, gain = action_map.targets(action)
-        position, p_gain = pose("stand"), np.full(len(JOINTS), HELD_P_GAIN)
-        position[self._controlled], p_gain[self._controlled] = target, gain
-        return Command.of(position, p_gain, action_map.d_gain)
+        return Command.of(*action_map.commands(action), action_map.d_gain)
 
 
 class FollowPolicy:

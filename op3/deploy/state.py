@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from op3.deploy.registers import OPEN_CR, OPEN_CR_AXES, XM430_W350
 from op3.robot import JOINTS
+from op3.settings import read_yaml
 
 Array = NDArray[np.float64]
 
@@ -114,11 +115,7 @@ class Calibration:
         path = Path(path)
         if not path.is_file():
             raise FileNotFoundError(f"there is no calibration file {path}; write one with mode=calibrate")
-        try:
-            values = yaml.safe_load(path.read_text(encoding="utf-8"))
-        except yaml.YAMLError as error:
-            raise ValueError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from None
-        offsets = values.get("offset_rad") if isinstance(values, Mapping) else None
+        offsets = read_yaml(path).get("offset_rad")
         if not isinstance(offsets, Mapping):
             raise ValueError(f"{path}: write `offset_rad:` and below it one line `<joint>: <rad>` per joint")
         for name, value in offsets.items():

@@ -1,7 +1,6 @@
 """What an action means: target angles and P gains of the controlled joints (paper Sec. action space)."""
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, TypeVar
@@ -10,7 +9,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from op3.robot import CONTROLLED_JOINTS, SOFT_LIMITS, indices, pose
+from op3.robot import CONTROLLED_JOINTS, JOINTS, SOFT_LIMITS, indices, pose
+from op3.settings import Listed, NotNegative, Number, Some, settings
 
 Array = TypeVar("Array", NDArray[Any], torch.Tensor)
 
@@ -31,7 +31,11 @@ controlled joint inside its soft limits, so that action 0 is the stand pose.
 """
 
 
-@dataclasses.dataclass(frozen=True)
+HELD_GAIN = 6.0
+"""P gain of the joints that a policy does not command [A/rad]; they hold the stand pose."""
+
+
+@settings("action map")
 class ActionMap:
     """Actions in [-1, 1] as target angles and P gains, both linear in the action.
 
@@ -47,19 +51,17 @@ class ActionMap:
         d_gain: D gain of every joint [A s/rad].
     """
 
-    joints: tuple[str, ...]
-    position_low: tuple[float, ...]
-    position_high: tuple[float, ...]
-    gain_low: float = GAIN_LOW
-    gain_high: float = GAIN_HIGH
-    d_gain: float = D_GAIN
+    joints: Some[str]
+    position_low: Listed[Number]
+    position_high: Listed[Number]
+    gain_low: NotNegative = GAIN_LOW
+    gain_high: NotNegative = GAIN_HIGH
+    d_gain: NotNegative = D_GAIN
 
     def __post_init__(self):
-        for name in ("joints", "position_low", "position_high"):
-            object.__setattr__(self, name, tuple(getattr(self, name)))
         indices(self.joints)
-        if not self.joints or len(set(self.joints)) != len(self.joints):
-            raise ValueError(f"action map: joints must be named once each, got {', '.join(self.joints) or 'none'}")
+        if len(set(self.joints)) != len(self.joints):
+            raise ValueError(f"action map: joints must be named once each, got {', '.join(self.joints)}")
         for name in ("position_low", "position_high"):
             if len(getattr(self, name)) != len(self.joints):
                 given = len(getattr(self, name))
@@ -70,10 +72,8 @@ class ActionMap:
                 raise ValueError(
                     f"action map: {joint} ranges from {low} to {high} rad; it must rise within [{lowest}, {highest}]"
                 )
-        if not 0 <= self.gain_low < self.gain_high < math.inf:
-            raise ValueError(f"action map: gains from {self.gain_low} to {self.gain_high} A/rad must rise from >= 0")
-        if not 0 <= self.d_gain < math.inf:
-            raise ValueError(f"action map: d_gain must be at least 0 A s/rad, got {self.d_gain}")
+        if not self.gain_low < self.gain_high:
+            raise ValueError(f"action map: gains must rise, got {self.gain_low} to {self.gain_high} A/rad")
 
     @classmethod
     def around_stand(cls, span: float = SPAN, joints: tuple[str, ...] = CONTROLLED_JOINTS) -> "ActionMap":
@@ -120,6 +120,23 @@ class ActionMap:
         values = low + share * (high - low)
         return values[..., : len(self.joints)], values[..., len(self.joints) :]
 
+    def commands(self, action: Array) -> tuple[Array, Array]:
+        """Target angles and P gains of all the robot's joints; those not controlled hold the stand pose.
+
+        Args:
+            action: [..., 2 joint], numpy or torch.
+
+        Returns:
+            position_target [..., robot joint] in rad and p_gain [..., robot joint] in A/rad, of the kind given.
+        """
+        found = []
+        for values, rest in zip(self.targets(action), (pose("stand"), np.full(len(JOINTS), HELD_GAIN)), strict=True):
+            whole = np.broadcast_to(rest, (*values.shape[:-1], len(JOINTS))).copy()
+            full: Any = torch.from_numpy(whole).to(values) if isinstance(values, torch.Tensor) else whole
+            full[..., self._places] = values
+            found.append(full)
+        return found[0], found[1]
+
     def action(self, position_target: Array, p_gain: Array) -> Array:
         """The action that commands these targets; the inverse of `targets`.
 
@@ -164,12 +181,7 @@ class ActionMap:
         if not isinstance(values, Mapping) or set(values) != known:
             given = ", ".join(map(str, values)) if isinstance(values, Mapping) else repr(values)
             raise ValueError(f"action map: needs exactly the fields {', '.join(sorted(known))}, got {given}")
-        try:
-            low, high = (tuple(map(float, values[name])) for name in ("position_low", "position_high"))
-            gains = (float(values[name]) for name in ("gain_low", "gain_high", "d_gain"))
-            return cls(tuple(map(str, values["joints"])), low, high, *gains)
-        except TypeError as error:
-            raise ValueError(f"action map: {error}; write lists of numbers and single gains") from None
+        return cls(**values)
 
     @cached_property
     def _range(self) -> NDArray[np.float64]:
@@ -181,6 +193,11 @@ class ActionMap:
                 (*self.position_high, *[self.gain_high] * count),
             ]
         )
+
+    @cached_property
+    def _places(self) -> NDArray[np.int64]:
+        """Place of each controlled joint among the robot's."""
+        return indices(self.joints)
 
     def _bounds(self, like: Any) -> tuple[Any, Any]:
         if isinstance(like, torch.Tensor):

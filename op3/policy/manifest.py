@@ -1,13 +1,14 @@
 """What a policy's weights do not say: observation, action map, rates, and where the policy comes from."""
 
 import dataclasses
-import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import yaml
+from pydantic import Field
 
 from op3.policy.actions import ActionMap
+from op3.settings import Count, Named, Positive, Some, Whole, parse_yaml, settings
 
 FORMAT = "op3-policy/1"
 
@@ -18,7 +19,7 @@ POLICY_RATE = 31.25
 """Rate of the policy [Hz] (paper Sec. robot setup): every fourth tick of the PD control."""
 
 
-@dataclasses.dataclass(frozen=True)
+@settings("policy manifest: training")
 class Training:
     """Where a policy comes from.
 
@@ -37,15 +38,15 @@ class Training:
     model: str = ""
     model_hash: str = ""
     git_hash: str = ""
-    seed: int = 0
-    steps: int = 0
-    updates: int = 0
+    seed: Whole = 0
+    steps: Whole = 0
+    updates: Whole = 0
     command: str = ""
     date: str = ""
     settings: Mapping[str, Any] = dataclasses.field(default_factory=dict, hash=False)
 
 
-@dataclasses.dataclass(frozen=True)
+@settings("policy manifest")
 class Manifest:
     """What a policy reads and commands.
 
@@ -63,38 +64,22 @@ class Manifest:
     """
 
     task: str
-    layout: Mapping[str, int]
-    history: int
+    layout: Annotated[Named[Count], Field(min_length=1)]
+    history: Whole
     action_map: ActionMap
-    hidden: tuple[int, ...]
-    command_rate: float = COMMAND_RATE
-    policy_rate: float = POLICY_RATE
-    normalisation: str = "fixed"
-    clip: float = 10.0
+    hidden: Some[Count]
+    command_rate: Positive = COMMAND_RATE
+    policy_rate: Positive = POLICY_RATE
+    normalisation: Literal["fixed", "running"] = "fixed"
+    clip: Positive = 10.0
     training: Training = dataclasses.field(default_factory=Training)
 
     def __post_init__(self):
-        object.__setattr__(self, "hidden", tuple(self.hidden))
-        object.__setattr__(self, "layout", dict(self.layout))
-        if not self.layout or not all(_whole(size, 1) for size in self.layout.values()):
-            raise ValueError(f"field layout: needs parts with whole sizes of at least 1, got {dict(self.layout)}")
-        if not _whole(self.history, 0):
-            raise ValueError(f"field history: must be a whole number of at least 0, got {self.history!r}")
-        if not self.hidden or not all(_whole(units, 1) for units in self.hidden):
-            raise ValueError(f"field hidden: needs whole numbers of units of at least 1, got {list(self.hidden)}")
-        if not isinstance(self.action_map, ActionMap):
-            raise ValueError(f"field action_map: must be an action map, got {type(self.action_map).__name__}")
-        for name in ("command_rate", "policy_rate", "clip"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
-                raise ValueError(f"field {name}: must be a positive number, got {value!r}")
         ratio = self.command_rate / self.policy_rate
         if ratio < 1 or abs(ratio - round(ratio)) > 1e-9:
             raise ValueError(
-                f"field policy_rate: {self.policy_rate} Hz does not divide the command rate {self.command_rate} Hz"
+                f"policy manifest: policy_rate {self.policy_rate} Hz does not divide {self.command_rate} Hz"
             )
-        if self.normalisation not in ("fixed", "running"):
-            raise ValueError(f"field normalisation: must be fixed or running, got {self.normalisation!r}")
 
     @property
     def observation_size(self) -> int:
@@ -123,37 +108,17 @@ class Manifest:
         Raises:
             ValueError: if a field is missing, unknown or impossible; the message names it.
         """
-        try:
-            values = yaml.safe_load(text)
-        except (yaml.YAMLError, ValueError) as error:
-            raise ValueError(f"not valid YAML ({' '.join(str(error).split())})") from None
-        if not isinstance(values, dict) or values.pop("format", None) != FORMAT:
-            raise ValueError(f"field format must be {FORMAT!r}; this is no policy manifest of this version")
+        values = parse_yaml(text, "policy manifest")
+        if values.pop("format", None) != FORMAT:
+            raise ValueError(f"policy manifest: format must be {FORMAT!r}; this is no manifest of this version")
         size = values.pop("observation_size", None)
-        known = {field.name for field in dataclasses.fields(cls)}
-        if missing := sorted(known - set(values)):
-            raise ValueError(f"field {missing[0]} is missing")
-        if unknown := sorted(map(str, set(values) - known)):
-            raise ValueError(f"unknown field {unknown[0]}; remove it")
-        values["action_map"] = ActionMap.from_dict(values["action_map"])
-        values["training"] = _training(values["training"])
-        for name, kind in (("layout", dict), ("hidden", list)):
-            if not isinstance(values[name], kind):
-                raise ValueError(f"field {name}: must be a {kind.__name__}, got {values[name]!r}")
+        for name, kind in (("action_map", ActionMap.from_dict), ("training", lambda given: Training(**given))):
+            if isinstance(values.get(name), Mapping):
+                values[name] = kind(values[name])
         manifest = cls(**values)
         if size is not None and size != manifest.observation_size:
             raise ValueError(
-                f"field observation_size: {size} is not the {manifest.observation_size} that layout and history give"
+                f"policy manifest: observation_size {size} is not the {manifest.observation_size} "
+                "that layout and history give"
             )
         return manifest
-
-
-def _whole(value: Any, least: int) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value >= least
-
-
-def _training(values: Any) -> Training:
-    known = {field.name for field in dataclasses.fields(Training)}
-    if not isinstance(values, Mapping) or not set(values) <= known:
-        raise ValueError(f"field training: may hold {', '.join(sorted(known))} only")
-    return Training(**values)

@@ -7,14 +7,10 @@ from torch import Tensor
 
 from op3.policy import ActionMap
 from op3.policy.observation import History, observe
-from op3.robot import JOINTS, indices, pose
 from op3.tasks import rewards
 from op3.tasks.sensing import SensorBank
 from op3.tasks.snapshot import Snapshot
 from op3.tasks.task import POLICY_PERIOD, Task
-
-HELD_GAIN = 6.0
-"""P gain of the joints that the policy does not command [A/rad]; they hold the stand pose."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +48,6 @@ class Rules:
         self.bank = SensorBank(task.sensors, generator)
         self.steps = torch.zeros(num_sims, dtype=torch.int64)
         self._history = History(task.history)
-        self._controlled = torch.from_numpy(indices(action_map.joints))
-        self._stand = torch.from_numpy(pose("stand")).expand(num_sims, -1)
         self._first_action = torch.from_numpy(action_map.stand())
         self._previous = self._first_action.repeat(num_sims, 1)
         self._desired = torch.tensor(task.desired_velocity, dtype=torch.float64)
@@ -76,16 +70,13 @@ class Rules:
 
     def commands(self, action: Tensor) -> dict[str, Tensor]:
         """Commands of actions ``[sim, action]`` for all joints: targets in rad and gains, ``[sim, joint]``."""
-        target, gain = self.action_map.targets(action)
-        position, p_gain = self._stand.clone(), torch.full(self._stand.shape, HELD_GAIN, dtype=torch.float64)
-        position[:, self._controlled], p_gain[:, self._controlled] = target, gain
+        position, p_gain = self.action_map.commands(action)
         return {"position_target": position, "p_gain": p_gain}
 
     def resting_commands(self, count: int) -> dict[str, Tensor]:
         """Commands that are in force when an episode begins, ``[count, joint]``."""
-        first = self.commands(self._first_action.repeat(len(self._stand), 1))
-        d_gain = torch.full((count, len(JOINTS)), self.action_map.d_gain, dtype=torch.float64)
-        return {**{name: value[:1].expand(count, -1) for name, value in first.items()}, "d_gain": d_gain}
+        commands = self.commands(self._first_action.expand(count, -1))
+        return {**commands, "d_gain": torch.full_like(commands["p_gain"], self.action_map.d_gain)}
 
     def finish(self, action: Tensor, snapshot: Snapshot, failed: Tensor) -> Outcome:
         """A policy step is over.

@@ -358,7 +358,7 @@ def test_a_log_is_not_written_over(tmp_path):
 @pytest.mark.parametrize("value", ["oops", float("nan"), True, None])
 def test_limits_are_numbers(value):
     """Text from a command line is refused before anything is compared with it."""
-    with pytest.raises(ValueError, match="limits: leg_current_counts must be a finite number, got"):
+    with pytest.raises(ValueError, match="limits: leg_current_counts must be a whole number, got"):
         Limits(leg_current_counts=value)
 
 

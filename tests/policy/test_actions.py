@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from op3.policy import ActionMap
-from op3.robot import CONTROLLED_JOINTS, SOFT_LIMITS, indices, pose
+from op3.policy.actions import HELD_GAIN
+from op3.robot import CONTROLLED_JOINTS, JOINTS, SOFT_LIMITS, indices, pose
 
 MAP = ActionMap.around_stand()
 ACTIONS = hnp.arrays(np.float64, (3, 20), elements=st.floats(-1, 1))
@@ -72,7 +73,7 @@ def test_wide_spans_are_clipped_to_the_soft_limits():
         ({"position_low": (0.0,)}, "position_low has 1 angles for 10 joints"),
         ({"position_high": (9.0,) * 10}, "l_hip_roll ranges from"),
         ({"joints": ("l_knee",) * 10}, "named once"),
-        ({"gain_low": 7.0}, "gains from 7.0 to 6.0"),
+        ({"gain_low": 7.0}, "gains must rise, got 7.0 to 6.0"),
         ({"d_gain": float("nan")}, "d_gain"),
     ],
 )
@@ -99,3 +100,19 @@ def test_dictionary_round_trip():
 def test_span_is_how_far_targets_may_lie_from_the_stand_pose(span):
     """It is what `around_stand` was told, where no soft limit is nearer."""
     assert ActionMap.around_stand(span).span == pytest.approx(span)
+
+
+def test_commands_of_all_joints():
+    """Controlled joints get the action's targets, the others hold the stand pose; numpy and torch alike."""
+    action_map = ActionMap.around_stand()
+    action = np.random.default_rng(0).uniform(-1, 1, (3, action_map.size))
+    position, gain = action_map.commands(action)
+    places = indices(action_map.joints)
+    held = np.setdiff1d(np.arange(len(JOINTS)), places)
+    np.testing.assert_array_equal(position[:, places], action_map.targets(action)[0])
+    np.testing.assert_array_equal(gain[:, places], action_map.targets(action)[1])
+    np.testing.assert_array_equal(position[:, held], np.tile(pose("stand")[held], (3, 1)))
+    assert (gain[:, held] == HELD_GAIN).all()
+    same = action_map.commands(torch.from_numpy(action))
+    np.testing.assert_array_equal(same[0], position)
+    np.testing.assert_array_equal(same[1], gain)

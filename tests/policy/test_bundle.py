@@ -115,14 +115,14 @@ def test_broken_weights_are_refused(bundle, tmp_path, spoil, message):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("history: 1", "history: 2", "observation_size: 124 is not the 186"),
-        ("history: 1", "history: -1", "field history"),
-        ("format: op3-policy/1", "format: other", "field format"),
-        ("task: balance\n", "", "field task is missing"),
-        ("clip: 10.0", "clip: .nan", "field clip"),
+        ("history: 1", "history: 2", "observation_size 124 is not the 186"),
+        ("history: 1", "history: -1", "history must be at least 0, got -1"),
+        ("format: op3-policy/1", "format: other", "format must be"),
+        ("task: balance\n", "", "task is missing"),
+        ("clip: 10.0", "clip: .nan", "clip must be a finite number"),
         ("policy_rate: 31.25", "policy_rate: 30.0", "does not divide"),
-        ("normalisation: fixed", "colour: red\nnormalisation: fixed", "unknown field colour"),
-        ("hidden: [256, 256]", "hidden: [256, 256", "not valid YAML"),
+        ("normalisation: fixed", "colour: red\nnormalisation: fixed", "there is no field 'colour'"),
+        ("hidden: [256, 256]", "hidden: [256, 256", "no valid YAML"),
     ],
 )
 def test_broken_manifests_are_refused(bundle, tmp_path, old, new, message):

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from math import ceil, inf
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from op3.deploy.emulator.faults import Faults
 from op3.deploy.emulator.frames import FrameRecorder
 from op3.deploy.protocol import Packet, Parser
+from op3.settings import NotNegative, Number, settings
 
 
-@dataclass(frozen=True)
+@settings("timing")
 class Timing:
     """How long things take on the way.
 
@@ -30,18 +32,11 @@ class Timing:
         quiet: silence after which a packet that has begun is given up by the devices [s].
     """
 
-    host_delay: float = 1e-4
-    turnaround: float = 25e-6
-    usb_delay: float = 1e-4
-    latency_timer: float = 1e-3
-    quiet: float = 0.02
-
-    def __post_init__(self):
-        for name in ("host_delay", "turnaround", "usb_delay", "quiet"):
-            if not 0 <= getattr(self, name) < inf:
-                raise ValueError(f"timing: {name} must be a time of at least 0 s, got {getattr(self, name)}")
-        if not 1e-4 <= self.latency_timer < inf:
-            raise ValueError(f"timing: latency_timer must be at least 0.0001 s, got {self.latency_timer}")
+    host_delay: NotNegative = 1e-4
+    turnaround: NotNegative = 25e-6
+    usb_delay: NotNegative = 1e-4
+    latency_timer: Annotated[Number, Field(ge=1e-4)] = 1e-3
+    quiet: NotNegative = 0.02
 
 
 USB_PAYLOAD = 62

@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
-from math import inf, isfinite
+from math import inf
+from typing import Annotated, Any
+
+from pydantic import AfterValidator
 
 from op3.deploy.registers import OPEN_CR_ID, HardwareError
+from op3.settings import Listed, NotNegative, Number, Share, Whole, settings
 
 
-@dataclass(frozen=True)
+def _on_the_bus(device: int) -> int:
+    if not (1 <= device <= 20 or device == OPEN_CR_ID):
+        raise ValueError(f"faults: device {device} is not on the bus; it has 1 to 20 and {OPEN_CR_ID}")
+    return device
+
+
+Device = Annotated[Whole, AfterValidator(_on_the_bus)]
+"""An id on the bus."""
+
+
+@settings("faults")
 class Silent:
     """A device says nothing and hears nothing, as with a cable pulled.
 
@@ -18,12 +31,12 @@ class Silent:
         end: until when [s].
     """
 
-    device: int
-    start: float = 0.0
+    device: Device
+    start: Number = 0.0
     end: float = inf
 
 
-@dataclass(frozen=True)
+@settings("faults")
 class FrozenImu:
     """The IMU's registers keep what they hold.
 
@@ -32,11 +45,11 @@ class FrozenImu:
         end: until when [s].
     """
 
-    start: float = 0.0
+    start: Number = 0.0
     end: float = inf
 
 
-@dataclass(frozen=True)
+@settings("faults")
 class Overheat:
     """A servo's temperature rises beyond what its current explains.
 
@@ -46,12 +59,12 @@ class Overheat:
         rate: [K/s].
     """
 
-    device: int
-    start: float = 0.0
-    rate: float = 20.0
+    device: Device
+    start: Number = 0.0
+    rate: Number = 20.0
 
 
-@dataclass(frozen=True)
+@settings("faults")
 class BrownOut:
     """The supply breaks down.
 
@@ -64,12 +77,12 @@ class BrownOut:
         voltage: of the supply meanwhile [V].
     """
 
-    start: float
+    start: Number
     end: float = inf
-    voltage: float = 9.0
+    voltage: Number = 9.0
 
 
-@dataclass(frozen=True)
+@settings("faults")
 class HardwareFault:
     """A servo reports a hardware error.
 
@@ -79,12 +92,12 @@ class HardwareFault:
         error: bits of `op3.deploy.registers.HardwareError`.
     """
 
-    device: int
-    start: float
+    device: Device
+    start: Number
     error: int = HardwareError.OVERLOAD
 
 
-@dataclass(frozen=True)
+@settings("faults")
 class Unplug:
     """The USB plug is pulled.
 
@@ -92,7 +105,7 @@ class Unplug:
         start: when [s].
     """
 
-    start: float
+    start: Number
 
 
 RESET_VOLTAGE = 6.0
@@ -100,10 +113,8 @@ RESET_VOLTAGE = 6.0
 
 Scheduled = Silent | FrozenImu | Overheat | BrownOut | HardwareFault | Unplug
 
-_RATES = ("lost", "corrupt", "truncated", "late", "unheard")
 
-
-@dataclass(frozen=True)
+@settings("faults")
 class Faults:
     """What goes wrong. Rates are shares of the packets, drawn independently.
 
@@ -119,32 +130,20 @@ class Faults:
         scheduled: what happens at a given time.
     """
 
-    lost: float = 0.0
-    corrupt: float = 0.0
-    truncated: float = 0.0
-    late: float = 0.0
-    unheard: float = 0.0
-    delay: float = 0.04
-    scheduled: tuple[Scheduled, ...] = field(default=())
+    lost: Share = 0.0
+    corrupt: Share = 0.0
+    truncated: Share = 0.0
+    late: Share = 0.0
+    unheard: Share = 0.0
+    delay: NotNegative = 0.04
+    scheduled: Listed[Any] = ()
 
     def __post_init__(self):
-        for name in _RATES:
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"faults: {name} is a share of packets between 0 and 1, got {getattr(self, name)}")
         if self.lost + self.corrupt + self.truncated + self.late > 1:
             raise ValueError(
                 "faults: lost, corrupt, truncated and late are shares of the same packets; their sum is above 1"
             )
-        if not (isfinite(self.delay) and self.delay >= 0):
-            raise ValueError(f"faults: delay must be a time of at least 0 s, got {self.delay}")
-        object.__setattr__(self, "scheduled", tuple(self.scheduled))
         for fault in self.scheduled:
             if not isinstance(fault, Scheduled):
                 kinds = ", ".join(kind.__name__ for kind in Scheduled.__args__)
                 raise ValueError(f"faults: what is scheduled is one of {kinds}; got {fault!r}")
-            for item in fields(fault):
-                if item.name in ("start", "rate", "voltage") and not isfinite(getattr(fault, item.name)):
-                    raise ValueError(f"faults: {item.name} of {fault} must be finite")
-            device = getattr(fault, "device", OPEN_CR_ID)
-            if not (1 <= device <= 20 or device == OPEN_CR_ID):
-                raise ValueError(f"faults: {fault} names device {device}; the bus has 1 to 20 and {OPEN_CR_ID}")

@@ -276,8 +276,10 @@ def test_no_noise_breaks_the_robot(noise):
     assert SHARED.packets.ping(SHARED.port, 200)[:2] == (29696, 0)
 
 
-@pytest.mark.parametrize("wrong", [{"lost": 1.5}, {"lost": 0.6, "late": 0.6}, {"scheduled": (Silent(77),)}])
-def test_impossible_faults_are_refused(wrong):
+@pytest.mark.parametrize(
+    ("kind", "wrong"), [(Faults, {"lost": 1.5}), (Faults, {"lost": 0.6, "late": 0.6}), (Silent, {"device": 77})]
+)
+def test_impossible_faults_are_refused(kind, wrong):
     """Rates are shares, and devices are on the bus."""
     with pytest.raises(ValueError, match="faults"):
-        Faults(**wrong)
+        kind(**wrong)

@@ -1,0 +1,193 @@
+"""Settings and their files, checked by pydantic, with every fault told in one sentence.
+
+A group of settings is a frozen dataclass whose fields have the types below:
+
+    @settings("limits")
+    class Limits:
+        voltage: Positive = 10.0
+        coast_ticks: Whole = 3
+        joints: tuple[str, ...] = ()
+
+    Limits(voltage=-1)  # ValueError: limits: voltage must be above 0, got -1
+
+What fields have to do with each other is checked in ``__post_init__`` as in any dataclass.
+"""
+
+import dataclasses
+import difflib
+import functools
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, dataclass_transform
+
+import pydantic
+import pydantic.dataclasses
+import yaml
+from pydantic import AfterValidator, BeforeValidator, Field
+
+
+def _plain(value: Any) -> Any:
+    """Numpy's scalars as Python's; lists of any make, Hydra's too, as tuples."""
+    if getattr(value, "ndim", None) == 0 and hasattr(value, "item"):
+        return value.item()
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        return tuple(value)
+    return value
+
+
+def _unfractioned(value: Any) -> Any:
+    """A float without a fraction, as YAML reads 1e6, as the whole number it is."""
+    value = _plain(value)
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+def _mapping(value: Any) -> Any:
+    return dict(value) if isinstance(value, Mapping) else value
+
+
+Number = Annotated[float, BeforeValidator(_plain), Field(allow_inf_nan=False)]
+Positive = Annotated[Number, Field(gt=0)]
+NotNegative = Annotated[Number, Field(ge=0)]
+Share = Annotated[Number, Field(ge=0, le=1)]
+Whole = Annotated[int, BeforeValidator(_unfractioned), Field(ge=0)]
+Count = Annotated[int, BeforeValidator(_unfractioned), Field(ge=1)]
+Text = Annotated[str, Field(min_length=1)]
+
+_Item = TypeVar("_Item")
+_Group = TypeVar("_Group")
+
+Listed = Annotated[tuple[_Item, ...], BeforeValidator(_plain)]
+"""Several of one type: ``Listed[Number]``; a list becomes a tuple."""
+
+Some = Annotated[tuple[_Item, ...], BeforeValidator(_plain), Field(min_length=1)]
+"""The same, at least one."""
+
+Named = Annotated[Mapping[str, _Item], BeforeValidator(_mapping), AfterValidator(dict)]
+"""Values by name: ``Named[Positive]``."""
+
+Raise = Callable[[str, str, Any], Exception]
+"""Makes the error of a field, what it must be, and the value given."""
+
+_WANTED = {
+    "greater_than": "above {gt}",
+    "greater_than_equal": "at least {ge}",
+    "less_than": "below {lt}",
+    "less_than_equal": "at most {le}",
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "int_type": "a whole number",
+    "bool_type": "true or false",
+    "string_type": "a text (quote it if it looks like a number)",
+    "string_too_short": "a text that is not empty",
+    "literal_error": "one of {expected}",
+    "tuple_type": "a list",
+    "too_short": "a list of at least {min_length}",
+    "too_long": "a list of {max_length}",
+    "missing": "given",
+    "mapping_type": "a mapping of names to values",
+    "dict_type": "a mapping of names to values",
+    "dataclass_type": "a mapping of its fields",
+}
+"""Pydantic's kinds of error in words that follow "must be"."""
+
+
+@dataclass_transform(frozen_default=True)
+def settings(what: str = "", raises: Raise | None = None) -> Callable[[type[_Group]], type[_Group]]:
+    """Make a class a frozen dataclass whose fields are checked.
+
+    Types are strict: true is no number and "3" is no 3, but a whole number may stand where a number belongs.
+
+    Args:
+        what: the settings are of, said before the field; nothing where the field speaks for itself.
+        raises: makes the error of one field; a ValueError where None.
+    """
+    before = f"{what}: " if what else ""
+
+    def fault(field: str, wanted: str, given: Any) -> Exception:
+        return ValueError(f"{before}{field} must be {wanted}, got {_shown(given)}")
+
+    def decorate(cls: type[_Group]) -> type[_Group]:
+        config = pydantic.ConfigDict(strict=True, arbitrary_types_allowed=True, extra="forbid")
+        made: Any = pydantic.dataclasses.dataclass(cls, frozen=True, config=config)
+        checked = made.__init__
+
+        @functools.wraps(checked)
+        def __init__(self: Any, *args: Any, **kwargs: Any) -> None:
+            try:
+                checked(self, *args, **kwargs)
+            except pydantic.ValidationError as error:
+                raise _first(
+                    error, [field.name for field in dataclasses.fields(made)], before, raises or fault
+                ) from None
+
+        made.__init__ = __init__
+        return made
+
+    return decorate
+
+
+def _first(error: pydantic.ValidationError, known: Sequence[str], before: str, raises: Raise) -> Exception:
+    """The first fault that pydantic found, in our words."""
+    detail: Any = error.errors()[0]
+    kind, context, given = detail["type"], detail.get("ctx", {}), detail["input"]
+    name = ".".join(str(part) for part in detail["loc"])
+    if kind == "value_error":  # a check of ours, which speaks for itself
+        return context["error"]
+    if kind in ("unexpected_keyword_argument", "extra_forbidden"):
+        return ValueError(f"{before}there is no field {name!r}{nearest(name, known)}")
+    if kind == "missing":
+        return ValueError(f"{before}{name} is missing: give it")
+    wanted = _WANTED.get(kind)
+    return raises(name, wanted.format(**context) if wanted else f"as it is described ({detail['msg']})", given)
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def nearest(name: object, known: Iterable[str]) -> str:
+    """How to go on after an unknown name: the nearest one that exists, else all of them."""
+    known = list(known)
+    close = difflib.get_close_matches(str(name), known, n=1)
+    return f"; the nearest is {close[0]!r}" if close else f"; there are {', '.join(known)}"
+
+
+def read_yaml(path: str | Path) -> dict[str, Any]:
+    """The mapping in a YAML file.
+
+    Raises:
+        FileNotFoundError: if there is none.
+        ValueError: if it is not UTF-8 text, no YAML (with the line), or no mapping of names to values.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no file {path}: correct the path")
+    try:
+        return parse_yaml(path.read_text(encoding="utf-8"), path)
+    except UnicodeDecodeError:
+        raise ValueError(f"{path} is not UTF-8 text: write a YAML file there") from None
+
+
+def parse_yaml(text: str, source: str | Path) -> dict[str, Any]:
+    """The mapping that a YAML text holds.
+
+    Args:
+        text: to parse.
+        source: of the text, named in errors.
+
+    Raises:
+        ValueError: if it is no YAML (with the line), or no mapping of names to values.
+    """
+    try:
+        values = yaml.safe_load(text)
+    except yaml.MarkedYAMLError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else 1
+        raise ValueError(f"{source}, line {line} is no valid YAML ({error.problem}): correct it") from None
+    except (yaml.YAMLError, ValueError, OverflowError, RecursionError, AttributeError, TypeError) as error:
+        # PyYAML lets errors of its value constructors (a date 2026-99-99) through unmarked.
+        raise ValueError(f"{source} is no valid YAML ({' '.join(str(error).split())}): correct it") from None
+    if not isinstance(values, dict) or not all(isinstance(name, str) for name in values):
+        kind = "empty" if values is None else f"a {type(values).__name__}"
+        raise ValueError(f"{source} is {kind} and no mapping: write one `name: value` per line")
+    return values
