@@ -6,6 +6,7 @@ python experiments/evaluate.py -m policy=<bundle>,hold,random task=balance_eval,
 python experiments/evaluate.py -m policy=<bundle>,stiff task=walk,walk_bricks_a,walk_bricks_b,walk_bricks_c
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,78 +16,43 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from support import one_sentence, plain, whole
+from support import one_sentence, positive, whole
 
-from op3.envs import BatchedEnv, make_env, record_episodes
-from op3.policy import ActionMap, PolicyBundle
+from op3.envs import BatchedEnv, record_episodes
+from op3.envs.actors import Watched, find_actor
 from op3.policy.actions import GAIN_HIGH, GAIN_LOW
 from op3.report import run_provenance
 from op3.report.evaluation import report_evaluation
 from op3.report.video import film
 from op3.robot import CONTROLLED_JOINTS
 from op3.rollout import Rollout
-from op3.sim import load_model
-from op3.tasks.baselines import Hold, Random, StiffWalk, Zero, position_mode
 from op3.tasks.behaviour import gains, gait_profile, mean_tilt
-from op3.tasks.evaluation import evaluation_return, mean_interval, succeeded
+from op3.tasks.evaluation import evaluation_return, mean_interval, succeeded, wilson_interval
 from op3.tasks.task import Task
 
 FRAME_EVERY = 3
 """Policy steps between two frames of the film."""
 
 
-class Watched:
-    """A policy, and the states of the first robot whenever it acts."""
-
-    def __init__(self, policy: Any, env: BatchedEnv):
-        self.policy, self.states = policy, []
-        self._qpos = env.simulation.batch.bind("qpos")
-        if hasattr(policy, "commands"):  # it commands the servos itself
-            self.commands = policy.commands
-
-    def act(self, observation: torch.Tensor) -> torch.Tensor:
-        """The policy's action."""
-        self.states.append(np.array(self._qpos[0]))
-        return self.policy.act(observation)
-
-
-def find_policy(cfg: DictConfig, name: str, field: str = "policy") -> tuple[Any, ActionMap]:
-    """A bundle or a baseline, and what its actions mean."""
-    action_map = ActionMap.around_stand()
-    baselines = {
-        "hold": lambda: Hold(cfg.hold_gain, action_map),
-        "zero": lambda: Zero(action_map),
-        "random": lambda: Random(cfg.seed, action_map),
-        "stiff": StiffWalk,
-    }
-    if name in baselines:
-        return baselines[name](), action_map
-    if not Path(name).exists():
-        raise FileNotFoundError(f"{field}={name}: no such folder; give a bundle's, or {', '.join(baselines)}")
-    bundle = PolicyBundle.load(name)
-    return bundle, bundle.manifest.action_map
-
-
 def play(cfg: DictConfig, task: Task, name: str, field: str = "policy") -> tuple[list[Rollout], Watched, BatchedEnv]:
     """The episodes of the seed, which begin alike for every policy; and who acted where."""
-    policy, action_map = find_policy(cfg, name, field)
-    size = policy.manifest.observation_size if isinstance(policy, PolicyBundle) else task.observation_size
-    if size != task.observation_size:
-        raise ValueError(
-            f"{field}={name} reads {size} numbers, task {task.name} gives {task.observation_size}; it was trained "
-            f"for {policy.manifest.task}"
-        )
-    stiff = isinstance(policy, StiffWalk)
-    if stiff and task.cycle is None:
-        raise ValueError(
-            f"{field}=stiff walks, but task {task.name} has no gait; give task=walk or one on uneven ground"
-        )
-    model = position_mode(load_model(cfg.model)) if stiff else cfg.model
-    options = {"num_threads": cfg.threads, **plain(cfg.environment)}
-    env = make_env(task, model, cfg.episodes, cfg.seed, action_map=action_map, **options)
-    assert isinstance(env, BatchedEnv)
-    watched = Watched(policy, env)
+    scale = positive(cfg, "gain_scale", "a factor")
+    known = dict(seed=cfg.seed, hold_gain=cfg.hold_gain, gain_scale=scale, field=field)
+    actor = find_actor(name, task, **known)
+    options = dict(num_threads=cfg.threads, randomisation=cfg.randomisation, gain_scale=scale)
+    env = actor.environment(task, cfg.model, cfg.episodes, cfg.seed, **options)
+    watched = Watched(actor.policy, env)
     return record_episodes(env, watched, cfg.episodes, recording=f"{task.name}-{cfg.seed}"), watched, env
+
+
+def passed(logs: Sequence[Rollout], task: Task, least_distance: float, prefix: str = "") -> dict[str, Any]:
+    """Shares of episodes that succeeded and that stayed upright, the first with Wilson's 95 % interval."""
+    successes = sum(succeeded(log, task, least_distance) for log in logs)
+    return {
+        f"evaluation.{prefix}success": successes / len(logs),
+        f"evaluation.{prefix}success_interval": list(wilson_interval(successes, len(logs))),
+        f"evaluation.{prefix}upright": float(np.mean([not log.metadata.fallen for log in logs])),
+    }
 
 
 def beside(cfg: DictConfig, task: Task, returns: list[float]) -> tuple[dict[str, Any], list[float]]:
@@ -96,8 +62,7 @@ def beside(cfg: DictConfig, task: Task, returns: list[float]) -> tuple[dict[str,
     margins = [ours - theirs for ours, theirs in zip(returns, others, strict=True)]
     numbers = {
         "evaluation.baseline": str(cfg.baseline),
-        "evaluation.baseline_success": float(np.mean([succeeded(log, task, cfg.least_speed) for log in logs])),
-        "evaluation.baseline_upright": float(np.mean([not log.metadata.fallen for log in logs])),
+        **passed(logs, task, cfg.least_distance, "baseline_"),
         "evaluation.baseline_return_mean": float(np.mean(others)),
         "evaluation.baseline_returns": others,
         "evaluation.margin": float(np.mean(margins)),
@@ -120,15 +85,14 @@ def run(cfg: DictConfig) -> dict[str, Any]:
         raise ValueError(f"hold_gain must be between {GAIN_LOW} and {GAIN_HIGH} A/rad, got {cfg.hold_gain}")
     folder, task = Path(HydraConfig.get().runtime.output_dir), instantiate(cfg.task)
     logs, watched, env = play(cfg, task, cfg.policy)
-    stiff = isinstance(watched.policy, StiffWalk)
+    stiff = hasattr(watched, "commands")
     returns = [evaluation_return(log) for log in logs]
     numbers: dict[str, Any] = {
         "evaluation.task": task.name,
         "evaluation.model": str(cfg.model),
         "evaluation.policy": str(cfg.policy),
         "evaluation.episodes": len(logs),
-        "evaluation.success": float(np.mean([succeeded(log, task, cfg.least_speed) for log in logs])),
-        "evaluation.upright": float(np.mean([not log.metadata.fallen for log in logs])),
+        **passed(logs, task, cfg.least_distance),
         "evaluation.return_mean": float(np.mean(returns)),
         "evaluation.return_std": float(np.std(returns)),
         "evaluation.duration": float(np.mean([log.metadata.episode_duration for log in logs])),  # type: ignore

@@ -37,11 +37,7 @@ class PolicyRunner:
         layout = dict(manifest.layout)
         if layout not in (BALANCE_LAYOUT, WALK_LAYOUT):
             raise ValueError(f"field layout: this version observes {BALANCE_LAYOUT} and phase, the policy {layout}")
-        if manifest.command_ticks != POLICY_TICKS or abs(manifest.command_rate * PERIOD - 1) > 1e-9:
-            raise ValueError(
-                f"field command_rate: the loop runs at {1 / PERIOD:g} Hz and the policy every {POLICY_TICKS} ticks;"
-                f" the policy wants {manifest.command_rate:g} Hz and every {manifest.command_ticks}"
-            )
+        manifest.check_fits(layout, manifest.history, 1 / PERIOD, 1 / (PERIOD * POLICY_TICKS))
         self._phased = "phase" in layout
         if cycle is None and manifest.task in TASKS:
             cycle = TASKS[manifest.task].cycle

@@ -1,6 +1,7 @@
 """Many robots at a task, stepped together: a natively batched TorchRL environment."""
 
 from collections.abc import Callable, Mapping
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,7 @@ class BatchedEnv(EnvBase):
         parameters: values by parameter name, ``[num_envs]`` or ``[num_envs, joint]`` or a number, that replace the
             model's for good.
         randomisation: draws each robot's parameters anew for every episode; None: they stay.
+        gain_scale: factor on every P and D gain that is commanded, as of servos stronger or weaker than they are known.
         num_threads: threads that step the physics; 0 for all processors.
 
     Raises:
@@ -54,11 +56,15 @@ class BatchedEnv(EnvBase):
         action_map: ActionMap | None = None,
         parameters: Mapping[str, Tensor | float] | None = None,
         randomisation: Randomisation | None = None,
+        gain_scale: float = 1.0,
         num_threads: int = 0,
     ):
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([num_envs]))
         self.task, self.model = task, model
         self.action_map = action_map or ActionMap.around_stand()
+        if not 0 < gain_scale < inf:
+            raise ValueError(f"gain_scale must be a number above 0, got {gain_scale}")
+        self._gain_scale = gain_scale
         self.scene = build_scene(task.scene)
         attach_servos(self.scene.joints)
         robot = self.scene.robot
@@ -167,7 +173,7 @@ class BatchedEnv(EnvBase):
             heights = [self._beginnings[row].tiles for row in range(self.num_envs)]
             place_tiles(self._geom_pos, self._tiles, np.stack([h for h in heights if h is not None]))
         qpos, qvel = (np.stack([getattr(b, name) for b in chosen]) for name in ("qpos", "qvel"))
-        commands = self.rules.resting_commands(len(rows))
+        commands = self._scaled(self.rules.resting_commands(len(rows)))
         self.simulation.reset(qpos, commands, qvel, rows=None if len(rows) == self.num_envs else rows)
         if self.task.board is not None:
             motions = [self._beginnings[row].board for row in range(self.num_envs)]
@@ -177,7 +183,7 @@ class BatchedEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         action = tensordict["action"].double()
-        self.simulation.command(**self.rules.commands(action))
+        self.simulation.command(**self._scaled(self.rules.commands(action)))
         time = self.rules.time.numpy()
         for tick in range(TICKS):
             if self.on_tick is not None:
@@ -191,6 +197,12 @@ class BatchedEnv(EnvBase):
         snapshot = self.snapshot()
         self.rules.bank.push(snapshot.readings)
         return self._answer(self.rules.finish(action, snapshot, self.simulation.failed))
+
+    def _scaled(self, commands: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Commands as the servos get them."""
+        if self._gain_scale == 1.0:
+            return commands
+        return {name: value * self._gain_scale if "gain" in name else value for name, value in commands.items()}
 
     def _answer(self, outcome: Outcome) -> TensorDict:
         def column(values: Tensor) -> Tensor:

@@ -91,6 +91,35 @@ class Manifest:
         """Ticks of the PD control per action."""
         return round(self.command_rate / self.policy_rate)
 
+    def check_fits(self, layout: Mapping[str, int], history: int, command_rate: float, policy_rate: float) -> None:
+        """Refuse a robot or a task that gives other observations or runs at other rates than the policy was made for.
+
+        Args:
+            layout: name and size of each part of one observation, in order.
+            history: how many earlier observations come with the latest.
+            command_rate: of the PD control [Hz].
+            policy_rate: of the policy [Hz].
+
+        Raises:
+            ValueError: naming the field that differs, both values and the task that the policy was trained for.
+        """
+
+        def said(layout: Mapping[str, int]) -> str:
+            return ", ".join(f"{part} {size}" for part, size in layout.items())
+
+        fields = {
+            "layout": (said(self.layout), said(layout)),
+            "history": (f"{self.history}", f"{history}"),
+            "command_rate": (f"{self.command_rate:g} Hz", f"{command_rate:g} Hz"),
+            "policy_rate": (f"{self.policy_rate:g} Hz", f"{policy_rate:g} Hz"),
+        }
+        for name, (made, here) in fields.items():
+            if made != here:
+                raise ValueError(
+                    f"field {name} of its manifest is {made}, here it is {here}; it was trained for {self.task}: "
+                    "choose that task, or another policy"
+                )
+
     def to_yaml(self) -> str:
         """The text of ``manifest.yaml``."""
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}

@@ -93,6 +93,9 @@ def report_evaluation(
         f"is {mean:.1f} (standard deviation {numbers['evaluation.return_std']:.1f}).",
     )
     page.tile("upright", round(upright * len(logs)), "", f"of {len(logs)} episodes")
+    if "evaluation.success_interval" in numbers:
+        low, high = numbers["evaluation.success_interval"]
+        page.tile("success", numbers["evaluation.success"], "", f"share of episodes; 95 %: {low:.2f} to {high:.2f}")
     page.tile("R_eval", mean, "", "mean per episode")
     if "evaluation.margin" in numbers:
         low, high = numbers.get("evaluation.margin_interval", (float("nan"),) * 2)

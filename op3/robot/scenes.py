@@ -33,6 +33,7 @@ SCENES: tuple[str, ...] = (
     "bricks_a",
     "bricks_b",
     "bricks_c",
+    "bricks_d",
     "terrain",
 )
 """Names that `build_scene` knows."""
@@ -166,8 +167,8 @@ def build_scene(
         name: "floor": level floor, free robot. "stand": the trunk is fixed 0.5 m up, no foot reaches the
             ground. "bench": one servo with the default pendulum (see `build_bench`). "board": a board that
             `BoardDrive` tilts. "board_weight": a passive board between stops, and a weight that `WeightDrive` lowers
-            on it. "bricks_a", "bricks_b", "bricks_c": 5 mm bricks ahead of the robot. "terrain": tiles ahead of the
-            robot whose heights `place_tiles` sets.
+            on it. "bricks_a" to "bricks_d": bricks ahead of the robot (`op3.robot.surfaces`). "terrain": tiles ahead of
+            the robot whose heights `place_tiles` sets.
         tilt_roll: roll of the stand in rad.
         tilt_pitch: pitch of the stand in rad, positive forward.
         joints: on the stand, limbs without any of these are left away: with a fixed trunk the others do not feel them.

@@ -1,4 +1,4 @@
-"""Uneven ground: three fixed surfaces of 5 mm bricks, and tiles whose heights are drawn anew for every simulation.
+"""Uneven ground: fixed surfaces of bricks, and tiles whose heights are drawn anew for every simulation.
 
 The robot starts at the origin on the level floor; what is uneven begins ahead of it.
 """
@@ -17,9 +17,16 @@ Array = NDArray[np.float64]
 BRICK = (0.04, 0.02, 0.0025)
 """Half sizes of a brick [m]: 80 x 40 x 5 mm."""
 
-BRICK_SURFACES: dict[str, tuple[int, float, float]] = {"bricks_a": (0, 1.0, 0.0), "bricks_b": (1, 0.7, 0.0)}
-BRICK_SURFACES["bricks_c"] = (2, 0.7, 0.5)
-"""Seed, share of cells with a brick, share of those that carry a second one: 10 mm high."""
+BRICK_SURFACES: dict[str, tuple[int, float, float]] = {
+    "bricks_a": (0, 1.0, 0.0),
+    "bricks_b": (1, 0.7, 0.0),
+    "bricks_c": (3, 0.95, 0.0),
+    "bricks_d": (2, 0.7, 0.5),
+}
+"""Seed, share of cells with a brick, share of those that carry a second one: 10 mm high.
+
+The first three are 5 mm high, as the paper's; the last is ours.
+"""
 
 _CELL = (0.12, 0.10)
 _FIRST, _LAST, _HALF_WIDTH = 0.16, 3.5, 0.3
@@ -45,8 +52,8 @@ def add_bricks(root: Any, name: str) -> None:
 
     Args:
         root: dm_control MJCF root with a default class "ground" and materials "brick" and "brick_high".
-        name: of `BRICK_SURFACES`. "bricks_a" is a regular pattern, "bricks_b" irregular, "bricks_c" irregular with
-            a second layer.
+        name: of `BRICK_SURFACES`. "bricks_a" is a regular pattern, "bricks_b" irregular, "bricks_c" irregular and
+            dense, "bricks_d" irregular with a second layer.
     """
     seed, filled, doubled = BRICK_SURFACES[name]
     rng = np.random.default_rng([seed, 21])

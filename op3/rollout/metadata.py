@@ -17,7 +17,18 @@ import yaml
 from op3.rollout.errors import LogError
 
 ROBOTS = ("simulated", "emulated", "real", "rig")
-MOUNTS = ("floor", "stand", "pendulum", "board", "board_weight", "bricks_a", "bricks_b", "bricks_c", "terrain")
+MOUNTS = (
+    "floor",
+    "stand",
+    "pendulum",
+    "board",
+    "board_weight",
+    "bricks_a",
+    "bricks_b",
+    "bricks_c",
+    "bricks_d",
+    "terrain",
+)
 
 _JOINT_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 _RESERVED = ("imu", "policy", "raw")
@@ -32,7 +43,7 @@ class Metadata:
         joints: Joint names, in the order of every [joint] axis.
         robot: Who made the log: `simulated`, `emulated`, `real` or `rig` (a servo on a test bench).
         mount: What holds the robot: `stand` or `pendulum`, or what it stands on: `floor`, `board`, `board_weight`,
-            `bricks_a`, `bricks_b`, `bricks_c` or `terrain`.
+            `bricks_a` to `bricks_d` or `terrain`.
         rate: Rows per second [Hz].
         mass: Mass at the end of the pendulum [kg]; required for the pendulum.
         length: Distance from the servo's axis to that mass [m]; required for the pendulum.

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.special import stdtrit
+from scipy.special import ndtri, stdtrit
 from torch import Tensor
 
 from op3.robot import pose, standing_height
@@ -104,17 +104,23 @@ def evaluation_return(log: Rollout, task: str | Task | None = None) -> float:
     return float(evaluation_rewards(log, task).sum())
 
 
-def succeeded(log: Rollout, task: str | Task, least_speed: float = 0.2) -> bool:
+LEAST_DISTANCE = 1.0
+"""From which an upright episode of walking has gone forward [m]; the paper says "forward" without a number."""
+
+
+def succeeded(log: Rollout, task: str | Task, least_distance: float = LEAST_DISTANCE) -> bool:
     """Whether an episode is what the task asks for: upright to its end and, in walking, forwards.
 
     Args:
         log: of one episode.
         task: that was attempted.
-        least_speed: mean forward speed that counts as walking forwards [m/s]; ours, the paper gives none.
+        least_distance: that counts as walking forwards [m].
     """
     if _field(log, "fallen", log.metadata.fallen):
         return False
-    return find_task(task).cycle is None or float(_walked(log)) >= least_speed
+    if find_task(task).cycle is None:
+        return True
+    return _field(log, "travelled_distance", log.metadata.travelled_distance) >= least_distance
 
 
 def mean_interval(values: Sequence[float]) -> tuple[float, float]:
@@ -122,6 +128,15 @@ def mean_interval(values: Sequence[float]) -> tuple[float, float]:
     count, middle, spread = len(values), float(np.mean(values)), float(np.std(values, ddof=1))
     half = float(stdtrit(count - 1, 0.975)) * spread / count**0.5
     return middle - half, middle + half
+
+
+def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
+    """Wilson's 95 % interval of a share, which stays within 0 and 1 and is no point at either (Wilson 1927)."""
+    z = float(ndtri(0.975))
+    share, weight = successes / trials, 1 + z**2 / trials
+    middle = (share + z**2 / (2 * trials)) / weight
+    half = z / weight * (share * (1 - share) / trials + z**2 / (4 * trials**2)) ** 0.5
+    return max(0.0, middle - half), min(1.0, middle + half)
 
 
 def policy_rows(log: Rollout) -> slice:

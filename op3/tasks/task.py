@@ -179,6 +179,7 @@ TASKS: Mapping[str, Task] = {
         _walk("walk_bricks_a", "bricks_a"),
         _walk("walk_bricks_b", "bricks_b"),
         _walk("walk_bricks_c", "bricks_c"),
+        _walk("walk_bricks_d", "bricks_d"),
     )
 }
 """The tasks that come with the project, by name."""

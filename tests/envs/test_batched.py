@@ -188,3 +188,15 @@ def test_diverged_robot_ends_its_episode():
     assert not after["terminated"].any()
     assert torch.isfinite(after["observation"]).all()
     assert after["reward"][0].item() != 0.0
+
+
+def test_scaled_gains():
+    """All P and D gains that reach the servos are scaled, from the first tick on; targets are not."""
+    nominal, weak = (make_env("walk", num_envs=1, num_threads=1, gain_scale=scale) for scale in (1.0, 0.8))
+    for env in (nominal, weak):
+        roll(env, 1)
+    for name, factor in (("p_gain", 0.8), ("d_gain", 0.8), ("position_target", 1.0)):
+        expected = factor * getattr(nominal.simulation.signals, name)
+        torch.testing.assert_close(getattr(weak.simulation.signals, name), expected)
+    with pytest.raises(ValueError, match="gain_scale must be a number above 0"):
+        make_env("walk", num_envs=1, gain_scale=0.0)

@@ -85,7 +85,7 @@ def test_stiff_walk_is_for_level_floors():
     """The walk that the OP3 comes with gets over 1.5 m ahead on the floor in 10 s and falls on two layers of bricks."""
     stiff = position_mode(load_model("paper"))
     floor = record_episodes(make_env("walk", stiff, num_envs=2), StiffWalk())
-    bricks = record_episodes(make_env("walk_bricks_c", stiff, num_envs=2), StiffWalk())
+    bricks = record_episodes(make_env("walk_bricks_d", stiff, num_envs=2), StiffWalk())
     assert not any(log.metadata.fallen for log in floor)
     assert min(log.metadata.travelled_distance for log in floor) > 1.5
     assert all(log.metadata.fallen for log in bricks)

@@ -154,3 +154,19 @@ def test_no_bundle_is_overwritten_unasked(bundle, tmp_path):
     other = dataclasses.replace(MANIFEST, task="walk")
     PolicyBundle(other, random_weights(other)).save(folder, overwrite=True)
     assert PolicyBundle.load(folder).manifest.task == "walk"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"layout": {**LAYOUT, "phase": 2}}, "field layout of its manifest is key_points 36.*phase 2; it was trained"),
+        ({"history": 3}, "field history of its manifest is 1, here it is 3"),
+        ({"policy_rate": 50.0}, "field policy_rate of its manifest is 31.25 Hz, here it is 50 Hz"),
+    ],
+)
+def test_a_robot_that_the_policy_was_not_made_for(changes, message):
+    """What differs is named with both values before anything moves."""
+    here = {"layout": LAYOUT, "history": 1, "command_rate": 125.0, "policy_rate": 31.25}
+    MANIFEST.check_fits(**here)
+    with pytest.raises(ValueError, match=message):
+        MANIFEST.check_fits(**{**here, **changes})

@@ -8,7 +8,9 @@ from op3.robot import build_scene, draw_tiles, place_tiles, pose, tile_ids
 from op3.robot.surfaces import TILE_HEIGHT
 
 
-@pytest.mark.parametrize(("name", "highest"), [("bricks_a", 0.005), ("bricks_b", 0.005), ("bricks_c", 0.010)])
+@pytest.mark.parametrize(
+    ("name", "highest"), [("bricks_a", 0.005), ("bricks_b", 0.005), ("bricks_c", 0.005), ("bricks_d", 0.010)]
+)
 def test_bricks(name, highest):
     """Bricks are 5 mm high, in one layer or two, and none lies under the robot that starts."""
     model = build_scene(name).compile()

@@ -7,7 +7,14 @@ import pytest
 
 from op3.robot import JOINTS
 from op3.rollout import LogError, Metadata, Rollout
-from op3.tasks.evaluation import TRUNK_HEIGHT, evaluation_return, evaluation_rewards, mean_interval, succeeded
+from op3.tasks.evaluation import (
+    TRUNK_HEIGHT,
+    evaluation_return,
+    evaluation_rewards,
+    mean_interval,
+    succeeded,
+    wilson_interval,
+)
 
 RATE = 125.0
 
@@ -87,10 +94,10 @@ def test_missing_fields_are_named():
 
 
 def test_who_stands_still_does_not_succeed_at_walking():
-    """Walking succeeds upright and at 0.2 m/s or more; balancing succeeds upright."""
+    """Walking succeeds upright and at least 1 m ahead; balancing succeeds upright."""
     known = dict(episode_duration=10.0, fallen=False)
-    assert succeeded(log("walk", travelled_distance=2.0, **known), "walk")
-    assert not succeeded(log("walk", travelled_distance=0.0, **known), "walk")
+    assert succeeded(log("walk", travelled_distance=1.0, **known), "walk")
+    assert not succeeded(log("walk", travelled_distance=0.99, **known), "walk")
     assert not succeeded(log("walk", travelled_distance=2.0, episode_duration=10.0, fallen=True), "walk")
     assert succeeded(log("balance_eval", **known), "balance_eval")
     assert not succeeded(log("balance_eval", fallen=True), "balance_eval")
@@ -101,3 +108,9 @@ def test_who_stands_still_does_not_succeed_at_walking():
 def test_interval_of_a_mean():
     """Of 1, 2, 3 the mean is 2, the deviation 1, and t for two degrees of freedom is 4.303: 2 +- 2.484."""
     assert mean_interval([1.0, 2.0, 3.0]) == pytest.approx((2 - 4.3027 / 3**0.5, 2 + 4.3027 / 3**0.5), abs=1e-3)
+
+
+def test_interval_of_a_share():
+    """10 of 10 leave 72 to 100 %, and half of 20 leaves 30 to 70 % (Wilson's interval, tabulated)."""
+    assert wilson_interval(10, 10) == pytest.approx((0.7225, 1.0), abs=1e-4)
+    assert wilson_interval(10, 20) == pytest.approx((0.2993, 0.7007), abs=1e-4)

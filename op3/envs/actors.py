@@ -1,0 +1,130 @@
+"""Who acts: a policy bundle by its folder, or one of the policies without learning by its name."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from op3.envs.batched import BatchedEnv
+from op3.envs.factory import make_env
+from op3.policy import ActionMap, PolicyBundle
+from op3.servo import RobotModel
+from op3.sim import load_model
+from op3.tasks.baselines import POSITION_GAIN, Hold, Random, StiffWalk, Zero, position_mode
+from op3.tasks.setups import OP3_CONTROL_PERIOD
+from op3.tasks.task import POLICY_PERIOD, Task
+
+
+@dataclass(frozen=True, eq=False)
+class Actor:
+    """Someone to be judged.
+
+    Attributes:
+        label: short name.
+        policy: has ``act(observation)``, or ``commands(time)`` where it commands the servos itself.
+        action_map: what its actions mean.
+    """
+
+    label: str
+    policy: Any
+    action_map: ActionMap
+
+    @property
+    def stiff(self) -> bool:
+        """Whether it drives the servos in position mode, where they have no P gain of the robot's computer."""
+        return hasattr(self.policy, "commands")
+
+    def environment(self, task: Task, model: str | RobotModel, num_envs: int, seed: int, **options: Any) -> BatchedEnv:
+        """Robots for it to act on; further arguments are those of `op3.envs.make_env`."""
+        if isinstance(model, str):
+            model = load_model(model)
+        model = position_mode(model) if self.stiff else model
+        made = make_env(task, model, num_envs, seed, action_map=self.action_map, **options)
+        assert isinstance(made, BatchedEnv)
+        return made
+
+
+class FixedGain:
+    """A policy's target angles with one P gain for all its joints.
+
+    Args:
+        policy: with a function ``act``.
+        action_map: what its actions mean.
+        p_gain: [A/rad].
+    """
+
+    def __init__(self, policy: Any, action_map: ActionMap, p_gain: float):
+        self._policy, self._joints = policy, len(action_map.joints)
+        low, high = action_map.gain_low, action_map.gain_high
+        if not low <= p_gain <= high:
+            raise ValueError(f"a fixed gain must be between {low} and {high} A/rad, got {p_gain}")
+        self._share = 2 * (p_gain - low) / (high - low) - 1
+
+    def act(self, observation: Tensor) -> Tensor:
+        """The policy's action with its gains replaced, ``[..., action]``."""
+        action = self._policy.act(observation).clone()
+        action[..., self._joints :] = self._share
+        return action
+
+
+def find_actor(
+    name: str, task: Task, *, seed: int = 0, hold_gain: float = 6.0, gain_scale: float = 1.0, field: str = "policy"
+) -> Actor:
+    """A bundle or a baseline, once it is known to fit the task.
+
+    Args:
+        name: folder of a bundle, or hold, zero, random or stiff.
+        task: that it will attempt.
+        seed: of a random policy.
+        hold_gain: of a policy that holds [A/rad].
+        gain_scale: factor on the gain of the stiff walk's own position loop; other gains are scaled by the environment.
+        field: of the config that named it, for messages.
+
+    Raises:
+        FileNotFoundError: if there is no such bundle.
+        ValueError: if it cannot attempt the task.
+    """
+    action_map = ActionMap.around_stand()
+    baselines: dict[str, Callable[[], Any]] = {
+        "hold": lambda: Hold(hold_gain, action_map),
+        "zero": lambda: Zero(action_map),
+        "random": lambda: Random(seed, action_map),
+        "stiff": lambda: StiffWalk(firmware_gain=gain_scale * POSITION_GAIN),
+    }
+    if name in baselines:
+        if name == "stiff" and task.cycle is None:
+            raise ValueError(
+                f"{field}=stiff walks, but task {task.name} has no gait; give task=walk or one on uneven ground"
+            )
+        return Actor(name, baselines[name](), action_map)
+    if not Path(name).exists():
+        raise FileNotFoundError(f"{field}={name}: no such folder; give a bundle's, or {', '.join(baselines)}")
+    bundle = PolicyBundle.load(name)
+    try:
+        bundle.manifest.check_fits(task.layout, task.history, 1 / OP3_CONTROL_PERIOD, 1 / POLICY_PERIOD)
+    except ValueError as error:
+        raise ValueError(f"{field}={name} does not fit task {task.name}: {error}") from None
+    return Actor(Path(name).name, bundle, bundle.manifest.action_map)
+
+
+class Watched:
+    """A policy, and the states of the first robot whenever it acts.
+
+    Args:
+        policy: with a function ``act``, and perhaps ``commands``.
+        env: its robots.
+    """
+
+    def __init__(self, policy: Any, env: BatchedEnv):
+        self.policy, self.states = policy, []
+        self._qpos = env.simulation.batch.bind("qpos")
+        if hasattr(policy, "commands"):
+            self.commands = policy.commands
+
+    def act(self, observation: torch.Tensor) -> torch.Tensor:
+        """The policy's action."""
+        self.states.append(self._qpos[0].copy())
+        return self.policy.act(observation)
