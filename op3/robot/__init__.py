@@ -2,12 +2,12 @@
 
 from op3.robot.assets import asset_path, named_configs
 from op3.robot.board import BoardDrive, BoardMotion, Tilts, Waves, WeightDrive, WeightSchedule, board_drive
+from op3.robot.entity import RobotEntity
 from op3.robot.excitations import chirp, multisine, push_down, soften, staircase, sway, triangle
 from op3.robot.joints import (
     CONTROLLED_JOINTS,
     GEAR_RATIO,
     HELD_JOINTS,
-    JOINT_AXES,
     JOINTS,
     MIRROR,
     SERVO_IDS,
@@ -20,9 +20,11 @@ from op3.robot.leg_excitations import LEG_JOINTS, Excitation, leg_suite, leg_wal
 from op3.robot.motions import Motion, hold, squat
 from op3.robot.op3_entity import OP3
 from op3.robot.poses import POSES, pose, standing_height
+from op3.robot.robot import Robot, load_robot
 from op3.robot.robot_excitations import robot_suite, robot_walking
 from op3.robot.safety import SPEED_LIMIT, check_motion, motion_faults
 from op3.robot.scenes import SCENES, Scene, build_bench, build_scene
+from op3.robot.servo_make import ServoMake, load_servo
 from op3.robot.surfaces import draw_tiles, place_tiles, tile_ids
 from op3.robot.walking import SinusoidalGait
 
@@ -31,7 +33,6 @@ __all__ = [
     "GEAR_RATIO",
     "HELD_JOINTS",
     "JOINTS",
-    "JOINT_AXES",
     "KEY_POINTS",
     "LEG_JOINTS",
     "MIRROR",
@@ -45,7 +46,10 @@ __all__ = [
     "BoardMotion",
     "Excitation",
     "Motion",
+    "Robot",
+    "RobotEntity",
     "Scene",
+    "ServoMake",
     "SinusoidalGait",
     "Tilts",
     "Waves",
@@ -64,6 +68,8 @@ __all__ = [
     "key_points",
     "leg_suite",
     "leg_walking",
+    "load_robot",
+    "load_servo",
     "mirror",
     "motion_faults",
     "multisine",

@@ -26,6 +26,22 @@ def asset_path(name: str) -> Path:
     )
 
 
+def asset_folder(name: str) -> Path:
+    """Absolute path of a folder of data files.
+
+    Args:
+        name: path relative to `assets/`, such as "servos".
+
+    Raises:
+        FileNotFoundError: naming the folders that were searched.
+    """
+    for folder in _CANDIDATES:
+        if (folder / name).is_dir():
+            return folder / name
+    searched = " or ".join(str(folder) for folder in _CANDIDATES)
+    raise FileNotFoundError(f"no folder {name!r} in {searched}; run from a checkout or install the wheel")
+
+
 def named_configs(group: str) -> dict[str, Path]:
     """The config files of a group that come with the project, by name: ``conf/<group>/<name>.yaml``.
 

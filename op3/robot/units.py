@@ -1,9 +1,11 @@
 """Units of the robot's registers in SI, and gravity: one home for what every room needs.
 
-Registers: control tables of the XM430-W350 and of the OpenCR's firmware for the OP3 (ROBOTIS e-Manual).
+Registers: `assets/servos/xm430-w350.yaml`, and the OpenCR's firmware for the OP3 (ROBOTIS e-Manual).
 """
 
-from math import pi, radians
+from math import radians
+
+from op3.robot.servo_make import load_servo
 
 GRAVITY = 9.81
 """Gravity of the scenes, and of everything that is compared with them [m/s^2]."""
@@ -11,22 +13,24 @@ GRAVITY = 9.81
 STANDARD_GRAVITY = 9.80665
 """One g [m/s^2], the unit in which data sheets give accelerations; a unit, and not where the robot stands."""
 
-POSITION_UNIT = 2 * pi / 4096
+_SERVO = load_servo("xm430-w350")
+
+POSITION_UNIT = _SERVO.position_unit
 """One count of the encoder [rad]."""
 
-VELOCITY_UNIT = 0.229 * 2 * pi / 60
-"""One unit of present and goal velocity, 0.229 rpm [rad/s]."""
+VELOCITY_UNIT = _SERVO.counts.velocity.si
+"""One unit of present and goal velocity [rad/s]."""
 
-CURRENT_UNIT = 0.00269
+CURRENT_UNIT = _SERVO.unit("current")
 """One unit of present and goal current [A]."""
 
-CONTINUOUS_CURRENT_COUNTS = 171
-"""What a servo carries for ever, in units of current: a fifth of the stall current 2.3 A at 12 V."""
+CONTINUOUS_CURRENT_COUNTS = round(_SERVO.continuous_current / CURRENT_UNIT)
+"""What a servo carries for ever, in units of current."""
 
-VOLTAGE_UNIT = 0.1
+VOLTAGE_UNIT = _SERVO.counts.voltage.si
 """One unit of input voltage [V]."""
 
-TEMPERATURE_UNIT = 1.0
+TEMPERATURE_UNIT = _SERVO.unit("temperature")
 """One unit of temperature [C]."""
 
 ANGLE_UNIT = radians(0.1)

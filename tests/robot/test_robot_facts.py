@@ -8,7 +8,6 @@ import pytest
 import yaml
 
 from op3.robot import (
-    JOINT_AXES,
     JOINTS,
     SERVO_IDS,
     SOFT_LIMITS,
@@ -89,13 +88,12 @@ def test_joints(facts, model):
 
 
 def test_tables(facts, model):
-    """Joint order, servo ids, axes and soft limits in Python are the published ones."""
+    """Joint order, servo ids and soft limits of the robot's file are the published ones."""
     published = facts["joints"]
     assert tuple(joint["name"] for joint in published) == JOINTS
     assert tuple(model.joint(i).name for i in range(model.njnt)) == JOINTS
     for joint in published:
         assert SERVO_IDS[joint["name"]] == joint["servo_id"]
-        assert JOINT_AXES[joint["name"]] == tuple(joint["axis"])
         assert SOFT_LIMITS[joint["name"]] == pytest.approx(joint["soft_limit_rad_op3_kinematics"], abs=1e-6)
 
 

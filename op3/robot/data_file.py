@@ -1,0 +1,119 @@
+"""YAML files checked by pydantic: every fault is one sentence with file, line, field and the nearest valid name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from op3.settings import nearest, parse_yaml
+
+Content = TypeVar("Content", bound="Record")
+
+
+class Record(BaseModel):
+    """What a part of a data file may hold: the fields named and no others, fixed once read."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class DataFileError(ValueError):
+    """A data file says something that cannot be."""
+
+
+class DataFile:
+    """A YAML file with the line of every entry.
+
+    Args:
+        path: of the file.
+
+    Raises:
+        DataFileError: if there is none, or it is no YAML.
+    """
+
+    def __init__(self, path: str | Path):
+        self.path = Path(path)
+        try:
+            text = self.path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            reason = getattr(error, "strerror", None) or "not UTF-8 text"
+            raise DataFileError(f"{self.path} cannot be read: {reason}") from None
+        try:
+            self.content = parse_yaml(text, self.path)
+        except ValueError as error:
+            raise DataFileError(str(error)) from None
+        self._tree = yaml.compose(text, yaml.SafeLoader)
+
+    def line(self, place: Sequence[str | int] = ()) -> int:
+        """Line of an entry, such as ``("joints", "elbow", "limits")``; of the nearest one above it that is there."""
+        node, line = self._tree, 1
+        for step in place:
+            below = _step(node, step)
+            if below is None:
+                break
+            line, node = below
+        return line
+
+    def fault(self, place: Sequence[str | int], problem: str) -> DataFileError:
+        """What is wrong with an entry, as an error to raise."""
+        field = ".".join(str(step) for step in place)
+        return DataFileError(f"{self.path}, line {self.line(place)}: {field + ' ' if field else ''}{problem}")
+
+    def unknown(self, place: Sequence[str | int], what: str, name: str, known: Iterable[str]) -> DataFileError:
+        """That an entry names something there is not, with the nearest name there is."""
+        return self.fault(place, f"names the {what} {name!r}, which there is not{nearest(name, known)}")
+
+    def read(self, kind: type[Content]) -> Content:
+        """The file's content, checked.
+
+        Raises:
+            DataFileError: with the first fault.
+        """
+        try:
+            return kind.model_validate(self.content)
+        except ValidationError as error:
+            raise self._sentence(kind, error.errors()[0]) from None
+
+    def _sentence(self, kind: type[Record], first: Any) -> DataFileError:
+        place, known = tuple(first["loc"]), _fields(kind, first["loc"])
+        if first["type"] == "extra_forbidden":
+            return self.fault(place, f"is no field{nearest(str(place[-1]), known)}")
+        if first["type"] == "missing":
+            return self.fault(place, "is missing: add it")
+        if first["type"] == "value_error":
+            return self.fault(place, str(first["ctx"]["error"]))
+        return self.fault(place, f"is {first['input']!r}, but {_lower(first['msg'])}")
+
+
+def _step(node: yaml.Node | None, step: str | int) -> tuple[int, yaml.Node] | None:
+    if isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            if key.value == str(step):
+                return key.start_mark.line + 1, value
+    if isinstance(node, yaml.SequenceNode) and isinstance(step, int) and step < len(node.value):
+        return node.value[step].start_mark.line + 1, node.value[step]
+    return None
+
+
+def _fields(kind: type[Record], place: Sequence[str | int]) -> list[str]:
+    """Fields of the record that an entry stands in."""
+    found: Any = kind
+    for step in place[:-1]:
+        fields = getattr(found, "model_fields", {})
+        if step in fields:
+            found = fields[step].annotation
+        records = [part for part in _parts(found) if hasattr(part, "model_fields")]
+        found = records[0] if records else found
+    return list(getattr(found, "model_fields", {}))
+
+
+def _parts(annotation: Any) -> list[Any]:
+    """An annotation and everything between its brackets."""
+    return [annotation, *(part for inner in getattr(annotation, "__args__", ()) for part in _parts(inner))]
+
+
+def _lower(text: str) -> str:
+    return text[:1].lower() + text[1:]

@@ -1,0 +1,146 @@
+"""Any robot of a robot file as a dm_control composer entity: frictionless, unactuated hinges, ready for servos."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from dm_control import composer, mjcf
+from dm_control.composer.observation import observable
+
+from op3.robot.robot import Robot, read_spec
+
+IMU_SENSORS = {"imu_orientation": "framequat", "imu_gyro": "gyro", "imu_accelerometer": "accelerometer"}
+"""Sensors at the site of an IMU, by name."""
+
+
+class RobotEntity(composer.Entity):
+    """The model of a robot file, its base not yet free.
+
+    Motors, sensors and keyframes of the model are left out, and so are friction, damping and armature of the robot's
+    joints: those are what the servo model that is attached to `joints` says. With a free base, qpos[:3] is the place of
+    the base, qpos[7:] are the joint angles and qvel[6:] their velocities, in the robot's order.
+    """
+
+    def _build(self, robot: Robot, **parameters: float):
+        self.robot = robot
+        self._mjcf_root = root = _read(robot)
+        root.model = robot.name
+        for name in robot.joints:
+            self._bare(self._find("joint", name), robot.bare_model)
+        if robot.file.base is not None:
+            base: Any = self._find("body", robot.file.base)
+            if base.parent is root.worldbody:
+                base.pos = [0.0, 0.0, 0.0]
+        self._adjust(parameters)
+        if robot.file.imu is not None:
+            for name, kind in IMU_SENSORS.items():
+                reference = {"objtype": "site", "objname": self.imu} if kind == "framequat" else {"site": self.imu}
+                root.sensor.add(kind, name=name, **reference)
+
+    @staticmethod
+    def _bare(joint: Any, model: mujoco.MjModel) -> None:
+        """A hinge with its axis and place written on it, and nothing of a servo."""
+        number = model.joint(joint.name).id
+        joint.type, joint.axis, joint.pos = "hinge", model.jnt_axis[number].copy(), model.jnt_pos[number].copy()
+        joint.damping = joint.frictionloss = joint.armature = 0.0
+
+    def _adjust(self, parameters: dict[str, float]) -> None:
+        known = self.robot.file.parameters
+        for name in parameters:
+            if name not in known:
+                raise ValueError(f"{self.robot.name} has no parameter {name!r}; it has {', '.join(known) or 'none'}")
+        for name, one in known.items():
+            value, body = one.factor * parameters.get(name, one.default), self._find("body", one.body)
+            inertial: Any = body
+            if one.sets == "mass":
+                inertial.inertial.mass = value
+            else:
+                place = np.array(inertial.inertial.pos, dtype=float)
+                place["xyz".index(one.sets[-1])] = value
+                inertial.inertial.pos = place
+
+    def _build_observables(self) -> RobotObservables:
+        return RobotObservables(self)
+
+    @property
+    def mjcf_model(self) -> mjcf.RootElement:
+        """The robot's own MJCF tree."""
+        return self._mjcf_root
+
+    @property
+    def trunk(self) -> mjcf.Element:
+        """The body that carries the rest; the world where the file names none."""
+        root: Any = self._mjcf_root
+        return root.worldbody if self.robot.file.base is None else self._find("body", self.robot.file.base)
+
+    @property
+    def joints(self) -> list[mjcf.Element]:
+        """The hinge elements [joint] in the robot's order."""
+        return [self._find("joint", name) for name in self.robot.joints]
+
+    @property
+    def imu(self) -> mjcf.Element:
+        """The site of the IMU.
+
+        Raises:
+            LookupError: if the robot has none.
+        """
+        return self._find("site", self.robot.file.imu or "IMU")
+
+    @property
+    def imu_orientation(self) -> mjcf.Element:
+        """Sensor of the IMU's orientation in the world, quaternion (w, x, y, z)."""
+        return self._find("sensor", "imu_orientation")
+
+    @property
+    def imu_gyro(self) -> mjcf.Element:
+        """Sensor of the angular velocity in the IMU's frame [rad/s]."""
+        return self._find("sensor", "imu_gyro")
+
+    @property
+    def imu_accelerometer(self) -> mjcf.Element:
+        """Sensor of the specific force in the IMU's frame [m/s^2]: +g upwards at rest.
+
+        On a fixed base MuJoCo makes it read zero; see `Scene.mounted_specific_force`.
+        """
+        return self._find("sensor", "imu_accelerometer")
+
+    def _find(self, kind: str, name: str) -> mjcf.Element:
+        element = self._mjcf_root.find(kind, name)
+        if element is None:
+            raise LookupError(f"{self.robot.model_path} has no {kind} named {name!r}")
+        return element
+
+
+def _read(robot: Robot) -> Any:
+    """The robot's model without what drives and senses it, and without a free base."""
+    if robot.model_path.suffix == ".urdf":  # which MuJoCo reads and dm_control does not
+        spec = read_spec(robot.model_path)
+        spec.compile()
+        return mjcf.from_xml_string(spec.to_xml(), model_dir=str(robot.model_path.parent))
+    root: Any = mjcf.from_path(str(robot.model_path))
+    for kind in ("actuator", "sensor", "keyframe"):
+        for element in getattr(root, kind).all_children():
+            element.remove()
+    for joint in root.find_all("joint"):
+        if joint.tag == "freejoint" or joint.type == "free":
+            joint.remove()
+    return root
+
+
+class RobotObservables(composer.Observables):
+    """What can be observed of a robot. Every observable is off until a task enables it."""
+
+    _entity: Any
+
+    @composer.observable
+    def joint_positions(self) -> observable.MJCFFeature:
+        """Joint angles [joint] in rad."""
+        return observable.MJCFFeature("qpos", self._entity.joints)
+
+    @composer.observable
+    def joint_velocities(self) -> observable.MJCFFeature:
+        """Joint velocities [joint] in rad/s."""
+        return observable.MJCFFeature("qvel", self._entity.joints)

@@ -1,0 +1,242 @@
+"""Servos as data: what a make of servo is, read from ``assets/servos/<make>.yaml``. A new make is one file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from math import pi
+from pathlib import Path
+from typing import Literal
+
+from pydantic import model_validator
+
+from op3.robot.assets import asset_folder
+from op3.robot.data_file import DataFile, DataFileError, Record
+from op3.settings import nearest
+
+TO_SI: Mapping[str, Callable[[float], float]] = {
+    "": lambda value: value,
+    "rpm": lambda value: value * 2 * pi / 60,
+    "mA": lambda value: value / 1000,
+    "counts/turn": lambda value: value,
+    "kg cm": lambda value: value * 9.80665 / 100,
+    "s/60deg": lambda value: pi / 3 / value,
+    "%": lambda value: value / 100,
+    **dict.fromkeys(
+        ("rad", "rad/s", "A", "V", "ohm", "N m", "N m/A", "kg m^2", "C", "s", "C/W", "1/rad", "counts"),
+        lambda value: value,
+    ),
+}
+"""Units in which a servo file gives numbers, and what makes SI of them."""
+
+
+class Figure(Record):
+    """A number with its unit and where it comes from.
+
+    Attributes:
+        value: in `unit`.
+        unit: one of `TO_SI`.
+        source: key of the file's `sources`.
+        at: supply voltage at which it holds [V], where it depends on that.
+    """
+
+    value: float
+    source: str
+    unit: str = ""
+    at: float | None = None
+
+    @model_validator(mode="after")
+    def _known_unit(self) -> Figure:
+        if self.unit not in TO_SI:
+            raise ValueError(f"has the unit {self.unit!r}, which there is not{nearest(self.unit, TO_SI)}")
+        return self
+
+    @property
+    def si(self) -> float:
+        """The number in SI units."""
+        return TO_SI[self.unit](self.value)
+
+
+class Motor(Record):
+    """The motor and its gear.
+
+    Attributes:
+        gear_ratio: motor turns per output turn.
+        torque_constant: at the motor's shaft [N m/A].
+        terminal_resistance: [ohm].
+        armature: rotor's inertia at the output [kg m^2].
+    """
+
+    gear_ratio: Figure
+    torque_constant: Figure
+    terminal_resistance: Figure
+    armature: Figure
+
+
+class Counts(Record):
+    """Units of the registers.
+
+    Attributes:
+        position: counts per turn of the encoder.
+        zero: reading of the encoder in the middle of its turn.
+        velocity: one unit of velocity.
+        current: one unit of current, where the servo reads any.
+        voltage: one unit of voltage.
+        temperature: one unit of temperature, where the servo reads any.
+        duty: units of full duty, where the servo reads any.
+    """
+
+    position: Figure
+    zero: Figure
+    velocity: Figure
+    voltage: Figure
+    current: Figure | None = None
+    temperature: Figure | None = None
+    duty: Figure | None = None
+
+
+class Limits(Record):
+    """What the servo stands.
+
+    Attributes:
+        stall_torque: at the voltage `at` [N m].
+        no_load_speed: at the voltage `at` [rad/s].
+        current: largest [A].
+        continuous_current: that it carries for ever [A].
+        low_voltage: least supply [V].
+        high_voltage: greatest supply [V].
+        temperature: at which it switches itself off [C].
+    """
+
+    stall_torque: Figure
+    no_load_speed: Figure
+    low_voltage: Figure
+    high_voltage: Figure
+    temperature: Figure
+    current: Figure | None = None
+    continuous_current: Figure | None = None
+
+
+class PositionLaw(Record):
+    """The firmware's own position loop: duty = clip(gain * error_gain * error, +-max_duty).
+
+    Attributes:
+        error_gain: duty per rad of error and unit of the gain's register.
+        max_duty: largest duty it commands.
+        goal_speed: the goal is followed no faster than this [rad/s].
+        gain: the register's value from the factory, or as it is usually set.
+    """
+
+    error_gain: Figure
+    max_duty: Figure
+    goal_speed: Figure
+    gain: Figure
+
+
+class ServoMake(Record):
+    """A make of servo, see ``docs/your_robot.md``.
+
+    Attributes:
+        format: version of the file's form.
+        name: as in the file's name.
+        maker: who makes it.
+        sources: where its numbers come from, by key.
+        loop: who closes the loop in this house: `current` (a PD outside commands currents), `pwm` (a PD outside
+            commands duty) or `firmware` (the servo's own position law).
+        supply: nominal supply voltage [V].
+        motor: the motor and its gear.
+        counts: units of the registers.
+        limits: what the servo stands.
+        position_law: of the firmware.
+        model_number: what it answers to a ping, where it does.
+        aliases: other names that recordings give it.
+        recorded: channels of servo-bench recordings that were really read, beside position, speed and voltage; None
+            where there are no such recordings of it.
+    """
+
+    format: Literal["op3-servo/1"]
+    name: str
+    maker: str
+    sources: Mapping[str, str]
+    loop: Literal["current", "pwm", "firmware"]
+    supply: Figure
+    motor: Motor
+    counts: Counts
+    limits: Limits
+    position_law: PositionLaw | None = None
+    model_number: int | None = None
+    aliases: tuple[str, ...] = ()
+    recorded: tuple[Literal["load", "temp"], ...] | None = None
+
+    @property
+    def position_unit(self) -> float:
+        """One count of the encoder [rad]."""
+        return 2 * pi / self.counts.position.value
+
+    def unit(self, register: str) -> float:
+        """One unit of a register of `Counts`, in SI.
+
+        Raises:
+            ValueError: if the servo does not read it.
+        """
+        figure = getattr(self.counts, register)
+        if figure is None:
+            raise ValueError(f"the {self.name} reads no {register}")
+        return figure.si
+
+    @property
+    def continuous_current(self) -> float:
+        """What it carries for ever [A]; a fifth of the largest current where its file gives none."""
+        limits = self.limits
+        if limits.continuous_current is not None:
+            return limits.continuous_current.si
+        return 0.2 * (limits.current.si if limits.current else self.supply.si / self.motor.terminal_resistance.si)
+
+    @property
+    def output_constant(self) -> float:
+        """Torque per current at the output [N m/A]."""
+        return self.motor.gear_ratio.si * self.motor.torque_constant.si
+
+
+@lru_cache(maxsize=1)
+def servo_files() -> dict[str, Path]:
+    """The files of all makes that come with the project, by name."""
+    return {path.stem: path for path in sorted(asset_folder("servos").glob("*.yaml"))}
+
+
+@lru_cache(maxsize=64)
+def load_servo(name: str | Path) -> ServoMake:
+    """A make of servo.
+
+    Args:
+        name: of a file in ``assets/servos``, in any case, or the path of one.
+
+    Raises:
+        DataFileError: if there is none of this name, or its file is wrong.
+    """
+    known = servo_files()
+    path = known.get(str(name).lower()) or Path(name)
+    if path.suffix != ".yaml":
+        raise DataFileError(f"there is no servo {str(name)!r}{nearest(str(name).lower(), known)}")
+    file = DataFile(path)
+    make = file.read(ServoMake)
+    if make.name != path.stem:
+        raise file.fault(("name",), f"is {make.name!r}, but the file is called {path.name!r}")
+    if make.loop == "firmware" and make.position_law is None:
+        raise file.fault(("loop",), "is 'firmware', so that the file needs a position_law")
+    for place, figure in _figures(make):
+        if figure.source not in make.sources:
+            raise file.unknown((*place, "source"), "source", figure.source, make.sources)
+    return make
+
+
+def _figures(record: Record, place: tuple[str, ...] = ()) -> list[tuple[tuple[str, ...], Figure]]:
+    """All numbers of a record with their places."""
+    found = []
+    for name in type(record).model_fields:
+        value = getattr(record, name)
+        if isinstance(value, Figure):
+            found.append(((*place, name), value))
+        elif isinstance(value, Record):
+            found += _figures(value, (*place, name))
+    return found

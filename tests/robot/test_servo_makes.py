@@ -1,0 +1,86 @@
+"""Servos as data."""
+
+from math import pi
+
+import pytest
+
+from op3.robot import load_servo
+from op3.robot.servo_make import servo_files
+
+MINIMAL = """\
+format: op3-servo/1
+name: {name}
+maker: us
+sources: {{sheet: our data sheet}}
+loop: current
+supply: {{value: 12, unit: V, source: sheet}}
+motor:
+  gear_ratio: {{value: 100, source: sheet}}
+  torque_constant: {{value: 0.01, unit: N m/A, source: sheet}}
+  terminal_resistance: {{value: 4, unit: ohm, source: sheet}}
+  armature: {{value: 0.01, unit: kg m^2, source: {source}}}
+counts:
+  position: {{value: 4096, unit: counts/turn, source: sheet}}
+  zero: {{value: 2048, unit: counts, source: sheet}}
+  velocity: {{value: 0.229, unit: {unit}, source: sheet}}
+  voltage: {{value: 0.1, unit: V, source: sheet}}
+limits:
+  stall_torque: {{value: 4, unit: N m, at: 12, source: sheet}}
+  no_load_speed: {{value: 60, unit: rpm, at: 12, source: sheet}}
+  low_voltage: {{value: 10, unit: V, source: sheet}}
+  high_voltage: {{value: 14, unit: V, source: sheet}}
+  temperature: {{value: 80, unit: C, source: sheet}}
+"""
+
+
+def written(tmp_path, name="ours", source="sheet", unit="rpm", **changes):
+    text = MINIMAL.format(name=name, source=source, unit=unit)
+    for old, new in changes.items():
+        text = text.replace(old, new)
+    path = tmp_path / "ours.yaml"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("name", servo_files())
+def test_every_make_is_plausible(name):
+    """Its stall torque is what its motor's constants give, within what gears lose and data sheets round."""
+    make = load_servo(name)
+    assert make.name == name
+    torque = make.output_constant * (make.limits.stall_torque.at or make.supply.si) / make.motor.terminal_resistance.si
+    assert 0.4 < make.limits.stall_torque.si / torque < 1.35
+    assert 1e-5 < make.motor.armature.si < 0.1
+
+
+def test_a_new_make_is_one_file(tmp_path):
+    """Its vendor's units become SI: 60 rpm are 2 pi rad/s."""
+    make = load_servo(written(tmp_path))
+    assert make.limits.no_load_speed.si == pytest.approx(2 * pi)
+    assert make.output_constant == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"unit": "rmp"}, r"line 15: counts.velocity has the unit 'rmp'.* the nearest is 'rpm'"),
+        ({"source": "sheeet"}, r"line 11: motor.armature.source names the source 'sheeet'.* the nearest is 'sheet'"),
+        ({"loop: current": "loop: curent"}, r"line 5: loop is 'curent', but"),
+        ({"loop: current": "loop: firmware"}, r"line 5: loop is 'firmware', so that the file needs a position_law"),
+        ({"gear_ratio": "gear_ration"}, r"motor.gear_ratio is missing"),
+        (
+            {"maker: us": "maker: us\nmodle_number: 3"},
+            r"line 4: modle_number is no field; the nearest is 'model_number'",
+        ),
+        ({"name": "theirs"}, r"line 2: name is 'theirs', but the file is called 'ours.yaml'"),
+    ],
+)
+def test_a_wrong_file_is_refused_in_one_sentence(tmp_path, change, sentence):
+    """With its line and the nearest valid name."""
+    with pytest.raises(ValueError, match=sentence):
+        load_servo(written(tmp_path, **change))
+
+
+def test_an_unknown_make_is_answered_with_the_nearest():
+    """A slip of the pen."""
+    with pytest.raises(ValueError, match="there is no servo 'xm430-w35'; the nearest is 'xm430-w350'"):
+        load_servo("xm430-w35")
