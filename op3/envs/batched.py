@@ -17,6 +17,7 @@ from op3.servo import RobotModel
 from op3.sim import BatchSimulation, attach_servos
 from op3.tasks.beginning import Beginning, begin, episode_seed
 from op3.tasks.ground import Ground
+from op3.tasks.pushes import Pushes
 from op3.tasks.randomisation import Randomisation
 from op3.tasks.rules import Outcome, Rules
 from op3.tasks.setups import OP3_CONTROL_PERIOD
@@ -97,6 +98,9 @@ class BatchedEnv(EnvBase):
             self.simulation.set_parameters(self._fixed)
         self._beginnings: dict[int, Beginning] = {}
         self._ground: Ground | None = None
+        self._trunk = batch.bind("xfrc_applied")[:, batch.model.body(robot.trunk.full_identifier).id]
+        self.pushes: Pushes | None = None
+        """What pushes the trunks; those of the episodes, unless others are set after a reset."""
         self.episode_seeds = np.zeros(num_envs, dtype=np.int64)
         self.on_tick: Callable[[int], None] | None = None
         """Called with the number of the tick in the step, before it; a recorder looks at the robots here."""
@@ -180,6 +184,9 @@ class BatchedEnv(EnvBase):
             if self._ground is None:
                 self._ground = Ground(self.simulation.batch.model, motions)
             self._ground.replace(rows, [motions[row] for row in rows])
+        if self.task.push:
+            pushes = [self._beginnings[row].push for row in range(self.num_envs)]
+            self.pushes = Pushes([push for push in pushes if push is not None])
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         action = tensordict["action"].double()
@@ -188,8 +195,10 @@ class BatchedEnv(EnvBase):
         for tick in range(TICKS):
             if self.on_tick is not None:
                 self.on_tick(tick)
+            now = time + tick * OP3_CONTROL_PERIOD
+            if self.pushes is not None:
+                self.pushes.drive(now, self._trunk)
             if self._ground is not None:
-                now = time + tick * OP3_CONTROL_PERIOD
                 self._ground.drive(now, self._qpos, self._qvel, self._forces)
             self.simulation.advance()
             if self.rules.bank.depth > 1 and tick < TICKS - 1:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from op3.robot import CONTROLLED_JOINTS, Scene, Tilts, Waves, WeightSchedule, draw_tiles, indices, pose
+from op3.tasks.pushes import Push
 from op3.tasks.task import Task
 
 Array = NDArray[np.float64]
@@ -20,12 +21,14 @@ class Beginning:
         qvel: full velocity ``[nv]``.
         board: what moves the board; None where there is none.
         tiles: heights of the terrain's tiles [m], ``[tile]``; None where there are none.
+        push: what will push the trunk; None where nothing does.
     """
 
     qpos: Array
     qvel: Array
     board: Waves | Tilts | WeightSchedule | None
     tiles: Array | None
+    push: Push | None
 
 
 def begin(task: Task, scene: Scene, seed: int) -> Beginning:
@@ -41,7 +44,8 @@ def begin(task: Task, scene: Scene, seed: int) -> Beginning:
     qvel[3:5] = scatter.angular_velocity * rng.standard_normal(2)
     qvel[6 + legs] = scatter.joint_velocity * rng.standard_normal(len(legs))
     tiles = draw_tiles(seed, task.terrain_height) if task.scene == "terrain" else None
-    return Beginning(qpos, qvel, board_of(task, seed), tiles)
+    push = Push.draw(seed, task.push, task.cycle or 1.0) if task.push else None
+    return Beginning(qpos, qvel, board_of(task, seed), tiles, push)
 
 
 def board_of(task: Task, seed: int) -> Waves | Tilts | WeightSchedule | None:

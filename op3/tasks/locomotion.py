@@ -15,6 +15,7 @@ from op3.sim import GearedServo
 from op3.tasks.beginning import begin, episode_seed
 from op3.tasks.ground import Ground
 from op3.tasks.playback import PHYSICS_TIMESTEP
+from op3.tasks.pushes import Pushes
 from op3.tasks.rules import Outcome, Rules
 from op3.tasks.setups import OP3_CONTROL_PERIOD
 from op3.tasks.snapshot import Probe, Snapshot
@@ -75,6 +76,8 @@ class LocomotionTask(composer.Task):
         model = physics.model.ptr
         self._probe = Probe(model, self._scene, self.task.cycle is not None)
         self._tiles = tile_ids(model)
+        assert self._scene.robot is not None
+        self._trunk = model.body(self._scene.robot.trunk.full_identifier).id
 
     def initialize_episode(self, physics: Any, random_state: Any) -> None:
         """Put the robot down for the next episode."""
@@ -84,6 +87,8 @@ class LocomotionTask(composer.Task):
         data.qpos[:], data.qvel[:], data.qfrc_applied[:] = beginning.qpos, beginning.qvel, 0.0
         if beginning.tiles is not None:
             place_tiles(model.geom_pos, self._tiles, beginning.tiles)
+        data.xfrc_applied[:] = 0.0
+        self._pushes = None if beginning.push is None else Pushes([beginning.push])
         self._ground = None if beginning.board is None else Ground(model, [beginning.board])
         first = {name: value[0] for name, value in self.rules.resting_commands(1).items()}
         self.servo.initialize_episode(physics, random_state, **first)
@@ -103,8 +108,10 @@ class LocomotionTask(composer.Task):
         if self._substep % self._every == 0:
             if self._substep and self.rules.bank.depth > 1:
                 self.rules.bank.push(self._snapshot(physics).readings)
+            data, time = physics.data.ptr, self._start + self._substep * PHYSICS_TIMESTEP
+            if self._pushes is not None:
+                self._pushes.drive(time, data.xfrc_applied[self._trunk][None])
             if self._ground is not None:
-                data, time = physics.data.ptr, self._start + self._substep * PHYSICS_TIMESTEP
                 self._ground.drive(time, data.qpos[None], data.qvel[None], data.qfrc_applied[None])
             self.servo.before_step(physics, random_state, **self._commands)
         self.servo.before_substep(physics, random_state)

@@ -101,6 +101,7 @@ class Task:
         fall_height: the episode ends when the trunk's origin is lower than this above the ground [m]; it stands at
             0.24 m.
         terrain_height: highest tile of the scene "terrain" above the floor [m], up to 0.01.
+        push: impulse at the trunk, in any of eight directions at a random time of the gait [N s].
         overload: weight, in the training reward and besides eq. (8), of currents that a servo cannot carry for long.
         placement: scatter of the beginning.
         sensors: the robot's sensors.
@@ -117,6 +118,7 @@ class Task:
     fall_angle: float = radians(45.0)
     fall_height: float = 0.15
     terrain_height: float = TILE_HEIGHT
+    push: float = 0.0
     overload: float = 0.0
     placement: Placement = field(default_factory=Placement)
     sensors: Sensors = field(default_factory=Sensors)
@@ -133,8 +135,11 @@ class Task:
             raise ValueError(
                 f"task {self.name!r}: terrain_height must be between 0 and {TILE_HEIGHT} m, got {self.terrain_height}"
             )
-        if not 0 <= self.overload < inf:
-            raise ValueError(f"task {self.name!r}: overload must be at least 0, got {self.overload}")
+        for field_name in ("overload", "push"):
+            if not 0 <= getattr(self, field_name) < inf:
+                raise ValueError(
+                    f"task {self.name!r}: {field_name} must be at least 0, got {getattr(self, field_name)}"
+                )
         if not self.duration > 0:
             raise ValueError(f"task {self.name!r}: the duration must be positive, got {self.duration} s")
 
@@ -164,8 +169,8 @@ def _balance(name: str, board: str) -> Task:
     return Task(name, "board_weight" if board == "weight" else "board", rewards.BALANCE, board=board)
 
 
-def _walk(name: str, scene: str) -> Task:
-    return Task(name, scene, rewards.WALK, desired_velocity=(0.3, 0.0), cycle=1.0, history=3)
+def _walk(name: str, scene: str, push: float = 0.0) -> Task:
+    return Task(name, scene, rewards.WALK, desired_velocity=(0.3, 0.0), cycle=1.0, history=3, push=push)
 
 
 TASKS: Mapping[str, Task] = {
@@ -180,6 +185,7 @@ TASKS: Mapping[str, Task] = {
         _walk("walk_bricks_b", "bricks_b"),
         _walk("walk_bricks_c", "bricks_c"),
         _walk("walk_bricks_d", "bricks_d"),
+        _walk("walk_push", "floor", push=1.0),
     )
 }
 """The tasks that come with the project, by name."""

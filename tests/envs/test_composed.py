@@ -24,7 +24,7 @@ def play(env, steps: int) -> list:
     return seen
 
 
-@pytest.mark.parametrize("name", ["balance", "balance_weight", "walk_terrain", "walk_bricks_d"])
+@pytest.mark.parametrize("name", ["balance", "balance_weight", "walk_terrain", "walk_bricks_d", "walk_push"])
 def test_twins_agree(name):
     """The same actions give the same observations, rewards and ends through composer and through the batch."""
     composed, batched = (play(make_env(name, num_envs=1, seed=3, backend=b), 20) for b in ("composer", "batched"))

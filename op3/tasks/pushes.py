@@ -1,0 +1,70 @@
+"""Impulses at the trunk: in eight directions, at a random time in the gait."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from op3.tasks.setups import OP3_CONTROL_PERIOD
+
+Array = NDArray[np.float64]
+
+DIRECTIONS = 8
+"""Directions of a push: forwards, then every 45 degrees to the left."""
+
+PUSH_DURATION = 12 * OP3_CONTROL_PERIOD
+"""How long a push lasts [s]: a hand's, short against the gait."""
+
+FIRST_PUSH = 1.5
+"""Time from which a robot may be pushed [s]; by then it walks."""
+
+
+@dataclass(frozen=True)
+class Push:
+    """A constant force at the trunk's centre of mass for `PUSH_DURATION`.
+
+    Attributes:
+        start: time since the episode's beginning, whole ticks of the control [s].
+        impulse: forwards and to the left, as the episode began [N s].
+    """
+
+    start: float
+    impulse: tuple[float, float]
+
+    @classmethod
+    def towards(cls, direction: int, size: float, start: float) -> "Push":
+        """A push of `size` [N s] in one of the `DIRECTIONS`, begun at the tick nearest to `start` [s]."""
+        angle = 2 * np.pi * direction / DIRECTIONS
+        tick = round(start / OP3_CONTROL_PERIOD) * OP3_CONTROL_PERIOD
+        return cls(tick, (float(size * np.cos(angle)), float(size * np.sin(angle))))
+
+    @classmethod
+    def draw(cls, seed: int, size: float, spread: float) -> "Push":
+        """The push of an episode's seed: any direction, begun within `spread` [s] from `FIRST_PUSH` on."""
+        rng = np.random.default_rng([seed, 3])
+        return cls.towards(int(rng.integers(DIRECTIONS)), size, FIRST_PUSH + spread * rng.random())
+
+
+class Pushes:
+    """The pushes of many robots, written into the simulator's external forces once per tick.
+
+    Args:
+        pushes: one per robot.
+    """
+
+    def __init__(self, pushes: Sequence[Push]):
+        self._start = np.array([push.start for push in pushes])
+        self._force = np.array([(*push.impulse, 0.0) for push in pushes]) / PUSH_DURATION
+
+    def replace(self, rows: Sequence[int] | NDArray[np.int64], pushes: Sequence[Push]) -> None:
+        """Give the robots in `rows` these pushes."""
+        new = Pushes(pushes)
+        self._start[rows], self._force[rows] = new._start, new._force
+
+    def drive(self, time: Array, external: Array) -> None:
+        """Push at times [s] of each episode, ``[sim]``, in the external wrenches of the trunk, ``[sim, 6]``."""
+        # half a tick of room on both sides: times are whole ticks up to rounding
+        since = time - self._start + OP3_CONTROL_PERIOD / 2
+        now = (since > 0) & (since < PUSH_DURATION)
+        external[:, :3] = np.where(now[:, None], self._force, 0.0)
