@@ -38,8 +38,6 @@ ROBOTS = ("emulated", "real")
 """Robots that play policies."""
 FORWARDS = 0.1
 """Mean speed from which an episode has gone forwards and not marked time [m/s]."""
-GAIT = Path("assets/gaits/walk.yaml")
-"""Numbers of the walk that the search for the first robot's walk begins with."""
 UNHEARD = ("train.", "task.", "sac.", "environment", "evaluation.", "robot.")
 """Overrides of what the budget, the task and the robot bring in, which the stages do not see."""
 MOST = 10.0
@@ -111,25 +109,12 @@ def on_robot(cfg: DictConfig) -> list[str]:
     return [*where, f"port={cfg.port}"]
 
 
-def gait(stages: Stages, cfg: DictConfig, budget: dict, number: int, model: str) -> Path:
-    """Search the numbers of a walk that walks on this model, from those of the round before; returns their file.
-
-    A walk without learning is found in minutes, and then shows the policy what walking is.
-    """
-    before = stages.folder / f"{number - 1}_gait" / "walk.yaml"
-    start = before if before.exists() else GAIT
-    overrides = ["task=walk", f"model={model}", f"start={start}", f"seed={cfg.seed + 100 * number}", *budget["gait"]]
-    randomised = cfg.conditions[cfg.condition].get("randomisation")
-    if randomised:
-        overrides.append(f"environment.randomisation={randomised}")
-    return stages.run(f"{number}_gait", "find_gait.py", *overrides) / "walk.yaml"
-
-
 def train(stages: Stages, cfg: DictConfig, budget: dict, number: int, model: str, start: Path | None) -> Path:
     """Train a policy on a model, from an earlier policy's networks where there is one; returns the bundle."""
     how = budget["train" if start is None else "retrain"]
-    if chosen("task") == "walk" and "walk" in budget:
-        how = [*budget["walk"], f"demonstrator={gait(stages, cfg, budget, number, model)}"]
+    if start is None and chosen("task") in budget.get("start", {}):
+        start = Path(budget["start"][chosen("task")])
+        how = budget["retrain"]
     condition = cfg.conditions[cfg.condition]
     randomised = condition.get("randomisation")
     overrides = [f"task={chosen('task')}", f"model={model}", f"seed={cfg.seed + 100 * number}", *how]

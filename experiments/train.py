@@ -7,8 +7,8 @@ python experiments/train.py task=balance model=<model.yaml> warm_start=<bundle>
 """
 
 import os
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,68 +18,66 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig
-from support import one_sentence, plain, whole
-from torch import Tensor
+from support import one_sentence, plain, positive, whole
 
 from op3.envs import BatchedEnv, make_env
+from op3.envs.specs import PEAKS
 from op3.policy import ActionMap, Manifest, PolicyBundle, Training
+from op3.policy.mirror import Mirror
 from op3.report import RunLogger, run_provenance
 from op3.report.training import histogram_figure, report_training
 from op3.report.video import film
 from op3.sim import load_model
 from op3.sim.model_file import model_hash
-from op3.tasks import PhasedWalk, Stride
 from op3.tasks.task import Task, find_task
 from op3.train import (
     SAC,
     Collector,
-    Demonstrations,
-    DemonstrationSettings,
+    Practice,
     SACSettings,
     TrainSettings,
     evaluate,
     train,
 )
 
-KEPT = (
-    "sac",
-    "train",
-    "environments",
-    "env",
-    "environment",
-    "initial_gain",
-    "warm_start",
-    "demonstrator",
-    "demonstration",
-)
+KEPT = ("sac", "train", "practice", "environments", "env", "environment", "initial_gain", "fixed_gain", "warm_start")
 """Settings that the manifest of a policy keeps."""
 
 FRAME_EVERY = 2
 """Policy steps between two frames of the film."""
 
 
+def actions(cfg: DictConfig) -> ActionMap:
+    """What actions mean: the same as those of the policy to start with; with `fixed_gain` they command angles alone."""
+    if cfg.warm_start is not None:
+        return PolicyBundle.load(cfg.warm_start).manifest.action_map
+    made = ActionMap.around_stand(cfg.span)
+    if cfg.fixed_gain is None:
+        return made
+    gain = positive(cfg, "fixed_gain", "A/rad")
+    return replace(made, gain_low=gain, gain_high=gain)
+
+
 def environment(cfg: DictConfig, task: Task, count: int, seed: int) -> BatchedEnv:
     """Robots at a task, as the config describes them."""
     options = {"num_threads": cfg.threads, **plain(cfg.environment)}
-    made = make_env(task, cfg.model, count, seed, action_map=ActionMap.around_stand(cfg.span), **options)
+    made = make_env(task, cfg.model, count, seed, action_map=actions(cfg), **options)
     assert isinstance(made, BatchedEnv)
     return made
 
 
-def robots(cfg: DictConfig, task: Task) -> Any:
-    """What collects: environments in this process, or in several."""
-    terms = tuple(("reward_terms", name) for name in task.reward_terms)
-    options = {**plain(cfg.environment), "action_map": ActionMap.around_stand(cfg.span), "backend": cfg.env}
+def robots(cfg: DictConfig, task: Task) -> Collector:
+    """What collects."""
+    extras = tuple(("reward_terms", name) for name in task.reward_terms)
+    options = {**plain(cfg.environment), "action_map": actions(cfg), "backend": cfg.env}
     if cfg.env == "composer" and cfg.environments != 1:
-        raise ValueError(f"env=composer is one robot per process: use environments=1, got {cfg.environments}")
+        raise ValueError(f"env=composer is one robot: use environments=1, got {cfg.environments}")
     if cfg.env == "batched":
-        options["num_threads"] = cfg.threads if cfg.processes == 1 else 1
-    if cfg.processes == 1:
-        return Collector(make_env(task, cfg.model, cfg.environments, cfg.seed, **options), terms)
-    from op3.train.process_collector import ProcessCollector  # TorchRL's collectors take a second to import
-
-    make = partial(make_env, task, cfg.model, cfg.environments, **options)
-    return ProcessCollector(make, cfg.processes, cfg.environments, terms)
+        options["num_threads"] = cfg.threads
+    if task.cycle is not None:  # a policy that walks begins anywhere in the gait
+        task = replace(task, first_phase=None)
+    extras += tuple(("peak", name) for name in PEAKS)
+    return Collector(make_env(task, cfg.model, cfg.environments, cfg.seed, **options), extras)
 
 
 def describe(cfg: DictConfig, task: Task, provenance: Mapping[str, Any]) -> Manifest:
@@ -97,26 +95,12 @@ def describe(cfg: DictConfig, task: Task, provenance: Mapping[str, Any]) -> Mani
         task=task.name,
         layout=task.layout,
         history=task.history,
-        action_map=ActionMap.around_stand(cfg.span),
+        action_map=actions(cfg),
         hidden=tuple(cfg.sac.hidden),
         normalisation=cfg.train.normalisation,
         clip=cfg.sac.clip,
         training=training,
     )
-
-
-def check_actions(what: str, given: ActionMap, own: ActionMap) -> None:
-    """Refuse a policy whose actions mean something else than those of this run.
-
-    Raises:
-        ValueError: naming both spans.
-    """
-    if given != own:
-        theirs, ours = (round(actions.span, 6) for actions in (given, own))
-        raise ValueError(
-            f"{what}: its actions mean something else: targets up to {theirs:g} rad from the stand pose, here {ours:g};"
-            f" use span={theirs:g}"
-        )
 
 
 def learner(cfg: DictConfig, manifest: Manifest) -> SAC:
@@ -137,44 +121,21 @@ def learner(cfg: DictConfig, manifest: Manifest) -> SAC:
     )
     if cfg.warm_start is not None and cfg.resume is None:
         earlier = PolicyBundle.load(cfg.warm_start)
-        check_actions(f"warm_start={cfg.warm_start}", earlier.manifest.action_map, manifest.action_map)
         sac.start_from(earlier)
     return sac
-
-
-def shown(cfg: DictConfig, task: Task) -> Demonstrations | None:
-    """Demonstrations to learn from, where the config names a demonstrator."""
-    if cfg.demonstrator is None:
-        return None
-    collector = Collector(environment(cfg, task, cfg.environments, cfg.seed))
-    policy = demonstrator(cfg.demonstrator, task, ActionMap.around_stand(cfg.span))
-    return Demonstrations(collector, policy, DemonstrationSettings(**plain(cfg.demonstration)), cfg.seed)
-
-
-def demonstrator(path: str, task: Task, action_map: ActionMap) -> Callable[[Tensor], Tensor]:
-    """What plays the demonstrations: the numbers of a walk, or a policy bundle."""
-    if not Path(path).exists():
-        raise FileNotFoundError(
-            f"demonstrator={path}: no such file; give numbers of a walk (YAML) or a bundle's folder"
-        )
-    if Path(path).is_dir():
-        bundle = PolicyBundle.load(path)
-        check_actions(f"demonstrator={path}", bundle.manifest.action_map, action_map)
-        return bundle.act
-    if task.cycle is None:
-        raise ValueError(f"demonstrator={path}: a walk cannot demonstrate {task.name}, which has no gait")
-    return PhasedWalk(Stride.load(path), action_map).act
 
 
 def run(cfg: DictConfig) -> dict[str, Any]:
     """Train, judge the kept policy, and write page, numbers and film."""
     torch.set_num_threads(1)
-    for name, least in (("seed", 0), ("environments", 1), ("processes", 1), ("threads", 0)):
+    for name, least in (("seed", 0), ("environments", 1), ("threads", 0)):
         whole(cfg, name, least)
     for name, least in (("episodes", 1), ("seed", 0), ("final_seed", 0)):
         whole(cfg, f"evaluation.{name}", least)
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
     task, provenance = instantiate(cfg.task), run_provenance(seed=cfg.seed)
+    if cfg.warm_start is not None:
+        cfg.sac.hidden = list(PolicyBundle.load(cfg.warm_start).manifest.hidden)
     manifest, settings = describe(cfg, task, provenance), TrainSettings(**plain(cfg.train))
     judge_task = task if cfg.evaluation.task is None else find_task(cfg.evaluation.task)
     judge = environment(cfg, judge_task, cfg.evaluation.episodes, cfg.evaluation.seed)
@@ -192,10 +153,11 @@ def run(cfg: DictConfig) -> dict[str, Any]:
             settings,
             manifest,
             folder,
+            practice=Practice(**plain(cfg.practice)),
+            mirror=Mirror(manifest.layout, manifest.history, manifest.action_map.joints),
             log=lambda measures, step: logger.log(measures, step),
             say=lambda line: print(line, flush=True),
             resume=cfg.resume is not None,
-            demonstrations=shown(cfg, task),
         )
         collector.close()
         if progress.stopped:
@@ -230,7 +192,7 @@ def run(cfg: DictConfig) -> dict[str, Any]:
         title=f"Training: {task.name} on {cfg.model}, seed {cfg.seed}",
         numbers=numbers,
         provenance=provenance,
-        settings={f"{part}.{k}": v for part in ("sac", "train") for k, v in plain(cfg[part]).items()},
+        settings={f"{part}.{k}": v for part in ("sac", "train", "practice") for k, v in plain(cfg[part]).items()},
         histograms=histograms,
         files=files,
     )

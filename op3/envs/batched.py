@@ -10,7 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from op3.envs.specs import set_specs
+from op3.envs.specs import PEAKS, set_specs
 from op3.policy import ActionMap
 from op3.robot import build_scene, place_tiles, tile_ids
 from op3.servo import RobotModel
@@ -22,7 +22,8 @@ from op3.tasks.randomisation import Randomisation
 from op3.tasks.rules import Outcome, Rules
 from op3.tasks.setups import OP3_CONTROL_PERIOD
 from op3.tasks.snapshot import Probe, Snapshot
-from op3.tasks.task import POLICY_PERIOD, TICKS, Task
+from op3.tasks.task import POLICY_PERIOD, TICKS, Task, find_task
+from op3.tasks.whole_step import Throughout, WholeStep
 
 
 class BatchedEnv(EnvBase):
@@ -85,6 +86,9 @@ class BatchedEnv(EnvBase):
         with_feet = task.cycle is not None
         self._probe = Probe(batch.model, self.scene, with_feet)
         self._sensordata = self.simulation.sensordata
+        self._whole_step = WholeStep(batch.model, self.scene, num_envs, with_feet)
+        self._sites = batch.bind("site_xpos")
+        self.simulation.on_step = self._look
         self._tiles = tile_ids(batch.model)
         self._geom_pos = batch.expand("geom_pos") if len(self._tiles) else None
         self._randomisation = randomisation
@@ -97,6 +101,8 @@ class BatchedEnv(EnvBase):
         if self._fixed:
             self.simulation.set_parameters(self._fixed)
         self._beginnings: dict[int, Beginning] = {}
+        self._practice: dict[str, float] = {}
+        self._beginning_task = task
         self._ground: Ground | None = None
         self._trunk = batch.bind("xfrc_applied")[:, batch.model.body(robot.trunk.full_identifier).id]
         self.pushes: Pushes | None = None
@@ -117,6 +123,7 @@ class BatchedEnv(EnvBase):
         self._episodes = np.zeros(self.num_envs, dtype=np.int64)
         generator = torch.Generator().manual_seed(self.seed)
         self.rules = Rules(self.task, self.action_map, self.num_envs, generator)
+        self.rules.speed_bonus = self._practice.get("speed_bonus", 0.0)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDict:
         mask = torch.ones(self.num_envs, dtype=torch.bool)
@@ -140,6 +147,17 @@ class BatchedEnv(EnvBase):
         mask[list(episodes)] = True
         return self._begin(mask, {row: episode_seed(self.seed, 0, number) for row, number in episodes.items()})
 
+    def practise(self, speed_bonus: float = 0.0, **task: float) -> None:
+        """What learning begins with and grows out of.
+
+        Args:
+            speed_bonus: see `op3.tasks.rules.Rules`.
+            **task: numbers of the task, such as `terrain_height`, for the episodes that begin from now on.
+        """
+        self._practice = {"speed_bonus": speed_bonus}
+        self.rules.speed_bonus = speed_bonus
+        self._beginning_task = find_task(self.task, **task)
+
     def set_parameters(self, values: Mapping[str, Tensor | float]) -> None:
         """Give robots other parameters from now on, as the constructor's `parameters`."""
         self._fixed = dict(values)
@@ -154,14 +172,16 @@ class BatchedEnv(EnvBase):
         rows = np.array(sorted(seeds))
         for row, seed in seeds.items():
             self.episode_seeds[row] = seed
-            self._beginnings[row] = begin(self.task, self.scene, seed)
+            self._beginnings[row] = begin(self._beginning_task, self.scene, seed)
         self._place(rows)
-        observation = self.rules.begin(self.snapshot(), mask)
+        phase = torch.tensor([self._beginnings[row].phase for row in range(self.num_envs)], dtype=torch.float64)
+        observation = self.rules.begin(self.snapshot(), mask, phase)
         zeros = torch.zeros(self.num_envs, 1)
         done = torch.zeros(self.num_envs, 1, dtype=torch.bool)
         terms = {name: zeros.clone() for name in self.observation_spec["reward_terms"].keys(True)}
         flags = {name: done.clone() for name in ("done", "terminated", "truncated")}
-        content = {"observation": observation.float(), "reward_terms": TensorDict(terms, self.batch_size), **flags}
+        peaks = {name: zeros.clone() for name in PEAKS}
+        content = {"observation": observation.float(), "reward_terms": terms, "peak": peaks, **flags}
         return TensorDict(content, self.batch_size)
 
     def _place(self, rows: np.ndarray) -> None:
@@ -192,6 +212,7 @@ class BatchedEnv(EnvBase):
         action = tensordict["action"].double()
         self.simulation.command(**self._scaled(self.rules.commands(action)))
         time = self.rules.time.numpy()
+        self._whole_step.begin(self._sites)
         for tick in range(TICKS):
             if self.on_tick is not None:
                 self.on_tick(tick)
@@ -205,7 +226,8 @@ class BatchedEnv(EnvBase):
                 self.rules.bank.push(self.snapshot().readings)
         snapshot = self.snapshot()
         self.rules.bank.push(snapshot.readings)
-        return self._answer(self.rules.finish(action, snapshot, self.simulation.failed))
+        throughout = self._whole_step.result()
+        return self._answer(self.rules.finish(action, snapshot, throughout, self.simulation.failed), throughout)
 
     def _scaled(self, commands: dict[str, Tensor]) -> dict[str, Tensor]:
         """Commands as the servos get them."""
@@ -213,7 +235,11 @@ class BatchedEnv(EnvBase):
             return commands
         return {name: value * self._gain_scale if "gain" in name else value for name, value in commands.items()}
 
-    def _answer(self, outcome: Outcome) -> TensorDict:
+    def _look(self) -> None:
+        simulation = self.simulation
+        self._whole_step.look(self._qpos, self._qvel, self._sensordata.numpy(), self._sites, simulation.motor_current)
+
+    def _answer(self, outcome: Outcome, throughout: Throughout) -> TensorDict:
         def column(values: Tensor) -> Tensor:
             return values.float()[:, None]
 
@@ -223,7 +249,8 @@ class BatchedEnv(EnvBase):
             {
                 "observation": outcome.observation.float(),
                 "reward": column(outcome.reward),
-                "reward_terms": TensorDict(terms, self.batch_size),
+                "reward_terms": terms,
+                "peak": {name: column(getattr(throughout, f"peak_{name}")) for name in PEAKS},
                 "done": done,
                 "terminated": outcome.terminated[:, None].clone(),
                 "truncated": outcome.truncated[:, None].clone(),

@@ -6,7 +6,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import EnvBase
 
-from op3.envs.specs import set_specs
+from op3.envs.specs import PEAKS, set_specs
 from op3.policy import ActionMap
 from op3.servo import RobotModel
 from op3.tasks.locomotion import LocomotionTask, locomotion_environment
@@ -40,23 +40,27 @@ class ComposerEnv(EnvBase):
         del tensordict, kwargs
         self.composer.reset()
         zeros = torch.zeros(1, 1)
-        terms = {name: zeros.clone() for name in self.observation_spec["reward_terms"].keys(True)}
-        return self._pack(terms, torch.zeros(1, dtype=torch.bool), torch.zeros(1, dtype=torch.bool))
+        terms = {name: zeros.clone() for name in self.task.reward_terms}
+        peaks = {name: zeros.clone() for name in PEAKS}
+        return self._pack(terms, peaks, torch.zeros(1, dtype=torch.bool), torch.zeros(1, dtype=torch.bool))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         self.composer.step(tensordict["action"][0].double().numpy())
         outcome = self.composer_task.outcome
         assert outcome is not None
         terms = {name: term.float()[:, None] for name, term in outcome.terms.items()}
-        answer = self._pack(terms, outcome.terminated, outcome.truncated)
+        throughout = self.composer_task.throughout
+        peaks = {name: getattr(throughout, f"peak_{name}").float()[:, None] for name in PEAKS}
+        answer = self._pack(terms, peaks, outcome.terminated, outcome.truncated)
         return answer.set("reward", outcome.reward.float()[:, None])
 
-    def _pack(self, terms: dict, terminated: torch.Tensor, truncated: torch.Tensor) -> TensorDict:
+    def _pack(self, terms: dict, peaks: dict, terminated: torch.Tensor, truncated: torch.Tensor) -> TensorDict:
         flags = {"done": terminated | truncated, "terminated": terminated, "truncated": truncated}
         return TensorDict(
             {
                 "observation": self.composer_task.observation.float(),
-                "reward_terms": TensorDict(terms, self.batch_size),
+                "reward_terms": terms,
+                "peak": peaks,
                 **{name: flag.clone()[:, None] for name, flag in flags.items()},
             },
             self.batch_size,

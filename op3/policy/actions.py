@@ -47,7 +47,7 @@ class ActionMap:
         position_low: target angle [rad] of each joint at action -1.
         position_high: target angle [rad] of each joint at action +1.
         gain_low: P gain at action -1 [A/rad].
-        gain_high: P gain at action +1 [A/rad].
+        gain_high: P gain at action +1 [A/rad]; equal to `gain_low`, the gain is fixed whatever the action says.
         d_gain: D gain of every joint [A s/rad].
     """
 
@@ -72,8 +72,8 @@ class ActionMap:
                 raise ValueError(
                     f"action map: {joint} ranges from {low} to {high} rad; it must rise within [{lowest}, {highest}]"
                 )
-        if not self.gain_low < self.gain_high:
-            raise ValueError(f"action map: gains must rise, got {self.gain_low} to {self.gain_high} A/rad")
+        if not self.gain_low <= self.gain_high:
+            raise ValueError(f"action map: gains must not fall, got {self.gain_low} to {self.gain_high} A/rad")
 
     @classmethod
     def around_stand(cls, span: float = SPAN, joints: tuple[str, ...] = CONTROLLED_JOINTS) -> "ActionMap":
@@ -154,7 +154,8 @@ class ActionMap:
         else:
             values = np.concatenate([position_target, p_gain], -1)
         low, high = self._bounds(values)
-        return (2.0 * (values - low) / (high - low) - 1.0).clip(-1.0, 1.0)
+        fixed = high == low  # any action commands this; 0 is the middle
+        return (2.0 * values.clip(low, high) - low - high) / (high - low + fixed)
 
     def stand(self, p_gain: float | None = None) -> NDArray[np.float64]:
         """The action [2 joint] that holds the stand pose.

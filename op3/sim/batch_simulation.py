@@ -1,7 +1,7 @@
 """Many simulations of one robot, each with parameters of its own, stepped together."""
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -81,6 +81,8 @@ class BatchSimulation:
         self._translated: Translated | None = None
         default_commands(self.signals, model)
         self.failed = torch.zeros(num_sims, dtype=torch.bool)
+        self.on_step: Callable[[], None] | None = None
+        """Called after every step of the physics; who looks for peaks looks here."""
         self._bind()
         self.set_parameters({})
 
@@ -98,6 +100,13 @@ class BatchSimulation:
     def translated(self) -> bool:
         """Whether numpy has taken over the law."""
         return self._translated is not None
+
+    @property
+    def motor_current(self) -> np.ndarray:
+        """In the motors at the last step [A], ``[sim, joint]``."""
+        if self._translated is not None:
+            return self._translated.step.outputs["current"]
+        return self.signals.current.numpy()
 
     @property
     def sensordata(self) -> Tensor:
@@ -265,6 +274,8 @@ class BatchSimulation:
                 self._armature[:, ports.dof] = self._rotor + self.timestep * signals.damping
                 self._friction[:, ports.dof] = signals.friction_bound
                 self.batch.step()
+                if self.on_step is not None:
+                    self.on_step()
         else:
             self._advance_translated(self._translated)
         self._note_failures()
@@ -291,6 +302,8 @@ class BatchSimulation:
         armature += self._rotor_inertia
         friction[...] = law.outputs["friction_bound"]
         self.batch.step()
+        if self.on_step is not None:
+            self.on_step()
 
     def _live_arrays(self) -> dict[str, np.ndarray] | None:
         """Inputs of the law that `_step_in_numpy` fills, or that are the simulator's own; None where they cannot be."""

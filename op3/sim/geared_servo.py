@@ -95,6 +95,11 @@ class GearedServo:
         )
         physics.model.ptr.dof_frictionloss[self.ports.dof] = self.signals.friction_bound[0].numpy()
 
+    @property
+    def motor_current(self) -> np.ndarray:
+        """In the motors at the last step [A], ``[joint]``."""
+        return self.signals.current[0].numpy()
+
     def measure(self, physics: Any) -> dict[tuple[str, str], Tensor]:
         """What the servos' and the trunk's sensors say now: channels of the log, ``[joint]`` and ``[3]``."""
         self._read(physics)

@@ -4,7 +4,6 @@ from op3.tasks.baselines import Hold, Random, StiffWalk, Zero, position_mode
 from op3.tasks.beginning import board_of, episode_seed
 from op3.tasks.evaluation import evaluation_return, evaluation_rewards
 from op3.tasks.locomotion import LocomotionTask, locomotion_environment
-from op3.tasks.phased_walk import PhasedWalk, Stride
 from op3.tasks.playback import Playback, bench_task, play, playback_environment, squat_task
 from op3.tasks.randomisation import Randomisation
 from op3.tasks.replay import Prediction, Replay
@@ -17,7 +16,6 @@ __all__ = [
     "TASKS",
     "Hold",
     "LocomotionTask",
-    "PhasedWalk",
     "Placement",
     "Playback",
     "Prediction",
@@ -28,7 +26,6 @@ __all__ = [
     "Sensors",
     "Setup",
     "StiffWalk",
-    "Stride",
     "Task",
     "Zero",
     "bench_task",

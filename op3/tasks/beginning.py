@@ -22,6 +22,7 @@ class Beginning:
         board: what moves the board; None where there is none.
         tiles: heights of the terrain's tiles [m], ``[tile]``; None where there are none.
         push: what will push the trunk; None where nothing does.
+        phase: of the gait [cycles].
     """
 
     qpos: Array
@@ -29,6 +30,7 @@ class Beginning:
     board: Waves | Tilts | WeightSchedule | None
     tiles: Array | None
     push: Push | None
+    phase: float
 
 
 def begin(task: Task, scene: Scene, seed: int) -> Beginning:
@@ -45,7 +47,8 @@ def begin(task: Task, scene: Scene, seed: int) -> Beginning:
     qvel[6 + legs] = scatter.joint_velocity * rng.standard_normal(len(legs))
     tiles = draw_tiles(seed, task.terrain_height) if task.scene == "terrain" else None
     push = Push.draw(seed, task.push, task.cycle or 1.0) if task.push else None
-    return Beginning(qpos, qvel, board_of(task, seed), tiles, push)
+    phase = np.random.default_rng([seed, 2]).random() if task.first_phase is None else task.first_phase
+    return Beginning(qpos, qvel, board_of(task, seed), tiles, push, phase)
 
 
 def board_of(task: Task, seed: int) -> Waves | Tilts | WeightSchedule | None:

@@ -86,7 +86,9 @@ def evaluation_terms(
     terms = rewards.weighted(
         rewards.EVALUATION,
         rewards.command_term(desired if velocity is None else velocity, desired, orientation, rewards.EVALUATION),
-        rewards.smooth_term(action, previous, current, rates, acceleration),
+        rewards.smooth_term(
+            rewards.norm(action - previous), rewards.norm(current), rewards.norm(rates) + rewards.norm(acceleration)
+        ),
     )
     return rewards.total(terms)
 

@@ -20,6 +20,7 @@ from op3.tasks.rules import Outcome, Rules
 from op3.tasks.setups import OP3_CONTROL_PERIOD
 from op3.tasks.snapshot import Probe, Snapshot
 from op3.tasks.task import POLICY_PERIOD, Task
+from op3.tasks.whole_step import WholeStep
 
 
 class LocomotionTask(composer.Task):
@@ -75,6 +76,7 @@ class LocomotionTask(composer.Task):
         self.servo.after_compile(physics, random_state)
         model = physics.model.ptr
         self._probe = Probe(model, self._scene, self.task.cycle is not None)
+        self._whole_step = WholeStep(model, self._scene, 1, self.task.cycle is not None)
         self._tiles = tile_ids(model)
         assert self._scene.robot is not None
         self._trunk = model.body(self._scene.robot.trunk.full_identifier).id
@@ -92,12 +94,14 @@ class LocomotionTask(composer.Task):
         self._ground = None if beginning.board is None else Ground(model, [beginning.board])
         first = {name: value[0] for name, value in self.rules.resting_commands(1).items()}
         self.servo.initialize_episode(physics, random_state, **first)
-        self.observation = self.rules.begin(self._snapshot(physics), torch.ones(1, dtype=torch.bool))
+        phase = torch.tensor([beginning.phase], dtype=torch.float64)
+        self.observation = self.rules.begin(self._snapshot(physics), torch.ones(1, dtype=torch.bool), phase)
         self.outcome: Outcome | None = None
 
     def before_step(self, physics: Any, action: Any, random_state: Any) -> None:
         """Take the policy's action."""
-        del physics, random_state
+        del random_state
+        self._whole_step.begin(physics.data.ptr.site_xpos[None])
         self._action = torch.as_tensor(action, dtype=torch.float64)[None]
         self._commands = {name: value[0] for name, value in self.rules.commands(self._action).items()}
         self._substep, self._start = 0, self.rules.time.numpy()
@@ -117,6 +121,13 @@ class LocomotionTask(composer.Task):
         self.servo.before_substep(physics, random_state)
         self._substep += 1
 
+    def after_substep(self, physics: Any, random_state: Any) -> None:
+        """Look at what the step's means and peaks are made of."""
+        del random_state
+        data = physics.data.ptr
+        arrays = (data.qpos, data.qvel, data.sensordata, data.site_xpos, self.servo.motor_current)
+        self._whole_step.look(*(array[None] for array in arrays))
+
     def after_step(self, physics: Any, random_state: Any) -> None:
         """Judge the step."""
         del random_state
@@ -124,7 +135,8 @@ class LocomotionTask(composer.Task):
         self.rules.bank.push(snapshot.readings)
         data = physics.data.ptr
         failed = torch.tensor([not np.isfinite(data.qacc).all() or bool(data.warning.number.any())])
-        self.outcome = self.rules.finish(self._action, snapshot, failed)
+        self.throughout = self._whole_step.result()
+        self.outcome = self.rules.finish(self._action, snapshot, self.throughout, failed)
         self.observation = self.outcome.observation
 
     def get_reward(self, physics: Any) -> float:

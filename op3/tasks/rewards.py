@@ -82,24 +82,21 @@ def command_term(velocity: Tensor, desired: Tensor, orientation: Tensor, coeffic
     )
 
 
-def smooth_term(
-    action: Tensor, previous_action: Tensor, current: Tensor, angular_velocity: Tensor, acceleration: Tensor
-) -> Tensor:
+def norm(values: Tensor) -> Tensor:
+    """Euclidean norm over the last axis."""
+    return torch.linalg.vector_norm(values, dim=-1)
+
+
+def smooth_term(action_change: Tensor, current: Tensor, motion: Tensor) -> Tensor:
     """R_smt: changes of the action, motor currents, and motion of the body, in [-3, 0].
 
     Args:
-        action: a_t, ``[..., action]``, scaled to [-1, 1].
-        previous_action: a_(t-1).
-        current: of all motors, ``[..., joint]`` in A.
-        angular_velocity: of the body, ``[..., 3]`` in rad/s.
-        acceleration: of the body, without gravity, ``[..., 3]`` in m/s^2.
+        action_change: norm of a_t - a_(t-1), both scaled to [-1, 1], ``[...]``.
+        current: norm of the currents of all motors, ``[...]`` in A.
+        motion: norm of the body's angular velocity [rad/s] plus that of its acceleration without gravity [m/s^2],
+            ``[...]``.
     """
-    norm = torch.linalg.vector_norm
-    return (
-        _penalty(0.1 * norm(action - previous_action, dim=-1))
-        + _penalty(0.05 * norm(10.0 * current, dim=-1))
-        + _penalty(0.1 * (norm(angular_velocity, dim=-1) + norm(acceleration, dim=-1)))
-    )
+    return _penalty(0.1 * action_change) + _penalty(0.5 * current) + _penalty(0.1 * motion)
 
 
 def overload_term(current: Tensor) -> Tensor:
@@ -154,23 +151,9 @@ def bipedal_term(phase: Tensor, foot_force: Tensor, foot_speed: Tensor) -> Tenso
     return (swing * loaded + (1.0 - swing) * moving).sum(-1)
 
 
-def weighted(
-    coefficients: Coefficients,
-    command: Tensor,
-    smooth: Tensor,
-    bipedal: Tensor | None = None,
-    overload: Tensor | None = None,
-) -> dict[str, Tensor]:
-    """Contributions to the reward by name; the reward is 1 plus their sum, see `total`.
-
-    The overload's comes with its weight.
-    """
-    terms = {"command": coefficients.command * command, "smooth": coefficients.smooth * smooth}
-    if bipedal is not None:
-        terms["bipedal"] = coefficients.bipedal * bipedal
-    if overload is not None:
-        terms["overload"] = overload
-    return terms
+def weighted(coefficients: Coefficients, command: Tensor, smooth: Tensor) -> dict[str, Tensor]:
+    """Contributions to the reward by name; the reward is 1 plus their sum, see `total`."""
+    return {"command": coefficients.command * command, "smooth": coefficients.smooth * smooth}
 
 
 def total(terms: dict[str, Tensor]) -> Tensor:

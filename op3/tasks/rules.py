@@ -11,6 +11,7 @@ from op3.tasks import rewards
 from op3.tasks.sensing import SensorBank
 from op3.tasks.snapshot import Snapshot
 from op3.tasks.task import POLICY_PERIOD, Task
+from op3.tasks.whole_step import Throughout
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +48,9 @@ class Rules:
         self.action_map = action_map
         self.bank = SensorBank(task.sensors, generator)
         self.steps = torch.zeros(num_sims, dtype=torch.int64)
+        self.first_phase = torch.zeros(num_sims, dtype=torch.float64)
+        self.speed_bonus = 0.0
+        """What a learner gets for forward speed, per m/s up to the desired speed; not in the paper and not judged."""
         self._history = History(task.history)
         self._first_action = torch.from_numpy(action_map.stand())
         self._previous = self._first_action.repeat(num_sims, 1)
@@ -57,13 +61,19 @@ class Rules:
         """Time since each episode's beginning [s], ``[sim]``."""
         return self.steps.double() * POLICY_PERIOD
 
-    def begin(self, snapshot: Snapshot, rows: Tensor) -> Tensor:
+    def begin(self, snapshot: Snapshot, rows: Tensor, phase: Tensor) -> Tensor:
         """Episodes begin for the rows of a mask ``[sim]``; the robots hold the stand pose with the highest gain.
+
+        Args:
+            snapshot: of all robots.
+            rows: which of them begin.
+            phase: of the gait, ``[sim]`` in cycles, which counts for those.
 
         Returns:
             The observation of all robots, ``[sim, observation]``.
         """
         self.steps[rows] = 0
+        self.first_phase = torch.where(rows, phase, self.first_phase)
         self._previous = torch.where(rows[:, None], self._first_action, self._previous)
         self.bank.reset(snapshot.readings, rows)
         return self._history.reset(self._observe(), rows)
@@ -78,18 +88,19 @@ class Rules:
         commands = self.commands(self._first_action.expand(count, -1))
         return {**commands, "d_gain": torch.full_like(commands["p_gain"], self.action_map.d_gain)}
 
-    def finish(self, action: Tensor, snapshot: Snapshot, failed: Tensor) -> Outcome:
+    def finish(self, action: Tensor, snapshot: Snapshot, throughout: Throughout, failed: Tensor) -> Outcome:
         """A policy step is over.
 
         Args:
             action: taken at its beginning, ``[sim, action]``; beyond [-1, 1] it counts as clipped, as it was commanded.
             snapshot: at its end; its readings must have been given to `bank`.
+            throughout: what it was like.
             failed: simulations that diverged, ``[sim]``.
         """
         action = action.clamp(-1.0, 1.0)
         self.steps += 1
         orientation = snapshot.readings["orientation"]
-        terms = self._terms(action, snapshot)
+        terms = self._terms(action, snapshot, throughout)
         reward = rewards.total(terms)
         tilted = orientation[:, :2].abs().amax(1) > self.task.fall_angle
         terminated = tilted | (snapshot.height < self.task.fall_height) | failed
@@ -102,29 +113,29 @@ class Rules:
         truncated = (self.steps >= self.task.steps) & ~terminated
         return Outcome(observation, reward, terms, terminated, truncated)
 
-    def _terms(self, action: Tensor, snapshot: Snapshot) -> dict[str, Tensor]:
-        weights, orientation = self.task.coefficients, snapshot.readings["orientation"]
-        bipedal = None
-        if self.task.cycle is not None and snapshot.foot_force is not None and snapshot.foot_speed is not None:
-            bipedal = rewards.bipedal_term(self._phase(), snapshot.foot_force, snapshot.foot_speed)
-        return rewards.weighted(
+    def _terms(self, action: Tensor, snapshot: Snapshot, throughout: Throughout) -> dict[str, Tensor]:
+        task, weights, orientation = self.task, self.task.coefficients, snapshot.readings["orientation"]
+        judged = throughout if task.whole_step else snapshot.at_the_end()
+        terms = rewards.weighted(
             weights,
             rewards.command_term(snapshot.velocity[:, :2], self._desired, orientation, weights),
             rewards.smooth_term(
-                action,
-                self._previous,
-                snapshot.current,
-                snapshot.readings["angular_velocity"],
-                rewards.body_acceleration(snapshot.specific_force, orientation),
+                rewards.norm(action - self._previous), judged.current, judged.angular_velocity + judged.acceleration
             ),
-            bipedal,
-            self.task.overload * rewards.overload_term(snapshot.current) if self.task.overload else None,
         )
+        if task.cycle is not None:
+            bipedal = rewards.bipedal_term(self._phase(), judged.foot_force, judged.foot_speed)
+            wanted = self._desired[0].abs()
+            terms["bipedal"] = weights.bipedal * bipedal
+            terms["speed_bonus"] = self.speed_bonus * snapshot.velocity[:, 0].clamp(-wanted, wanted)
+        if task.overload:
+            terms["overload"] = task.overload * rewards.overload_term(snapshot.current)
+        return terms
 
     def _phase(self) -> Tensor:
-        """Phase of the gait in cycles, ``[sim]``; it is 0 when an episode begins."""
+        """Phase of the gait in cycles, ``[sim]``."""
         assert self.task.cycle is not None
-        return torch.remainder(self.time / self.task.cycle, 1.0)
+        return torch.remainder(self.time / self.task.cycle + self.first_phase, 1.0)
 
     def _observe(self) -> Tensor:
         readings = self.bank.read()

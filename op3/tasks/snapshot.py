@@ -14,6 +14,8 @@ from torch import Tensor
 from op3.policy.leg_kinematics import leg_kinematics
 from op3.robot import KEY_POINTS, Scene
 from op3.sim import ServoPorts
+from op3.tasks import rewards
+from op3.tasks.whole_step import Throughout
 
 _INNER_TIPS = [KEY_POINTS.index("l_sole_inner_tip"), KEY_POINTS.index("r_sole_inner_tip")]
 
@@ -41,6 +43,21 @@ class Snapshot:
     foot_force: Tensor | None = None
     foot_speed: Tensor | None = None
     tip: Tensor | None = None
+
+    def at_the_end(self) -> Throughout:
+        """A policy step as if it had been all the time like this."""
+        acceleration = rewards.norm(rewards.body_acceleration(self.specific_force, self.readings["orientation"]))
+        none = torch.zeros(len(self.height), 2, dtype=torch.float64)
+        force = none if self.foot_force is None else self.foot_force
+        return Throughout(
+            rewards.norm(self.current),
+            rewards.norm(self.readings["angular_velocity"]),
+            acceleration,
+            force,
+            none if self.foot_speed is None else self.foot_speed,
+            force.amax(1),
+            acceleration,
+        )
 
 
 class Probe:

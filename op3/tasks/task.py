@@ -103,6 +103,9 @@ class Task:
         terrain_height: highest tile of the scene "terrain" above the floor [m], up to 0.01.
         push: impulse at the trunk, in any of eight directions at a random time of the gait [N s].
         overload: weight, in the training reward and besides eq. (8), of currents that a servo cannot carry for long.
+        first_phase: of the gait when an episode begins [cycles]; None: drawn anew for every episode.
+        whole_step: whether currents, motion of the body, forces and speeds of the feet enter the training reward as
+            means over the policy step, or as they are at its end, where most of a landing escapes.
         placement: scatter of the beginning.
         sensors: the robot's sensors.
     """
@@ -120,6 +123,8 @@ class Task:
     terrain_height: float = TILE_HEIGHT
     push: float = 0.0
     overload: float = 0.0
+    first_phase: float | None = 0.0
+    whole_step: bool = True
     placement: Placement = field(default_factory=Placement)
     sensors: Sensors = field(default_factory=Sensors)
 
@@ -140,6 +145,8 @@ class Task:
                 raise ValueError(
                     f"task {self.name!r}: {field_name} must be at least 0, got {getattr(self, field_name)}"
                 )
+        if self.first_phase is not None and not 0 <= self.first_phase < 1:
+            raise ValueError(f"task {self.name!r}: first_phase must be in [0, 1) or null, got {self.first_phase}")
         if not self.duration > 0:
             raise ValueError(f"task {self.name!r}: the duration must be positive, got {self.duration} s")
 
@@ -156,7 +163,7 @@ class Task:
     @property
     def reward_terms(self) -> tuple[str, ...]:
         """Names of the contributions to the training reward."""
-        gait = () if self.cycle is None else ("bipedal",)
+        gait = () if self.cycle is None else ("bipedal", "speed_bonus")
         return ("command", "smooth", *gait, *(("overload",) if self.overload else ()))
 
     @property

@@ -1,8 +1,9 @@
 """Soft actor-critic for policies that command angles and gains."""
 
 from op3.train.collector import Collector
-from op3.train.demonstrations import Demonstrations, DemonstrationSettings
 from op3.train.evaluate import evaluate
+from op3.train.explorer import Explorer
+from op3.train.practice import Practice
 from op3.train.replay import Batch, Replay
 from op3.train.sac import SAC, SACSettings
 from op3.train.training import Progress, TrainSettings, train
@@ -11,8 +12,8 @@ __all__ = [
     "SAC",
     "Batch",
     "Collector",
-    "DemonstrationSettings",
-    "Demonstrations",
+    "Explorer",
+    "Practice",
     "Progress",
     "Replay",
     "SACSettings",

@@ -1,12 +1,15 @@
 """Rolls a policy out in many environments at once, across the ends of their episodes."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
+
+STORED = ("observation", "action", "reward", "next_observation", "terminated", "done")
+"""What a replay buffer keeps of a rollout, in the order of `op3.train.Replay.extend`."""
 
 Policy = Callable[[Tensor], Tensor]
 """Observations [env, observation] to actions [env, action] in [-1, 1]."""
@@ -77,6 +80,11 @@ class Collector:
         self.environment.set_seed(seed)
         self._now = self.environment.reset()
         self._counter = EpisodeCounter(self.count)
+
+    def practise(self, practice: Mapping[str, float]) -> None:
+        """Tell the environments what to practise, see `op3.envs.BatchedEnv.practise`."""
+        if practice:
+            self.environment.practise(**practice)  # pyright: ignore[reportCallIssue]
 
     def collect(self, policy: Policy, steps: int) -> tuple[TensorDict, Episodes]:
         """A rollout of `steps` steps of every environment.

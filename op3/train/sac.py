@@ -3,7 +3,7 @@
 import copy
 import dataclasses
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -160,15 +160,11 @@ class SAC:
             mean = mean + explore * log_std.exp() * self._noise(mean.shape)
         return torch.tanh(mean)
 
-    def update(
-        self, batch: Batch, answers: tuple[Tensor, Tensor] | None = None, imitation: float = 0.0
-    ) -> dict[str, Tensor]:
+    def update(self, batch: Batch) -> dict[str, Tensor]:
         """One gradient step of the critics and, every `actor_every`-th time, of policy and temperature.
 
         Args:
             batch: observations as the environment gives them.
-            answers: observations and what a demonstrator would do, [batch, observation] and [batch, action].
-            imitation: weight in the policy's loss of its mean's squared distance from the answers.
 
         Returns:
             Measures as scalars on the device.
@@ -183,10 +179,6 @@ class SAC:
         measures = {"critic_loss": loss.detach(), "value": value.detach()}
         if self.updates >= self.settings.actor_after and self.updates % self.settings.actor_every == 0:
             loss, entropy = self._actor_step(observation, noise[1])
-            if answers is not None and imitation:
-                distance = self._distance(self.normaliser(answers[0], self.settings.clip), answers[1])
-                loss = loss + imitation * distance
-                measures["imitation"] = distance.detach()
             self._step(self._actor_optimiser, loss, self._policy_parameters)
             measures |= {"actor_loss": loss.detach(), "entropy": entropy.detach()}
         rate = self.settings.target_rate
@@ -194,28 +186,6 @@ class SAC:
         self.updates += 1
         measures["temperature"] = self.log_temperature.detach().exp()
         return measures
-
-    def imitate(self, batches: Iterable[tuple[Tensor, Tensor]], count: int, rate: float) -> float:
-        """Steps of the policy's mean towards given actions; exploration stays as it is.
-
-        Args:
-            batches: observations [batch, observation] and actions [batch, action], one pair per step.
-            count: of the batches.
-            rate: learning rate of the first step; it falls to a tenth, in a straight line.
-
-        Returns:
-            Root mean square of what is left, per number of the action, over the last tenth of the steps.
-        """
-        parameters: list[Tensor] = [*self.actor.parameters()]
-        optimiser = torch.optim.Adam(parameters, rate, fused=True)
-        left = []
-        for number, (observation, action) in enumerate(batches):
-            optimiser.param_groups[0]["lr"] = rate * (1.0 - 0.9 * number / count)
-            distance = self._distance(self.normaliser(observation, self.settings.clip), action)
-            self._step(optimiser, distance, parameters)
-            if number >= 0.9 * count - 1:
-                left.append(float(distance.detach()) / self.action_size)
-        return math.sqrt(sum(left) / len(left)) if left else math.nan
 
     def bundle(self, manifest: Manifest) -> PolicyBundle:
         """The policy without exploration, with the normalisation as it is now."""
@@ -298,11 +268,6 @@ class SAC:
         wanted = self.settings.target_entropy * self.action_size
         return loss + self.log_temperature * (entropy.detach() - wanted), entropy
 
-    def _distance(self, observation: Tensor, action: Tensor) -> Tensor:
-        """Squared distance of the policy's mean from actions [batch, action], mean over the batch."""
-        mean, _ = self.actor(observation)
-        return (torch.tanh(mean) - action).square().sum(-1).mean()
-
     def _step(self, optimiser: torch.optim.Optimizer, loss: Tensor, parameters: list[Tensor]) -> None:
         # gradients of these parameters only: the policy's loss need not differentiate the critics' weights
         for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters), strict=True):
@@ -311,25 +276,3 @@ class SAC:
 
     def _noise(self, shape: Any) -> Tensor:
         return torch.randn(shape, generator=self.generator, device=self.device)
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Exploring:
-    """A learner as the policy that collects.
-
-    Attributes:
-        sac: the learner.
-        noise: multiple of the policy's standard deviation, [env, 1].
-    """
-
-    sac: SAC
-    noise: Tensor
-
-    @classmethod
-    def ranged(cls, sac: SAC, count: int, boldest: float) -> "Exploring":
-        """Multiples from 1 in the first environment to `boldest` in the last, evenly in the logarithm."""
-        return cls(sac, torch.logspace(0.0, math.log10(boldest), count, device=sac.device)[:, None])
-
-    def __call__(self, observation: Tensor) -> Tensor:
-        """Actions [env, action] for observations [env, observation]."""
-        return self.sac.act(observation, self.noise)

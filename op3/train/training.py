@@ -4,20 +4,23 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from tensordict import TensorDict
 
 from op3.policy import Manifest
+from op3.policy.mirror import Mirror
 from op3.train.checkpoint import load_checkpoint, save_checkpoint, stop_requested
 from op3.train.checks import numbers, whole
-from op3.train.collector import Episodes, Policy
-from op3.train.demonstrations import STORED, Demonstrations, Shown
+from op3.train.collector import STORED, Collector, Episodes, Policy
+from op3.train.explorer import Explorer
+from op3.train.practice import Practice
 from op3.train.replay import Batch, Replay
-from op3.train.sac import SAC, Exploring
+from op3.train.sac import SAC
 
 CHECKPOINT = "checkpoint.pt"
 POLICY = "policy"
@@ -27,20 +30,6 @@ Evaluate = Callable[[Policy], Mapping[str, float]]
 
 Log = Callable[[Mapping[str, float], int], None]
 """Takes measures by name and the number of environment steps."""
-
-
-class Collects(Protocol):
-    """What the loop needs of a collector: `Collector` in this process, `ProcessCollector` in several."""
-
-    count: int
-
-    def restart(self, seed: int) -> None:
-        """Seed the environments and begin an episode in each."""
-        ...
-
-    def collect(self, policy: Exploring, steps: int) -> tuple[TensorDict, Episodes]:
-        """A rollout of `steps` steps of every environment, and the episodes that ended."""
-        ...
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,6 +44,8 @@ class TrainSettings:
         warmup_noise: the same during the warm-up.
         rollout: steps of every environment between updates.
         updates_per_step: updates per step after the warm-up.
+        overlap: whether updates are made while the next rollout is collected, each on a core of its own, or after it.
+            The result is the same to the last bit: the updates of a rollout always follow the one after it.
         buffer: steps kept in the replay buffer.
         normalisation: `running`, observations are measured all along, or `fixed`, during the warm-up only.
         evaluate_every: steps between evaluations.
@@ -70,6 +61,7 @@ class TrainSettings:
     warmup_noise: float = 1.0
     rollout: int = 8
     updates_per_step: float = 0.25
+    overlap: bool = True
     buffer: int = 300_000
     normalisation: str = "running"
     evaluate_every: int = 20_000
@@ -97,6 +89,7 @@ class Progress:
 
     Attributes:
         steps: environment steps taken.
+        learned: of these, how many have brought their updates.
         best: highest score of an evaluation.
         best_steps: at how many steps that was.
         history: one entry per log entry and evaluation, with ``steps``.
@@ -105,6 +98,7 @@ class Progress:
     """
 
     steps: int = 0
+    learned: int = 0
     best: float = float("-inf")
     best_steps: int = 0
     history: list[dict[str, float]] = dataclasses.field(default_factory=list)
@@ -114,21 +108,22 @@ class Progress:
 
 def train(
     sac: SAC,
-    collector: Collects,
+    collector: Collector,
     evaluate: Evaluate,
     settings: TrainSettings,
     manifest: Manifest,
     folder: str | Path,
     *,
+    practice: Practice | None = None,
+    mirror: Mirror | None = None,
     log: Log | None = None,
     say: Callable[[str], None] = print,
     resume: bool = False,
-    demonstrations: Demonstrations | None = None,
 ) -> Progress:
     """Train, keeping the policy that evaluates best in ``<folder>/policy`` and a checkpoint beside it.
 
     The environments begin new episodes at every checkpoint, so a run resumed from one takes the very steps that the
-    run without interruption takes. SIGTERM and SIGINT make a checkpoint and end the run.
+    run without interruption takes, also after a kill. SIGTERM and SIGINT make a checkpoint and end the run.
 
     Args:
         sac: the learner.
@@ -137,42 +132,45 @@ def train(
         settings: of the run.
         manifest: of the policy bundle; steps and updates are filled in.
         folder: of the run.
+        practice: curricula; None: none.
+        mirror: images of samples, which `practice.mirrored` needs.
         log: takes the measures, for example to wandb.
         say: takes progress lines.
         resume: go on from the checkpoint in the folder.
-        demonstrations: to begin with and to learn from; None: none.
 
     Raises:
         ValueError: if losses are not finite, or a checkpoint does not fit.
         FileNotFoundError: if there is no checkpoint to resume from.
     """
-    folder = Path(folder)
+    folder, practice = Path(folder), practice or Practice()
     size, action_size = manifest.observation_size, manifest.action_map.size
     replay = Replay(settings.buffer, collector.count, size, action_size, sac.device)
-    shown = None
-    if demonstrations is not None:
-        shown = demonstrations.none(sac) if resume else demonstrations.show(sac, say)
     identity = _identity(manifest, settings)
-    run = _resume(folder / CHECKPOINT, identity, sac, replay, shown) if resume else Progress()
+    run = _resume(folder / CHECKPOINT, identity, manifest, sac, replay, say) if resume else Progress()
     run.stopped = False
-    collector.restart(settings.seed + run.steps)
+    explorer = Explorer(sac, collector.count, settings.seed + run.steps)
     if settings.steps <= settings.warmup:
         say(f"no update will be made: the warm-up takes {settings.warmup:,} steps and the run has {settings.steps:,}")
+    collector.restart(settings.seed + run.steps)
     meter, began = _Meter(run, sac, settings), time.monotonic() - run.seconds
-    with stop_requested() as stop:
+    with stop_requested() as stop, ThreadPoolExecutor(1, "collector") as other:
         stopping = False
         while run.steps < settings.steps and not stopping:
-            boldest = settings.warmup_noise if run.steps < settings.warmup else settings.noise
-            rollout, episodes = collector.collect(Exploring.ranged(sac, collector.count, boldest), settings.rollout)
-            before, run.steps = run.steps, run.steps + rollout.numel()
+            explorer.follow(settings.warmup_noise if run.steps < settings.warmup else settings.noise)
+            collector.practise(practice.at(run.steps))
+            coming = other.submit(collector.collect, explorer, settings.rollout)
+            if not settings.overlap:
+                coming.exception()  # waits
+            # after a resumption without the buffer it is filled first
+            ready = len(replay) >= min(settings.warmup, settings.buffer)
+            for _ in range(_due(run.learned, run.steps, settings) if ready else 0):
+                meter.losses = sac.update(_sample(sac, replay, practice.mirrored, mirror))
+            rollout, episodes = coming.result()
+            before = run.learned = run.steps
+            run.steps += rollout.numel()
             replay.extend(*(rollout[name] for name in STORED))
             if settings.normalisation == "running" or before < settings.warmup:
                 sac.normaliser.update(rollout["observation"])
-
-            # after a resumption without the buffer it is filled first
-            ready = len(replay) >= min(settings.warmup, settings.buffer)
-            for _ in range(_due(before, run.steps, settings) if ready else 0):
-                meter.losses = _update(sac, replay, demonstrations, shown)
 
             meter.add(rollout, episodes)
             run.seconds = time.monotonic() - began
@@ -190,24 +188,23 @@ def train(
             if _passed(before, run.steps, settings.checkpoint_every) or run.steps >= settings.steps or stopping:
                 run.stopped = run.steps < settings.steps and stopping
                 replay.cut()
-                _save(folder / CHECKPOINT, identity, run, sac, replay if settings.checkpoint_buffer else None, shown)
+                stored = replay if settings.checkpoint_buffer else None
+                _save(folder / CHECKPOINT, identity, manifest, run, sac, stored)
                 collector.restart(settings.seed + run.steps)
+                explorer.restart(settings.seed + run.steps)
     return run
 
 
-def _update(
-    sac: SAC, replay: Replay, demonstrations: Demonstrations | None, shown: Shown | None
-) -> dict[str, torch.Tensor]:
-    """One update, with a share of demonstrations where there are some."""
+def _sample(sac: SAC, replay: Replay, mirrored: float, mirror: Mirror | None) -> Batch:
+    """A batch, part of which is seen in the mirror."""
     settings = sac.settings
-    look = settings.n_step, settings.discount, sac.generator
-    if demonstrations is None or shown is None:
-        return sac.update(replay.sample(settings.batch, *look))
-    share = round(settings.batch * demonstrations.settings.share)
-    parts = (shown.replay.sample(share, *look), replay.sample(settings.batch - share, *look))
-    batch = Batch(*(torch.cat(values) for values in zip(*parts, strict=True)))
-    weight = demonstrations.settings.imitation_after(sac.updates)
-    return sac.update(batch, shown.sample(settings.batch // 2, sac.generator) if weight else None, weight)
+    batch = replay.sample(settings.batch, settings.n_step, settings.discount, sac.generator)
+    part = slice(0, round(mirrored * settings.batch))
+    if mirror is not None and part.stop:
+        batch.observation[part] = mirror.observation(batch.observation[part])
+        batch.action[part] = mirror.action(batch.action[part])
+        batch.next_observation[part] = mirror.observation(batch.next_observation[part])
+    return batch
 
 
 def _due(before: int, now: int, settings: TrainSettings) -> int:
@@ -255,31 +252,42 @@ def _identity(manifest: Manifest, settings: TrainSettings) -> dict[str, Any]:
 
 
 def _save(
-    path: Path, identity: dict[str, Any], run: Progress, sac: SAC, replay: Replay | None, shown: Shown | None
+    path: Path, identity: dict[str, Any], manifest: Manifest, run: Progress, sac: SAC, replay: Replay | None
 ) -> None:
-    kept = {"sac": sac, "replay": replay, "shown": shown}
-    states = {name: None if part is None else part.state_dict() for name, part in kept.items()}
-    save_checkpoint(path, {"run": dataclasses.asdict(run), "identity": identity, **states})
+    states = {"sac": sac.state_dict(), "replay": None if replay is None else replay.state_dict()}
+    settings = flat(manifest.training.settings)
+    save_checkpoint(path, {"run": dataclasses.asdict(run), "identity": identity, "settings": settings, **states})
 
 
-def _resume(path: Path, identity: dict[str, Any], sac: SAC, replay: Replay, shown: Shown | None) -> Progress:
+def _resume(
+    path: Path, identity: dict[str, Any], manifest: Manifest, sac: SAC, replay: Replay, say: Callable[[str], None]
+) -> Progress:
     state = load_checkpoint(path)
-    known = state.get("identity", identity)  # checkpoints of earlier versions have none
+    known = state["identity"]
     if changed := [name for name, value in identity.items() if known.get(name, value) != value]:
         raise ValueError(
             f"{path}: is of a run with another {', '.join(changed)}; resume with the overrides it had, or begin anew "
             "with warm_start=<its policy>"
         )
+    had, has = state["settings"], flat(manifest.training.settings)
+    for name in sorted(name for name in had.keys() | has.keys() if had.get(name) != has.get(name)):
+        say(f"resumed with {name}={has.get(name)}, which was {had.get(name)}")
     try:
         sac.load_state_dict(state["sac"])
         if state["replay"] is not None:
             replay.load_state_dict(state["replay"])
-        if shown is not None:
-            shown.load_state_dict(state["shown"])
         return Progress(**state["run"])
     except (RuntimeError, KeyError, TypeError, ValueError) as error:
         reason = str(error).split("\n")[0]
         raise ValueError(f"{path}: does not fit this run ({reason}); resume with the settings it had") from None
+
+
+def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested settings by dotted name, lists as they are."""
+    found: dict[str, Any] = {}
+    for name, value in settings.items():
+        found |= flat(value, f"{prefix}{name}.") if isinstance(value, Mapping) else {f"{prefix}{name}": value}
+    return found
 
 
 class _Meter:
@@ -300,6 +308,8 @@ class _Meter:
         values = {"reward": rollout["reward"].mean(), "action/angle_spread": action[..., :joints].std()}
         values["action/gain"] = action[..., joints:].mean()
         values |= {name: rollout[name].mean() for name in rollout.keys() if "/" in str(name)}  # noqa: SIM118
+        if "reward_terms/speed_bonus" in values:
+            values["reward/paper"] = values["reward"] - values["reward_terms/speed_bonus"]
         if len(episodes.returns):
             values["episode/return"] = episodes.returns.mean()
             values["episode/length"] = episodes.lengths.float().mean()

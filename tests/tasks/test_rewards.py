@@ -35,9 +35,7 @@ def test_command_term_by_hand():
 
 def test_smooth_term_by_hand():
     """Action moved by (0.3, 0.4), currents (0.3, 0.4) A, body rate 3 rad/s and acceleration 4 m/s^2."""
-    value = rewards.smooth_term(
-        tensor(0.5, 0.4), tensor(0.2, 0.0), tensor(0.3, 0.4), tensor(0.0, 3.0, 0.0), tensor(0.0, 0.0, -4.0)
-    )
+    value = rewards.smooth_term(rewards.norm(tensor(0.3, 0.4)), tensor(0.5), tensor(3.0 + 4.0))[0]
     expected = -(1 - math.exp(-0.1 * 0.5)) - (1 - math.exp(-0.05 * 5.0)) - (1 - math.exp(-0.1 * 7.0))
     assert value.item() == pytest.approx(expected)
 
@@ -89,7 +87,7 @@ def test_terms_are_bounded(values):
     """R_cmd and R_smt lie in [-3, 0], so that the reward of balancing lies in [1 - 1.8 - 0.3, 1]."""
     v = torch.tensor(values, dtype=torch.float64)
     command = rewards.command_term(v[:2], v[2:4], v[4:7], rewards.BALANCE)
-    smooth = rewards.smooth_term(v[:4], v[4:8], v[8:10], v[10:13], v[13:16])
+    smooth = rewards.smooth_term(rewards.norm(v[:4]), rewards.norm(v[8:10]), rewards.norm(v[10:13]))
     assert -3 <= command <= 0
     assert -3 <= smooth <= 0
     reward = rewards.total(rewards.weighted(rewards.BALANCE, command, smooth))
@@ -102,7 +100,7 @@ def test_perfect_is_one():
     terms = rewards.weighted(
         rewards.BALANCE,
         rewards.command_term(zero[:2], zero[:2], zero, rewards.BALANCE),
-        rewards.smooth_term(zero, zero, zero, zero, zero),
+        rewards.smooth_term(zero[0], zero[0], zero[0]),
     )
     assert rewards.total(terms) == 1.0
 

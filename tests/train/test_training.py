@@ -14,8 +14,7 @@ from train_pendulum import LIMIT, MANIFEST, Pendulum
 from op3.envs import make_env
 from op3.policy import ActionMap, Manifest, PolicyBundle
 from op3.tasks import find_task
-from op3.train import SAC, Batch, Collector, Progress, SACSettings, TrainSettings, evaluate, train
-from op3.train.sac import Exploring
+from op3.train import SAC, Batch, Collector, Explorer, Progress, SACSettings, TrainSettings, evaluate, train
 
 SAC_SETTINGS = SACSettings(hidden=(32, 32), batch=64, initial_std=0.5, actor_rate=1e-3, critic_rate=1e-3, discount=0.95)
 SETTINGS = TrainSettings(
@@ -82,6 +81,17 @@ def test_resumed_run_equals_the_one_without_interruption(tmp_path):
     observation = torch.randn(4, 3, generator=torch.Generator().manual_seed(0))
     acts = [PolicyBundle.load(tmp_path / name / "policy").act(observation) for name in ("whole", "parts")]
     assert torch.equal(*acts)
+
+
+def test_overlap_changes_nothing_but_the_time(tmp_path):
+    """Updates during the next rollout or after it leave the same weights to the last bit."""
+    short = dataclasses.replace(SETTINGS, steps=2048, warmup=256)
+    first, second = (
+        run(tmp_path / name, dataclasses.replace(short, overlap=overlap))[0]
+        for name, overlap in (("a", True), ("b", False))
+    )
+    assert first.updates > 300
+    assert same(first, second)
 
 
 @pytest.mark.slow
@@ -211,6 +221,21 @@ def test_a_million_may_be_written_in_short():
     assert isinstance(settings.buffer, int)
 
 
+def test_a_resumed_run_says_what_changed(tmp_path):
+    """Settings that a run may change are named with both values when it goes on."""
+    lines, settings = [], dataclasses.replace(SETTINGS, steps=256)
+
+    def trained(noise, **options):
+        training = dataclasses.replace(MANIFEST.training, settings={"train": {"noise": noise}})
+        sac = SAC(3, 2, SAC_SETTINGS, generator())
+        manifest = dataclasses.replace(MANIFEST, training=training)
+        train(sac, Collector(Pendulum(16)), lambda policy: {}, settings, manifest, tmp_path, **options)
+
+    trained(1.0)
+    trained(2.0, resume=True, say=lines.append)
+    assert "resumed with train.noise=2.0, which was 1.0" in lines
+
+
 def test_progress_lines_and_measures(tmp_path):
     """Progress lines say steps per second and the time left; the log gets reward, losses and gains by name."""
     lines, logged = [], {}
@@ -223,7 +248,8 @@ def test_progress_lines_and_measures(tmp_path):
 def test_bold_environments_explore_more_during_the_warm_up():
     """Exploration grows from the policy's own deviation in the first environment to ten times it in the last."""
     sac = SAC(3, 2, dataclasses.replace(SAC_SETTINGS, initial_std=0.02), torch.Generator().manual_seed(0))
-    policy = Exploring.ranged(sac, 3, 10.0)
+    policy = Explorer(sac, 3, seed=0)
+    policy.follow(boldest=10.0)
     observation = torch.zeros(3, 3)
     actions = torch.stack([policy(observation) for _ in range(500)])
     assert actions.std((0, 2)).tolist() == pytest.approx([0.02, 0.02 * 10**0.5, 0.2], rel=0.15)

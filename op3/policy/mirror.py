@@ -1,0 +1,63 @@
+"""Images of what a policy sees and does in the robot's plane of symmetry, y = 0."""
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor
+
+from op3.robot import KEY_POINTS, MIRROR
+
+_SWAP = {"l_": "r_", "r_": "l_"}
+
+
+class Mirror:
+    """Observations and actions of the robot's mirror image: the OP3 and its tasks are symmetric.
+
+    The image of a walk is half a cycle later, because the feet change their parts. Mirroring twice changes nothing.
+
+    Args:
+        layout: name and size of each part of one observation, see `op3.policy.observation`.
+        history: how many earlier observations follow the latest.
+        joints: the controlled joints, in the order of the action.
+
+    Raises:
+        ValueError: if a part of the observation has no known image, or a joint's partner is not controlled.
+    """
+
+    def __init__(self, layout: Mapping[str, int], history: int, joints: Sequence[str]):
+        if alone := [name for name in joints if MIRROR[name][0] not in joints]:
+            raise ValueError(f"{alone[0]} has no image: its partner {MIRROR[alone[0]][0]} is not controlled")
+        partner = [joints.index(MIRROR[name][0]) for name in joints]
+        sign = [float(MIRROR[name][1]) for name in joints]
+        count = len(joints)
+        self._action = torch.tensor([*partner, *(count + i for i in partner)])
+        self._action_sign = torch.tensor([*sign, *[1.0] * count])
+        points = [KEY_POINTS.index(_SWAP.get(name[:2], name[:2]) + name[2:]) for name in KEY_POINTS]
+        coordinates = torch.tensor([3 * point + axis for point in points for axis in range(3)])
+        # a rotation is an axial vector: the reflection keeps its part along y and reverses the others
+        images = {
+            "key_point_position": (coordinates, torch.tensor([1.0, -1.0, 1.0] * len(points))),
+            "key_point_velocity": (coordinates, torch.tensor([1.0, -1.0, 1.0] * len(points))),
+            "previous_action": (self._action, self._action_sign),
+            "orientation": (torch.arange(3), torch.tensor([-1.0, 1.0, -1.0])),
+            "angular_velocity": (torch.arange(3), torch.tensor([-1.0, 1.0, -1.0])),
+            "phase": (torch.arange(2), torch.tensor([-1.0, -1.0])),
+        }
+        index, signs, first = [], [], 0
+        for name, size in layout.items():
+            if name not in images or len(images[name][0]) != size:
+                raise ValueError(f"the observation's part {name!r} of {size} numbers has no known mirror image")
+            index.append(first + images[name][0])
+            signs.append(images[name][1])
+            first += size
+        frame = torch.cat(index)
+        self._observation = torch.cat([frame + first * k for k in range(history + 1)])
+        self._observation_sign = torch.cat(signs).repeat(history + 1)
+
+    def observation(self, observation: Tensor) -> Tensor:
+        """The image's observation ``[..., observation]``, history included."""
+        return observation[..., self._observation] * self._observation_sign.to(observation)
+
+    def action(self, action: Tensor) -> Tensor:
+        """The image's action ``[..., action]``."""
+        return action[..., self._action] * self._action_sign.to(action)

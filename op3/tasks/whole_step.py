@@ -1,0 +1,128 @@
+"""What a policy step was like throughout: means and peaks over its 32 ms, looked at after every millisecond.
+
+One look per step lets the peaks of a landing escape the reward, which last a few milliseconds.
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numba
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from op3.robot import KEY_POINTS, Scene
+from op3.robot.units import GRAVITY
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Throughout:
+    """Means of norms over a policy step, ``[sim]`` unless stated, and the largest of what lands.
+
+    Attributes:
+        current: of all motors together [A].
+        angular_velocity: of the body [rad/s].
+        acceleration: of the body, without gravity [m/s^2].
+        foot_force: between ankle and foot, left and right, ``[sim, 2]`` in N; zeros for tasks without a gait.
+        foot_speed: path of the middle of a foot's key points per time, ``[sim, 2]`` in m/s; the same.
+        peak_force: largest force on a foot [N].
+        peak_acceleration: largest acceleration of the body [m/s^2].
+    """
+
+    current: Tensor
+    angular_velocity: Tensor
+    acceleration: Tensor
+    foot_force: Tensor
+    foot_speed: Tensor
+    peak_force: Tensor
+    peak_acceleration: Tensor
+
+
+class WholeStep:
+    """Adds up what `Throughout` tells, over live arrays of a simulation.
+
+    Args:
+        model: compiled scene.
+        scene: the scene, with a robot.
+        num_sims: number of robots.
+        feet: whether to look at the feet, which tasks with a gait need.
+    """
+
+    def __init__(self, model: mujoco.MjModel, scene: Scene, num_sims: int, feet: bool):
+        robot = scene.robot
+        assert robot is not None
+        trunk = model.body(robot.trunk.full_identifier).id
+        root = model.jnt(int(model.body_jntadr[model.body_rootid[trunk]]))
+        self._base = int(root.qposadr[0]) + 3, int(root.dofadr[0]) + 3
+        self._accelerometer = int(model.sensor(robot.imu_accelerometer.full_identifier).adr[0])
+        ankles = [name for name in scene.joint_names if name.endswith("ank_roll")]
+        forces = [int(model.sensor(f"{name}_force").adr[0]) for name in ankles]
+        points = [model.site(site.full_identifier).id for site in robot.key_points]
+        self._forces = np.array(forces if feet else [], dtype=np.int64)
+        self._points = np.array(points).reshape(2, len(KEY_POINTS) // 2)[: len(self._forces)]
+        self._sums = np.zeros((num_sims, 9))
+        self._feet = np.zeros((num_sims, 2, 3))
+        self._samples = 0
+        self._timestep = float(model.opt.timestep)
+
+    def begin(self, site_xpos: Array) -> None:
+        """A policy step begins with the feet here, ``[sim, site, 3]``."""
+        self._sums[:] = 0.0
+        self._samples = 0
+        if len(self._forces):
+            self._feet[:] = site_xpos[:, self._points].mean(2)
+
+    def look(self, qpos: Array, qvel: Array, sensordata: Array, site_xpos: Array, current: Array) -> None:
+        """After a step of the physics; arrays ``[sim, ...]``, `current` in A."""
+        self._samples += 1
+        _add(
+            self._sums, self._feet, qpos, qvel, sensordata, site_xpos, current,
+            self._base, self._accelerometer, self._forces, self._points, self._timestep,
+        )  # fmt: skip
+
+    def result(self) -> Throughout:
+        """The step so far."""
+        mean = torch.from_numpy(self._sums[:, :7] / max(self._samples, 1))
+        peak = torch.from_numpy(self._sums[:, 7:].copy())
+        return Throughout(mean[:, 0], mean[:, 1], mean[:, 2], mean[:, 3:5], mean[:, 5:7], peak[:, 0], peak[:, 1])
+
+
+@numba.njit(cache=True, nogil=True)
+def _add(
+    sums, feet, qpos, qvel, sensordata, site_xpos, current, base, accelerometer, forces, points, timestep
+):  # fmt: skip
+    """Adds one look to sums ``[sim, 9]``; the last two columns are peaks."""
+    for sim in range(len(sums)):
+        total = 0.0
+        for joint in range(current.shape[1]):
+            total += current[sim, joint] ** 2
+        sums[sim, 0] += np.sqrt(total)
+        rate = base[1]
+        sums[sim, 1] += np.sqrt(qvel[sim, rate] ** 2 + qvel[sim, rate + 1] ** 2 + qvel[sim, rate + 2] ** 2)
+        w, x, y, z = qpos[sim, base[0]], qpos[sim, base[0] + 1], qpos[sim, base[0] + 2], qpos[sim, base[0] + 3]
+        # the accelerometer reads gravity too, upwards in the world
+        ax = sensordata[sim, accelerometer] - GRAVITY * 2.0 * (x * z - w * y)
+        ay = sensordata[sim, accelerometer + 1] - GRAVITY * 2.0 * (y * z + w * x)
+        az = sensordata[sim, accelerometer + 2] - GRAVITY * (1.0 - 2.0 * (x * x + y * y))
+        acceleration = np.sqrt(ax * ax + ay * ay + az * az)
+        sums[sim, 2] += acceleration
+        sums[sim, 8] = max(sums[sim, 8], acceleration)
+        for foot in range(len(forces)):
+            first = forces[foot]
+            force = np.sqrt(
+                sensordata[sim, first] ** 2 + sensordata[sim, first + 1] ** 2 + sensordata[sim, first + 2] ** 2
+            )
+            sums[sim, 3 + foot] += force
+            sums[sim, 7] = max(sums[sim, 7], force)
+            way = 0.0
+            for axis in range(3):
+                here = 0.0
+                for point in points[foot]:
+                    here += site_xpos[sim, point, axis]
+                here /= points.shape[1]
+                way += (here - feet[sim, foot, axis]) ** 2
+                feet[sim, foot, axis] = here
+            sums[sim, 5 + foot] += np.sqrt(way) / timestep

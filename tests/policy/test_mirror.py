@@ -1,0 +1,71 @@
+"""The robot's mirror image, on kinematics and in simulation."""
+
+import pytest
+import torch
+
+from op3.envs import make_env
+from op3.policy import ActionMap
+from op3.policy.leg_kinematics import leg_kinematics
+from op3.policy.mirror import Mirror
+from op3.policy.observation import WALK_LAYOUT, observe
+from op3.robot import CONTROLLED_JOINTS, mirror
+
+MIRROR = Mirror(WALK_LAYOUT, 3, CONTROLLED_JOINTS)
+
+
+def test_twice_is_nothing():
+    """The image of the image is the original, to the last bit."""
+    observation, action = torch.randn(7, 256), torch.rand(7, 20)
+    assert torch.equal(MIRROR.observation(MIRROR.observation(observation)), observation)
+    assert torch.equal(MIRROR.action(MIRROR.action(action)), action)
+
+
+def test_observations_agree_with_kinematics():
+    """What a mirrored robot observes is the image of what the robot observes, its phase half a cycle later."""
+    generator = torch.Generator().manual_seed(0)
+    q, v = (torch.randn(5, 20, generator=generator).double() * 0.3 for _ in range(2))
+    attitude, rates = (torch.randn(5, 3, generator=generator).double() for _ in range(2))
+    action, phase = torch.rand(5, 20, generator=generator).double(), torch.rand(5, generator=generator).double()
+    one = Mirror(WALK_LAYOUT, 0, CONTROLLED_JOINTS)
+    axial = torch.tensor([-1.0, 1.0, -1.0])
+    seen = observe(q, v, attitude, rates, action, phase)
+    image = observe(
+        torch.from_numpy(mirror(q)), torch.from_numpy(mirror(v)), attitude * axial, rates * axial,
+        one.action(action), phase + 0.5,
+    )  # fmt: skip
+    assert leg_kinematics() is not None
+    torch.testing.assert_close(one.observation(seen), image, rtol=0, atol=1e-9)
+
+
+def test_the_simulated_image_does_the_image():
+    """A robot that takes the mirrored actions sees and earns what the other does in the mirror."""
+    env = make_env("walk", num_envs=2, seed=0)
+    start = env.reset()
+    qpos, qvel = env._qpos, env._qvel
+    for state, sign in ((qpos, [1, -1, 1, 1, -1, 1, -1]), (qvel, [1, -1, 1, -1, 1, -1])):
+        base = len(sign)
+        state[1, :base] = state[0, :base] * sign
+        state[1, base:] = mirror(state[0, base:])
+    env.rules.first_phase[:] = torch.tensor([0.1, 0.6])
+    env.simulation.batch.forward()
+    generator = torch.Generator().manual_seed(1)
+    stand = torch.from_numpy(ActionMap.around_stand().stand(4.0)).float()
+    state = start
+    for _ in range(10):
+        action = (stand + 0.2 * torch.randn(20, generator=generator)).clamp(-1, 1)
+        state["action"] = torch.stack([action, MIRROR.action(action)])
+        state = env.step(state)["next"]
+        seen, reward = state["observation"], state["reward"]
+        state = state.exclude("reward")
+    # the links' centres of mass and inertias are symmetric to a millimetre or so, no further
+    off, moved = (MIRROR.observation(seen[0]) - seen[1]).norm(), (seen[0] - seen[1]).norm()
+    assert off < 0.1 * moved
+    torch.testing.assert_close(reward[0], reward[1], rtol=0, atol=0.02)
+
+
+def test_parts_without_an_image_are_refused():
+    """An unknown part, or a joint whose partner the policy does not command, is named."""
+    with pytest.raises(ValueError, match="'temperature' of 20 numbers has no known mirror image"):
+        Mirror({**WALK_LAYOUT, "temperature": 20}, 3, CONTROLLED_JOINTS)
+    with pytest.raises(ValueError, match="its partner r_knee is not controlled"):
+        Mirror(WALK_LAYOUT, 3, ("l_knee",))
