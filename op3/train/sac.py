@@ -1,16 +1,14 @@
 """Soft actor-critic (Haarnoja et al. 2018, with automatic temperature), arranged for few and fast updates."""
 
 import copy
-import dataclasses
-import math
-from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import torch
+from pydantic import Field
 from torch import Tensor
 
 from op3.policy import Manifest, PolicyBundle
-from op3.train.checks import numbers, whole
+from op3.settings import Count, NotNegative, Number, Positive, Some, Whole, settings
 from op3.train.networks import LARGEST_STD, SMALLEST_STD, Actor, TwinCritics
 from op3.train.normaliser import Normaliser
 from op3.train.replay import Batch
@@ -19,10 +17,7 @@ NORMALISED = 10_000
 """Observations that a normalisation taken over from another policy counts for."""
 
 
-_POSITIVE = ("actor_rate", "critic_rate", "initial_std", "initial_temperature", "clip", "target_rate")
-
-
-@dataclasses.dataclass(frozen=True)
+@settings()
 class SACSettings:
     """Settings of the algorithm.
 
@@ -47,43 +42,24 @@ class SACSettings:
         compile: whether the losses run through torch.compile; on a GPU with CUDA graphs.
     """
 
-    hidden: tuple[int, ...] = (256, 256)
-    critic_hidden: tuple[int, ...] | None = None
+    hidden: Some[Count] = (256, 256)
+    critic_hidden: Some[Count] | None = None
     layer_norm: bool = True
-    discount: float = 0.98
-    n_step: int = 3
-    batch: int = 256
-    actor_rate: float = 3e-4
-    critic_rate: float = 3e-4
-    target_rate: float = 0.005
-    actor_every: int = 1
-    actor_after: int = 0
-    initial_std: float = 0.2
-    largest_std: float = LARGEST_STD
-    initial_temperature: float = 0.01
-    target_entropy: float = -1.0
-    clip: float = 10.0
+    discount: Annotated[NotNegative, Field(lt=1)] = 0.98
+    n_step: Count = 3
+    batch: Count = 256
+    actor_rate: Positive = 3e-4
+    critic_rate: Positive = 3e-4
+    target_rate: Positive = 0.005
+    actor_every: Count = 1
+    actor_after: Whole = 0
+    initial_std: Positive = 0.2
+    largest_std: Annotated[Number, Field(gt=SMALLEST_STD)] = LARGEST_STD
+    initial_temperature: Positive = 0.01
+    target_entropy: Number = -1.0
+    clip: Positive = 10.0
     bfloat16: bool = False
     compile: bool = False
-
-    def __post_init__(self):
-        for name in ("hidden", "critic_hidden"):
-            units = getattr(self, name)
-            if units is None and name == "critic_hidden":
-                continue
-            if not isinstance(units, Sequence) or not units or not all(isinstance(u, int) and u > 0 for u in units):
-                raise ValueError(f"{name} must list whole numbers of units, such as [256, 256], got {units!r}")
-            object.__setattr__(self, name, tuple(units))
-        whole(self, 1, "n_step", "batch", "actor_every")
-        whole(self, 0, "actor_after")
-        numbers(self, "discount", "largest_std", "target_entropy", *_POSITIVE)
-        if not 0 <= self.discount < 1:
-            raise ValueError(f"discount must be at least 0 and below 1, got {self.discount}")
-        if not SMALLEST_STD < self.largest_std < math.inf:
-            raise ValueError(f"largest_std must be above {SMALLEST_STD:.4f}, got {self.largest_std}")
-        for name in _POSITIVE:
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
 
 class SAC:

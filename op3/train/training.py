@@ -1,21 +1,21 @@
 """The training loop: collect, update, evaluate, save."""
 
 import dataclasses
-import math
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import torch
+from pydantic import Field
 from tensordict import TensorDict
 
 from op3.policy import Manifest
 from op3.policy.mirror import Mirror
+from op3.settings import Count, NotNegative, Number, Whole, settings
 from op3.train.checkpoint import load_checkpoint, save_checkpoint, stop_requested
-from op3.train.checks import numbers, whole
 from op3.train.collector import STORED, Collector, Episodes, Policy
 from op3.train.explorer import Explorer
 from op3.train.practice import Practice
@@ -32,7 +32,10 @@ Log = Callable[[Mapping[str, float], int], None]
 """Takes measures by name and the number of environment steps."""
 
 
-@dataclasses.dataclass(frozen=True)
+Bold = Annotated[Number, Field(ge=1)]
+
+
+@settings()
 class TrainSettings:
     """Settings of a run; one step is one policy step of one environment.
 
@@ -55,32 +58,20 @@ class TrainSettings:
         seed: of everything random.
     """
 
-    steps: int = 300_000
-    warmup: int = 5_000
-    noise: float = 1.0
-    warmup_noise: float = 1.0
-    rollout: int = 8
-    updates_per_step: float = 0.25
+    steps: Count = 300_000
+    warmup: Count = 5_000
+    noise: Bold = 1.0
+    warmup_noise: Bold = 1.0
+    rollout: Count = 8
+    updates_per_step: NotNegative = 0.25
     overlap: bool = True
-    buffer: int = 300_000
-    normalisation: str = "running"
-    evaluate_every: int = 20_000
-    checkpoint_every: int = 100_000
+    buffer: Count = 300_000
+    normalisation: Literal["running", "fixed"] = "running"
+    evaluate_every: Count = 20_000
+    checkpoint_every: Count = 100_000
     checkpoint_buffer: bool = True
-    log_every: int = 5_000
-    seed: int = 0
-
-    def __post_init__(self):
-        if self.normalisation not in ("running", "fixed"):
-            raise ValueError(f"normalisation must be running or fixed, got {self.normalisation!r}")
-        whole(self, 1, "steps", "warmup", "rollout", "buffer", "evaluate_every", "checkpoint_every", "log_every")
-        whole(self, 0, "seed")
-        numbers(self, "noise", "warmup_noise", "updates_per_step")
-        for name in ("noise", "warmup_noise"):
-            if not 1 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if not 0 <= self.updates_per_step < math.inf:
-            raise ValueError(f"updates_per_step must be at least 0, got {self.updates_per_step}")
+    log_every: Count = 5_000
+    seed: Whole = 0
 
 
 @dataclasses.dataclass
@@ -153,7 +144,7 @@ def train(
         say(f"no update will be made: the warm-up takes {settings.warmup:,} steps and the run has {settings.steps:,}")
     collector.restart(settings.seed + run.steps)
     meter, began = _Meter(run, sac, settings), time.monotonic() - run.seconds
-    with stop_requested() as stop, ThreadPoolExecutor(1, "collector") as other:
+    with stop_requested() as stop, ThreadPoolExecutor(1, "collector", torch.set_num_threads, (1,)) as other:
         stopping = False
         while run.steps < settings.steps and not stopping:
             explorer.follow(settings.warmup_noise if run.steps < settings.warmup else settings.noise)

@@ -11,7 +11,7 @@ from op3.train import SAC, Collector, Progress, SACSettings, TrainSettings, eval
 
 
 def learned(backend: str, folder: Path) -> tuple[SAC, Progress]:
-    """Forty steps and twelve updates of balancing on one robot."""
+    """Forty steps and ten updates of balancing on one robot."""
     task, action_map = find_task("balance", duration=0.48), ActionMap.around_stand()
     settings = SACSettings(hidden=(16, 16), batch=16, initial_std=0.05)
     stand = torch.as_tensor(action_map.stand(5.5))
@@ -34,7 +34,7 @@ def learned(backend: str, folder: Path) -> tuple[SAC, Progress]:
 def test_both_backends_train_the_same_policy(tmp_path):
     """Same seed, same rewards and evaluation, and the same weights but for the rounding of the physics."""
     (one, first), (other, second) = (learned(backend, tmp_path / backend) for backend in ("batched", "composer"))
-    assert one.updates == other.updates == 12
+    assert one.updates == other.updates == 10  # those of the last rollout would come with the next
     for a, b in zip(one.actor.parameters(), other.actor.parameters(), strict=True):
         torch.testing.assert_close(a, b, rtol=0, atol=1e-4)
     for name in ("reward", "evaluation/return"):

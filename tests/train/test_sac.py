@@ -224,7 +224,7 @@ def test_settings_are_checked():
         SACSettings(n_step=0)
     with pytest.raises(ValueError, match="discount"):
         SACSettings(discount=1.0)
-    with pytest.raises(ValueError, match="critic_rate must be positive"):
+    with pytest.raises(ValueError, match="critic_rate must be a finite number"):
         SACSettings(critic_rate=math.nan)
 
 

@@ -198,13 +198,13 @@ def test_a_run_does_not_go_on_as_another(tmp_path):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: TrainSettings(rollout=2.5), "rollout must be at least 1 and a whole number, got 2.5"),
-        (lambda: TrainSettings(steps="many"), "steps must be at least 1 and a whole number, got 'many'"),
+        (lambda: TrainSettings(rollout=2.5), "rollout must be a whole number, got 2.5"),
+        (lambda: TrainSettings(steps="many"), "steps must be a whole number, got 'many'"),
         (lambda: TrainSettings(seed=-1), "seed must be at least 0"),
         (lambda: TrainSettings(noise="loud"), "noise must be a number, got 'loud'"),
-        (lambda: TrainSettings(updates_per_step=float("nan")), "updates_per_step must be at least 0"),
-        (lambda: SACSettings(batch=10.5), "batch must be at least 1"),
-        (lambda: SACSettings(hidden=256), "hidden must list whole numbers of units"),
+        (lambda: TrainSettings(updates_per_step=float("nan")), "updates_per_step must be a finite number, got nan"),
+        (lambda: SACSettings(batch=10.5), "batch must be a whole number, got 10.5"),
+        (lambda: SACSettings(hidden=256), "hidden must be a list, got 256"),
         (lambda: SACSettings(discount="high"), "discount must be a number"),
     ],
 )
