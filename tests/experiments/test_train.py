@@ -119,7 +119,7 @@ def test_wrong_input_ends_with_one_sentence(tmp_path):
     ("overrides", "message"),
     [
         (["device=gpu"], "device=gpu: give cpu or cuda"),
-        (["train.steps=many"], "steps must be at least 1 and a whole number"),
+        (["train.steps=many"], "steps must be a whole number, got 'many'"),
         (["seed=1.5"], "seed must be a whole number of at least 0, got 1.5"),
         (["environments=0"], "environments must be a whole number of at least 1"),
         (["evaluation.episodes=0"], "evaluation.episodes must be a whole number"),
