@@ -3,8 +3,7 @@
 python experiments/benchmarks/oracle.py <case>/data <base model> <answer.yaml> <folder for oracle.yaml>
 
 The hidden effects are switched on where they are, their sizes and the base are fitted to the same runs as in a
-diagnosis, and the gap is shown on the same unseen runs. A refitted base in `<folder>/.diagnosis` is taken over. The
-bench runs it as its `oracle`, after all verdicts have been written.
+diagnosis, and the gap is shown on the same unseen runs. A refitted base in `<folder>/.diagnosis` is taken over.
 """
 
 import sys

@@ -5,8 +5,7 @@ python experiments/benchmarks/sparse_regression.py <case>/data <base model> <fol
 Measured currents are regressed on the joint torques of inverse dynamics, from smoothed measured angles, accelerations
 and the friction terms of the base model; one further column, or one per joint, is added for the effect that explains
 most of what is left on other runs. It knows effects as columns of a regression only: no simulation, no timing, no
-hidden states. The bench runs it with this `command`: [python, experiments/benchmarks/sparse_regression.py, "{data}",
-"{model}", "{run}"].
+hidden states.
 """
 
 import sys
@@ -19,7 +18,7 @@ import yaml
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from op3.robot import LEG_JOINTS, build_scene
+from op3.robot import build_scene
 from op3.robot.kinematics import rotation_matrix
 from op3.robot.units import GRAVITY
 from op3.rollout import Rollout, read_logs
@@ -34,15 +33,12 @@ LEAST_GAIN = 0.08
 Array = NDArray[np.float64]
 
 
-def leg_model(foot_mass: float = 0.0) -> mujoco.MjModel:
-    """The right leg alone, trunk fixed, without armature, with so much more mass of the foot [kg]."""
-    scene = build_scene("stand")
-    for name in ("head_pan_link", "l_sho_pitch_link", "r_sho_pitch_link", "l_hip_yaw_link"):
-        scene.mjcf_model.find("body", f"op3/{name}").remove()  # type: ignore[union-attr]
-    model = scene.compile()
+def held_model(joints: tuple[str, ...], last_mass: float = 0.0) -> mujoco.MjModel:
+    """Limbs of the robot in the stand, without armature, with so much more mass of the last link [kg]."""
+    model = build_scene("stand", joints=joints).compile()
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
     model.dof_armature[:] = 0
-    model.body_mass[model.body("op3/r_ank_roll_link").id] += foot_mass
+    model.body_mass[model.nbody - 1] += last_mass
     return model
 
 
@@ -114,13 +110,15 @@ CANDIDATES: dict[str, tuple[bool, tuple[Callable[[dict[str, Array]], Array], ...
 
 def columns(makers: tuple[Callable[[dict[str, Array]], Array], ...], runs: list[dict[str, Array]], joint: int | None):
     """Columns of a regression [sample, column]; in one joint, zero elsewhere."""
-    keep = np.ones(len(LEG_JOINTS)) if joint is None else np.eye(len(LEG_JOINTS))[joint]
+    count = runs[0]["q"].shape[1]
+    keep = np.ones(count) if joint is None else np.eye(count)[joint]
     return np.stack([np.concatenate([(make(s) * keep)[5:-5].ravel() for s in runs]) for make in makers], 1)
 
 
 def diagnose(logs: list[Rollout], lacking: set[str]) -> dict:
     """A verdict by one step of orthogonal matching pursuit; every third run judges what the others fit."""
-    model, loaded = leg_model(), leg_model(0.1)
+    joints = logs[0].metadata.joints
+    model, loaded = held_model(joints), held_model(joints, 0.1)
     runs = [signals(log, model, loaded) for log in logs]
     fit = np.concatenate([np.full(s["q"][5:-5].size, number % 3 != 2) for number, s in enumerate(runs)])
     target = np.concatenate([s["i"][5:-5].ravel() for s in runs])
@@ -135,21 +133,19 @@ def diagnose(logs: list[Rollout], lacking: set[str]) -> dict:
     for name, (local, makers) in CANDIDATES.items():
         if name in BASE and not local and name not in lacking:
             continue
-        for joint in range(len(LEG_JOINTS)) if local else [None]:
+        for joint in range(len(joints)) if local else [None]:
             gain = 1 - left(np.hstack([base, columns(makers, runs, joint)])) / before
-            joints = [LEG_JOINTS[-1]] if name == "link_mass" else [] if joint is None else [LEG_JOINTS[joint]]
-            ranking.append({"name": name.split("#")[0], "joints": joints, "gain": gain})
-    ranking.sort(key=lambda entry: -entry["gain"])
-    best = ranking[0]
-    if best["gain"] < LEAST_GAIN:
-        return {"verdict": "nothing_missing", "effects": [], "ranking": ranking[:10]}
-    return {"verdict": "named", "effects": [{k: best[k] for k in ("name", "joints")}], "ranking": ranking[:10]}
+            where = [joints[-1]] if name == "link_mass" else [] if joint is None else [joints[joint]]
+            ranking.append({"effect": name.split("#")[0], "joints": where, "gain": gain, "probability": 0.5})
+    best = max(ranking, key=lambda entry: entry["gain"])
+    return {"findings": [best] if best["gain"] >= LEAST_GAIN else []}
 
 
 def main(data: str, base: str, run: str) -> None:
     """Read the logs and write the verdict."""
-    lacking = {"dte", "stribeck"} - set(load_model(base).effect_names)
-    verdict = diagnose(read_logs(data), lacking)
+    lacking, logs = {"dte", "stribeck"} - set(load_model(base).effect_names), read_logs(data)
+    held = logs[0].metadata.mount == "stand"  # inverse dynamics knows no contact, and this script no other robot
+    verdict = diagnose(logs, lacking) if held else {"findings": []}
     (Path(run) / "verdict.yaml").write_text(yaml.safe_dump(verdict, sort_keys=False), encoding="utf-8")
 
 

@@ -11,44 +11,32 @@ import plotly.graph_objects as go
 from op3.report.page import Page
 from op3.report.style import INK, MUTED, colours, dress, plain, words
 
-CLEAR: Mapping[str, tuple[str, str]] = {
-    "clear_top1_exact": ("right name and joints first", "at least 88 %"),
-    "clear_top1_class": ("right, or among the candidates called ambiguous", "at least 95 %"),
-    "clear_top3_exact": ("right among the first three", "at least 98 %"),
-    "clear_joint": ("right joint where the name is right", "at least 95 %"),
-}
-"""Rates of single effects that are moderate or strong: what each is called, and the aim."""
-
-MEDIANS: Mapping[str, tuple[str, str]] = {
-    "oracle_closure_median": ("gap closed, of what a model that knows the hidden effects closes", "at least 0.95"),
-    "gap_closure_median": ("gap closed, of what is above the spread of repeats", ""),
-    "explained_median": ("residual explained by the first claim", ""),
-    "black_box_median": ("residual explained by a black box, which names nothing", ""),
-    "processor_seconds_median": ("processor time of a diagnosis, imports aside [s]", "at most 20"),
-    "size_ratio_median": ("size found, of the true one", ""),
-    "return_error_before_median": ("policy: return predicted by the base, off the true one by", ""),
-    "return_error_after_median": ("policy: the same with what was named", ""),
-}
-"""Medians over cases: what each is called, and the aim."""
-
 LABELS: Mapping[str, tuple[str, str]] = {
-    "false_alarms": ("false alarms on empty cases", "at most 3 %"),
-    "false_names": ("names given to empty cases", "at most 3 %"),
-    "detection": ("hidden effect noticed", "at least 95 %"),
-    "top1_name": ("right name first", ""),
-    "top1_exact": ("right name and joints first", "at least 88 %"),
-    "top1_class": ("right, or among the candidates called ambiguous", "at least 95 %"),
-    "top3_exact": ("right among the first three", "at least 98 %"),
-    "joint_localisation": ("right joint where the name is right", "at least 95 %"),
-    "extra_names": ("right, with another name that is not hidden", ""),
-    "pairs_both": ("both of two effects named", "at least 70 %"),
-    "pairs_one": ("one of two effects named", ""),
-    "outsiders_unknown": ("outsiders called unknown", "at least 80 %"),
-    "poor_class": ("poor excitation: right or among the candidates", ""),
-    "confident_wrong": ("confident and wrong", "at most 1 %"),
+    "clear_exact": ("one clear or strong effect: right name and joints", "at least 80 %"),
+    "clear_family": ("the same, or among what the finding could be besides", ""),
+    "strong_exact": ("one strong effect: right name and joints", ""),
+    "mild_exact": ("one mild effect: right name and joints", "at least 40 %"),
+    "name": ("one effect: right name, wherever", ""),
+    "joints": ("right joints where the name is right", "at least 95 %"),
+    "clean": ("one effect: no wrong name", ""),
+    "pairs_both": ("two effects: both named", "at least 50 %"),
+    "pairs_one": ("two effects: one named and no wrong name", "at least 85 %"),
+    "sound_named": ("sound robots with a name", "at most 3 %"),
+    "outsiders_named": ("outsiders with a name", "at most 5 %"),
+    "poor_family": ("poor excitation: right, or among what it could be", ""),
+    "confident_wrong": ("a wrong name with more than 0.8", "at most 2 %"),
     "size_coverage": ("size within its 90 % interval", "85 to 95 %"),
 }
 """What a rate is called on the page, and the aim."""
+
+MEDIANS: Mapping[str, tuple[str, str]] = {
+    "closure_median": ("gap closed, of what is above the spread of repeats", ""),
+    "size_ratio_median": ("size found, of the true one", ""),
+    "seconds_median": ("time of a diagnosis [s]", "at most 60"),
+    "processor_seconds_median": ("processor time of a diagnosis [s]", "at most 120"),
+    "peak_memory_median": ("peak memory of a diagnosis [bytes]", "at most 1e9"),
+}
+"""Medians over cases: what each is called, and the aim."""
 
 
 def rates_figure(summaries: Mapping[str, Mapping[str, Any]]) -> go.Figure:
@@ -100,21 +88,26 @@ def confusion_figure(truths: Sequence[str], claims: Sequence[str], counts: np.nd
 
 
 def reliability_figure(calibrations: Mapping[str, Mapping[str, Any]]) -> go.Figure | None:
-    """Stated confidence against the share that was right; None where nothing was stated."""
+    """Stated probability against the share that was right, by fifths; None where nothing was stated."""
     figure, colour = go.Figure(), colours(list(calibrations))
     for label, values in calibrations.items():
         table = values["reliability"]
         if table:
             figure.add_scatter(
-                x=[100 * c for c, _, _ in table], y=[100 * r for _, r, _ in table], mode="lines+markers",
-                name=plain(label), marker=dict(color=colour[label], size=[6 + 2 * np.sqrt(n) for *_, n in table]),
-                customdata=[n for *_, n in table], hovertemplate="%{y:.0f} % of %{customdata} right",
+                x=[100 * row[0] for row in table], y=[100 * row[1] for row in table], mode="lines+markers",
+                name=plain(label), marker=dict(color=colour[label], size=[6 + 2 * np.sqrt(row[4]) for row in table]),
+                customdata=[row[4] for row in table], hovertemplate="%{y:.0f} % of %{customdata} right",
+                error_y=dict(
+                    type="data", symmetric=False, thickness=1, width=0,
+                    array=[100 * (row[3] - row[1]) for row in table],
+                    arrayminus=[100 * (row[1] - row[2]) for row in table],
+                ),
             )  # fmt: skip
     if not figure.data:
         return None
     figure.add_scatter(x=[0, 100], y=[0, 100], mode="lines", name="perfect", line=dict(color=MUTED, dash="dot"))
     dress(figure, 380, hovermode="closest")
-    figure.update_xaxes(title_text="stated confidence [%]", range=[0, 102])
+    figure.update_xaxes(title_text="stated probability [%]", range=[0, 102])
     figure.update_yaxes(title_text="right [%]", range=[-2, 102])
     return figure
 
@@ -137,7 +130,7 @@ def naming_page(
     """
     summary = next(iter(summaries.values()))
     page = Page(title, _lead(summary))
-    for key in ("top1_exact", "top1_class", "false_alarms", "confident_wrong", "outsiders_unknown"):
+    for key in ("clear_exact", "pairs_one", "sound_named", "outsiders_named", "confident_wrong"):
         if summary.get(key):
             rate = summary[key]
             note = f"{rate['count']} of {rate['of']}; 95 %: {100 * rate['low']:.0f} to {100 * rate['high']:.0f} %"
@@ -154,34 +147,24 @@ def naming_page(
     page.table(["rate", "count", "of", "%", "from %", "to %", "aim"], rows_of, "Rates of the diagnosis", digits=3)
     _medians(page, summary)
     page.section("What was called what")
-    page.figure(confusion_figure(*table), "Hidden effects against the first claim, or the verdict that names nothing.")
-    page.section("Confidence")
+    page.figure(confusion_figure(*table), "Hidden effects against the most probable name.")
+    page.section("Probability")
     page.figure(
         reliability_figure({label: s["calibration"] for label, s in summaries.items()}),
-        "Stated confidence of first claims and the share that was right.",
+        "Stated probability of all findings and the share that was right, with Wilson's 95 % intervals.",
     )
     page.section("Cases")
-    header = ["case", "kind", "severity", "hidden", "in", "verdict", "first claim", "in", "confidence", "size ratio"]
-    entries = ("case", "kind", "severity", "truth", "truth_joints", "verdict", "claim", "claim_joints", "confidence")
-    page.table(header, [[row[key] for key in entries] + [row["size_ratio"]] for row in rows], "All cases", digits=3)
+    entries = ("case", "kind", "robot", "severity", "truth", "truth_joints", "claim", "claim_joints", "probability",
+               "size_ratio", "seconds")  # fmt: skip
+    header = ["case", "kind", "robot", "severity", "hidden", "in", "most probable name", "in", "probability",
+              "size ratio", "time [s]"]  # fmt: skip
+    page.table(header, [[row[key] for key in entries] for row in rows], "All cases", digits=3)
     page.text(f"The list of sealed answers has the SHA-256 `{commitment}`; it was written before the first diagnosis.")
     return page
 
 
 def _medians(page: Page, summary: Mapping[str, Any]) -> None:
-    """Clear cases, `dte` by severity, medians and the calibration error, with their intervals."""
-    clear = [
-        [label, s["count"], s["of"], *(100 * s[k] for k in ("value", "low", "high")), aim]
-        for key, (label, aim) in CLEAR.items()
-        if (s := summary.get(key))
-    ]
-    for severity, s in summary.get("dte_named", {}).items():
-        if s:
-            values = (100 * s[k] for k in ("value", "low", "high"))
-            clear.append([f"dte named, {severity}", s["count"], s["of"], *values, "always"])
-    if clear:
-        columns = ["rate", "count", "of", "%", "from %", "to %", "aim"]
-        page.table(columns, clear, "Single effects, moderate and strong, rich excitation; dte by severity", digits=3)
+    """Medians and the calibration error."""
     rows = [
         [label, s["value"], s["low"], s["high"], s["of"], aim or None]
         for key, (label, aim) in MEDIANS.items()
@@ -189,21 +172,20 @@ def _medians(page: Page, summary: Mapping[str, Any]) -> None:
     ]
     calibration = summary["calibration"]
     if calibration["ece"] is not None:
-        low, high = calibration.get("ece_interval") or (None, None)
-        rows.append(["calibration error of stated confidence", calibration["ece"], low, high, calibration["claims"],
-                     "at most 0.06"])  # fmt: skip
+        count = calibration["findings"]
+        rows.append(["calibration error of stated probability", calibration["ece"], None, None, count, "at most 0.1"])
     if rows:
-        page.table(["median over cases", "value", "from", "to", "cases", "aim"], rows, "With 95 % bootstrap intervals",
-                   digits=3)  # fmt: skip
+        columns = ["median over cases", "value", "from", "to", "of", "aim"]
+        page.table(columns, rows, "With 95 % bootstrap intervals", digits=3)
 
 
 def _lead(summary: Mapping[str, Any]) -> str:
-    exact, alarms = summary.get("top1_exact"), summary.get("false_alarms")
+    exact, named = summary.get("clear_exact"), summary.get("sound_named")
     parts = []
     if exact:
-        parts.append(f"{exact['count']} of {exact['of']} hidden effects were named exactly")
-    if alarms:
-        parts.append(f"{alarms['count']} of {alarms['of']} empty cases raised a false alarm")
+        parts.append(f"{exact['count']} of {exact['of']} clear single effects were named in their joints")
+    if named:
+        parts.append(f"{named['count']} of {named['of']} sound robots got a name")
     sentence = ", and ".join(parts) if parts else f"{summary['cases']} cases were scored"
     failed = f" {summary['failed']} diagnoses failed." if summary["failed"] else ""
     return f"{sentence}.{failed}"

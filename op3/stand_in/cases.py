@@ -8,26 +8,30 @@ that it may not. `seal` writes the SHA-256 of all answers into one file, which i
 from __future__ import annotations
 
 import dataclasses
+import datetime
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
-from op3.robot import JOINTS, LEG_JOINTS, MIRROR, leg_suite, leg_walking, robot_suite, robot_walking
+from op3.robot import MIRROR, Excitation
+from op3.robot.scenes import Scene
+from op3.rollout import Rollout
 from op3.stand_in.hidden import ALIAS_PAIRS, BASES, CATALOGUE, KINDS, OUTSIDERS, SEVERITIES, Hidden
-from op3.stand_in.leg import record_leg
-from op3.stand_in.leg_servos import LegTruth
-from op3.stand_in.world import World
+from op3.stand_in.play import play
+from op3.stand_in.robot import StandIn
+from op3.stand_in.settings import SETTINGS, Setting
+from op3.stand_in.world import BENCH_RANGES, Ranges, World
 
 CASE_KINDS: tuple[str, ...] = ("single", "pair", "null", "outsider", "poor")
 """One catalogue effect; two; none; something no catalogue holds; one effect seen by a poor excitation only."""
-
-ROBOTS: dict[str, tuple[str, ...]] = {"leg": LEG_JOINTS, "op3": JOINTS}
-"""Joints of what a case is recorded on: the right leg, or the whole robot, on the stand."""
 
 TEST_SEEDS = 1_000_000
 """First seed of the test set."""
@@ -46,6 +50,23 @@ LESS_SHARE = 0.3
 """Share of cases, beyond those that hide one of `BASES`, whose robot lacks one of them and whose base model too, so
 that the base model does not give the answer away."""
 
+MIRROR_SHARE = 0.25
+"""Share of effects of single joints that sit in a joint and its mirror partner alike."""
+
+LOADED = 0.08
+"""A joint that gravity can load with at least this torque counts as loaded [N m]."""
+
+PAUSE = 6.0
+"""Time between runs [s]."""
+
+WARM_UP = 240.0
+"""How long the robot works before its warm runs [s]."""
+
+MORNING = datetime.datetime(2026, 1, 15, 9, 0)
+"""When the first run begins."""
+
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True)
 class Case:
@@ -57,9 +78,10 @@ class Case:
         kind: one of `CASE_KINDS`.
         severity: one of `SEVERITIES`, None where nothing is hidden.
         base: model that the diagnosis starts from.
-        truth: the leg.
-        bare: the same leg with nothing hidden in it.
-        robot: one of `ROBOTS`.
+        world: numbers of the robot, with those of `hidden` that are part of a world.
+        hidden: what is hidden.
+        joints: of the robot.
+        robot: key of `SETTINGS`.
     """
 
     name: str
@@ -67,16 +89,17 @@ class Case:
     kind: str
     severity: str | None
     base: str
-    truth: LegTruth
-    bare: LegTruth
-    robot: str = "leg"
+    world: World
+    hidden: tuple[Hidden, ...]
+    joints: tuple[str, ...]
+    robot: str = "op3"
 
     def answer(self) -> dict[str, Any]:
         """The sealed answer, as plain values."""
         effects = [
             {
                 "name": hidden.name,
-                "joints": list(hidden.joints) or list(self.truth.joints),
+                "joints": list(hidden.joints) or list(self.joints),
                 "shared": not hidden.joints,
                 "size": hidden.size,
                 "unit": KINDS[hidden.name].unit,
@@ -85,29 +108,21 @@ class Case:
                 "shape": list(hidden.shape),
                 "in_catalogue": not KINDS[hidden.name].outsider,
             }
-            for hidden in self.truth.hidden
+            for hidden in self.hidden
         ]
-        return {
-            "case": self.name,
-            "seed": self.seed,
-            "kind": self.kind,
-            "robot": self.robot,
-            "severity": self.severity,
-            "base": self.base,
-            "effects": effects,
-            "gear_form": self.truth.gear_form,
-            "fade_form": self.truth.fade_form,
-            "world": dataclasses.asdict(self.truth.world),
-        }
+        fields = ("seed", "kind", "robot", "severity", "base")
+        told = {"case": self.name, **{name: getattr(self, name) for name in fields}}
+        return {**told, "effects": effects, "world": dataclasses.asdict(self.world)}
 
 
 def draw_case(
     seed: int,
     kind: str = "single",
-    severity: str = "moderate",
+    severity: str = "clear",
     effect: str | None = None,
     scale: float = 1.0,
-    robot: str = "leg",
+    robot: str = "op3",
+    ranges: Ranges = BENCH_RANGES,
 ) -> Case:
     """Decide what one case hides.
 
@@ -116,61 +131,50 @@ def draw_case(
         kind: one of `CASE_KINDS`.
         severity: one of `SEVERITIES`; null cases have none.
         effect: hide this one (singles, outsiders, poor cases, and the first of a pair); drawn if None.
-        scale: factor on every hidden size, 0 for a leg that differs from this case in nothing else.
-        robot: one of `ROBOTS`; on the whole robot, effects of single joints sit in either leg.
+        scale: factor on every hidden size, 0 for a robot that differs from this case in nothing else.
+        robot: key of `SETTINGS`.
+        ranges: of the robots' numbers.
     """
-    if robot not in ROBOTS:
-        raise ValueError(f"there is no robot {robot!r}; choose {', '.join(ROBOTS)}")
-    if kind not in CASE_KINDS:
-        raise ValueError(f"there is no kind of case {kind!r}; choose {', '.join(CASE_KINDS)}")
-    if severity not in SEVERITIES:
-        raise ValueError(f"there is no severity {severity!r}; choose {', '.join(SEVERITIES)}")
+    for name, value, known in (
+        ("robot", robot, SETTINGS),
+        ("kind", kind, CASE_KINDS),
+        ("severity", severity, SEVERITIES),
+    ):
+        if value not in known:
+            raise ValueError(f"there is no {name} {value!r} of a case; choose {', '.join(known)}")
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise ValueError(f"the seed of a case must be a whole number of at least 0, got {seed!r}")
     rng = np.random.default_rng([int(seed), 40])
+    joints, places = _places(robot)
     names = _names(rng, kind, effect)
-    hidden = tuple(_hide(rng, name, SEVERITIES[severity] * scale) for name in names)
-    if robot == "op3":
-        sides = np.random.default_rng([int(seed), 41])
-        hidden = tuple(_other_side(one) if one.joints and sides.random() < 0.5 else one for one in hidden)
-    world = World.random(int(seed))
-    forms: dict[str, Any] = {
-        "gear_form": _form(rng, ("power", "m6")),
-        "fade_form": _form(rng, ("gaussian", "exponential")),
-    }
+    hidden = tuple(_hide(rng, name, SEVERITIES[severity] * scale, places) for name in names)
     missing = next((name for name in names if name in BASES), None)
     if missing is None and rng.random() < LESS_SHARE:
         missing = str(rng.choice(list(BASES)))
-    sizes = {one.name: one.size for one in hidden}
-    for one in hidden:
-        if one.name in ("dte", "stribeck"):
-            forms["gear_form" if one.name == "dte" else "fade_form"] = one.form
+    world = World.random(int(seed), ranges)
     return Case(
         name=f"case_{hashlib.sha256(f'op3 {seed}'.encode()).hexdigest()[:10]}",
         seed=int(seed),
         kind=kind,
         severity=None if kind == "null" else severity,
         base=PLAIN_BASE if missing is None else BASES[missing],
-        truth=LegTruth(_without(world, missing, sizes), hidden, joints=ROBOTS[robot], **forms),
-        bare=LegTruth(_without(world, missing, {}), (), joints=ROBOTS[robot], **forms),
+        world=_without(world, missing, {one.name: one for one in hidden}),
+        hidden=hidden,
+        joints=joints,
         robot=robot,
     )
 
 
-def _other_side(hidden: Hidden) -> Hidden:
-    """The same effect in the partners of its joints."""
-    return dataclasses.replace(hidden, joints=tuple(MIRROR[joint][0] for joint in hidden.joints))
-
-
-def _without(world: World, missing: str | None, sizes: dict[str, float]) -> World:
+def _without(world: World, missing: str | None, hidden: dict[str, Hidden]) -> World:
     """The world whose robot lacks one of `BASES`, or has as much of it as is hidden."""
+    one = hidden.get(missing or "")
     if missing == "dte":
-        return world.replace(backward_efficiency=1 / (1 + sizes.get("dte", 0.0)))
+        world = world.replace(backward_efficiency=1 / (1 + (one.size if one else 0.0)))
+        return world.replace(loss_form=one.form) if one else world
     if missing == "stribeck":
-        return world.replace(static_friction_excess=sizes.get("stribeck", 0.0))
-    if missing == "latency":
-        return world.replace(command_latency=sizes.get("latency", 0.0))
-    return world
+        world = world.replace(static_friction_excess=one.size if one else 0.0)
+        return world.replace(fade_form=one.form) if one else world
+    return world.replace(command_latency=0.0) if missing == "latency" else world
 
 
 def _names(rng: np.random.Generator, kind: str, effect: str | None) -> tuple[str, ...]:
@@ -192,27 +196,86 @@ def _names(rng: np.random.Generator, kind: str, effect: str | None) -> tuple[str
         second = str(rng.choice([name for name in CATALOGUE if name != first]))
     if first in BASES and second in BASES:  # a base model lacks one effect at most
         second = str(rng.choice([name for name in CATALOGUE if name not in BASES]))
-    # a gear is loose or soft in one model of it, not both
-    if {first, second} == {"backlash", "compliance"}:
-        second = "lugre"
     return first, second
 
 
-def _hide(rng: np.random.Generator, name: str, factor: float) -> Hidden:
+def _hide(rng: np.random.Generator, name: str, factor: float, places: dict[str, tuple[str, ...]]) -> Hidden:
     """One effect of this strength, at a drawn place, in a drawn form."""
     kind = KINDS[name]
-    joints = (str(rng.choice(kind.joints)),) if kind.joints else ()
+    joints: tuple[str, ...] = ()
+    if kind.place != "all":
+        joints = (str(rng.choice(places[kind.place])),)
+        partner = MIRROR.get(joints[0], (joints[0],))[0]
+        if not kind.signed and partner != joints[0] and partner in places["any"] and rng.random() < MIRROR_SHARE:
+            joints = tuple(sorted((joints[0], partner), key=places["any"].index))
     strength = rng.uniform(0.9, 1.1)
     sign = -1.0 if kind.signed and rng.random() < 0.5 else 1.0
     shape = tuple(float(x) for x in rng.random(3))
-    form = _form(rng, kind.forms)
-    size = 0.0 if factor == 0 else sign * kind.size(strength * factor)
-    return Hidden(name, size, joints, form, shape)
+    usual = rng.random() >= OTHER_FORM_SHARE or len(kind.forms) == 1
+    form = kind.forms[0] if usual else str(rng.choice(kind.forms[1:]))
+    return Hidden(name, sign * kind.size * strength * factor, joints, form, shape)
 
 
-def _form(rng: np.random.Generator, forms: Sequence[str]) -> str:
-    usual = rng.random() >= OTHER_FORM_SHARE
-    return forms[0] if usual or len(forms) == 1 else str(rng.choice(forms[1:]))
+@cache
+def _places(robot: str) -> tuple[tuple[str, ...], dict[str, tuple[str, ...]]]:
+    """Joints of a robot, and those where effects can sit: any, loaded by gravity, far from the base."""
+    scene = SETTINGS[robot].scene()
+    joints = tuple(str(joint.name) for joint in scene.joints)
+    load, depth = _load_and_depth(scene)
+    loaded = tuple(name for name, torque in zip(joints, load, strict=True) if torque >= LOADED)
+    far = tuple(name for name, links in zip(joints, depth, strict=True) if links >= min(3, max(depth)))
+    return joints, {"any": joints, "loaded": loaded or joints, "far": far}
+
+
+def _load_and_depth(scene: Scene) -> tuple[Array, list[int]]:
+    """Largest torque of gravity on each joint [joint] in N m, the robot turned any way, and joints up to the base."""
+    model = scene.compile(visual=False)
+    data, ids = mujoco.MjData(model), [model.joint(name).id for name in scene.joint_names]
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    bodies = model.jnt_bodyid[ids]
+    lever = np.cross(data.subtree_com[bodies] - data.xanchor[ids], data.xaxis[ids])
+    load = model.body_subtreemass[bodies] * np.linalg.norm(lever, axis=1) * np.linalg.norm(model.opt.gravity)
+    depth = []
+    for body in bodies:
+        above = [body]
+        while above[-1]:
+            above.append(model.body_parentid[above[-1]])
+        depth.append(sum(1 for one in above if one in bodies))
+    return load, depth
+
+
+def record_case(case: Case, runs: Sequence[Excitation] | None = None) -> Iterator[Rollout]:
+    """Every run of a case, in the order of the day; equal seeds give equal bytes.
+
+    Args:
+        case: from `draw_case`.
+        runs: what the robot is asked to do; None: the suite of its setting.
+    """
+    setting = SETTINGS[case.robot]
+    if runs is None:
+        runs = (setting.poor if case.kind == "poor" else setting.rich)(case.seed)
+    robot = StandIn(case.world, setting.scene(), seed=case.seed, hidden=case.hidden)
+    day = _day(runs, setting, case)
+    for number, (run, (day_time, temperature)) in enumerate(zip(runs, day, strict=True)):
+        begin = MORNING + datetime.timedelta(seconds=float(day_time))
+        extra = {"robot_id": case.name, "tilt": [float(angle) for angle in run.tilt]}
+        told = {**setting.metadata, "seed": None, "date": begin.isoformat(timespec="seconds"), "extra": extra}
+        placed = {"tilt": run.tilt, "day_time": day_time, "temperature": temperature}
+        options = {"still": False, "settle": setting.settle, "pushes": getattr(run, "pushes", ()), "metadata": told}
+        recording = f"{case.name}/{number:02d}"
+        yield play(robot, run.motion, run.p_gain, run.d_gain, recording=recording, **options, **placed)
+
+
+def _day(runs: Sequence[Excitation], setting: Setting, case: Case) -> Iterator[tuple[float, float]]:
+    """When each run begins [s], and how warm the servos are then [C]."""
+    rng = np.random.default_rng([case.seed, 30])
+    begin, ambient, warm = 0.0, case.world.ambient_temperature, False
+    for run in runs:
+        begin += WARM_UP if run.warm and not warm else 0.0
+        warm = run.warm
+        yield begin, ambient + (rng.uniform(28, 36) if warm else 5 * (1 - np.exp(-begin / 120)))
+        begin += float(run.motion.time[-1]) + setting.settle + PAUSE
 
 
 def make_case(case: Case, folder: str | Path, answers: str | Path) -> Path:
@@ -228,12 +291,10 @@ def make_case(case: Case, folder: str | Path, answers: str | Path) -> Path:
         The case's folder.
     """
     place = Path(folder) / case.name
-    rich, poor = (robot_suite, robot_walking) if case.robot == "op3" else (leg_suite, leg_walking)
-    suite = poor(case.seed) if case.kind == "poor" else rich(case.seed)
     write_answer(case, answers)
-    for number, log in enumerate(record_leg(case.truth, suite, case.seed, case.name)):
+    for number, log in enumerate(record_case(case)):
         log.save(place / DATA_FOLDER / f"{number:02d}_{log.metadata.motion}", overwrite=True)
-    given = {"case": case.name, "base": case.base}
+    given = {"case": case.name, "robot": case.robot, "base": case.base}
     (place / CASE_FILE).write_text(yaml.safe_dump(given, sort_keys=False), encoding="utf-8")
     return place
 

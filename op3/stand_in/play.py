@@ -6,13 +6,14 @@ sensors at its time and then the command issued at that time.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from op3.robot import JOINTS, SOFT_LIMITS, Motion, indices, pose
-from op3.robot.units import CURRENT_UNIT
+from op3.robot import JOINTS, SOFT_LIMITS, Excitation, Motion, pose
 from op3.rollout import Metadata, Rollout
 from op3.stand_in.sensors import Sensors
 
@@ -37,6 +38,22 @@ PATIENCE = 3.0
 Array = NDArray[np.float64]
 
 
+@dataclass(frozen=True)
+class Push:
+    """A push of the trunk: force [xyz] in N, in the world's axes, from `start` on for `duration` [s]."""
+
+    start: float
+    force: tuple[float, float, float]
+    duration: float = 0.08
+
+
+@dataclass(frozen=True, eq=False)
+class Run(Excitation):
+    """An excitation of a robot on the floor: its gain may be one per row, and the trunk may be pushed."""
+
+    pushes: tuple[Push, ...] = ()
+
+
 def play(
     robot: StandIn,
     motion: Motion,
@@ -45,38 +62,55 @@ def play(
     *,
     recording: str | None = None,
     settle: float = 1.5,
+    still: bool = True,
+    pushes: Sequence[Push] = (),
+    metadata: dict[str, Any] | None = None,
+    **placed: Any,
 ) -> Rollout:
-    """Follow a motion and record it; see `StandIn.play`."""
-    if robot.scene.robot is None:
-        raise ValueError("a motion is played by the whole robot; on the bench use write_current and read_sensors")
+    """Follow a motion and record it; see `StandIn.play`.
+
+    Args:
+        still: whether the recording waits, after `settle`, until the joints are at rest.
+        pushes: of the trunk, in the order of their times since the recording began.
+        metadata: fields of the log that are not as usual.
+        placed: how the robot is put down, see `StandIn.reset`.
+    """
     if not 0 <= settle < np.inf:
         raise ValueError(f"settle must be at least 0 s and finite, got {settle}")
-    targets = sample(motion, CONTROL_PERIOD)
-    _check_limits(motion, targets)
+    targets = sample(motion, CONTROL_PERIOD, robot.joints, robot.rest)
+    _check_limits(motion, robot.joints, targets)
     gains = {name: _gain(name, value, targets.shape) for name, value in (("p_gain", p_gain), ("d_gain", d_gain))}
-    robot.reset(targets[0], by_hand=True)
-    _settle(robot, targets[0], gains["p_gain"][0], gains["d_gain"][0], settle)
-    readings = [
-        _tick(robot, target, p, d) for target, p, d in zip(targets, gains["p_gain"], gains["d_gain"], strict=True)
-    ]
-    return _rollout(robot, motion, recording, readings, targets, gains)
+    robot.reset(targets[0], by_hand=True, **placed)
+    _settle(robot, targets[0], gains["p_gain"][0], gains["d_gain"][0], settle, still)
+    begin, due, time, readings = robot.time, list(pushes), [], []
+    for target, p, d in zip(targets, gains["p_gain"], gains["d_gain"], strict=True):
+        time.append(robot.time - begin)
+        if due and time[-1] >= due[0].start:
+            robot.push(due[0].force, due.pop(0).duration)
+        readings.append(_tick(robot, target, p, d))
+    return _rollout(robot, motion, recording, np.array(time), readings, targets, gains, metadata or {})
 
 
-def _settle(robot: StandIn, target: Array, p_gain: Array, d_gain: Array, settle: float) -> None:
+def _settle(robot: StandIn, target: Array, p_gain: Array, d_gain: Array, settle: float, still: bool) -> None:
     """Hold the first pose for `settle` [s], and on until all joints have read zero speed for `REST_TIME`."""
     quiet = 0.0
-    while robot.time < settle - 0.5 * CONTROL_PERIOD or (quiet < REST_TIME and robot.time < settle + PATIENCE):
+    while robot.time < settle - 0.5 * CONTROL_PERIOD or (
+        still and quiet < REST_TIME and robot.time < settle + PATIENCE
+    ):
         sensors = _tick(robot, target, p_gain, d_gain)
         quiet = 0.0 if sensors.velocity.any() else quiet + CONTROL_PERIOD
 
 
-def sample(motion: Motion, period: float) -> Array:
-    """Targets of all joints at ticks of `period` [s], [tick, joint]: held between a motion's own rows."""
+def sample(motion: Motion, period: float, joints: Sequence[str] = JOINTS, rest: Array | None = None) -> Array:
+    """Targets of joints at ticks of `period` [s], [tick, joint]: held between a motion's own rows.
+
+    Joints that the motion does not name stay at `rest`, without it in the OP3's pose "stand".
+    """
     ticks = np.arange(round((motion.time[-1] - motion.time[0]) / period) + 1) * period
     # Half a percent of the period absorbs rounding of written times.
     rows = np.searchsorted(motion.time - motion.time[0], ticks + 0.005 * period, side="right") - 1
-    targets = np.tile(pose("stand"), (len(ticks), 1))
-    targets[:, indices(motion.joints)] = motion.position[rows]
+    targets = np.tile(pose("stand") if rest is None else rest, (len(ticks), 1))
+    targets[:, [joints.index(name) for name in motion.joints]] = motion.position[rows]
     return targets
 
 
@@ -91,14 +125,14 @@ def _gain(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     return gain
 
 
-def _check_limits(motion: Motion, targets: Array) -> None:
+def _check_limits(motion: Motion, joints: Sequence[str], targets: Array) -> None:
     """Refuse what a robot must not be told: servos in current mode enforce no limit themselves."""
-    low, high = np.array([SOFT_LIMITS[name] for name in JOINTS]).T
+    low, high = np.array([SOFT_LIMITS.get(name, (-np.inf, np.inf)) for name in joints]).T
     outside = (targets < low) | (targets > high)
     if outside.any():
         row, joint = np.argwhere(outside)[0]
         raise ValueError(
-            f"motion {motion.name!r} asks {JOINTS[joint]} for {targets[row, joint]:.3f} rad at"
+            f"motion {motion.name!r} asks {joints[joint]} for {targets[row, joint]:.3f} rad at"
             f" {row * CONTROL_PERIOD:.3f} s; it may go from {low[joint]:.3f} to {high[joint]:.3f} rad"
         )
 
@@ -106,9 +140,8 @@ def _check_limits(motion: Motion, targets: Array) -> None:
 def _tick(robot: StandIn, target: Array, p_gain: Array, d_gain: Array) -> Sensors:
     """Read, command, wait for the next tick."""
     sensors = robot.read_sensors()
-    current = p_gain * (target - sensors.position) - d_gain * sensors.velocity
-    robot.write_current(np.round(current / CURRENT_UNIT) * CURRENT_UNIT, robot.draw_latency())
-    robot.advance(CONTROL_PERIOD)
+    robot.send(p_gain * (target - sensors.position) - d_gain * sensors.velocity)
+    robot.wait(CONTROL_PERIOD)
     return sensors
 
 
@@ -116,17 +149,24 @@ def _rollout(
     robot: StandIn,
     motion: Motion,
     recording: str | None,
+    time: Array,
     readings: list[Sensors],
     targets: Array,
     gains: dict[str, Array],
+    metadata: dict[str, Any],
 ) -> Rollout:
     names = ("position", "velocity", "current", "voltage", "temperature")
-    arrays = {("joint", name): np.stack([getattr(reading, name) for reading in readings]) for name in names}
-    for name in ("orientation", "angular_velocity", "linear_acceleration"):
-        arrays["imu", name] = np.stack([getattr(reading, name) for reading in readings])
+    arrays: dict[Any, Array] = {
+        ("joint", name): np.stack([getattr(reading, name) for reading in readings]) for name in names
+    }
+    fallen = None
+    if readings[0].orientation is not None:
+        for name in ("orientation", "angular_velocity", "linear_acceleration"):
+            arrays["imu", name] = np.stack([getattr(reading, name) for reading in readings])
+        fallen = robot.scene.floating and bool((np.abs(arrays["imu", "orientation"][:, :2]) > FALL_ANGLE).any())
     arrays["command", "position"] = targets
     arrays.update({("command", name): gain for name, gain in gains.items()})
-    metadata = Metadata(
+    known: dict[str, Any] = dict(
         joints=robot.joints,
         robot="simulated",
         mount=robot.scene.mount,
@@ -136,7 +176,7 @@ def _rollout(
         motion=motion.name,
         recording=recording,
         seed=robot.seed,
-        fallen=bool((np.abs(arrays["imu", "orientation"][:, :2]) > FALL_ANGLE).any()),
+        fallen=fallen,
         extra={"world": robot.world_id},
     )
-    return Rollout.from_arrays({"time": np.arange(len(readings)) * CONTROL_PERIOD, **arrays}, metadata)
+    return Rollout.from_arrays({"time": time, **arrays}, Metadata(**{**known, **metadata}))

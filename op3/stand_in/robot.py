@@ -1,4 +1,4 @@
-"""The stand-in robot: MuJoCo's rigid bodies at 0.25 ms, own servos, own sensors."""
+"""A robot whose truth is hidden: rigid bodies of a library, own servos, own sensors."""
 
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import deque
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -22,22 +23,24 @@ from op3.robot import (
     WeightSchedule,
     board_drive,
     build_scene,
+    indices,
     place_tiles,
+    pose,
     tile_ids,
 )
 from op3.robot.scenes import Scene
 from op3.robot.units import CURRENT_UNIT, POSITION_UNIT, TEMPERATURE_UNIT, VELOCITY_UNIT, VOLTAGE_UNIT
 from op3.rollout import Rollout
+from op3.stand_in.bodies import Bodies, Floor, Limbs
+from op3.stand_in.hidden import Hidden
+from op3.stand_in.kernel import TICK
 from op3.stand_in.play import play
-from op3.stand_in.sensors import Imu, Sensors, VelocityFilter, quantise
-from op3.stand_in.servos import SLOW_PERIOD, ServoBank
+from op3.stand_in.sensors import Imu, Sensors, quantise
+from op3.stand_in.servos import Servos
 from op3.stand_in.world import World
 
-TIMESTEP = 0.00025
-"""Step of the physics [s]."""
-
-BOARD_PERIOD = 0.008
-"""Time between two looks of a board's drive at its motion [s]; in between the board follows it smoothly."""
+BOARD_EVERY = 8
+"""Ticks between two looks of a board's drive at its motion; in between the board follows it smoothly."""
 
 CURRENT_LIMIT = 2.3
 """The servos hold no goal current beyond this [A]; stall current at 12 V, ROBOTIS e-Manual."""
@@ -49,65 +52,51 @@ class StandIn:
     """A robot whose truth is hidden behind its sensors.
 
     `play` records a motion as a computer on the robot would. Below it lies what a bus needs: `reset`,
-    `write_current`, `advance`, `read_sensors`.
-
-    The physics is Euler's semi-implicit step with elliptic friction cones. One evaluation of the dynamics per
-    step suits servos that carry a state of their own and advance once per step; at 0.25 ms it needs no implicit
-    damping (the stiffest term, damping over inertia, is 0.1 per step), and it costs a quarter of RK4.
+    `write_current`, `write_drive`, `advance`, `read_sensors`.
 
     Args:
         world: the truth.
         scene: a name from `op3.robot.SCENES`, or a scene.
         seed: of everything random in the recordings. The k-th reset draws from its own stream, so equal seeds
             give equal bytes, and repeats differ.
-        timestep: of the physics [s]; it must divide 1 ms.
+        hidden: effects beyond the world.
     """
 
-    def __init__(self, world: World, scene: str | Scene = "floor", *, seed: int = 0, timestep: float = TIMESTEP):
-        self._world = world
+    def __init__(self, world: World, scene: str | Scene = "floor", *, seed: int = 0, hidden: Sequence[Hidden] = ()):
+        self._world, self.hidden = world, tuple(hidden)
         self.seed = _whole("seed", seed)
         self.scene = build_scene(scene) if isinstance(scene, str) else scene
         self.joints: tuple[str, ...] = tuple(str(joint.name) for joint in self.scene.joints)
-        self._slow_every = round(SLOW_PERIOD / timestep)
-        if self._slow_every < 1 or abs(self._slow_every * timestep - SLOW_PERIOD) > 1e-12:
-            raise ValueError(f"timestep must divide {SLOW_PERIOD} s, got {timestep} s")
-        self.timestep = timestep
-        self._model = self._hidden_model()
-        self._data = mujoco.MjData(self._model)
-        ids = [self._model.joint(name).id for name in self.scene.joint_names]
-        self._positions = self._data.qpos[_run(self._model.jnt_qposadr[ids])]
-        dofs = _run(self._model.jnt_dofadr[ids])
-        self._velocities = self._data.qvel[dofs]
-        self._torques = self._data.qfrc_applied[dofs]
+        self._per_tick = round(TICK / world.timestep)
+        model = self._hidden_model()
+        names = self.scene.joint_names
+        ids = [model.joint(name).id for name in names]
+        ranges = np.where(model.jnt_limited[ids, None], model.jnt_range[ids], [-np.inf, np.inf])
         count = len(self.joints)
-        self._servos = ServoBank(world, count, timestep)
-        self._velocity_filter = VelocityFilter(world, count)
+        self.rest = np.zeros(count) if self.scene.robot is None else pose("stand")[indices(self.joints)]
+        self.servos = Servos(world, self.hidden, self.joints, self.rest, ranges)
+        self._model = model
         self._has_imu = self.scene.robot is not None
+        if self.scene.floating:
+            self._bodies: Bodies = Floor(model, self.servos, names, self._imu_places())
+        else:
+            mount = (world.mount_frequency if self._has_imu else 0.0, world.mount_damping)
+            self._bodies = Limbs(model, self.servos, names, mount)
         if self._has_imu:
             self._imu = Imu(world)
-            self._find_imu()
-        self._goal_current = np.zeros(count)
-        self._mixed_current = np.zeros(count)
-        self._arrivals: deque[tuple[float, Array]] = deque()
-        self._resets = 0
-        self._steps = 0
+        self._arrivals: deque[tuple[int, Array]] = deque()
+        self._resets = self._steps = self._board_since = 0
+        self._due = self._late = 0.0
+        self._losing = 0
         self._board: BoardMotion | WeightSchedule | None = None
         self._drive: BoardDrive | WeightDrive | None = None
-        self._board_since = 0
-        self._drive_every = round(BOARD_PERIOD / timestep)
-        self._due = 0.0
-        self._rng = np.random.default_rng([self.seed, 0])
+        self._push: tuple[Array, int] | None = None
         self.reset(np.zeros(count))
 
     def _hidden_model(self) -> mujoco.MjModel:
-        """The scene compiled, with the world's body, armature and ground."""
+        """The scene compiled, with the world's body and ground, and what is hidden in the links."""
         world = self._world
         model = self.scene.compile(visual=False)
-        model.opt.timestep = self.timestep
-        model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
-        model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-        for name in self.scene.joint_names:
-            model.dof_armature[model.joint(name).dofadr] = world.armature
         if self.scene.robot is not None:
             trunk = model.body(self.scene.robot.trunk.full_identifier).id
             model.body_mass[trunk] += world.base_mass_offset
@@ -115,63 +104,90 @@ class StandIn:
         ground = [model.geom(name).id for name in self.scene.ground]
         model.geom_friction[ground, 0] = world.foot_friction
         model.geom_solref[ground] = (world.contact_time, 1.0)
-        mujoco.mj_setConst(model, mujoco.MjData(model))
+        for effect in self.hidden:
+            for joint in set(effect.joints) & set(self.joints):
+                name = self.scene.joint_names[self.joints.index(joint)]
+                change_body(model, int(model.jnt_bodyid[model.joint(name).id]), effect)
         return model
 
-    def _find_imu(self) -> None:
+    def _imu_places(self) -> list[int] | None:
         robot = self.scene.robot
-        assert robot is not None
-        views = []
-        for element in (robot.imu_orientation, robot.imu_gyro, robot.imu_accelerometer):
-            sensor = self._model.sensor(element.full_identifier)
-            first, width = int(sensor.adr[0]), int(sensor.dim[0])
-            views.append(self._data.sensordata[first : first + width])
-        self._orientation, self._rates, self._force = views
-        if not self.scene.floating:
-            # MuJoCo's accelerometer reads zero on a body that cannot move.
-            self._force = np.asarray(self.scene.mounted_specific_force)
+        if robot is None:
+            return None
+        elements = (robot.imu_orientation, robot.imu_gyro, robot.imu_accelerometer)
+        return [int(self._model.sensor(element.full_identifier).adr[0]) for element in elements]
 
     @property
     def time(self) -> float:
         """Time since the reset [s]."""
-        return self._steps * self.timestep
+        return self._steps * self._world.timestep
+
+    @property
+    def world(self) -> World:
+        """The truth, for the robot's own modules and for scorers."""
+        return self._world
 
     @property
     def world_id(self) -> str:
         """Tells one world from another, and nothing else about it."""
         return self._world.identity
 
-    def truth(self) -> dict[str, float | Array]:
+    @property
+    def supply(self) -> float | None:
+        """Voltage of the supply [V], where it is not the robot's own battery."""
+        given = float(self.servos.robot["supply"][0])
+        return given if np.isfinite(given) else None
+
+    @supply.setter
+    def supply(self, voltage: float | None) -> None:
+        self.servos.robot["supply"] = np.nan if voltage is None else voltage
+
+    def truth(self) -> dict[str, float | str | Array]:
         """Every hidden number, for scorers and tests alone: scalars, and [joint] where servos differ."""
         return {**dataclasses.asdict(self._world), **self._world.per_joint(len(self.joints))}
 
-    def reset(self, joint_position: ArrayLike, *, qpos: ArrayLike | None = None, by_hand: bool = False) -> None:
+    def reset(
+        self,
+        joint_position: ArrayLike,
+        *,
+        qpos: ArrayLike | None = None,
+        by_hand: bool = False,
+        tilt: tuple[float, float] = (0.0, 0.0),
+        day_time: float = 0.0,
+        temperature: float | None = None,
+    ) -> None:
         """Put the robot down at rest, no current flowing, and start the next stream of random numbers.
 
         Args:
             joint_position: [joint] in rad. A free robot is put on the floor with its soles as level as the
                 pose allows.
             qpos: the full position [qpos] instead, where the base shall be elsewhere.
-            by_hand: whether the joints are set as a person does it, who misses each by a little.
+            by_hand: whether the joints are set as a person does it, who misses each by a little, and by what the
+                encoders say.
+            tilt: roll and pitch of the stand in rad.
+            day_time: how long the robot has worked before [s].
+            temperature: of air and windings [C]; None: as they are.
         """
         self._rng = np.random.default_rng([self.seed, self._resets])
         self._resets += 1
         position = np.array(joint_position, dtype=float)
         if by_hand:
-            position += self._world.placement * self._rng.standard_normal(len(self.joints))
-        mujoco.mj_resetData(self._model, self._data)
-        self._data.qpos[:] = self.scene.initial_qpos(position) if qpos is None else np.asarray(qpos, dtype=float)
-        mujoco.mj_forward(self._model, self._data)
+            position = self.servos.angles(position + self._world.placement * self._rng.standard_normal(len(position)))
         self._steps = self._board_since = 0
-        self._due = 0.0
+        self._due = self._late = 0.0
+        self._losing = 0
+        self._push = None
         self._arrivals.clear()
-        self._goal_current[:] = 0
-        self._servos.reset(self._rng)
-        self._velocity_filter.reset()
+        full = self.scene.initial_qpos(position) if qpos is None else np.asarray(qpos, dtype=float)
+        if temperature is not None:
+            self.servos.states["temperature"] = self.servos.states["air"] = temperature
+        self.servos.reset(position, self._rng, day_time)
+        self._bodies.reset(position, full, tilt)
         if self._has_imu:
+            quaternion, _, _ = self._bodies.trunk()
             up = np.zeros(9)
-            mujoco.mju_quat2Mat(up, self._orientation)
-            self._imu.reset(self._orientation, -up.reshape(3, 3).T @ self._model.opt.gravity)
+            mujoco.mju_quat2Mat(up, quaternion)
+            self._imu.reset(quaternion, -up.reshape(3, 3).T @ self._model.opt.gravity)
 
     def set_ground(self, board: BoardMotion | WeightSchedule | None = None, tiles: ArrayLike | None = None) -> None:
         """What the ground does from now on; its time counts from this call, or from a later reset.
@@ -183,17 +199,31 @@ class StandIn:
         Raises:
             ValueError: if the scene has no such board.
         """
-        self._drive = None if board is None else board_drive(self._model, board, BOARD_PERIOD)
+        self._drive = None if board is None else board_drive(self._model, board, BOARD_EVERY * TICK)
         self._board = board
         self._board_since = self._steps
         if tiles is not None:
             place_tiles(self._model.geom_pos, tile_ids(self._model), np.asarray(tiles, dtype=float))
 
+    def push(self, force: ArrayLike, duration: float) -> None:
+        """Push the trunk of a robot on the floor.
+
+        Args:
+            force: [xyz] in N, in the world's axes.
+            duration: [s], from now on.
+
+        Raises:
+            ValueError: if the trunk is held.
+        """
+        if not isinstance(self._bodies, Floor):
+            raise ValueError(f"the trunk is held in the scene {self.scene.name!r}: nobody can push it")
+        self._push = np.array(force, dtype=float), self._steps + round(duration / self._world.timestep)
+
     def foremost(self) -> float:
-        """How far ahead the inner tip of the foremost foot is in the world [m], as a tape measure; 0 on the bench."""
-        if self.scene.robot is None:
+        """How far ahead the inner tip of the foremost foot is in the world [m]; 0 on a fixed base."""
+        if self.scene.robot is None or not isinstance(self._bodies, Floor):
             return 0.0
-        return float(self._data.site_xpos[self._tips, 0].max())
+        return float(self._bodies.data.site_xpos[self._tips, 0].max())
 
     @cached_property
     def _tips(self) -> list[int]:
@@ -209,52 +239,101 @@ class StandIn:
             delay: how long they are under way [s]. Later writes may not overtake earlier ones.
         """
         goal = np.array(current, dtype=float)
-        if goal.shape != self._goal_current.shape or not np.isfinite(goal).all():
+        if goal.shape != (len(self.joints),) or not np.isfinite(goal).all():
             raise ValueError(f"current must be {len(self.joints)} finite numbers in A, got {current}")
-        arrival = self.time + delay
+        arrival = self._steps + round(delay / self._world.timestep)
         if delay < 0 or (self._arrivals and arrival < self._arrivals[-1][0]):
             raise ValueError(f"currents cannot arrive {delay} s after writing: not before those written earlier")
         self._arrivals.append((arrival, goal.clip(-CURRENT_LIMIT, CURRENT_LIMIT)))
 
+    def write_drive(self, enabled: ArrayLike, by_voltage: ArrayLike, duty: ArrayLike, limit: ArrayLike) -> None:
+        """What the drivers do from now on besides regulating current; all [joint].
+
+        Args:
+            enabled: whether the motor is driven at all; otherwise it runs free.
+            by_voltage: whether the driver applies a voltage instead.
+            duty: that voltage as a share of the supply, -1 to 1.
+            limit: current in A that such a driver does not exceed.
+        """
+        states = self.servos.states
+        states["enabled"], states["by_voltage"], states["duty"], states["limit"] = enabled, by_voltage, duty, limit
+
+    def send(self, current: ArrayLike) -> None:
+        """A command of the computer on the robot: in whole units, under way for a while, and lost at times."""
+        world, rng = self._world, self._rng
+        delay = world.command_latency + world.latency_jitter * float(rng.standard_normal())
+        delay += next((effect.size for effect in self.hidden if effect.name == "latency"), 0.0)
+        drop = next((effect for effect in self.hidden if effect.name == "packet_drop"), None)
+        if drop is not None:
+            if self._losing == 0 and rng.random() < (drop.size if drop.variant == 0 else drop.size / 3):
+                self._losing = 1 if drop.variant == 0 else 3
+            if self._losing:
+                self._losing -= 1
+                return
+        last = self._arrivals[-1][0] - self._steps if self._arrivals else 0
+        goal = np.round(np.asarray(current) / CURRENT_UNIT) * CURRENT_UNIT
+        self.write_current(goal, max(delay, last * world.timestep, 0.0))
+
+    def wait(self, period: float) -> None:
+        """Let about a period pass [s], as a computer keeps time that is no real-time computer."""
+        jitter = self._world.sampling_jitter * min(max(self._rng.standard_normal(), -2.0), 2.0)
+        self.advance(period + jitter - self._late)
+        self._late = jitter
+
     def advance(self, duration: float) -> None:
-        """Let time pass [s]. Parts of a physics step are carried over to the next call."""
+        """Let time pass [s]. Parts of a physics step are carried over to the next call.
+
+        Raises:
+            RuntimeError: if the physics diverges.
+        """
         self._due += duration
-        while self._steps < round(self._due / self.timestep):
-            self._step()
-        if not np.isfinite(self._data.qacc).all() or self._data.warning.number[_DIVERGENCE].any():
-            raise RuntimeError(f"the stand-in's physics diverged at {self.time:.3f} s in world {self.world_id}")
+        end = round(self._due / self._world.timestep)
+        try:
+            while self._steps < end:
+                self._run(end)
+        except FloatingPointError:
+            where = f"at {self.time:.3f} s in world {self.world_id}"
+            raise RuntimeError(f"the stand-in's physics diverged {where}") from None
 
-    def _step(self) -> None:
-        goal = self._goal_current
-        if self._arrivals and self._arrivals[0][0] < self.time + self.timestep:
-            goal = self._receive()
-        if self._drive is not None and (self._steps - self._board_since) % self._drive_every == 0:
-            data: Any = self._data
-            time = (self._steps - self._board_since) * self.timestep
-            self._drive.apply(self._board, time, data.qpos, data.qvel, data.qfrc_applied)  # type: ignore[arg-type]
-        self._torques[:] = self._servos.step(goal, self._velocities)
-        mujoco.mj_step(self._model, self._data)
-        self._steps += 1
-        if self._steps % self._slow_every == 0:
-            self._servos.step_slow(self.time, self._rng)
-            self._velocity_filter.step(self._velocities)
+    def _run(self, end: int) -> None:
+        """Go on to the next arrival, or the end of the tick, or a step."""
+        steps = self._steps
+        within = steps % self._per_tick
+        if within == 0:
+            self._begin_tick()
+        while self._arrivals and self._arrivals[0][0] <= steps:
+            self.servos.states["goal"] = self._arrivals.popleft()[1]
+        stop = min(end, steps - within + self._per_tick)
+        if self._arrivals:
+            stop = min(stop, self._arrivals[0][0])
+        self._bodies.run(stop - steps)
+        self._steps = stop
+        if stop % self._per_tick == 0:
+            self.servos.tick(self._rng)
             if self._has_imu:
-                self._imu.step(self._orientation, self._rates, self._force, self._rng)
+                self._imu.step(*self._bodies.trunk(), self._rng)
 
-    def _receive(self) -> Array:
-        """Take what arrives within this step; the currents of this step are the mean over it."""
-        begin = self.time
-        mixed = self._mixed_current
-        mixed[:] = self._goal_current
-        while self._arrivals and self._arrivals[0][0] < begin + self.timestep:
-            arrival, current = self._arrivals.popleft()
-            mixed += (1 - max(arrival - begin, 0.0) / self.timestep) * (current - self._goal_current)
-            self._goal_current[:] = current
-        return mixed
+    def _begin_tick(self) -> None:
+        self._bodies.begin_tick()
+        if self._drive is None and self._push is None:
+            return
+        assert isinstance(self._bodies, Floor)
+        tick = (self._steps - self._board_since) // self._per_tick
+        if self._drive is not None and tick % BOARD_EVERY == 0:
+            data = self._bodies.data
+            time = (self._steps - self._board_since) * self._world.timestep
+            self._drive.apply(self._board, time, data.qpos, data.qvel, data.qfrc_applied)  # type: ignore[arg-type]
+        if self._push is not None:
+            force, end = self._push
+            assert self.scene.robot is not None
+            trunk = self._model.body(self.scene.robot.trunk.full_identifier).id
+            self._bodies.data.xfrc_applied[trunk, :3] = force if self._steps < end else 0.0
+            self._push = None if self._steps >= end else self._push
 
     def read_sensors(self) -> Sensors:
         """Read every register once."""
-        servos, noise = self._servos, self._rng.standard_normal((2, len(self.joints)))
+        servos, noise = self.servos, self._rng.standard_normal((2, len(self.joints)))
+        volts = servos.robot["bus_voltage"] + 0.2 * VOLTAGE_UNIT * noise[1]
         imu = {}
         if self._has_imu:
             imu = dict(
@@ -263,18 +342,13 @@ class StandIn:
                 linear_acceleration=self._imu.rates_and_force[3:],
             )
         return Sensors(
-            position=quantise(self._positions, POSITION_UNIT),
-            velocity=quantise(self._velocity_filter.value, VELOCITY_UNIT),
+            position=quantise(servos.encoders, POSITION_UNIT),
+            velocity=quantise(servos.velocity, VELOCITY_UNIT),
             current=quantise(servos.reading + self._world.current_noise * noise[0], CURRENT_UNIT),
-            voltage=quantise(servos.bus_voltage + 0.2 * VOLTAGE_UNIT * noise[1], VOLTAGE_UNIT),
-            temperature=quantise(servos.temperature, TEMPERATURE_UNIT),
+            voltage=quantise(volts, VOLTAGE_UNIT),
+            temperature=quantise(servos.states["temperature"], TEMPERATURE_UNIT),
             **imu,
         )
-
-    def draw_latency(self) -> float:
-        """How long the next command of the computer on the robot is under way [s]."""
-        world = self._world
-        return max(0.0, world.command_latency + world.latency_jitter * float(self._rng.standard_normal()))
 
     def play(
         self,
@@ -284,6 +358,7 @@ class StandIn:
         *,
         recording: str | None = None,
         settle: float = 1.5,
+        metadata: dict[str, Any] | None = None,
     ) -> Rollout:
         """Follow a motion with the PD of the robot's computer and record it.
 
@@ -294,29 +369,33 @@ class StandIn:
             recording: identity of the recording.
             settle: how long the first pose is held before the recording starts [s]; longer if the robot is not at
                 rest by then.
+            metadata: fields of the log that are not as usual, such as a pendulum's mass and length.
 
         Returns:
             A rollout at 125 Hz whose first rows are at rest.
         """
-        return play(self, motion, p_gain, d_gain, recording=recording, settle=settle)
+        return play(self, motion, p_gain, d_gain, recording=recording, settle=settle, metadata=metadata)
 
     def skip(self) -> None:
         """Count a recording that exists already, so that the next is as it would have been after it."""
         self.reset(np.zeros(len(self.joints)))
 
 
-_DIVERGENCE = [
-    int(kind)
-    for kind in (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
-]
-
-
-def _run(addresses: ArrayLike) -> slice:
-    """Consecutive addresses as a slice, so that indexing gives a view."""
-    first = np.asarray(addresses).ravel()
-    if (np.diff(first) != 1).any():
-        raise ValueError("the joints of the scene must be consecutive in the model")
-    return slice(int(first[0]), int(first[-1]) + 1)
+def change_body(model: mujoco.MjModel, body: int, effect: Hidden) -> None:
+    """What an effect changes in a link."""
+    size = effect.size
+    if effect.name == "link_com":
+        model.body_ipos[body, 0] += size
+    elif effect.name == "link_inertia":
+        model.body_inertia[body] += size * model.body_mass[body]
+    elif effect.name == "link_mass":
+        mass = model.body_mass[body]
+        if effect.form == "plate":  # 60 mm by 40 mm, beside the link's centre of mass
+            apart = np.array([0.02, 0.0, -0.035])
+            share = size / (mass + size)
+            model.body_ipos[body] += share * apart
+            model.body_inertia[body] += size * (0.06**2 + 0.04**2) / 12 + (1 - share) * size * (apart @ apart) * 0.7
+        model.body_mass[body] = mass + size
 
 
 def _whole(name: str, value: int) -> int:

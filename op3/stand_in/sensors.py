@@ -15,11 +15,11 @@ from op3.robot.units import (
     ANGLE_UNIT,
     GYRO_UNIT,
 )
-from op3.stand_in.servos import SLOW_PERIOD
+from op3.stand_in.kernel import TICK
 from op3.stand_in.world import World
 
 IMU_EVERY = 5
-"""The IMU's registers change every 5 ms, its loop running at 200 Hz [slow steps]."""
+"""The IMU's registers change every 5 ms, its loop running at 200 Hz [ticks]."""
 
 Array = NDArray[np.float64]
 
@@ -63,27 +63,11 @@ def roll_pitch_yaw(quaternion: Array) -> Array:
     return np.array([roll, pitch, yaw])
 
 
-class VelocityFilter:
-    """The servos' own velocity estimate: a first-order low-pass at 1 kHz."""
-
-    def __init__(self, world: World, count: int):
-        self.value = np.zeros(count)
-        self._blend = 1 - np.exp(-SLOW_PERIOD / world.velocity_lag)
-
-    def reset(self) -> None:
-        """At rest."""
-        self.value[:] = 0
-
-    def step(self, velocity: Array) -> None:
-        """Take the true velocity [joint] in rad/s after `SLOW_PERIOD`."""
-        self.value += self._blend * (velocity - self.value)
-
-
 class Imu:
     """Gyro and accelerometer with bias, noise and low-pass, attitude from a settled filter."""
 
     def __init__(self, world: World):
-        self._blend = 1 - np.exp(-2 * np.pi * world.imu_bandwidth * SLOW_PERIOD)
+        self._blend = 1 - np.exp(-2 * np.pi * world.imu_bandwidth * TICK)
         self._noise = np.repeat([world.gyro_noise, world.accelerometer_noise], 3)
         bias = world.gyro_bias * np.random.default_rng([world.spread_seed, 4]).standard_normal(3)
         self._bias = np.concatenate([bias, np.zeros(3)])
@@ -100,7 +84,7 @@ class Imu:
         self._latch(quaternion)
 
     def step(self, quaternion: Array, rates: Array, specific_force: Array, rng: np.random.Generator) -> None:
-        """Take the true motion after `SLOW_PERIOD`; the registers follow every `IMU_EVERY` calls."""
+        """Take the true motion after `TICK`; the registers follow every `IMU_EVERY` calls."""
         raw = self._noise * rng.standard_normal(6)
         raw += self._bias
         raw[:3] += rates

@@ -1,161 +1,255 @@
-"""The servos of a stand-in robot: current loop, DC motor, gear and friction, in one numpy step.
-
-The forms differ from those that identification fits. The gear's loss follows the sign of the motor's power
-instead of comparing torques. Friction is an elastic element that slides at a bound (Prandtl's element, the
-elasto-plastic limit of the LuGre bristle; Dupont et al. 2002, Hayward and Armstrong 2000), with the Gaussian
-Stribeck curve of Canudas de Wit et al. 1995, instead of a constraint of the physics engine.
-"""
+"""The servos of a robot: records of what a world and the hidden effects make of them, and their state."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from op3.robot import GEAR_RATIO
-from op3.stand_in.world import World
-
-SLOW_PERIOD = 0.001
-"""Period of what changes slowly: noise, drift, voltage, temperature, and the servos' own filters [s]."""
+from op3.stand_in.hidden import Hidden
+from op3.stand_in.kernel import MEMORY, ROBOT, SERVO, STATE, TICK, encoders, step_slow
+from op3.stand_in.world import FORMS, World
 
 Array = NDArray[np.float64]
+Records = NDArray[np.void]
+
+OUTPUT_INERTIA = 0.0006
+"""Inertia of a servo's last gear wheel and horn about the joint [kg m^2]; the rest turns with the motor."""
+
+GEAR_STIFFNESS = 250.0
+"""Stiffness of teeth in contact, of a loose gear [N m/rad]."""
+
+GEAR_DAMPING = 0.06
+"""Damping of teeth in contact, and of a soft gear [N m s/rad]."""
 
 
-class ServoBank:
-    """`count` servos that turn goal currents into joint torques.
+class Servos:
+    """All servos of one robot.
 
-    Call `step` once per physics step and `step_slow` once per millisecond. The gear's loss is a budget of
-    friction: with motor torque tau at the joint it is (1 - eta_fw) |tau| where the motor drives and
-    (1/eta_bw - 1) |tau| where the load drives it back, so that the joint gets eta_fw tau or tau / eta_bw. At
-    rest the direction is that of the strained teeth; it is continuous there, so nothing chatters.
+    Attributes:
+        servos: parameters, records `SERVO` [joint].
+        states: records `STATE` [joint].
+        robot: what they share, one record `ROBOT` [1].
+        velocity: the servos' own estimates [joint] in rad/s.
 
     Args:
         world: the truth.
-        count: number of servos.
-        timestep: of the physics [s].
+        hidden: what is hidden besides.
+        joints: names [joint].
+        rest: angles about which the robot moves [joint] in rad; what sits at an angle is near them.
+        limits: mechanical range of the joints [joint, 2] in rad.
     """
 
-    def __init__(self, world: World, count: int, timestep: float):
-        self._world = world
-        self._timestep = timestep
-        joints = world.per_joint(count)
-        self._constant = GEAR_RATIO * joints["torque_constant"]
-        self._viscous = joints["viscous_friction"]
-        self._dry = np.stack([joints["coulomb_friction"], joints["static_friction_excess"]])
-        self._speed_gain = self._constant / world.terminal_resistance
-        self._reading_offset = world.current_offset * np.random.default_rng([world.spread_seed, 3]).standard_normal(
-            count
-        )
-        self._blend = 1 - np.exp(-timestep / world.current_lag)
-        self._driving_loss = 1 - world.forward_efficiency
-        self._driven_loss = 1 / world.backward_efficiency - 1
-        self._noise_memory = np.exp(-2 * np.pi * world.torque_noise_bandwidth * SLOW_PERIOD)
-        self._noise_gain = world.torque_noise * np.sqrt(1 - self._noise_memory**2)
-        self.temperature = np.full(count, world.ambient_temperature)
-        self.current = np.zeros(count)
-        self._bristle = np.zeros(count)
-        self._noise = np.zeros(count)
-        self._phase = np.zeros(count)
-        self._coulomb, self._excess = self._dry.copy()
-        self._velocity = np.zeros(count)
-        self._work = np.zeros((4, count))
-        self._driving = np.zeros(count, dtype=bool)
-        self.torque = np.zeros(count)
-        self.bus_voltage = world.bus_voltage
-        self._reach = world.bus_voltage / world.terminal_resistance
+    def __init__(self, world: World, hidden: Sequence[Hidden], joints: Sequence[str], rest: Array, limits: Array):
+        self.world, count = world, len(joints)
+        self.servos = np.zeros(count, SERVO)
+        self.states = np.zeros(count, STATE)
+        self.robot = np.zeros(1, ROBOT)
+        self.velocity = np.zeros(count)
+        self._memory = np.zeros((count, MEMORY))
+        self._fill(limits)
+        for effect in hidden:
+            self._hide(effect, joints, rest)
+        self.servos["output_inertia"][self.servos["gear_stiffness"] == 0] = world.armature
+        self.states["temperature"] = self.states["air"] = world.ambient_temperature
+
+    def _fill(self, limits: Array) -> None:
+        """What the world alone says."""
+        world, servos, robot = self.world, self.servos, self.robot
+        joints = world.per_joint(len(servos))
+        servos["constant"] = GEAR_RATIO * joints["torque_constant"]
+        servos["coulomb"], servos["viscous"] = joints["coulomb_friction"], joints["viscous_friction"]
+        servos["excess"], servos["resistance"] = joints["static_friction_excess"], joints["terminal_resistance"]
+        for name in ("armature", "current_lag", "stribeck_velocity"):
+            servos[name] = getattr(world, name)
+        servos["stiffness"], servos["damping"] = world.bristle_stiffness, world.bristle_damping
+        servos["driving_loss"], servos["driven_loss"] = 1 - world.forward_efficiency, 1 / world.backward_efficiency - 1
+        servos["velocity_time"], servos["output_inertia"] = world.velocity_lag, OUTPUT_INERTIA
+        for name in ("loss_form", "fade_form", "bristle_form", "velocity_form"):
+            servos[name] = FORMS[name].index(getattr(world, name))
+        servos["low"], servos["high"] = limits.T
+        zero = np.random.default_rng([world.spread_seed, 3]).standard_normal(len(servos))
+        servos["current_offset"] = world.current_offset * zero
+        robot["open_voltage"] = robot["bus_voltage"] = world.bus_voltage
+        robot["step"] = world.timestep
+        for name in ("bus_resistance", "thermal_resistance", "thermal_time"):
+            robot[name] = getattr(world, name)
+        robot["drift"], robot["drift_period"] = world.friction_drift, world.friction_drift_period
+        memory = np.exp(-2 * np.pi * world.torque_noise_bandwidth * TICK)
+        robot["noise_memory"], robot["noise_gain"] = memory, world.torque_noise * np.sqrt(1 - memory**2)
+        robot["supply"] = np.nan
+
+    def _hide(self, effect: Hidden, joints: Sequence[str], rest: Array) -> None:
+        """Write an effect into the records; those of links, bus and world are not the servos' matter."""
+        where = np.array([not effect.joints or joint in effect.joints for joint in joints])
+        unknown = set(effect.joints) - set(joints)
+        if unknown:
+            raise ValueError(f"{effect.name} cannot sit in {sorted(unknown)[0]!r}; the joints are {', '.join(joints)}")
+        if effect.size == 0:
+            return
+        if effect.name == "voltage_sag":
+            self.robot["hidden_resistance"] = effect.size
+        elif effect.name in _WRITERS:
+            values = _WRITERS[effect.name](self.servos, effect, rest + 0.24 * (effect.shape[0] - 0.5))
+            for name, value in values.items():
+                self.servos[name][where] = np.broadcast_to(value, len(joints))[where]
+
+    @property
+    def records(self) -> tuple[Records, Records, np.void]:
+        """What the kernel takes: parameters, states, and what is shared."""
+        return self.servos, self.states, self.robot[0]
+
+    @property
+    def output_inertia(self) -> Array:
+        """Inertia that turns with each joint for certain [joint] in kg m^2."""
+        return self.servos["output_inertia"]
 
     @property
     def reading(self) -> Array:
-        """What the current sensors read, without noise [joint] [A]."""
-        return self.current + self._reading_offset
+        """What the current sensors read, without noise [joint] in A."""
+        return self.states["current"] + self.servos["current_offset"]
 
-    def reset(self, rng: np.random.Generator) -> None:
-        """Switched on at rest: no current, no strain; windings keep their temperature."""
-        count = len(self.current)
-        self.current[:] = 0
-        self.bus_voltage = self._world.bus_voltage
-        self._bristle[:] = 0
-        self._noise[:] = self._world.torque_noise * rng.standard_normal(count)
-        self._phase[:] = rng.uniform(0, 2 * np.pi, count)
-        self.step_slow(0.0, rng)
+    @property
+    def duty(self) -> Array:
+        """Voltage over the motors as a share of the supply [joint]."""
+        states, servos = self.states, self.servos
+        volts = servos["resistance"] * states["current"] + states["gain"] * states["velocity"]
+        return np.clip(volts / self.robot["bus_voltage"], -1, 1)
 
-    def step_slow(self, time: float, rng: np.random.Generator) -> None:
-        """Advance noise, drift, voltage and temperature by `SLOW_PERIOD`; `time` is since the reset [s]."""
-        world = self._world
-        self._noise *= self._noise_memory
-        self._noise += self._noise_gain * rng.standard_normal(len(self._noise))
-        drift = 1 + world.friction_drift * np.sin(2 * np.pi * time / world.friction_drift_period + self._phase)
-        self._coulomb, self._excess = self._dry * drift
-        # drivers chop the voltage, so the battery gives their power and not their currents; none takes power back
-        power = self.current * (world.terminal_resistance * self.current + self._constant * self._velocity)
-        drawn = float(np.maximum(power, 0.0).sum()) / self.bus_voltage
-        self.bus_voltage = world.bus_voltage - world.bus_resistance * drawn
-        self._reach = self.bus_voltage / world.terminal_resistance
-        heating = world.thermal_resistance * world.terminal_resistance * self.current**2
-        warming = world.ambient_temperature + heating - self.temperature
-        self.temperature += SLOW_PERIOD / world.thermal_time * warming
+    @property
+    def encoders(self) -> Array:
+        """What the encoders say before rounding [joint] in rad."""
+        return encoders(self.servos, self.states["position"])
 
-    def step(self, goal_current: Array, velocity: Array) -> Array:
-        """Torques on the joints for the next physics step.
+    def angles(self, reading: Array) -> Array:
+        """Where joints are whose encoders say `reading` [joint] in rad."""
+        position = reading
+        for _ in range(6):
+            position = position + reading - encoders(self.servos, position)
+        return position
 
-        Args:
-            goal_current: [joint] in A, as the servos hold it.
-            velocity: [joint] in rad/s, true.
+    def reset(self, position: Array, rng: np.random.Generator, day_time: float = 0.0) -> None:
+        """Switched on at rest at `position` [joint] in rad; windings keep their temperature."""
+        kept = self.states["temperature"].copy(), self.states["air"].copy()
+        self.states[:] = np.zeros(1, STATE)
+        states = self.states
+        states["temperature"], states["air"] = kept
+        for name in ("position", "gear_position", "slack", "yielded"):
+            states[name] = position
+        states["enabled"], states["limit"] = 1.0, np.inf
+        states["noise"] = self.world.torque_noise * rng.standard_normal(len(states))
+        states["drift_phase"] = rng.uniform(0, 2 * np.pi, len(states))
+        self.robot["time"], self.robot["day_time"], self.robot["ticks"] = 0.0, day_time, 0.0
+        self.robot["bus_voltage"] = self.world.bus_voltage
+        self._memory[:] = self.encoders[:, None]
+        self.velocity[:] = 0
+        self.tick(rng)
+        self.robot["time"] = 0.0
 
-        Returns:
-            [joint] in N m; the array is reused.
-        """
-        self._velocity = velocity
-        a, b, c, torque = self._work[0], self._work[1], self._work[2], self.torque
-        self._drive(goal_current, velocity, a, b)
-        np.multiply(self._constant, self.current, out=torque)
-        # bound b: gear loss by the sign of the power, then Coulomb and static friction
-        np.multiply(torque, self._bristle, out=a)
-        np.greater(a, 0, out=self._driving)
-        c.fill(self._driven_loss)
-        np.copyto(c, self._driving_loss, where=self._driving)
-        np.abs(torque, out=b)
-        b *= c
-        np.multiply(velocity, 1 / self._world.stribeck_velocity, out=a)
-        a *= a
-        np.negative(a, out=a)
-        np.exp(a, out=a)
-        a *= self._excess
-        a += self._coulomb
-        b += a
-        self._slide(velocity, b, a, c)
-        torque -= a
-        np.multiply(self._viscous, velocity, out=a)
-        torque -= a
-        torque += self._noise
-        return torque
+    def tick(self, rng: np.random.Generator) -> None:
+        """Advance what changes slowly by `TICK`."""
+        count = len(self.states)
+        normal, uniform = rng.standard_normal(count), rng.random(count)
+        step_slow(*self.records, self._memory, self.velocity, normal, uniform)
 
-    def _drive(self, goal_current: Array, velocity: Array, a: Array, b: Array) -> None:
-        """Advance the current: first-order towards the goal as the sensor reads it, within what voltage allows."""
-        current = self.current
-        np.subtract(goal_current, current, out=a)
-        a -= self._reading_offset
-        a *= self._blend
-        current += a
-        np.multiply(velocity, self._speed_gain, out=a)
-        np.subtract(self._reach, a, out=b)
-        np.minimum(current, b, out=current)
-        np.add(self._reach, a, out=b)
-        np.negative(b, out=b)
-        np.maximum(current, b, out=current)
 
-    def _slide(self, velocity: Array, bound: Array, force: Array, work: Array) -> None:
-        """Strain the elastic elements, let them slide at the bound, and write their force to `force`."""
-        stiffness = self._world.bristle_stiffness
-        strain = self._bristle
-        np.multiply(velocity, self._timestep, out=work)
-        strain += work
-        np.multiply(strain, stiffness, out=force)
-        np.multiply(velocity, self._world.bristle_damping, out=work)
-        force += work
-        np.minimum(force, bound, out=force)
-        np.negative(bound, out=work)
-        np.maximum(force, work, out=force)
-        work *= 1 / stiffness
-        np.maximum(strain, work, out=strain)
-        np.negative(work, out=work)
-        np.minimum(strain, work, out=strain)
+Writer = Callable[[Records, Hidden, Array], dict[str, Array | float]]
+
+
+def _more(name: str, servos: Records, effect: Hidden, near: Array) -> dict[str, Array | float]:
+    return {name: servos[name] + effect.size}
+
+
+def _scaled(name: str, servos: Records, effect: Hidden, near: Array) -> dict[str, Array | float]:
+    return {name: servos[name] * (1 + effect.size)}
+
+
+def _softer(servos: Records, effect: Hidden, near: Array) -> dict[str, Array | float]:
+    """A bristle in series with a softer one, as much damped as before in proportion to the root of its stiffness."""
+    stiffness = 1 / (1 / servos["stiffness"] + effect.size)
+    damping = servos["damping"] * np.sqrt(stiffness / servos["stiffness"])
+    return {"stiffness": stiffness, "damping": damping, "bristle_form": effect.variant}
+
+
+def _loose(servos: Records, effect: Hidden, near: Array) -> dict[str, Array | float]:
+    gear = {"gear_stiffness": GEAR_STIFFNESS, "gear_damping": GEAR_DAMPING, "tooth_form": effect.variant}
+    return {**gear, "half_gap": effect.size}
+
+
+def _soft(servos: Records, effect: Hidden, near: Array) -> dict[str, Array | float]:
+    """An elastic gear; with a gap beside it, both in one pair of teeth."""
+    return {"gear_stiffness": 1 / effect.size, "gear_damping": GEAR_DAMPING}
+
+
+def _ripple(servos: Records, effect: Hidden, near: Array) -> dict[str, Array | float]:
+    """Of 12 to 40 periods a turn."""
+    periods = round(12 + 28 * effect.shape[0])
+    values: dict[str, Array | float] = {"cogging": effect.size, "cogging_periods": periods}
+    return {**values, "cogging_phase": 2 * np.pi * effect.shape[1], "cogging_form": effect.variant}
+
+
+def _vibration(servos: Records, effect: Hidden, near: Array) -> dict[str, Array | float]:
+    """Of 7 to 15 Hz, whatever the joint does."""
+    frequency, phase = 7 + 8 * effect.shape[0], 2 * np.pi * effect.shape[1]
+    return {"vibration": effect.size, "vibration_frequency": frequency, "vibration_phase": phase}
+
+
+def _stop(servos: Records, effect: Hidden, near: Array) -> dict[str, Array | float]:
+    """Away from the pose in which the robot rests, to either side."""
+    side = 1.0 if effect.shape[1] < 0.5 else -1.0
+    edge = near - 0.24 * (effect.shape[0] - 0.5) + side * (0.12 + 0.12 * effect.shape[0])
+    return {"stop": effect.size, "stop_side": side, "stop_edge": edge}
+
+
+def _with(name: str, further: dict[str, Callable[[Hidden, Array], Array | float]]) -> Writer:
+    return lambda servos, effect, near: {name: effect.size, **{key: of(effect, near) for key, of in further.items()}}
+
+
+def _near(effect: Hidden, near: Array) -> Array:
+    """An angle within 0.12 rad of the one about which the joint moves."""
+    return near
+
+
+def _form(effect: Hidden, near: Array) -> float:
+    return effect.variant
+
+
+def _phase(effect: Hidden, near: Array) -> float:
+    return effect.shape[0]
+
+
+_WRITERS: dict[str, Writer] = {
+    "coulomb": partial(_more, "coulomb"),
+    "viscous": partial(_more, "viscous"),
+    "current_offset": partial(_more, "current_offset"),
+    "torque_constant": partial(_scaled, "constant"),
+    "terminal_resistance": partial(_scaled, "resistance"),
+    "torque_constant_temperature": _with("magnet_fading", {}),
+    "quadratic_drag": _with("drag", {}),
+    "load_friction": _with("load_friction", {"load_friction_form": _form}),
+    "lugre": _softer,
+    "backlash": _loose,
+    "compliance": _soft,
+    "cogging": _ripple,
+    "cable_spring": _with("spring", {"spring_rest": _near, "spring_form": _form}),
+    "position_friction": _with("oval", {"oval_centre": _near, "oval_form": _form}),
+    "asymmetric_friction": _with("asymmetry", {}),
+    "friction_drift": _with("warm_loss", {"warm_form": _form}),
+    "current_lag": _with("late_time", {"late_stages": lambda effect, near: effect.variant + 1}),
+    "velocity_filter": _with("slower_time", {"slower_form": _form}),
+    "encoder_offset": _with("encoder_offset", {}),
+    "encoder_nonlinearity": _with(
+        "encoder_bend", {"encoder_form": _form, "encoder_phase": lambda effect, near: 2 * np.pi * effect.shape[0]}
+    ),
+    "vibration": _vibration,
+    "hard_stop": _stop,
+    "sticky_patch": _with("patch", {"patch_centre": _near}),
+    "creep": _with("creep", {"creep_rate": lambda effect, near: 1 / (0.8 + 1.5 * effect.shape[0])}),
+    "chipped_tooth": _with("chip", {"chip_phase": _phase}),
+    "ageing": _with("ageing", {}),
+    "dropout": _with("dropout", {}),
+}
+"""What each effect writes into the records of the servos where it sits."""

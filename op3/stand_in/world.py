@@ -3,65 +3,65 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import hashlib
-import math
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 
 from op3.robot import named_configs
+from op3.settings import NotNegative, Number, Positive, Share, Whole, nearest, read_yaml, settings
 
-_POSITIVE = (
+_SPREAD = (
     "torque_constant",
+    "coulomb_friction",
+    "viscous_friction",
+    "static_friction_excess",
     "terminal_resistance",
-    "armature",
-    "forward_efficiency",
-    "backward_efficiency",
-    "stribeck_velocity",
-    "bristle_stiffness",
-    "friction_drift_period",
-    "torque_noise_bandwidth",
-    "current_lag",
-    "velocity_lag",
-    "imu_bandwidth",
-    "bus_voltage",
-    "foot_friction",
-    "contact_time",
-    "thermal_time",
 )
-_SIGNED = ("base_com_offset_x", "base_com_offset_z", "ambient_temperature")
-_SPREAD = ("torque_constant", "coulomb_friction", "viscous_friction", "static_friction_excess")
 
-RANDOM_RANGES: dict[str, tuple[float, float]] = {
-    "torque_constant": (0.0046, 0.0084),
-    "terminal_resistance": (4.5, 8.5),
-    "armature": (0.004, 0.01015),
-    "backward_efficiency": (0.6, 0.8),
-    "coulomb_friction": (0.034, 0.226),
-    "viscous_friction": (0.01725, 0.13525),
-    "static_friction_excess": (0.025, 0.14),
-    "base_mass_offset": (0.05, 0.45),
-    "base_com_offset_x": (-0.016, 0.016),
-    "base_com_offset_z": (-0.016, 0.016),
-    "stribeck_velocity": (0.05, 0.15),
-    "bristle_stiffness": (300.0, 600.0),
-    "bus_voltage": (11.1, 12.3),
-    "bus_resistance": (0.1, 0.4),
-    "foot_friction": (0.6, 1.0),
-    "contact_time": (0.004, 0.006),
-    "command_latency": (0.0055, 0.0065),
-    "velocity_lag": (0.0015, 0.0025),
+LossForm = Literal["power", "near_rest"]
+FadeForm = Literal["gaussian", "exponential", "lorentz"]
+BristleForm = Literal["prandtl", "lugre"]
+VelocityForm = Literal["lag", "two_lags", "difference"]
+
+FORMS: dict[str, tuple[str, ...]] = {
+    "loss_form": get_args(LossForm),
+    "fade_form": get_args(FadeForm),
+    "bristle_form": get_args(BristleForm),
+    "velocity_form": get_args(VelocityForm),
 }
-"""What a random world is drawn from, uniformly. Table I of the paper without the outer tenth of each range at
-either end; the forward efficiency stays at 1 as there, the backward efficiency lies in [0.6, 0.8]."""
+"""Laws of which a world has one each."""
+
+Ranges = Mapping[str, Sequence[Any]]
+"""What numbers are drawn from: low and high, or the names of laws."""
 
 
-@dataclass(frozen=True)
+def read_ranges(path: str | Path | None = None) -> Ranges:
+    """Ranges for the robots of the hidden-effect bench.
+
+    Args:
+        path: of a YAML file with ranges that differ from those of the project, by name; None: none does.
+
+    Raises:
+        ValueError: if one is no range of a quantity that a world has.
+    """
+    content = read_yaml(Path(__file__).with_name("ranges.yaml"))
+    ranges = {**content["random"], **content["bench"]}
+    known = [field.name for field in dataclasses.fields(World)]
+    for name, of in (read_yaml(path) if path is not None else {}).items():
+        if name not in known:
+            raise ValueError(f"{path}: a world has no {name!r}{nearest(name, known)}")
+        if not isinstance(of, list) or (name not in FORMS and len(of) != 2) or not of:
+            raise ValueError(f"{path}: the range of {name} is {of!r}: write [low, high], or a list of laws")
+        ranges[name] = of
+    return ranges
+
+
+@settings("world")
 class World:
     """The truth of one robot and the ground it stands on.
 
@@ -79,10 +79,10 @@ class World:
         base_mass_offset: added to the trunk [kg].
         base_com_offset_x: shift of the trunk's centre of mass forwards [m].
         base_com_offset_z: shift of the trunk's centre of mass upwards [m].
-        stribeck_velocity: speed of the Gaussian fade of the excess [rad/s].
+        stribeck_velocity: speed at which the excess fades [rad/s].
         bristle_stiffness: of the gear teeth and bearings before they slide [N m/rad].
         bristle_damping: of the same [N m s/rad].
-        joint_spread: half width of the servo-to-servo spread of Kt and friction, as a ratio.
+        joint_spread: half width of the servo-to-servo spread of Kt, friction and resistance, as a ratio.
         spread_seed: which servos were picked from the shelf.
         friction_drift: half width of the slow change of friction, as a ratio.
         friction_drift_period: its period [s].
@@ -93,7 +93,8 @@ class World:
         current_noise: standard deviation of a current reading [A].
         command_latency: from reading the sensors to a new current in the servo [s].
         latency_jitter: its standard deviation [s].
-        velocity_lag: time constant of the servo's velocity filter [s].
+        sampling_jitter: standard deviation of the instants at which the computer reads [s].
+        velocity_lag: time constant of the servo's velocity estimate [s].
         bus_voltage: of the battery without load [V].
         bus_resistance: of battery and harness [ohm].
         foot_friction: Coulomb coefficient of sole on floor.
@@ -106,70 +107,72 @@ class World:
         thermal_resistance: winding to air [K/W].
         thermal_time: time constant of warming up [s].
         placement: standard deviation of each joint angle when the robot is put down [rad].
+        mount_frequency: natural frequency of the stand, with the robot in it [Hz]; 0: stiff.
+        mount_damping: its damping ratio.
+        timestep: of the physics [s]; made a whole part of a millisecond.
+        loss_form: how the gear loses torque.
+        fade_form: how static friction fades with speed.
+        bristle_form: elastic element of friction.
+        velocity_form: how servos estimate their velocity.
     """
 
-    torque_constant: float = 0.0065
-    terminal_resistance: float = 5.6
-    armature: float = 0.005
-    forward_efficiency: float = 1.0
-    backward_efficiency: float = 0.72
-    coulomb_friction: float = 0.09
-    viscous_friction: float = 0.03
-    static_friction_excess: float = 0.06
-    base_mass_offset: float = 0.3
-    base_com_offset_x: float = 0.004
-    base_com_offset_z: float = -0.003
-    stribeck_velocity: float = 0.08
-    bristle_stiffness: float = 400.0
-    bristle_damping: float = 1.0
-    joint_spread: float = 0.03
-    spread_seed: int = 0
-    friction_drift: float = 0.03
-    friction_drift_period: float = 20.0
-    torque_noise: float = 0.004
-    torque_noise_bandwidth: float = 40.0
-    current_lag: float = 0.0005
-    current_offset: float = 0.002
-    current_noise: float = 0.002
-    command_latency: float = 0.006
-    latency_jitter: float = 0.0002
-    velocity_lag: float = 0.002
-    bus_voltage: float = 11.7
-    bus_resistance: float = 0.2
-    foot_friction: float = 0.8
-    contact_time: float = 0.005
-    gyro_noise: float = 0.004
-    gyro_bias: float = 0.002
-    accelerometer_noise: float = 0.05
-    imu_bandwidth: float = 45.0
-    ambient_temperature: float = 28.0
-    thermal_resistance: float = 10.0
-    thermal_time: float = 240.0
-    placement: float = 0.002
+    torque_constant: Positive = 0.0065
+    terminal_resistance: Positive = 5.6
+    armature: Positive = 0.005
+    forward_efficiency: Share = 1.0
+    backward_efficiency: Share = 0.72
+    coulomb_friction: NotNegative = 0.09
+    viscous_friction: NotNegative = 0.03
+    static_friction_excess: NotNegative = 0.06
+    base_mass_offset: NotNegative = 0.3
+    base_com_offset_x: Number = 0.004
+    base_com_offset_z: Number = -0.003
+    stribeck_velocity: Positive = 0.08
+    bristle_stiffness: Positive = 400.0
+    bristle_damping: NotNegative = 1.0
+    joint_spread: Share = 0.03
+    spread_seed: Whole = 0
+    friction_drift: Share = 0.03
+    friction_drift_period: Positive = 20.0
+    torque_noise: NotNegative = 0.004
+    torque_noise_bandwidth: Positive = 40.0
+    current_lag: Positive = 0.0005
+    current_offset: NotNegative = 0.002
+    current_noise: NotNegative = 0.002
+    command_latency: NotNegative = 0.006
+    latency_jitter: NotNegative = 0.0002
+    sampling_jitter: NotNegative = 0.0
+    velocity_lag: Positive = 0.002
+    bus_voltage: Positive = 11.7
+    bus_resistance: NotNegative = 0.2
+    foot_friction: Positive = 0.8
+    contact_time: Positive = 0.005
+    gyro_noise: NotNegative = 0.004
+    gyro_bias: NotNegative = 0.002
+    accelerometer_noise: NotNegative = 0.05
+    imu_bandwidth: Positive = 45.0
+    ambient_temperature: Number = 28.0
+    thermal_resistance: NotNegative = 10.0
+    thermal_time: Positive = 240.0
+    placement: NotNegative = 0.002
+    mount_frequency: NotNegative = 0.0
+    mount_damping: NotNegative = 0.03
+    timestep: Positive = 0.00025
+    loss_form: LossForm = "power"
+    fade_form: FadeForm = "gaussian"
+    bristle_form: BristleForm = "prandtl"
+    velocity_form: VelocityForm = "lag"
 
     def __post_init__(self):
-        for field in dataclasses.fields(self):
-            name, value = field.name, getattr(self, field.name)
-            whole = name == "spread_seed"
-            if isinstance(value, bool) or not isinstance(value, int if whole else int | float):
-                raise ValueError(f"world: {name} must be a {'whole ' if whole else ''}number, got {value!r}")
-            if not math.isfinite(value):
-                raise ValueError(f"world: {name} must be finite, got {value}")
-            if name in _POSITIVE and value <= 0:
-                raise ValueError(f"world: {name} must be positive, got {value}")
-            if name not in _SIGNED and value < 0:
-                raise ValueError(f"world: {name} must be at least 0, got {value}")
-        for name in ("forward_efficiency", "backward_efficiency"):
-            if getattr(self, name) > 1:
-                raise ValueError(f"world: {name} must be at most 1, got {getattr(self, name)}")
-        if self.joint_spread >= 1 or self.friction_drift >= 1:
-            raise ValueError("world: joint_spread and friction_drift are ratios below 1")
+        """Efficiencies divide, and the step meets every millisecond."""
+        if not (self.forward_efficiency > 0 and self.backward_efficiency > 0):
+            raise ValueError("world: efficiencies must be above 0")
+        object.__setattr__(self, "timestep", 0.001 / max(4, round(0.001 / self.timestep)))
 
     @property
     def identity(self) -> str:
         """Twelve hexadecimal digits that tell worlds apart without telling anything about them."""
-        values = dataclasses.astuple(self)
-        return hashlib.sha256(repr(tuple(float(value) for value in values)).encode()).hexdigest()[:12]
+        return hashlib.sha256(repr(dataclasses.astuple(self)).encode()).hexdigest()[:12]
 
     def replace(self, **changes: Any) -> World:
         """A world that differs in some numbers."""
@@ -182,12 +185,15 @@ class World:
         return {name: getattr(self, name) * row for name, row in zip(_SPREAD, spread, strict=True)}
 
     @classmethod
-    def random(cls, seed: int) -> World:
-        """A world drawn from `RANDOM_RANGES`; what is not named there is as in `World()`."""
+    def random(cls, seed: int, ranges: Ranges | None = None) -> World:
+        """A world drawn from ranges, those of Table I if None; what is not named there is as in `World()`."""
         if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
             raise ValueError(f"the seed of a random world must be a whole number of at least 0, got {seed!r}")
         rng = np.random.default_rng([seed, 2])
-        drawn = {name: float(rng.uniform(low, high)) for name, (low, high) in RANDOM_RANGES.items()}
+        drawn: dict[str, Any] = {
+            name: str(rng.choice(of)) if name in FORMS else float(rng.uniform(of[0], of[1]))
+            for name, of in (RANDOM_RANGES if ranges is None else ranges).items()
+        }
         return cls(**drawn, spread_seed=int(seed))
 
     @classmethod
@@ -197,24 +203,10 @@ class World:
         A line `draw: seed` starts from the random world of that seed instead, so that the file does not tell the truth
         to whoever glances at it.
         """
-        path = Path(path)
-        if not path.is_file():
-            raise FileNotFoundError(f"there is no world file {path}")
-        try:
-            values = yaml.safe_load(path.read_text(encoding="utf-8"))
-        except yaml.YAMLError as error:
-            raise ValueError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from None
-        if not isinstance(values, dict):
-            raise ValueError(f"{path}: a world is written as lines `name: value`")
-        known = [field.name for field in dataclasses.fields(cls)]
+        values = read_yaml(path)
         drawn = values.pop("draw", None)
-        for name in values:
-            if name not in known:
-                close = difflib.get_close_matches(str(name), known, n=1)
-                hint = f"; did you mean {close[0]}?" if close else f"; it has {', '.join(known)}"
-                raise ValueError(f"{path}: a world has no {name!r}{hint}")
         try:
-            return cls(**values) if drawn is None else cls.random(drawn).replace(**values)
+            return cls(**values) if drawn is None else cls(**{**dataclasses.asdict(cls.random(drawn)), **values})
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
 
@@ -240,6 +232,13 @@ class World:
         path = Path(path)
         path.write_text(yaml.safe_dump(dataclasses.asdict(self), sort_keys=False), encoding="utf-8")
         return path
+
+
+RANDOM_RANGES: Ranges = read_yaml(Path(__file__).with_name("ranges.yaml"))["random"]
+"""What random worlds are drawn from, uniformly: the middle of the paper's Table I."""
+
+BENCH_RANGES: Ranges = read_ranges()
+"""What the robots of the hidden-effect bench are drawn from."""
 
 
 def world_names() -> tuple[str, ...]:

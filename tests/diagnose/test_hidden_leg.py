@@ -7,15 +7,14 @@ from op3.diagnose import Diagnosis, WindowResiduals, split_logs
 from op3.robot import leg_suite
 from op3.rollout import LogError, Rollout
 from op3.sim import load_model
-from op3.stand_in.cases import draw_case
-from op3.stand_in.leg import record_leg
+from op3.stand_in import draw_case, record_case
 
 
 @pytest.fixture(scope="module")
 def lossy_leg() -> list[Rollout]:
     """Logs of a leg with a directional gear, which the model to be diagnosed does not know."""
-    case = draw_case(1, "single", "moderate", "dte")
-    return record_leg(case.truth, leg_suite(1), 1)
+    case = draw_case(1, "single", "clear", "dte", robot="leg")
+    return list(record_case(case, leg_suite(1)))
 
 
 def test_split_uses_no_log_twice(lossy_leg):
@@ -60,8 +59,8 @@ def test_directional_gear_is_named(lossy_leg):
 @pytest.mark.slow
 def test_nothing_is_named_where_nothing_is_hidden():
     """A leg without a hidden effect, whose gear and friction obey other laws than the model's, gives no name."""
-    case = draw_case(2, "null")
-    verdict = Diagnosis(load_model(case.base), split_logs(record_leg(case.truth, leg_suite(2), 2))).run()
+    case = draw_case(2, "null", robot="leg")
+    verdict = Diagnosis(load_model(case.base), split_logs(list(record_case(case, leg_suite(2))))).run()
     assert verdict.verdict == "nothing_missing"
 
 
@@ -71,10 +70,10 @@ def test_two_effects_that_look_alike_are_both_found():
 
     The size of the first is told as it is beside the second.
     """
-    case = draw_case(5302, "pair", "moderate")
+    case = draw_case(5302, "pair", "clear", robot="leg")
     hidden = {one.name: one.size for one in case.truth.hidden}
     assert set(hidden) == {"latency", "velocity_filter"}
-    verdict = Diagnosis(load_model(case.base), split_logs(record_leg(case.truth, leg_suite(5302), 5302))).run(2)
+    verdict = Diagnosis(load_model(case.base), split_logs(list(record_case(case, leg_suite(5302))))).run(2)
     assert verdict.verdict == "named"
     found = {effect.name: effect for effect in verdict.effects}
     assert set(found) == set(hidden)
@@ -87,6 +86,6 @@ def test_two_effects_that_look_alike_are_both_found():
 @pytest.mark.slow
 def test_a_creeping_spring_is_not_called_a_spring():
     """A cable explains three quarters of a slowly yielding element; the joint stands out afterwards: unknown."""
-    case = draw_case(5089, "outsider", "strong", "creep")
-    verdict = Diagnosis(load_model(case.base), split_logs(record_leg(case.truth, leg_suite(5089), 5089))).run()
+    case = draw_case(5089, "outsider", "strong", "creep", robot="leg")
+    verdict = Diagnosis(load_model(case.base), split_logs(list(record_case(case, leg_suite(5089))))).run()
     assert verdict.verdict == "unknown"

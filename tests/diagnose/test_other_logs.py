@@ -10,8 +10,7 @@ from op3.diagnose.show import show
 from op3.robot import leg_suite
 from op3.rollout import Metadata, Rollout
 from op3.sim import load_model
-from op3.stand_in.cases import draw_case
-from op3.stand_in.leg import record_leg
+from op3.stand_in import draw_case, record_case
 from op3.tasks import Replay
 from op3.tasks.setups import Setup
 
@@ -19,7 +18,7 @@ from op3.tasks.setups import Setup
 @pytest.fixture(scope="module")
 def leg() -> list[Rollout]:
     """Eight runs of a sound leg, two commands of them twice."""
-    return record_leg(draw_case(9002, "null").truth, leg_suite(9002)[:8], 9002)
+    return list(record_case(draw_case(9002, "null", robot="leg"), leg_suite(9002)[:8]))
 
 
 def without(log: Rollout, *names: str, rows: int | None = None) -> Rollout:

@@ -12,8 +12,7 @@ from op3.diagnose.split import LogSplit
 from op3.robot import leg_suite
 from op3.rollout import Metadata, Rollout, stand_tilt
 from op3.sim import load_model
-from op3.stand_in.cases import draw_case
-from op3.stand_in.leg import record_leg
+from op3.stand_in import draw_case, record_case
 
 
 def log(duration: float, reach: float, speed: float = 3.0, multiples=(1.0,)) -> Rollout:
@@ -47,7 +46,7 @@ def changed(logs, change) -> list[Rollout]:
 @pytest.fixture(scope="module")
 def leg() -> list[Rollout]:
     """Logs of a leg with nothing hidden in it."""
-    return record_leg(draw_case(9001, "null").truth, leg_suite(9001)[::2], 9001)
+    return list(record_case(draw_case(9001, "null", robot="leg"), leg_suite(9001)[::2]))
 
 
 def test_short_logs_and_still_joints_are_told():
@@ -253,8 +252,8 @@ def test_mislabelled_logs_are_not_diagnosed(leg):
 @pytest.mark.slow
 def test_short_logs_give_no_confident_name():
     """Ten seconds of a leg with much more friction in one joint: a candidate at most, and what to record next."""
-    case = draw_case(9003, "single", "strong", "coulomb")
-    logs = record_leg(case.truth, leg_suite(9003), 9003)
+    case = draw_case(9003, "single", "strong", "coulomb", robot="leg")
+    logs = list(record_case(case, leg_suite(9003)))
     verdict = Diagnosis(load_model(case.base), split_logs(logs[:4])).run()
     assert verdict.verdict != "named"
     assert all(effect.confidence <= 0.5 for effect in verdict.effects)

@@ -270,7 +270,7 @@ def test_strong_faults_are_plausible(name):
     joints = ("r_hip_yaw", "r_hip_roll", "r_hip_pitch", "r_knee", "r_ank_pitch", "r_ank_roll")
     model = with_chain(load_model("coulomb_viscous"))
     base = base_coordinates(model, joints, fixed_base=True)
-    strong = 1.2 * KINDS[name].size(SEVERITIES["strong"])
+    strong = 1.2 * KINDS[name].size * SEVERITIES["strong"]
     own = [h for h in hypotheses(model, joints, fixed_base=True) if h.effect.name == name]
     assert own or name in model.effect_names  # which a base refits
     for hypothesis in own:

@@ -11,15 +11,16 @@ def rate(count: int, of: int) -> dict[str, float]:
 
 
 def summary(exact: int) -> dict:
-    empty = {"ece": None, "brier": None, "reliability": [], "claims": 0}
-    calibration = {"ece": 0.1, "brier": 0.2, "reliability": [[0.9, 0.8, 10]], "claims": 10} if exact else empty
-    rates = {"top1_exact": rate(exact, 4), "false_alarms": rate(1, 2), "pairs_both": None}
+    table = [[0.9, 0.8, 0.5, 0.95, 10]] if exact else []
+    calibration = {"ece": 0.1 if exact else None, "reliability": table, "findings": 10 if exact else 0}
+    rates = {"clear_exact": rate(exact, 4), "sound_named": rate(1, 2), "pairs_both": None}
     return {"cases": 6, "failed": 0, "calibration": calibration, **rates}
 
 
 ROW = {
-    "case": "case_1", "kind": "single", "severity": "strong", "truth": "backlash", "truth_joints": "r_knee",
-    "verdict": "named", "claim": "dte", "claim_joints": "", "confidence": 0.5, "size_ratio": None,
+    "case": "case_1", "kind": "single", "robot": "op3", "severity": "strong", "truth": "backlash",
+    "truth_joints": "r_knee", "claim": "dte", "claim_joints": "", "probability": 0.5, "size_ratio": None,
+    "seconds": 50.0,
 }  # fmt: skip
 
 
@@ -29,7 +30,7 @@ def test_the_page_says_the_counts_first():
     page = naming_page([ROW], {"diagnosis": summary(3), "random name": summary(0)}, table, "Bench", "0f" * 32)
     html = page.html()
     assert PageReader(html).open == []
-    assert "3 of 4 hidden effects were named exactly, and 1 of 2 empty cases raised a false alarm." in html
+    assert "3 of 4 clear single effects were named in their joints, and 1 of 2 sound robots got a name." in html
     assert "case_1" in html
     assert "0f" * 32 in html
 
@@ -38,10 +39,10 @@ def test_rates_are_drawn_with_their_intervals():
     """A rate of 75 % in [10, 90] % has bars of 15 and 65; a rate that was not asked for has no row."""
     figure = rates_figure({"diagnosis": summary(3)})
     (points,) = figure.data
-    assert list(figure.layout.yaxis.ticktext) == [LABELS["false_alarms"][0], LABELS["top1_exact"][0]]
-    assert points.x[1] == 75
-    assert np.allclose(points.error_x.array[1], 15)
-    assert np.allclose(points.error_x.arrayminus[1], 65)
+    assert list(figure.layout.yaxis.ticktext) == [LABELS["clear_exact"][0], LABELS["sound_named"][0]]
+    assert points.x[0] == 75
+    assert np.allclose(points.error_x.array[0], 15)
+    assert np.allclose(points.error_x.arrayminus[0], 65)
 
 
 def test_the_confusion_matrix_is_coloured_by_share_of_its_row():
@@ -52,6 +53,6 @@ def test_the_confusion_matrix_is_coloured_by_share_of_its_row():
 
 
 def test_nothing_stated_draws_no_reliability():
-    """Without confidences there is no curve."""
+    """Without findings there is no curve."""
     assert reliability_figure({"diagnosis": summary(0)["calibration"]}) is None
     assert reliability_figure({"diagnosis": summary(3)["calibration"]}) is not None

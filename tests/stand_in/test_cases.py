@@ -2,28 +2,46 @@
 
 import dataclasses
 import hashlib
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
-from op3.robot import JOINTS, LEG_JOINTS, leg_suite, leg_walking, robot_suite
-from op3.rollout import read_logs
-from op3.stand_in import CATALOGUE, OUTSIDERS, Hidden, draw_case, make_case, open_answers, record_leg, seal
-from op3.stand_in.bench import commit, draw_mix, run_all, run_beside, run_policy
-from op3.stand_in.cases import ALIAS_PAIRS, BASES, TEST_SEEDS, answer_bytes, write_answer
-from op3.stand_in.world import World
+from op3.robot import JOINTS, robot_suite
+from op3.rollout import Rollout, read_logs
+from op3.stand_in import (
+    CATALOGUE,
+    KINDS,
+    OUTSIDERS,
+    SEVERITIES,
+    Hidden,
+    World,
+    draw_case,
+    make_case,
+    open_answers,
+    record_case,
+    seal,
+)
+from op3.stand_in.cases import ALIAS_PAIRS, BASES, Case, answer_bytes, write_answer
+from op3.stand_in.settings import SETTINGS, Setting
 
-MIX = {
-    "singles": {"mild": 0, "moderate": 1, "strong": 1},
-    "effects": ["dte", "backlash"],
-    "nulls": 3,
-    "pairs": 2,
-    "outsiders": 2,
-    "poor": 1,
-}
+QUIET = World(
+    joint_spread=0.0, friction_drift=0.0, torque_noise=0.0, current_offset=0.0, current_noise=0.0, latency_jitter=0.0,
+    placement=0.0,
+)  # fmt: skip
+"""A robot without noise, so that a difference is the effect's."""
+
+
+def with_suite(monkeypatch, robot: str, runs) -> None:
+    """Let a setting's suites be these runs."""
+    setting = SETTINGS[robot]
+    suite = lambda seed: runs  # noqa: E731
+    monkeypatch.setitem(SETTINGS, robot, Setting(setting.scene, suite, suite, 0.4, setting.metadata))
+
+
+def record(*hidden: Hidden, world: World = QUIET, robot: str = "op3") -> list[Rollout]:
+    case = dataclasses.replace(draw_case(3, "null", robot=robot), world=world, hidden=hidden)
+    return list(record_case(case))
 
 
 def test_a_case_is_what_its_seed_says():
@@ -32,55 +50,57 @@ def test_a_case_is_what_its_seed_says():
     assert answer_bytes(draw_case(4, "pair", "strong")) != answer_bytes(draw_case(5, "pair", "strong"))
 
 
-@pytest.mark.parametrize("seed", range(40))
-def test_kinds_hide_what_they_say(seed):
+@pytest.fixture(scope="module")
+def drawn() -> dict[str, list[Case]]:
+    """Twenty-five cases of every kind."""
+    return {
+        kind: [draw_case(seed, kind, "strong") for seed in range(25)] for kind in ("single", "pair", "null", "outsider")
+    }
+
+
+def test_kinds_hide_what_they_say(drawn):
     """One, two, none, an outsider; a base model lacks exactly the effect of `BASES` that is hidden, if any is."""
-    names = {kind: [h.name for h in draw_case(seed, kind, "strong").truth.hidden] for kind in ("single", "pair")}
-    assert len(names["single"]) == 1
-    assert len(set(names["pair"])) == 2
-    assert set(names["single"] + names["pair"]) <= set(CATALOGUE)
-    assert not {"backlash", "compliance"} <= set(names["pair"])
-    assert draw_case(seed, "null").truth.hidden == ()
-    assert draw_case(seed, "null").truth == draw_case(seed, "null").bare
-    assert draw_case(seed, "outsider", "strong").truth.hidden[0].name in OUTSIDERS
-    for kind in names:
-        case = draw_case(seed, kind, "strong")
-        lacking = [name for name in names[kind] if name in BASES]
-        assert len(lacking) <= 1
-        assert not lacking or case.base == BASES[lacking[0]]
+    for kind, count in (("single", 1), ("pair", 2), ("null", 0), ("outsider", 1)):
+        for case in drawn[kind]:
+            names = {hidden.name for hidden in case.hidden}
+            assert len(names) == count
+            assert names <= set(OUTSIDERS if kind == "outsider" else CATALOGUE)
+            lacking = [name for name in names if name in BASES]
+            assert not lacking or [case.base] == [BASES[name] for name in lacking]
+    alike = sum(any(set(pair) == {one.name for one in case.hidden} for pair in ALIAS_PAIRS) for case in drawn["pair"])
+    assert 6 <= alike <= 22
 
 
-def test_the_base_model_does_not_give_the_answer_away():
+def test_the_base_model_does_not_give_the_answer_away(drawn):
     """Cases that hide nothing start from models with and without dte, stribeck and latency, as the robot has them."""
-    cases = [draw_case(seed, "null") for seed in range(200)]
-    assert {case.base for case in cases} == {"paper", *BASES.values()}
-    for case in cases:
-        world = case.truth.world
-        assert (world.backward_efficiency == 1.0) == (case.base == "paper_without_dte")
-        assert (world.static_friction_excess == 0.0) == (case.base == "paper_without_stribeck")
-        assert (world.command_latency == 0.0) == (case.base == "paper_without_latency")
+    assert len({case.base for case in drawn["null"]}) >= 3
+    for case in drawn["null"]:
+        assert (case.world.backward_efficiency == 1.0) == (case.base == "paper_without_dte")
+        assert (case.world.static_friction_excess == 0.0) == (case.base == "paper_without_stribeck")
+        assert (case.world.command_latency == 0.0) == (case.base == "paper_without_latency")
 
 
-def test_half_of_the_pairs_look_alike():
-    """Between a third and two thirds of random pairs are of effects that are mistaken for each other."""
-    drawn = [{hidden.name for hidden in draw_case(seed, "pair").truth.hidden} for seed in range(300)]
-    alike = sum(any(set(pair) == names for pair in ALIAS_PAIRS) for names in drawn)
-    assert 100 < alike < 200
+def test_effects_sit_where_they_can(drawn):
+    """Single joints on both sides and mirror pairs; a loaded joint is never the head, a far one never at the base."""
+    hidden = [one for kind in ("single", "pair", "outsider") for case in drawn[kind] for one in case.hidden]
+    local = [one for one in hidden if one.joints]
+    assert {len(one.joints) for one in local} == {1, 2}
+    assert {one.joints[0][:2] for one in local} >= {"l_", "r_"}
+    for one in local:
+        place = KINDS[one.name].place
+        assert not (place == "loaded" and one.joints[0].startswith("head"))
+        assert not (place == "far" and one.joints[0].endswith(("hip_yaw", "hip_roll", "sho_pitch", "pan", "tilt")))
+        assert len(one.joints) == 1 or one.joints[0][1:] == one.joints[1][1:]
 
 
 def test_sizes_follow_the_severity():
     """dte of 0.1 is the smallest that matters: mild is 0.9 to 1.1 times that, strong five times as much."""
-    sizes = {
-        severity: draw_case(7, "single", severity, "dte").truth.hidden[0].size
-        for severity in ("mild", "moderate", "strong")
-    }
+    cases = {severity: draw_case(7, "single", severity, "dte") for severity in SEVERITIES}
+    sizes = {severity: case.hidden[0].size for severity, case in cases.items()}
     assert 0.09 <= sizes["mild"] <= 0.11
-    assert sizes["moderate"] == pytest.approx(2.5 * sizes["mild"])
+    assert sizes["clear"] == pytest.approx(2.5 * sizes["mild"])
     assert sizes["strong"] == pytest.approx(5 * sizes["mild"])
-    assert draw_case(7, "single", "strong", "dte").truth.world.backward_efficiency == pytest.approx(
-        1 / (1 + sizes["strong"])
-    )
-    assert draw_case(7, "single", "strong", "dte", scale=0.0).truth.world == draw_case(7, effect="dte").bare.world
+    assert cases["strong"].world.backward_efficiency == pytest.approx(1 / (1 + sizes["strong"]))
 
 
 def test_sealed_answers_open_only_unchanged(tmp_path):
@@ -102,125 +122,86 @@ def test_sealed_answers_open_only_unchanged(tmp_path):
         open_answers(tmp_path)
 
 
-def test_development_and_test_seeds_are_apart():
-    """No case is in both sets, each case has its own seed, and the names say nothing."""
-    development, test = draw_mix(MIX, "development"), draw_mix(MIX, "test")
-    assert len(development) == 4 + 3 + 2 + 2 + 1
-    assert len({case.seed for case in development}) == len(development)
-    assert max(case.seed for case in development) < TEST_SEEDS <= min(case.seed for case in test)
-    assert not {case.name for case in development} & {case.name for case in test}
+def test_the_logs_tell_nothing_but_what_sensors_say(tmp_path, monkeypatch):
+    """A case's folder holds logs that read back and the base model; no seed, size or name of what is hidden."""
+    with_suite(monkeypatch, "op3", [robot_suite(1, duration=0.25)[i] for i in (2, 8, 22)])
+    case = draw_case(1, "single", "strong", "backlash")
+    place = make_case(case, tmp_path / "cases", tmp_path / "answers")
+    logs = read_logs(place / "data")
+    assert [log.metadata.extra["tilt"] for log in logs] == [[0.0, 0.0], [0.5, 0.8], [0.0, 0.0]]
+    assert logs[0].joints == JOINTS
+    assert logs[0].metadata.seed is None
+    for log in logs:
+        log.check()
+    assert logs[2].array("joint/temperature").mean() > logs[0].array("joint/temperature").mean() + 20
+    given = yaml.safe_load((place / "case.yaml").read_text())
+    assert given == {"case": case.name, "robot": "op3", "base": case.base}
+    texts = "".join(path.read_text() for path in place.rglob("*.yaml"))
+    assert "backlash" not in texts
+    assert answer_bytes(case) == (tmp_path / "answers" / f"{case.name}.yaml").read_bytes()
+    again = list(record_case(case))
+    for one, other in zip(again, logs, strict=True):
+        assert np.array_equal(one.array("joint/current"), other.array("joint/current"))
 
 
-def test_a_bench_keeps_its_commitment(tmp_path):
-    """Sealing again changes nothing; other cases or a changed answer are refused."""
-    cases = draw_mix(MIX)
-    sealed = commit(cases, tmp_path).read_bytes()
-    assert commit(cases, tmp_path).read_bytes() == sealed
-    with pytest.raises(ValueError, match="another bench"):
-        commit(cases[1:], tmp_path)
-    changed = tmp_path / f"{cases[0].name}.yaml"
-    changed.write_text(changed.read_text() + "# more\n")
-    with pytest.raises(ValueError, match="another answer"):
-        commit(cases, tmp_path)
+def test_every_setting_is_recorded():
+    """A pendulum, a leg, the robot in the stand and on its feet: two runs of each, of its joints, and nobody falls."""
+    for robot, setting in SETTINGS.items():
+        case = draw_case(11, "single", "clear", "coulomb", robot=robot)
+        logs = [log for log, _ in zip(record_case(case), range(2), strict=False)]
+        assert logs[0].joints == case.joints == tuple(joint.name for joint in setting.scene().joints)
+        assert not any(log.metadata.fallen for log in logs)
+        assert len(setting.rich(1)) == len(setting.poor(1)) == 26
+        repeated = [run.motion for run in setting.rich(1) if run.motion.name.startswith("repeated")]
+        assert len(repeated) == 8
+        assert len({run.position.tobytes() for run in repeated}) == 2
 
 
 @pytest.fixture
 def short(monkeypatch):
-    """Suites of four short runs."""
-    monkeypatch.setattr("op3.stand_in.cases.leg_suite", lambda seed: leg_suite(seed, duration=0.25)[:4])
-    monkeypatch.setattr("op3.stand_in.cases.leg_walking", lambda seed: leg_walking(seed, duration=0.25, runs=3))
+    """Of the leg: steps, holds, and a warm multisine, most of a second each."""
+    from op3.robot import leg_suite
+
+    with_suite(monkeypatch, "leg", [leg_suite(3, duration=0.8)[i] for i in (7, 10, 22)])
 
 
-def test_the_logs_tell_nothing_but_what_sensors_say(tmp_path, short):
-    """A case's folder holds logs that read back and the base model; no seed, size or name of what is hidden."""
-    case = draw_case(1, "single", "strong", "backlash")
-    place = make_case(case, tmp_path / "cases", tmp_path / "answers")
-    logs = read_logs(place / "data")
-    assert len(logs) == 4
-    assert logs[0].joints == LEG_JOINTS
-    assert logs[0].metadata.seed is None
-    for log in logs:
-        log.check()
-    given = yaml.safe_load((place / "case.yaml").read_text())
-    assert given == {"case": case.name, "base": case.base}
-    texts = "".join(path.read_text() for path in place.rglob("*.yaml"))
-    assert "backlash" not in texts
-    assert answer_bytes(case) == (tmp_path / "answers" / f"{case.name}.yaml").read_bytes()
-    again = record_leg(case.truth, leg_suite(1, duration=0.25)[:4], 1, case.name)
-    assert np.array_equal(again[2].array("joint/current"), logs[2].array("joint/current"))
+def channels(logs: list[Rollout]) -> np.ndarray:
+    names = ("joint/position", "joint/velocity", "joint/current")
+    return np.stack([np.concatenate([log.array(name) / log.array(name).std() for name in names], 1) for log in logs])
 
 
-def test_a_bench_runs_another_process_once_per_case(tmp_path, short):
-    """Every case gets data, model and a folder; a verdict that is there is not made again; a silent failure is None."""
-    cases = draw_mix({**MIX, "singles": {"strong": 1}, "effects": ["dte"], "nulls": 1, "pairs": 0, "outsiders": 0,
-                      "poor": 0})  # fmt: skip
-    script = tmp_path / "fake.py"
-    script.write_text(
-        "import sys, pathlib\n"
-        "data, model, run = map(pathlib.Path, sys.argv[1:])\n"
-        "assert len(list(data.iterdir())) == 4\n"
-        "if str(model) != 'paper_without_dte': sys.exit('cannot')\n"
-        "(run / 'verdict.yaml').write_text('verdict: nothing_missing\\n')\n"
-    )
-    lines: list[str] = []
-    command = ["python3", str(script), "{data}", "{model}", "{run}"]
-    folder, answers = tmp_path / "cases", tmp_path / "answers"
-    found = run_all(cases, folder, answers, command, timeout=60, keep_data=False, say=lines.append)
-    assert len(lines) == 2
-    assert [found[case.name] is not None for case in cases] == [case.base == "paper_without_dte" for case in cases]
-    assert not list(Path(folder).glob("*/data"))
-    made = {name: path.stat().st_mtime_ns for name, path in found.items() if path}
-    assert made
-    again = run_all(cases, folder, answers, command, timeout=60, say=lines.append)
-    assert {name: path.stat().st_mtime_ns for name, path in again.items() if path} == made
+def test_effects_of_size_zero_are_none(short):
+    """Everything that can be hidden, one by one at size zero, changes no bit of any log."""
+    bare = channels(record(robot="leg"))
+    hidden = [Hidden(name, 0.0, () if KINDS[name].place == "all" else ("r_knee",)) for name in KINDS]
+    assert (channels(record(*hidden, robot="leg")) == bare).all()
 
 
-def test_the_whole_robot_hides_effects_in_either_leg():
-    """Its cases have twenty joints; one seed hides the same on the leg, in the right leg alone."""
-    cases = [draw_case(seed, "single", "strong", "backlash", robot="op3") for seed in range(20)]
-    places = {case.truth.hidden[0].joints[0][:2] for case in cases}
-    assert places == {"l_", "r_"}
-    assert all(case.truth.joints == JOINTS for case in cases)
-    for seed, case in enumerate(cases):
-        leg = draw_case(seed, "single", "strong", "backlash").truth.hidden[0]
-        assert leg.size == case.truth.hidden[0].size
-        assert leg.joints[0][2:] == case.truth.hidden[0].joints[0][2:]
+def test_every_strong_effect_shows(short):
+    """Five times the smallest size that matters moves some channel of the leg by 1 % and more."""
+    bare = channels(record(robot="leg"))
+    for name, kind in KINDS.items():
+        if name in BASES:
+            continue
+        for form in kind.forms:
+            hidden = Hidden(name, 5 * kind.size, () if kind.place == "all" else ("r_knee",), form, (0.3, 0.3, 0.3))
+            moved = channels(record(hidden, robot="leg"))
+            assert np.sqrt(((moved - bare) ** 2).mean((0, 1))).max() > 0.01, (name, form)
 
 
-def test_the_whole_robot_is_recorded_with_what_is_hidden():
-    """An encoder offset in the left knee shows in the left knee alone, where the robot holds still."""
-    case = draw_case(3, "null", robot="op3")
-    hidden = Hidden("encoder_offset", 0.05, ("l_knee",))
-    suite = robot_suite(3, duration=0.4)[:1]
-    shifted = dataclasses.replace(case.truth, hidden=(hidden,))
-    plain, moved = (record_leg(truth, suite, 3)[0] for truth in (case.truth, shifted))
-    assert plain.joints == JOINTS
+def test_an_effect_shows_where_it_sits(monkeypatch):
+    """An encoder offset in the left knee shows in the left knee's current, where the robot holds still."""
+    with_suite(monkeypatch, "op3", robot_suite(3, duration=0.4)[:1])
+    plain, moved = (record(*hidden)[0] for hidden in ((), (Hidden("encoder_offset", 0.05, ("l_knee",)),)))
     apart = np.abs(moved.array("joint/current") - plain.array("joint/current")).max(0)
     assert apart[JOINTS.index("l_knee")] > 5 * apart[JOINTS.index("r_knee")]
-    assert len(leg_suite(3)) == len(robot_suite(3, duration=0.4))
 
 
-def test_processes_beside_the_diagnosis_are_told_where_things_are(tmp_path):
-    """The answer's file, the logs and the result's folder are handed over; a result that is there is kept."""
-    case = draw_case(5, "null")
-    (tmp_path / "cases" / case.name / "data").mkdir(parents=True)
-    write_answer(case, tmp_path / "answers")
-    script = "import sys; open(sys.argv[2] + '/out.yaml', 'a').write(open(sys.argv[1]).read())"
-    command = [sys.executable, "-c", script, "{answer}", "{beside}"]
-    for _ in range(2):
-        path = run_beside(case, tmp_path / "cases", tmp_path / "answers", command, "other/out.yaml", 60.0, True)
-        assert path == tmp_path / "cases" / case.name / "other" / "out.yaml"
-        assert path.read_bytes() == answer_bytes(case)
-    assert run_beside(case, tmp_path / "cases", tmp_path / "answers", ["true"], "none.yaml", 60.0, True) is None
-
-
-def test_a_policy_runs_in_the_truth_where_a_world_holds_it(tmp_path):
-    """A hidden dte is part of the world that is handed over; backlash is not, and a leg does not balance."""
-    script = "import os, sys; os.makedirs(sys.argv[2] + '/0'); open(sys.argv[2] + '/0/metadata.yaml', 'w')"
-    command = [sys.executable, "-c", script, "{world}", "{run}"]
-    lossy = draw_case(6, "single", "strong", "dte", robot="op3")
-    episodes = run_policy(lossy, tmp_path, command, 60.0)
-    assert episodes is not None
-    assert World.load(episodes / "world.yaml") == lossy.truth.world
-    assert run_policy(draw_case(6, "single", "strong", "backlash", robot="op3"), tmp_path, command, 60.0) is None
-    assert run_policy(draw_case(6, "single", "strong", "dte"), tmp_path, command, 60.0) is None
+def test_an_effect_where_there_is_no_joint():
+    """It is refused with the joints there are, as is a name that the table does not hold."""
+    with pytest.raises(ValueError, match="cannot sit in 'tail'; the joints are head_pan"):
+        list(record(Hidden("coulomb", 0.1, ("tail",))))
+    with pytest.raises(ValueError, match="nothing called 'rust'"):
+        Hidden("rust", 1.0)
+    with pytest.raises(ValueError, match="there is no robot 'dog' of a case; choose op3"):
+        draw_case(1, robot="dog")

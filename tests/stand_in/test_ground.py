@@ -17,7 +17,7 @@ def test_board_follows_its_motion():
         robot.write_current(6.0 * (pose("stand") - robot.read_sensors().position))
         robot.advance(0.008)
     angle, _, _ = motion.at(robot.time)
-    np.testing.assert_allclose(robot._data.qpos[[28, 27]], angle, atol=1e-4)
+    np.testing.assert_allclose(robot._bodies.data.qpos[[28, 27]], angle, atol=1e-4)
     assert abs(angle[1]) > 0.1
     assert np.sign(robot.read_sensors().orientation[1]) == np.sign(angle[1])
 
@@ -29,7 +29,7 @@ def test_time_counts_from_the_call():
     robot.advance(0.3)
     robot.set_ground(motion)
     robot.advance(1.2)
-    np.testing.assert_allclose(robot._data.qpos[[28, 27]], motion.at(1.2)[0], atol=5e-4)
+    np.testing.assert_allclose(robot._bodies.data.qpos[[28, 27]], motion.at(1.2)[0], atol=5e-4)
     assert abs(motion.at(1.2)[0][1]) > 0.001
 
 

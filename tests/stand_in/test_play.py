@@ -9,7 +9,7 @@ import yaml
 from op3.robot import CONTROLLED_JOINTS, Motion, build_bench, hold, indices, pose, squat
 from op3.rollout import Rollout
 from op3.stand_in import StandIn, World
-from op3.stand_in.play import sample
+from op3.stand_in.play import Push, play, sample
 
 LEGS = indices(CONTROLLED_JOINTS)
 SHORT = squat(frequency=2.0, knee_high=1.2, duration=0.5)
@@ -181,10 +181,25 @@ def test_targets_beyond_the_soft_limits_are_refused():
         StandIn(World(), "stand").play(Motion(np.array([0.0, 1.0]), np.full((2, 1), 2.0), ("head_pan",)))
 
 
-def test_the_bench_plays_no_motion():
-    """A motion is the whole robot's."""
-    with pytest.raises(ValueError, match="on the bench use write_current"):
-        StandIn(World(), build_bench()).play(SHORT)
+def test_the_bench_plays_a_motion_of_its_own():
+    """The pendulum follows a motion of its joint; it has no IMU and cannot fall."""
+    motion = Motion(np.arange(60) / 125, np.linspace(0, 0.5, 60)[:, None], ("servo",))
+    log = StandIn(World(), build_bench()).play(motion, metadata={"mass": 0.5, "length": 0.15})
+    assert abs(log.column("servo.position")[-1] - 0.5) < 0.2
+    assert log.metadata.fallen is None
+    assert not [name for name in log.channels if "imu" in name]
+
+
+def test_a_push_throws_a_robot_off():
+    """A stumbling push in the middle of a squat rolls the trunk; without it, it hardly moves; the stand holds it."""
+    calm, pushed = (
+        play(StandIn(World(), seed=1), hold(pose("stand"), 0.6), 6.0, 0.1, pushes=pushes)
+        for pushes in ((), (Push(0.1, (0.0, 12.0, 0.0)),))
+    )
+    roll = [np.abs(log.array("imu/orientation")[:, 0]).max() for log in (calm, pushed)]
+    assert roll[0] < 0.02 < roll[1]
+    with pytest.raises(ValueError, match="the trunk is held"):
+        StandIn(World(), "stand").push((1.0, 0.0, 0.0), 0.1)
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, "a", True])

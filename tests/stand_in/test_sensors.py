@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from op3.robot import quaternion
 from op3.robot.units import ACCELERATION_UNIT, GYRO_UNIT
 from op3.stand_in import World
-from op3.stand_in.sensors import Imu, VelocityFilter, quantise, roll_pitch_yaw
+from op3.stand_in.sensors import Imu, quantise, roll_pitch_yaw
 
 QUIET = World(gyro_noise=0.0, gyro_bias=0.0, accelerometer_noise=0.0)
 LEVEL = np.array([1.0, 0, 0, 0])
@@ -27,14 +27,6 @@ def test_quantise(value, unit):
     result = float(quantise(np.array(value), unit))
     assert abs(result - value) <= unit / 2 * (1 + 1e-9)
     assert result / unit == pytest.approx(round(result / unit), abs=1e-9)
-
-
-def test_velocity_filter():
-    """A step in velocity is read with the filter's time constant."""
-    sensor = VelocityFilter(World(velocity_lag=0.002), 1)
-    for _ in range(2):
-        sensor.step(np.array([1.0]))
-    assert sensor.value[0] == pytest.approx(1 - np.exp(-1), rel=1e-12)
 
 
 def test_gyro_bandwidth():

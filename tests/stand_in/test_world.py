@@ -7,7 +7,8 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from op3.stand_in import RANDOM_RANGES, World, world_names
+from op3.stand_in import BENCH_RANGES, RANDOM_RANGES, World, world_names
+from op3.stand_in.world import FORMS, read_ranges
 
 TABLE_1 = {
     "torque_constant": (0.003, 0.009),
@@ -71,9 +72,9 @@ def test_identity():
         .replace(**{field.name: getattr(World(), field.name) + (1 if field.name == "spread_seed" else 1e-9)})
         .identity
         for field in dataclasses.fields(World)
-        if "efficiency" not in field.name
+        if "efficiency" not in field.name and field.name not in (*FORMS, "timestep")
     }
-    assert len(identities) == len(dataclasses.fields(World)) - 2
+    assert len(identities) == len(dataclasses.fields(World)) - 2 - len(FORMS) - 1
     assert World().identity not in identities
 
 
@@ -92,15 +93,16 @@ def test_spread():
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ({"torque_konstant": 0.005}, "torque_konstant.*did you mean torque_constant"),
-        ({"wings": 2}, "no 'wings'; it has torque_constant"),
-        ({"armature": 0.0}, "armature must be positive, got 0.0"),
+        ({"torque_konstant": 0.005}, "torque_konstant.*the nearest is 'torque_constant'"),
+        ({"wings": 2}, "no field 'wings'; there are torque_constant"),
+        ({"armature": 0.0}, "armature must be above 0, got 0.0"),
         ({"coulomb_friction": -0.1}, "coulomb_friction must be at least 0"),
         ({"backward_efficiency": 1.2}, "backward_efficiency must be at most 1"),
         ({"armature": "heavy"}, "armature must be a number, got 'heavy'"),
-        ({"armature": float("nan")}, "armature must be finite"),
+        ({"armature": float("nan")}, "armature must be a finite number"),
         ({"spread_seed": 1.5}, "spread_seed must be a whole number"),
-        ([1, 2], "lines `name: value`"),
+        ({"loss_form": "magic"}, "loss_form must be one of 'power' or 'near_rest'"),
+        ([1, 2], "one `name: value` per line"),
     ],
 )
 def test_a_bad_file_is_refused_in_one_sentence(tmp_path, content, message):
@@ -117,7 +119,7 @@ def test_invalid_yaml(tmp_path):
     """A file that is no YAML is refused in one line."""
     path = tmp_path / "world.yaml"
     path.write_text("armature: [")
-    with pytest.raises(ValueError, match="not valid YAML") as error:
+    with pytest.raises(ValueError, match="no valid YAML") as error:
         World.load(path)
     assert "\n" not in str(error.value)
 
@@ -143,3 +145,31 @@ def test_a_wrong_draw_is_refused_with_the_file(tmp_path):
     path.write_text("draw: many\n")
     with pytest.raises(ValueError, match=r"robot\.yaml: the seed of a random world"):
         World.load(path)
+
+
+def test_a_bench_robot_is_drawn_in_everything():
+    """Two robots of the bench differ in every number, and over many every law is met."""
+    one, other = World.random(1, BENCH_RANGES), World.random(2, BENCH_RANGES)
+    fields = [field.name for field in dataclasses.fields(World)]
+    alike = [name for name in fields if name not in FORMS and getattr(one, name) == getattr(other, name)]
+    assert set(alike) <= {"forward_efficiency", "timestep"}
+    drawn = [World.random(seed, BENCH_RANGES) for seed in range(40)]
+    for name, laws in FORMS.items():
+        assert {getattr(world, name) for world in drawn} == set(laws)
+
+
+def test_ranges_can_be_replaced(tmp_path):
+    """A file's ranges take the place of the project's, the others stay; a wrong one is refused by name."""
+    path = tmp_path / "ranges.yaml"
+    path.write_text("velocity_lag: [0.03, 0.04]\nfade_form: [lorentz]\n")
+    ranges = read_ranges(path)
+    world = World.random(5, ranges)
+    assert 0.03 <= world.velocity_lag <= 0.04
+    assert world.fade_form == "lorentz"
+    assert ranges["armature"] == BENCH_RANGES["armature"]
+    path.write_text("velocity_lags: [0.03, 0.04]\n")
+    with pytest.raises(ValueError, match="a world has no 'velocity_lags'; the nearest is 'velocity_lag'"):
+        read_ranges(path)
+    path.write_text("velocity_lag: 0.03\n")
+    with pytest.raises(ValueError, match=r"the range of velocity_lag is 0\.03: write \[low, high\]"):
+        read_ranges(path)

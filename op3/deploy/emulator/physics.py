@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from op3.deploy.emulator.firmware import PERIOD, Drive
-from op3.robot import GEAR_RATIO, BoardMotion, WeightSchedule, pose
+from op3.robot import BoardMotion, WeightSchedule
 from op3.robot.scenes import Scene
 from op3.stand_in import StandIn, World
 
@@ -100,10 +100,6 @@ class Physics(Protocol):
 class StandInPhysics:
     """A stand-in robot, whose truth is hidden, behind the bus. It has its own battery, temperatures and IMU.
 
-    Drivers that apply a voltage become goal currents once per period, from the world's own motor. The stand-in's
-    own current loop, with its lag and offset, stays in the way, so a free joint carries the offset of its current
-    sensor, some mA.
-
     Args:
         world: the truth.
         scene: a name that `op3.robot.build_scene` knows, or a scene.
@@ -121,23 +117,17 @@ class StandInPhysics:
     ):
         self.robot = StandIn(world or World(), scene, seed=seed)
         self.joints = self.robot.joints
-        self.supply: float | None = None
-        count = len(self.joints)
-        start = (
-            (pose("stand") if self.robot.scene.robot is not None else np.zeros(count))
-            if joint_position is None
-            else joint_position
-        )
-        self.robot.reset(start)
-        truth = self.robot.truth()
-        self._constant = GEAR_RATIO * np.broadcast_to(np.asarray(truth["torque_constant"], dtype=float), count)
-        self._resistance = np.asarray(truth["terminal_resistance"], dtype=float)
-        self._drive: Drive | None = None
-        self._goal = np.zeros(count)
-        self._sensed()
-
-    def _sensed(self) -> None:
+        self.robot.reset(self.robot.rest if joint_position is None else joint_position)
         self._sensors = self.robot.read_sensors()
+
+    @property
+    def supply(self) -> float | None:
+        """Voltage of the supply [V], where it is not the robot's own battery."""
+        return self.robot.supply
+
+    @supply.setter
+    def supply(self, voltage: float | None) -> None:
+        self.robot.supply = voltage
 
     @property
     def position(self) -> Array:
@@ -151,35 +141,13 @@ class StandInPhysics:
 
     def drive(self, drive: Drive) -> None:
         """What the drivers do from now on."""
-        self._drive = drive
-        self._write()
-
-    def _write(self) -> None:
-        drive = self._drive
-        if drive is None:
-            return
-        goal = np.where(drive.enabled, drive.current, 0.0)
-        driven = drive.enabled & drive.voltage
-        if driven.any() or self.supply is not None:
-            supply = self._sensors.voltage if self.supply is None else self.supply
-            back_emf = self._constant * self._sensors.velocity
-            wanted = (drive.duty * supply - back_emf) / self._resistance
-            goal = np.where(driven, np.clip(wanted, -drive.limit, drive.limit), goal)
-            reach = (supply - back_emf) / self._resistance, (-supply - back_emf) / self._resistance
-            goal = np.where(drive.enabled, np.clip(goal, np.minimum(*reach), np.maximum(*reach)), 0.0)
-        self._goal = goal
-        self.robot.write_current(goal)
+        self.robot.write_drive(drive.enabled, drive.voltage, drive.duty, drive.limit)
+        self.robot.write_current(drive.current)
 
     def advance(self, steps: int) -> None:
         """Let a number of periods pass."""
-        if self._drive is not None and ((self._drive.enabled & self._drive.voltage).any() or self.supply is not None):
-            for _ in range(steps):
-                self._write()
-                self.robot.advance(PERIOD)
-                self._sensed()
-        else:
-            self.robot.advance(steps * PERIOD)
-            self._sensed()
+        self.robot.advance(steps * PERIOD)
+        self._sensors = self.robot.read_sensors()
 
     def set_ground(self, board: BoardMotion | WeightSchedule | None = None, tiles: ArrayLike | None = None) -> None:
         """What the ground does from now on."""
@@ -192,14 +160,12 @@ class StandInPhysics:
     def read(self) -> Readings:
         """What all sensors say now."""
         sensors = self._sensors
-        voltage = sensors.voltage if self.supply is None else np.full(len(self.joints), self.supply)
-        applied = self._resistance * sensors.current + self._constant * sensors.velocity
         return Readings(
             position=sensors.position,
             velocity=sensors.velocity,
             current=sensors.current,
-            duty=np.clip(applied / voltage, -1, 1),
-            voltage=voltage,
+            duty=self.robot.servos.duty,
+            voltage=sensors.voltage if self.supply is None else np.full(len(self.joints), self.supply),
             temperature=sensors.temperature,
             orientation=sensors.orientation,
             angular_velocity=sensors.angular_velocity,

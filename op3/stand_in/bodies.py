@@ -1,0 +1,259 @@
+"""The rigid bodies under the servos: limbs on a fixed base by Pinocchio, whatever touches the floor by MuJoCo.
+
+Both start from a compiled MuJoCo model, of which Pinocchio's takes masses, frames and axes alone.
+"""
+
+# MuJoCo's and Pinocchio's types come from compiled modules without stubs, which the type checker cannot read.
+# pyright: reportAttributeAccessIssue=false, reportMissingImports=false
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import mujoco
+import numpy as np
+import pinocchio
+from numpy.typing import NDArray
+
+from op3.robot.kinematics import rotation_matrix
+from op3.stand_in.kernel import TICK, step_limbs, step_servos
+from op3.stand_in.servos import Servos
+
+Array = NDArray[np.float64]
+
+
+class Bodies(Protocol):
+    """Rigid bodies that servos move."""
+
+    def reset(self, joint_position: Array, qpos: Array | None, tilt: tuple[float, float]) -> None:
+        """At rest: joints [joint] in rad, or the full MuJoCo position; `tilt`: roll and pitch of a stand in rad."""
+        ...
+
+    def begin_tick(self) -> None:
+        """A tick of the servos begins."""
+        ...
+
+    def run(self, count: int) -> None:
+        """Make `count` steps, none beyond the end of a tick."""
+        ...
+
+    def trunk(self) -> tuple[Array, Array, Array]:
+        """Quaternion (w, x, y, z), angular velocity [rad/s] and specific force [m/s^2], both in the trunk's axes."""
+        ...
+
+
+class Limbs:
+    """Everything that moves on a fixed base, by Pinocchio.
+
+    Once a tick Pinocchio (Carpentier et al. 2019) gives the inverse of the joint-space inertia and the torques of
+    gravity and speed, at the place where the limbs will be in its middle; between, the compiled servos make their finer
+    steps. That is exact to the second order of the tick.
+
+    Args:
+        model: compiled, with a base that is fixed to the world.
+        servos: of the joints.
+        joints: names of the joints in the model [joint].
+        mount: natural frequency [Hz] and damping ratio of the elastic stand; frequency 0: stiff.
+    """
+
+    def __init__(self, model: mujoco.MjModel, servos: Servos, joints: Sequence[str], mount: tuple[float, float]):
+        self._servos = servos
+        self.model, names = limb_model(model, elastic=mount[0] > 0)
+        self.data = self.model.createData()
+        self._index = np.array([names.index(name) for name in joints])
+        self._bases = len(names) - model.nv
+        armature = np.concatenate([np.zeros(self._bases), model.dof_armature])
+        armature[self._index] = servos.output_inertia
+        self.model.armature = armature
+        count = self.model.nv
+        self.position, self.velocity, self.acceleration = np.zeros((3, count))
+        self._gravity = -np.array(model.opt.gravity)
+        self._start = np.concatenate([np.zeros(self._bases), model.qpos0])
+        base = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, base)
+        self._level = base.xmat[int(np.argmax(model.body_mass > 0))].reshape(3, 3).copy()
+        self._mount = np.zeros((self._bases, 2))
+        if self._bases:
+            inertia = np.diag(pinocchio.crba(self.model, self.data, self._start))[:2]
+            rate = 2 * np.pi * mount[0]
+            self._mount = np.stack([inertia * rate**2, 2 * mount[1] * inertia * rate], 1)
+
+    def reset(self, joint_position: Array, qpos: Array | None, tilt: tuple[float, float]) -> None:
+        """At rest, the mount where gravity holds it."""
+        turn = rotation_matrix(*tilt)
+        self.model.gravity.linear = -turn.T @ self._gravity
+        self._base = turn @ self._level
+        self.position[:] = self._start
+        self.position[self._index] = joint_position
+        if qpos is not None:
+            self.position[self._bases :] = qpos
+        self.velocity[:] = self.acceleration[:] = 0
+        if self._bases:
+            held = pinocchio.computeGeneralizedGravity(self.model, self.data, self.position)
+            self.position[: self._bases] = -held[: self._bases] / self._mount[:, 0]
+        self._servos.states["position"] = self.position[self._index]
+        self._servos.states["velocity"] = 0
+
+    def begin_tick(self) -> None:
+        """Inertia and bias in the middle of the tick."""
+        # the velocities of semi-implicit steps are those of half a step ago, so the tick's middle is so much earlier
+        step = self._servos.world.timestep
+        ahead = self.velocity + 0.5 * TICK * self.acceleration
+        half = 0.5 * (TICK - step)
+        place = self.position + half * (self.velocity + 0.5 * (step + half) * self.acceleration)
+        self._inverse = pinocchio.computeMinverse(self.model, self.data, place)
+        self._bias = pinocchio.nonLinearEffects(self.model, self.data, place, ahead)
+
+    def run(self, count: int) -> None:
+        """Make `count` steps with the inertia of this tick."""
+        servos = self._servos
+        step_limbs(
+            *servos.records,
+            self._index,
+            self._mount,
+            self.position,
+            self.velocity,
+            self.acceleration,
+            self._inverse,
+            self._bias,
+            count,
+        )
+        if not np.isfinite(self.velocity).all():
+            raise FloatingPointError
+
+    def trunk(self) -> tuple[Array, Array, Array]:
+        """Of the base: it leans with the stand."""
+        matrix, rates = self._base, np.zeros(3)
+        if self._bases:
+            rates[:2] = self.velocity[:2]
+            matrix = matrix @ rotation_matrix(*self.position[:2])
+        quaternion = np.empty(4)
+        mujoco.mju_mat2Quat(quaternion, matrix.ravel())
+        return quaternion, rates, matrix.T @ self._gravity
+
+    def energy(self) -> float:
+        """Kinetic and potential energy of the limbs [J]."""
+        return float(pinocchio.computeMechanicalEnergy(self.model, self.data, self.position, self.velocity))
+
+
+def limb_model(model: mujoco.MjModel, elastic: bool = False) -> tuple[pinocchio.Model, list[str]]:
+    """Pinocchio's model of the bodies of a MuJoCo model.
+
+    Args:
+        model: whose joints are all hinges.
+        elastic: whether the base may roll and pitch, by two joints that come first.
+
+    Returns:
+        The model, and the names of its degrees of freedom.
+
+    Raises:
+        ValueError: if a joint is not a hinge.
+    """
+    made = pinocchio.Model()
+    names: list[str] = []
+    # the joint that carries each body, and the body's frame in it
+    carriers = [(0, pinocchio.SE3.Identity())]
+    for body in range(1, model.nbody):
+        carrier, frame = carriers[model.body_parentid[body]]
+        frame = frame * pinocchio.SE3(_matrix(model.body_quat[body]), np.array(model.body_pos[body]))
+        if elastic and not names and model.body_mass[body] > 0:
+            for axis in np.eye(3)[:2]:
+                carrier = made.addJoint(
+                    carrier, pinocchio.JointModelRevoluteUnaligned(axis), frame, f"mount_{len(names)}"
+                )
+                names.append(f"mount_{len(names)}")
+                frame = pinocchio.SE3.Identity()
+        for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
+            name = model.joint(joint).name
+            if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
+                raise ValueError(
+                    f"on a fixed base the stand-in moves hinges alone; joint {name!r} is none: take a floor"
+                )
+            at = pinocchio.SE3(np.eye(3), np.array(model.jnt_pos[joint]))
+            axis = np.array(model.jnt_axis[joint])
+            carrier = made.addJoint(carrier, pinocchio.JointModelRevoluteUnaligned(axis), frame * at, name)
+            names.append(name)
+            frame = at.inverse()
+        carriers.append((carrier, frame))
+        if model.body_mass[body] > 0:
+            turn = _matrix(model.body_iquat[body])
+            inertia = turn @ np.diag(model.body_inertia[body]) @ turn.T
+            mass = pinocchio.Inertia(float(model.body_mass[body]), np.array(model.body_ipos[body]), inertia)
+            made.appendBodyToJoint(carrier, mass, frame)
+    return made, names
+
+
+def _matrix(quaternion: Array) -> Array:
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    return matrix.reshape(3, 3)
+
+
+_DIVERGENCE = [
+    int(kind)
+    for kind in (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+]
+
+
+class Floor:
+    """A robot that touches things, by MuJoCo: Euler's semi-implicit step and elliptic friction cones.
+
+    One evaluation of the dynamics per step suits servos that carry a state of their own and advance once per step; at
+    0.25 ms it needs no implicit damping (the stiffest term, damping over inertia, is 0.1 per step), and it costs a
+    quarter of RK4.
+
+    Args:
+        model: compiled; its options are changed.
+        servos: of the joints.
+        joints: names of the joints in the model [joint].
+        imu: first places of quaternion, gyro and accelerometer among the sensors; None without an IMU.
+    """
+
+    def __init__(self, model: mujoco.MjModel, servos: Servos, joints: Sequence[str], imu: Sequence[int] | None):
+        model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
+        model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        model.opt.timestep = servos.world.timestep
+        ids = [model.joint(name).id for name in joints]
+        model.dof_armature[model.jnt_dofadr[ids]] = servos.output_inertia
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        self.model, self.data = model, mujoco.MjData(model)
+        places, freedoms = _run(model.jnt_qposadr[ids]), _run(model.jnt_dofadr[ids])
+        self._position, self._velocity = self.data.qpos[places], self.data.qvel[freedoms]
+        self._torque = self.data.qfrc_applied[freedoms]
+        self._servos, self._imu = servos, imu
+
+    def reset(self, joint_position: Array, qpos: Array | None, tilt: tuple[float, float]) -> None:
+        """At rest."""
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[:] = qpos
+        mujoco.mj_forward(self.model, self.data)
+        self._servos.states["position"] = self._position
+
+    def begin_tick(self) -> None:
+        """Nothing."""
+
+    def run(self, count: int) -> None:
+        """Make `count` steps."""
+        servos = self._servos
+        for _ in range(count):
+            step_servos(*servos.records, self._position, self._velocity, self._torque)
+            mujoco.mj_step(self.model, self.data)
+        servos.states["position"] = self._position
+        if not np.isfinite(self.data.qacc).all() or self.data.warning.number[_DIVERGENCE].any():
+            raise FloatingPointError
+
+    def trunk(self) -> tuple[Array, Array, Array]:
+        """What an IMU without errors says."""
+        assert self._imu is not None
+        attitude, gyro, force = self._imu
+        said = self.data.sensordata
+        return said[attitude : attitude + 4], said[gyro : gyro + 3], said[force : force + 3]
+
+
+def _run(addresses: Array) -> slice:
+    """Consecutive addresses as a slice, so that indexing gives a view."""
+    first = np.asarray(addresses).ravel()
+    if (np.diff(first) != 1).any():
+        raise ValueError("the joints of the scene must be consecutive in the model")
+    return slice(int(first[0]), int(first[-1]) + 1)

@@ -1,0 +1,145 @@
+"""What the bench's cases are recorded on: which robot, where it stands, and what it is asked to do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from op3.robot import (
+    LEG_JOINTS,
+    Excitation,
+    Motion,
+    SinusoidalGait,
+    build_bench,
+    build_scene,
+    leg_suite,
+    leg_walking,
+    multisine,
+    push_down,
+    robot_suite,
+    robot_walking,
+    soften,
+    squat,
+    sway,
+)
+from op3.robot.scenes import BENCH_LENGTH, BENCH_MASS, Scene
+from op3.stand_in.play import Push, Run
+
+Array = NDArray[np.float64]
+Suite = Callable[[int], Sequence[Excitation]]
+
+ARMS: tuple[str, ...] = tuple(f"{side}_{name}" for side in "lr" for name in ("sho_pitch", "sho_roll", "el"))
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A robot in its place.
+
+    Attributes:
+        scene: makes it.
+        rich: runs that show what its servos hide, from a seed.
+        poor: runs with which many effects cannot be told apart.
+        settle: how long the first target of a run is held before the recording starts [s].
+        metadata: what its logs say besides the usual.
+    """
+
+    scene: Callable[[], Scene]
+    rich: Suite
+    poor: Suite
+    settle: float = 0.8
+    metadata: dict[str, Any] = field(default_factory=dict)
+
+
+def floor_suite(seed: int) -> list[Run]:
+    """The whole robot on its feet, 26 runs: squats, weight shifts, soft knees, arms, steps on the spot, pushes.
+
+    Args:
+        seed: of depths, speeds, gains and pushes. Equal seeds give equal commands.
+    """
+    rng = np.random.default_rng([seed, 23])
+    draw = rng.uniform
+
+    def run(motion: Motion, gain: float | None = None, warm: bool = False, pushes: tuple[Push, ...] = ()) -> Run:
+        p_gain = motion.p_gain if gain is None else gain
+        own = np.asarray(p_gain, dtype=float)
+        return Run(motion, own[:, None] if own.ndim else float(own), 0.1, warm=warm, pushes=pushes)  # type: ignore[arg-type]
+
+    def bend(name: str) -> Motion:
+        low, high = draw(1.1, 1.45), draw(0.6, 0.9)
+        return squat(float(low), float(high), float(draw(0.3, 0.7)), duration=5.0, name=name)
+
+    def knees(name: str) -> Motion:
+        depths = (float(draw(0.6, 0.8)), float(draw(1.2, 1.45)), float(draw(0.8, 1.0)))
+        return push_down(depths, float(draw(0.9, 1.4)), 0.5, name=name)
+
+    def lean(name: str) -> Motion:
+        return sway(float(draw(0.05, 0.09)), float(draw(0.3, 0.6)), 5.0, name=name)
+
+    def arms(name: str) -> Motion:
+        return multisine({joint: float(draw(0.15, 0.4)) for joint in ARMS}, duration=5.0, name=name)
+
+    def steps(name: str) -> Motion:
+        gait = SinusoidalGait(period=float(draw(0.55, 0.7)), step=0.0, foot_height=float(draw(0.02, 0.035)))
+        walk = gait.motion(4.0)
+        return Motion(walk.time, walk.position, walk.joints, name)
+
+    def pushed() -> tuple[Push, ...]:
+        return tuple(
+            Push(float(start), (float(draw(3, 9) * rng.choice([-1, 1])), float(draw(-4, 4)), 0.0))
+            for start in (1.0, 2.2, 3.4)
+        )
+
+    first, second = run(bend("repeated_squat")), run(lean("repeated_sway"))
+    plan = [first, second, run(knees("push_down_1")), run(steps("steps_1")), run(bend("squat_1"), 4.0), first]
+    plan += [run(soften(float(draw(1.0, 1.3)), cycles=1, name="soften_1")), second, run(arms("arms_1"))]
+    plan += [run(bend("pushed_squat_1"), pushes=pushed()), run(steps("steps_2")), first, run(lean("sway_1"), 4.0)]
+    plan += [run(knees("push_down_2"), 4.5), second, run(bend("squat_2")), run(arms("arms_2")), first]
+    plan += [run(lean("pushed_sway_1"), pushes=pushed()), second, run(bend("squat_3"))]
+    plan += [run(bend("squat_4"), warm=True), run(knees("push_down_3"), warm=True), run(lean("sway_2"), warm=True)]
+    plan += [run(steps("steps_3"), warm=True), run(bend("pushed_squat_2"), warm=True, pushes=pushed())]
+    return plan
+
+
+def floor_walking(seed: int) -> list[Excitation]:
+    """Steps on the spot alone; every sixth run repeats the first."""
+    rng = np.random.default_rng([seed, 24])
+
+    def run(name: str) -> Run:
+        walk = SinusoidalGait(period=float(rng.uniform(0.55, 0.7)), step=0.0, foot_height=0.03).motion(4.0)
+        return Run(Motion(walk.time, walk.position, walk.joints, name))
+
+    first = run("repeated_walk")
+    return [first if i % 6 == 0 else run(f"walk_{i - i // 6}") for i in range(26)]
+
+
+def pendulum_suite(seed: int, joint: str = "servo", poor: bool = False) -> list[Excitation]:
+    """One joint of a leg's suite, at three times its amplitude, on a pendulum."""
+    suite = (leg_walking if poor else leg_suite)(seed)
+    column = LEG_JOINTS.index("r_knee")
+    runs = []
+    for run in suite:
+        away = run.motion.position[:, [column]] - run.motion.position[:, column].mean()
+        motion = Motion(run.motion.time, 3 * away, (joint,), run.motion.name)
+        runs.append(Excitation(motion, run.p_gain, run.d_gain, warm=run.warm))
+    return runs
+
+
+SETTINGS: dict[str, Setting] = {
+    "op3": Setting(
+        partial(build_scene, "stand"), partial(robot_suite, duration=6.0), partial(robot_walking, duration=6.0)
+    ),
+    "floor": Setting(partial(build_scene, "floor"), floor_suite, floor_walking, 1.5),
+    "leg": Setting(partial(build_scene, "stand", joints=LEG_JOINTS), leg_suite, leg_walking),
+    "pendulum": Setting(
+        build_bench,
+        pendulum_suite,
+        partial(pendulum_suite, poor=True),
+        metadata={"mass": BENCH_MASS, "length": BENCH_LENGTH},
+    ),
+}
+"""The whole OP3 on the stand and on its feet, its right leg on the stand, and one servo with a pendulum."""
