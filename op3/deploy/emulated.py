@@ -55,7 +55,7 @@ class Place:
     def of_task(cls, task: str | Task, seed: int) -> Place:
         """The ground of a task's episode."""
         task = find_task(task)
-        tiles = draw_tiles(seed, task.terrain_height) if task.scene == "terrain" else None
+        tiles = draw_tiles(seed, task.terrain_height, task.terrain_steps) if task.scene == "terrain" else None
         return cls(task.scene, board_of(task, seed), tiles)
 
     @property

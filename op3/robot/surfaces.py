@@ -104,10 +104,19 @@ def tile_ids(model: mujoco.MjModel) -> NDArray[np.int64]:
     return np.array([i for i in range(model.ngeom) if model.geom(i).name.startswith("uneven/tile_")], dtype=np.int64)
 
 
-def draw_tiles(seed: int, highest: float = TILE_HEIGHT) -> Array:
-    """Heights [tile] of a seed's terrain above the floor [m], uniform up to `highest`."""
-    count = len(_cells((2 * TILE, 2 * TILE)))
-    return np.random.default_rng([seed, 22]).uniform(0.0, highest, count)
+def draw_tiles(seed: int, highest: float = TILE_HEIGHT, steps: float = 0.0) -> Array:
+    """Heights [tile] of a seed's terrain above the floor [m], up to `highest`.
+
+    Args:
+        seed: of the terrain.
+        highest: largest height [m].
+        steps: probability that all tiles of the terrain lie either on the floor or at the largest height, a drawn share of
+            them high; else the heights are uniform.
+    """
+    rng = np.random.default_rng([seed, 22])
+    shares = rng.uniform(0.0, 1.0, len(_cells((2 * TILE, 2 * TILE))))
+    lot, filled = np.random.default_rng([seed, 23]).uniform(0.0, 1.0, 2)
+    return highest * (np.where(shares < filled, 1.0, 0.0) if lot < steps else shares)
 
 
 def place_tiles(geom_pos: Array, tiles: NDArray[np.int64], heights: Array) -> None:

@@ -45,7 +45,7 @@ def begin(task: Task, scene: Scene, seed: int) -> Beginning:
     qvel[0:2] = scatter.velocity * rng.standard_normal(2)
     qvel[3:5] = scatter.angular_velocity * rng.standard_normal(2)
     qvel[6 + legs] = scatter.joint_velocity * rng.standard_normal(len(legs))
-    tiles = draw_tiles(seed, task.terrain_height) if task.scene == "terrain" else None
+    tiles = draw_tiles(seed, task.terrain_height, task.terrain_steps) if task.scene == "terrain" else None
     push = Push.draw(seed, task.push, task.cycle or 1.0) if task.push else None
     phase = np.random.default_rng([seed, 2]).random() if task.first_phase is None else task.first_phase
     return Beginning(qpos, qvel, board_of(task, seed), tiles, push, phase)

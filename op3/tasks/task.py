@@ -101,6 +101,7 @@ class Task:
         fall_height: the episode ends when the trunk's origin is lower than this above the ground [m]; it stands at
             0.24 m.
         terrain_height: highest tile of the scene "terrain" above the floor [m], up to 0.01.
+        terrain_steps: probability that all tiles of an episode lie either on the floor or at the largest height.
         push: impulse at the trunk, in any of eight directions at a random time of the gait [N s].
         overload: weight, in the training reward and besides eq. (8), of currents that a servo cannot carry for long.
         first_phase: of the gait when an episode begins [cycles]; None: drawn anew for every episode.
@@ -121,6 +122,7 @@ class Task:
     fall_angle: float = radians(45.0)
     fall_height: float = 0.15
     terrain_height: float = TILE_HEIGHT
+    terrain_steps: float = 0.0
     push: float = 0.0
     overload: float = 0.0
     first_phase: float | None = 0.0
@@ -145,6 +147,8 @@ class Task:
                 raise ValueError(
                     f"task {self.name!r}: {field_name} must be at least 0, got {getattr(self, field_name)}"
                 )
+        if not 0 <= self.terrain_steps <= 1:
+            raise ValueError(f"task {self.name!r}: terrain_steps must be from 0 to 1, got {self.terrain_steps}")
         if self.first_phase is not None and not 0 <= self.first_phase < 1:
             raise ValueError(f"task {self.name!r}: first_phase must be in [0, 1) or null, got {self.first_phase}")
         if not self.duration > 0:

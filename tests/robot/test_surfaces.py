@@ -69,5 +69,7 @@ def test_tiles_are_drawn():
     assert heights.min() >= 0.0
     assert heights.max() <= TILE_HEIGHT
     np.testing.assert_allclose(draw_tiles(0, 0.4 * TILE_HEIGHT), 0.4 * heights)
+    kinds = [len(np.unique(draw_tiles(seed, steps=0.5))) for seed in range(40)]
+    assert 10 < sum(kind <= 2 for kind in kinds) < 30  # on the floor or high, nothing between
     assert len(heights) == len(tile_ids(build_scene("terrain").compile()))
     assert len(tile_ids(build_scene("floor").compile())) == 0

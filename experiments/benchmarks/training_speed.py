@@ -1,0 +1,68 @@
+"""What overlap of collecting and updating gains: walk's recipe, with and without it in turn, in one run.
+
+python experiments/benchmarks/training_speed.py [steps=20000] [rounds=3]
+
+Both learn the same to the last bit, so that only the time differs. Robots collect and update from the first
+step, which is what most of a run is like.
+"""
+
+import statistics
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import torch
+from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from support import plain
+from train import describe, learner, robots
+
+from op3.policy.mirror import Mirror
+from op3.report import machine, run_provenance
+from op3.train import Practice, TrainSettings, train
+
+
+def seconds(cfg, overlap: bool) -> float:
+    """Wall time of the run [s]."""
+    task = instantiate(cfg.task)
+    manifest = describe(cfg, task, run_provenance(seed=0))
+    sac, collector = learner(cfg, manifest), robots(cfg, task)
+    settings = TrainSettings(**{**plain(cfg.train), "overlap": overlap})
+    practice, mirror = (
+        Practice(**plain(cfg.practice)),
+        Mirror(manifest.layout, manifest.history, manifest.action_map.joints),
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        began = time.perf_counter()
+        options = {"practice": practice, "mirror": mirror, "say": lambda line: None}
+        train(sac, collector, lambda policy: {}, settings, manifest, folder, **options)
+        return time.perf_counter() - began
+
+
+def main() -> None:
+    """Measure in turn, so that a drift of the machine's speed meets both, and print the ratios."""
+    torch.set_num_threads(1)
+    steps, rounds = (int(value) for value in [*sys.argv[1:], *("20000", "3")[len(sys.argv) - 1 :]])
+    never = steps + 1
+    overrides = [
+        "task=walk", f"train.steps={steps}", "train.warmup=2048", "sac.actor_after=0", "train.checkpoint_buffer=false",
+        *(f"train.{name}={never}" for name in ("evaluate_every", "checkpoint_every", "log_every")),
+    ]  # fmt: skip
+    conf = Path(__file__).resolve().parents[2] / "conf"
+    with initialize_config_dir(str(conf), version_base="1.3"):
+        cfg = compose("train", overrides)
+    rows = [(seconds(cfg, True), seconds(cfg, False)) for _ in range(rounds + 1)][1:]  # the first warms up
+    print("machine: " + ", ".join(f"{key} {value}" for key, value in machine().items()))
+    for name, times in zip(("overlap", "serial"), zip(*rows, strict=True), strict=True):
+        middle = statistics.median(times)
+        print(f"{name:8s} {steps / middle:6.0f} steps/s, 3,000,000 steps in {3e6 * middle / steps / 3600:.2f} h")
+    ratios = [serial / overlapped for overlapped, serial in rows]
+    print(f"overlap against serial: {statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})")
+
+
+if __name__ == "__main__":
+    main()
