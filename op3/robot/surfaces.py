@@ -110,8 +110,8 @@ def draw_tiles(seed: int, highest: float = TILE_HEIGHT, steps: float = 0.0) -> A
     Args:
         seed: of the terrain.
         highest: largest height [m].
-        steps: probability that all tiles of the terrain lie either on the floor or at the largest height, a drawn share of
-            them high; else the heights are uniform.
+        steps: probability that all tiles of the terrain lie either on the floor or at the largest height, a drawn
+            share of them high; else the heights are uniform.
     """
     rng = np.random.default_rng([seed, 22])
     shares = rng.uniform(0.0, 1.0, len(_cells((2 * TILE, 2 * TILE))))

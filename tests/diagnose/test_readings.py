@@ -75,7 +75,7 @@ def test_late_readings_sharpen_velocities(logs):
 
 
 def test_the_supply_is_told_from_its_readings(logs):
-    """Rounded to a tenth of a volt and falling by several tenths: resistance to a tenth, voltage to a quarter of a volt.
+    """Rounded to 0.1 V and falling by several tenths: resistance to a tenth, voltage to a quarter of a volt.
 
     The battery gives the motors' power, of which the sum of currents is a measure.
     """
