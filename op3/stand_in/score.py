@@ -9,6 +9,7 @@ It reads `verdict.yaml` as a diagnosis writes it and knows nothing of how the ve
       size: 0.004                 # with the catalogue's `parameter`, and its 90 % `interval`, where there are such
       interval: [0.003, 0.005]
       parameter: backlash_half_gap
+      of_base: false              # whether it is a number that every base has, far from what is usual
       alternatives: [{effect: compliance, joints: [r_knee], probability: 0.05}]
     gap: {<channel>: {before, after, floor}}
 """
@@ -56,6 +57,7 @@ class Finding:
         size: in the unit of the bench's table, None where not given in it.
         interval: lowest and highest size, 90 %.
         others: what it could be besides.
+        of_base: whether it is a number that every base has, far from what is usual: passed over where it is not hidden.
     """
 
     name: str
@@ -64,6 +66,7 @@ class Finding:
     size: float | None = None
     interval: tuple[float, float] | None = None
     others: tuple[Finding, ...] = ()
+    of_base: bool = False
 
     def same(self, other: Finding) -> bool:
         """Whether name and joints agree."""
@@ -83,11 +86,6 @@ class Verdict:
     findings: tuple[Finding, ...] = ()
     gap: Mapping[str, Any] | None = None
     failed: bool = False
-
-    @property
-    def names(self) -> tuple[Finding, ...]:
-        """Findings that are at least as likely as not."""
-        return tuple(finding for finding in self.findings if finding.probability >= NAMED)
 
 
 def read_verdict(path: str | Path, joints: Sequence[str]) -> Verdict:
@@ -122,7 +120,7 @@ def _finding(path: Path, entry: Any, joints: Sequence[str]) -> Finding:
     name = SAME.get(name, name) if where else name
     size, interval = _size(path, name, entry)
     others = tuple(_finding(path, {"probability": 0.0, **other}, joints) for other in entry.get("alternatives") or ())
-    return Finding(name, where, float(probability), size, interval, others)
+    return Finding(name, where, float(probability), size, interval, others, bool(entry.get("of_base")))
 
 
 def _size(path: Path, name: str, entry: Mapping[str, Any]) -> tuple[float | None, tuple[float, float] | None]:
@@ -169,12 +167,15 @@ def score_case(answer: Mapping[str, Any], verdict: Verdict, cost: Mapping[str, f
         every finding and whether it is right; `covered`, `size_ratio` of the first right name with a size; `closure`:
         share of the gap beyond the noise floor that was closed; `processor_seconds`, `seconds`, `peak_memory`.
     """
-    truth, names, kind = truth_of(answer), verdict.names, answer["kind"]
-    first = names[0] if names else None
+    truth, kind = truth_of(answer), answer["kind"]
     told = kind in ("single", "pair", "poor")
 
     def right(finding: Finding) -> bool:
         return any(finding.same(one) for one in truth)
+
+    findings = tuple(one for one in verdict.findings if right(one) or not one.of_base)
+    names = tuple(one for one in findings if one.probability >= NAMED)
+    first = names[0] if names else None
 
     row: dict[str, Any] = {
         **{key: answer.get(key) for key in ("case", "kind", "robot", "severity")},
@@ -196,8 +197,8 @@ def score_case(answer: Mapping[str, Any], verdict: Verdict, cost: Mapping[str, f
     row["both"] = all(found) if kind == "pair" else None
     row["one"] = any(found) and not wrong if kind == "pair" else None
     row["named"] = bool(names) if not told else None
-    row["confident_wrong"] = any(one.probability > CONFIDENT and not right(one) for one in verdict.findings)
-    row["stated"] = [[finding.probability, right(finding)] for finding in verdict.findings]
+    row["confident_wrong"] = any(one.probability > CONFIDENT and not right(one) for one in findings)
+    row["stated"] = [[finding.probability, right(finding)] for finding in findings]
     row.update(_compared(truth, names))
     row["closure"] = closure(verdict.gap or {}) if names else None
     return {**row, **{key: (cost or {}).get(key) for key in ("processor_seconds", "seconds", "peak_memory")}}

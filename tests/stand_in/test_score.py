@@ -79,6 +79,13 @@ def test_a_hint_is_no_name():
     assert score_case(answer("null"), Verdict((Finding("dte", (), 0.7),)))["named"] is True
 
 
+def test_an_unusual_base_is_no_name():
+    """That the latency is far from usual is a name where more of it is hidden, and passed over where none is."""
+    latency = Finding("latency", (), 0.95, of_base=True)
+    assert score_case(answer("null"), Verdict((latency,)))["named"] is False
+    assert score_case(answer("single", ("latency", None, 0.006)), Verdict((latency,)))["exact"] is True
+
+
 def test_an_outsider_has_no_name():
     """Whatever is named for it is wrong, and misleading when sure."""
     outsider = answer("outsider", ("creep", "r_knee", 0.5))
