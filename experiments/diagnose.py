@@ -1,7 +1,7 @@
 """Say what a model lacks, from logs of a robot on the stand, on the floor, or of a servo on a bench.
 
 python experiments/diagnose.py data=<folder of logs> model=<model.yaml or name in conf/servo>
-python experiments/diagnose.py data=<folder of logs> model=paper mode=loop      # several effects, one after another
+python experiments/diagnose.py data=<folder of logs> model=paper mode=loop      # again from the model handed back
 python experiments/diagnose.py data=<folder of logs> model=paper mode=aliasing  # what these logs can tell
 python experiments/diagnose.py data=<folder> model=paper policy=assets/policies/balance [actual=<logs of its episodes>]
 python experiments/diagnose.py planned=leg_suite mode=aliasing   # what a suite would tell
@@ -25,45 +25,47 @@ from threadpoolctl import threadpool_limits
 
 from op3.diagnose import (
     Diagnosis,
+    Settings,
     Verdict,
     aliasing,
-    diagnose_swings,
     diagnosed_mount,
-    downstream,
-    engine_for,
     on_other_mounts,
-    planned_motions,
-    planned_suite,
     split_logs,
     suited,
+    with_chain,
 )
 from op3.policy import PolicyBundle
 from op3.report import run_provenance
 from op3.report.diagnosis import log_verdict, write_page
-from op3.robot import leg_suite
+from op3.robot import MIRROR, leg_suite
 from op3.rollout import Rollout, read_logs
 from op3.servo import effect_class
 from op3.sim import load_model, save_model
+from op3.tasks.planned import planned_motions, planned_suite
 
 IMPORTED = time.process_time()
 
 
-_stage = ""
+class Progress:
+    """One line on the terminal that says how far the diagnosis is and how long it still takes; elsewhere each stage."""
 
+    def __init__(self):
+        self._began, self._stage = time.monotonic(), ""
 
-def progress(stage: str, share: float) -> None:
-    """One line on the terminal that says how far the diagnosis is; elsewhere a line for each stage."""
-    global _stage
-    if sys.stderr.isatty():
-        print(f"\r{stage:>8} {'#' * round(30 * share):<30} {share:4.0%}", end="", file=sys.stderr, flush=True)
-    elif stage != _stage:
-        print(f"{stage} ...", file=sys.stderr, flush=True)
-    _stage = stage
+    def __call__(self, stage: str, share: float) -> None:
+        """Say it."""
+        left = (time.monotonic() - self._began) * (1 / max(share, 1e-3) - 1)
+        if sys.stderr.isatty():
+            bar = f"{'#' * round(30 * share):<30}"
+            print(f"\r{stage:>10} {bar} {share:4.0%}, {left:4.0f} s left", end="", file=sys.stderr, flush=True)
+        elif stage != self._stage:
+            print(f"{stage} ...", file=sys.stderr, flush=True)
+        self._stage = stage
 
 
 def planned_logs(cfg: DictConfig) -> list[Rollout]:
     """What the planned excitation would give, by the model."""
-    model = load_model(cfg.model)
+    model = with_chain(load_model(cfg.model))
     if cfg.planned == "leg_suite":
         return planned_suite(model, leg_suite(cfg.seed))
     names = [cfg.planned] if isinstance(cfg.planned, str) else plain(cfg.planned)
@@ -72,10 +74,12 @@ def planned_logs(cfg: DictConfig) -> list[Rollout]:
 
 def returns(cfg: DictConfig, verdict: Verdict) -> dict[str, Any]:
     """What a policy would return before and after, and what it did where its episodes are given."""
+    from op3.envs.downstream import downstream  # brings TorchRL, which a diagnosis without a policy need not load
+
     policy = PolicyBundle.load(cfg.policy)
     actual = () if cfg.actual is None else read_logs(plain(cfg.actual))
     episodes = [episode for log in actual for episode in (log.episodes() if log.batched else [log])]
-    options = {"task": instantiate(cfg.task), "episodes": cfg.episodes, "seed": cfg.seed, "progress": progress}
+    options = {"task": instantiate(cfg.task), "episodes": cfg.episodes, "seed": cfg.seed, "progress": Progress()}
     return {"policy": str(cfg.policy)} | downstream(policy, verdict.base, verdict.model, actual=episodes, **options)
 
 
@@ -94,27 +98,22 @@ def diagnose(cfg: DictConfig) -> dict[str, Any]:
     logs, others = diagnosed_mount(planned_logs(cfg) if cfg.planned else read_logs(data))
     model = suited(load_model(cfg.model), logs)
     split = split_logs(logs, seed=cfg.seed)
-    engine = engine_for(split, cfg.fit_windows, cfg.select_windows)
     diagnosis = Diagnosis(
         model,
         split,
+        mirror={joint: partner for joint, (partner, _) in MIRROR.items()},
         seed=cfg.seed,
-        engine=engine,
-        progress=progress,
-        warn=lambda text: print(text, file=sys.stderr, flush=True),
         without=tuple(cfg.without),
-        cache=folder / ".diagnosis",
+        settings=Settings(windows=cfg.windows),
+        progress=Progress(),
     )
     if cfg.mode == "aliasing":
         content = aliasing(diagnosis, planned=bool(cfg.planned))
         (folder / "aliasing.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
         print(f"\n{content['sentence']}\n{folder / 'aliasing.yaml'}")
         return content
-    rounds = cfg.rounds if cfg.mode == "loop" else 1
-    verdict = diagnosis.run(rounds)
-    options = {"seed": cfg.seed, "rounds": rounds, "without": tuple(cfg.without), "progress": progress}
-    swing = diagnose_swings(model, logs, **options)
-    content = verdict.plain() | ({} if swing is None else {"free_swing": swing.plain()})
+    verdict = diagnosis.run(cfg.rounds if cfg.mode == "loop" else 1)
+    content = verdict.plain()
     if others:
         content["mount"] = logs[0].metadata.mount
         content["other_mounts"] = on_other_mounts(verdict.base, verdict.model, others, cfg.seed)
@@ -126,7 +125,6 @@ def diagnose(cfg: DictConfig) -> dict[str, Any]:
         split,
         folder / "index.html",
         run_provenance(seed=cfg.seed, data=data),
-        swing,
         content.get("downstream"),
         content.get("other_mounts"),
     )
@@ -135,8 +133,6 @@ def diagnose(cfg: DictConfig) -> dict[str, Any]:
     (folder / "verdict.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
     log_verdict(content, folder, plain(cfg), os.environ.get("WANDB_MODE", cfg.wandb))
     print(f"\n{verdict.sentence}")
-    if swing is not None:
-        print(f"While torque is off: {swing.sentence}")
     print(folder / "index.html")
     return content
 
@@ -144,7 +140,7 @@ def diagnose(cfg: DictConfig) -> dict[str, Any]:
 @hydra.main(config_path="../conf", config_name="diagnose", version_base="1.3")
 def main(cfg: DictConfig) -> None:
     """Compose the config and diagnose."""
-    with one_sentence("The same command with the same hydra.run.dir goes on behind the refitted base."):
+    with one_sentence():
         torch.set_num_threads(1)
         threadpool_limits(1)  # as in `Diagnosis.run`, for what is outside of it
         if OmegaConf.is_missing(cfg, "data") and not cfg.planned:

@@ -1,13 +1,16 @@
-"""What these logs can tell at all: which effects they show, and which look alike."""
+"""What logs can tell at all: how large an effect must be to be named, and which effects look alike."""
 
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from op3.diagnose.base import base_numbers
+from op3.diagnose.candidates import separating
 from op3.diagnose.diagnosis import Diagnosis
-from op3.diagnose.hypotheses import separating
-from op3.diagnose.screen import Screened, cosines
+from op3.diagnose.findings import Stage
+from op3.diagnose.judge import Judge, evidence
+from op3.servo.effect import parameter
 
 ALIKE = 0.7
 """Cosine beyond which two effects are alike to these logs."""
@@ -15,51 +18,91 @@ ALIKE = 0.7
 VISIBLE = 0.3
 """Share of an effect that the base must leave for it to be seen."""
 
+SIZES = np.geomspace(0.02, 20.0, 60)
+"""Shares of a secant that are tried."""
+
 
 def aliasing(diagnosis: Diagnosis, most: int = 60, *, planned: bool = False) -> dict[str, Any]:
-    """Visibility of every hypothesis, and pairs that look alike once the base has had its say.
+    """Visibility of every effect in every place, and pairs that look alike once the base has had its say.
 
     Args:
-        diagnosis: not run yet; its base is refitted and the catalogue screened.
+        diagnosis: not run yet; its base is fitted and the catalogue's columns made.
         most: pairs that are listed.
-        planned: whether the logs were simulated by the model, which is then not refitted.
+        planned: whether the logs were simulated by the model, which is then not fitted.
 
     Returns:
-        ``sentence``; ``visibility`` by effect and joint; ``hidden``, those below `VISIBLE`, and ``show_by``, the
-        experiment of the catalogue that shows each; ``alike``, pairs with their cosine and what would separate them,
-        the most alike first.
+        ``sentence``; by effect and joint ``visibility`` and ``smallest``, the size from which on it would be named
+        (None if no plausible one would); ``hidden``, those below `VISIBLE`, and ``show_by``, the experiment of the
+        catalogue that shows each; ``alike``, pairs with their cosine and what would separate them, most alike first.
     """
-    base = diagnosis.linearised() if planned else diagnosis.refit_base(diagnosis.given)
-    best: dict[str, Screened] = {}
-    for s in diagnosis.screen(base, planned):
-        label = s.hypothesis.label(diagnosis.engine.joints)
-        if label not in best or s.strength > best[label].strength:
-            best[label] = s
-    return report(best, most)
-
-
-def report(best: Mapping[str, Screened], most: int) -> dict[str, Any]:
-    """The report of one secant per hypothesis, by its label."""
-    seen = {label: s for label, s in best.items() if s.strength > 0}
-    hidden = sorted(label for label, s in best.items() if s.visibility < VISIBLE)
-    labels = list(seen)
-    pairs: list[dict[str, Any]] = []
-    count = 0
-    if labels:
-        cosine = cosines(list(seen.values()))
-        first, second = np.triu_indices(len(labels), 1)
-        size = np.abs(cosine[first, second])
-        count = int((size >= ALIKE).sum())
-        for i in np.argsort(-size)[: min(count, most)]:
-            a, b = int(first[i]), int(second[i])
-            both = [labels[a], labels[b]]
-            apart = separating(seen[label].hypothesis.effect.name for label in both)
-            pairs.append({"effects": both, "cosine": round(float(cosine[a, b]), 3), "separate_by": apart})
+    stage = diagnosis.first_stage(fitted=not planned)
+    joints, own = diagnosis.joints, len(stage.base.point)
+    left, whole = _left_by_base(stage.judge, stage, own)
+    strength = np.sqrt(np.maximum(np.diag(left), 0.0))
+    visibility = strength / np.sqrt(np.maximum(np.diag(whole), 1e-12))
+    smallest = _smallest(stage, own)
+    best: dict[str, int] = {}
+    for i, one in enumerate(stage.found):
+        label = one.label(joints)
+        if label not in best or strength[i] > strength[best[label]]:
+            best[label] = i
+    hidden = sorted(label for label, i in best.items() if visibility[i] < VISIBLE)
+    effects = {label: stage.found[i].effect for label, i in best.items()}
+    pairs, count = _pairs(best, left, strength, effects, most)
     return {
-        "sentence": f"These logs show {len(best) - len(hidden)} of {len(best)} hypotheses, "
-        f"and {count} pairs look alike to them.",
-        "visibility": {label: round(s.visibility, 3) for label, s in best.items()},
+        "sentence": f"These logs show {len(best) - len(hidden)} of {len(best)} effects in their places,"
+        f" and {count} pairs look alike to them.",
+        "visibility": {label: round(float(visibility[i]), 3) for label, i in best.items()},
+        "smallest": {label: _size(stage, i, smallest[i]) for label, i in best.items()},
         "hidden": hidden,
-        "show_by": {label: best[label].hypothesis.effect.separating_experiment for label in hidden},
+        "show_by": {label: effects[label].separating_experiment for label in hidden},
         "alike": pairs,
     }
+
+
+def _left_by_base(judge: Judge, stage: Stage, own: int) -> tuple[np.ndarray, np.ndarray]:
+    """Products of the candidates' columns that the base does not imitate, and all of them."""
+    products = judge.products(stage.fit.state)
+    prior = 1.0 / base_numbers(stage.base.coordinates, stage.base.point).spike ** 2
+    inner, across = products[:own, :own] + np.diag(prior), products[:own, own:]
+    whole = products[own:, own:]
+    return whole - across.T @ np.linalg.solve(inner, across), whole
+
+
+def _smallest(stage: Stage, own: int) -> np.ndarray:
+    """Share of each candidate's secant from which on its expected log odds reach the alarm; infinite if none does."""
+    n, settings = stage.judge.numbers, stage.judge.settings
+    _, curvature = stage.judge.likelihoods(stage.fit)
+    result = np.full(len(stage.found), np.inf)
+    h, slab, spike, place = curvature[own:], n.slab[own:], n.spike[own:], n.place[own:]
+    low, high = n.low[own:], n.high[own:]
+    for size in SIZES[::-1]:
+        share = np.where(high > 0, size, -size)
+        odds = evidence(h * share, h, 0.0, slab, low, high) - evidence(h * share, h, 0.0, spike) + place
+        named = (odds > settings.alarm) & (share <= high) & (share >= low)
+        result = np.where(named, size, result)
+    return result
+
+
+def _size(stage: Stage, i: int, share: float) -> dict[str, Any] | None:
+    if not np.isfinite(share):
+        return None
+    known = parameter(stage.found[i].sized)
+    return {"size": float(f"{abs(share * stage.found[i].secant[known.name]):.3g}"), "unit": known.unit}
+
+
+def _pairs(
+    best: Mapping[str, int], left: np.ndarray, strength: np.ndarray, effects: Mapping[str, Any], most: int
+) -> tuple[list[dict[str, Any]], int]:
+    """Pairs of seen effects by how alike they are, and how many there are."""
+    labels = [label for label, i in best.items() if strength[i] > 0]
+    at = [best[label] for label in labels]
+    cosine = left[np.ix_(at, at)] / np.outer(strength[at], strength[at])
+    first, second = np.triu_indices(len(labels), 1)
+    size = np.abs(cosine[first, second])
+    count, pairs = int((size >= ALIKE).sum()), []
+    for i in np.argsort(-size)[: min(count, most)]:
+        a, b = labels[first[i]], labels[second[i]]
+        apart = separating(effects[label].name for label in (a, b))
+        pairs.append({"effects": [a, b], "cosine": round(float(cosine[first[i], second[i]]), 3), "separate_by": apart})
+    return pairs, count

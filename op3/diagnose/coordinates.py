@@ -1,4 +1,4 @@
-"""The numbers that a fit moves: shared parameters, deviations of single joints, and how far they may go."""
+"""The numbers of the base: shared parameters, the spread of its servos, and the chain of measurement, with priors."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,76 +9,59 @@ import torch
 from torch import Tensor
 
 from op3.servo import Parameter, RobotModel, catalogue
-from op3.servo.conditions import split_name
+from op3.servo.conditions import Condition, split_name
 
 SPREAD: Mapping[str, float] = {
-    "torque_constant": 0.02,
-    "coulomb_friction": 0.03,
-    "viscous_friction": 0.03,
-    "static_friction_excess": 0.03,
+    "torque_constant": 0.05,
+    "coulomb_friction": 0.15,
+    "viscous_friction": 0.15,
+    "static_friction_excess": 0.15,
 }
-"""How much servos of one make differ, as a standard deviation relative to the shared value."""
+"""How much servos of one make differ, as a standard deviation relative to the shared value. Magnets and windings hold
+10 % between the extremes (remanence +-3 %, winding resistance +-8 %: maxon catalogue, "tolerances"); friction of small
+gear trains differs by a tenth to a fifth from one to the next (BAM, Duclusaud et al. 2025, refits of one make)."""
 
-FAULTS: Mapping[str, str] = {
-    "torque_constant": "torque_constant",
-    "coulomb_friction": "coulomb",
-    "viscous_friction": "viscous",
-    "static_friction_excess": "stribeck",
+SPREAD_LIMIT = 3.0
+"""Standard deviations that a joint may differ in the base; what differs more is a fault, and a candidate."""
+
+WIDEST = 10.0
+"""How many times smaller or larger than given a parameter may be that lies outside the catalogue's range: between the
+smallest and the largest hobby servo of a class lie a factor of ten in torque and of ten in resistance."""
+
+
+@dataclass(frozen=True)
+class Chain:
+    """One number that every chain of measurement has.
+
+    Attributes:
+        usual: expected value.
+        spread: standard deviation of what is usual; a number far from it is a finding.
+        wide: standard deviation of the base's prior.
+        most: largest value that the base may take.
+        own: whether joints differ.
+    """
+
+    usual: float
+    spread: float
+    wide: float
+    most: float
+    own: bool = False
+
+
+CHAIN: Mapping[str, Chain] = {
+    # present velocity is averaged in the servo over an unpublished time: 2 to 15 ms on Dynamixel X, 18 to 20 ms on
+    # Feetech STS (from their logs: positions against velocities), so nothing up to 20 ms is a fault
+    "velocity_time_constant": Chain(0.006, 0.006, 0.008, 0.04),
+    # current loops of hobby servos settle in 0.5 to 5 ms (maxon ESCON: 0.3 ms; Dynamixel X: 1 kHz loop)
+    "current_time_constant": Chain(0.001, 0.001, 0.002, 0.01),
+    # 2.69 mA a count (ROBOTIS e-manual, XM430), zeros of shunt amplifiers 1 to 10 counts
+    "current_offset": Chain(0.0, 0.006, 0.01, 0.06, own=True),
+    # bristles of greased gears: 20 to 400 N m/rad (Olsson et al. 1998; Harmonic Drive catalogue, stiffness K1)
+    "bristle_compliance": Chain(0.003, 0.003, 0.004, 0.05),
+    # one sync write and read of twenty servos at 1 to 4 Mbit/s takes 2 to 6 ms (ROBOTIS protocol 2.0)
+    "command_latency": Chain(0.004, 0.0015, 0.004, 0.03),
 }
-"""Effects of single joints that the spread of a parameter may hide."""
-
-REACH = 4.0
-"""How many times smaller or larger than its start a parameter outside the catalogue's range may become."""
-
-HELD = ("controller_gain",)
-"""Parameters that a base does not refit: the firmware's gain is known. It is a hypothesis like others."""
-
-SPREAD_LIMIT = 2.0
-"""Standard deviations that a joint may differ; what differs more is a fault of this joint, and a hypothesis."""
-
-
-NEAR = 0.1
-"""Relative difference from the median up to which joints are taken to have one value and a spread; as far as the spread
-goes in any case."""
-
-OUTLIER = 1.5
-"""Standard deviations from the median of all joints beyond which a joint's own fault is looked into."""
-
-OUTLYING_READING = 2.0
-"""Standard deviations of a joint's part in the chain of measurement beyond which a fault there is looked into."""
-
-CHAIN_FAULTS: Mapping[str, str] = {"current_offset": "current_offset"}
-"""Effects of single joints that the chain of measurement may hide, up to its bounds."""
-
-CHAIN: Mapping[str, tuple[float, float, bool]] = {
-    "velocity_time_constant": (0.002, 0.0006, False),
-    "current_time_constant": (0.0005, 0.0003, False),
-    "current_offset": (0.0, 0.003, True),
-    "bristle_compliance": (0.0025, 0.0008, False),
-}
-"""What every chain of measurement has a little of: expected value, standard deviation, and whether joints differ.
-
-Unmodelled, a velocity filter of 2 ms passes for a wrong terminal resistance in nearly every case.
-"""
-
-CHAIN_REACH = 4
-"""Standard deviations that a part of the chain may differ from what is expected."""
-
-
-def chain_limit(name: str) -> float:
-    """The most that a base takes for granted of a part of the chain of measurement, in the parameter's unit."""
-    value, deviation, _ = CHAIN[name]
-    return value + CHAIN_REACH * deviation
-
-
-def with_chain(model: RobotModel) -> RobotModel:
-    """The model with the effects of the measurement chain on, at what is expected of them."""
-    for effect in catalogue().values():
-        for known in effect.parameters:
-            if known.name in CHAIN and effect.name not in model.effect_names:
-                model = model.with_effect(effect(), {known.name: CHAIN[known.name][0]})
-    return model
-
+"""What is part of every base, whatever the given model holds: expected values and how far they may lie from them."""
 
 FORMS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "dte": ("form", ("passive", "power")),
@@ -86,26 +69,8 @@ FORMS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "load_friction": ("form", ("sum", "motor")),
     "encoder_nonlinearity": ("velocity", ("bent", "apart")),
 }
-"""Laws that the literature writes in several ways with the same parameters: the option that says which, and its values.
-Which of them a servo obeys is not what is asked, so none of them may decide a name."""
-
-
-def other_forms(model: RobotModel, names: Sequence[str] = tuple(FORMS)) -> list[RobotModel]:
-    """The model with its effects in every other combination of forms.
-
-    Args:
-        model: in one of its forms.
-        names: of effects whose form may change.
-    """
-    result = [model]
-    for name in names:
-        option, forms = FORMS[name]
-        for effect in (e for e in model.effects if e.name == name):
-            rest = [form for form in forms if form != getattr(effect, option)]
-            others = [replace(effect, **{option: form}) for form in rest]  # type: ignore[type-var]
-            values = {p.name: model.estimate(p.name) for p in effect.parameters}
-            result += [variant.with_effect(other, values) for variant in result for other in others]
-    return result[1:]
+"""Laws that the literature writes in several ways with the same parameters. Which of them a servo obeys is not what is
+asked, so none of them may decide a name."""
 
 
 @dataclass(frozen=True)
@@ -139,6 +104,11 @@ class Coordinate:
         where = "" if self.joints is None else f"[{','.join(map(str, self.joints))}]"
         return f"{self.parameter}{where}" + ("" if self.kind == "value" else f" {self.kind}")
 
+    @property
+    def shared(self) -> bool:
+        """Whether it is a number of several joints."""
+        return self.joints is None or len(self.joints) > 1
+
 
 @dataclass(frozen=True)
 class Coordinates:
@@ -157,26 +127,37 @@ class Coordinates:
     def __len__(self) -> int:
         return len(self.entries)
 
+    def _all(self, field: str) -> np.ndarray:
+        return np.array([getattr(entry, field) for entry in self.entries])
+
     @property
     def start(self) -> np.ndarray:
         """Where a fit starts, ``[coordinate]``."""
-        return np.array([entry.start for entry in self.entries])
+        return self._all("start")
 
     @property
     def low(self) -> np.ndarray:
         """Smallest values, ``[coordinate]``."""
-        return np.array([entry.low for entry in self.entries])
+        return self._all("low")
 
     @property
     def high(self) -> np.ndarray:
         """Largest values, ``[coordinate]``."""
-        return np.array([entry.high for entry in self.entries])
+        return self._all("high")
+
+    @property
+    def prior(self) -> np.ndarray:
+        """Expected values, ``[coordinate]``."""
+        return self._all("prior")
+
+    @property
+    def deviation(self) -> np.ndarray:
+        """Standard deviations of what is expected, ``[coordinate]``."""
+        return self._all("deviation")
 
     def penalties(self, points: np.ndarray) -> np.ndarray:
-        """How many standard deviations points ``[candidate, coordinate]`` are from what is expected."""
-        prior = np.array([entry.prior for entry in self.entries])
-        deviation = np.array([entry.deviation for entry in self.entries])
-        return (points - prior) / deviation
+        """Squared distance in standard deviations of points ``[candidate, coordinate]`` from what is expected."""
+        return np.square((points - self.prior) / self.deviation).sum(-1)
 
     def values(self, points: np.ndarray) -> dict[str, Tensor]:
         """Parameters by name, ``[candidate, joint]``, within what physics allows.
@@ -206,128 +187,118 @@ class Coordinates:
         limits = {name: known[split_name(name)[0]] for name in result}
         return {name: value.clamp(limits[name].least, limits[name].most) for name, value in result.items()}
 
-    def suspects(self, point: np.ndarray) -> list[tuple[str, int, float]]:
-        """Joints that stand out by more than their servos' spread: effect, joint, and by how much, most first.
-
-        A fault of one joint draws the spread of all joints to its bounds: its own to one, the others' to the other.
-
-        Args:
-            point: of a refitted base, ``[coordinate]``.
-        """
-        found = []
-        for parameter, effect in FAULTS.items():
-            at = [i for i, e in enumerate(self.entries) if e.parameter == parameter and e.kind == "scale"]
-            if len(at) < 3:
-                continue
-            apart = (point[at] - np.median(point[at])) / self.entries[at[0]].deviation
-            worst = int(np.abs(apart).argmax())
-            columns = self.entries[at[worst]].joints
-            if abs(apart[worst]) > OUTLIER and columns is not None:
-                found.append((effect, columns[0], float(apart[worst])))
-        for entry, value in zip(self.entries, point, strict=True):
-            apart = (value - entry.prior) / entry.deviation
-            if CHAIN.get(entry.parameter, (0.0, 0.0, False))[2] and entry.joints and abs(apart) > OUTLYING_READING:
-                found.append((CHAIN_FAULTS[entry.parameter], entry.joints[0], float(apart)))
-        return sorted(found, key=lambda suspect: -abs(suspect[2]))
-
     def extended(self, model: RobotModel, more: Sequence[Coordinate]) -> "Coordinates":
         """These numbers and more, for a model with more effects."""
         return Coordinates(model, self.joints, (*self.entries, *more))
 
 
-def base_coordinates(
-    model: RobotModel, joints: Sequence[str], *, fixed_base: bool, named: Sequence[tuple[str, int]] = ()
-) -> Coordinates:
-    """What is refitted before and beside every hypothesis: the model's own parameters, and the spread of its servos.
+def with_chain(model: RobotModel) -> RobotModel:
+    """The model with the effects of the chain of measurement on, at what is usual.
+
+    A servo with a position loop of its own has no current loop to lag, and its goal is what arrives late.
+    """
+    regulated = "current_pd" in model.effect_names
+    for effect in catalogue().values():
+        for known in effect.parameters:
+            if known.name not in CHAIN or effect.name in model.effect_names:
+                continue
+            if known.name in ("current_time_constant", "current_offset") and not regulated:
+                continue
+            options = {"signal": "goal"} if effect.name == "latency" and not regulated else {}
+            model = model.with_effect(effect(**options), {known.name: CHAIN[known.name].usual})
+    return model
+
+
+def with_setups(model: RobotModel, lengths: Sequence[float]) -> RobotModel:
+    """The model with a zero of the encoder for each arm of a bench: each is mounted anew."""
+    if "encoder_offset" not in model.effect_names or len(set(lengths)) < 2:
+        return model
+    zero = model.value("encoder_offset")
+    names = [f"encoder_offset@{Condition('length', length)}" for length in sorted(set(lengths))]
+    return model.with_values(dict.fromkeys(names, zero))
+
+
+def other_forms(model: RobotModel, names: Sequence[str] = tuple(FORMS)) -> list[RobotModel]:
+    """The model with its effects in every other combination of forms."""
+    result = [model]
+    for name in names:
+        option, forms = FORMS[name]
+        for effect in (e for e in model.effects if e.name == name):
+            others = [replace(effect, **{option: form}) for form in forms if form != getattr(effect, option)]  # type: ignore[type-var]
+            values = {p.name: model.estimate(p.name) for p in effect.parameters}
+            result += [variant.with_effect(other, values) for variant in result for other in others]
+    return result[1:]
+
+
+def base_coordinates(model: RobotModel, joints: Sequence[str], moving: Sequence[bool] | None = None) -> Coordinates:
+    """What is fitted before and beside every finding: the model's own parameters, the servos' spread, and the chain.
 
     A forward efficiency of a current-driven servo is left out: it cannot be told from the torque constant. So are
-    masses of a base that is held.
+    masses of a base that is held, and the firmware's gain, which is known.
 
     Args:
-        model: whose parameters.
+        model: whose parameters, with its chain.
         joints: joint names.
-        fixed_base: whether the base is held.
-        named: parameters and joints in which a fault has been named: these keep a value of their own.
+        moving: which of them move; the others have no numbers of their own.
     """
-    entries: list[Coordinate] = []
+    moving = [True] * len(joints) if moving is None else moving
     drive = next((getattr(e, "drive", "current") for e in model.effects if e.name == "motor"), "current")
+    entries: list[Coordinate] = []
     for effect in model.effects:
         held = bool(effect.edits) and all(edit.target == "base_body" for edit in effect.edits)
         for known in effect.parameters:
-            if (held and fixed_base) or (known.name == "forward_efficiency" and drive == "current"):
+            if held or known.name == "controller_gain" or (known.name == "forward_efficiency" and drive == "current"):
                 continue
             if known.name in CHAIN:
-                entries.extend(_chain(model, known, joints))
+                entries.extend(_chain(known, joints, moving))
                 continue
-            if known.name in HELD:
+            own = model.tensors(joints)[known.name][0].numpy()
+            if np.ptp(own) > 1e-12:
+                entries.extend(_together(known, own))
                 continue
-            low, high = _range(known, model.value(known.name))
-            span = high - low
-            for columns, start in _alike(model, known, joints, {joint for name, joint in named if name == known.name}):
-                ends = (low, high, *_range(known, start))
-                entries.append(
-                    Coordinate(known.name, columns, min(ends), max(ends), start, start, max(ends) - min(ends))
-                )
-            for condition, special in model.estimate(known.name).by.items():
-                name, start = f"{known.name}@{condition}", special.value
-                entries.append(Coordinate(name, None, start - span, start + span, start, start, span))
-    if len(joints) > 1:
-        for name, deviation in SPREAD.items():
-            if name in model.parameters() and any(entry.parameter == name for entry in entries):
-                reach = SPREAD_LIMIT * deviation
-                entries.extend(
-                    Coordinate(name, (j,), -reach, reach, 0.0, 0.0, deviation, "scale") for j in range(len(joints))
-                )
+            start = float(own[0])
+            low, high = _range(known, start)
+            span, special = high - low, model.estimate(known.name).by
+            for condition, one in special.items():
+                at, name = one.value, f"{known.name}@{condition}"
+                entries.append(Coordinate(name, None, at - span, at + span, at, at, span))
+            if not special:  # else each set-up has its own
+                entries.append(Coordinate(known.name, None, low, high, start, start, span))
+    for name, deviation in SPREAD.items() if len(joints) > 1 else ():
+        if any(entry.parameter == name for entry in entries):
+            reach = SPREAD_LIMIT * deviation
+            entries += [
+                Coordinate(name, (j,), -reach, reach, 0.0, 0.0, deviation, "scale")
+                for j in range(len(joints))
+                if moving[j]
+            ]
     return Coordinates(model, tuple(joints), tuple(entries))
 
 
 def _range(known: Parameter, value: float) -> tuple[float, float]:
-    """Where a parameter may go: in the catalogue's range, or about a value that lies beyond it.
-
-    Such a value is that of a servo of another size, or of a joint with a fault that has been named.
-    """
+    """Where a parameter may go: in the catalogue's range, or about a value of a servo of another size."""
     if known.low <= value <= known.high:
-        return known.low, known.high
+        return known.low if known.neutral is None else min(known.low, known.neutral), known.high
     if value == 0.0:
         return min(known.low, 0.0), max(known.high, 0.0)
-    ends = value / REACH, value * REACH
-    return max(known.least, min(ends)), min(known.most, max(ends))
+    low, high = sorted((0.0 if known.neutral == 0.0 else value / WIDEST, value * WIDEST))
+    return max(known.least, low), min(known.most, high)
 
 
-def _alike(
-    model: RobotModel, known: Parameter, joints: Sequence[str], named: set[int]
-) -> list[tuple[tuple[int, ...] | None, float]]:
-    """Joints that share a value, and the value: all; or those near the median, and each of the others by itself.
+def _together(known: Parameter, own: np.ndarray) -> list[Coordinate]:
+    """One factor on values that joints have for themselves: those without the effect stay without it.
 
-    Joints in which an effect is off stay so.
+    A shape, such as a phase, stays as it is.
     """
-    own = model.tensors(joints)[known.name][0].numpy()
-    if len(own) == 1 or np.ptp(own) < 1e-12:
-        return [(None, float(own[0]))]
-    middle = float(np.median(own))
-    spread = SPREAD_LIMIT * SPREAD.get(known.name, 0.0)  # all others may be at its other end
-    near = np.abs(own - middle) <= max(NEAR, 2.0 * spread / (1.0 - spread)) * abs(middle) + 1e-12
-    near[sorted(named)] = False
-    groups = [] if middle == known.neutral else [(tuple(np.flatnonzero(near).tolist()), float(own[near].mean()))]
-    return [*groups, *(((int(j),), float(own[j])) for j in np.flatnonzero(~near))]
+    if known.neutral != 0.0:
+        return []
+    largest = float(own[np.abs(own).argmax()])
+    ends = sorted(end / largest - 1.0 for end in _range(known, largest))
+    return [Coordinate(known.name, None, max(ends[0], -1.0), ends[1], 0.0, 0.0, 1.0, "scale")]
 
 
-def _chain(model: RobotModel, known: Parameter, joints: Sequence[str]) -> list[Coordinate]:
-    """A parameter of the measurement chain: near what is expected of it, or free where the model has another value.
-
-    It has one after the effect has been named: what every chain has a little of is then no longer what is expected.
-    """
-    value, deviation, own = CHAIN[known.name]
-    low, high = max(known.least, value - CHAIN_REACH * deviation), chain_limit(known.name)
-    now, span = model.tensors(joints)[known.name][0].tolist(), known.high - known.low
-    entries = []
-    for number, columns in enumerate([(j,) for j in range(len(joints))] if own else [None]):
-        at = float(now[number % len(now)])
-        if low <= at <= high:
-            entries.append(Coordinate(known.name, columns, low, high, value, value, deviation))
-        else:
-            least, most = min(known.low, at - span), max(known.high, at + span)
-            entries.append(
-                Coordinate(known.name, columns, max(known.least, least), min(known.most, most), at, at, span)
-            )
-    return entries
+def _chain(known: Parameter, joints: Sequence[str], moving: Sequence[bool]) -> list[Coordinate]:
+    chain = CHAIN[known.name]
+    low, high = max(known.least, -chain.most), min(known.most, chain.most)
+    places = [(j,) for j in range(len(joints)) if moving[j]] if chain.own and len(joints) > 1 else [None]
+    return [Coordinate(known.name, place, low, high, chain.usual, chain.usual, chain.wide) for place in places]

@@ -1,84 +1,45 @@
-"""The workflow: refit the base, screen, refit the shortlist, decide, add, show."""
+"""The workflow: windows, base, findings one after another, the model that predicts best, the gap before and after."""
 
-import hashlib
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from op3.diagnose.ceiling import Ceiling, ceiling, where
-from op3.diagnose.coordinates import (
-    Coordinates,
-    base_coordinates,
-    other_forms,
-    with_chain,
-)
-from op3.diagnose.counting import (
-    beyond_doubt,
-    of_another_kind,
-    shown_by_windows,
-    worth_a_candidate,
-)
-from op3.diagnose.decide import Decision, decide
-from op3.diagnose.findings import Refitted, finding_of, with_finding
-from op3.diagnose.fitting import (
-    LEAST_GAIN,
-    ROUNDS,
-    WORTHWHILE,
-    Engine,
-    Fit,
-    fit_base,
-    linearise,
-    with_point,
-)
-from op3.diagnose.free_run import engine_for
-from op3.diagnose.gaps import contradicted, large_gap, leaves_a_joint, local_ceiling, stands_out, unresolved
-from op3.diagnose.hypotheses import hypotheses, separating
-from op3.diagnose.locate import locate
-from op3.diagnose.packets import (
-    as_lossy,
-    loss_hypothesis,
-    lost_packets,
-    supposed_losses,
-    without_losses,
-)
-from op3.diagnose.preflight import CAPPED, Caution, preflight
-from op3.diagnose.reach import TorqueBox
-from op3.diagnose.refits import Refits, best_of
-from op3.diagnose.ripple import with_ripples
-from op3.diagnose.screen import Screened, screen
-from op3.diagnose.settle import Candidate, settle
-from op3.diagnose.setups import setup_hypotheses
-from op3.diagnose.shortlist import (
-    credit,
-    hides_another,
-    promising,
-    worth_a_round,
-)
-from op3.diagnose.show import show, shown_logs, with_ceiling
-from op3.diagnose.soften import softened
+from op3.diagnose.base import Base, at_point, doubts, fit_base, unfitted, untold, unusual
+from op3.diagnose.candidates import Candidate
+from op3.diagnose.coordinates import CHAIN
+from op3.diagnose.findings import Named, Search, Stage
+from op3.diagnose.reduction import Reduction
+from op3.diagnose.settings import SETTINGS, Settings
+from op3.diagnose.show import choose, show
 from op3.diagnose.split import LogSplit
-from op3.diagnose.thresholds import CEILING, DOUBLY_CHECKED, UNDECIDED
-from op3.diagnose.verdict import Finding, Verdict
-from op3.diagnose.windows import WindowResiduals
-from op3.servo import RobotModel
-from op3.servo.effects import PacketDrop
-from op3.sim import model_hash
+from op3.diagnose.unexplained import joint_gaps, lacking
+from op3.diagnose.verdict import LIKELY, Finding, Rival, Verdict, plain
+from op3.diagnose.windows import HELD, WindowResiduals
+from op3.servo import RobotModel, catalogue
+from op3.servo.conditions import split_name
 
-LEADING = 3
-"""Effects that are looked for in single joints of a robot on its feet."""
+SHORTEST = 15.0
+"""Fitted runs shorter than this in all carry no name [s]."""
 
-SETTLED, MOVING = 4, 0.01
-"""How often a base is gone on with from where its fit has stopped, and the share of the loss from which on it is."""
+ON_ITS_FEET = (
+    "Only gaps are told of a robot on its feet, whose contacts hide what its servos do: record it on a stand, all"
+    " joints moving."
+)
+STILL = "No joint moves in the fitted runs: move every joint through slow triangles and fast sines."
+"""Why nothing can be told."""
 
-NEUTRAL = 0.05
-"""Size below which an effect is none, as a share of the smallest that matters."""
+RANKED = 15
+"""Candidates that a verdict lists."""
 
-CELLS = 20
-"""Cells of residual torque that are kept."""
+QUANTILE = 1.645
+"""Of a 90 % interval."""
+
+STAGES = {"windows": 0.05, "base": 0.4, "candidates": 0.45, "show": 0.1}
+"""Usual shares of the time."""
 
 Progress = Callable[[str, float], None]
 
@@ -88,13 +49,12 @@ class Diagnosis:
 
     Args:
         model: effects that are on, and the values from which the refit starts.
-        split: logs.
-        seed: of every resampling.
-        engine: gives residuals; by default windows for logs of a robot on the stand, free runs for others.
-        progress: called with the stage and the share done.
-        warn: called with what logs cannot tell, before anything is fitted.
+        split: logs of one mount.
+        mirror: partners of joints on the other side, by name; none by default.
+        seed: of the search and every resampling.
         without: names of effects not to consider.
-        cache: folder in which the refitted base is kept, so that an interrupted diagnosis goes on behind it.
+        settings: tuned constants.
+        progress: called with the stage and the share of all that is done.
     """
 
     def __init__(
@@ -102,459 +62,238 @@ class Diagnosis:
         model: RobotModel,
         split: LogSplit,
         *,
+        mirror: Mapping[str, str] | None = None,
         seed: int = 0,
-        engine: Engine | None = None,
-        progress: Progress | None = None,
-        warn: Callable[[str], None] | None = None,
         without: Sequence[str] = (),
-        cache: Path | None = None,
+        settings: Settings = SETTINGS,
+        progress: Progress | None = None,
     ):
-        self.given = model
-        self.split = split
-        self.seed = seed
-        self._report = progress or (lambda stage, share: None)
-        self._warn = warn or (lambda text: None)
-        self.engine: Engine = engine or engine_for(split)
-        self.refits = Refits(self.engine, split, self._report)
-        self.fixed_base = split.fit[0].metadata.mount in ("stand", "pendulum")
-        self.without = tuple(without)
-        self.cache = cache
-        self.cautions: tuple[Caution, ...] = ()
-        self.base: Fit | None = None
-        self.screened: list[Screened] = []
-        self.refitted: list[Refitted] = []
-        self._candidates: list[list[Candidate]] = []
-        self._control = np.zeros(0)  # losses of the last no-op control, ``[block]``
-        self._lossless = False  # whether the last screen has looked for lost packets and found none
-
-    def refit_base(self, model: RobotModel, fitted: bool = False) -> Fit:
-        """Refit the model's own parameters, with the measurement chain and the spread of its servos.
-
-        Args:
-            model: whose effects and values.
-            fitted: whether the values come from a refit to these logs. Then few steps are enough, often one, which
-                gives joints their spread back.
-        """
-        full = _full(model)
-        coordinates = self._coordinates(full, [candidates[0].finding for candidates in self._candidates])
-        forms = [full, *other_forms(full)]
-        place = None if self.cache is None else self.cache / f"base-{self._key(full)}-{'one' if fitted else 'all'}.npz"
-        if place is not None and place.is_file():
-            with np.load(place) as kept:
-                chosen = replace(coordinates, model=forms[int(kept["form"])])
-                return linearise(self.engine, chosen, kept["point"])
-        fit = fit_base(
-            self.engine,
-            coordinates,
-            rounds=ROUNDS,
-            start=coordinates.start if fitted else None,
-            alternatives=forms[1:],
-            worthwhile=WORTHWHILE if fitted else LEAST_GAIN,
-            progress=lambda share: self._report("base", share),
-        )
-        fit = self._settled(fit)
-        if place is not None:
-            place.parent.mkdir(parents=True, exist_ok=True)
-            np.savez(place, point=fit.point, form=[m is fit.coordinates.model for m in forms].index(True))
-        return fit
-
-    def _settled(self, fit: Fit) -> Fit:
-        """The base where it no longer moves: what is left of its way would be credited to whatever is refitted beside.
-
-        Free runs are simulated as often as their fit may be.
-        """
-        if not isinstance(self.engine, WindowResiduals):
-            return fit
-        for _ in range(SETTLED):
-            further = self.refits.control_of(fit)
-            if further.loss > (1.0 - MOVING) * fit.loss:
-                break
-            fit = linearise(self.engine, fit.coordinates, further.point)
-        return fit
-
-    def _coordinates(self, model: RobotModel, findings: Sequence[Finding]) -> Coordinates:
-        """What a base refits of a model with findings; on its feet, where a simulation is dear, only what is shared."""
-        named = [(one.parameter, self.engine.joints.index(one.joints[0])) for one in findings if not one.shared]
-        coordinates = base_coordinates(model, self.engine.joints, fixed_base=self.fixed_base, named=named)
-        if self.fixed_base:
-            return coordinates
-        return replace(coordinates, entries=tuple(e for e in coordinates.entries if len(e.joints or (0, 0)) > 1))
-
-    def linearised(self) -> Fit:
-        """The given model as it is, with the Jacobian of everything that a base would refit."""
-        full = _full(self.given)
-        coordinates = self._coordinates(full, ())
-        return linearise(self.engine, coordinates, coordinates.start)
-
-    def _key(self, model: RobotModel) -> str:
-        """Sixteen hex digits of everything that decides where the base ends."""
-        digest = hashlib.sha256(f"{model_hash(model)} {len(self.engine.is_fit)} {self.engine.is_fit.sum()}".encode())
-        for logs in (self.split.fit, self.split.select):
-            for log in logs:
-                for channel in log.channels:
-                    digest.update(np.ascontiguousarray(log.array(channel)).tobytes())
-        return digest.hexdigest()[:16]
-
-    def screen(self, base: Fit, planned: bool = False) -> list[Screened]:
-        """Screen the catalogue.
-
-        Args:
-            base: what the effects are held against.
-            planned: whether the logs were simulated by the model, so that losses of packets are to be supposed.
-        """
-        fitted = with_point(base.coordinates, base.point)
-        candidates = hypotheses(fitted, self.engine.joints, fixed_base=self.fixed_base, without=self.without)
-        candidates += setup_hypotheses(fitted, self.split.logs, self.without)
-        self._lossless = False
-        if any(h.effect is PacketDrop for h in candidates):
-            # which packets got lost is read off the logs: nothing fits that drew its own
-            candidates = [h for h in candidates if h.effect is not PacketDrop]
-            if isinstance(self.engine, WindowResiduals):
-                lost = supposed_losses(self.engine, base) if planned else loss_hypothesis(self.engine, base)
-                candidates += [] if lost is None else [lost]
-                self._lossless = lost is None
-        if isinstance(self.engine, WindowResiduals) and not planned:
-            candidates = with_ripples(candidates, self.engine, base)
-        if self.fixed_base:
-            return screen(self.engine, base, candidates, lambda share: self._report("screen", share))
-        # on its feet a simulation is dear: single joints are asked of the leading effects alone
-        alone = [h for h in candidates if h.joints is not None and len(h.joints) == 1]
-        found = screen(self.engine, base, [h for h in candidates if h not in alone])
-        leading = list(dict.fromkeys(s.hypothesis.effect for s in sorted(found, key=credit, reverse=True)))[:LEADING]
-        found += screen(self.engine, base, [h for h in alone if h.effect in leading])
-        return sorted(found, key=lambda s: -s.gain)
+        self.given, self.split, self.seed, self.settings = model, split, seed, settings
+        self.mirror, self.without = dict(mirror or {}), tuple(without)
+        self._progress = progress or (lambda stage, share: None)
+        self.seconds: dict[str, float] = {}
+        self.stages: list[Stage] = []
+        self.search: Search | None = None
 
     def run(self, rounds: int = 1) -> Verdict:
-        """Diagnose; with more rounds, go on from what was found until nothing more is.
+        """Diagnose; with more rounds, go on from the model handed back until nothing more is found.
 
         Linear algebra gets one thread: its matrices are small, and a second thread would wait, using a whole core.
         """
         with threadpool_limits(1):
-            return self._run(rounds)
+            verdict = self._once(self.given)
+            for _ in range(rounds - 1):
+                if not any(finding.in_model and not finding.of_base for finding in verdict.findings):
+                    break
+                further = self._once(verdict.model)
+                if not further.findings or not any(f.in_model for f in further.findings):
+                    break
+                verdict = replace(further, findings=(*verdict.findings, *further.findings), base=verdict.base)
+                shown = show(verdict.base, verdict.model, self.split, self.seed)
+                verdict = replace(verdict, gap=shown["gap"], loss=shown["loss"], shown=shown)
+        return verdict
 
-    def _run(self, rounds: int) -> Verdict:
-        self.cautions = preflight(self.split, self.given)
-        for caution in self.cautions:
-            self._warn(caution.text)  # before the work, which may then not be worth it
-        if any(caution.void for caution in self.cautions):
-            return self._void()
-        model, verdicts, self._candidates = self.given, [], []
-        signs = True
-        for number in range(rounds):
-            verdict = self._round(model, first=number == 0, surely=signs)
-            if verdict is None:
-                break
-            verdicts.append(verdict)
-            if len(self._candidates) == number or number + 1 == rounds:
-                break
-            signs = self._signs_of_more(self._candidates[-1])
-            # of an ambiguous or unknown verdict with the best: the next round may find the other
-            model = self._candidates[-1][0].model
-        while self._candidates and verdicts[len(self._candidates) - 1].verdict == "unknown":
-            self._candidates.pop()  # what it leaves is as unknown as before
-        begun = [i for i in range(len(self._candidates)) if verdicts[i].verdict == "unknown"]
-        if begun and unresolved([candidates[0].contender for candidates in self._candidates]):
-            del self._candidates[begun[0] :]  # nor have later rounds found what was missing there
-        kept = len(self._candidates)
-        unknown = [verdict for verdict in verdicts[kept:] if verdict.verdict == "unknown"]
-        if unknown and contradicted([one[0].contender for one in self._candidates], unknown[0].details["apart"]):
-            self._candidates, kept = [], 0
-            verdicts = [replace(unknown[0], base=verdicts[0].base, model=verdicts[0].base)]
-        beside = f"; beside that, {unknown[0].reason}" if kept and unknown else ""
-        verdict = self._shown(self._together(verdicts[:kept]) if kept > 1 else verdicts[0])
-        if kept > 1 and verdict.vetoed:
-            first = self._shown(verdicts[0])  # it may be better alone
-            verdict = verdict if first.vetoed else first
-        verdict = self._doubly_checked(replace(verdict, reason=verdict.reason + beside))
-        if verdict.verdict == "nothing_missing" and self._too_poor():
-            # that is nothing to go by where nothing could have shown
-            verdict = replace(verdict, verdict="unknown", weak=True)
-        return self._with_ceiling(verdict)
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Of the logs."""
+        return self.split.fit[0].joints
 
-    def _signs_of_more(self, found: Sequence[Candidate]) -> bool:
-        """Whether what was found last leaves signs of something beside it; without them a screen has to show one."""
-        unsure = len(found) > 1 or found[0].finding.confidence <= UNDECIDED
-        if not isinstance(self.engine, WindowResiduals) or unsure:
-            return True  # of two that are hard to tell apart the one may show beside the other
-        leader = found[0].contender
-        if hides_another(leader.effect):
-            return True
-        (fit,) = (r.fit for r in self.refitted if r.contender is leader)
-        if large_gap(leader.left) or leaves_a_joint([one[0].contender for one in self._candidates]):
-            return True  # whatever a screen around the first base foresees
-        if any(self.refits.beats(other, leader, fit) for other in self.refitted):
-            return True
-        earlier = [one[0].contender for one in self._candidates[:-1]]
-        if any(of_another_kind(other.contender, leader, self._control, earlier) for other in self.refitted):
-            return True
-        fitted = self.engine.is_fit
-        if worth_a_round(self.screened, fit.residual[fitted], self.engine.blocks[fitted]):
-            return True
-        return self._lossless and self.loses_after_all(fit)
+    def first_stage(self, fitted: bool = True) -> Stage:
+        """The judge around the base with nothing named; of simulated logs around the given model as it is."""
+        with threadpool_limits(1):
+            reduction, rng = self.reduction(), np.random.default_rng([self.seed, 11])
+            if fitted:
+                base = fit_base(reduction, self.given, rng, self.settings, self._share("base"))
+            else:
+                base = unfitted(reduction, self.given, self.settings)
+            self.search = Search(reduction, self.mirror, self.without, self.settings, self._share("candidates"))
+            return self.search.first(base)
 
-    def loses_after_all(self, leader: Fit) -> bool:
-        """Whether packets seem lost beside a leader: the base may have been too wrong to tell."""
-        assert isinstance(self.engine, WindowResiduals)
-        assert self.base is not None
-        self.engine.prepare(with_point(leader.coordinates, leader.point))  # which knows what is usual far better
-        found = lost_packets(self.engine, leader)
-        self.engine.prepare(with_point(self.base.coordinates, self.base.point))
-        return found is not None
+    def reduction(self) -> Reduction:
+        """The windows of the fitted runs."""
+        engine = WindowResiduals(self.split.fit, windows=self.settings.windows)
+        return Reduction(engine, self.settings)
 
-    def _void(self) -> Verdict:
-        """Logs that contradict themselves: nothing is fitted to them, and nothing named."""
-        shown = show(self.given, self.given, self.split, lambda share: self._report("show", share))
-        return Verdict(
-            verdict="unknown",
-            effects=(),
-            reason="the logs contradict themselves or the robot, so nothing was fitted to them",
-            model=self.given,
-            base=self.given,
-            cannot_tell=tuple(caution.text for caution in self.cautions),
-            gap=shown["gap"],
-            loss=shown["loss"],
-            details={"shown": shown, "joints": list(self.engine.joints)},
-        )
-
-    def _weak(self, findings: Sequence[Finding]) -> bool:
-        """Whether the logs cannot carry these names."""
-        return any(_speaks(caution, findings) for caution in self.cautions)
-
-    def _too_poor(self) -> bool:
-        """Whether the logs could not carry the name of an effect of all joints."""
-        return any(caution.weakens(()) for caution in self.cautions)
-
-    def _said(self, findings: Sequence[Finding]) -> tuple[Caution, ...]:
-        """Cautions of all effects, and those of the effects that were found."""
-        said = (caution for caution in self.cautions if not caution.assumed)
-        return tuple(caution for caution in said if not caution.effects or _speaks(caution, findings))
-
-    def _together(self, verdicts: Sequence[Verdict]) -> Verdict:
-        """All that rounds have found: earlier names weighed again beside later ones."""
-        rng = np.random.default_rng([self.seed, 17])
-        settled = settle(
-            self.engine, self.given, self._candidates, rng, lambda model, found: self._coordinates(_full(model), found)
-        )
-        said = [f"{effect.name} explains {effect.gain:.0%}" for effect in settled.effects if not effect.instead_of]
-        reason = f"{', then '.join(said)} of the residual that was left"
-        if settled.superfluous:
-            reason += f"; beside what was named later, {', '.join(settled.superfluous)} is not needed"
-        instead = {effect.instead_of for effect in settled.effects if effect.instead_of}
-        return replace(
-            verdicts[-1],
-            verdict="ambiguous" if instead else "named",
-            effects=settled.effects,
-            reason=reason,
-            base=verdicts[0].base,
-            model=settled.model,
-            separate_by=separating(one.name for one in settled.effects if one.instead_of or one.name in instead),
-            details=verdicts[0].details,
-        )
-
-    def _shown(self, verdict: Verdict) -> Verdict:
-        """The verdict with the gap before and after on the runs that show, which may veto it.
-
-        Before they do, models on the way to it are tried, in the order in which free runs of the fitted logs like them,
-        until one is not vetoed.
-        """
-        base, model, share = without_losses(verdict.base), without_losses(verdict.model), 1.0
-        alone = [e for e in verdict.effects if len(e.joints) == 1 and not e.shared and not e.instead_of]
-        faulty = [effect.joints[0] for effect in alone]
-        shown = show(base, model, self.split, lambda share: self._report("show", share), faulty=faulty)
-        # of packets that were counted tick by tick a free run tells nothing
-        free = any(effect.name != PacketDrop.name and not effect.instead_of for effect in verdict.effects)
-        vetoed = bool(shown["vetoed"]) and free and verdict.model is not verdict.base
-        for between in softened(base, model, self.split.fit) if vetoed else ():
-            again = show(base, between[0], self.split, known=shown["before"], faulty=faulty)
-            if not again["vetoed"]:
-                shown, vetoed, (model, share) = again, False, between
-                break
-        return replace(
-            verdict,
-            model=as_lossy(verdict.base if vetoed else model, verdict.model),
-            share=share,
-            gap=shown["gap"],
-            loss=shown["loss"],
-            vetoed=vetoed,
-            details={**verdict.details, "shown": shown},
-        )
-
-    def _doubly_checked(self, verdict: Verdict) -> Verdict:
-        """The verdict, or that nothing is missing where windows show little of it and free runs speak against it."""
-        leaders = [candidates[0].contender for candidates in self._candidates]
-        gains = [shown_by_windows(one) for one in leaders]
-        clear = max(gains, default=1.0) >= DOUBLY_CHECKED or any(candidates[0].sure for candidates in self._candidates)
-        clear |= any(large_gap(one.left) for one in leaders)
-        if not verdict.vetoed or not verdict.effects or clear:
-            return verdict
-        names = " and ".join(dict.fromkeys(effect.name for effect in verdict.effects))
-        reason = f"the best of the catalogue, {names}, explains {max(gains):.1%}, and free runs are no better with it"
-        sound = replace(verdict, verdict="nothing_missing", effects=(), reason=reason, separate_by="", vetoed=False)
-        return self._shown(replace(sound, model=verdict.base))
-
-    def _with_ceiling(self, verdict: Verdict) -> Verdict:
-        """The verdict with the gap that a black box leaves; only windows tell the torques that it learns."""
-        if not isinstance(self.engine, WindowResiduals):
-            return verdict
-        base = without_losses(verdict.base)
-        box = TorqueBox(self.engine, base, self.seed)
-        push = box.torques(shown_logs(self.split)) if box else []
-        return replace(verdict, gap=with_ceiling(verdict.gap, self.split, base, push, self.seed))
-
-    def _round(self, model: RobotModel, first: bool, surely: bool) -> Verdict | None:
-        """One round; none unless its screen is promising or it is to be carried through surely."""
+    def _once(self, model: RobotModel) -> Verdict:
+        if self.split.fit[0].metadata.mount not in HELD:
+            return self._void(model, ON_ITS_FEET)
+        began = time.process_time()
+        reduction = self.reduction()
+        self._mark("windows", began)
+        if not reduction.limbs:
+            return self._void(model, STILL)
+        began = time.process_time()
         rng = np.random.default_rng([self.seed, 11])
-        self.base = base = self.refit_base(model, fitted=not first)
-        if first and isinstance(self.engine, WindowResiduals) and PacketDrop.name in model.effect_names:
-            found = lost_packets(self.engine, base)
-            if found is not None:
-                self.engine.packets = found.packets
-                self.base = base = self.refit_base(with_point(base.coordinates, base.point), fitted=True)
-        self.screened = self.screen(base)
-        if not surely and not promising(self.screened):
-            return None
-        controls, self.refitted = self.refits.shortlisted(base, self.screened)
-        elsewhere = self._better_base(base, controls)
-        if elsewhere is not None:
-            self.base = base = self.refit_base(elsewhere, fitted=True)
-            self.screened = self.screen(base)
-            controls, self.refitted = self.refits.shortlisted(base, self.screened)
-        control = best_of(controls)
-        fitted = with_point(base.coordinates, base.point)
-        windows = self.engine if isinstance(self.engine, WindowResiduals) else None
-        located = locate(windows, base, self.seed) if windows else []
-        box = ceiling(windows, base, control.residual, self.seed) if windows and first else None
-        self._control = self.refits.losses(control)
-        left = self.refits.left(control)
-        decision = decide(
-            [r.contender for r in self.refitted],
-            self._control,
-            rng,
-            ceiling=None if box is None else local_ceiling(box.gain, box.by_joint),
-            left=left,
-            found=[candidates[0].contender for candidates in self._candidates],
-        )
-        decision = self._or_candidate(decision)
-        members = [self.refitted[i] for i in decision.candidates]
-        candidates = self._found(members, base, decision.shares[list(decision.candidates)])
-        findings = tuple(one.finding for one in candidates) if decision.verdict != "unknown" else ()
-        weak = self._weak([one.finding for one in candidates])
-        if candidates and not weak:
-            self._candidates.append(candidates)
+        base = fit_base(reduction, model, rng, self.settings, self._share("base"))
+        self._mark("base", began)
+        began = time.process_time()
+        self.search = Search(reduction, self.mirror, self.without, self.settings, self._share("candidates"))
+        self.stages = self.search.run(base)
+        self._mark("candidates", began)
+        began = time.process_time()
+        verdict = self._verdict(model, reduction)
+        self._mark("show", began)
+        self._progress("show", 1.0)
+        return replace(verdict, seconds=dict(self.seconds))
+
+    def _mark(self, stage: str, began: float) -> None:
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.process_time() - began
+
+    def _share(self, stage: str) -> Callable[[float], None]:
+        names = list(STAGES)
+        before = sum(STAGES[name] for name in names[: names.index(stage)])
+        return lambda share: self._progress(stage, before + STAGES[stage] * share)
+
+    def _void(self, model: RobotModel, why: str) -> Verdict:
+        shown = show(model, model, self.split, self.seed)
+        return Verdict((), {}, (), (), (why,), model, model, gap=shown["gap"], loss=shown["loss"], shown=shown)
+
+    # ---- the verdict --------------------------------------------------------------------------------------------
+    def _verdict(self, given: RobotModel, reduction: Reduction) -> Verdict:
+        first, last = self.stages[0], self.stages[-1]
+        models = [stage.base.model for stage in self.stages]
+        choice = choose(models, self.split.select) if len(models) > 1 else {"taken": 0, "left": [1.0], "channels": []}
+        doubted = tuple(doubts(first.base, last.base))
+        cannot = self._cannot_tell(reduction)
+        most = LIKELY if doubted or self._short() else 1.0
+        findings = [*self._named(reduction, choice["taken"], most), *self._of_base(given, reduction, last, most)]
+        findings.sort(key=lambda finding: -finding.probability)
+        taken = models[choice["taken"]]
+        deviation = np.sqrt(np.diag(np.linalg.inv(self.stages[choice["taken"]].fit.precision)))
+        stage = self.stages[choice["taken"]]
+        handed = at_point(stage.base.coordinates, stage.base.point, deviation[: len(stage.base.point)])
+        shown = show(models[0], taken, self.split, self.seed)
         return Verdict(
-            verdict="ambiguous" if weak and findings else decision.verdict,
-            effects=findings,
-            reason=self._reason(decision, control, box),
-            model=candidates[0].model if findings and not weak else fitted,
-            base=fitted,
-            cannot_tell=tuple(caution.text for caution in self._said(findings)),
-            assumed=tuple(caution.text for caution in self.cautions if caution.assumed),
-            weak=weak and bool(findings),
-            separate_by=separating(one.name for one in findings) if decision.verdict == "ambiguous" or weak else "",
-            details={
-                **self._details(decision),
-                "apart": stands_out(left),
-                "located": [cell.plain() for cell in located[:CELLS]],
-                "ceiling": {}
-                if box is None
-                else {"gain": round(box.gain, 4), "inputs": where(box, self.engine.joints)},
-            },
+            tuple(findings),
+            joint_gaps(reduction, first, last),
+            doubted,
+            tuple(untold(first.base)),
+            cannot,
+            models[0],
+            handed,
+            choice,
+            shown["gap"],
+            shown["loss"],
+            self._chain(first.base),
+            self._ranking(reduction, first),
+            shown=shown,
         )
 
-    def _or_candidate(self, decision: Decision) -> Decision:
-        """The decision, or what explains much in logs that cannot carry a name: too few pieces of them to count."""
-        weak = self._too_poor()
-        if decision.verdict != "nothing_missing" or decision.candidates or not weak or not self.refitted:
-            return decision
-        best = min(range(len(self.refitted)), key=lambda i: float(self.refitted[i].contender.losses.sum()))
-        one = self.refitted[best].contender
-        if not worth_a_candidate(one):
-            return decision
-        return replace(decision, verdict="ambiguous", candidates=(best,), reason=f"{decision.reason} of these few logs")
+    def _short(self) -> bool:
+        return sum(log.duration for log in self.split.fit) < SHORTEST
 
-    def _better_base(self, base: Fit, controls: Sequence[Fit]) -> RobotModel | None:
-        """The base where a refit has found it a better place without its effect; None where none has.
+    def _cannot_tell(self, reduction: Reduction) -> tuple[str, ...]:
+        said = []
+        still = [joint for joint, moves in zip(reduction.engine.joints, reduction.moving, strict=True) if not moves]
+        if still:
+            said.append(f"{', '.join(still)} hardly moved: nothing is said of them. Move every joint.")
+        if self._short():
+            said.append(f"The fitted runs last less than {SHORTEST:.0f} s in all: record 100 s, better three minutes.")
+        return tuple(said)
 
-        The loss has many valleys. What explains more with an effect of next to no size explains it with the base.
-        """
-        neutral = [r.fit for r in self.refitted if abs(r.contender.size) < NEUTRAL * r.contender.smallest]
-        best = best_of([*controls, *neutral])
-        if best.loss > (1.0 - WORTHWHILE) * controls[0].loss:
-            return None
-        return with_point(base.coordinates, best.point[: len(base.coordinates)])
+    def _probability(self, log_odds: float) -> float:
+        s = self.settings
+        return float(1.0 / (1.0 + np.exp(-np.clip((log_odds - s.alarm) / s.temperature, -50, 50))))
 
-    def _found(self, members: Sequence[Refitted], base: Fit, shares: np.ndarray) -> list[Candidate]:
-        """What a decision is about, best first, with stated confidences."""
-        found: list[Candidate] = []
-        most = UNDECIDED if len(members) > 1 else 1.0
-        for refitted, share in zip(members, shares, strict=True):
-            finding = self.finding_of(refitted, base, min(float(share), most))
-            if found:
-                finding = replace(finding, instead_of=found[0].finding.name)
-            model = with_finding(refitted, finding, self.engine.joints)
-            one = refitted.contender
-            found.append(Candidate(finding, one, model, beyond_doubt(one, self._control)))
-        if self._weak([one.finding for one in found]):
-            capped = [replace(one.finding, confidence=min(one.finding.confidence, CAPPED)) for one in found]
-            found = [replace(one, finding=finding) for one, finding in zip(found, capped, strict=True)]
-        return found
+    def _named(self, reduction: Reduction, taken: int, most: float) -> list[Finding]:
+        """Findings of the last stage, each sharing its probability with its rivals."""
+        result, stage = [], self.stages[-1]
+        joints = reduction.engine.joints
+        variance = np.diag(np.linalg.inv(stage.fit.precision))
+        entries = stage.base.coordinates.entries
+        for number, one in enumerate(stage.named):
+            i = entries.index(one.coordinate)
+            whole = self._probability(one.log_odds)
+            odds = np.array([one.log_odds, *(odds for _, odds in one.rivals)]) / self.settings.temperature
+            share = np.exp(odds - odds.max())
+            share = whole * share / share.sum()
+            rivals = tuple(
+                _rival(candidate, joints, float(part))
+                for (candidate, _), part in zip(one.rivals, share[1:], strict=True)
+            )
+            known = one.candidate.model.parameters()[entries[i].parameter]
+            size, half = self._size(stage, one, i), QUANTILE * float(np.sqrt(self.settings.temperature * variance[i]))
+            made = stage.base.linear.base[i] * (stage.base.point[i] / max(abs(stage.base.point[i]), 1e-12))
+            torque = np.sqrt(np.square(made[..., reduction.kinds == 0]).mean((1, 2))) * abs(stage.base.point[i])
+            torque = torque / 2 * reduction.unit  # the mean of four pieces is half of their turned sum
+            before, after = (
+                lacking(reduction, self.stages[min(k, len(self.stages) - 1)]) for k in (number, number + 1)
+            )
+            result.append(
+                Finding(
+                    one.candidate.effect.name,
+                    joints if one.candidate.joints is None else tuple(joints[j] for j in one.candidate.joints),
+                    one.candidate.joints is None,
+                    known.name,
+                    size,
+                    known.unit,
+                    (size - half, size + half),
+                    min(float(share[0]), most),
+                    one.log_odds,
+                    rivals,
+                    float(1 - np.square(after).sum() / np.square(before).sum()),
+                    _largest(dict(zip([joints[j] for j in reduction.judged], torque.tolist(), strict=True))),
+                    in_model=number < taken,
+                )
+            )
+        return result
 
-    def _reason(self, decision: Decision, control: Fit, box: Ceiling | None) -> str:
-        """The reason; of an unknown verdict also where the gap is and on what it depends."""
-        if decision.verdict != "unknown":
-            return decision.reason
-        left = self.refits.left(control)
-        place = f"; the gap is largest in {self.engine.joints[int(left.argmax())]}" if left.size else ""
-        if box is not None and (local_ceiling(box.gain, box.by_joint) or 0.0) > CEILING:
-            place += f"; a black box finds it {where(box, self.engine.joints)}"
-        return decision.reason + place
+    @staticmethod
+    def _size(stage: Stage, one: Named, i: int) -> float:
+        """Its parameter's value: what it adds to the neutral one, or to what its joints have by themselves."""
+        known = one.candidate.model.parameters()[one.coordinate.parameter]
+        return float(stage.base.point[i] + (known.neutral or 0.0))
 
-    def refit_of(self, base: Fit, picked: Sequence[Screened]) -> list[Refitted]:
-        """Refit some hypotheses beside a base."""
-        return self.refits.each(base, self.refits.control_of(base), picked, self.screened)[1]
+    def _of_base(self, given: RobotModel, reduction: Reduction, stage: Stage, most: float) -> list[Finding]:
+        """Numbers of the chain of measurement that are far from what is usual, or from what the given model says."""
+        result, joints = [], reduction.engine.joints
+        for i, odds, deviation in unusual(given, stage.base, stage.fit, stage.judge):
+            probability = self._probability(odds)
+            if probability <= LIKELY:
+                continue
+            entry = stage.base.coordinates.entries[i]
+            effect = next(e for e in catalogue().values() if entry.parameter in {p.name for p in e.parameters})
+            known = next(p for p in effect.parameters if p.name == entry.parameter)
+            value, half = float(stage.base.point[i]), QUANTILE * deviation
+            where = joints if entry.joints is None else tuple(joints[j] for j in entry.joints)
+            ends, probability = (value - half, value + half), min(probability, most)
+            place = (where, entry.joints is None)
+            told = (known.name, value, known.unit, ends, probability, odds)
+            result.append(Finding(effect.name, *place, *told, of_base=True))
+        return result
 
-    def finding_of(self, refitted: Refitted, base: Fit, confidence: float) -> Finding:
-        """What a refit has found, with its interval."""
-        return finding_of(self.engine, self.given, refitted, base, confidence)
+    @staticmethod
+    def _chain(base: Base) -> list[dict[str, Any]]:
+        """The numbers that joints share of the chain of measurement, beside what is usual."""
+        told, known = [], base.model.parameters()
+        for entry, value in zip(base.coordinates.entries, base.point, strict=True):
+            chain = CHAIN.get(split_name(entry.parameter)[0])
+            if chain is not None and entry.joints is None:
+                numbers = {"found": float(f"{value:.4g}"), "usual": chain.usual, "spread": chain.spread}
+                told.append({"name": entry.parameter, **numbers, "unit": known[entry.parameter].unit})
+        return told
 
-    def _details(self, decision: Decision) -> dict[str, Any]:
-        joints = self.engine.joints
-        best: dict[str, Screened] = {}
-        for s in self.screened:
-            best.setdefault(s.hypothesis.label(joints), s)
-        refitted: dict[str, tuple[int, Refitted]] = {}
-        for i, r in sorted(enumerate(self.refitted), key=lambda pair: -float(pair[1].contender.losses.sum())):
-            refitted[r.contender.label] = (i, r)  # of two forms of an effect the better one stays
-        ranking = [
-            {
-                "name": r.hypothesis.effect.name,
-                "joints": [joints[j] for j in (r.hypothesis.joints or range(len(joints)))],
-                "gain": round(r.contender.gain, 5),
-                "fit_gain": round(r.contender.fit_gain, 5),
-                "size": r.contender.size,
-                "share": round(float(decision.shares[i]), 4),
-                "score": round(r.screened.statistic, 3),
-            }
-            for i, r in sorted(refitted.values(), key=lambda pair: float(pair[1].contender.losses.sum()))
+    def _ranking(self, reduction: Reduction, stage: Stage) -> list[dict[str, Any]]:
+        """Candidates by their log odds before anything is named."""
+        odds, own = stage.judge.scores(stage.fit), len(stage.base.point)
+        best: dict[tuple, tuple[float, Candidate]] = {}
+        for number in np.argsort(-odds):
+            if not np.isfinite(odds[number]) or len(best) == RANKED:
+                break
+            candidate = stage.found[number - own]
+            best.setdefault(candidate.place, (float(odds[number]), candidate))
+        return [
+            plain(_rival(candidate, reduction.engine.joints, self._probability(score))) | {"log_odds": round(score, 2)}
+            for score, candidate in best.values()
         ]
-        ranking += [
-            {
-                "name": s.hypothesis.effect.name,
-                "joints": [joints[j] for j in (s.hypothesis.joints or range(len(joints)))],
-                "gain": round(s.gain, 5),
-                "score": round(s.statistic, 3),
-            }
-            for label, s in best.items()
-            if label not in refitted
-        ]
-        return {"ranking": ranking, "joints": list(joints)}
 
 
-def _full(model: RobotModel) -> RobotModel:
-    """A model with the chain of measurement that every robot has."""
-    return with_chain(model) if "current_pd" in model.effect_names else model
+def _rival(candidate: Candidate, joints: Sequence[str], probability: float) -> Rival:
+    where = tuple(joints) if candidate.joints is None else tuple(joints[j] for j in candidate.joints)
+    return Rival(candidate.effect.name, where, candidate.joints is None, probability)
 
 
-def _speaks(caution: Caution, findings: Sequence[Finding]) -> bool:
-    """Whether a caution speaks against one of these names."""
-    return any(caution.weakens(() if f.shared else f.joints, f.name) for f in findings)
+def _largest(torque: Mapping[str, float]) -> dict[str, float]:
+    """Joints with at least a tenth of the largest torque."""
+    most = max(torque.values(), default=0.0)
+    return {joint: value for joint, value in torque.items() if value > 0.1 * most}

@@ -3,11 +3,13 @@
 from collections.abc import Sequence
 from typing import Any
 
-from op3.diagnose.free_run import BEGINNING
 from op3.diagnose.show import show
 from op3.diagnose.split import LogSplit, repeats
 from op3.rollout import LogError, Rollout
 from op3.servo import RobotModel
+
+BEGINNING = 5.0
+"""How much of a log of a robot on its feet is predicted [s]: what comes after a run has gone astray says nothing."""
 
 FIRST = ("stand", "pendulum", "floor")
 """Mounts whose logs are diagnosed if there are any, the first of them that there is: the stand tells most of servos."""

@@ -1,64 +1,96 @@
-"""The verdict of a diagnosis, and how it is written."""
+"""A verdict: findings, what stays unexplained in every joint, and how far its base can be trusted."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
-from op3.diagnose.coordinates import CHAIN
-from op3.robot.joints import JOINTS
-from op3.servo import RobotModel
+from op3.servo import RobotModel, effect_class
 
-VERDICTS = ("named", "ambiguous", "unknown", "nothing_missing")
+LIKELY = 0.5
+"""Probability from which on a finding is stated as such."""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A name that the logs hardly tell from a finding's."""
+
+    effect: str
+    joints: tuple[str, ...]
+    shared: bool
+    probability: float
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One effect of a verdict.
+    """One effect that the model lacks, or a number of its chain of measurement that is unusual.
 
     Attributes:
-        name: of the catalogue.
+        effect: name in the catalogue.
         joints: names of the joints in which it sits.
         shared: whether all joints have it alike.
-        size: of its size parameter, in the unit.
+        parameter: the number that says how much of it there is.
+        size: its value.
         unit: of the size.
         interval: 90 % interval of the size.
-        confidence: share of bootstrap resamples in which it wins.
-        parameters: all numbers of the effect.
-        gain: share of the window residual of the choosing runs that it explains.
-        parameter: name of the size parameter.
-        by: field of the metadata by which logs differ in it; the size is then how far the values are apart.
-        instead_of: name of the effect before it from which the logs do not tell it; empty for what is named.
+        probability: that this is what is missing.
+        log_odds: of the evidence behind it.
+        alternatives: what it could be confused with, with probabilities.
+        explains: share of the squared torques that the base lacks.
+        torque: what it makes in the joints that feel it most [N m], root mean square.
+        of_base: whether it is a number that every base has, far from what is usual, and so in every model.
+        in_model: whether the model handed back has it.
     """
 
-    name: str
+    effect: str
     joints: tuple[str, ...]
     shared: bool
+    parameter: str
     size: float
     unit: str
     interval: tuple[float, float]
-    confidence: float
-    parameters: Mapping[str, float]
-    gain: float
-    parameter: str = ""
-    by: str = ""
-    instead_of: str = ""
+    probability: float
+    log_odds: float
+    alternatives: tuple[Rival, ...] = ()
+    explains: float = 0.0
+    torque: Mapping[str, float] = field(default_factory=dict)
+    of_base: bool = False
+    in_model: bool = True
+
+    @property
+    def separate_by(self) -> str:
+        """The experiments that would tell it from its rivals."""
+        names = [self.effect, *(rival.effect for rival in self.alternatives)] if self.alternatives else []
+        return "; ".join(dict.fromkeys(filter(None, (effect_class(name).separating_experiment for name in names))))
+
+    @property
+    def phrase(self) -> str:
+        """Name, place and size in a few words."""
+        return f"{_place(self.effect, self.joints, self.shared)} ({self.parameter} {self.size:.3g} {self.unit})"
 
     def plain(self) -> dict[str, Any]:
         """Plain values for YAML."""
-        return {
-            "name": self.name,
-            **({"by": self.by} if self.by else {}),
-            **({"instead_of": self.instead_of} if self.instead_of else {}),
-            "joints": list(self.joints),
-            "shared": self.shared,
-            "size": _rounded(self.size),
-            "parameter": self.parameter,
-            "unit": self.unit,
-            "interval": [_rounded(end) for end in self.interval],
-            "confidence": round(self.confidence, 3),
-            "parameters": {name: _rounded(value) for name, value in self.parameters.items()},
-            "gain": round(self.gain, 4),
-        }
+        return plain(self) | {"separate_by": self.separate_by}
+
+
+@dataclass(frozen=True)
+class JointGap:
+    """What a joint lacks, in torque, root mean square over windows [N m].
+
+    Attributes:
+        before: under the base.
+        after: with the findings.
+        floor: what sensors make of noise.
+        unexplained: what the joint does and no effect of the catalogue explains.
+        flagged: whether that is more than joints of sound robots have.
+        shape: share of it that goes with position, velocity, load and time.
+    """
+
+    before: float
+    after: float
+    floor: float
+    unexplained: float
+    flagged: bool
+    shape: Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,137 +98,90 @@ class Verdict:
     """What a diagnosis says.
 
     Attributes:
-        verdict: ``named``, ``ambiguous``, ``unknown`` or ``nothing_missing``.
-        effects: those named, behind each what the logs do not tell from it, or the candidates of weak logs.
-        reason: one sentence.
-        model: with what was named, or of what looks alike the first, switched on and identified; the refitted base
-            otherwise.
+        findings: most probable first.
+        joints: what each joint lacks, by name.
+        doubts: sentences about the base: numbers at a bound, other optima.
+        untold: shared numbers that the logs do not tell.
+        cannot_tell: what the logs do not show, and what to record.
         base: the refitted base model.
-        separate_by: experiment that tells candidates apart; empty unless ambiguous.
-        cannot_tell: what the logs are too poor for, and what to record next; empty if they are rich enough.
-        assumed: sentences about what the logs do not tell and was taken for granted.
-        weak: whether `cannot_tell` speaks against the names, which are candidates then, and the model is left
-            without; or, where nothing was found, against there being nothing.
-        gap: by channel, before and after on the runs that show.
-        loss: ``paper_eq7`` before and after on the runs that show.
-        vetoed: whether free runs on the runs that show speak against it, see `op3.diagnose.show.vetoed`.
-        share: how far from base to what windows ask for the model lies, where free runs bear no more; 1: all the way.
-        details: tables for the page: ranking, cells of residual torque, what a black box explains.
+        model: the model handed back.
+        choice: by number of findings, what its model leaves of withheld runs, and which was taken.
+        gap: by channel, before and after on runs that nothing was chosen by.
+        loss: ``paper_eq7`` before and after on them.
+        chain: the numbers of the chain of measurement, as found and as usual.
+        ranking: what was considered, best first.
+        seconds: processor time by stage.
+        shown: predictions for the page.
     """
 
-    verdict: str
-    effects: tuple[Finding, ...]
-    reason: str
-    model: RobotModel
+    findings: tuple[Finding, ...]
+    joints: Mapping[str, JointGap]
+    doubts: tuple[str, ...]
+    untold: tuple[str, ...]
+    cannot_tell: tuple[str, ...]
     base: RobotModel
-    separate_by: str = ""
-    cannot_tell: tuple[str, ...] = ()
-    assumed: tuple[str, ...] = ()
-    weak: bool = False
+    model: RobotModel
+    choice: Mapping[str, Any] = field(default_factory=dict)
     gap: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     loss: Mapping[str, Any] = field(default_factory=dict)
-    vetoed: bool = False
-    share: float = 1.0
-    details: Mapping[str, Any] = field(default_factory=dict)
+    chain: Sequence[Mapping[str, Any]] = ()
+    ranking: Sequence[Mapping[str, Any]] = ()
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    shown: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def verdict(self) -> str:
+        """``named``; ``ambiguous``: a finding has several names; ``unknown``: a joint lacks what no effect explains, or
+        nothing can be told; ``nothing_missing``."""
+        if self.findings:
+            return "ambiguous" if any(finding.alternatives for finding in self.findings) else "named"
+        if self.cannot_tell and not self.joints:
+            return "unknown"
+        return "unknown" if any(gap.flagged for gap in self.joints.values()) else "nothing_missing"
 
     @property
     def sentence(self) -> str:
-        """The verdict in one sentence."""
-        if self.weak and not self.effects:
-            return "These logs cannot tell whether anything is missing: " + " ".join(self.cannot_tell)
-        if self.weak:
-            either = ", or ".join(_phrase(effect) for effect in self.effects)
-            return f"These logs cannot tell what is missing; what they have points to {either}."
-        if self.verdict == "named" and self.vetoed:
-            return f"Windows ask for {self.found}, but free runs are no better with it; the model was left without."
-        if self.verdict == "named":
-            held = (
-                "" if self.share == 1.0 else f"; the new one holds {self.share:.0%} of that, as free runs bear no more"
-            )
-            return f"The model lacks {self.found}{held}."
-        if self.verdict == "ambiguous":
-            left = "; free runs are no better with the first, and the model was left without" if self.vetoed else ""
-            return f"The model lacks {self.found}; these logs do not tell which{left}."
-        if self.verdict == "unknown" and not self.details.get("ranking"):
-            return "These logs cannot tell what is missing: " + " ".join(self.cannot_tell)
-        if self.verdict == "unknown":
-            return "The model lacks something that no effect of the catalogue explains."
-        if self.cannot_tell:
-            return "Nothing is missing that these logs show; of some joints or effects they cannot tell."
-        return "Nothing is missing that these logs show: no effect of the catalogue explains more than chance would."
-
-    @property
-    def found(self) -> str:
-        """All effects, each with those that could stand for it."""
-        groups: list[list[str]] = []
-        for effect in self.effects:
-            groups = [*groups, []] if not effect.instead_of or not groups else groups
-            groups[-1].append(_phrase(effect))
-        link = "; besides, " if any(len(group) > 1 for group in groups) else " and "
-        return link.join(", or ".join(group) for group in groups)
-
-    def measurement_chain(self) -> list[dict[str, Any]]:
-        """What the base takes for granted of every chain of measurement, as found: small lags, zeros and presliding.
-
-        Of what joints have each for itself the one furthest from what is expected. A lag that is larger than any
-        servo's is an effect that the base has taken upon itself, and is told by its ``deviations``.
-        """
-        known, told = self.base.parameters(), []
-        for name, (expected, deviation, _) in CHAIN.items():
-            if name in known:
-                values = self.base.tensors(list(self.details.get("joints", ())) or JOINTS)[name][0].numpy()
-                found = float(values[abs(values - expected).argmax()])
-                apart = round((found - expected) / deviation, 1)
-                entry = {"name": name, "found": _rounded(found), "expected": expected, "unit": known[name].unit}
-                told.append({**entry, "deviations": apart})
-        return told
+        """The verdict in a few sentences, what speaks against it first."""
+        first = "".join(f"The base is in doubt: {text}. " for text in self.doubts)
+        if self.cannot_tell and not self.joints:
+            return first + " ".join(self.cannot_tell)
+        flagged = [joint for joint, gap in self.joints.items() if gap.flagged]
+        odd = f" What {', '.join(flagged)} does, no effect of the catalogue explains." if flagged else ""
+        if not self.findings:
+            said = "Nothing is missing that these logs show." if not flagged else "No effect of the catalogue is named."
+            return first + said + odd
+        said = "; ".join(_stated(finding) for finding in self.findings)
+        return f"{first}The model lacks {said}.{odd}"
 
     def plain(self) -> dict[str, Any]:
         """The content of ``verdict.yaml``."""
-        content: dict[str, Any] = {
+        return {
             "verdict": self.verdict,
             "sentence": self.sentence,
-            "reason": self.reason,
-            "effects": [effect.plain() for effect in self.effects],
+            "base": plain({"doubts": self.doubts, "untold": self.untold, "chain": self.chain}),
+            "findings": [finding.plain() for finding in self.findings],
+            **{
+                name: plain(getattr(self, name))
+                for name in ("joints", "cannot_tell", "choice", "gap", "loss", "ranking", "seconds")
+            },
         }
-        if self.separate_by:
-            content["separate_by"] = self.separate_by
-        if self.cannot_tell:
-            content["cannot_tell"] = list(self.cannot_tell)
-        if self.assumed:
-            content["assumed"] = list(self.assumed)
-        content["gap"] = {name: dict(values) for name, values in self.gap.items()}
-        content["loss"] = dict(self.loss)
-        content["vetoed"] = self.vetoed
-        content["share"] = self.share
-        content["located"] = list(self.details.get("located", ()))
-        content["ceiling"] = dict(self.details.get("ceiling", {}))
-        content["measurement_chain"] = self.measurement_chain()
-        content["ranking"] = self._ranking()
-        return content
-
-    def _ranking(self) -> list[dict[str, Any]]:
-        """What was considered in the first round, best first, behind what was named in the end."""
-        considered = list(self.details.get("ranking", ()))
-        first = []
-        for effect in self.effects:
-            same = [one for one in considered if (one["name"], set(one["joints"])) == (effect.name, set(effect.joints))]
-            first.append(same[0] if same else {"name": effect.name, "joints": list(effect.joints)})
-        return first + [one for one in considered if one not in first]
 
 
-def _phrase(effect: Finding) -> str:
-    where = "in all joints" if effect.shared else "in " + ", ".join(effect.joints)
-    if len(effect.joints) == 1 and effect.shared:
-        where = "in the servo"
-    if effect.by:
-        where = f"that differs by {effect.by}"
-    low, high = effect.interval
-    unit = "" if effect.unit == "-" else f" {effect.unit}"
-    # where the number is not the effect's own, say which it is
-    which = "" if not effect.parameter or effect.name in effect.parameter else f"{effect.parameter} "
-    return f"{effect.name} {where}, {which}{effect.size:.3g}{unit} ({low:.3g} to {high:.3g})"
+def _stated(finding: Finding) -> str:
+    either = [finding.phrase, *(_place(r.effect, r.joints, r.shared) for r in finding.alternatives)]
+    return f"{', or '.join(either)}, with probability {finding.probability:.2f}"
 
 
-def _rounded(value: float) -> float:
-    return float(f"{value:.6g}")
+def _place(effect: str, joints: Sequence[str], shared: bool) -> str:
+    return effect if shared else f"{effect} in {' and '.join(joints)}"
+
+
+def plain(value: Any) -> Any:
+    """Plain values for YAML, numbers with four digits."""
+    if is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(name): plain(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(one) for one in value]
+    return float(f"{value:.4g}") if isinstance(value, float) else value

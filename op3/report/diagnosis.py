@@ -1,28 +1,19 @@
-"""The page of a diagnosis: the verdict first, then the gap, the rivals, and the base they were weighed against."""
+"""The page of a diagnosis: whether the base can be trusted, the findings, every joint, and the gap before and after."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
-from op3.diagnose import LogSplit, Verdict
-from op3.diagnose.preflight import FIRMWARE
-from op3.diagnose.show import with_whole_limbs, worst_joint
+from op3.diagnose import Finding, LogSplit, Verdict
 from op3.report.page import Page
 from op3.report.run_logger import RunLogger
 from op3.report.traces import traces_figure
 from op3.servo import effect_class
 from op3.tasks import Prediction
-
-LOCATED = 10
-"""Cells of residual torque on the page."""
-
-UNUSUAL = 2.5
-"""Standard deviations from what is expected of a chain of measurement beyond which the page says so."""
-
-RANKED = 12
-"""Hypotheses listed on the page."""
+from op3.tasks.planned import with_whole_limbs
 
 
 def write_page(
@@ -30,7 +21,6 @@ def write_page(
     split: LogSplit,
     path: Path,
     provenance: Mapping[str, Any],
-    swing: Verdict | None = None,
     returns: Mapping[str, Any] | None = None,
     elsewhere: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Path:
@@ -41,33 +31,26 @@ def write_page(
         split: its logs.
         path: of the page.
         provenance: where the numbers come from, see `op3.report.run_provenance`.
-        swing: verdict on the free swings alone, of a bench whose servo was switched off.
-        returns: of a policy before and after, see `op3.diagnose.downstream`.
+        returns: of a policy before and after, see `op3.envs.downstream`.
         elsewhere: gap and loss on logs of other mounts, see `op3.diagnose.on_other_mounts`.
     """
-    detail = verdict.reason[:1].upper() + verdict.reason[1:] + "."
-    if verdict.vetoed:
-        detail += " Yet free runs on unseen logs are no better: better one-step physics, no better long-run prediction."
-    page = Page("Diagnosis of what the model lacks", f"{verdict.sentence} {detail}")
+    page = Page("Diagnosis of what the model lacks", verdict.sentence)
     for channel, values in verdict.gap.items():
         floor = values["floor"]
         note = f"before {values['before']:.3g}" + ("" if floor is None else f", repeats differ by {floor:.3g}")
         page.tile(f"Gap in {channel.split('/')[1]}", values["after"], values["unit"], note)
+    _findings(page, verdict)
+    _joints(page, verdict)
     _gap(page, verdict)
     _elsewhere(page, elsewhere or {})
-    _where(page, verdict)
-    _why(page, verdict)
-    _firmware(page, verdict, split)
     _motions(page, verdict, split)
     _traces(page, verdict, split)
-    if swing is not None:
-        _swing(page, swing)
     if returns is not None:
         _returns(page, returns)
     _base(page, verdict)
     page.section("Files")
     page.files(
-        {"verdict.yaml": "the verdict as data", "model.yaml": "the model with what was named, for every other command"}
+        {"verdict.yaml": "the verdict as data", "model.yaml": "the model that predicts best, for every other command"}
     )
     page.provenance(provenance)
     return page.write(path)
@@ -86,11 +69,12 @@ def log_verdict(
     """
     if wandb_mode == "disabled":
         return  # half a second that many short runs need not pay
+    found = content["findings"]
     summary: dict[str, Any] = {
         "verdict": content["verdict"],
         "sentence": content["sentence"],
-        "effects": ", ".join(f"{e['name']} in {', '.join(e['joints'])}" for e in content["effects"]),
-        "confidence": max((e["confidence"] for e in content["effects"]), default=None),
+        "findings": ", ".join(f"{one['effect']} in {', '.join(one['joints'])}" for one in found),
+        "probability": max((one["probability"] for one in found), default=None),
         **_flat("", content),
         **{
             k: v for mount, told in content.get("other_mounts", {}).items() for k, v in _flat(f"{mount}.", told).items()
@@ -102,38 +86,110 @@ def log_verdict(
 
 def _flat(prefix: str, content: Mapping[str, Any]) -> dict[str, Any]:
     """Gap and loss under one name each."""
-    ends = ("before", "after", "floor", "ceiling", "closure")
+    ends = ("before", "after", "floor", "closure")
     gap = {f"{prefix}gap.{key}.{end}": entry.get(end) for key, entry in content["gap"].items() for end in ends}
     return gap | {f"{prefix}loss.paper_eq7.{end}": content["loss"][end] for end in ends[:2] if content["loss"]}
+
+
+def _findings(page: Page, verdict: Verdict) -> None:
+    """What is missing, how sure, what it could be confused with."""
+    page.section("What the model lacks")
+    for text in (*(f"The base is in doubt: {doubt}." for doubt in verdict.doubts), *verdict.cannot_tell):
+        page.text(text)
+    rows = [
+        [
+            one.effect,
+            "all" if one.shared else ", ".join(one.joints),
+            one.parameter,
+            f"{one.size:.3g} ({one.interval[0]:.3g} to {one.interval[1]:.3g}) {one.unit}",
+            one.probability,
+            ", ".join(_rival(one)) or None,
+            100 * one.explains,
+            "yes" if one.in_model else "no",
+        ]
+        for one in verdict.findings
+    ]
+    page.table(
+        ["effect", "joints", "parameter", "size", "probability", "or", "explains [%]", "in the model"],
+        rows,
+        "Findings, most probable first; what one explains is of the squared torques that joints lack. A finding that is"
+        " not in the model is evident in the windows, and withheld runs are predicted no better with it",
+    )
+    for one in verdict.findings:
+        cls = effect_class(one.effect)
+        felt = ", ".join(f"{joint} {1e3 * torque:.0f}" for joint, torque in one.torque.items())
+        page.text(
+            f"`{one.effect}`: `{cls.equation}`. It shows {cls.fingerprint}."
+            + (f" It makes, in mN m: {felt}." if felt else "")
+            + (f" What tells it from its rivals: {one.separate_by}." if one.separate_by else "")
+        )
+    if verdict.ranking:
+        ranked = [
+            [e["effect"], "all" if e["shared"] else ", ".join(e["joints"]), e["log_odds"]] for e in verdict.ranking
+        ]
+        page.table(["effect", "joints", "log odds"], ranked, "What was considered before anything was named")
+
+
+def _rival(finding: Finding) -> list[str]:
+    return [f"{one.effect}{'' if one.shared else ' in ' + ', '.join(one.joints)} {one.probability:.2f}"
+            for one in finding.alternatives]  # fmt: skip
+
+
+def _joints(page: Page, verdict: Verdict) -> None:
+    """What each joint lacks, and what nobody explains."""
+    if not verdict.joints:
+        return
+    page.section("Joint by joint")
+    rows = []
+    for joint, gap in verdict.joints.items():
+        numbers = [1e3 * value for value in (gap.before, gap.after, gap.floor, gap.unexplained)]
+        shape = ", ".join(f"{name} {share:.0%}" for name, share in gap.shape.items() if share > 0.1)
+        rows.append([joint, *numbers, "odd" if gap.flagged else None, shape or None])
+    page.table(
+        ["joint", "before [mN m]", "after [mN m]", "floor [mN m]", "unexplained [mN m]", "", "goes with"],
+        rows,
+        "Torque that windows of a fifth of a second lack, root mean square: under the base, with the findings, what"
+        " sensors make of noise, and what the joint does that no effect of the catalogue explains",
+    )
 
 
 def _gap(page: Page, verdict: Verdict) -> None:
     page.section("The gap on logs that nothing was chosen by")
     page.text(
         "Free runs in closed loop, from the first row and the commands alone, over the logs that show. The floor is how"
-        " far repeats of one command differ from their mean: a model that is better than that fits these runs as well"
-        " as they repeat. The black box may be worse than before where it has learned what does not hold here."
+        " far repeats of one command differ from their mean. A velocity that is read late is compared as late."
     )
     rows = [
         [
             channel,
             values["unit"],
-            _with_interval(values, "before"),
-            _with_interval(values, "after"),
-            _with_interval(values, "ceiling"),
-            _with_interval(values, "floor"),
-            None if values["closure"] is None else 100 * values["closure"],
+            *(_with_interval(values, end) for end in ("before", "after", "floor")),
+            values["change"],
         ]
         for channel, values in verdict.gap.items()
     ]
     page.table(
-        ["channel", "unit", "before", "after", "black box", "floor", "closed [%]"],
+        ["channel", "unit", "before", "after", "floor", ""],
         rows,
         "Root mean square over joints and runs; 90 % intervals over seconds",
     )
     if verdict.loss:
         page.text(
             f"Loss of the paper's eq. (7): {verdict.loss['before']:.4g} before, {verdict.loss['after']:.4g} after."
+        )
+    if len(verdict.choice.get("left", ())) > 1:
+        taken = verdict.choice["taken"]
+        rows = [
+            [number, left, *channels.values(), "taken" if number == taken else None]
+            for number, (left, channels) in enumerate(
+                zip(verdict.choice["left"], verdict.choice["channels"], strict=True)
+            )
+        ]
+        names = list(verdict.choice["channels"][0])
+        page.table(
+            ["effects", "left of the base's squares", *names, ""],
+            rows,
+            "Which model is handed back: the simplest that predicts withheld runs within a standard error of the best",
         )
 
 
@@ -159,74 +215,9 @@ def _elsewhere(page: Page, elsewhere: Mapping[str, Mapping[str, Any]]) -> None:
         )
 
 
-def _where(page: Page, verdict: Verdict) -> None:
-    """Cells of residual torque, and what a black box makes of them."""
-    cells = verdict.details.get("located", ())[:LOCATED]
-    if not cells:
-        return
-    page.section("Where the refitted base lacks torque")
-    rows = [
-        [c["joint"], c["speed"], c["driven"], c["load"], 1e3 * c["torque"], c["t"], 100 * c["chance"]] for c in cells
-    ]
-    page.table(
-        ["joint", "speed", "motor", "load", "torque [mN m]", "t", "by chance [%]"],
-        rows,
-        "Mean residual torque in the direction of motion, the surest first; the last column is how often the largest of"
-        " all cells is as large when the signs of whole seconds are drawn at random",
-    )
-    box = verdict.details.get("ceiling", {})
-    if box:
-        page.text(
-            f"A black box learned on the fitted runs explains {max(box['gain'], 0.0):.0%} of the residual of the"
-            f" choosing runs, {box['inputs']}."
-        )
-
-
-def _why(page: Page, verdict: Verdict) -> None:
-    page.section("Why this, and what it is not")
-    for effect in verdict.effects:
-        cls = effect_class(effect.name)
-        sure = f"Its confidence is {effect.confidence:.2f}."
-        page.text(f"`{effect.name}`: `{cls.equation}`. It shows {cls.fingerprint}. {sure}")
-    if verdict.separate_by:
-        page.text(f"To tell the candidates apart: {verdict.separate_by}.")
-    for text in (*verdict.cannot_tell, *verdict.assumed):
-        page.text(text)
-    ranking = verdict.details.get("ranking", ())[:RANKED]
-    rows = [
-        [
-            entry["name"],
-            "all" if len(entry["joints"]) == len(verdict.details.get("joints", ())) else ", ".join(entry["joints"]),
-            100 * entry["gain"],
-            100 * entry["fit_gain"] if "fit_gain" in entry else None,
-            100 * entry["share"] if "share" in entry else None,
-            entry["score"],
-        ]
-        for entry in ranking
-    ]
-    page.table(
-        ["effect", "joints", "explains, choosing runs [%]", "fitted runs [%]", "wins [%]", "score"],
-        rows,
-        "Hypotheses, best first; those with a share of wins were refitted together with the base. Wins are of"
-        " resamples; a stated confidence may be less, as these do not tell what a law does that is a little wrong",
-    )
-
-
-def _firmware(page: Page, verdict: Verdict, split: LogSplit) -> None:
-    """What the measured duty says of a servo's own loop."""
-    named = {effect.name for effect in verdict.effects}
-    gains = {entry["name"]: max(entry["gain"], 0.0) for entry in verdict.details.get("ranking", ())}
-    if "joint/duty" not in split.show[0] or named & set(FIRMWARE) or not set(FIRMWARE) <= set(gains):
-        return
-    page.text(
-        f"It is neither a wrong controller gain, which explains {gains['position_servo']:.0%} of the residual, nor a"
-        f" delay, {gains['latency']:.0%}: the servo's duty was measured and is compared too."
-    )
-
-
 def _motions(page: Page, verdict: Verdict, split: LogSplit) -> None:
     """The gap in angle by motion and by firmware gain, where the runs differ in them."""
-    shown = verdict.details.get("shown")
+    shown = verdict.shown
     if not shown:
         return
     for title, of in (("motion", lambda log: log.metadata.motion), ("gain", lambda log: log.metadata.firmware_gain)):
@@ -249,11 +240,11 @@ def _angle_error(prediction: Prediction) -> float:
 
 
 def _traces(page: Page, verdict: Verdict, split: LogSplit) -> None:
-    shown = verdict.details.get("shown")
+    shown = verdict.shown
     if not shown:
         return
     log = split.show[0]
-    joint = worst_joint(shown["before"], log.joints)
+    joint = _worst_joint(shown["before"], log.joints)
     predictions = {"before": shown["before"][0].channels}
     if shown["after"] is not shown["before"]:
         predictions["after"] = shown["after"][0].channels
@@ -264,21 +255,15 @@ def _traces(page: Page, verdict: Verdict, split: LogSplit) -> None:
     )
 
 
-def _swing(page: Page, swing: Verdict) -> None:
-    """The verdict on free swings."""
-    page.section("While torque is off")
-    page.text(
-        "The parts in which the servo was switched off and the pendulum swung free, diagnosed by themselves from the"
-        f" same model: {swing.sentence} {swing.reason[:1].upper() + swing.reason[1:]}."
-    )
-    for effect in swing.effects:
-        cls = effect_class(effect.name)
-        values = ", ".join(f"{name} {value:.3g}" for name, value in effect.parameters.items())
-        page.text(f"`{effect.name}`: `{cls.equation}`. It shows {cls.fingerprint}. Found: {values} [{effect.unit}].")
-    if swing.separate_by:
-        page.text(f"To tell the candidates apart: {swing.separate_by}.")
-    rows = [[key, v["unit"], v["before"], v["after"]] for key, v in swing.gap.items()]
-    page.table(["channel", "unit", "before", "after"], rows, "Root mean square over swings that nothing was chosen by")
+def _worst_joint(predictions: Sequence[Prediction], joints: Sequence[str]) -> str:
+    """The joint whose position is predicted worst."""
+    totals = torch.zeros(len(joints), dtype=torch.float64)
+    for prediction in predictions:
+        columns = [prediction.log.joints.index(joint) for joint in joints]
+        simulated = prediction.channels["joint", "position"][0][:, columns]
+        measured = torch.from_numpy(prediction.log.array("joint/position")[: len(simulated)])[:, columns]
+        totals += (simulated - measured).square().mean(0)
+    return joints[int(totals.argmax())]
 
 
 def _returns(page: Page, returns: Mapping[str, Any]) -> None:
@@ -298,7 +283,7 @@ def _returns(page: Page, returns: Mapping[str, Any]) -> None:
 
 
 def _base(page: Page, verdict: Verdict) -> None:
-    page.section("The base, refitted")
+    page.section("The base")
     rows = [
         [
             name,
@@ -308,11 +293,8 @@ def _base(page: Page, verdict: Verdict) -> None:
         ]
         for name, known in verdict.base.parameters().items()
     ]
-    page.table(["parameter", "unit", "base", "with what was named"], rows, "Shared values; joints may differ a little")
-    unusual = [one for one in verdict.measurement_chain() if abs(one["deviations"]) > UNUSUAL]
-    if unusual:
-        said = ", ".join(f"`{one['name']}` {one['found']:.3g} {one['unit']}" for one in unusual)
-        page.text(
-            f"The base takes more upon itself than a chain of measurement usually has: {said}. That may be an effect by"
-            " itself; measure it apart."
-        )
+    page.table(["parameter", "unit", "base", "handed back"], rows, "Shared values; joints may differ a little")
+    if verdict.untold:
+        page.text(f"These logs say little of {', '.join(verdict.untold)}: what stands there is what is usual.")
+    rows = [[one["name"], one["unit"], one["found"], one["usual"], one["spread"]] for one in verdict.chain]
+    page.table(["number", "unit", "found", "usual", "spread"], rows, "The chain of measurement, which every base has")

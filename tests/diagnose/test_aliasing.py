@@ -2,11 +2,12 @@
 
 import pytest
 
-from op3.diagnose import Diagnosis, WindowResiduals, aliasing, planned_suite, split_logs
+from op3.diagnose import Diagnosis, Settings, aliasing, split_logs
 from op3.diagnose.aliasing import ALIKE, VISIBLE
 from op3.robot import leg_suite
 from op3.servo import effect_class
 from op3.sim import load_model
+from op3.tasks.planned import planned_suite
 
 
 @pytest.fixture(scope="module")
@@ -14,8 +15,7 @@ def told():
     """Of two motions of a leg, simulated by the model itself."""
     runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:3]
     split = split_logs(planned_suite(load_model("paper"), runs))
-    engine = WindowResiduals(split, fit_windows=8, select_windows=4)
-    return aliasing(Diagnosis(load_model("paper"), split, engine=engine), most=10, planned=True)
+    return aliasing(Diagnosis(load_model("paper"), split, settings=Settings(windows=12)), most=10, planned=True)
 
 
 def test_what_a_plan_does_not_show_is_told_with_what_would(told):
@@ -39,3 +39,12 @@ def test_pairs_that_look_alike_come_with_what_separates_them(told):
     for pair in pairs:
         for label in pair["effects"]:
             assert effect_class(label.partition("@")[0]).separating_experiment in pair["separate_by"]
+
+
+def test_what_would_be_named_is_told_by_its_size(told):
+    """Every effect has a size from which on it would be named, or none that is plausible."""
+    smallest = told["smallest"]
+    assert smallest.keys() == told["visibility"].keys()
+    sizes = [one["size"] for one in smallest.values() if one is not None]
+    assert sizes
+    assert min(sizes) > 0

@@ -1,12 +1,10 @@
 """Logs of several mounts: which are diagnosed, and what is shown of the others."""
 
-import numpy as np
 import pytest
 
-from op3.diagnose import FreeRunResiduals, LogSplit, diagnosed_mount, on_other_mounts
+from op3.diagnose import diagnosed_mount, on_other_mounts
 from op3.robot import squat
 from op3.rollout import LogError, Rollout
-from op3.servo.effects import GyroBias
 from op3.sim import load_model
 from op3.tasks import play, squat_task
 
@@ -52,19 +50,3 @@ def test_models_are_compared_on_the_other_mounts(logs):
     assert told["gap"]["joint/position"]["after"] < 0.5 * told["gap"]["joint/position"]["before"]
     assert told["gap"]["joint/position"]["floor"] == 0.0  # the same log twice
     assert told["loss"]["after"] < told["loss"]["before"]
-
-
-def test_the_imu_of_a_robot_on_its_feet_counts(logs):
-    """A gyro's bias changes no joint, and shows in free runs on the floor; joints are told apart from the trunk."""
-    split = LogSplit((logs[0],), (logs[2],), (logs[0],))
-    model = load_model("paper").with_effect(GyroBias())
-    engine = FreeRunResiduals(split)
-    engine.prepare(model)
-    still, turned = (
-        engine.residuals(model.with_values({"gyro_bias_x": bias, "gyro_bias_y": 0.0, "gyro_bias_z": 0.0}))[0]
-        for bias in (0.0, 0.3)
-    )
-    assert np.abs(turned - still).max() > 0.5
-    joints = [engine.squares_by_joint(residual) for residual in (still, turned)]
-    np.testing.assert_array_equal(*joints)
-    assert joints[0].shape == (len(still), len(logs[0].joints))

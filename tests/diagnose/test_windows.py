@@ -3,14 +3,16 @@
 import numpy as np
 import pytest
 
-from op3.diagnose import WindowResiduals, planned_suite, split_logs
+from op3.diagnose import WindowResiduals
 from op3.diagnose.coordinates import with_chain
-from op3.diagnose.fitting import COARSE, ROUGH
-from op3.diagnose.show import show, vetoed
-from op3.robot import LEG_JOINTS, leg_suite
+from op3.robot import LEG_JOINTS, leg_suite, squat
 from op3.robot.units import CURRENT_UNIT
+from op3.rollout import Rollout
 from op3.servo import Estimate, RobotModel, effect_class
 from op3.sim import load_model
+from op3.sim.held_base import PendulumBase
+from op3.tasks import simulate_motion
+from op3.tasks.planned import planned_suite
 
 FAULTS = {
     ("link_mass", "link_mass_offset", "r_ank_roll"): 0.09,
@@ -30,86 +32,27 @@ def with_fault(effect: str, parameter: str, joint: str | None, amount: float) ->
 
 @pytest.mark.parametrize("fault", FAULTS, ids=[name for name, *_ in FAULTS])
 def test_windows_of_a_faulty_leg_agree_with_mujoco(fault):
-    """A fault that the model holds, as a value of its own or as a parameter, leaves a third of the error at most.
+    """A fault that the model holds, as a value of its own or as a parameter, leaves less than half of the squares.
 
     What is left is that of smoothing and of steps, as in logs of a leg without a fault.
     """
     effect, parameter, joint = fault
     faulty, sound = with_fault(*fault, FAULTS[fault]), with_fault(effect, parameter, None, 0.0)
     runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
-    engine = WindowResiduals(split_logs(planned_suite(faulty, runs)), fit_windows=14, select_windows=4)
+    engine = WindowResiduals(planned_suite(faulty, runs), windows=18)
     values = sound.tensors(LEG_JOINTS)[parameter].clone()
     values[0, LEG_JOINTS.index(joint)] = FAULTS[fault]
-    engine.prepare(faulty)
-    own, without = (np.square(engine.residuals(model)).mean() for model in (faulty, sound))
-    as_parameter = engine.residuals(sound, {parameter: values})
-    np.testing.assert_allclose(as_parameter, engine.residuals(faulty), atol=1e-4)
-    assert own < without / 9
-
-
-def test_squares_are_told_by_joint():
-    """An error in one joint's velocity is in this joint's squares alone."""
-    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
-    engine = WindowResiduals(split_logs(planned_suite(load_model("paper"), runs)), fit_windows=6, select_windows=2)
-    error = np.zeros((8, engine.ticks + 1, len(engine.joints), len(engine.channels)))
-    error[:, :, 4, engine.channels.index(("joint", "velocity"))] = 0.5
-    squares = engine.squares_by_joint(error.reshape(8, -1))
-    assert squares.shape == (8, 6)
-    np.testing.assert_allclose(squares[:, 4], 0.25 * (engine.ticks + 1))
-    assert not squares[:, [0, 1, 2, 3, 5]].any()
-
-
-@pytest.mark.parametrize(
-    ("improved", "worsened", "after", "expected"),
-    [
-        (True, False, 0.9, False),
-        (False, False, 0.9, False),
-        (False, True, 0.9, True),
-        (True, True, 0.9, False),
-        (True, False, 1.0, False),  # the loss does not feel it
-        (False, False, 1.0, True),
-        (True, True, 1.0, True),
-    ],
-)
-def test_free_runs_veto_what_they_speak_against(improved, worsened, after, expected):
-    """Neither a better channel nor a lower loss alone outweighs a channel that is worse."""
-    assert vetoed(improved, worsened, 1.0, after) is expected
-
-
-@pytest.mark.parametrize(("faulty", "expected"), [((), True), (("r_hip_pitch",), False), (("r_hip_yaw",), True)])
-def test_a_fault_counts_as_better_where_its_own_joint_is(faulty, expected):
-    """A friction that is right in one joint, and another that is wrong: only asked by itself the first is better."""
-    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:3]
-    paper = load_model("paper")
-    usual = paper.value("coulomb_friction")
-
-    def rubbing(**joints: float) -> RobotModel:
-        return paper.with_values({"coulomb_friction": Estimate(usual, joints=joints)})
-
-    split = split_logs(planned_suite(rubbing(r_hip_pitch=usual + 0.05), runs))
-    half_right = rubbing(r_hip_pitch=usual + 0.05, r_hip_yaw=usual + 0.07)
-    assert show(paper, half_right, split, faulty=faulty)["vetoed"] is expected
-
-
-def test_a_joint_counts_less_only_in_windows_that_stand_out():
-    """An outlier of one joint in one window is capped, and what a joint misses in every third window is not."""
-    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
-    engine = WindowResiduals(split_logs(planned_suite(load_model("paper"), runs)), fit_windows=24, select_windows=6)
-    count = len(engine.windows)
-    residual = np.ones((count, engine.ticks + 1, len(engine.joints), len(engine.channels)))
-    residual[7, :, 2] = 10.0
-    residual[::3, :, 4] = 10.0
-    weight = engine._weights(residual.reshape(count, -1)).reshape(residual.shape)
-    np.testing.assert_allclose(weight[7, :, 2], 0.2)
-    expected = np.ones_like(weight)
-    expected[7, :, 2] = 0.2
-    np.testing.assert_array_equal(weight, expected)
+    scale = np.abs(engine.errors(sound)).max((0, 1, 2, 3))
+    own, without = (np.square(engine.errors(model) / scale).mean() for model in (faulty, sound))
+    as_parameter = engine.errors(sound, {parameter: values})
+    np.testing.assert_allclose(as_parameter, engine.errors(faulty), atol=1e-4)
+    assert own < 0.4 * without
 
 
 def test_commands_are_rounded_as_the_servos_take_them():
     """The simulated controller asks for whole counts of the goal current's register."""
     runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
-    engine = WindowResiduals(split_logs(planned_suite(load_model("paper"), runs)), fit_windows=4, select_windows=2)
+    engine = WindowResiduals(planned_suite(load_model("paper"), runs), windows=6)
     simulation = engine.simulation(with_chain(load_model("paper")))
     (controller,) = [effect for effect in simulation.model.effects if effect.name == "current_pd"]
     assert controller.resolution == CURRENT_UNIT
@@ -118,8 +61,8 @@ def test_commands_are_rounded_as_the_servos_take_them():
 def test_steps_are_stretched_as_far_as_they_divide_a_tick():
     """Of 8 ms: four steps of 2 ms and two of 4 ms, and no step of 3 ms."""
     runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
-    engine = WindowResiduals(split_logs(planned_suite(load_model("paper"), runs)), fit_windows=4, select_windows=2)
-    found = [engine.simulation(load_model("paper"), stretch=stretch).substeps for stretch in (1, COARSE, 3, ROUGH)]
+    engine = WindowResiduals(planned_suite(load_model("paper"), runs), windows=6)
+    found = [engine.simulation(load_model("paper"), stretch=stretch).substeps for stretch in (1, 2, 3, 4)]
     assert found == [8, 4, 4, 2]
 
 
@@ -127,10 +70,38 @@ def test_steps_are_stretched_as_far_as_they_divide_a_tick():
 def test_loose_gears_take_no_longer_steps(name, parameter):
     """Coarse residuals of a stiff model are the exact ones; of another they are not."""
     runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
-    engine = WindowResiduals(split_logs(planned_suite(load_model("paper"), runs)), fit_windows=4, select_windows=2)
+    engine = WindowResiduals(planned_suite(load_model("paper"), runs), windows=6)
     made = effect_class(name)
     values = {known.name: known.nominal for known in made.parameters} | {parameter: 0.003}
     model = load_model("paper").with_effect(made(), values)
-    engine.prepare(model)
-    exact, coarse = engine.residuals(model)[0], engine.residuals(model, stretch=COARSE)[0]
+    exact, coarse = engine.errors(model), engine.errors(model, stretch=2)
     assert np.array_equal(exact, coarse) == model.stiff == (name == "backlash")
+
+
+def test_a_bench_has_the_dynamics_of_a_pendulum():
+    """0.5 kg on 0.1 m: 0.005 kg m^2, 0.49 N m held level; a gyration of 0.05 m adds a quarter of the inertia."""
+    bench = PendulumBase(0.5, 0.1)
+    level = bench.dynamics(np.array([[np.pi / 2]]), np.zeros((1, 1)), radial_force=True)
+    assert level.mass[0, 0, 0] == pytest.approx(0.005)
+    assert level.bias[0, 0] == pytest.approx(0.5 * 9.81 * 0.1, rel=1e-3)
+    assert level.radial_force[0, 0] == pytest.approx(0.5 * 9.81, rel=1e-3)
+    edited = bench.changed(load_model("paper"), "gyration_squared", 0, 0.0025)
+    assert edited is not None
+    assert bench.along(edited, np.zeros((1, 1)), np.zeros((1, 1))).mass[0, 0, 0] == pytest.approx(0.00625)
+    assert bench.changed(load_model("paper"), "link_mass_offset", 0, 0.1) is None
+
+
+def test_a_limb_by_itself_moves_as_with_all_others():
+    """Windows of both legs' joints, simulated together and each leg by itself, agree where no supply couples them."""
+    model = with_chain(load_model("paper"))
+    motion = squat(frequency=1.0, duration=2.5)
+    log = simulate_motion(model, motion, "stand")
+    columns = [log.joints.index(joint) for joint in log.joints if "knee" in joint or "hip" in joint or "ank" in joint]
+    arrays = {k: log.array(k)[:, columns] if k[0] in ("joint", "command") else log.array(k) for k in log.channels}
+    arrays = {key: value for key, value in arrays.items() if key != ("joint", "voltage")}
+    legs = Rollout.from_arrays(arrays, log.metadata.replace(joints=tuple(log.joints[c] for c in columns)))
+    engine = WindowResiduals([legs], windows=6)
+    whole = engine.errors(model)
+    sides = [[j for j, joint in enumerate(engine.joints) if joint.startswith(side)] for side in ("l_", "r_")]
+    for side in sides:
+        np.testing.assert_allclose(engine.part(side).errors(model), whole[:, :, :, side], atol=2e-5)

@@ -6,16 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from op3.diagnose.coordinates import with_chain
-from op3.diagnose.preflight import STILL
-from op3.diagnose.show import with_whole_limbs
-from op3.robot import LEG_JOINTS, Excitation, Motion, check_motion
+from op3.robot import LEG_JOINTS, Excitation, Motion, check_motion, pose
+from op3.robot.joints import JOINTS, whole_limbs
 from op3.rollout import Metadata, Rollout
 from op3.servo import RobotModel
-from op3.tasks import Replay, simulate_motion
+from op3.tasks.replay import Replay
+from op3.tasks.simulate import simulate_motion
 
 COLD, WARM = 28.0, 58.0
 """Temperatures of servos before and after long work [C]."""
+
+STILL = 0.02
+"""A joint that moves less than this is not planned to move [rad]."""
 
 PAUSE = 6.0
 """Between two runs [s]."""
@@ -25,6 +27,27 @@ BEGIN = datetime.datetime(2026, 1, 1)
 
 SIMULATED = (("joint", "position"), ("joint", "velocity"), ("joint", "current"))
 """Channels that are taken from the simulation."""
+
+
+def with_whole_limbs(log: Rollout) -> Rollout:
+    """A log of some joints on the stand as one of their limbs, whose other joints are held in the pose "stand"."""
+    joints = whole_limbs(log.joints)
+    if log.metadata.mount != "stand" or log.joints == joints:
+        return log
+    columns = [joints.index(joint) for joint in log.joints]
+    standing, rows = pose("stand")[[JOINTS.index(joint) for joint in joints]], log.rows
+    fill = {"position": standing, "p_gain": 6.0, "d_gain": 0.1, "torque_enable": 1.0, "temperature": 25.0}
+    arrays: dict[Any, np.ndarray] = {}
+    for key in log.channels:
+        value = log.array(key)
+        if key[0] not in ("joint", "command"):
+            arrays[key] = value
+            continue
+        other = float(value.mean()) if key[1] == "voltage" else fill.get(key[1], 0.0)
+        whole = np.tile(np.broadcast_to(other, len(joints)).astype(float), (rows, 1))
+        whole[:, columns] = value
+        arrays[key] = whole
+    return Rollout.from_arrays(arrays, log.metadata.replace(joints=joints))
 
 
 def planned_suite(model: RobotModel, suite: Sequence[Excitation]) -> list[Rollout]:
@@ -39,7 +62,7 @@ def planned_suite(model: RobotModel, suite: Sequence[Excitation]) -> list[Rollou
     for number, run in enumerate(once):
         commands.append(_command(run, number, begin))
         begin += datetime.timedelta(seconds=run.motion.duration + PAUSE)
-    predictions = Replay([with_whole_limbs(log) for log in commands]).run(with_chain(model))
+    predictions = Replay([with_whole_limbs(log) for log in commands]).run(model)
     logs = []
     for log, prediction in zip(commands, predictions, strict=True):
         columns = [prediction.log.joints.index(joint) for joint in log.joints]
@@ -61,7 +84,7 @@ def planned_motions(model: RobotModel, motions: Sequence[Motion]) -> list[Rollou
     """
     for motion in motions:
         check_motion(motion, "stand")
-    logs = [simulate_motion(with_chain(model), motion, "stand") for motion in motions]
+    logs = [simulate_motion(model, motion, "stand") for motion in motions]
     reach = np.max([np.ptp(log.array("joint/position"), axis=0) for log in logs], axis=0)
     columns = np.flatnonzero(reach > STILL)
     if not columns.size:

@@ -2,8 +2,8 @@
 
 import pytest
 
-from op3.diagnose import downstream
 from op3.envs import BatchedEnv, record_episodes
+from op3.envs.downstream import downstream
 from op3.sim import load_model
 from op3.tasks.task import find_task
 from tests.envs.holding import holding_bundle

@@ -1,21 +1,13 @@
-"""From logs to windows: smoothed states on a grid of ticks, and the rigid-body dynamics along them."""
+"""From logs to states: angles, velocities and accelerations, smoothed on a grid of ticks."""
 
-import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any
 
-import mujoco
 import numpy as np
 
-from op3.robot import build_scene, pose
-from op3.robot.joints import JOINTS
-from op3.rollout import LogError, Rollout, stand_tilt
-from op3.servo import RobotModel
-from op3.sim import ServoPorts, TrajectoryDynamics, attach_servos, trajectory_dynamics
-from op3.sim.edits import edited_fields, model_field
-from op3.sim.window_simulation import ROTOR
+from op3.rollout.errors import LogError
+from op3.rollout.rollout import Rollout
+from op3.rollout.stand import stand_tilt
 
 HALF_WIDTH = 3
 """Ticks of 8 ms on each side that the local cubic of the smoothed state sees; of others as many as last as long."""
@@ -55,6 +47,7 @@ INPUTS = {
     ("command", "p_gain"): "p_gain",
     ("command", "d_gain"): "d_gain",
     ("command", "torque_enable"): "torque_enable",
+    ("command", "firmware_gain"): "firmware_gain",
     ("joint", "voltage"): "bus_voltage",
     ("joint", "temperature"): "temperature",
 }
@@ -157,11 +150,12 @@ def smooth_all(logs: Sequence[Rollout]) -> list[SmoothLog]:
     Raises:
         LogError: as `smooth`.
     """
-    rough = [smooth(log) for log in logs]
+    period = float(np.median([period_of(log) for log in logs]))
+    rough = [smooth(log, period=period) for log in logs]
     if not all("joint/velocity" in log for log in logs):
         return rough
     sensing = velocity_sensing(rough)
-    return [smooth(log, sensing) for log in logs]
+    return [smooth(log, sensing, period) for log in logs]
 
 
 def velocity_sensing(logs: Sequence[SmoothLog]) -> VelocitySensing:
@@ -194,18 +188,20 @@ def velocity_sensing(logs: Sequence[SmoothLog]) -> VelocitySensing:
     return VelocitySensing(lag, noise, spread)
 
 
-def smooth(log: Rollout, sensing: VelocitySensing | None = None) -> SmoothLog:
+def smooth(log: Rollout, sensing: VelocitySensing | None = None, period: float | None = None) -> SmoothLog:
     """Put a log on a uniform grid and smooth its state.
 
     Args:
         log: with joint positions and commands.
         sensing: what its velocity readings are like; None for what is usual.
+        period: of the grid [s]; by default that of its rows.
 
     Raises:
         LogError: if it lacks positions or commands, or is too short.
     """
     time = log.array("time")[:, 0] - log.array("time")[0, 0]
-    period, half = period_of(log), half_width(period_of(log))
+    period = period or period_of(log)
+    half = half_width(period)
     # the first row is as early or late as any other
     time = time - float(np.median(time - period * np.round(time / period)))
     grid = np.arange(int(time[-1] / period + 0.25) + 1) * period
@@ -271,69 +267,3 @@ def _roughness(state: np.ndarray, lagged: np.ndarray, period: float, sensing: Ve
 
 def _interpolated(values: np.ndarray, time: np.ndarray, grid: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(grid, time, column) for column in values.T], 1)
-
-
-class FixedBase:
-    """The limbs of a robot on a stand that are in the logs, compiled with their servos.
-
-    Args:
-        joints: of the logs.
-        tilt: roll and pitch of the stand [rad].
-    """
-
-    def __init__(self, joints: Sequence[str], tilt: tuple[float, float] = (0.0, 0.0)):
-        unknown = [joint for joint in joints if joint not in JOINTS]
-        if unknown:
-            raise LogError(
-                f"the robot has no joint {unknown[0]!r}", "use the joint names of op3.robot", column="joints"
-            )
-        scene = build_scene("stand", tilt_roll=tilt[0], tilt_pitch=tilt[1], joints=joints)
-        elements: dict[str, Any] = {str(element.name): element for element in scene.joints}
-        moved = [elements[joint] for joint in joints]
-        attach_servos(moved)
-        self.names = [str(element.full_identifier) for element in moved]
-        self.joints = tuple(joints)
-        self.mj_model = scene.compile(visual=False)
-        self.ports = ServoPorts.find(self.mj_model, self.names)
-        assert scene.robot is not None
-        self.base = self.mj_model.body(scene.robot.trunk.full_identifier).id
-        standing = dict(zip(JOINTS, pose("stand"), strict=True))
-        self.qpos = np.zeros(self.mj_model.nq)
-        for i in range(self.mj_model.njnt):
-            self.qpos[i] = standing[self.mj_model.joint(i).name.rsplit("/", 1)[-1]]
-
-    def dynamics(self, position: np.ndarray, velocity: np.ndarray, radial_force: bool = False) -> TrajectoryDynamics:
-        """Dynamics along a motion, ``[tick, joint]``."""
-        return trajectory_dynamics(self.mj_model, self.names, position, velocity, self.qpos, radial_force=radial_force)
-
-    def along(self, mj_model: mujoco.MjModel, position: np.ndarray, velocity: np.ndarray) -> TrajectoryDynamics:
-        """Mass and bias of an edited model along a motion."""
-        return trajectory_dynamics(mj_model, self.names, position, velocity, self.qpos, derivatives=False)
-
-    def changed(self, model: RobotModel, parameter: str, joint: int | None, amount: float) -> mujoco.MjModel | None:
-        """A sound robot but for one parameter of a joint, larger by `amount`; None if nothing changes for the limbs."""
-        known = model.parameters()
-        sound = model.with_values({name: one.neutral for name, one in known.items() if one.neutral is not None})
-        values = {
-            name: value.expand(1, len(self.joints) if known[name].per_joint else 1).clone()
-            for name, value in sound.tensors(self.joints).items()
-        }
-        effects = [e for e in model.effects if any(edit != ROTOR for edit in e.edits)]
-        arrays = edited_fields(self.mj_model, effects, values, self.ports, self.base, {}, 1)
-        values[parameter][:, 0 if joint is None else joint] += amount
-        moved = edited_fields(self.mj_model, effects, values, self.ports, self.base, {}, 1)
-        different = [field for field in moved if not np.array_equal(moved[field], arrays[field])]
-        if not different:
-            return None
-        changed = copy.copy(self.mj_model)
-        for field, array in moved.items():
-            if field != "dof_armature":
-                model_field(changed, field)[...] = array[0]
-        mujoco.mj_setConst(changed, mujoco.MjData(changed))
-        return changed
-
-
-@lru_cache(maxsize=16)
-def fixed_base(joints: tuple[str, ...], tilt: tuple[float, float] = (0.0, 0.0)) -> FixedBase:
-    """The same, compiled once for logs of the same joints and tilt."""
-    return FixedBase(joints, tilt)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from op3.envs.returns import ReturnsBench
 from op3.policy import PolicyBundle
 from op3.rollout import Rollout
 from op3.servo import RobotModel
@@ -43,8 +44,6 @@ def downstream(
         ``interval`` over episodes, ``fallen``, the share of falls. With ``actual`` also ``error_before`` and
         ``error_after``, how far the predictions are from it.
     """
-    from op3.envs.returns import ReturnsBench  # brings TorchRL, which a diagnosis without a policy need not load
-
     rng = np.random.default_rng([seed, 19])
     result: dict[str, Any] = {"task": find_task(task).name, "episodes": episodes}
     for number, (label, model) in enumerate((("before", before), ("after", after))):

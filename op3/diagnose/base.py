@@ -1,0 +1,304 @@
+"""The base that findings are held against: several starts, Gauss-Newton with the judge's weights, and what to distrust.
+
+Stiction kills gradients, so a cross-entropy search (Rubinstein 1999) over the shared numbers finds the basins, in long
+steps; Gauss-Newton steps with the judge's noise then settle in each. Numbers at a bound, basins that the logs like
+alike and directions that they do not tell are said with the verdict.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from op3.diagnose.coordinates import CHAIN, Coordinates, base_coordinates, other_forms, with_chain, with_setups
+from op3.diagnose.judge import Judge, Numbers, Posterior, State, evidence
+from op3.diagnose.reduction import Linear, Reduction
+from op3.diagnose.settings import SETTINGS, Settings
+from op3.servo import Estimate, RobotModel
+from op3.servo.conditions import split_name
+
+POPULATION, ELITE, GENERATIONS = 80, 12, 5
+"""Of the search: points in a generation, those that make the next, and generations."""
+
+STEPS = 4
+"""Gauss-Newton steps at most from each start."""
+
+SHARES = (1.0, 0.6, 0.3, 0.1)
+"""Parts of a step that are tried at once."""
+
+SETTLED = 8.0
+"""Gain in minus two log likelihood below which a base no longer moves."""
+
+AT_BOUND = 0.001
+"""Share of its range within which a number is at its bound."""
+
+SAME_OPTIMUM, APART = 20.0, 0.15
+"""Bases apart by less in minus two log likelihood, and by more of a shared number's range, are two optima."""
+
+UNTOLD = 0.8
+"""Share of its prior standard deviation that a shared number keeps if the logs do not tell it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Base:
+    """A fitted base.
+
+    Attributes:
+        linear: the windows around it.
+        fit: of the judge, its numbers alone.
+        misfit: minus two log likelihood with the priors, but for constants.
+        others: of other starts that ended elsewhere and as well.
+    """
+
+    linear: Linear
+    fit: Posterior
+    misfit: float
+    others: tuple[tuple[np.ndarray, float], ...] = ()
+
+    @property
+    def coordinates(self) -> Coordinates:
+        """Its numbers."""
+        return self.linear.coordinates
+
+    @property
+    def point(self) -> np.ndarray:
+        """Where they are."""
+        return self.linear.point
+
+    @property
+    def model(self) -> RobotModel:
+        """The model that it is."""
+        return at_point(self.coordinates, self.point)
+
+
+def base_numbers(coordinates: Coordinates, point: np.ndarray) -> Numbers:
+    """Priors of the base's numbers as steps from a point."""
+    deviation = coordinates.deviation
+    none = np.zeros(len(point))
+    low, high = coordinates.low - point, coordinates.high - point
+    return Numbers(coordinates.prior - point, deviation, deviation, low, high, none, np.ones(len(point), bool))
+
+
+def fit_base(
+    reduction: Reduction,
+    model: RobotModel,
+    rng: np.random.Generator,
+    settings: Settings = SETTINGS,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Base:
+    """Fit a model's own numbers, its servos' spread and the chain of measurement, from several starts.
+
+    Args:
+        reduction: of the fitted windows.
+        model: from which it begins.
+        rng: of the search.
+        settings: tuned constants.
+        progress: called with the share done.
+    """
+    full = with_chain(with_setups(model, reduction.engine.lengths))
+    forms = [full, *other_forms(full)]
+    coordinates = base_coordinates(full, reduction.engine.joints, reduction.moving)
+    found = search(reduction, coordinates, rng, lambda share: progress(0.5 * share))
+    starts = [found, coordinates.start]
+    ends = []
+    for number, start in enumerate(starts):
+        ends.append(settle(reduction, coordinates, start, settings, forms))
+        progress(0.5 + 0.5 * (number + 1) / len(starts))
+    ends.sort(key=lambda base: base.misfit)
+    best = ends[0]
+    return replace(best, others=tuple((one.point, one.misfit - best.misfit) for one in ends[1:]))
+
+
+def unfitted(reduction: Reduction, model: RobotModel, settings: Settings = SETTINGS) -> Base:
+    """The base as the given model says it, of logs that it simulated itself."""
+    coordinates = base_coordinates(with_chain(model), reduction.engine.joints, reduction.moving)
+    known = model.parameters()
+    given = [
+        model.value(e.parameter) if e.kind == "value" and e.parameter in known else e.start for e in coordinates.entries
+    ]
+    return settle(reduction, coordinates, np.array(given), settings, steps=0)
+
+
+def search(
+    reduction: Reduction,
+    coordinates: Coordinates,
+    rng: np.random.Generator,
+    progress: Callable[[float], None] = lambda share: None,
+) -> np.ndarray:
+    """A cross-entropy search over the shared numbers, in logarithms where they are positive."""
+    shared = [i for i, entry in enumerate(coordinates.entries) if entry.joints is None]
+    low, high = coordinates.low[shared], coordinates.high[shared]
+    positive = (low >= 0) & (coordinates.start[shared] > 0)
+    bottom = np.where(positive, np.maximum(low, 0.03 * high), low)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = [np.where(positive, np.log(end), end) for end in (bottom, high)]
+
+    def points(x: np.ndarray) -> np.ndarray:
+        whole = np.tile(coordinates.start, (len(x), 1))
+        whole[:, shared] = np.clip(np.where(positive, np.exp(np.where(positive, x, 0.0)), x), low, high)
+        return whole
+
+    strata = np.argsort(rng.random((len(shared), POPULATION)), 1).T + rng.random((POPULATION, len(shared)))
+    x = ends[0] + strata / POPULATION * (ends[1] - ends[0])
+    for k, i in enumerate(shared):  # the chain begins near what is usual
+        if coordinates.entries[i].parameter in CHAIN:
+            chain = CHAIN[coordinates.entries[i].parameter]
+            drawn = np.clip(chain.usual + chain.spread * rng.standard_normal(POPULATION), bottom[k] + 1e-9, high[k])
+            x[:, k] = np.log(drawn) if positive[k] else drawn
+    for generation in range(GENERATIONS):
+        error = reduction.at(coordinates, points(x), stretch=4 if generation < 3 else 2)
+        cost = _robust(error) + coordinates.penalties(points(x))
+        order = np.argsort(cost)[:ELITE]
+        best, mean = x[order[0]], x[order].mean(0)
+        spread = np.cov(x[order].T).reshape(len(shared), -1) + 1e-6 * np.diag((ends[1] - ends[0]) ** 2)
+        x = np.clip(rng.multivariate_normal(mean, spread, POPULATION), *ends)
+        x[0] = best
+        progress((generation + 1) / GENERATIONS)
+    last = points(np.stack([best, mean]))
+    return last[int(_robust(reduction.at(coordinates, last)).argmin())]
+
+
+def _robust(errors: Sequence[np.ndarray]) -> np.ndarray:
+    """Cost of whitened errors by limb: a window that misses altogether counts once."""
+    return sum(np.log1p(np.square(e.astype(np.float64)).mean(2)).sum(1) for e in errors)  # type: ignore[return-value]
+
+
+def settle(
+    reduction: Reduction,
+    coordinates: Coordinates,
+    point: np.ndarray,
+    settings: Settings = SETTINGS,
+    forms: Sequence[RobotModel] = (),
+    steps: int = STEPS,
+    state: State | None = None,
+    like: Linear | None = None,
+) -> Base:
+    """Gauss-Newton from a point until the base no longer moves; other forms of its laws are tried on the way.
+
+    With a linearisation that it is to be `like`, its reduction is kept, so that evidences compare.
+    """
+    point = np.clip(point, coordinates.low, coordinates.high)
+    for number in range(steps + 1):
+        linear = reduction.linearise(coordinates, point, like)
+        rows = reduction.rows(linear, np.zeros((0, *linear.lacking.shape), np.float32))
+        judge = Judge(rows, base_numbers(coordinates, point), settings)
+        fit = judge.fit(state=state, rounds=4 if number == 0 else 3)
+        state = fit.state
+        if number == steps:
+            break
+        tried = np.stack([point, *(point + share * fit.mean for share in SHARES)])
+        tried = np.clip(tried, coordinates.low, coordinates.high)
+        options = [(coordinates, tried)]
+        if number in (1, 3):
+            options += [
+                (replace(coordinates, model=form), tried[:2]) for form in forms if form is not coordinates.model
+            ]
+        costs = [cost_of(reduction, judge, fit, linear, c, points) for c, points in options]
+        pick = min(range(len(costs)), key=lambda i: float(costs[i].min()))
+        gained = costs[0][0] - costs[pick].min()
+        coordinates, point = options[pick][0], options[pick][1][int(costs[pick].argmin())]
+        if gained < SETTLED:
+            if gained > 0:
+                linear = reduction.linearise(coordinates, point, like)
+            break
+    cost = float(cost_of(reduction, judge, fit, linear, coordinates, point[None])[0])
+    cost += _log_variances(judge, fit)
+    return Base(linear, fit, cost)
+
+
+def cost_of(
+    reduction: Reduction, judge: Judge, fit: Posterior, linear: Linear, coordinates: Coordinates, points: np.ndarray
+) -> np.ndarray:
+    """Minus two log posterior of points (but for constants) under a fit's variances, ``[point]``."""
+    lacking = -reduction.reduce(linear.reducers, reduction.at(coordinates, points))
+    known = np.isfinite(judge.rows.variance)
+    misfits = np.array([judge.misfit(np.where(known, one, 0.0).astype(np.float64), fit) for one in lacking])
+    return misfits + coordinates.penalties(points)
+
+
+def _log_variances(judge: Judge, fit: Posterior) -> float:
+    """The part of minus two log likelihood that the variances have, so that bases of different ones compare."""
+    total = 0.0
+    for j in range(len(judge.rows.joints)):
+        variance = judge.variance(j, fit.state)
+        total += float(np.log(variance[np.isfinite(variance)]).sum())
+    return total
+
+
+def at_point(coordinates: Coordinates, point: np.ndarray, deviation: np.ndarray | None = None) -> RobotModel:
+    """The model with its numbers at a point, intervals of 90 % from standard deviations where they are given."""
+    model, joints = coordinates.model, coordinates.joints
+    by_name: dict[str, np.ndarray] = {}
+    spread: dict[str, float] = {}
+    for name, value in coordinates.values(point[None]).items():
+        by_name[name] = value[0].numpy()
+    for i, entry in enumerate(coordinates.entries):
+        if deviation is not None and entry.kind == "value" and entry.joints is None:
+            spread[entry.parameter] = 1.645 * float(deviation[i])
+    values = {}
+    for name, row in by_name.items():
+        shared = float(np.median(row))
+        half = spread.get(name)
+        low, high = (None, None) if half is None else (shared - half, shared + half)
+        own = {joint: value for joint, value in zip(joints, row.tolist(), strict=False) if abs(value - shared) > 1e-12}
+        kept = model.estimate(split_name(name)[0]).by if "@" not in name else {}
+        values[name] = Estimate(shared, low, high, joints=own, by=kept)
+    return model.with_values(values)
+
+
+def doubts(base: Base, last: Base | None = None) -> list[str]:
+    """Numbers at a bound, and optima that the logs like alike.
+
+    Args:
+        base: before anything is named.
+        last: with what was named: a number that an effect had driven to its bound comes back once it has its name.
+    """
+    result, last = [], last or base
+    known = last.coordinates.model.parameters()
+    for entry, value in zip(last.coordinates.entries, last.point, strict=True):
+        reach = AT_BOUND * (entry.high - entry.low)
+        low, high = value - entry.low < reach, entry.high - value < reach
+        natural = low and entry.low == known[split_name(entry.parameter)[0]].least
+        if entry.joints is None and entry.kind == "value" and (low or high) and not natural:
+            end = "smallest" if low else "largest"
+            result.append(f"{entry.parameter} is at its {end} plausible value, {value:.3g}")
+    span = base.coordinates.high - base.coordinates.low
+    for point, gap in base.others:
+        apart = np.abs(point - base.point) > APART * span
+        far = [
+            entry.parameter for entry, one in zip(base.coordinates.entries, apart, strict=True) if entry.shared and one
+        ]
+        if gap < SAME_OPTIMUM and far:
+            result.append(
+                f"another start ends as well ({gap:.1f} apart in -2 log likelihood) with other {', '.join(far)}"
+            )
+    return result
+
+
+def untold(base: Base) -> list[str]:
+    """Shared numbers of which the logs say little more than their priors."""
+    variance = np.diag(np.linalg.inv(base.fit.precision))
+    ratio = np.sqrt(variance) / base.coordinates.deviation
+    return [
+        e.parameter for e, r in zip(base.coordinates.entries, ratio, strict=True) if e.joints is None and r > UNTOLD
+    ]
+
+
+def unusual(given: RobotModel, base: Base, fit: Posterior, judge: Judge) -> list[tuple[int, float, float]]:
+    """Log odds of numbers of the chain against being usual: which, the odds, and the deviation that the logs leave.
+
+    Of a model that has the effect, what it says is usual.
+    """
+    linear, curvature = judge.likelihoods(fit)
+    known, found = given.parameters(), []
+    for i, entry in enumerate(base.coordinates.entries):
+        chain = CHAIN.get(entry.parameter)
+        if chain is None or entry.kind != "value":
+            continue
+        expected = given.value(entry.parameter) if entry.parameter in known else chain.usual
+        usual = np.array(expected - base.point[i])
+        low, high = entry.low - base.point[i], entry.high - base.point[i]
+        slab = evidence(linear[i], curvature[i], usual, np.array(chain.most / 2), low, high)
+        spike = evidence(linear[i], curvature[i], usual, np.array(chain.spread))
+        found.append((i, float(slab - spike), float(1 / np.sqrt(curvature[i]))))
+    return found

@@ -1,0 +1,236 @@
+"""What could be missing: every effect of the catalogue, in every place where it can sit, as finite changes."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from op3.diagnose.coordinates import CHAIN, FORMS, Coordinate, other_forms
+from op3.diagnose.settings import Settings
+from op3.servo import Effect, RobotModel, catalogue, effect_class
+from op3.servo.effect import parameter
+from op3.servo.effects import PacketDrop
+
+PLACES = {"shared": 0.5, "joint": 0.35, "pair": 0.1, "side": 0.05}
+"""How much more probable it is beforehand that a fault is of all joints, of one, of a mirror pair, or of a side."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One finite change of one effect in one place.
+
+    Attributes:
+        effect: its class.
+        joints: columns in which it sits; None for all joints alike, or the whole robot.
+        scope: key of `PLACES`.
+        model: the base's model with the effect on, neutral.
+        secant: amounts by parameter name.
+    """
+
+    effect: type[Effect]
+    joints: tuple[int, ...] | None
+    scope: str
+    model: RobotModel
+    secant: Mapping[str, float]
+
+    @property
+    def place(self) -> tuple[str, tuple[int, ...] | None]:
+        """Effect and joints: candidates of one place are secants, or forms, of one hypothesis."""
+        return self.effect.name, self.joints
+
+    @property
+    def key(self) -> tuple:
+        """What tells it from every other, whatever the values of its model."""
+        return self.place, tuple(sorted(self.secant.items())), repr(self.model.effect(self.effect.name))
+
+    def label(self, names: Sequence[str]) -> str:
+        """Effect and joints, such as ``backlash@r_knee``."""
+        if self.joints is None:
+            return self.effect.name
+        return f"{self.effect.name}@{'+'.join(names[j] for j in self.joints)}"
+
+    @property
+    def sized(self) -> str:
+        """The parameter whose amount says how much of the effect there is."""
+        return next((name for name in self.secant if parameter(name).neutral is not None), next(iter(self.secant)))
+
+    def moved(self, values: Mapping[str, Tensor], share: float = 1.0) -> dict[str, Tensor]:
+        """Parameters ``[1, joint]`` at a share of the secant, starting from those given."""
+        result = {name: value.clone() for name, value in values.items()}
+        for name, amount in self.secant.items():
+            known = parameter(name)
+            at = slice(None) if self.joints is None or not known.per_joint else list(self.joints)
+            if known.neutral is None:
+                result[name][:, at] = amount
+            else:
+                result[name][:, at] += share * amount
+            result[name] = result[name].clamp(known.least, known.most)
+        return result
+
+    def reach(self, base: RobotModel, settings: Settings) -> tuple[float, float, float]:
+        """Lowest and highest plausible share of the secant, and the slab's standard deviation.
+
+        Plausible is what the catalogue's range says of a fault: more than a sound robot has, as far as physics allows.
+        """
+        known = parameter(self.sized)
+        amount = self.secant[known.name]
+        span, neutral = known.high - known.low, known.neutral
+        if self.effect.name in base.effect_names or neutral is None:
+            now = base.value(known.name) if known.name in base.parameters() else known.nominal
+            low, high, size = max(-span, known.least - now), min(span, known.most - now), span
+        else:
+            low = settings.faulty * (min(known.low, neutral) - neutral)
+            high = settings.faulty * (max(known.high, neutral) - neutral)
+            low, high = max(low, known.least - neutral), min(high, known.most - neutral)
+            size = max(known.high - neutral, neutral - known.low)
+        ends = sorted((low / amount, high / amount))
+        return ends[0], ends[1], settings.slab * size / abs(amount)
+
+    def coordinate(self, base: RobotModel, share: float, settings: Settings) -> Coordinate:
+        """The number of a refit beside the base's: the effect's size, beginning at a share of the secant.
+
+        Of a pair each joint gets the same amount.
+        """
+        low, high, deviation = self.reach(base, settings)
+        amount, at = self.secant[self.sized], self.joints if parameter(self.sized).per_joint else None
+        ends = sorted((low * amount, high * amount))
+        start = float(np.clip(share * amount, ends[0], ends[1]))
+        return Coordinate(self.sized, at, ends[0], ends[1], start, 0.0, deviation * abs(amount), "add")
+
+    def switched_on(self, base: RobotModel, names: Sequence[str]) -> RobotModel:
+        """The base with the effect on, neutral, and the shape that the secant says (such as a phase) in its place."""
+        effect = self.model.effect(self.effect.name)
+        given = {p.name: self.model.estimate(p.name) for p in effect.parameters}
+        if self.effect.name in base.effect_names:
+            given = {name: base.estimate(name) for name in given}
+        model = base.with_effect(effect, given)
+        values = {}
+        where = ("",) if self.joints is None else tuple(f"@joint={names[j]}" for j in self.joints)
+        for name, amount in self.secant.items():
+            if parameter(name).neutral is None:
+                values |= {f"{name}{place}": amount for place in where}
+        return model.with_values(values)
+
+
+def candidates(
+    model: RobotModel,
+    joints: Sequence[str],
+    moving: Sequence[bool],
+    mirror: Mapping[str, str],
+    without: Sequence[str] = (),
+) -> list[Candidate]:
+    """Every effect of the catalogue that logs of a robot with a held base could show, in every place.
+
+    Left out is what the base has as its own numbers: the chain of measurement, and for all joints alike what it fits.
+
+    Args:
+        model: the base's model, its values fitted.
+        joints: names.
+        moving: which of them move.
+        mirror: partners of joints on the other side; those without one are left out.
+        without: names of effects not to consider.
+    """
+    found: list[Candidate] = []
+    for name, effect in catalogue().items():
+        if not _possible(effect, model) or name in without:
+            continue
+        on = name in model.effect_names
+        with_it = model if on else switched_on(model, effect)
+        forms = [with_it, *(other_forms(with_it, (name,)) if name in FORMS and not on else ())]
+        for variant in forms:
+            for secant in _own(effect, on):
+                for scope, place in _places(model, effect, joints, moving, mirror):
+                    found.append(Candidate(effect, place, scope, variant, secant))
+    return found
+
+
+def _possible(effect: type[Effect], model: RobotModel) -> bool:
+    """Whether a robot with a held base and this drive could show it, and the base does not have it as a number."""
+    if not effect.secants or any(CHAIN[p.name].own for p in effect.parameters if p.name in CHAIN):
+        return False
+    if effect is PacketDrop:
+        return False  # which packets were lost differs from run to run: no window foresees it
+    if any(e.target in ("base_body", "foot_geom", "ground_geom", "option") for e in effect.edits):
+        return False
+    if "trunk" in effect.__module__:
+        return False
+    regulated = "current_pd" in model.effect_names
+    asks = set(effect.commands)
+    return not asks & ({"firmware_gain"} if regulated else {"p_gain", "d_gain"})
+
+
+def _own(effect: type[Effect], on: bool) -> list[dict[str, float]]:
+    """Secants without parameters of other effects, which the base refits; of an effect that is on its shape stays."""
+    own = {p.name for p in effect.parameters if not (on and p.neutral is None)}
+    kept: list[dict[str, float]] = []
+    for secant in effect.secants:
+        mine = {name: amount for name, amount in secant.items() if name in own}
+        if mine not in kept and any(parameter(name).neutral is not None for name in mine):
+            kept.append(mine)
+    return kept
+
+
+def _places(
+    model: RobotModel, effect: type[Effect], joints: Sequence[str], moving: Sequence[bool], mirror: Mapping[str, str]
+) -> Iterator[tuple[str, tuple[int, ...] | None]]:
+    """Scopes and places in which an effect can sit."""
+    of_motor = "motor" in model.effect_names and effect.name in ("torque_constant", "terminal_resistance")
+    refitted = effect.name in model.effect_names or of_motor
+    scopes = set(effect.scopes)
+    in_base = any(p.name in CHAIN for p in effect.parameters)
+    if scopes & {"shared", "robot"} and not refitted and not in_base:
+        yield "shared", None
+    if not scopes & {"joint", "side"}:
+        return
+    if len(joints) == 1:
+        if not scopes & {"shared", "robot"} and not in_base:
+            yield "shared", None
+        return
+    yield from (("joint", (j,)) for j in range(len(joints)) if moving[j])
+    pairs = mirror_pairs(joints, moving, mirror)
+    yield from (("pair", pair) for pair in pairs)
+    if len(pairs) > 1 and "side" in scopes:
+        yield from (("side", tuple(pair[side] for pair in pairs)) for side in (0, 1))
+
+
+def mirror_pairs(joints: Sequence[str], moving: Sequence[bool], mirror: Mapping[str, str]) -> list[tuple[int, int]]:
+    """Columns of joints and their partners, each pair once, the alphabetically first side first."""
+    pairs = set()
+    for j, joint in enumerate(joints):
+        partner = mirror.get(joint)
+        if partner in joints and partner != joint and moving[j] and moving[joints.index(partner)]:
+            first, second = sorted((joint, str(partner)))
+            pairs.add((joints.index(first), joints.index(second)))
+    return sorted(pairs)
+
+
+def switched_on(model: RobotModel, effect: type[Effect]) -> RobotModel:
+    """The model with an effect on, where it changes nothing."""
+    neutral = {p.name: p.nominal if p.neutral is None else p.neutral for p in effect.parameters}
+    return model.with_effect(effect(), neutral)
+
+
+def place_priors(found: Sequence[Candidate]) -> np.ndarray:
+    """Log prior of every candidate, ``[candidate]``: secants of one effect in one place share that of the place, and
+    each number that a law has beyond its first halves it."""
+    places: dict[str, set] = {}
+    secants: dict[tuple, int] = {}
+    for one in found:
+        places.setdefault(one.scope, set()).add(one.joints)
+        secants[one.place] = secants.get(one.place, 0) + 1
+    numbers = [sum(p.neutral is not None for p in c.effect.parameters) for c in found]
+    shares = [PLACES[c.scope] / len(places[c.scope]) / secants[c.place] for c in found]
+    return np.log(shares) - np.log(2.0) * (np.array(numbers) - 1)
+
+
+def separating(effects: Iterable[str]) -> str:
+    """What the catalogue says would separate some effects, by their names, each experiment once."""
+    said = dict.fromkeys(effect_class(name).separating_experiment for name in effects)
+    return "; ".join(text for text in said if text)
+
+
+def stacked(values: Sequence[Mapping[str, Tensor]]) -> dict[str, Tensor]:
+    """Parameter sets ``[1, joint]`` as one, ``[candidate, joint]``."""
+    return {name: torch.cat([value[name] for value in values]) for name in values[0]}

@@ -1,0 +1,405 @@
+"""Windows reduced to what is judged: the torque and the current that each joint lacks, in pieces of a window.
+
+A window's residual in position, velocity and current is a linear image of errors of its initial state and of the torque
+that its joints lack. Solved for the latter, with the former as nuisances with tight priors, what the sensors' noise and
+the mechanics mix becomes rows that are nearly independent. Every column (a number of the base, a candidate) passes
+through the same reduction, batch by batch, and is thrown away behind it.
+
+On a stand limbs do not couple, so that one simulation carries a local change in one joint of every limb.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy import linalg, sparse
+from torch import Tensor
+
+from op3.diagnose.candidates import Candidate, stacked
+from op3.diagnose.coordinates import Coordinate, Coordinates
+from op3.diagnose.judge import Rows
+from op3.diagnose.settings import SETTINGS, Settings
+from op3.diagnose.windows import WindowResiduals
+from op3.servo import RobotModel
+
+FLOORS = {("joint", "position"): 0.0005, ("joint", "velocity"): 0.010, ("joint", "current"): 0.0035}
+"""Of a reading [rad, rad/s, A]: a count of a 4096-step encoder, of 0.024 rad/s and of 2.69 mA over sqrt(12), and a
+little more (ROBOTIS e-manual, XM430; Feetech's magnetic encoders have as many steps)."""
+
+INITIAL = (0.0015, 0.06)
+"""Standard deviations of a window's initial angle [rad] and velocity [rad/s]: what smoothing leaves."""
+
+PIECES = 4
+"""Pieces of a window in each of which the torque is constant."""
+
+WIDE_TORQUE = 15.0
+"""Prior standard deviation of a piece's torque [units]; sets what a joint at rest tells, and little else."""
+
+UNKNOWN = 100.0
+"""Variance of a torque beyond which a window tells nothing of it [units^2]."""
+
+STEP = 0.02
+"""Step of the base's finite differences, as a share of a number's range."""
+
+MOVES = 0.05
+"""A joint moves if its speed has this standard deviation [rad/s]."""
+
+CHUNK = 40
+"""Parameter sets simulated at a time: a batch of 72 windows of 20 joints holds 20 MB."""
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """The windows around a point of the base, by limb.
+
+    Attributes:
+        coordinates: the base's numbers.
+        point: where they are.
+        reducers: residual to torque, ``[window, torque, residual]``.
+        variance: of these torques [units^2], ``[window, joint]``.
+        lacking: what the base leaves, ``[joint, window, row]``.
+        base: by number, ``[joint, window, row]``.
+    """
+
+    coordinates: Coordinates
+    point: np.ndarray
+    reducers: tuple[np.ndarray, ...]
+    variance: tuple[np.ndarray, ...]
+    lacking: np.ndarray
+    base: np.ndarray
+
+
+class Reduction:
+    """Reduces windows of an engine.
+
+    Args:
+        engine: windows of logs.
+        settings: tuned constants.
+
+    Attributes:
+        judged: columns of the joints that are judged: all of limbs of which one joint moves.
+        moving: whether each of the robot's joints moves.
+        unit: one hundredth of the torque of the busiest joint [N m].
+        simulated: parameter sets simulated so far.
+    """
+
+    def __init__(self, engine: WindowResiduals, settings: Settings = SETTINGS):
+        self.engine, self.settings = engine, settings
+        self.windows, self.ticks, self.count = len(engine.windows), engine.ticks, len(engine.joints)
+        motion = engine.motion
+        self.moving = engine.by_window(motion.velocity).reshape(-1, self.count).std(0) > MOVES
+        linked = np.abs(motion.dynamics.mass).max(0) > 1e-12
+        limbs, of = sparse.csgraph.connected_components(linked, directed=False)
+        every = [np.flatnonzero(of == limb) for limb in range(limbs)]
+        self.limbs = [limb for limb in every if self.moving[limb].any()]
+        self.judged = np.concatenate(self.limbs)
+        self.limb_of = {int(j): k for k, limb in enumerate(self.limbs) for j in limb}
+        self.slot_of = {int(j): i for limb in self.limbs for i, j in enumerate(limb)}
+        needed = np.einsum("tij,tj->ti", motion.dynamics.mass, motion.acceleration) + motion.dynamics.bias
+        self.unit = 0.01 * float(np.quantile(np.abs(needed), 0.95, axis=0).max())
+        known = set(engine.channels)
+        self.floor = np.array([FLOORS[key] if key in known else np.inf for key in FLOORS])
+        self._parts = [engine.part(limb) for limb in self.limbs] if len(self.limbs) > 1 else [engine]
+        self.simulated = 0
+        starts = linalg.helmert(PIECES, full=True)
+        self._turn = starts
+        of_piece = np.minimum(np.arange(self.ticks + 1) * PIECES // self.ticks, PIECES - 1)
+        self._mean = np.stack([(of_piece == p) / (of_piece == p).sum() for p in range(PIECES)])
+        self.kinds = np.array([0] + [1] * (PIECES - 1) + [2] + [3] * (PIECES - 1))
+
+    # ---- simulation ---------------------------------------------------------------------------------------------
+    def errors(
+        self, model: RobotModel, sets: Mapping[str, Tensor], count: int, stretch: int = 1, **offsets: Tensor
+    ) -> list[np.ndarray]:
+        """Whitened errors of parameter sets, by limb ``[set, window, residual]``; channels not measured are zero."""
+        parts: list[list[np.ndarray]] = [[] for _ in self.limbs]
+        together = any(not p.per_joint and not effect.edits for effect in model.effects for p in effect.parameters)
+        for begin in range(0, count, CHUNK):
+            piece = slice(begin, min(begin + CHUNK, count))
+            given = {name: value[piece] for name, value in sets.items()}
+            apart = {name: value[piece] for name, value in offsets.items()}
+            if together:  # an effect of the whole robot, such as a supply that sags with all currents
+                error = self._whitened(self.engine, range(self.count), model, given, stretch, apart)
+                found = [error[:, :, :, limb] for limb in self.limbs]
+            else:
+                both = zip(self._parts, self.limbs, strict=True)
+                found = [self._whitened(part, limb, model, given, stretch, apart) for part, limb in both]
+            for part, error in zip(parts, found, strict=True):
+                part.append(error.reshape(len(error), self.windows, -1))
+        self.simulated += count
+        return [np.concatenate(part) for part in parts]
+
+    def _whitened(self, engine, columns, model: RobotModel, given, stretch: int, apart) -> np.ndarray:
+        """Errors of some joints, ``[set, window, tick, joint, channel]``, by the sensors' floors."""
+        at = list(columns)
+        own = {name: value[:, at] if value.shape[1] == self.count else value for name, value in given.items()}
+        offsets = {name: value[:, at] for name, value in apart.items()}
+        error = engine.errors(model, own, len(next(iter(given.values()))), stretch=stretch, **offsets)
+        error /= self.floor.astype(np.float32)
+        return np.clip(error, -300, 300, out=error)
+
+    def at(self, coordinates: Coordinates, points: np.ndarray, stretch: int = 1) -> list[np.ndarray]:
+        """The same at points ``[point, coordinate]``."""
+        return self.errors(coordinates.model, coordinates.values(points), len(points), stretch)
+
+    # ---- linearisation ------------------------------------------------------------------------------------------
+    def linearise(self, coordinates: Coordinates, point: np.ndarray, like: Linear | None = None) -> Linear:
+        """What the base leaves, its numbers' columns, and the reduction, around a point.
+
+        Args:
+            coordinates: the base's numbers.
+            point: where they are.
+            like: whose reduction is kept, so that evidences compare; None for one of its own.
+        """
+        groups = self._together(coordinates.entries)
+        span = coordinates.high - coordinates.low
+        step = np.where(point + 2 * STEP * span > coordinates.high, -STEP, STEP) * span
+        numbers = np.arange(len(point))
+        moved = np.stack([point, *(point + np.isin(numbers, group) * step for group in groups)])
+        error = self.at(coordinates, moved)
+        if like is None:
+            nuisances = self._nuisances(coordinates, point, [one[0] for one in error])
+            made = [self._reducer(limb, n) for limb, n in zip(self.limbs, nuisances, strict=True)]
+            reducers, variance = tuple(m[0] for m in made), tuple(m[1] for m in made)
+        else:
+            reducers, variance = like.reducers, like.variance
+        lacking = -self.reduce(reducers, [one[:1] for one in error])[0]
+        changes = self.reduce(reducers, [one[1:] - one[:1] for one in error])
+        base = np.zeros((len(point), *lacking.shape), np.float32)
+        for number, group in enumerate(groups):
+            for i in group:
+                base[i] = changes[number] / step[i]
+                base[i][~self._felt(coordinates.entries[i].joints)] = 0.0
+        return Linear(coordinates, point, reducers, variance, lacking, base)
+
+    def _felt(self, joints: tuple[int, ...] | None) -> np.ndarray:
+        """Which judged joints feel a change in some: those of their limbs, ``[joint]``."""
+        if joints is None:
+            return np.ones(len(self.judged), bool)
+        limbs = {self.limb_of.get(j) for j in joints}
+        return np.array([self.limb_of[int(j)] in limbs for j in self.judged])
+
+    def _together(self, entries: Sequence[Coordinate]) -> list[list[int]]:
+        """Numbers that one simulation moves at once: those of the same slot of every limb."""
+        local: dict[tuple, list[int]] = {}
+        for i, entry in enumerate(entries):
+            alone = entry.joints is not None and len(entry.joints) == 1
+            if alone and entry.joints[0] not in self.limb_of:  # type: ignore[index]
+                continue
+            key = (entry.parameter, entry.kind, self.slot_of[entry.joints[0]]) if alone else (i,)  # type: ignore[index]
+            local.setdefault(key, []).append(i)
+        return list(local.values())
+
+    def _nuisances(self, coordinates: Coordinates, point: np.ndarray, left: list[np.ndarray]) -> list[np.ndarray]:
+        """Responses to initial states and to unit torques of pieces, by limb ``[window, residual, nuisance]``."""
+        size = max(map(len, self.limbs))
+        count = 2 * size + 1
+        position = torch.zeros(count, self.count, dtype=torch.float64)
+        velocity = position.clone()
+        for limb in self.limbs:
+            for slot, j in enumerate(limb):
+                position[1 + slot, j], velocity[1 + size + slot, j] = INITIAL
+        values = coordinates.values(np.repeat(point[None], count, 0))
+        error = self.errors(coordinates.model, values, count, position_offset=position, velocity_offset=velocity)
+        result = []
+        for k, limb in enumerate(self.limbs):
+            n = len(limb)
+            change = error[k][1:] - error[k][:1]
+            initial = np.concatenate([change[:n], change[size : size + n]])
+            torque = self._torque_responses(limb, coordinates, point, initial, left[k])
+            result.append(np.moveaxis(np.concatenate([initial, torque]), 0, -1))
+        return result
+
+    def _torque_responses(
+        self, limb: np.ndarray, coordinates: Coordinates, point: np.ndarray, initial: np.ndarray, left: np.ndarray
+    ) -> np.ndarray:
+        """What a unit of torque in one joint and piece would do, ``[nuisance, window, residual]``.
+
+        A joint answers where it moves, measured or simulated, and its servo's own loop pulls it back as it does after
+        an error of the initial angle.
+        """
+        engine, n, shape = self.engine, len(limb), (self.windows, self.ticks + 1, len(limb), 3)
+        values = coordinates.values(point[None])
+        armature = values.get("armature", torch.zeros(1, 1)).numpy()
+        mass = engine.by_window(engine.motion.dynamics.mass, end=True)[:, :, limb][:, :, :, limb]
+        mass = mass + np.diag(np.broadcast_to(armature[0], self.count)[limb])
+        mobility = np.linalg.inv(mass)
+        measured = engine.by_window(engine.motion.velocity, end=True)[:, :, limb]
+        moves = np.abs(measured) > 0.02
+        if np.isfinite(self.floor[1]):
+            moves |= np.abs(measured + left.reshape(shape)[..., 1] * self.floor[1]) > 0.04
+        regulated = "current_pd" in coordinates.model.effect_names
+        stiffness = self._loop_stiffness(initial[:n].reshape(n, *shape), mass, regulated)
+        piece = np.arange(self.ticks) * PIECES // self.ticks
+        response = np.zeros((n, PIECES, *shape), np.float32)
+        for j in range(n):
+            for p in range(PIECES):
+                q, v = np.zeros((self.windows, n)), np.zeros((self.windows, n))
+                for t in range(self.ticks):
+                    pull = (self.unit if piece[t] == p else 0.0) * mobility[:, t, :, j]
+                    pull = pull - np.einsum("wij,wj->wi", mobility[:, t], stiffness * q)
+                    v = (v + engine.period * pull) * moves[:, t]
+                    q = q + engine.period * v
+                    response[j, p, :, t + 1, :, 0], response[j, p, :, t + 1, :, 1] = q, v
+        response /= self.floor.astype(np.float32)
+        return response.reshape(n * PIECES, self.windows, -1)
+
+    def _loop_stiffness(self, initial: np.ndarray, mass: np.ndarray, regulated: bool) -> np.ndarray:
+        """Stiffness of servos that close the position loop themselves [N m/rad], ``[joint]``; zero of others.
+
+        From how far an error of the initial angle has come back after two ticks: ``q(t) = q0 (1 - K t^2 / 2 J)``.
+        """
+        time, result = 2 * self.engine.period, np.zeros(len(initial))
+        if regulated:
+            return result  # commands are those of the log, and nothing pulls back
+        for j, one in enumerate(initial):
+            kept = np.median(one[:, 2, j, 0]) * self.floor[0] / INITIAL[0]
+            result[j] = max(0.0, 2 * (1 - kept) / time**2) * float(np.median(mass[:, 0, j, j]))
+        return result
+
+    def _reducer(self, limb: np.ndarray, nuisances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Residual to the torques that explain it, ``[window, torque, residual]``, and their variance."""
+        n = len(limb)
+        prior = np.ones(nuisances.shape[2])
+        prior[2 * n :] = WIDE_TORQUE**2
+        inner = np.einsum("wra,wrb->wab", nuisances, nuisances, optimize=True).astype(np.float64)
+        covariance = np.linalg.inv(inner + np.diag(1 / prior))
+        gain = np.einsum("wab,wrb->war", covariance[:, 2 * n :], nuisances, optimize=True).astype(np.float32)
+        spread = np.diagonal(covariance, axis1=1, axis2=2)[:, 2 * n :].reshape(self.windows, n, PIECES).mean(2)
+        return gain, spread
+
+    def reduce(self, reducers: Sequence[np.ndarray], errors: Sequence[np.ndarray]) -> np.ndarray:
+        """Whitened errors by limb as rows, ``[set, joint, window, row]``: torques, then currents, means first."""
+        parts = []
+        for gain, error, limb in zip(reducers, errors, self.limbs, strict=True):
+            sets, n = len(error), len(limb)
+            torque = np.matmul(gain[None], error[..., None])[..., 0].reshape(sets, self.windows, n, PIECES)
+            current = error.reshape(sets, self.windows, self.ticks + 1, n, 3)[..., 2]
+            current = np.einsum("pt,swtj->swjp", self._mean, current)
+            rows = np.concatenate([torque @ self._turn.T, current @ self._turn.T], -1)
+            parts.append(np.moveaxis(rows, 2, 1))
+        return np.concatenate(parts, 1).astype(np.float32)
+
+    # ---- candidates ---------------------------------------------------------------------------------------------
+    def columns(self, linear: Linear, found: Sequence[Candidate], progress=None) -> np.ndarray:
+        """What each candidate's secant does, ``[candidate, joint, window, row]``."""
+        result = np.zeros((len(found), *linear.lacking.shape), np.float32)
+        base = linear.coordinates.values(linear.point[None])
+        models: dict[int, dict[tuple, list[int]]] = {}
+        singles: dict[tuple, int] = {}
+        for i, one in enumerate(found):
+            secant = tuple(sorted(one.secant.items()))
+            if one.scope == "joint":
+                assert one.joints is not None
+                singles[id(one.model), one.effect.name, secant, one.joints[0]] = i
+            key = self.slot_of[one.joints[0]] if one.scope == "joint" and one.joints else "all"
+            if one.scope in ("shared", "joint"):
+                models.setdefault(id(one.model), {}).setdefault((one.effect.name, secant, key), []).append(i)
+        done = 0
+        for groups in models.values():
+            for begin in range(0, len(groups), CHUNK - 1):
+                members = list(groups.values())[begin : begin + CHUNK - 1]
+                self._simulate(linear, found, members, base, result)
+                done += len(members)
+                if progress is not None:
+                    progress(done / sum(map(len, models.values())))
+        for i, one in enumerate(found):
+            if one.scope in ("pair", "side"):  # to first order the sum of its joints
+                secant = tuple(sorted(one.secant.items()))
+                parts = [singles.get((id(one.model), one.effect.name, secant, j)) for j in one.joints or ()]
+                result[i] = sum(result[part] for part in parts if part is not None)
+        return result
+
+    def _simulate(
+        self, linear: Linear, found: Sequence[Candidate], members: list[list[int]], base, result: np.ndarray
+    ) -> None:
+        """Columns of candidates of one model, those of a group in one simulation."""
+        model = found[members[0][0]].model
+        start = model.tensors(self.engine.joints) | base
+        known = model.parameters()
+        start = {
+            name: value.expand(1, self.count).clone() if known[name.split("@")[0]].per_joint else value
+            for name, value in start.items()
+        }
+        sets = [start]
+        for group in members:
+            moved = start
+            for i in group:
+                moved = found[i].moved(moved)
+            sets.append(moved)
+        error = self.errors(model, stacked(sets), len(sets))
+        changes = self.reduce(linear.reducers, [one[1:] - one[:1] for one in error])
+        for number, group in enumerate(members):
+            for i in group:
+                result[i] = changes[number]
+                result[i][~self._felt(found[i].joints)] = 0.0
+
+    # ---- rows ---------------------------------------------------------------------------------------------------
+    def rows(self, linear: Linear, columns: np.ndarray, like: Rows | None = None) -> Rows:
+        """Everything the judge needs, of the base and the candidates' columns.
+
+        Args:
+            linear: the windows around the base.
+            columns: ``[candidate, joint, window, row]``.
+            like: whose variances are kept, so that evidences compare.
+        """
+        values = np.concatenate([linear.base, columns]).astype(np.float64)
+        torque = self.kinds < 2
+        spread = np.concatenate([one.T for one in linear.variance])  # [joint, window]
+        known = (spread < UNKNOWN) & self.moving[self.judged][:, None]
+        variance = np.where(known, spread, np.inf)[..., None] + np.zeros(len(self.kinds))
+        variance[..., torque] += self._on_edge(linear)[..., None]
+        reading = 1.0 / (self.ticks / PIECES) if np.isfinite(self.floor[2]) else np.inf
+        variance[..., ~torque] = np.where(self.moving[self.judged][:, None, None], reading, np.inf)
+        variance = variance if like is None else like.variance
+        for kinds in (torque, ~torque):  # columns of windows on the edge of sticking are wild
+            part = values[..., kinds]
+            usual = np.quantile(np.abs(part), 0.97, axis=(2, 3), keepdims=True)
+            values[..., kinds] = np.clip(part, -8 * usual - 0.5, 8 * usual + 0.5)
+        kept = [np.flatnonzero(np.abs(values[:, j]).max((1, 2)) > 0) for j in range(len(self.judged))]
+        measured = np.where(np.isfinite(variance), linear.lacking, 0.0)
+        features = self.features() * torque[:, None]
+        return Rows(
+            tuple(self.engine.joints[j] for j in self.judged),
+            self.kinds,
+            measured,
+            variance,
+            features,
+            tuple(kept),
+            tuple(values[at, j] for j, at in enumerate(kept)),
+        )
+
+    def _on_edge(self, linear: Linear) -> np.ndarray:
+        """Variance of windows on the edge of sticking, which little moves far, ``[joint, window]``."""
+        s, extra = self.settings, 0.0
+        for entry, value, column in zip(linear.coordinates.entries, linear.point, linear.base, strict=True):
+            if entry.joints is None and entry.kind == "value":
+                moved = np.square(s.edge_share * value * column[..., self.kinds < 2].astype(np.float64)).mean(-1)
+                extra = extra + np.maximum(moved - np.quantile(moved, 0.75, axis=1, keepdims=True), 0.0)
+        return s.edge**2 * np.minimum(extra, 0.9 * UNKNOWN)
+
+    def features(self, seed: int = 0) -> np.ndarray:
+        """Random features of what a joint goes through, ``[joint, window, row, feature]``; of currents the same."""
+        engine, rng, count = self.engine, np.random.default_rng(seed), self.settings.features
+        q, v, i = (engine.by_window(a)[..., self.judged] for a in
+                   (engine.motion.position, engine.motion.velocity, engine.motion.current))  # fmt: skip
+        time = np.broadcast_to(engine.by_window(engine.motion.time), q.shape)
+        warmth = engine.motion.inputs.get("temperature")
+        warm = np.zeros_like(q) if warmth is None else engine.by_window(warmth)[..., self.judged]
+        target = engine.by_window(engine.motion.inputs["position_target"])[..., self.judged]
+        load = i if np.ptp(i) > 0 else target - q  # a servo with its own loop pushes in proportion to its error
+        x = np.stack([q, v, np.tanh(v / 0.05), load, load * v, warm, time], -1)
+        spread = x.std((0, 1))
+        x = (x - x.mean((0, 1))) / np.where(spread < 1e-4, 1e9, spread)
+        often = np.array([3, 3, 3, 3, 2, 1, 1.0])
+        made = [np.ones(q.shape)]
+        for number in range(count - 1):
+            picked = rng.choice(7, 2, replace=False, p=often / often.sum()) if number % 2 else rng.choice(5, 1)
+            weight = np.zeros(7)
+            weight[picked] = rng.standard_normal(len(picked)) / (1.5 if number % 4 < 2 else 0.6)
+            made.append(np.sqrt(2) * np.cos(x @ weight + rng.uniform(0, 2 * np.pi)))
+        mean = self._mean[:, :-1] / self._mean[:, :-1].sum(1, keepdims=True)
+        pieces = np.einsum("pt,fwtj->jwpf", mean, np.stack(made))
+        turned = np.einsum("rp,jwpf->jwrf", self._turn, pieces)
+        return np.concatenate([turned, turned], 2)

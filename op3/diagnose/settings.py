@@ -1,0 +1,54 @@
+"""Every tuned number of the judge, in one table, each with its reason."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Tuned constants; torques are in `torque_unit`s, one hundredth of what the robot's busiest joint gives.
+
+    Attributes:
+        spike: torque up to which every law is a little wrong, root mean square [units]. Sound robots of other
+            simulators leave 0.1 to 0.3 of it behind their best base.
+        spike_ends: the spike as a share of the slab, least and most: an effect that hardly shows may be there, and one
+            that shows in every window needs room to be found.
+        slab: standard deviation of a finding's size, as a share of what is plausible for it.
+        faulty: how many times larger than plausible of a sound robot a fault may be.
+        edge: how many standard deviations an edge-of-sticking window may move when the base's numbers move by
+            `edge_share`.
+        edge_share: by how much no law's numbers are known [-].
+        tails: degrees of freedom of Student's noise: a window in ten is wild where joints stick and slip.
+        noise: usual noise of a joint [units], a log-normal's median; estimated per joint about it.
+        noise_spread: standard deviation of its logarithm.
+        law: usual size of what a joint does and nobody explains [units], estimated per joint about it.
+        law_spread: standard deviation of its logarithm.
+        features: of a joint's unexplained law; twice as many change no name.
+        alarm: log odds from which on a finding is as likely as not: what sound robots reach now and then.
+        rare_alarm: the same with Gaussian noise, where a few wild windows count in full.
+        temperature: by which log odds are divided before they are probabilities; model error is not independent.
+        family: log odds within which names are one finding.
+        windows: of the fitted runs; more add what model error repeats.
+        leaders: candidates that are estimated anew with everything else in each round.
+    """
+
+    spike: float = 0.2
+    spike_ends: tuple[float, float] = (0.02, 0.4)
+    slab: float = 0.5
+    faulty: float = 1.6
+    edge: float = 2.0
+    edge_share: float = 0.05
+    tails: float = 4.0
+    noise: float = 0.3
+    noise_spread: float = 0.7
+    law: float = 0.15
+    law_spread: float = 0.5
+    features: int = 40
+    alarm: float = 6.0
+    rare_alarm: float = 30.0
+    temperature: float = 2.0
+    family: float = 6.0
+    windows: int = 72
+    leaders: int = 6
+
+
+SETTINGS = Settings()

@@ -1,0 +1,130 @@
+"""Robots and benches whose base is held: their dynamics along a measured motion, and what edits of bodies add."""
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from op3.robot import build_scene, pose
+from op3.robot.joints import JOINTS
+from op3.robot.units import GRAVITY
+from op3.servo import RobotModel
+from op3.servo.effects import LinkInertia, Motor
+from op3.sim.edits import edited_fields, model_field
+from op3.sim.ports import ServoPorts, attach_servos
+from op3.sim.trajectory_dynamics import TrajectoryDynamics, trajectory_dynamics
+
+ROTOR, LINK = Motor.edits[0], LinkInertia.edits[0]
+"""The rotor's inertia, which is on the diagonal of the mass matrix, and the link's, the one edit that a bench has."""
+
+
+class FixedBase:
+    """The limbs of a robot on a stand that are in the logs, compiled with their servos.
+
+    Args:
+        joints: of the logs.
+        tilt: roll and pitch of the stand [rad].
+    """
+
+    def __init__(self, joints: Sequence[str], tilt: tuple[float, float] = (0.0, 0.0)):
+        unknown = [joint for joint in joints if joint not in JOINTS]
+        if unknown:
+            raise ValueError(f"the robot has no joint {unknown[0]!r}: use the joint names of op3.robot")
+        scene = build_scene("stand", tilt_roll=tilt[0], tilt_pitch=tilt[1], joints=joints)
+        elements: dict[str, Any] = {str(element.name): element for element in scene.joints}
+        moved = [elements[joint] for joint in joints]
+        attach_servos(moved)
+        self.names = [str(element.full_identifier) for element in moved]
+        self.joints = tuple(joints)
+        self.mj_model = scene.compile(visual=False)
+        self.ports = ServoPorts.find(self.mj_model, self.names)
+        assert scene.robot is not None
+        self.base = self.mj_model.body(scene.robot.trunk.full_identifier).id
+        standing = dict(zip(JOINTS, pose("stand"), strict=True))
+        self.qpos = np.zeros(self.mj_model.nq)
+        for i in range(self.mj_model.njnt):
+            self.qpos[i] = standing[self.mj_model.joint(i).name.rsplit("/", 1)[-1]]
+
+    def dynamics(self, position: np.ndarray, velocity: np.ndarray, radial_force: bool = False) -> TrajectoryDynamics:
+        """Dynamics along a motion, ``[tick, joint]``."""
+        return trajectory_dynamics(self.mj_model, self.names, position, velocity, self.qpos, radial_force=radial_force)
+
+    def along(self, mj_model: mujoco.MjModel, position: np.ndarray, velocity: np.ndarray) -> TrajectoryDynamics:
+        """Mass and bias of an edited model along a motion."""
+        return trajectory_dynamics(mj_model, self.names, position, velocity, self.qpos, derivatives=False)
+
+    def changed(self, model: RobotModel, parameter: str, joint: int | None, amount: float) -> mujoco.MjModel | None:
+        """A sound robot but for one parameter of a joint, larger by `amount`; None if nothing changes for the limbs."""
+        known = model.parameters()
+        sound = model.with_values({name: one.neutral for name, one in known.items() if one.neutral is not None})
+        values = {
+            name: value.expand(1, len(self.joints) if known[name].per_joint else 1).clone()
+            for name, value in sound.tensors(self.joints).items()
+        }
+        effects = [e for e in model.effects if any(edit != ROTOR for edit in e.edits)]
+        arrays = edited_fields(self.mj_model, effects, values, self.ports, self.base, {}, 1)
+        values[parameter][:, 0 if joint is None else joint] += amount
+        moved = edited_fields(self.mj_model, effects, values, self.ports, self.base, {}, 1)
+        different = [field for field in moved if not np.array_equal(moved[field], arrays[field])]
+        if not different:
+            return None
+        changed = copy.copy(self.mj_model)
+        for field, array in moved.items():
+            if field != "dof_armature":
+                model_field(changed, field)[...] = array[0]
+        mujoco.mj_setConst(changed, mujoco.MjData(changed))
+        return changed
+
+
+@lru_cache(maxsize=64)
+def fixed_base(joints: tuple[str, ...], tilt: tuple[float, float] = (0.0, 0.0)) -> FixedBase:
+    """The same, compiled once for logs of the same joints and tilt."""
+    return FixedBase(joints, tilt)
+
+
+@dataclass(frozen=True)
+class PendulumBase:
+    """One servo with a weight on an arm: ``m (l^2 + k^2) a + m g l sin q``.
+
+    Attributes:
+        mass: of the weight [kg].
+        length: of the arm [m].
+        gyration_squared: squared radius of gyration of the weight about itself [m^2].
+    """
+
+    mass: float
+    length: float
+    gyration_squared: float = 0.0
+
+    @property
+    def mj_model(self) -> "PendulumBase":
+        """The sound bench, as `along` takes it."""
+        return self
+
+    def dynamics(self, position: np.ndarray, velocity: np.ndarray, radial_force: bool = False) -> TrajectoryDynamics:
+        """Dynamics along a motion, ``[tick, joint]``."""
+        return self.along(self, position, velocity, radial_force)
+
+    def along(
+        self, bench: "PendulumBase", position: np.ndarray, velocity: np.ndarray, radial_force: bool = False
+    ) -> TrajectoryDynamics:
+        """Dynamics of this or an edited bench along a motion."""
+        moment = bench.mass * GRAVITY * bench.length
+        inertia = bench.mass * (bench.length**2 + bench.gyration_squared)
+        whole = np.ones((len(position), 1, 1))
+        pull = bench.mass * (GRAVITY * np.cos(position) + bench.length * velocity**2)
+        force = np.hypot(pull, bench.mass * GRAVITY * np.sin(position)) if radial_force else np.zeros_like(position)
+        return TrajectoryDynamics(
+            inertia * whole, moment * np.sin(position), moment * np.cos(position)[..., None], 0.0 * whole, force
+        )
+
+    def changed(self, model: RobotModel, parameter: str, joint: int | None, amount: float) -> "PendulumBase | None":
+        """The bench but for one parameter, larger by `amount`; None if nothing changes for it."""
+        del model, joint
+        if parameter != LINK.parameter:
+            return None
+        return PendulumBase(self.mass, self.length, self.gyration_squared + amount)

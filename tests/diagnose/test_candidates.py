@@ -1,0 +1,114 @@
+"""What could be missing: places, neutral columns, priors."""
+
+import numpy as np
+import pytest
+
+from op3.diagnose.base import settle
+from op3.diagnose.candidates import candidates, mirror_pairs, place_priors, separating
+from op3.diagnose.coordinates import CHAIN, base_coordinates, other_forms, with_chain
+from op3.diagnose.reduction import Reduction
+from op3.diagnose.settings import SETTINGS
+from op3.diagnose.windows import WindowResiduals
+from op3.robot import LEG_JOINTS, leg_suite
+from op3.servo import catalogue
+from op3.servo.effect import parameter
+from op3.sim import load_model
+from op3.tasks.planned import planned_suite
+
+EVERY = [True] * len(LEG_JOINTS)
+
+
+@pytest.fixture(scope="module")
+def reduction() -> Reduction:
+    """Ten windows of a leg, simulated by the model itself."""
+    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
+    return Reduction(WindowResiduals(planned_suite(load_model("paper"), runs), windows=10))
+
+
+def test_every_place_of_a_leg_and_no_number_of_the_base():
+    """Effects of single joints in each, laws of all joints once; what the base fits is no candidate for all."""
+    found = candidates(with_chain(load_model("paper")), LEG_JOINTS, EVERY, {})
+    places = {(one.effect.name, one.joints) for one in found}
+    assert {("backlash", (j,)) for j in range(6)} < places
+    assert ("quadratic_drag", None) in places
+    for shared in ("coulomb", "dte", "latency", "velocity_filter", "torque_constant", "current_offset"):
+        assert (shared, None) not in places
+    assert not any(one.effect.name in ("payload", "imu_mount", "ground_tilt", "position_servo") for one in found)
+
+
+def test_mirror_pairs_are_places_and_still_joints_are_none():
+    """Each pair once; a joint that is still, or has no partner, is in none."""
+    joints, mirror = ("l_a", "l_b", "neck", "r_a", "r_b"), {"l_a": "r_a", "r_a": "l_a", "l_b": "r_b", "r_b": "l_b"}
+    assert mirror_pairs(joints, [True] * 5, mirror) == [(0, 3), (1, 4)]
+    assert mirror_pairs(joints, [True, True, True, True, False], mirror) == [(0, 3)]
+
+
+def test_a_neutral_secant_is_a_column_of_zeros(reduction):
+    """At none of an effect nothing changes, bit for bit, whichever effect it is."""
+    model = with_chain(load_model("paper"))
+    base, sound = model.tensors(LEG_JOINTS), reduction.engine.errors(model)
+    for one in {c.effect.name: c for c in candidates(model, LEG_JOINTS, EVERY, {})}.values():
+        start = one.model.tensors(LEG_JOINTS) | base
+        assert (one.effect.name in model.effect_names) <= all(
+            parameter(name).neutral is not None for name in one.secant
+        )
+        error = reduction.engine.errors(one.model, one.moved(start, share=0.0))
+        if not one.model.stiff:  # elastic elements are started from the data, and begin as they would end
+            np.testing.assert_array_equal(error, sound)
+
+
+def test_columns_stay_in_the_limb_and_pairs_are_sums(reduction):
+    """A change in one joint moves its column, and the column of two joints is the sum of theirs."""
+    model = with_chain(load_model("paper"))
+    coordinates = base_coordinates(model, LEG_JOINTS)
+    linear = settle(reduction, coordinates, coordinates.start, steps=0).linear
+    mirror = {"r_knee": "r_ank_pitch", "r_ank_pitch": "r_knee"}
+    found = [c for c in candidates(model, LEG_JOINTS, EVERY, mirror) if c.effect.name == "quadratic_drag"]
+    columns = reduction.columns(linear, found)
+    by_place = {one.joints: column for one, column in zip(found, columns, strict=True)}
+    knee, ankle = LEG_JOINTS.index("r_knee"), LEG_JOINTS.index("r_ank_pitch")
+    pair = next(place for place in by_place if place is not None and len(place) == 2)
+    np.testing.assert_array_equal(by_place[pair], by_place[(knee,)] + by_place[(ankle,)])
+    own = np.square(by_place[(knee,)]).sum((1, 2))
+    assert own.argmax() == list(reduction.judged).index(knee)
+
+
+def test_places_and_secants_share_one_prior():
+    """All hypotheses of a scope together have the scope's prior, for laws of one number."""
+    found = candidates(with_chain(load_model("paper")), LEG_JOINTS, EVERY, {})
+    priors = np.exp(place_priors(found))
+    for name in ("quadratic_drag", "cable_spring"):
+        mine = [i for i, one in enumerate(found) if one.effect.name == name and one.scope == "joint"]
+        extra = 0.5 ** (sum(p.neutral is not None for p in catalogue()[name].parameters) - 1)
+        assert priors[mine].sum() == pytest.approx(0.35 * extra)
+
+
+def test_plausible_sizes_stay_within_physics():
+    """Losses are not negative, efficiencies not above one, and a slab has room within its ends."""
+    base = with_chain(load_model("paper_without_dte"))
+    for one in candidates(base, LEG_JOINTS, EVERY, {}):
+        low, high, slab = one.reach(base, SETTINGS)
+        assert low <= 0.0 <= high
+        assert slab > 0
+        if one.effect.name == "dte":
+            assert (high - low) * abs(one.secant["backward_efficiency"]) <= 1.0
+
+
+def test_the_chain_is_on_and_per_joint_where_joints_differ():
+    """Zeros of current sensors are each joint's own, lags are shared, and a servo's own loop has no current loop."""
+    model = with_chain(load_model("paper"))
+    entries = base_coordinates(model, LEG_JOINTS).entries
+    count = {name: sum(entry.parameter == name for entry in entries) for name in CHAIN}
+    assert count["current_offset"] == 6
+    assert count["velocity_time_constant"] == count["command_latency"] == 1
+    assert "current_lag" not in with_chain(load_model("xl330_m1")).effect_names
+
+
+def test_forms_of_a_law_are_all_there():
+    """Two of DTE times two of static friction, less the one that is given."""
+    assert len(other_forms(load_model("paper"))) == 3
+
+
+def test_experiments_are_said_once():
+    """Of two names of one experiment."""
+    assert separating(["dte", "dte"]) == separating(["dte"])

@@ -1,0 +1,118 @@
+"""Which model is handed back, how a late velocity is compared, and what a verdict says."""
+
+import numpy as np
+import pytest
+import yaml
+
+from op3.diagnose.base import Base, doubts, search
+from op3.diagnose.coordinates import base_coordinates, with_chain
+from op3.diagnose.reduction import Linear, Reduction
+from op3.diagnose.show import choose, show
+from op3.diagnose.split import LogSplit
+from op3.diagnose.verdict import Finding, JointGap, Rival, Verdict
+from op3.diagnose.windows import WindowResiduals
+from op3.robot import LEG_JOINTS, leg_suite
+from op3.rollout import Rollout
+from op3.sim import load_model
+from op3.tasks.planned import planned_suite
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return load_model("paper").with_values({"coulomb_friction": 0.2})
+
+
+@pytest.fixture(scope="module")
+def logs(truth) -> list[Rollout]:
+    """Two motions of a leg with more friction than the paper's model."""
+    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
+    return planned_suite(truth, runs)
+
+
+def test_the_model_that_predicts_best_is_handed_back(truth, logs):
+    """Base, right and overdone: the second leaves nearly nothing, and the third is not taken for being last."""
+    wrong = load_model("paper")
+    told = choose([wrong, truth, truth.with_values({"coulomb_friction": 0.3})], logs)
+    assert told["taken"] == 1
+    assert told["left"][1] < 0.2 * told["left"][0]
+
+
+def test_of_models_that_predict_alike_the_simplest_is_taken(truth, logs):
+    """A third effect that changes nothing is not handed back."""
+    assert choose([load_model("paper"), truth, truth], logs)["taken"] == 1
+    assert choose([truth, load_model("paper")], logs)["taken"] == 0
+
+
+def test_what_gets_better_is_said_by_channel(truth, logs):
+    """Under the model that made the logs every channel is better, and the loss lower."""
+    told = show(load_model("paper"), truth, LogSplit((), (), tuple(logs)))
+    assert {gap["change"] for gap in told["gap"].values()} == {"better"}
+    assert told["loss"]["after"] < told["loss"]["before"]
+
+
+def test_a_late_reading_is_no_gap(truth, logs):
+    """Velocities that come 16 ms late leave what they leave without being late."""
+    late = []
+    for log in logs:
+        arrays = {key: log.array(key) for key in log.channels}
+        arrays["joint", "velocity"] = np.roll(arrays["joint", "velocity"], 2, axis=0)
+        late.append(Rollout.from_arrays(arrays, log.metadata))
+    splits = [LogSplit((), (), tuple(some)) for some in (logs, late)]
+    gaps = [show(truth, truth, split)["gap"]["joint/velocity"]["before"] for split in splits]
+    assert gaps[1] < gaps[0] + 0.15
+
+
+def test_a_number_at_its_bound_is_a_doubt():
+    """Of a shared number; one at the least that physics allows is none."""
+    coordinates = base_coordinates(with_chain(load_model("paper")), LEG_JOINTS)
+    point = coordinates.start.copy()
+    at = [entry.name for entry in coordinates.entries].index("torque_constant")
+    point[at] = coordinates.high[at]
+    point[[entry.name for entry in coordinates.entries].index("viscous_friction")] = 0.0
+    base = Base(Linear(coordinates, point, (), (), np.zeros(0), np.zeros(0)), None, 0.0)  # type: ignore[arg-type]
+    (doubt,) = doubts(base)
+    assert doubt.startswith("torque_constant is at its largest")
+    other = point.copy()
+    other[at] = coordinates.low[at]
+    twice = Base(base.linear, None, 0.0, ((other, 3.0),))  # type: ignore[arg-type]
+    assert "with other torque_constant" in doubts(twice)[1]
+
+
+def test_the_search_finds_a_basin(logs):
+    """Far from the numbers that made the logs, it leaves two thirds of what the given ones leave, at most."""
+    reduction = Reduction(WindowResiduals(logs, windows=8))
+    far = with_chain(load_model("paper").with_values({"coulomb_friction": 0.02, "torque_constant": 0.0075}))
+    coordinates = base_coordinates(far, LEG_JOINTS, reduction.moving)
+    point = search(reduction, coordinates, np.random.default_rng(0))
+    errors = reduction.at(coordinates, np.stack([coordinates.start, point]))
+    given, found = np.log1p(np.square(np.concatenate(errors, -1)).mean(2)).sum(1)
+    assert found < 0.67 * given
+
+
+def verdict(**changes) -> Verdict:
+    finding = Finding("backlash", ("r_knee",), False, "backlash_half_gap", 0.004, "rad", (0.003, 0.005), 0.93, 11.0)
+    quiet = JointGap(0.01, 0.002, 0.001, 0.001, False, {"position": 0.1})
+    model = load_model("paper")
+    given = {"findings": (finding,), "joints": {"r_knee": quiet}, "doubts": (), "untold": (), "cannot_tell": ()}
+    return Verdict(**{**given, "base": model, "model": model, **changes})
+
+
+def test_a_verdict_is_findings_and_what_stays_unexplained():
+    """Names, alternatives, an odd joint that silences no finding, and doubts first; all of it plain."""
+    (finding,) = verdict().findings
+    assert verdict().verdict == "named"
+    assert verdict().sentence.startswith("The model lacks backlash in r_knee")
+    rival = Rival("compliance", ("r_knee",), False, 0.3)
+    either = verdict(findings=(Finding(**{**vars(finding), "alternatives": (rival,)}),))
+    assert either.verdict == "ambiguous"
+    assert "or compliance in r_knee" in either.sentence
+    assert finding.separate_by == ""
+    assert either.findings[0].separate_by
+    odd = JointGap(0.01, 0.01, 0.001, 0.009, True, {"position": 0.8})
+    beside = verdict(joints={"r_hip_yaw": odd}, doubts=("torque_constant is at its largest plausible value",))
+    assert beside.verdict == "named"
+    assert beside.sentence.startswith("The base is in doubt: torque_constant")
+    assert "What r_hip_yaw does" in beside.sentence
+    assert verdict(findings=(), joints={"r_hip_yaw": odd}).verdict == "unknown"
+    assert verdict(findings=()).verdict == "nothing_missing"
+    assert yaml.safe_load(yaml.safe_dump(beside.plain()))["findings"][0]["probability"] == 0.93

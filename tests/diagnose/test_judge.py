@@ -1,0 +1,158 @@
+"""The judge on rows whose truth is known."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from op3.diagnose.judge import Judge, Numbers, Rows, evidence
+from op3.diagnose.settings import Settings
+
+KINDS = np.array([0, 1, 1, 1, 2, 3, 3, 3])
+JOINTS, WINDOWS, CANDIDATES, LAWS = 4, 60, 12, 8
+SLAB, SPIKE = 4.0, 0.2
+
+
+def made(rng, sizes=(), wild=0.0, law=0.15, missing=None) -> Judge:
+    """Rows with a base of two numbers, candidates (the first of all joints, the others of one each), and a law.
+
+    Args:
+        sizes: of candidates, by number; what each makes is one unit of torque, root mean square.
+        wild: share of windows with ten times the noise.
+        law: what joints do and nobody explains [units].
+        missing: a column that is there and in no candidate.
+    """
+    shape = (WINDOWS, len(KINDS))
+    torque = KINDS < 2
+    columns = rng.standard_normal((JOINTS, 2 + CANDIDATES, *shape)) * torque
+    for j in range(JOINTS):
+        for k in range(1, CANDIDATES):
+            if k % JOINTS != j:
+                columns[j, 2 + k] = 0.0
+    features = rng.standard_normal((JOINTS, *shape, LAWS)) / np.sqrt(LAWS) * torque[:, None]
+    noise = 0.3 * rng.standard_normal((JOINTS, *shape))
+    noise *= np.where(rng.random((JOINTS, WINDOWS, 1)) < wild, 10.0, 1.0)
+    truth = np.zeros(2 + CANDIDATES)
+    truth[:2] = rng.standard_normal(2)
+    little = np.where(np.arange(CANDIDATES) < CANDIDATES, SPIKE * 0.3, 0.0) * rng.standard_normal(CANDIDATES)
+    truth[2:] = little
+    for k, size in dict(sizes).items():
+        truth[2 + k] = size
+    measured = np.einsum("jkwr,k->jwr", columns, truth) + noise
+    measured += np.einsum("jwrf,jf->jwr", features, law * np.sqrt(LAWS) * rng.standard_normal((JOINTS, LAWS)))
+    if missing is not None:
+        measured = measured + missing * rng.standard_normal(measured.shape) * torque
+    kept = [np.flatnonzero(np.abs(columns[j]).max((1, 2)) > 0) for j in range(JOINTS)]
+    rows = Rows(
+        tuple("abcd"),
+        KINDS,
+        measured,
+        np.full(measured.shape, 0.01),
+        features,
+        tuple(kept),
+        tuple(columns[j, at] for j, at in enumerate(kept)),
+    )
+    count = 2 + CANDIDATES
+    free = np.arange(count) < 2
+    numbers = Numbers(
+        np.zeros(count),
+        np.where(free, 3.0, SPIKE),
+        np.where(free, 3.0, SLAB),
+        np.where(free, -10.0, -8.0),
+        np.where(free, 10.0, 8.0),
+        np.where(free, 0.0, np.log(0.5 / np.where(np.arange(count) == 2, 1, CANDIDATES - 1))),
+        free,
+    )
+    return Judge(rows, numbers, Settings(law=law))
+
+
+def scores(judge: Judge) -> np.ndarray:
+    return judge.scores(judge.fit(rounds=4))[2:]
+
+
+def test_evidence_is_the_integral_it_says():
+    """Against the trapezoidal rule, of a truncated prior."""
+    grid = np.linspace(-1.0, 3.0, 40001)
+    prior = stats.truncnorm((-1 - 0.3) / 0.8, (3 - 0.3) / 0.8, 0.3, 0.8).pdf(grid)
+    expected = np.log(np.trapezoid(np.exp(1.7 * grid - 0.5 * 2.3 * grid**2) * prior, grid))
+    found = evidence(np.array(1.7), np.array(2.3), 0.3, np.array(0.8), -1.0, 3.0)
+    assert found == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_large_effect_is_told_from_all_others():
+    """One candidate of slab size leads by far, whether all joints have it or one."""
+    for number in (0, 6):
+        found = scores(made(np.random.default_rng(3), {number: 2.0}))
+        assert found.argmax() == number
+        assert found[number] > 20.0
+        assert np.delete(found, number).max() < 6.0
+
+
+def test_sound_rows_raise_no_alarm():
+    """Of 40 sets of rows in which everything is there a little, none reaches the alarm."""
+    best = [scores(made(np.random.default_rng(seed), wild=0.1)).max() for seed in range(40)]
+    assert max(best) < Settings().alarm
+
+
+def test_stated_odds_are_those_of_the_prior():
+    """Sizes drawn from spike and slab alike: of the candidates to which the judge gives even odds half are slabs."""
+    told, truth = [], []
+    for seed in range(60):
+        rng = np.random.default_rng([seed, 5])
+        slab = rng.random(CANDIDATES) < 0.15
+        sizes = {k: np.clip(rng.standard_normal() * SLAB, -8, 8) for k in np.flatnonzero(slab)}
+        judge = made(rng, sizes)
+        fit = judge.fit(list(2 + np.flatnonzero(slab)), rounds=4)
+        for k in range(CANDIDATES):
+            named = [2 + i for i in np.flatnonzero(slab) if i != k]
+            odds = judge.scores(judge.fit(named, fit.state, rounds=0), named)[2 + k] - judge.numbers.place[2 + k]
+            told.append(1 / (1 + np.exp(-np.clip(odds + np.log(0.15 / 0.85), -50, 50))))
+            truth.append(slab[k])
+    told, truth = np.array(told), np.array(truth)
+    for low, high in ((0.0, 0.2), (0.8, 1.01)):
+        mine = (told >= low) & (told < high)
+        assert abs(told[mine].mean() - truth[mine].mean()) < 0.1
+
+
+def test_what_no_candidate_explains_is_nobodys_finding():
+    """Torque that goes with the features of a joint is its law, whose size grows, and names nothing."""
+    judge = made(np.random.default_rng(2), law=1.0)
+    fit = judge.fit(rounds=6)
+    assert judge.scores(fit)[2:].max() < Settings().alarm
+    assert fit.state.law.min() > 0.5
+
+
+def test_wild_windows_hide_nothing_and_name_nothing():
+    """A tenth of the windows with ten times the noise: they are weighed down, and the effect is found as without."""
+    judge = made(np.random.default_rng(7), {3: 2.0}, wild=0.1)
+    fit = judge.fit(rounds=6)
+    assert fit.state.weight.min() < 0.1
+    found = judge.scores(fit)[2:]
+    assert found.argmax() == 3
+    assert fit.mean[2 + 3] == pytest.approx(2.0, abs=0.4)
+
+
+def test_windows_on_the_edge_of_sticking_count_less():
+    """Rows of large known variance move no number, however far off they are."""
+    judge = made(np.random.default_rng(9), {2: 2.0})
+    edge = np.random.default_rng(0).random((JOINTS, WINDOWS)) < 0.2
+    judge.rows.measured[edge] += 30.0
+    judge.rows.variance[edge] = 900.0
+    again = Judge(judge.rows, judge.numbers, judge.settings)
+    fit = again.fit(rounds=4)
+    assert again.scores(fit)[2:].argmax() == 2
+    assert fit.mean[4] == pytest.approx(2.0, abs=0.4)
+
+
+def test_twins_share_what_they_explain():
+    """Two candidates with one column cannot both be told: their scores are the same, and only together decisive."""
+    judge = made(np.random.default_rng(4), {1: 2.0})
+    values = [value.copy() for value in judge.rows.values]
+    rows = judge.rows
+    for j, at in enumerate(rows.columns):
+        if 3 in at and 7 in at:
+            values[j][list(at).index(7)] = values[j][list(at).index(3)]
+    twin = Judge(Rows(*(getattr(rows, f) for f in ("joints", "kinds", "measured", "variance", "features", "columns")),
+                      tuple(values)), judge.numbers, judge.settings)  # fmt: skip
+    found = scores(twin)
+    assert found[1] == pytest.approx(found[5], abs=0.5)
+    assert found[[1, 5]].min() > np.delete(found, [1, 5]).max()
