@@ -26,6 +26,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from support import ASKED, by_name, check_same, library_motion, one_sentence, plain, positive, remember
 
+from op3.command_line import launch
 from op3.deploy import Stop
 from op3.deploy.bus import Unplugged
 from op3.deploy.exit_codes import ExitCode
@@ -173,4 +174,4 @@ def main(cfg: DictConfig) -> None:
 
 if __name__ == "__main__":
     sys.argv = ["confirm=false" if argument == "--yes" else argument for argument in sys.argv]
-    main()
+    launch(main, "collect", __doc__)

@@ -9,6 +9,7 @@ import hydra
 from omegaconf import DictConfig
 from support import check_given, one_sentence
 
+from op3.command_line import launch
 from op3.report import finish
 from op3.report.comparison import read_runs, write_comparison
 
@@ -23,4 +24,4 @@ def main(cfg: DictConfig) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    launch(main, "compare_runs", __doc__)

@@ -16,6 +16,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from support import one_sentence, positive, seeded_faults
 
+from op3.command_line import launch
 from op3.deploy import (
     Calibration,
     Connection,
@@ -133,4 +134,4 @@ def main(cfg: DictConfig) -> None:
 
 if __name__ == "__main__":
     sys.argv = ["confirm=false" if argument == "--yes" else argument for argument in sys.argv]
-    main()
+    launch(main, "deploy", __doc__)

@@ -15,6 +15,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from support import library_motion, one_sentence, plain
 
+from op3.command_line import launch
 from op3.identify.design import Candidate, choose, information
 from op3.identify.identification import PREFIX
 from op3.identify.resolvers import register as register_interpolations
@@ -88,4 +89,4 @@ def _ends(distribution: Any) -> tuple[float, float]:
 
 
 if __name__ == "__main__":
-    main()
+    launch(main, "design_excitation", __doc__)

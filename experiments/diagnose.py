@@ -23,6 +23,7 @@ from omegaconf import DictConfig, OmegaConf
 from support import library_motion, one_sentence, plain
 from threadpoolctl import threadpool_limits
 
+from op3.command_line import launch
 from op3.diagnose import (
     Diagnosis,
     Settings,
@@ -149,4 +150,4 @@ def main(cfg: DictConfig) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    launch(main, "diagnose", __doc__)

@@ -14,6 +14,7 @@ import hydra
 from omegaconf import DictConfig
 from support import one_sentence, seeded_faults
 
+from op3.command_line import launch
 from op3.deploy.emulator import (
     Battery,
     EmulatedRobot,
@@ -126,4 +127,4 @@ def main(cfg: DictConfig) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    launch(main, "emulate_robot", __doc__)

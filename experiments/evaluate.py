@@ -18,6 +18,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from support import one_sentence, positive, whole
 
+from op3.command_line import launch
 from op3.envs import BatchedEnv, record_episodes
 from op3.envs.actors import Watched, find_actor
 from op3.policy.actions import GAIN_HIGH, GAIN_LOW
@@ -147,4 +148,4 @@ def main(cfg: DictConfig) -> Any:
 
 
 if __name__ == "__main__":
-    main()
+    launch(main, "evaluate", __doc__)

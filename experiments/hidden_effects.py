@@ -19,6 +19,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from support import one_sentence
 
+from op3.command_line import launch
 from op3.report import finish, run_provenance, write_result
 from op3.report.naming import naming_page
 from op3.stand_in import CATALOGUE, Case, make_case, open_answers
@@ -102,4 +103,4 @@ def main(cfg: DictConfig) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    launch(main, "hidden_effects", __doc__)

@@ -19,6 +19,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 from support import check_given, focus_joints, logs_where, one_sentence, plain
 
+from op3.command_line import launch
 from op3.identify.identification import PREFIX, Fit, Identification
 from op3.identify.loss import UNIT_WEIGHTS, TrajectoryLoss
 from op3.identify.resolvers import register as register_interpolations
@@ -149,4 +150,4 @@ def main(cfg: DictConfig) -> Any:
 
 
 if __name__ == "__main__":
-    main()
+    launch(main, "identify", __doc__)

@@ -15,6 +15,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from support import check_given, focus_joints, logs_where, one_sentence, plain
 
+from op3.command_line import launch
 from op3.identify.prediction import predict_logs
 from op3.report import run_provenance
 from op3.report.prediction import report_prediction
@@ -48,4 +49,4 @@ def main(cfg: DictConfig) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    main()
+    launch(main, "predict", __doc__)

@@ -21,6 +21,7 @@ from omegaconf import DictConfig, OmegaConf
 from stages import Stages
 from support import ASKED, check_same, one_sentence, plain, remember, whole
 
+from op3.command_line import launch
 from op3.identify.episodes import ended_by, that_count
 from op3.identify.identification import PREFIX
 from op3.identify.reidentification import Reidentification
@@ -133,4 +134,4 @@ def main(cfg: DictConfig) -> Any:
 
 
 if __name__ == "__main__":
-    main()
+    launch(main, "reidentify", __doc__)

@@ -20,6 +20,7 @@ from omegaconf import DictConfig, OmegaConf
 from stages import Stages
 from support import ASKED, check_same, library_motion, one_sentence, plain, positive, remember, whole
 
+from op3.command_line import launch
 from op3.identify.episodes import ended_by, that_count
 from op3.policy import PolicyBundle
 from op3.report import finish, read_result, run_provenance, write_result
@@ -367,4 +368,4 @@ def main(cfg: DictConfig) -> Any:
 
 
 if __name__ == "__main__":
-    main()
+    launch(main, "sim2real", __doc__)

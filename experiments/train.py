@@ -20,6 +20,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 from support import one_sentence, plain, positive, whole
 
+from op3.command_line import launch
 from op3.envs import BatchedEnv, make_env
 from op3.envs.specs import PEAKS
 from op3.policy import ActionMap, Manifest, PolicyBundle, Training
@@ -40,7 +41,18 @@ from op3.train import (
     train,
 )
 
-KEPT = ("sac", "train", "practice", "environments", "env", "environment", "initial_gain", "fixed_gain", "warm_start")
+KEPT = (
+    "task",
+    "sac",
+    "train",
+    "practice",
+    "environments",
+    "env",
+    "environment",
+    "initial_gain",
+    "fixed_gain",
+    "warm_start",
+)
 """Settings that the manifest of a policy keeps."""
 
 FRAME_EVERY = 2
@@ -235,4 +247,4 @@ def main(cfg: DictConfig) -> Any:
 
 
 if __name__ == "__main__":
-    main()
+    launch(main, "train", __doc__)

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 _PACKAGE = Path(__file__).resolve().parents[1]
-_CANDIDATES = (_PACKAGE / "_assets", _PACKAGE.parent / "assets")
-"""An installed wheel carries `op3/_assets`; a checkout has `assets/` beside `op3/`."""
+_CANDIDATES = (_PACKAGE / "_files" / "assets", _PACKAGE.parent / "assets")
+"""An installed wheel carries `op3/_files`; a checkout has `assets/` beside `op3/`."""
 
 
 def asset_path(name: str) -> Path:
@@ -46,8 +46,8 @@ def named_configs(group: str) -> dict[str, Path]:
     """The config files of a group that come with the project, by name: ``conf/<group>/<name>.yaml``.
 
     Args:
-        group: folder below `conf/`; an installed wheel carries `op3/_conf` with those that the package itself reads.
+        group: folder below `conf/`.
     """
-    installed = _PACKAGE / "_conf" / group
+    installed = _PACKAGE / "_files" / "conf" / group
     folder = installed if installed.is_dir() else _PACKAGE.parent / "conf" / group
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}

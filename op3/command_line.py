@@ -1,0 +1,246 @@
+"""``op3 <command> [overrides]``: the experiments as one command, with errors of one sentence.
+
+The overrides are Hydra's, as of ``python experiments/<name>.py``; both go through `launch`.
+"""
+
+import ast
+import importlib.resources
+import os
+import re
+import runpy
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from op3.settings import nearest
+
+COMMANDS: Mapping[str, str] = {
+    "demo": "sim2real",
+    "collect": "collect",
+    "import": "import_log",
+    "identify": "identify",
+    "predict": "predict",
+    "diagnose": "diagnose",
+    "design": "design_excitation",
+    "train": "train",
+    "evaluate": "evaluate",
+    "compliance": "compliance",
+    "deploy": "deploy",
+    "reidentify": "reidentify",
+    "sim2real": "sim2real",
+    "emulate": "emulate_robot",
+    "compare": "compare_runs",
+}
+"""Experiment of each command."""
+
+PRESETS: Mapping[str, Sequence[str]] = {
+    "demo": ("robot=emulated", "task=balance", "world=robot_4", "budget=demo"),
+}
+"""Overrides that a command begins with."""
+
+
+def files() -> Path:
+    """The folder that holds ``experiments/`` and ``conf/``: the checkout, or the part of an installed wheel."""
+    package = Path(str(importlib.resources.files("op3")))
+    return package / "_files" if (package / "_files").is_dir() else package.parent
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run ``op3``.
+
+    Args:
+        arguments: the command and what follows it; those of the process where None.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    available = {name: script(name) for name in COMMANDS if script(name).is_file()}
+    if not given or given[0] in ("-h", "--help", "help"):
+        print(overview(available))
+        return
+    command, *rest = given
+    if command == "doctor":
+        from op3.doctor import report
+
+        print(report())
+        return
+    if command == "completion":
+        print(completion(available))
+        return
+    if command not in available:
+        end(f"op3 has no command {command!r}{nearest(command, [*available, 'doctor', 'completion'])}")
+    path = available[command]
+    sys.argv = [str(path), *PRESETS.get(command, ()), *rest]
+    sys.path.insert(0, str(path.parent))
+    runpy.run_path(str(path), run_name="__main__")
+
+
+def script(command: str) -> Path:
+    """The experiment of a command."""
+    return files() / "experiments" / f"{COMMANDS[command]}.py"
+
+
+def overview(available: Mapping[str, Path]) -> str:
+    """What ``op3 --help`` prints."""
+    rows = [f"  {name:12s}{summary(path)}" for name, path in available.items() if name != "demo"]
+    return "\n".join(
+        [
+            "op3: gear-driven robots from simulation to reality.",
+            "",
+            "  op3 <command> [setting=value ...]      op3 <command> --help lists the settings",
+            "",
+            f"  {'demo':12s}The whole method on an emulated robot at a small budget; one HTML page.",
+            *rows,
+            f"  {'doctor':12s}What this machine has, and what to do about what is missing.",
+            f'  {"completion":12s}Completion for bash: eval "$(op3 completion)".',
+        ]
+    )
+
+
+def summary(path: Path) -> str:
+    """The first sentence of a script's docstring."""
+    text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+    return text.split("\n")[0]
+
+
+def completion(available: Mapping[str, Path]) -> str:
+    """A bash function that completes commands, settings and the names in config groups."""
+    words = {name: " ".join(settings_of(COMMANDS[name])) for name in available}
+    cases = "\n".join(f'    {name}) words="{text}" ;;' for name, text in words.items())
+    commands = " ".join([*available, "doctor", "completion"])
+    return (
+        "_op3() {\n"
+        '  local words current="${COMP_WORDS[COMP_CWORD]}"\n'
+        '  case "${COMP_WORDS[1]}" in\n'
+        f"{cases}\n  esac\n"
+        f'  [ "$COMP_CWORD" = 1 ] && words="{commands}"\n'
+        '  COMPREPLY=($(compgen -W "$words" -- "$current"))\n'
+        "}\ncomplete -o nospace -o default -F _op3 op3"
+    )
+
+
+def settings_of(config: str) -> list[str]:
+    """Overrides that a config takes: ``group=name`` for every name of its groups, ``setting=`` for its fields."""
+    import yaml
+
+    folder = files() / "conf"
+    content = yaml.safe_load((folder / f"{config}.yaml").read_text(encoding="utf-8")) or {}
+    groups = [name for entry in content.get("defaults", []) if isinstance(entry, dict) for name in entry]
+    choices = [f"{group}={file.stem}" for group in groups for file in sorted((folder / group).glob("*.yaml"))]
+    return [*choices, *(f"{name}=" for name in content if name not in ("defaults", "hydra"))]
+
+
+def usage(config: str, documentation: str) -> str:
+    """What ``--help`` of an experiment prints: how it is called, its settings with defaults and units, its groups."""
+    folder = files() / "conf"
+    text = (folder / f"{config}.yaml").read_text(encoding="utf-8")
+    body = re.sub(r"^(defaults|hydra):\n(?:[ #].*\n|\n)*", "", text, flags=re.MULTILINE)
+    body = "\n".join(line for line in body.splitlines() if not line.startswith("#")).strip()
+    body = re.sub(r"\n{3,}", "\n\n", body)
+    groups: dict[str, list[str]] = {}
+    for choice in settings_of(config):
+        name, _, value = choice.partition("=")
+        if value:
+            groups.setdefault(name, []).append(value)
+    listed = [f"{name}=  {', '.join(values)}" for name, values in groups.items()]
+    parts = [documentation.strip(), "Settings, with defaults (setting=value; group.field=value):", body]
+    if listed:
+        parts += ["Groups (group=name):", "\n".join(listed)]
+    parts.append("Several values (seed=0,1,2) run one after the other with -m; --cfg job prints all settings.")
+    return "\n\n".join(parts)
+
+
+def launch(run: Callable[[], Any], config: str, documentation: str | None) -> None:
+    """Run an experiment's Hydra main: help that reads well, paths with any character, wrong names in one sentence.
+
+    Args:
+        run: what ``hydra.main`` made.
+        config: name of its config.
+        documentation: docstring of the script.
+    """
+    from hydra.errors import HydraException, MissingConfigException
+    from omegaconf.errors import OmegaConfBaseException
+
+    if {"-h", "--help"} & set(sys.argv[1:]):
+        print(usage(config, documentation or ""))
+        return
+    sys.argv[1:] = [quoted(argument) for argument in sys.argv[1:]]
+    # Hydra's own handler prints a wall of text; with this it lets errors through
+    os.environ.setdefault("HYDRA_FULL_ERROR", "1")
+    try:
+        run()
+    except MissingConfigException as error:
+        end(missing(error))
+    except (HydraException, OmegaConfBaseException) as error:
+        end(explained(error, config))
+
+
+def quoted(argument: str) -> str:
+    """An override whose value Hydra's grammar would not read as it stands, such as a path with blanks, in quotes."""
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+    from hydra.errors import HydraException
+
+    name, equals, value = argument.partition("=")
+    if argument.startswith("-") or not equals:
+        return argument
+    try:
+        OverridesParser.create().parse_override(argument)
+        if not (Path(value).exists() and re.search(r"[\s=,()]", value)):
+            return argument
+    except HydraException:
+        pass
+    escaped = value.replace("\\", "\\\\").replace("'", "\\'")
+    return f"{name}='{escaped}'"
+
+
+def missing(error: Any) -> str:
+    """A group or a name in it that does not exist, with the nearest one that does."""
+    asked = str(error.missing_cfg_file or "")
+    group, _, name = asked.rpartition("/")
+    options = [str(option) for option in error.options or []]
+    if group and options:
+        return f"{group}={name}: there is no such file in conf/{group}{nearest(name, options)}"
+    groups = sorted(folder.name for folder in (files() / "conf").iterdir() if folder.is_dir())
+    return f"{asked}: there is no such config{nearest(asked.split('/')[0], groups)}"
+
+
+def explained(error: Exception, config: str) -> str:
+    """Hydra's complaint as one sentence, with the nearest setting where one is misspelt."""
+    text = " ".join(str(error).split())
+    if found := re.search(r"Could not override '([^']+)'", text):
+        asked = found.group(1).lstrip("+")
+        known = known_settings(config)
+        return f"there is no setting {asked!r}{nearest(asked, known)}"
+    if found := re.search(r"(?:Error parsing override|OverrideParseException:?) '([^']*)'", text):
+        name = found.group(1).partition("=")[0]
+        return f"{found.group(1)}: cannot be read; put the value in quotes, \"{name}='...'\""
+    if found := re.search(r"Could not find '([^']+)'", text):
+        return f"there is no config {found.group(1)!r}: {text[:200]}"
+    return text
+
+
+def known_settings(config: str) -> list[str]:
+    """Dotted names of all settings and the groups of a config as it is without overrides."""
+    from hydra import compose, initialize_config_dir
+    from hydra.core.global_hydra import GlobalHydra
+    from omegaconf import DictConfig
+
+    GlobalHydra.instance().clear()
+    with initialize_config_dir(str(files() / "conf"), version_base="1.3"):
+        cfg = compose(config)
+    names: list[str] = []
+
+    def walk(node: DictConfig, prefix: str) -> None:
+        for key in node:
+            names.append(f"{prefix}{key}")
+            value = node._get_node(key)
+            if isinstance(value, DictConfig) and not value._is_none() and not value._is_missing():
+                walk(value, f"{prefix}{key}.")
+
+    walk(cfg, "")
+    return [*names, *(choice.partition("=")[0] for choice in settings_of(config))]
+
+
+def end(sentence: str) -> NoReturn:
+    """Say what is wrong, and end with exit code 1."""
+    print(sentence, file=sys.stderr)
+    raise SystemExit(1)

@@ -1,0 +1,93 @@
+"""What a machine has that op3 needs, and what to do about what is missing."""
+
+import importlib.metadata
+import os
+import platform
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+GOOD, POOR, BAD = "ok", "note", "missing"
+LATENCY = 1
+"""Milliseconds that a USB adapter may hold back bytes: more does not leave time for 125 Hz."""
+
+Line = tuple[str, str, str]
+"""A verdict, what it is about, and the finding with the remedy."""
+
+
+def report() -> str:
+    """All checks, a line each."""
+    lines = [line for check in (python, processors, packages, rendering, disk, adapters) for line in check()]
+    return "\n".join(f"{verdict:8s}{topic:12s}{text}" for verdict, topic, text in lines)
+
+
+def python() -> Iterator[Line]:
+    """Its version, against what the package says it runs on."""
+    wanted = importlib.metadata.metadata("op3").get("Requires-Python", "")
+    yield GOOD, "Python", f"{platform.python_version()} on {platform.platform()}; op3 asks for {wanted or 'any'}"
+
+
+def processors() -> Iterator[Line]:
+    """Cores and memory."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+    note = "" if cores >= 2 else ": training collects and learns in turn; give it two"
+    yield GOOD if cores >= 2 else POOR, "cores", f"{cores}, {memory:.0f} GB of memory{note}"
+
+
+def packages() -> Iterator[Line]:
+    """Those that op3 cannot run without, and the extras."""
+    for requirement in importlib.metadata.requires("op3") or []:
+        name = requirement.split(";")[0].strip()
+        for end in " <>=!~[":
+            name = name.split(end)[0]
+        optional = "extra ==" in requirement
+        try:
+            importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            extra = requirement.partition("extra ==")[2].strip(" '\"") if optional else ""
+            how = f"pip install 'op3[{extra}]'" if optional else f"pip install {name}"
+            if extra != "dev":
+                yield POOR if optional else BAD, "package", f"{name} is not installed: {how}"
+
+
+def rendering() -> Iterator[Line]:
+    """Whether MuJoCo draws here, tried in a process of its own because a wrong driver may end it."""
+    code = "import mujoco; m = mujoco.MjModel.from_xml_string('<mujoco/>'); mujoco.Renderer(m, 32, 32)"
+    for backend in (os.environ.get("MUJOCO_GL", ""), "egl", "osmesa"):
+        environment = {**os.environ, **({"MUJOCO_GL": backend} if backend else {})}
+        done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, check=False)
+        if done.returncode == 0:
+            note = f"MUJOCO_GL={backend}" if backend else "as it is"
+            yield GOOD, "rendering", f"works with {note}"
+            return
+    yield POOR, "rendering", "no films: install EGL or OSMesa (Debian: libegl1, libosmesa6)"
+
+
+def disk() -> Iterator[Line]:
+    """Room for results, where they land."""
+    free = shutil.disk_usage(Path.cwd()).free / 2**30
+    yield (
+        GOOD if free > 2 else POOR,
+        "disk",
+        f"{free:.0f} GB free here; a training takes about 1 GB",
+    )
+
+
+def adapters() -> Iterator[Line]:
+    """Serial adapters of a robot: permission and latency."""
+    ports = sorted(Path("/dev").glob("ttyUSB*")) + sorted(Path("/dev").glob("ttyACM*"))
+    if not ports:
+        yield POOR, "robot", "no serial port: plug in the robot, or use port=emulated"
+    for port in ports:
+        if not os.access(port, os.R_OK | os.W_OK):
+            yield BAD, "robot", f"{port} may not be opened: sudo usermod -aG dialout $USER, then log in again"
+            continue
+        timer = Path(f"/sys/bus/usb-serial/devices/{port.name}/latency_timer")
+        latency = int(timer.read_text()) if timer.is_file() else None
+        if latency is None or latency <= LATENCY:
+            yield GOOD, "robot", f"{port}"
+        else:
+            yield BAD, "robot", f"{port} holds bytes back for {latency} ms: echo {LATENCY} | sudo tee {timer}"

@@ -1,0 +1,106 @@
+"""One command for all experiments: help, completion, and wrong input answered in one sentence."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from op3.command_line import COMMANDS, completion, files, quoted, script, usage
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def op3(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-m", "op3", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, check=False, env=_environment())
+
+
+def _environment() -> dict[str, str]:
+    import os
+
+    return {**os.environ, "PYTHONPATH": str(ROOT)}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["trian"], "op3 has no command 'trian'; the nearest is 'train'"),
+        (["train", "task=wlak"], "task=wlak: there is no such file in conf/task; the nearest is 'walk'"),
+        (["train", "train.stpes=3"], "there is no setting 'train.stpes'; the nearest is 'train.steps'"),
+        (["collect", "motion=sqat"], "motion=sqat: there is no such file in conf/motion; the nearest is 'squat'"),
+    ],
+)
+def test_misspelt_names_are_answered_with_the_nearest(arguments, sentence, tmp_path):
+    """One sentence on standard error, exit code 1, and nothing written."""
+    done = op3(*arguments, cwd=tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.strip() == sentence
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_path_may_have_any_character(tmp_path):
+    """A file whose name holds a blank, an equals sign and parentheses is looked for by that name."""
+    done = op3("predict", "model=paper", "data=runs/kp=8 (2).csv", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "kp=8 (2).csv" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("given", "read"),
+    [
+        ("seed=0,1,2", "seed=0,1,2"),
+        ("groups=[motor,friction]", "groups=[motor,friction]"),
+        ("data=a b(1).csv", "data='a b(1).csv'"),
+        ("data=it's.csv", r"data='it\'s.csv'"),
+        ("-m", "-m"),
+    ],
+)
+def test_only_what_hydra_cannot_read_is_quoted(given, read):
+    """Sweeps and lists stay what they are."""
+    assert quoted(given) == read
+
+
+def test_a_file_that_looks_like_a_sweep_is_a_file(tmp_path):
+    """A name with a comma is one path where it exists."""
+    path = tmp_path / "a,b.csv"
+    path.touch()
+    assert quoted(f"data={path}") == f"data='{path}'"
+
+
+def test_help_tells_settings_with_units_and_groups():
+    """The settings come with their defaults and comments, without Hydra's own; groups with the names in them."""
+    text = usage("train", "Train.")
+    assert text.startswith("Train.")
+    assert "initial_gain: 3.0  # A/rad" in text
+    assert "task=  " in text
+    assert "walk_terrain" in text
+    assert "job_logging" not in text
+
+
+def test_completion_knows_commands_and_names():
+    """The function is bash's, and offers the names of a group."""
+    available = {name: script(name) for name in COMMANDS if script(name).is_file()}
+    text = completion(available)
+    done = subprocess.run(["bash", "-n"], input=text, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "task=walk" in text
+    assert (files() / "conf").is_dir()
+
+
+def test_every_command_is_listed():
+    """The overview has a line for each, with what its script says of itself."""
+    done = op3("--help")
+    assert done.returncode == 0
+    for name in COMMANDS:
+        if script(name).is_file():
+            assert f"  {name} " in done.stdout
+
+
+def test_the_doctor_looks_at_this_machine():
+    """Cores, Python and rendering are told, whatever they are."""
+    done = op3("doctor")
+    assert done.returncode == 0
+    for topic in ("Python", "cores", "rendering", "disk", "robot"):
+        assert topic in done.stdout
