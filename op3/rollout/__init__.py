@@ -4,7 +4,7 @@ from op3.rollout.code_version import git_changes, git_hash
 from op3.rollout.compare import ChannelError, Comparison, compare
 from op3.rollout.errors import LogError
 from op3.rollout.metadata import MOUNTS, ROBOTS, Metadata
-from op3.rollout.read import read_log, read_logs
+from op3.rollout.read import read_episodes, read_log, read_logs
 from op3.rollout.recorder import Recorder
 from op3.rollout.rollout import Rollout
 from op3.rollout.schema import CHANNELS, Channel, Key, column_names, schema_table
@@ -26,6 +26,7 @@ __all__ = [
     "compare",
     "git_changes",
     "git_hash",
+    "read_episodes",
     "read_log",
     "read_logs",
     "schema_table",

@@ -5,16 +5,17 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import difflib
-import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import yaml
+from pydantic import BeforeValidator, Field
 
+from op3.rollout import plain_yaml
 from op3.rollout.errors import LogError
+from op3.settings import Number, Positive, settings
 
 ROBOTS = ("simulated", "emulated", "real", "rig")
 MOUNTS = (
@@ -33,9 +34,51 @@ MOUNTS = (
 _JOINT_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 _RESERVED = ("imu", "policy", "raw")
 _REQUIRED = ("joints", "robot", "mount", "rate")
+_UNITS = {"rate": "Hz", "mass": "kg", "length": "m", "battery": "V", "policy_rate": "Hz"}
+_UNITS |= {"travelled_distance": "m", "episode_duration": "s"}
 
 
-@dataclass(frozen=True)
+def _plain(value: Any) -> Any:
+    """Values as YAML gives them back: numpy scalars and arrays, tuples, dates and paths become plain."""
+    if isinstance(value, Mapping):
+        return {str(name): _plain(v) for name, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, Path | datetime.date):
+        return str(value) if isinstance(value, Path) else value.isoformat()
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    if isinstance(value, str | bool | int | float | None):
+        return value
+    wanted = "a plain value (text, number, true/false, list or mapping)"
+    raise LogError(f"{_show(value)} is not {wanted}", f"write {wanted}", column="field extra")
+
+
+def _tuple(value: Any) -> Any:
+    value = _plain(value)
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _wrong(name: str, wanted: str, value: Any) -> LogError:
+    """The error of a field, with its unit where it has one."""
+    name = name.partition(".")[0]
+    wanted = {"above 0": "a positive number", "as it is described": "of another kind"}.get(wanted, wanted)
+    wanted += f" [{_UNITS[name]}]" if name in _UNITS else ""
+    return LogError(f"{_show(value)} is not {wanted}", f"write {wanted}", column=f"field {name}")
+
+
+def _show(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+Names = Annotated[tuple[str, ...], BeforeValidator(_tuple)]
+Text = Annotated[str | None, Field(min_length=1)]
+Outcome = Annotated[float | tuple[Number, ...] | None, BeforeValidator(_tuple)]
+Integer = Annotated[int | None, BeforeValidator(_plain)]
+
+
+@settings(raises=_wrong)
 class Metadata:
     """What is known about a log besides its samples.
 
@@ -61,64 +104,50 @@ class Metadata:
         episode_duration: Duration of the episode [s]; one number, or one per episode.
         fallen: Whether the robot fell; one truth value, or one per episode.
         complete: False where a crash ended the recording before it was closed.
+        set_aside: Columns that do not hold what was measured, see `Rollout.measured`.
         extra: Anything else, as plain YAML values.
     """
 
-    joints: tuple[str, ...]
+    joints: Names
     robot: str
     mount: str
-    rate: float
-    mass: float | None = None
-    length: float | None = None
-    battery: float | None = None
-    servo: str | None = None
-    firmware_gain: float | None = None
-    policy_rate: float | None = None
-    motion: str | None = None
-    recording: str | None = None
-    model_hash: str | None = None
-    git_hash: str | None = None
-    seed: int | None = None
-    date: str | None = None
-    travelled_distance: float | tuple[float, ...] | None = None
-    episode_duration: float | tuple[float, ...] | None = None
-    fallen: bool | tuple[bool, ...] | None = None
+    rate: Positive
+    mass: Positive | None = None
+    length: Positive | None = None
+    battery: Positive | None = None
+    servo: Text = None
+    firmware_gain: Annotated[Number, Field(ge=0)] | None = None
+    policy_rate: Positive | None = None
+    motion: Text = None
+    recording: Text = None
+    model_hash: Text = None
+    git_hash: Text = None
+    seed: Integer = None
+    date: Annotated[str | None, BeforeValidator(_plain)] = None
+    travelled_distance: Outcome = None
+    episode_duration: Outcome = None
+    fallen: Annotated[bool | tuple[bool, ...] | None, BeforeValidator(_tuple)] = None
     complete: bool = True
-    extra: dict[str, Any] = field(default_factory=dict, hash=False)
+    set_aside: Names = ()
+    extra: Annotated[dict[str, Any], BeforeValidator(_plain)] = dataclasses.field(default_factory=dict, hash=False)
 
     def __post_init__(self):
-        self._set("joints", _joints(self.joints))
-        self._set("robot", _choice("robot", self.robot, ROBOTS))
-        self._set("mount", _choice("mount", self.mount, MOUNTS))
-        self._set("rate", _number("rate", self.rate, "Hz"))
-        for name, unit in (("mass", "kg"), ("length", "m"), ("battery", "V"), ("policy_rate", "Hz")):
-            if getattr(self, name) is not None:
-                self._set(name, _number(name, getattr(self, name), unit))
-            elif self.mount == "pendulum" and name in ("mass", "length"):
-                raise LogError(
-                    "a pendulum needs its mass and length",
-                    f"add `{name}: <value in {unit}>`",
-                    column=f"field {name}",
-                )
-        if self.firmware_gain is not None:
-            self._set("firmware_gain", _number("firmware_gain", self.firmware_gain, "", positive=False))
-        for name in ("servo", "motion", "recording", "model_hash", "git_hash"):
-            if getattr(self, name) is not None:
-                self._set(name, _text(name, getattr(self, name)))
-        if self.date is not None:
-            self._set("date", _date(self.date))
-        if self.seed is not None:
-            self._set("seed", _integer("seed", self.seed))
-        for name, unit in (("travelled_distance", "m"), ("episode_duration", "s")):
-            self._set(name, _per_episode(getattr(self, name), lambda v, n=name, u=unit: _number(n, v, u, None)))
-        self._set("fallen", _per_episode(self.fallen, lambda v: _truth("fallen", v)))
-        self._set("complete", _truth("complete", self.complete))
-        if not isinstance(self.extra, Mapping):
-            raise _wrong("extra", self.extra, "a mapping of names to values")
-        self._set("extra", _plain(self.extra))
-
-    def _set(self, name: str, value: Any) -> None:
-        object.__setattr__(self, name, value)
+        for name in self.joints or (None,):
+            if not isinstance(name, str) or not _JOINT_NAME.fullmatch(name) or name in _RESERVED:
+                raise _wrong("joints", "a name of letters, digits, _ and -, and not imu, policy or raw", name)
+            if self.joints.count(name) > 1:
+                raise LogError(f"joint {name} is listed twice", "list each joint once", column="field joints")
+        for name, choices in (("robot", ROBOTS), ("mount", MOUNTS)):
+            if getattr(self, name) not in choices:
+                raise _wrong(name, "one of " + ", ".join(choices), getattr(self, name))
+        for name in ("mass", "length"):
+            if self.mount == "pendulum" and getattr(self, name) is None:
+                remedy = f"add `{name}: <value in {_UNITS[name]}>`"
+                raise LogError("a pendulum needs its mass and length", remedy, column=f"field {name}")
+        try:
+            datetime.datetime.fromisoformat(self.date or "2026-01-15")
+        except ValueError:
+            raise _wrong("date", "an ISO 8601 date such as '2026-01-15T10:28:10'", self.date) from None
 
     def replace(self, **changes: Any) -> Metadata:
         """A copy with some fields changed."""
@@ -128,14 +157,15 @@ class Metadata:
         """Plain YAML values; fields that say nothing are left out."""
         values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         values = {name: list(v) if isinstance(v, tuple) else v for name, v in values.items()}
-        return {name: v for name, v in values.items() if v is not None and v != {}}
+        return {name: v for name, v in values.items() if v not in (None, {}, [])}
 
     @classmethod
     def from_dict(cls, values: object, source: str | Path = "metadata") -> Metadata:
         """Build from plain values, refusing missing and unknown fields by name."""
         if not isinstance(values, Mapping):
+            kind = "empty" if values is None else f"a {type(values).__name__}"
             remedy = "write one `field: value` per line"
-            raise LogError(f"the metadata is {_kind(values)} and not a mapping", remedy, source=source)
+            raise LogError(f"the metadata is {kind} and not a mapping", remedy, source=source)
         known = [f.name for f in dataclasses.fields(cls)]
         for name in values:
             if name not in known:
@@ -158,123 +188,4 @@ class Metadata:
     @classmethod
     def read(cls, path: str | Path) -> Metadata:
         """Read a YAML file."""
-        try:
-            text = Path(path).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            problem = f"the metadata cannot be read ({getattr(error, 'strerror', None) or 'not UTF-8 text'})"
-            raise LogError(problem, "write a UTF-8 YAML file there", source=path) from None
-        try:
-            values = yaml.safe_load(text)
-        except yaml.MarkedYAMLError as error:
-            line = error.problem_mark.line + 1 if error.problem_mark else 1
-            problem = f"invalid YAML at line {line} ({error.problem})"
-            raise LogError(problem, "correct that line", source=path) from None
-        except (yaml.YAMLError, ValueError, OverflowError, RecursionError, AttributeError, TypeError):
-            # PyYAML lets errors of its value constructors (a date 2026-99-99) through unmarked.
-            remedy = "write plain `field: value` lines with valid dates and numbers"
-            raise LogError("invalid YAML", remedy, source=path) from None
-        return cls.from_dict(values, path)
-
-
-def _kind(value: object) -> str:
-    return "empty" if value is None else f"a {type(value).__name__}"
-
-
-def _wrong(name: str, value: object, wanted: str) -> LogError:
-    return LogError(f"{_show(value)} is not {wanted}", f"write {wanted}", column=f"field {name}")
-
-
-def _show(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
-def _number(name: str, value: object, unit: str, positive: bool | None = True) -> float:
-    """A finite float; `positive` True asks for > 0, False for >= 0, None for any sign."""
-    wanted = {True: "a positive number", False: "a number of at least 0", None: "a number"}[positive]
-    wanted += f" [{unit}]" if unit else ""
-    item = getattr(value, "item", None)
-    value = item() if callable(item) else value
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise _wrong(name, value, wanted)
-    try:
-        number = float(value)
-    except OverflowError:
-        raise _wrong(name, value, wanted) from None
-    if not math.isfinite(number) or (positive and number <= 0) or (positive is False and number < 0):
-        raise _wrong(name, value, wanted)
-    return number
-
-
-def _integer(name: str, value: object) -> int:
-    item = getattr(value, "item", None)
-    value = item() if callable(item) else value
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise _wrong(name, value, "a whole number")
-    return value
-
-
-def _truth(name: str, value: object) -> bool:
-    item = getattr(value, "item", None)
-    value = item() if callable(item) else value
-    if not isinstance(value, bool):
-        raise _wrong(name, value, "true or false")
-    return value
-
-
-def _text(name: str, value: object) -> str:
-    if not isinstance(value, str) or not value:
-        raise _wrong(name, value, "a text (quote it if it looks like a number)")
-    return value
-
-
-def _date(value: object) -> str:
-    """ISO 8601 text; YAML turns an unquoted date into a date object, which is turned back."""
-    if isinstance(value, datetime.date):
-        return value.isoformat()
-    wanted = "an ISO 8601 date such as '2026-01-15T10:28:10'"
-    try:
-        datetime.datetime.fromisoformat(_text("date", value))
-    except ValueError:
-        raise _wrong("date", value, wanted) from None
-    return str(value)
-
-
-def _choice(name: str, value: object, choices: tuple[str, ...]) -> str:
-    if not isinstance(value, str) or value not in choices:
-        raise _wrong(name, value, "one of " + ", ".join(choices))
-    return value
-
-
-def _joints(value: object) -> tuple[str, ...]:
-    if isinstance(value, str) or not isinstance(value, list | tuple) or not value:
-        raise _wrong("joints", value, "a list of joint names")
-    for name in value:
-        if not isinstance(name, str) or not _JOINT_NAME.fullmatch(name) or name in _RESERVED:
-            raise _wrong("joints", name, "a joint name of letters, digits, _ and -, and not imu, policy or raw")
-        if value.count(name) > 1:
-            raise LogError(f"joint {name} is listed twice", "list each joint once", column="field joints")
-    return tuple(value)
-
-
-def _per_episode(value: Any, check: Any) -> Any:
-    if value is None:
-        return None
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    return tuple(check(v) for v in value) if isinstance(value, list | tuple) else check(value)
-
-
-def _plain(value: Any) -> Any:
-    """Values as YAML gives them back: numpy scalars and arrays, tuples and paths become plain."""
-    if isinstance(value, Mapping):
-        return {str(name): _plain(v) for name, v in value.items()}
-    if isinstance(value, str | bool | int | float | None):
-        return value
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    if isinstance(value, Path | datetime.date):
-        return str(value) if isinstance(value, Path) else value.isoformat()
-    if hasattr(value, "tolist"):
-        return value.tolist()
-    raise _wrong("extra", value, "a plain value (text, number, true/false, list or mapping)")
+        return cls.from_dict(plain_yaml.read(Path(path)), path)

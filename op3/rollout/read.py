@@ -1,59 +1,93 @@
-"""Reading logs of any kind: rollout folders, wide CSV, servo-bench JSON."""
+"""Reading logs of any format: one, or all that a folder, a pattern or a list names."""
 
 from __future__ import annotations
 
 import glob
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
-from op3.rollout.csv_log import read_csv
+import numpy as np
+
 from op3.rollout.errors import LogError
+from op3.rollout.importing import read_side, roll_out, with_options
+from op3.rollout.readers import readers
+from op3.rollout.readers.reader import Reader, Recording
 from op3.rollout.rollout import METADATA_FILE, Rollout
-from op3.rollout.servo_bench import looks_like_servo_bench, read_servo_bench
 
-_KINDS = "a rollout folder, a wide .csv with its sidecar, or a servo-bench .json or .json.xz"
+
+def kinds() -> str:
+    """What may be named, in words."""
+    return "a rollout folder, a wide .csv with its sidecar, or " + ", ".join(
+        f"{reader.title} ({reader.paths})" for name, reader in readers().items() if name not in ("folder", "csv")
+    )
 
 
 def read_log(path: str | Path) -> Rollout:
-    """Read one log: a rollout folder, a wide `.csv` with its sidecar, or servo-bench `.json` / `.json.xz`.
+    """Read one log of any format; several episodes of equal length come as a batch.
 
-    Raises `LogError` with one sentence, and imports nothing, if anything about it is wrong.
+    Raises:
+        LogError: with one sentence, and nothing is imported, if anything about it is wrong.
+    """
+    logs = read_episodes(path)
+    if len(logs) == 1:
+        return logs[0]
+    if len({(log.rows, log.channels, log.joints) for log in logs}) > 1:
+        problem = f"it holds {len(logs)} recordings of different lengths or channels"
+        raise LogError(problem, "read them all with read_logs, or give the path to `data=`", source=path)
+    arrays = {key: np.stack([log.array(key) for log in logs]) for key in logs[0].channels}
+    return Rollout.from_arrays(arrays, logs[0].metadata, path)
+
+
+def read_episodes(path: str | Path, options: Mapping[str, Any] | None = None, check: bool = True) -> list[Rollout]:
+    """All recordings in one log.
+
+    Args:
+        path: File or folder of the log.
+        options: Options of the import, over those in its YAML; see `op3.rollout.importing`.
+        check: Whether logs that cannot be right are refused, and bad channels of single joints set aside.
     """
     path = Path(path)
-    if path.is_dir():
-        return Rollout.load(path)
     if not path.exists():
-        raise LogError("there is no such file", f"name {_KINDS}", source=path)
-    if path.suffix == ".csv":
-        return read_csv(path)
-    if path.suffix == ".json" or path.suffixes[-2:] == [".json", ".xz"]:
-        return read_servo_bench(path)
-    if path.name == METADATA_FILE:
-        return Rollout.load(path.parent)
-    raise LogError(f"the ending {path.suffix!r} is not a log's", f"name {_KINDS}", source=path)
+        raise LogError("there is no such file", f"name {kinds()}", source=path)
+    reader = _reader(path)
+    if reader is None and path.is_dir():
+        raise LogError(f"no {METADATA_FILE} in this folder", f"name {kinds()}", source=path)
+    if reader is None:
+        raise LogError(f"the ending {path.suffix!r} is not a log's", f"name {kinds()}", source=path)
+    logs: list[Rollout] = []
+    side = None
+    for found in reader.read(path):
+        if isinstance(found, Recording):
+            side = side or with_options(read_side(path), options or {})
+            logs += [log.check(path) if check else log for log in roll_out(found, side, path)]
+        else:
+            logs.append(found)
+    if not logs:
+        raise LogError("it holds no recording", "record at least one episode", source=path)
+    return logs
 
 
 def read_logs(paths: str | Path | Iterable[str | Path]) -> list[Rollout]:
     """Read many logs, sorted by path.
 
     Args:
-        paths: A log, a folder of logs (rollout folders, CSV files and servo-bench JSON directly in it; where there are
-            none, in the folders in it, as a multirun leaves them), a glob pattern (`logs/**/*.csv`), or several of
-            these, whose order is kept. In a folder, JSON files that hold no recording are passed over.
+        paths: A log, a folder of logs (those directly in it; where there are none, in the folders in it, as a multirun
+            leaves them), a glob pattern (`logs/**/*.csv`), or several of these, whose order is kept. In a folder, files
+            that hold no recording are passed over.
     """
     if isinstance(paths, str | Path):
-        found = _expand(paths)
-        return [read_log(path) for path in found]
+        return [log for path in expand(paths) for log in read_episodes(path)]
     logs = [log for path in paths for log in read_logs(path)]
     if not logs:
-        raise LogError("the list of logs is empty", f"name {_KINDS}")
+        raise LogError("the list of logs is empty", f"name {kinds()}")
     return logs
 
 
-def _expand(path: str | Path) -> list[Path]:
+def expand(path: str | Path) -> list[Path]:
     """The single logs that a path, folder or pattern stands for."""
     path = Path(path)
-    if path.is_dir() and not (path / METADATA_FILE).is_file():
+    if path.is_dir() and _reader(path) is None:
         found = _inside(path)
         where = "the folder holds no log"
     elif path.exists() or not glob.has_magic(str(path)):
@@ -63,8 +97,12 @@ def _expand(path: str | Path) -> list[Path]:
         found = [entry for entry in matched if _is_log(entry)] or matched  # of files that are none the first is named
         where = "no file matches the pattern"
     if not found:
-        raise LogError(where, f"name a folder or pattern with {_KINDS}", source=path)
+        raise LogError(where, f"name a folder or pattern with {kinds()}", source=path)
     return found
+
+
+def _reader(path: Path) -> Reader | None:
+    return next((reader for reader in readers().values() if reader.claims(path)), None)
 
 
 def _inside(folder: Path) -> list[Path]:
@@ -77,10 +115,5 @@ def _inside(folder: Path) -> list[Path]:
 
 
 def _is_log(path: Path) -> bool:
-    if path.name.startswith("."):
-        return False
-    if path.is_dir():
-        return (path / METADATA_FILE).is_file()
-    if path.suffix == ".json" or path.suffixes[-2:] == [".json", ".xz"]:
-        return looks_like_servo_bench(path)
-    return path.suffix == ".csv"
+    reader = None if path.name.startswith(".") or path.name == METADATA_FILE else _reader(path)
+    return reader is not None and getattr(reader, "holds", lambda _: True)(path)

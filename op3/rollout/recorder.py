@@ -127,11 +127,11 @@ class Recorder:
             start += width
         low, high = np.full(start, -np.finfo(float).max), np.full(start, np.finfo(float).max)
         for key, first, last in layout:
-            if CHANNELS[key].nonnegative or CHANNELS[key].binary:
+            if CHANNELS[key].quantity.nonnegative or CHANNELS[key].quantity.binary:
                 low[first:last] = 0
-            if CHANNELS[key].binary:
+            if CHANNELS[key].quantity.binary:
                 high[first:last] = 1
-        binary = [np.arange(first, last) for key, first, last in layout if CHANNELS[key].binary]
+        binary = [np.arange(first, last) for key, first, last in layout if CHANNELS[key].quantity.binary]
         self._low, self._high, self._binary = low, high, np.concatenate(binary) if binary else None
         self._buffer = np.empty((max(64, int(self.metadata.rate)), start))
         self._layout = layout
@@ -172,15 +172,15 @@ class Recorder:
         """Name the first number of a refused row that is at fault."""
         where: dict[str, Any] = dict(source=self.folder, row=self.rows + 1)
         for key, first, last in self._layout:
-            channel = CHANNELS[key]
+            channel, quantity = CHANNELS[key], CHANNELS[key].quantity
             for index, value in enumerate(out[first:last]):
                 column = column_names(channel, self.metadata.joints, last - first)[index]
                 if not np.isfinite(value):
                     remedy = "leave out the row, or repeat the last good reading"
                     return LogError(f"{value} is not a finite number", remedy, column=column, **where)
-                if channel.binary and value not in (0, 1):
-                    return LogError(f"{value:g} {channel.mistake}", channel.remedy, column=column, **where)
-                if channel.nonnegative and value < 0:
+                if quantity.binary and value not in (0, 1):
+                    return LogError(f"{value:g} {quantity.mistake}", quantity.remedy, column=column, **where)
+                if quantity.nonnegative and value < 0:
                     return LogError(f"{value:g} is negative", "give at least 0", column=column, **where)
         problem = f"time {out[0]:.10g} s does not come after {self._last_time:.10g} s"
         return LogError(problem, "give each row a later time", column="time", **where)

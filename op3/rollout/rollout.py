@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,11 +18,13 @@ from op3.rollout import files
 from op3.rollout.errors import LogError
 from op3.rollout.metadata import Metadata
 from op3.rollout.schema import CHANNELS, Key, column_names, key_name, normal_key, vector_column
-from op3.rollout.validate import check_schema, check_units, check_values
+from op3.rollout.validate import check_schema, check_values
 
 METADATA_FILE = "metadata.yaml"
 DATA_FOLDER = "data"
 ROWS_FILE = "rows.bin"
+
+_log = logging.getLogger("op3.rollout")
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,12 +35,14 @@ class Rollout:
         data: TensorDict of batch size [time] or [episode, time] with the channels of `CHANNELS`, float64
             (`done` is bool), on the CPU.
         metadata: What is known besides the samples.
+        findings: What the checks found, where they were made; see `op3.rollout.health`.
 
     Construction checks shapes, dtypes, finite values and increasing time, and raises `LogError` otherwise.
     """
 
     data: TensorDictBase
     metadata: Metadata
+    findings: tuple[Any, ...] = ()
 
     def __post_init__(self):
         check_schema(self.data, self.metadata, self.metadata.recording)
@@ -160,9 +166,51 @@ class Rollout:
         return Rollout(self.data[int(first) : int(last)], self.metadata)
 
     def check(self, source: str | Path | None = None) -> Rollout:
-        """Raise `LogError` where units or the rate cannot be right, as importers do; returns itself."""
-        check_units(self.data, self.metadata, source or self.metadata.recording)
-        return self
+        """Raise `LogError` where the log cannot be right, as importers do.
+
+        Returns:
+            The log with what is suspicious in `findings`; a channel of a joint that cannot be used is set aside: see
+            `measured`. Where no joint's is left, the channel is gone.
+        """
+        from op3.rollout.health import ERROR, examine  # the checks look at rollouts, so they import this module
+
+        source = source or self.metadata.recording
+        findings = examine(self)
+        for finding in findings:
+            if finding.severity == ERROR:
+                raise finding.error(source)
+            _log.warning("%s", finding.error(source))
+        aside = {str(finding.column) for finding in findings if finding.set_aside}
+        return dataclasses.replace(self._without(aside), findings=findings) if findings else self
+
+    def measured(self, key: str | tuple[str, ...]) -> np.ndarray:
+        """Which columns of a channel hold what was measured, [last axis]; the others were set aside."""
+        columns = column_names(CHANNELS[normal_key(key)], self.joints, self.array(key).shape[-1])
+        return np.array([column not in self.metadata.set_aside for column in columns])
+
+    def _without(self, aside: set[str]) -> Rollout:
+        """The log with these columns set aside.
+
+        In their place stand the derivative of position for a velocity, and the middle of the other joints for the
+        rest, so that no consumer meets a hole.
+        """
+        if not aside:
+            return self
+        data, every = self.data.clone(False), {*aside, *self.metadata.set_aside}
+        for key in self.channels:
+            bad = np.array([c in every for c in column_names(CHANNELS[key], self.joints, self.data[key].shape[-1])])
+            if bad.all():
+                del data[key]
+            elif bad.any():
+                values = self.array(key).copy()
+                if key == ("joint", "velocity"):
+                    for where in np.ndindex(values.shape[:-2]):
+                        time, position = (self.array(k)[where] for k in ("time", "joint/position"))
+                        values[where][:, bad] = np.gradient(position[:, bad], time[:, 0], axis=0)
+                else:
+                    values[..., bad] = np.median(values[..., ~bad])
+                data[key] = torch.from_numpy(values)
+        return Rollout(data, self.metadata.replace(set_aside=sorted(every)))
 
     def save(self, folder: str | Path, overwrite: bool = False) -> Path:
         """Write `metadata.yaml` and the memory-mapped TensorDict `data/`; whole or not at all.
@@ -203,10 +251,30 @@ class Rollout:
         return cls.from_arrays(read_rows(folder / ROWS_FILE), metadata.replace(complete=False), folder)
 
     def to_csv(self, path: str | Path, overwrite: bool = False) -> Path:
-        """Write a wide CSV and its sidecar `<name>.yaml`; `read_log` gives back the same numbers."""
-        from op3.rollout.csv_log import write_csv  # the importer builds rollouts, so it imports this module
+        """Write a wide CSV and its sidecar `<name>.yaml`; `read_log` gives back the same numbers.
 
-        return write_csv(self, Path(path), overwrite)
+        Each file is replaced whole or not at all.
+        """
+        path = Path(path)
+        if self.batched:
+            raise LogError("a CSV holds one episode", "write rollout.episode(i)", source=path)
+        if path.suffix != ".csv":
+            raise LogError("the name does not end in .csv", "name the file <name>.csv", source=path)
+        for file in (path, path.with_suffix(".yaml")):
+            if file.exists() and not overwrite:
+                remedy = "choose another name or pass overwrite=True"
+                raise LogError("the file is there already", remedy, source=file)
+        header, columns = [], []
+        for key in self.channels:
+            values = self.array(key)
+            header += column_names(CHANNELS[key], self.joints, values.shape[-1])
+            columns.append(values.astype(float))
+        lines = [",".join(header)]
+        lines += [",".join(map(repr, row)) for row in np.concatenate(columns, axis=1).tolist()]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        files.write_text(path.with_suffix(".yaml"), self.metadata.to_yaml())
+        files.write_text(path, "\n".join(lines) + "\n")
+        return path
 
 
 def _tensor(value: Any) -> torch.Tensor:

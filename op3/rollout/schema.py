@@ -17,10 +17,55 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 Key = str | tuple[str, str]
 """A TensorDict key: `"time"`, `("joint", "position")`."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What a channel measures.
+
+    Attributes:
+        unit: Unit, as printed in messages and tables; empty for pure numbers.
+        bound: Largest plausible absolute value [unit]; beyond it the unit is wrong.
+        mistake: What a value beyond the bound looks like.
+        remedy: What to do about it.
+        nonnegative: Whether values below zero are impossible.
+        binary: Whether only 0 and 1 are possible.
+    """
+
+    unit: str = ""
+    bound: float = float("inf")
+    mistake: str = ""
+    remedy: str = ""
+    nonnegative: bool = False
+    binary: bool = False
+
+
+_GAIN = "looks like a gain in firmware units"
+NUMBER = Quantity()
+SECONDS = Quantity("s", nonnegative=True)
+ANGLE = Quantity("rad", 7.0, "looks like degrees", "convert angles to radians")
+RATE = Quantity("rad/s", 50.0, "looks like degrees per second or rpm", "convert angular velocities to rad/s")
+BODY_RATE = Quantity("rad/s", 60.0, RATE.mistake, RATE.remedy)
+FORCE = Quantity("m/s2", 1e5, "is beyond anything an accelerometer reads", "convert to m/s2")
+STIFFNESS = Quantity("A/rad", 100.0, _GAIN, "convert to A/rad or name the column <joint>.firmware_gain", True)
+DAMPING = Quantity("A s/rad", 100.0, _GAIN, "convert to A s/rad or leave the column out", True)
+FIRMWARE = Quantity(
+    "firmware units",
+    16383.0,
+    "is beyond the largest Dynamixel gain register, 16383",
+    "write the register's value",
+    True,
+)
+CURRENT = Quantity("A", 20.0, "looks like mA", "divide by 1000")
+FULL_SCALE = "divide by the full scale (100, or 885 on X-series Dynamixels) so that full duty is 1"
+DUTY = Quantity("", 1.01, "looks like percent or a PWM register", FULL_SCALE)
+VOLTAGE = Quantity("V", 30.0, "looks like units of 0.1 V or mV", "convert to volts", True)
+TEMPERATURE = Quantity("C", 150.0, "looks like kelvin", "subtract 273.15 to get degrees Celsius")
+SWITCH = Quantity(mistake="is not 0 or 1", remedy="write 0 for off and 1 for on", binary=True)
+BYTE = Quantity("bits", 255.0, "does not fit into one byte", "write the register's value", True)
 
 
 @dataclass(frozen=True)
@@ -29,264 +74,97 @@ class Channel:
 
     Attributes:
         key: Key in the TensorDict.
-        unit: Unit, as printed in messages and tables; empty for pure numbers.
+        quantity: What it measures, with its unit and bounds.
         axes: Last axis: `scalar` [1], `joint` [joint], `imu3` [3], or `vector` [any length].
-        description: One sentence.
         column: CSV column; `{joint}`, `{axis}` and `{index}` stand for the last axis.
-        bound: Largest plausible absolute value [unit]; beyond it the unit is wrong.
-        mistake: What a value beyond the bound looks like.
-        remedy: What to do about it.
-        nonnegative: Whether values below zero are impossible.
-        binary: Whether only 0 and 1 are possible.
+        description: One sentence.
         required: Whether every log has this channel.
         hold: Whether the value holds until the next row (a command), instead of being a sample of a signal.
         axis_names: Names along an `imu3` axis, as in the CSV.
     """
 
     key: Key
-    unit: str
+    quantity: Quantity
     axes: str
-    description: str
     column: str
-    bound: float = float("inf")
-    mistake: str = ""
-    remedy: str = ""
-    nonnegative: bool = False
-    binary: bool = False
+    description: str
     required: bool = False
     hold: bool = False
-    axis_names: tuple[str, ...] = ()
+    axis_names: tuple[str, ...] = ("x", "y", "z")
+
+    @property
+    def unit(self) -> str:
+        """Unit of the values."""
+        return self.quantity.unit
 
 
-_RADIANS: dict[str, Any] = dict(bound=7.0, mistake="looks like degrees", remedy="convert angles to radians")
-_RATES: dict[str, Any] = dict(
-    mistake="looks like degrees per second or rpm", remedy="convert angular velocities to rad/s"
-)
-_GAINS: dict[str, Any] = dict(bound=100.0, mistake="looks like a gain in firmware units", nonnegative=True, hold=True)
-_SWITCH: dict[str, Any] = dict(mistake="is not 0 or 1", remedy="write 0 for off and 1 for on", binary=True, hold=True)
-_COUNTS: dict[str, Any] = dict(
-    bound=float(2**31), mistake="does not fit into a register", remedy="write the register's value, sign included"
-)
-_XYZ = ("x", "y", "z")
+def _register(unit: str) -> Quantity:
+    return Quantity(unit, float(2**31), "does not fit into a register", "write the register's value, sign included")
+
+
+def _channel(name: str, quantity: Quantity, column: str, description: str, marks: str = "") -> Channel:
+    """A line of the table; the last axis is told by what stands in the column's braces."""
+    axes = next(
+        (a for mark, a in (("{joint}", "joint"), ("{axis}", "imu3"), ("{index}", "vector")) if mark in column), ""
+    )
+    names = ("roll", "pitch", "yaw") if name == "imu/orientation" else ("x", "y", "z")
+    required, hold = ("required" in marks), ("hold" in marks)
+    return Channel(normal_key(name), quantity, axes or "scalar", column, description, required, hold, names)
+
+
+def key_name(key: Key) -> str:
+    """A key as text: `joint/position`."""
+    return key if isinstance(key, str) else "/".join(key)
+
+
+def normal_key(key: str | Iterable[str]) -> Key:
+    """A key as the table spells it; `"joint/position"`, `("time",)` and lists are understood."""
+    parts = tuple(key.split("/")) if isinstance(key, str) else tuple(key)
+    return parts[0] if len(parts) == 1 else parts  # type: ignore[return-value]
+
+
+_POLICY, _AMPERE, _HOLD = "held between policy steps.", _register("2.69 mA"), "hold"
+_DRIVES = "1 while the servo drives, 0 while it is switched off; present where it changes."
+_FIRMWARE = "Proportional gain register of a servo that closes the position loop itself."
+_UPWARDS = "Specific force in the body frame, +9.81 m/s2 upwards at rest."
+_ANSWERED = "1 where the servo answered in this row; 0 where its values are those of an earlier row."
+_NINE = "Nine IMU registers: gyro x, y, z, accelerometer x, y, z, roll, pitch, yaw, in the sensor's own axes."
+_UNSHIFTED = "Present position register, without calibration offset."
+_LATENESS = "How long after its deadline the tick of this row began."
 
 _TABLE = (
-    Channel("time", "s", "scalar", "Time of the row, strictly increasing.", "time", required=True),
-    Channel(
-        ("command", "position"),
-        "rad",
-        "joint",
-        "Position target issued at this time.",
-        "{joint}.target",
-        required=True,
-        hold=True,
-        **_RADIANS,
+    _channel("time", Quantity("s"), "time", "Time of the row, strictly increasing.", "required"),
+    _channel("command/position", ANGLE, "{joint}.target", "Position target issued at this time.", "required hold"),
+    _channel("command/p_gain", STIFFNESS, "{joint}.p_gain", "Proportional gain of the current controller.", _HOLD),
+    _channel("command/d_gain", DAMPING, "{joint}.d_gain", "Derivative gain of the current controller.", _HOLD),
+    _channel("command/torque_enable", SWITCH, "{joint}.torque_enable", _DRIVES, _HOLD),
+    _channel("command/firmware_gain", FIRMWARE, "{joint}.firmware_gain", _FIRMWARE, _HOLD),
+    _channel("joint/position", ANGLE, "{joint}.position", "Measured joint position.", "required"),
+    _channel("joint/velocity", RATE, "{joint}.velocity", "Measured joint velocity."),
+    _channel("joint/current", CURRENT, "{joint}.current", "Measured motor current."),
+    _channel("joint/duty", DUTY, "{joint}.duty", "Measured PWM duty, -1 to 1."),
+    _channel(
+        "joint/load", Quantity("as recorded"), "{joint}.load", "Load or torque reading in the recorder's own unit."
     ),
-    Channel(
-        ("command", "p_gain"),
-        "A/rad",
-        "joint",
-        "Proportional gain of the current controller.",
-        "{joint}.p_gain",
-        remedy="convert to A/rad or name the column <joint>.firmware_gain",
-        **_GAINS,
+    _channel("joint/voltage", VOLTAGE, "{joint}.voltage", "Measured supply voltage at the servo."),
+    _channel("joint/temperature", TEMPERATURE, "{joint}.temperature", "Measured servo temperature."),
+    _channel("imu/orientation", ANGLE, "imu.{axis}", "Roll, pitch, yaw of the trunk."),
+    _channel("imu/angular_velocity", BODY_RATE, "imu.gyro_{axis}", "Angular velocity in the body frame."),
+    _channel("imu/linear_acceleration", FORCE, "imu.acc_{axis}", _UPWARDS),
+    _channel("policy/observation", NUMBER, "policy.observation_{index}", f"What the policy saw, {_POLICY}", _HOLD),
+    _channel("policy/action", NUMBER, "policy.action_{index}", f"What the policy answered, {_POLICY}", _HOLD),
+    _channel("policy/reward", NUMBER, "policy.reward", f"Reward of the policy step, {_POLICY}", _HOLD),
+    _channel(
+        "raw/goal_current", _AMPERE, "{joint}.raw_goal_current", "Goal current last sent, after every limit.", _HOLD
     ),
-    Channel(
-        ("command", "d_gain"),
-        "A s/rad",
-        "joint",
-        "Derivative gain of the current controller.",
-        "{joint}.d_gain",
-        remedy="convert to A s/rad or leave the column out",
-        **_GAINS,
-    ),
-    Channel(
-        ("command", "torque_enable"),
-        "",
-        "joint",
-        "1 while the servo drives, 0 while it is switched off; present where it changes.",
-        "{joint}.torque_enable",
-        **_SWITCH,
-    ),
-    Channel(
-        ("command", "firmware_gain"),
-        "firmware units",
-        "joint",
-        "Proportional gain register of a servo that closes the position loop itself.",
-        "{joint}.firmware_gain",
-        bound=16383.0,
-        mistake="is beyond the largest Dynamixel gain register, 16383",
-        remedy="write the register's value",
-        nonnegative=True,
-        hold=True,
-    ),
-    Channel(
-        ("joint", "position"),
-        "rad",
-        "joint",
-        "Measured joint position.",
-        "{joint}.position",
-        required=True,
-        **_RADIANS,
-    ),
-    Channel(
-        ("joint", "velocity"),
-        "rad/s",
-        "joint",
-        "Measured joint velocity.",
-        "{joint}.velocity",
-        bound=50.0,
-        **_RATES,
-    ),
-    Channel(
-        ("joint", "current"),
-        "A",
-        "joint",
-        "Measured motor current.",
-        "{joint}.current",
-        bound=20.0,
-        mistake="looks like mA",
-        remedy="divide by 1000",
-    ),
-    Channel(
-        ("joint", "duty"),
-        "",
-        "joint",
-        "Measured PWM duty, -1 to 1.",
-        "{joint}.duty",
-        bound=1.01,
-        mistake="looks like percent or a PWM register",
-        remedy="divide by the full scale (100, or 885 on X-series Dynamixels) so that full duty is 1",
-    ),
-    Channel(
-        ("joint", "voltage"),
-        "V",
-        "joint",
-        "Measured supply voltage at the servo.",
-        "{joint}.voltage",
-        bound=30.0,
-        mistake="looks like units of 0.1 V or mV",
-        remedy="convert to volts",
-        nonnegative=True,
-    ),
-    Channel(
-        ("joint", "temperature"),
-        "C",
-        "joint",
-        "Measured servo temperature.",
-        "{joint}.temperature",
-        bound=150.0,
-        mistake="looks like kelvin",
-        remedy="subtract 273.15 to get degrees Celsius",
-    ),
-    Channel(
-        ("imu", "orientation"),
-        "rad",
-        "imu3",
-        "Roll, pitch, yaw of the trunk.",
-        "imu.{axis}",
-        axis_names=("roll", "pitch", "yaw"),
-        **_RADIANS,
-    ),
-    Channel(
-        ("imu", "angular_velocity"),
-        "rad/s",
-        "imu3",
-        "Angular velocity in the body frame.",
-        "imu.gyro_{axis}",
-        bound=60.0,
-        axis_names=_XYZ,
-        **_RATES,
-    ),
-    Channel(
-        ("imu", "linear_acceleration"),
-        "m/s2",
-        "imu3",
-        "Specific force in the body frame, +9.81 m/s2 upwards at rest.",
-        "imu.acc_{axis}",
-        bound=1e5,
-        mistake="is beyond anything an accelerometer reads",
-        remedy="convert to m/s2",
-        axis_names=_XYZ,
-    ),
-    Channel(
-        ("policy", "observation"),
-        "",
-        "vector",
-        "What the policy saw, held between policy steps.",
-        "policy.observation_{index}",
-        hold=True,
-    ),
-    Channel(
-        ("policy", "action"),
-        "",
-        "vector",
-        "What the policy answered, held between policy steps.",
-        "policy.action_{index}",
-        hold=True,
-    ),
-    Channel(
-        ("policy", "reward"),
-        "",
-        "scalar",
-        "Reward of the policy step, held between policy steps.",
-        "policy.reward",
-        hold=True,
-    ),
-    Channel(
-        ("raw", "goal_current"),
-        "2.69 mA",
-        "joint",
-        "Goal current last written to the servo, after every limit.",
-        "{joint}.raw_goal_current",
-        hold=True,
-        **_COUNTS,
-    ),
-    Channel(("raw", "current"), "2.69 mA", "joint", "Present current register.", "{joint}.raw_current", **_COUNTS),
-    Channel(("raw", "velocity"), "0.229 rpm", "joint", "Present velocity register.", "{joint}.raw_velocity", **_COUNTS),
-    Channel(
-        ("raw", "position"),
-        "2 pi/4096 rad",
-        "joint",
-        "Present position register, without calibration offset.",
-        "{joint}.raw_position",
-        **_COUNTS,
-    ),
-    Channel(
-        ("raw", "hardware_error"),
-        "bits",
-        "joint",
-        "Hardware error status register.",
-        "{joint}.raw_hardware_error",
-        bound=255.0,
-        mistake="does not fit into one byte",
-        remedy="write the register's value",
-        nonnegative=True,
-    ),
-    Channel(
-        ("raw", "answered"),
-        "",
-        "joint",
-        "1 where the servo answered in this row; 0 where its values are those of an earlier row.",
-        "{joint}.raw_answered",
-        **_SWITCH,
-    ),
-    Channel(
-        ("raw", "imu"),
-        "counts",
-        "vector",
-        "Nine IMU registers: gyro x, y, z, accelerometer x, y, z, roll, pitch, yaw, in the sensor's own axes.",
-        "raw.imu_{index}",
-        **_COUNTS,
-    ),
-    Channel(
-        ("raw", "lateness"),
-        "s",
-        "scalar",
-        "How long after its deadline the tick of this row began.",
-        "raw.lateness",
-        nonnegative=True,
-    ),
-    Channel("done", "", "scalar", "True in the row that ends the episode (bool).", "done", **_SWITCH),
+    _channel("raw/current", _AMPERE, "{joint}.raw_current", "Present current register."),
+    _channel("raw/velocity", _register("0.229 rpm"), "{joint}.raw_velocity", "Present velocity register."),
+    _channel("raw/position", _register("2 pi/4096 rad"), "{joint}.raw_position", _UNSHIFTED),
+    _channel("raw/hardware_error", BYTE, "{joint}.raw_hardware_error", "Hardware error status register."),
+    _channel("raw/answered", SWITCH, "{joint}.raw_answered", _ANSWERED, _HOLD),
+    _channel("raw/imu", _register("counts"), "raw.imu_{index}", _NINE),
+    _channel("raw/lateness", SECONDS, "raw.lateness", _LATENESS),
+    _channel("done", SWITCH, "done", "True in the row that ends the episode (bool).", _HOLD),
 )
 
 CHANNELS: dict[Key, Channel] = {channel.key: channel for channel in _TABLE}
@@ -324,17 +202,6 @@ def vector_column(name: str) -> tuple[Channel, int] | None:
         if channel.axes == "vector" and channel.column == match[1] + "_{index}":
             return channel, int(match[2])
     return None
-
-
-def key_name(key: Key) -> str:
-    """A key as text: `joint/position`."""
-    return key if isinstance(key, str) else "/".join(key)
-
-
-def normal_key(key: str | Iterable[str]) -> Key:
-    """A key as the table spells it; `"joint/position"`, `("time",)` and lists are understood."""
-    parts = tuple(key.split("/")) if isinstance(key, str) else tuple(key)
-    return parts[0] if len(parts) == 1 else parts  # type: ignore[return-value]
 
 
 def schema_table() -> str:

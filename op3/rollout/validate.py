@@ -1,8 +1,7 @@
 """Checks of a log against the channel table, with the first offence named by column and row.
 
 `check_schema` asks for what every consumer relies on (shapes, finite numbers, increasing time) and runs
-whenever a `Rollout` is made. `check_units` asks whether the numbers can be SI at all and runs on everything
-that comes from outside; a simulation that throws its robot about is not asked.
+whenever a `Rollout` is made. Whether the numbers can be right is asked by `op3.rollout.health`.
 """
 
 from __future__ import annotations
@@ -18,9 +17,6 @@ from op3.rollout.metadata import Metadata
 from op3.rollout.schema import CHANNELS, Channel, Key, column_names, key_name
 
 Source = str | Path | None
-
-RATE_TOLERANCE = 0.1
-"""Largest relative difference between the clock and the metadata's rate."""
 
 
 def check_schema(data: TensorDictBase, metadata: Metadata, source: Source = None) -> None:
@@ -53,20 +49,6 @@ def check_schema(data: TensorDictBase, metadata: Metadata, source: Source = None
         if key in present:
             check_values(CHANNELS[key], _values(data, key), metadata, source)
     _check_time(_values(data, "time"), source)
-
-
-def check_units(data: TensorDictBase, metadata: Metadata, source: Source = None) -> None:
-    """Raise `LogError` where numbers cannot be in the schema's units, or the clock contradicts the rate.
-
-    Assumes `check_schema` has passed. The accelerometer is judged by its median magnitude and the velocity
-    by its slope against the derivative of the position, so that an impact or a noisy sample is no offence.
-    """
-    for key, channel in CHANNELS.items():
-        if key in data.keys(True, True):
-            _check_bound(channel, _values(data, key), metadata, source)
-    _check_rate(_values(data, "time"), metadata, source)
-    _check_gravity(data, metadata, source)
-    _check_velocity(data, metadata, source)
 
 
 def _values(data: TensorDictBase, key: Key) -> np.ndarray:
@@ -118,13 +100,13 @@ def check_values(channel: Channel, values: np.ndarray, metadata: Metadata, sourc
     why = "{} is not a finite number"
     mend = "repair or leave out the row, and leave a channel that was never measured absent"
     _fail(~np.isfinite(values), values, channel, metadata, source, why, mend)
-    if channel.nonnegative:
+    if channel.quantity.nonnegative:
         name, unit = key_name(channel.key), channel.unit
         why, mend = "{} " + f"{unit} is negative", f"write {name} as a number of at least 0"
         _fail(values < 0, values, channel, metadata, source, why, mend)
-    if channel.binary:
+    if channel.quantity.binary:
         bad = (values != 0) & (values != 1)
-        _fail(bad, values, channel, metadata, source, "{} " + channel.mistake, channel.remedy)
+        _fail(bad, values, channel, metadata, source, "{} " + channel.quantity.mistake, channel.quantity.remedy)
 
 
 def _check_time(time: np.ndarray, source: Source) -> None:
@@ -140,62 +122,3 @@ def _check_time(time: np.ndarray, source: Source) -> None:
         remedy = "sort the rows, or split the file where a new recording starts"
     where = episode if len(time) > 1 else None
     raise LogError(problem, remedy, source=source, column="time", row=row + 2, episode=where)
-
-
-def _check_bound(channel: Channel, values: np.ndarray, metadata: Metadata, source: Source) -> None:
-    if channel.binary or not np.isfinite(channel.bound):
-        return
-    why = "{} " + f"is beyond {channel.bound:g} {channel.unit}".rstrip() + f" and {channel.mistake}"
-    _fail(np.abs(values) > channel.bound, values, channel, metadata, source, why, channel.remedy)
-
-
-def _check_rate(time: np.ndarray, metadata: Metadata, source: Source) -> None:
-    if time.shape[1] < 2:
-        return
-    steps = np.diff(time[..., 0], axis=-1)
-    # The mean suits a clock that alternates between two intervals, the median one with gaps.
-    interval, mean = float(np.median(steps)), float(np.mean(steps))
-    if min(abs(interval * metadata.rate - 1), abs(mean * metadata.rate - 1)) <= RATE_TOLERANCE:
-        return
-    off = np.abs(steps * metadata.rate - 1) > RATE_TOLERANCE
-    ratio = interval * metadata.rate
-    unit = next((u for scale, u in ((1e3, "milli"), (1e6, "micro"), (1e9, "nano")) if 0.5 < ratio / scale < 2), None)
-    problem = f"the median interval of {interval:.6g} s is {1 / interval:.6g} Hz, but the metadata says rate: "
-    problem += f"{metadata.rate:g} Hz"
-    remedy = f"the time looks like {unit}seconds, convert it to seconds" if unit else "correct the rate or the time"
-    raise LogError(problem, remedy, source=source, column="time", row=int(np.argwhere(off)[0][1]) + 2)
-
-
-def _check_gravity(data: TensorDictBase, metadata: Metadata, source: Source) -> None:
-    if ("imu", "linear_acceleration") not in data.keys(True, True):
-        return
-    force = _values(data, ("imu", "linear_acceleration"))
-    magnitude = float(np.median(np.linalg.norm(force, axis=-1)))
-    if 0.5 < magnitude < 2 or magnitude > 200:
-        unit = "g" if magnitude < 2 else "mg or raw counts"
-        problem = f"the median specific force is {magnitude:.4g} m/s2, which looks like {unit}"
-        remedy = "convert to m/s2 (a robot at rest reads 9.81)"
-        raise LogError(problem, remedy, source=source, column="imu.acc_x", row=1)
-
-
-def _check_velocity(data: TensorDictBase, metadata: Metadata, source: Source) -> None:
-    """Compare the velocity with the derivative of the position, where they clearly belong together."""
-    if ("joint", "velocity") not in data.keys(True, True) or data.batch_size[-1] < 20:
-        return
-    time, position = _values(data, "time"), _values(data, ("joint", "position"))
-    velocity = _values(data, ("joint", "velocity"))
-    slope_of_position = np.diff(position, axis=1) / np.diff(time, axis=1)
-    mean_velocity = (velocity[:, 1:] + velocity[:, :-1]) / 2
-    product = (slope_of_position * mean_velocity).sum((0, 1))
-    squares = (slope_of_position**2).sum((0, 1)), (mean_velocity**2).sum((0, 1))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        correlation = product / np.sqrt(squares[0] * squares[1])
-        slope = product / squares[0]
-    wrong = np.flatnonzero((np.abs(correlation) > 0.9) & ((slope > 5) | (slope < 0.2)))
-    if wrong.size:
-        joint = int(wrong[0])
-        problem = f"the velocity is {slope[joint]:.3g} times the change of position per second"
-        remedy = "convert both to radians and the same sign (57.3 is degrees per second, 9.55 is rpm)"
-        column = column_names(CHANNELS["joint", "velocity"], metadata.joints)[joint]
-        row = int(np.abs(mean_velocity[0, :, joint]).argmax()) + 1
-        raise LogError(problem, remedy, source=source, column=column, row=row)

@@ -36,6 +36,7 @@ def arrays(rows: int = 30, joints: int = 2, seed: int = 0) -> dict[Any, np.ndarr
         ("joint", "velocity"): 2 * np.pi * np.cos(phase),
         ("joint", "current"): generator.normal(0, 0.5, (rows, joints)),
         ("joint", "duty"): generator.uniform(-1, 1, (rows, joints)),
+        ("joint", "load"): generator.normal(0, 0.3, (rows, joints)),
         ("joint", "voltage"): generator.normal(11.1, 0.1, (rows, joints)),
         ("joint", "temperature"): np.full((rows, joints), 40.0),
         ("imu", "orientation"): generator.normal(0, 0.1, (rows, 3)),

@@ -23,7 +23,7 @@ def wave(time: np.ndarray, joints=JOINTS, delay: float = 0.0, offset: float = 0.
 def test_a_log_equals_itself():
     """Every error and delay of a log against itself is exactly zero."""
     result = compare(rollout(), rollout())
-    assert len(result.channels) == 14  # 5 commands, 6 joint channels, 3 of the IMU
+    assert len(result.channels) == 15  # 5 commands, 6 joint channels, 3 of the IMU
     for error in result.channels.values():
         assert not error.rmse.any()
         assert not error.largest.any()

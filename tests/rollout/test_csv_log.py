@@ -108,8 +108,8 @@ OFFENCES: dict[str, tuple[Callable[[Lines], object], str, str, str]] = {
     "time twice": (copied_time, "time", "row 5", "repeats the time of row 4"),
     "milliseconds": (scaled("time", 1e3), "time", "row 2", "125 Hz.*milliseconds"),
     "another rate": (scaled("time", 2.0), "time", "row 2", "62.5 Hz, but the metadata says rate: 125"),
-    "degrees": (scaled(".*(position|target)", 57.3), "r_knee.target", "row 1", "looks like degrees"),
-    "position in degrees": (scaled(".*position", 57.3), "r_knee.position", "row 1", "looks like degrees"),
+    "degrees": (scaled(".*(position|target)", 57.3), "l_knee.target", "row 3", "looks like degrees"),
+    "position in degrees": (scaled(".*position", 57.3), "l_knee.position", "row 4", "looks like degrees"),
     "roll in degrees": (scaled("imu.(roll|pitch|yaw)", 57.3), "imu.", "row", "looks like degrees"),
     "degrees per second": (scaled(".*velocity", 57.3), "l_knee.velocity", "row 1", "degrees per second"),
     "rpm": (scaled(".*velocity", 60 / 6.2832), "l_knee.velocity", "row 1", "rpm"),
@@ -164,13 +164,16 @@ SIDECARS = {
     "not YAML": ("joints: [l_knee\nrate: 1", "invalid YAML at line 2"),
     "empty": ("", "the metadata is empty"),
     "a list": ("- 1", "a list and not a mapping"),
-    "no rate": ("joints: [l_knee, r_knee]\nrobot: real\nmount: floor", "field rate: the field is missing; add"),
-    "rate is text": ("joints: [a]\nrobot: real\nmount: floor\nrate: fast", "field rate: 'fast' is not a positive"),
+    "no mount": ("joints: [l_knee, r_knee]\nrobot: real\nrate: 125", "field mount: the field is missing; add"),
+    "rate is text": ("joints: [a]\nrobot: real\nmount: floor\nrate: fast", "field rate: 'fast' is not a number [Hz]"),
     "misspelt": ("joints: [a]\nrobots: real", "field 'robots': no such field; rename it `robot`"),
     "unknown": ("joints: [a]\nweather: fine", "field 'weather': no such field; move it under `extra:`"),
     "wrong mount": ("joints: [a]\nrobot: real\nmount: wall\nrate: 125", "'wall' is not one of floor, stand"),
     "pendulum without mass": ("joints: [a]\nrobot: rig\nmount: pendulum\nrate: 125\nlength: 0.1", "add `mass:"),
-    "impossible date": ("date: 2026-99-99", "invalid YAML"),
+    "impossible date": (
+        "joints: [l_knee, r_knee]\nrobot: real\nmount: floor\nrate: 125\ndate: 2026-99-99",
+        "field date: '2026-99-99' is not an ISO 8601 date",
+    ),
     "other joints": ("joints: [l_knee]\nrobot: real\nmount: floor\nrate: 125", "column r_knee.target: unknown joint"),
 }
 
@@ -195,7 +198,6 @@ def test_a_bad_sidecar_gets_one_sentence(tmp_path, offence):
     [
         (b"", "the file is empty"),
         (b"\xff\xfe\x00", "byte 0 is not UTF-8"),
-        (b"time;l_knee.position\n0;1\n", "separated by ;"),
         (b'time,"l_knee.posi\n', "not CSV"),
         (b"time\x00\n1\n", "time"),
     ],

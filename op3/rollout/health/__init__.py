@@ -1,0 +1,20 @@
+"""Checks of a log: what cannot be right, what is suspicious, and what mends it."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from op3.rollout.health.finding import CHECKS, ERROR, WARNING, Finding, examine
+
+# each enters its checks into the registry; of several errors the first is told, so causes come before what they bring
+for _name in ("clock", "sidecar", "following", "angles", "crossed", "trunk", "channels"):
+    import_module(f"{__name__}.{_name}")
+
+__all__ = ["CHECKS", "ERROR", "WARNING", "Finding", "checks_table", "examine"]
+
+
+def checks_table() -> str:
+    """The checks as Markdown, for documentation."""
+    lines = ["| check | finds |", "|---|---|"]
+    lines += [f"| {name} | {' '.join(str(function.__doc__).split())} |" for name, function in CHECKS.items()]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,107 @@
+"""Checks of one channel against another: factor, sign, delay, and whose it really is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from op3.rollout.health.finding import ERROR, WARNING, Finding, View, check
+from op3.rollout.health.match import Match, delayed, integral, match, step, windows
+from op3.rollout.units import likely_unit
+
+SURE = 0.9
+"""Correlation above which a factor and a sign mean something."""
+
+_POSITION, _VELOCITY, _COMMAND = ("joint", "position"), ("joint", "velocity"), ("command", "position")
+
+
+def _says(ratio: float, unit: str) -> str:
+    """What a factor means, in words."""
+    if abs(ratio + 1) < 0.25:
+        return " with the sign turned round"
+    name = likely_unit(ratio, unit)
+    return f", as if it were in {name}{' with the sign turned round' if ratio < 0 else ''}" if name else ""
+
+
+@check("velocity against position")
+def velocity(view: View) -> Iterator[Finding]:
+    """Velocity and the derivative of position differ in factor, sign or delay, or belong to different joints."""
+    rate, angle = view.get(_VELOCITY), view.log.array(_POSITION)
+    if rate is None or len(view.time) < 20:
+        return
+    first, last = windows(view.time)
+    if len(first) < 8:
+        return
+    turned, summed = angle[last] - angle[first], integral(view.time, rate)
+    found = match(summed := summed[last] - summed[first], turned)
+    span = float(np.median(view.time[last] - view.time[first]))
+    moves = found.size_b > np.maximum(4 * step(angle), 0.03 * span)
+    moving = np.flatnonzero(moves & ((found.size_a > 3 * step(rate) * span) | (found.size_b > 0.3 * span)))
+    findings = [f for joint in moving if (f := _judge(view, found, int(joint), summed, turned, span))]
+    # where most joints are wrong by a factor, the channel is in another unit
+    wholesale = [f for f in findings if f[1] is not None and _impossible(f[1])]
+    refuse = bool(wholesale) and 2 * len(wholesale) > len(moving)
+    for problem, ratio, joint in findings:
+        severity = ERROR if refuse and ratio is not None and _impossible(ratio) else WARNING
+        remedy = "convert both to radians and the same sign, or write `scale:` into its YAML"
+        remedy = remedy if severity == ERROR else "the channel is not used; correct it where you know how"
+        row = int(np.abs(rate[:, joint]).argmax())
+        where = view.where(row) if severity == ERROR else {}
+        yield Finding(severity, problem, remedy, view.column(_VELOCITY, joint), **where, set_aside=severity != ERROR)
+
+
+def _impossible(ratio: float) -> bool:
+    """Whether a factor is a unit or a sign, and not a filter or a rough sensor."""
+    return ratio < 0 or not 0.2 < ratio < 5 or likely_unit(ratio, "rad/s", 0.05) is not None
+
+
+def _judge(
+    view: View, found: Match, joint: int, summed: np.ndarray, turned: np.ndarray, span: float
+) -> tuple[str, float | None, int] | None:
+    """What is wrong with a joint's velocity, and the factor where it is one."""
+    own, ratio = found.correlation[joint, joint], float(found.ratio[joint, joint])
+    if found.size_a[joint] < 0.02 * found.size_b[joint] and abs(own) < SURE:
+        return "velocity stands still while the joint moves", None, joint
+    if abs(own) > SURE:
+        if 0.6 < ratio < 1.6:
+            return None
+        text = f"the velocity is {ratio:.3g} times the change of position per second{_says(ratio, 'rad/s')}"
+        return text, ratio, joint
+    stride = span / 2
+    lags = range(1, round(1.0 / stride))
+    late = [float(delayed(summed[:, [joint]], turned[:, [joint]], n)[0]) for n in lags if n < len(summed) // 2]
+    if late and max(late) > max(0.95, own + 0.1):
+        return f"velocity comes {(int(np.argmax(late)) + 1) * stride:.2g} s after the position's change", None, joint
+    other = int(np.abs(found.correlation[joint]).argmax())
+    if other != joint and abs(found.correlation[joint, other]) > 0.97 and abs(own) < 0.7:
+        return f"velocity is that of {view.joints[other]}", None, joint
+    if abs(own) < 0.3:
+        return f"velocity does not follow the position (correlation {own:.2f})", None, joint
+    return None
+
+
+@check("current against position error")
+def drive(view: View) -> Iterator[Finding]:
+    """Current or duty drives away from the target, or is in another unit than gain times error says."""
+    gain, error = view.get(("command", "p_gain")), view.log.array(_COMMAND) - view.log.array(_POSITION)
+    for key in (("joint", "current"), ("joint", "duty")):
+        values = view.get(key)
+        if values is None or len(view.time) < 20:
+            continue
+        wanted = error * gain if gain is not None and key[1] == "current" else error
+        rows = view.driven.all(1)
+        if rows.sum() < 20:
+            continue
+        found = match(values[rows], wanted[rows])
+        sure, ratio = np.diag(found.correlation), np.diag(found.ratio)
+        moving = (found.size_b > 0.01) & (found.size_a > 0)
+        against = np.flatnonzero(moving & (sure < -SURE))
+        off = np.flatnonzero(moving & (sure > SURE) & ((ratio > 20) | (ratio < 0.01)) & (wanted is not error))
+        for joint in (*against, *off):
+            if joint in against:
+                problem, remedy = f"{key[1]} drives away from the target", "turn its sign round"
+            else:
+                problem = f"current is {ratio[joint]:.3g} times gain times error{_says(float(ratio[joint]), 'A')}"
+                remedy = "convert it to A"
+            yield Finding(WARNING, problem, remedy, view.column(key, int(joint)), set_aside=True)

@@ -1,0 +1,122 @@
+"""What a check of a log finds, and the registry of checks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from op3.rollout.errors import LogError
+from op3.rollout.rollout import Rollout
+from op3.rollout.schema import CHANNELS, Key, column_names
+
+ERROR, WARNING = "error", "warning"
+"""An error cannot be right and refuses the log; a warning is suspicious and lets it pass."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something about a log that is wrong or suspicious.
+
+    Attributes:
+        severity: `error` or `warning`.
+        problem: Evidence with its numbers, and the likely cause.
+        remedy: What mends it, an option of the import where there is one.
+        column: Column of the wide CSV, `time`, or a metadata field (`field mass`); None for the whole log.
+        rows: First and last row concerned, counted from 1; None for all.
+        times: Times of these rows [s].
+        set_aside: Whether the column is not to be used, while the rest of the log is.
+        check: Name of the check.
+    """
+
+    severity: str
+    problem: str
+    remedy: str
+    column: str | None = None
+    rows: tuple[int, int] | None = None
+    times: tuple[float, float] | None = None
+    set_aside: bool = False
+    check: str = ""
+
+    def error(self, source: str | Path | None) -> LogError:
+        """As the error that refuses the log."""
+        row = None if self.rows is None else self.rows[0]
+        return LogError(self.problem, self.remedy, source=source, column=self.column, row=row)
+
+    def row(self) -> dict[str, Any]:
+        """As a row of a table, in plain values."""
+        joint, _, channel = (self.column or "").rpartition(".")
+        rows = "" if self.rows is None else "-".join(str(row) for row in dict.fromkeys(self.rows))
+        times = "" if self.times is None else " to ".join(f"{t:.6g}" for t in dict.fromkeys(self.times))
+        where = {"joint": joint, "channel": channel, "rows": rows, "times [s]": times}
+        severity = "set aside" if self.set_aside else self.severity
+        return {"severity": severity, **where, "finding": self.problem, "what mends it": self.remedy}
+
+
+class View:
+    """One episode of a log as the checks look at it."""
+
+    def __init__(self, log: Rollout):
+        self.log, self.metadata, self.joints = log, log.metadata, log.joints
+        self.time = log.array("time")[:, 0]
+
+    def get(self, key: Key) -> np.ndarray | None:
+        """A channel [time, name], None where it is absent."""
+        return self.log.array(key) if key in self.log else None
+
+    def column(self, key: Key, index: int) -> str:
+        """Name of one column of a channel."""
+        return column_names(CHANNELS[key], self.joints, index + 1)[index]
+
+    @cached_property
+    def interval(self) -> float:
+        """Usual time from row to row [s]."""
+        return float(np.median(np.diff(self.time))) if len(self.time) > 1 else np.inf
+
+    @cached_property
+    def driven(self) -> np.ndarray:
+        """Whether the servo drives [time, joint]."""
+        switch = self.get(("command", "torque_enable"))
+        return np.ones((len(self.time), len(self.joints)), bool) if switch is None else switch == 1
+
+    def where(self, first: int, last: int | None = None) -> dict[str, Any]:
+        """Rows and times of a finding, from indices counted from 0."""
+        last = first if last is None else last
+        return dict(rows=(first + 1, last + 1), times=(float(self.time[first]), float(self.time[last])))
+
+
+Check = Callable[[View], Iterable[Finding]]
+
+CHECKS: dict[str, Check] = {}
+"""Every check by its name; a check's docstring is its line in the documentation."""
+
+
+def check(name: str) -> Callable[[Check], Check]:
+    """Enter a check into the registry."""
+
+    def enter(function: Check) -> Check:
+        CHECKS[name] = function
+        return function
+
+    return enter
+
+
+def examine(log: Rollout) -> tuple[Finding, ...]:
+    """Everything that the checks find in a log, errors first."""
+    found = [finding for episode in log.episodes() for finding in _findings(View(episode))]
+    return tuple(sorted(found, key=lambda finding: finding.severity != ERROR))
+
+
+def _findings(view: View) -> Iterator[Finding]:
+    aside: set[str | None] = set()
+    for name, function in CHECKS.items():
+        for finding in function(view):
+            if finding.set_aside and finding.column in aside:
+                continue  # why it is not used has been said
+            if finding.set_aside:
+                aside.add(finding.column)
+            yield replace(finding, check=name)

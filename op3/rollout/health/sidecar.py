@@ -1,0 +1,58 @@
+"""Checks of what is said beside the samples."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from op3.rollout.health.finding import ERROR, WARNING, Finding, View, check
+from op3.rollout.units import plausible_unit
+
+_PLAUSIBLE = {"mass": ("kg", 1e-3, 50.0, 0.4), "length": ("m", 5e-3, 3.0, 0.12), "battery": ("V", 2.0, 100.0, 11.0)}
+"""Unit, smallest, largest and a typical value of what a bench's sidecar says."""
+
+
+@check("plausible metadata")
+def plausible(view: View) -> Iterator[Finding]:
+    """Mass, length or battery is far from that of any robot or bench; the likely unit is named."""
+    for name, (unit, least, most, typical) in _PLAUSIBLE.items():
+        value = getattr(view.metadata, name)
+        if value is None or least <= value <= most:
+            continue
+        likely = plausible_unit(value, unit, typical)
+        guess = f"; {value:g} {likely[0]} would be {likely[1]:.4g} {unit}" if likely else ""
+        remedy = f"write {name}: {likely[1]:.4g}" if likely else f"write {name} in {unit}"
+        yield Finding(ERROR, f"{value:g} {unit} cannot be{guess}", remedy, f"field {name}")
+
+
+@check("firmware gain")
+def firmware_gain(view: View) -> Iterator[Finding]:
+    """The gain in the columns is not the one in the metadata."""
+    gains, said = view.get(("command", "firmware_gain")), view.metadata.firmware_gain
+    if gains is None or said is None:
+        return
+    if not (np.abs(gains - said) <= 1e-6 * max(1.0, said)).any():
+        problem = f"firmware_gain is {said:g} in the metadata and {gains[0, 0]:g} in the column"
+        remedy = "correct one of them; without the column the metadata's counts for every row"
+        yield Finding(ERROR, problem, remedy, view.column(("command", "firmware_gain"), 0), **view.where(0))
+
+
+@check("supply and temperature")
+def supply(view: View) -> Iterator[Finding]:
+    """Voltage is far from the battery's, or a temperature is none of a servo."""
+    volts, heat = view.get(("joint", "voltage")), view.get(("joint", "temperature"))
+    battery = view.metadata.battery
+    for joint in range(len(view.joints)):
+        median = 0.0 if volts is None else float(np.median(volts[:, joint]))
+        if battery and volts is not None and not 0.4 < median / battery < 1.8:
+            problem = f"the median voltage {median:.4g} V does not fit the battery of {battery:g} V"
+            remedy = "convert it to volts, or correct `battery`"
+            column = view.column(("joint", "voltage"), joint)
+            yield Finding(WARNING, problem, remedy, column, set_aside=True)
+        median = 40.0 if heat is None else float(np.median(heat[:, joint]))
+        if not -10 <= median <= 95:
+            problem = f"the median temperature {median:.4g} C is none of a working servo"
+            remedy = "convert it to degrees Celsius"
+            column = view.column(("joint", "temperature"), joint)
+            yield Finding(WARNING, problem, remedy, column, set_aside=True)

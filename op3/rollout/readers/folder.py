@@ -1,0 +1,25 @@
+"""Our own rollout folder: `metadata.yaml` and a memory-mapped TensorDict."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from op3.rollout.rollout import DATA_FOLDER, METADATA_FILE, ROWS_FILE, Rollout
+
+
+class Folder:
+    """A folder that `Rollout.save` or a `Recorder` wrote; also named by its `metadata.yaml`."""
+
+    title = "rollout folder"
+    paths = "<folder>"
+
+    def claims(self, path: Path) -> bool:
+        """By what lies in the folder."""
+        folder = path.parent if path.name == METADATA_FILE else path
+        parts = (folder / DATA_FOLDER).is_dir() or (folder / ROWS_FILE).is_file()
+        # a bag of ROS 2 has a metadata.yaml of its own
+        return (folder / METADATA_FILE).is_file() and (parts or not any(folder.glob("*.[dm][bc]*")))
+
+    def read(self, path: Path) -> list[Rollout]:
+        """One rollout, which may hold several episodes of equal length."""
+        return [Rollout.load(path.parent if path.name == METADATA_FILE else path)]

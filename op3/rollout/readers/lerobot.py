@@ -1,0 +1,130 @@
+"""LeRobot datasets, version 3 and 2.1: parquet with `action` and `observation.state`, an episode per recording.
+
+Positions are in degrees, or normalised to a joint's range, which the calibration file tells: LeRobot's
+`calibration/.../<robot>.json`, copied into the dataset's folder as `calibration.json`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from op3.rollout.errors import LogError
+from op3.rollout.guess import guess_all
+from op3.rollout.readers.reader import Column, Recording, Stream
+
+_STEP = 2 * math.pi / 4096
+_FEATURES = {"observation.state": "", "action": "action "}
+
+
+class LeRobot:
+    """A dataset folder, or one of its parquet files."""
+
+    title = "LeRobot dataset (needs op3[lerobot])"
+    paths = "<folder with meta/info.json>"
+
+    def claims(self, path: Path) -> bool:
+        """By what lies in the folder."""
+        return (path / "meta" / "info.json").is_file()
+
+    def read(self, path: Path) -> list[Recording]:
+        """One recording per episode."""
+        info = _json(path / "meta" / "info.json")
+        names = {feature: _names(info, feature, path) for feature in _FEATURES}
+        table = _parquet(path, ["timestamp", "episode_index", *_FEATURES])
+        wide = {f: _matrix(table[f], names[f], path / "data", f) for f in _FEATURES}
+        columns = {
+            prefix + name: wide[feature][:, i]
+            for feature, prefix in _FEATURES.items()
+            for i, name in enumerate(names[feature])
+        }
+        meanings = guess_all(columns)
+        _units(columns, meanings, path)
+        about = dict(robot="real", mount="stand", servo=None, extra={"lerobot": str(info.get("robot_type"))})
+        episode = np.asarray(table["episode_index"])
+        time = np.asarray(table["timestamp"], dtype=float)
+        recordings = []
+        for number in np.unique(episode):
+            rows = np.flatnonzero(episode == number)
+            part = {name: values[rows] for name, values in columns.items()}
+            name = f"{path.name}/episode_{int(number):06d}"
+            recordings.append(Recording([Stream(time[rows], part)], dict(about), meanings, name))
+        return recordings
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        content = None
+    if not isinstance(content, dict):
+        raise LogError("the file is no JSON mapping", "copy the dataset again", source=path)
+    return content
+
+
+def _names(info: dict[str, Any], feature: str, path: Path) -> list[str]:
+    """Names along a feature's axis: a list, a list in a mapping, or motors by number."""
+    features = info.get("features")
+    entry = features.get(feature) if isinstance(features, dict) else None
+    if not isinstance(entry, dict):
+        problem, remedy = f"the dataset has no {feature}", "record a dataset of a robot with motors"
+        raise LogError(problem, remedy, source=path / "meta" / "info.json", column=feature)
+    names = entry.get("names")
+    while isinstance(names, dict) and names:
+        names = next(iter(names.values()))
+    shape = entry.get("shape")
+    count = shape[0] if isinstance(shape, list) and shape and isinstance(shape[0], int) else 0
+    return [str(name) for name in names] if isinstance(names, list) else [f"motor_{i}" for i in range(count)]
+
+
+def _parquet(path: Path, columns: list[str]) -> dict[str, Any]:
+    try:
+        import pyarrow
+        import pyarrow.parquet as parquet
+    except ImportError:
+        remedy = "install it with `pip install 'op3[lerobot]'`"
+        raise LogError("LeRobot datasets are read with pyarrow, which is missing", remedy, source=path) from None
+    files = sorted((path / "data").rglob("*.parquet"))
+    try:
+        tables = [parquet.ParquetFile(file).read(columns=columns) for file in files]
+        return pyarrow.concat_tables(tables).to_pydict()
+    except (pyarrow.ArrowException, OSError, KeyError, ValueError, MemoryError) as error:
+        problem = f"the parquet files cannot be read ({str(error).splitlines()[0][:120] if str(error) else 'damaged'})"
+        raise LogError(problem, "copy the dataset again", source=path / "data") from None
+
+
+def _matrix(rows: list[Any], names: list[str], path: Path, column: str) -> np.ndarray:
+    try:
+        table = np.array(rows, dtype=float).reshape(len(rows), -1)
+    except (ValueError, TypeError):
+        table = np.zeros((0, 0))
+    if table.shape != (len(rows), len(names)) or not len(rows):
+        problem = f"the rows do not hold the {len(names)} numbers that meta/info.json names"
+        raise LogError(problem, "copy the dataset again", source=path, column=column)
+    return table
+
+
+def _units(columns: dict[str, np.ndarray], meanings: dict[str, Column], path: Path) -> None:
+    """Give positions and targets their unit: normalised where the calibration says so, else degrees."""
+    file = next((f for f in (path / "calibration.json", path / "meta" / "calibration.json") if f.is_file()), None)
+    calibration = _json(file) if file else {}
+    for name, column in meanings.items():
+        joint, _, kind = str(column.name).rpartition(".")
+        if kind not in ("position", "target"):
+            continue
+        meanings[name] = Column(column.name, "deg", why="LeRobot writes degrees where no calibration is beside it")
+        entry = calibration.get(joint)
+        if entry is not None:
+            try:
+                span = abs(float(entry["range_max"]) - float(entry["range_min"])) * _STEP
+            except (KeyError, TypeError, ValueError):
+                problem, remedy = "the calibration of the joint has no range", "copy LeRobot's calibration file"
+                raise LogError(problem, remedy, source=file, column=joint) from None
+            # a gripper runs from 0 to 100 over its range, every other joint from -100 to 100
+            size = span / 100 if joint == "gripper" else span / 200
+            if span and float(np.abs(columns[name]).max()) <= 100.5:
+                meanings[name] = Column(column.name, size, why="normalised to the calibrated range")

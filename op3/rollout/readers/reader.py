@@ -1,0 +1,91 @@
+"""What a reader of a log format is, and what it hands over.
+
+A reader is a small class that says which paths are its own and what is in them: columns by their names in the
+file, each group with its clock, and what the format itself says about them. Naming, units, resampling, options
+of the import, checks and the building of a `Rollout` are the same for all formats (`op3.rollout.importing`).
+Another package adds a format by an entry point of the group `op3.readers` that names such a class.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from op3.rollout.rollout import Rollout
+
+
+@dataclass(frozen=True)
+class Column:
+    """What a column of a file means.
+
+    The SI value is ``sign * size of the unit * number + offset``.
+
+    Attributes:
+        name: Column of the wide CSV (`l_knee.position`, `imu.gyro_x`, `time`); None where it is left out.
+        unit: Name of a unit, or its size in the SI unit; None for the SI unit.
+        sign: 1 or -1.
+        offset: Added at the end, in the SI unit.
+        why: What the meaning was guessed from; empty where the file or the user says it.
+    """
+
+    name: str | None
+    unit: str | float | None = None
+    sign: int = 1
+    offset: float = 0.0
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Columns that share a clock.
+
+    Attributes:
+        time: Time of each row [time] in s.
+        columns: Numbers by the column's name in the file, each [time].
+    """
+
+    time: np.ndarray
+    columns: dict[str, np.ndarray]
+
+
+@dataclass
+class Recording:
+    """What a file holds, before names and units are ours.
+
+    Attributes:
+        streams: The first gives the rows; the others are brought onto its clock, their delay kept.
+        metadata: Fields of `Metadata` that the file tells.
+        columns: Meaning of columns where the format tells or hints at it, by their names in the file.
+        name: Identity of the recording; the file's name where empty.
+        strict: Whether a column without a meaning is refused; otherwise it is left out.
+    """
+
+    streams: list[Stream]
+    metadata: dict[str, Any] = field(default_factory=dict)
+    columns: dict[str, Column] = field(default_factory=dict)
+    name: str = ""
+    strict: bool = False
+
+
+class Reader(Protocol):
+    """A log format.
+
+    Attributes:
+        title: Name of the format, for the table of formats.
+        paths: What a path of it looks like, for the table and for messages.
+    """
+
+    title: str
+    paths: str
+
+    def claims(self, path: Path) -> bool:
+        """Whether an existing path is of this format, by its name or a look at its beginning; never raises."""
+        ...
+
+    def read(self, path: Path) -> Sequence[Recording | Rollout]:
+        """The recordings in it, one per episode; raises `LogError` with one sentence."""
+        ...

@@ -1,0 +1,314 @@
+"""Logs that are wrong in the ways people's logs are: each is refused, mended by an option, or a channel set aside."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from op3.rollout import LogError, Metadata, Rollout, read_episodes, read_log
+
+RATE = 125.0
+
+
+def bench_log(joints: int = 1, **changes) -> Rollout:
+    """Eight seconds of joints that follow slow sines with a lag and gravity's sag, as quantised sensors see them."""
+    time = np.arange(1000) / RATE
+    names = tuple(f"joint_{i}" for i in range(joints))
+    phase = np.arange(joints)
+    rates = 2.0 + 0.37 * phase
+    target = 0.6 * np.sin(rates * time[:, None] + phase)
+    position = 0.57 * np.sin(rates * (time[:, None] - 0.03) + phase) + 0.02
+    velocity = 0.57 * rates * np.cos(rates * (time[:, None] - 0.03) + phase)
+    step = 2 * np.pi / 4096
+    tilt = 0.2 * np.sin(np.array([3.0, 4.1, 5.3]) * time[:, None])
+    roll, pitch, _ = tilt.T
+    rate = np.gradient(tilt, time, axis=0)
+    gyro = np.stack(
+        [
+            rate[:, 0] - rate[:, 2] * np.sin(pitch),
+            rate[:, 1] * np.cos(roll) + rate[:, 2] * np.sin(roll) * np.cos(pitch),
+            rate[:, 2] * np.cos(roll) * np.cos(pitch) - rate[:, 1] * np.sin(roll),
+        ],
+        axis=1,
+    )
+    up = np.stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=1)
+    arrays = {
+        "time": time,
+        "command/position": target,
+        "joint/position": np.round(position / step) * step,
+        "joint/velocity": np.round(velocity / 0.024) * 0.024,
+        "command/firmware_gain": np.full((1000, joints), 32.0),
+        "imu/orientation": tilt,
+        "imu/angular_velocity": gyro,
+        "imu/linear_acceleration": 9.81 * up,
+    }
+    about = dict(mass=0.535, length=0.15, battery=7.4, firmware_gain=32)
+    return Rollout.from_arrays(arrays, Metadata(names, "rig", "pendulum", RATE, **{**about, **changes}))
+
+
+Table = dict[str, np.ndarray]
+Change = Callable[[Table], None]
+
+
+def write(folder: Path, change: Change = lambda table: None, side: str = "", joints: int = 1) -> Path:
+    """A CSV of the log with its columns changed, and lines added to its sidecar."""
+    path = bench_log(joints).to_csv(folder / "run.csv")
+    header, *rows = path.read_text().splitlines()
+    table = dict(zip(header.split(","), np.array([row.split(",") for row in rows], dtype=float).T, strict=True))
+    change(table)
+    lines = [",".join(table), *(",".join(map(repr, row)) for row in np.array(list(table.values())).T.tolist())]
+    path.write_text("\n".join(lines) + "\n")
+    sidecar = path.with_suffix(".yaml")
+    sidecar.write_text(sidecar.read_text() + side)
+    return path
+
+
+def scale(pattern: str, factor: float) -> Change:
+    """Multiply columns."""
+
+    def change(table: Table) -> None:
+        for name in table:
+            if re.fullmatch(pattern, name):
+                table[name] = table[name] * factor
+
+    return change
+
+
+def clock_forward(seconds: float) -> Change:
+    """The clock is set in the middle."""
+
+    def change(table: Table) -> None:
+        table["time"][500:] += seconds
+
+    return change
+
+
+def gap(first: int, last: int) -> Change:
+    """Rows are missing."""
+
+    def change(table: Table) -> None:
+        for name in table:
+            table[name] = np.delete(table[name], slice(first, last))
+
+    return change
+
+
+def wrapped(turns: float, joint: str = "joint_0") -> Change:
+    """The encoder counts other turns from the middle on."""
+
+    def change(table: Table) -> None:
+        table[f"{joint}.position"][500:] += 2 * np.pi * turns
+
+    return change
+
+
+def swings_around_pi(table: Table) -> None:
+    """Zero lies at the far side."""
+    table["joint_0.position"] = table["joint_0.position"] % (2 * np.pi) - np.pi
+    table["joint_0.target"] = table["joint_0.target"] + np.pi
+
+
+def turned(pattern: str) -> Change:
+    """The sign is turned round."""
+    return scale(pattern, -1)
+
+
+def swap(one: str, other: str) -> Change:
+    """Two columns are exchanged."""
+
+    def change(table: Table) -> None:
+        table[one], table[other] = table[other], table[one]
+
+    return change
+
+
+def put(column: str, row: int, value: float) -> Change:
+    """One number is wrong."""
+
+    def change(table: Table) -> None:
+        table[column][row] = value
+
+    return change
+
+
+REFUSED: dict[str, tuple[Change, str]] = {
+    "clock set forward": (clock_forward(3600), r"row 501, column time: time jumps .* the clock was set here; split"),
+    "clock set by a second": (clock_forward(1.0), r"row 501, column time: time jumps .* the clock was set here"),
+    "clock set back": (clock_forward(-2.0), r"row 501, column time: time goes back"),
+    "a second is missing": (gap(400, 525), r"row 401, column time: .* about 12\d rows are missing"),
+    "a quarter of a second is missing": (gap(400, 432), r"about 3\d rows are missing"),
+    "another turn": (
+        wrapped(-1),
+        r"row 501, column joint_0.position: position jumps by one turn .* at row 501; .*unwrap",
+    ),
+    "two turns": (wrapped(2), r"position jumps by 2 turns"),
+    "around pi": (swings_around_pi, r"position jumps by one turn .*unwrap: true.*shift"),
+    "a turn off": (scale("none", 1), ""),
+    "position in degrees": (scale(".*position", 6.5), r"position: the position moves 6\.\d+ times as far"),
+    "small degrees": (scale(".*(position|target)", 0.1), ""),
+    "gyroscope in degrees": (scale("imu.gyro_.", 57.3), r"gyro_x: the gyroscope reads 57\.\d times .* in deg/s"),
+    "gyroscope turned": (turned("imu.gyro_y"), r"gyro_y: the gyroscope reads -(1|0.99\d*) .* sign turned round"),
+    "gyroscope's axes": (swap("imu.gyro_x", "imu.gyro_y"), r"axes are swapped"),
+    "accelerometer downwards": (turned("imu.acc_."), r"gravity downwards"),
+    "velocity in counts": (scale(".*velocity", 1 / 0.02398), r"counts of 0\.229 rpm"),
+    "velocity in rpm": (scale(".*velocity", 9.549), r"in rpm"),
+    "velocity turned": (turned(".*velocity"), r"velocity is -(1|0.99\d*) times .* sign turned round"),
+    "position turned": (turned(".*(position|velocity)"), r"position moves against its command"),
+    "a spike": (put("joint_0.position", 300, 2.9), r"row 301, .* position jumps by \+\d"),
+}
+del REFUSED["a turn off"], REFUSED["small degrees"]
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_right_is_refused(tmp_path, case):
+    """One sentence says where it is, what it likely is, and what mends it."""
+    change, expected = REFUSED[case]
+    with pytest.raises(LogError, match=expected):
+        read_log(write(tmp_path, change))
+
+
+def test_small_degrees_without_velocity(tmp_path):
+    """Degrees so small that no number is implausible show against the command, by their factor."""
+
+    def change(table: Table) -> None:
+        scale(".*(position|target)", 0.1)(table)
+        scale(".*position", 57.3)(table)
+        del table["joint_0.velocity"]
+
+    with pytest.raises(LogError, match=r"5\d\.\d times as far as its command, as if it were in deg"):
+        read_log(write(tmp_path, change))
+
+
+def test_swapped_joints(tmp_path):
+    """Two joints whose positions were exchanged follow each other's commands."""
+    with pytest.raises(LogError, match="follows the command of joint_"):
+        read_log(write(tmp_path, swap("joint_0.position", "joint_2.position"), joints=3))
+
+
+SIDES = {
+    "grams": ("mass: 535\n", r"field mass: 535 kg cannot be; 535 g would be 0\.535 kg; write mass: 0\.535"),
+    "millimetres": ("length: 150\n", r"field length: 150 m cannot be; 150 mm would be 0\.15 m"),
+    "millivolts": ("battery: 7400\n", r"field battery: 7400 V cannot be; 7400 mV would be 7\.4 V"),
+    "two batteries": (
+        "battery: 11.1\nbattery: 12\n",
+        r"field battery: the key stands at line \d+ and again at line \d+",
+    ),
+    "another gain": ("firmware_gain: 3\n", r"firmware_gain is 3 in the metadata and 32 in the column"),
+}
+
+
+@pytest.mark.parametrize("case", SIDES)
+def test_a_sidecar_that_cannot_be_right_is_refused(tmp_path, case):
+    """The field, its value and the likely unit are named."""
+    text, expected = SIDES[case]
+    path = write(tmp_path)
+    sidecar = path.with_suffix(".yaml")
+    lines = [line for line in sidecar.read_text().splitlines() if line.split(":")[0] not in text]
+    sidecar.write_text("\n".join(lines) + "\n" + text)
+    with pytest.raises(LogError, match=expected):
+        read_log(path)
+
+
+def test_exponents_are_numbers(tmp_path):
+    """150e-3 is a number, as in every other language."""
+    path = write(tmp_path)
+    sidecar = path.with_suffix(".yaml")
+    sidecar.write_text(
+        sidecar.read_text().replace("length: 0.15", "length: 150e-3").replace("mass: 0.535", "mass: 5.35E-1")
+    )
+    assert (read_log(path).metadata.length, read_log(path).metadata.mass) == (0.15, 0.535)
+
+
+def test_a_sidecars_gain_counts_for_every_row(tmp_path):
+    """Without a column of its own the gain of the sidecar is the command's."""
+    path = write(tmp_path, lambda table: table.__delitem__("joint_0.firmware_gain"))
+    assert set(read_log(path).column("joint_0.firmware_gain")) == {32.0}
+
+
+ASIDE: dict[str, Change] = {
+    "stands still": scale("joint_1.velocity", 0),
+    "another joint's": lambda table: table.update({"joint_1.velocity": table["joint_0.velocity"]}),
+    "late": lambda table: table.update({"joint_1.velocity": np.roll(table["joint_1.velocity"], 60)}),
+    "in degrees": scale("joint_1.velocity", 57.3),
+    "turned": turned("joint_1.velocity"),
+    "2.3 times": scale("joint_1.velocity", 2.3),
+    "dead from the middle on": lambda table: table["joint_1.velocity"].__setitem__(slice(500, None), 0.5),
+    "noise": lambda table: table.update({"joint_1.velocity": np.random.default_rng(0).normal(0, 1, 1000)}),
+}
+
+
+@pytest.mark.parametrize("case", ASIDE)
+def test_one_joints_bad_velocity_is_set_aside(tmp_path, case):
+    """The channel of that joint does not count as measured; all others do, and the log is used."""
+    log = read_log(write(tmp_path, ASIDE[case], joints=3))
+    assert log.metadata.set_aside == ("joint_1.velocity",)
+    assert log.measured("joint/velocity").tolist() == [True, False, True]
+    assert [f.column for f in log.findings if f.set_aside][:1] == ["joint_1.velocity"]
+    assert np.abs(log.column("joint_1.velocity") - np.gradient(log.column("joint_1.position"), 1 / RATE)).max() < 1e-9
+
+
+def test_the_only_joints_bad_velocity_is_gone(tmp_path):
+    """A bench log without a usable velocity has none."""
+    log = read_log(write(tmp_path, scale(".*velocity", 0)))
+    assert "joint/velocity" not in log
+    assert log.metadata.set_aside == ("joint_0.velocity",)
+
+
+def test_a_sound_log_has_no_findings(tmp_path):
+    """The log that the cases are made from is silent."""
+    for joints in (1, 3):
+        (tmp_path / str(joints)).mkdir()
+        assert read_log(write(tmp_path / str(joints), joints=joints)).findings == ()
+
+
+def test_unwrap_and_shift(tmp_path):
+    """One line in the YAML unwraps positions and moves their zero, and the log is what it was."""
+    path = write(tmp_path, swings_around_pi, f"shift: {{joint_0: {-np.pi!r}}}\n")
+    there, sound = read_log(path), bench_log()
+    assert np.abs(there.array("joint/position") - sound.array("joint/position")).max() < 1e-9
+    assert np.abs(there.array("command/position") - sound.array("command/position")).max() < 1e-9
+
+
+@pytest.mark.parametrize("turns", [-1, 1, 2])
+def test_unwrap(tmp_path, turns):
+    """Turns that the encoder lost or won are taken out."""
+    there = read_log(write(tmp_path, wrapped(turns), "unwrap: true\n"))
+    assert np.abs(there.array("joint/position") - bench_log().array("joint/position")).max() < 1e-9
+
+
+@pytest.mark.parametrize("change", [gap(400, 525), clock_forward(3600)])
+def test_split(tmp_path, change):
+    """A log with a hole is read as its parts."""
+    parts = read_episodes(write(tmp_path, change, "split: true\n"))
+    assert [part.metadata.recording for part in parts] == ["run/part-0", "run/part-1"]
+    assert all(np.diff(part.column("time")).max() < 0.01 for part in parts)
+
+
+def test_options_name_what_they_do_not_know(tmp_path):
+    """An option for a joint that is not there is refused."""
+    with pytest.raises(LogError, match=r"field shift: knee.*joint_0"):
+        read_log(write(tmp_path, side="shift: {knee: 1.0}\n"))
+
+
+def test_scale(tmp_path):
+    """A factor in the YAML mends a unit."""
+    assert (
+        read_log(write(tmp_path, scale(".*velocity", 57.29578), "scale: {joint_0.velocity: 0.01745329}\n")).findings
+        == ()
+    )
+
+
+def test_other_forms_of_csv(tmp_path):
+    """Semicolons with decimal commas, and tabs, are read as they are."""
+    path = write(tmp_path)
+    text = path.read_text()
+    for other in (
+        text.replace(",", ";").replace(".", ",").replace("joint_0,", "joint_0.").replace("imu,", "imu."),
+        text.replace(",", "\t"),
+    ):
+        path.write_text(other)
+        assert np.array_equal(read_log(path).array("joint/position"), bench_log().array("joint/position"))
