@@ -108,6 +108,8 @@ class TrajectoryLoss:
             simulated = prediction.channels[key]
             measured = torch.from_numpy(log.array(key)[: simulated.shape[1]])
             difference = simulated[:, first:] - measured[first:]
+            if log.metadata.set_aside:  # what was not measured does not count
+                difference = difference * torch.from_numpy(log.measured(key))
             if key[0] == "joint":
                 difference = difference[..., columns]
             elif key == ("imu", "orientation"):

@@ -50,7 +50,7 @@ def read_episodes(path: str | Path, options: Mapping[str, Any] | None = None, ch
     path = Path(path)
     if not path.exists():
         raise LogError("there is no such file", f"name {kinds()}", source=path)
-    reader = _reader(path)
+    reader = find_reader(path)
     if reader is None and path.is_dir():
         raise LogError(f"no {METADATA_FILE} in this folder", f"name {kinds()}", source=path)
     if reader is None:
@@ -87,7 +87,7 @@ def read_logs(paths: str | Path | Iterable[str | Path]) -> list[Rollout]:
 def expand(path: str | Path) -> list[Path]:
     """The single logs that a path, folder or pattern stands for."""
     path = Path(path)
-    if path.is_dir() and _reader(path) is None:
+    if path.is_dir() and find_reader(path) is None:
         found = _inside(path)
         where = "the folder holds no log"
     elif path.exists() or not glob.has_magic(str(path)):
@@ -101,7 +101,8 @@ def expand(path: str | Path) -> list[Path]:
     return found
 
 
-def _reader(path: Path) -> Reader | None:
+def find_reader(path: Path) -> Reader | None:
+    """The first reader that claims an existing path."""
     return next((reader for reader in readers().values() if reader.claims(path)), None)
 
 
@@ -115,5 +116,5 @@ def _inside(folder: Path) -> list[Path]:
 
 
 def _is_log(path: Path) -> bool:
-    reader = None if path.name.startswith(".") or path.name == METADATA_FILE else _reader(path)
+    reader = None if path.name.startswith(".") or path.name == METADATA_FILE else find_reader(path)
     return reader is not None and getattr(reader, "holds", lambda _: True)(path)

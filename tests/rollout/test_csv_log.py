@@ -108,10 +108,10 @@ OFFENCES: dict[str, tuple[Callable[[Lines], object], str, str, str]] = {
     "time twice": (copied_time, "time", "row 5", "repeats the time of row 4"),
     "milliseconds": (scaled("time", 1e3), "time", "row 2", "125 Hz.*milliseconds"),
     "another rate": (scaled("time", 2.0), "time", "row 2", "62.5 Hz, but the metadata says rate: 125"),
-    "degrees": (scaled(".*(position|target)", 57.3), "l_knee.target", "row 3", "looks like degrees"),
-    "position in degrees": (scaled(".*position", 57.3), "l_knee.position", "row 4", "looks like degrees"),
+    "degrees": (scaled(".*(position|target)", 57.3), "l_knee.velocity", "row 1", "position were in deg"),
+    "position in degrees": (scaled(".*position", 57.3), "l_knee.velocity", "row 1", "position were in deg"),
     "roll in degrees": (scaled("imu.(roll|pitch|yaw)", 57.3), "imu.", "row", "looks like degrees"),
-    "degrees per second": (scaled(".*velocity", 57.3), "l_knee.velocity", "row 1", "degrees per second"),
+    "degrees per second": (scaled(".*velocity", 57.3), "l_knee.velocity", "row 1", "in deg/s"),
     "rpm": (scaled(".*velocity", 60 / 6.2832), "l_knee.velocity", "row 1", "rpm"),
     "slow rpm": (
         lambda lines: (scaled(".*velocity", 0.955)(lines), scaled(".*(target|position)", 0.1)(lines)),

@@ -34,9 +34,11 @@ def lost_turns(view: View) -> Iterator[Finding]:
 @check("a turn off")
 def a_turn_off(view: View) -> Iterator[Finding]:
     """A position is whole turns away from its command."""
-    offset = np.median(view.log.array(("joint", "position")) - view.log.array(("command", "position")), axis=0)
+    error = view.log.array(("joint", "position")) - view.log.array(("command", "position"))
+    offset = np.median(error, axis=0)
     turns = np.round(offset / _TURN)
-    for joint in np.flatnonzero((turns != 0) & (np.abs(offset - turns * _TURN) < 1.0)):
+    follows = np.ptp(error, axis=0) < np.pi
+    for joint in np.flatnonzero((turns != 0) & follows & (np.abs(offset - turns * _TURN) < 1.0)):
         problem = f"the position is {offset[joint]:+.3f} rad away from the command, about {turns[joint]:+.0f} turn"
         remedy = "write `unwrap: true` into its YAML"
         yield Finding(ERROR, problem, remedy, view.column(("joint", "position"), int(joint)))

@@ -21,6 +21,8 @@ def _says(ratio: float, unit: str) -> str:
     if abs(ratio + 1) < 0.25:
         return " with the sign turned round"
     name = likely_unit(ratio, unit)
+    if name is None and unit == "rad/s" and likely_unit(1 / ratio, "rad") == "deg":
+        return ", as if the position were in deg"
     return f", as if it were in {name}{' with the sign turned round' if ratio < 0 else ''}" if name else ""
 
 

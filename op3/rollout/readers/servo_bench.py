@@ -1,7 +1,8 @@
 """Servo-bench recordings (Rhoban): one servo that swings a pendulum, `.json` or `.json.xz`.
 
 A file is a mapping with `mass` [kg], `length` [m], `kp` [firmware units], `motor`, `trajectory`, often `vin` [V],
-and `entries`, one per sample. What the columns of a servo mean is said by its file `assets/servos/<motor>.yaml`; the load of a motor without a file stays in the recorders' unit.
+and `entries`, one per sample. What the columns of a servo mean is said by its file `assets/servos/<motor>.yaml`; the
+load of a motor without a file stays in the recorders' unit.
 """
 
 from __future__ import annotations

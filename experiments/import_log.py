@@ -1,0 +1,68 @@
+"""Look at a log of any format: what is in it, what was guessed and why, and what is wrong with it.
+
+python experiments/import_log.py data=<log> [robot=<name or file>] [unwrap=true] [shift='{joint: rad}'] [split=true]
+
+Where no YAML lies beside the log, what was understood is written there for you to correct; `read_log` and every
+`data=` read it. Exit code 1 where the log cannot be right.
+"""
+
+import sys
+from pathlib import Path
+
+import hydra
+from omegaconf import DictConfig
+from support import check_given, one_sentence, plain
+
+from op3.rollout import LogError, Rollout
+from op3.rollout.files import write_text
+from op3.rollout.health import ERROR, examine
+from op3.rollout.importing import OPTIONS, read_side, side_path
+from op3.rollout.proposal import as_yaml, propose
+from op3.rollout.read import expand, read_episodes
+
+
+def look(path: Path, cfg: DictConfig) -> bool:
+    """Print what a log holds and what the checks find; whether it can be used."""
+    print(f"{path}:")
+    if not read_side(path).found:
+        text = as_yaml(*propose(path, cfg.robot))
+        print(text)
+        if cfg.write:
+            write_text(side_path(path), text)
+            print(f"written to {side_path(path)}; correct it there")
+    options = {name: plain(cfg[name]) for name in OPTIONS if name in cfg}
+    try:
+        logs = read_episodes(path, options, check=False)
+    except LogError as error:
+        print(error)
+        return False
+    return all([show(log) for log in logs])
+
+
+def show(log: Rollout) -> bool:
+    """Print a recording's channels and the table of findings."""
+    names = ", ".join("/".join(key) if isinstance(key, tuple) else key for key in log.channels)
+    print(f"{log.metadata.recording or 'recording'}: {log.rows} rows, {log.duration:.2f} s, {log.metadata.rate:.4g} Hz")
+    print(f"joints {', '.join(log.joints)}\nchannels {names}")
+    findings = examine(log)
+    for finding in findings:
+        print("\n".join(f"  {name}: {value}" for name, value in finding.row().items() if value), end="\n\n")
+    if not findings:
+        print("the checks find nothing wrong")
+    return not any(finding.severity == ERROR for finding in findings)
+
+
+@hydra.main(config_path="../conf/import_log", config_name="import_log", version_base="1.3")
+def main(cfg: DictConfig) -> None:
+    """Look at every log that `data` names."""
+    with one_sentence():
+        check_given(cfg, "data", "a log, a folder of logs, or a list of them")
+        data = plain(cfg.data)
+        paths = [path for given in (data if isinstance(data, list) else [data]) for path in expand(given)]
+        if not all([look(path, cfg) for path in paths]):
+            print("a log above cannot be right; what mends it stands beside the finding", file=sys.stderr)
+            raise SystemExit(1)
+
+
+if __name__ == "__main__":
+    main()
