@@ -123,8 +123,8 @@ def run(cfg: DictConfig) -> dict[str, Any]:
         steps = round(logs[0].metadata.episode_duration / env.policy_period)  # type: ignore[operator]
         states = np.stack(watched.states[:steps:FRAME_EVERY])
         rate = 1 / (FRAME_EVERY * env.policy_period)
-        if film(env.scene, states, folder / "episode.png", rate, follow=task.cycle is not None):
-            files["episode.png"] = "the first episode, animated"
+        if film(env.scene, states, folder / "episode.webp", rate, follow=task.cycle is not None):
+            files["episode.webp"] = "the first episode, animated"
     long_enough = [log for log in logs if log.duration > 1.5 and not stiff]
     return report_evaluation(
         logs,

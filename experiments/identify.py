@@ -25,7 +25,7 @@ from op3.identify.loss import UNIT_WEIGHTS, TrajectoryLoss
 from op3.identify.resolvers import register as register_interpolations
 from op3.identify.settings import read_settings, search_space_of
 from op3.identify.sweeper import sweep_or_report
-from op3.report import run_provenance
+from op3.report import finish, run_provenance
 from op3.report.comparison import read_runs, write_comparison
 from op3.report.identification import report_identification
 from op3.rollout import Rollout, read_logs
@@ -143,7 +143,7 @@ def main(cfg: DictConfig) -> Any:
                 wandb_mode=os.environ.get("WANDB_MODE", cfg.wandb),
             )
             if HydraConfig.get().mode == RunMode.MULTIRUN:
-                write_comparison(read_runs(folder.parent), folder.parent)  # grows with every cell
+                finish(*write_comparison(read_runs(folder.parent), folder.parent))  # grows with every cell
             return numbers
 
         return sweep_or_report(cfg, identification.evaluate, report)

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from PIL import Image
 
-from op3.report.picture import png
 from op3.robot import POSES, build_scene, pose
 
 PICTURE = Path(__file__).resolve().parents[1] / "docs" / "images" / "op3.png"
@@ -40,7 +40,7 @@ def main() -> None:
     parser.add_argument("--poses", nargs="+", default=["stand", "squat_high", "squat_low"], choices=POSES)
     options = parser.parse_args()
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_bytes(png(np.concatenate([draw(name) for name in options.poses], axis=1)))
+    Image.fromarray(np.concatenate([draw(name) for name in options.poses], axis=1)).save(options.out, optimize=True)
     print(options.out)
 
 

@@ -196,8 +196,8 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     files = {"policy/manifest.yaml": "the policy bundle", "checkpoint.pt": "to go on from with resume"}
     rate = 1.0 / (FRAME_EVERY * judge.policy_period)
     walks = judge_task.cycle is not None
-    if cfg.evaluation.video and film(judge.scene, states, folder / "episode.png", rate, follow=walks):
-        files["episode.png"] = "one episode of the kept policy, animated"
+    if cfg.evaluation.video and film(judge.scene, states, folder / "episode.webp", rate, follow=walks):
+        files["episode.webp"] = "one episode of the kept policy, animated"
     return report_training(
         progress.history,
         folder,

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from op3.identify.intervals import at_bound
 from op3.identify.sensitivity import Sensitivity
 
 Array = NDArray[np.float64]
@@ -34,6 +35,7 @@ class Identifiability:
         directions: ``[combination, parameter]``, of length one.
         correlation: of the estimates, ``[parameter, parameter]``.
         widths: width of each 90 % interval as a share of the range.
+        at_bound: the parameters that ended at an end of the range searched; they are not called identifiable.
         identifiable: by parameter.
         unknown: the combinations that the logs do not tell, in words, the worst first.
     """
@@ -44,6 +46,7 @@ class Identifiability:
     directions: Array
     correlation: Array
     widths: Mapping[str, float]
+    at_bound: Sequence[str]
     identifiable: Mapping[str, bool]
     unknown: Sequence[str]
 
@@ -73,6 +76,7 @@ def identifiability(
         name: float((intervals[name][1] - intervals[name][0]) / sensitivity.span[i])
         for i, name in enumerate(sensitivity.names)
     }
+    ended = [name for name, unit in zip(sensitivity.names, sensitivity.unit, strict=True) if at_bound(unit)]
     return Identifiability(
         names=sensitivity.names,
         noise=noise,
@@ -80,7 +84,8 @@ def identifiability(
         directions=directions,
         correlation=_correlation(values, directions),
         widths=widths,
-        identifiable={name: bool(width < share) for name, width in widths.items()},
+        at_bound=ended,
+        identifiable={name: bool(width < share) and name not in ended for name, width in widths.items()},
         unknown=[
             in_words(sensitivity.names, direction)
             for value, direction in zip(values[::-1], directions[::-1], strict=True)

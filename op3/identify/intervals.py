@@ -19,6 +19,11 @@ NOTHING = 1e-9
 """Share of the largest information below which a combination of parameters changes nothing."""
 
 
+def at_bound(place: float) -> bool:
+    """Whether a parameter at this place of its range, 0 to 1, has ended at an end of it."""
+    return not EDGE < place < 1 - EDGE
+
+
 def intervals_of(
     sensitivity: Sensitivity, blocks: Sequence[np.ndarray], level: float = 0.9
 ) -> dict[str, tuple[float, float]]:

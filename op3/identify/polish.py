@@ -9,13 +9,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
-from op3.identify.box_step import box_step
-from op3.identify.sensitivity import Array, Residuals, Sensitivity, arms_at, sensitivity_of
-
-DAMPING = (1e-2, 1e-1, 1.0, 1e1, 1e2)
-"""Dampings tried in every step, as multiples of that at which a third of all ranges raises the loss by a fiftieth."""
+from op3.identify.refine import least_squares, simulate
+from op3.identify.sensitivity import Arms, Array, Residuals, Sensitivity, arms_at, sensitivity_of
 
 GAIN = 1e-3
 """Share of the loss by which a step has to lower it, or it was the last."""
@@ -52,7 +48,7 @@ def polish(
     failed_loss: float = np.inf,
     progress: Callable[[int, float], None] | None = None,
 ) -> Polished:
-    """At most so many steps, each a batch of 2 n differences and a batch of dampings; then the sensitivities.
+    """At most so many steps, each after a batch of 2 n differences; then the sensitivities.
 
     Args:
         residuals: points of the unit box ``[candidate, parameter]`` to ``[candidate, residual]``.
@@ -64,54 +60,52 @@ def polish(
         failed_loss: a squared length of the residual that only a diverged simulation has.
         progress: called with step and loss.
     """
-    names = list(bounds)
-    low = np.array([bounds[name][0] for name in names])
-    span = np.array([bounds[name][1] for name in names]) - low
-    unit = np.clip((np.array([values[name] for name in names]) - low) / span, 0.0, 1.0)
-    residual: Array = _simulate(residuals, unit[None])[0] if known is None else known
-    unseen = np.zeros(len(names), dtype=bool)
-    jump = 0.0
+    low, span = np.array([(low, high - low) for low, high in bounds.values()]).T
+    unit = np.clip((np.array([values[name] for name in bounds]) - low) / span, 0.0, 1.0)
+    residual = simulate(residuals, unit[None])[0] if known is None else known
+    unseen = np.zeros(len(unit), dtype=bool)
     if curvature is None:
-        arms = arms_at(residuals, unit, residual, None, failed_loss=failed_loss)
-        curvature, jump, unseen = arms.curvature, arms.jump, arms.unseen
-    history, again, moving = [float(residual @ residual)], LENGTHENED, steps > 0
-    while True:
-        arms = arms_at(residuals, unit, residual, curvature, jump, failed_loss)
-        curvature, jump = arms.curvature, arms.jump
-        if moving:
-            ladder = _ladder(unit, arms.jacobian, residual)
-            points = np.concatenate([arms.points, ladder])
-            found = np.concatenate([arms.residual, _simulate(residuals, ladder)])
-            losses = np.square(found).sum(1)
-            best, before = int(losses.argmin()), unit
-            if losses[best] < history[-1]:
-                unit, residual = points[best], found[best]
-            history.append(float(residual @ residual))
-            if progress is not None:
-                progress(len(history) - 1, history[-1])
-            gained = history[-1] < (1 - GAIN) * history[-2]
-            moving = gained and len(history) <= steps
-            if moving or (gained and not arms.reach(unit - before)):
-                continue
-        if again == 0 or arms.long_enough(history[-1]):
+        first = arms_at(residuals, unit, residual, None, failed_loss=failed_loss)
+        curvature, jump, unseen = first.curvature, first.jump, first.unseen
+    else:
+        jump = 0.0
+    history, latest = [float(residual @ residual)], _Latest(residuals, curvature, jump, failed_loss)
+
+    def note(step: int, loss: float) -> None:
+        history.append(loss)
+        if progress is not None:
+            progress(step, loss)
+
+    if steps:
+        unit, residual = least_squares(
+            residuals, unit, residual, latest.measure, steps=steps, tolerance=GAIN, progress=note
+        )
+    for _ in range(1 + LENGTHENED):
+        if latest.holds(unit, residual):
             break
-        again -= 1
-    found_values = {name: float(v) for name, v in zip(names, low + unit * span, strict=True)}
-    sensitivity = sensitivity_of(bounds, unit, residual, arms, unseen)
-    return Polished(found_values, history[-1], history, sensitivity)
+        latest.measure(unit, residual)
+    assert latest.arms is not None
+    found = dict(zip(bounds, (low + unit * span).tolist(), strict=True))
+    return Polished(found, history[-1], history, sensitivity_of(bounds, unit, residual, latest.arms, unseen))
 
 
-def _simulate(residuals: Residuals, points: Array) -> Array:
-    return residuals(torch.from_numpy(np.ascontiguousarray(points))).numpy()
+class _Latest:
+    """The arms measured last, and what they said."""
 
+    def __init__(self, residuals: Residuals, curvature: Array, jump: float, failed_loss: float):
+        self._residuals, self._failed_loss = residuals, failed_loss
+        self._curvature, self._jump = curvature, jump
+        self._unit: Array | None = None
+        self.arms: Arms | None = None
 
-def _ladder(unit: Array, jacobian: Array, residual: Array) -> Array:
-    """Points after bounded Gauss-Newton steps of growing damping, ``[damping, parameter]``."""
-    size = len(unit)
-    curvature, gradient = jacobian.T @ jacobian, jacobian.T @ residual
-    scale = 0.02 * float(residual @ residual) * 9.0
-    points = []
-    for factor in DAMPING:
-        damped = curvature + max(factor * scale, 1e-12 * float(np.trace(curvature)) + 1e-30) * np.eye(size)
-        points.append(np.clip(unit + box_step(damped, gradient, -unit, 1.0 - unit), 0.0, 1.0))
-    return np.array(points)
+    def measure(self, unit: Array, residual: Array) -> Array:
+        """The Jacobian at a point."""
+        self.arms = arms_at(self._residuals, unit, residual, self._curvature, self._jump, self._failed_loss)
+        self._curvature, self._jump, self._unit = self.arms.curvature, self.arms.jump, unit.copy()
+        return self.arms.jacobian
+
+    def holds(self, unit: Array, residual: Array) -> bool:
+        """Whether they are of this point, and long enough."""
+        if self.arms is None or self._unit is None or not np.array_equal(unit, self._unit):
+            return False
+        return self.arms.long_enough(float(residual @ residual))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
+from scipy import stats
 
 from op3.identify.loss import TrajectoryLoss
 from op3.rollout import Rollout
@@ -223,9 +223,9 @@ def bootstrap_interval(
     count = len(values)
     if count < 2:
         return None, None
-    draws = np.random.default_rng(seed).integers(0, count, (DRAWS, count))
-    drawn = weights[draws]
-    means = (drawn * values[draws]).sum(1) / drawn.sum(1)
-    tail = special.ndtr(-np.sqrt(count / (count - 1)) * special.stdtrit(count - 1, 0.5 + level / 2))
-    low, high = np.quantile(means, [tail, 1 - tail])
-    return float(low), float(high)
+    tail = stats.norm.sf(np.sqrt(count / (count - 1)) * stats.t.ppf(0.5 + level / 2, count - 1))
+    found = stats.bootstrap(
+        (weights, values), lambda w, v, axis: (w * v).sum(axis) / w.sum(axis), paired=True, n_resamples=DRAWS,
+        confidence_level=float(1 - 2 * tail), method="percentile", rng=seed,
+    )  # fmt: skip
+    return float(found.confidence_interval.low), float(found.confidence_interval.high)

@@ -1,26 +1,19 @@
-"""Bounded Levenberg-Marquardt whose every step is one batch of simulations.
-
-A batch of simulations costs little more than a single one, so the finite differences of all starts run at once,
-and several dampings are tried side by side instead of one after another.
-"""
+"""Bounded least squares from the best points of a search, by scipy; every Jacobian is one batch of simulations."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch import Tensor
+from scipy import optimize
 
-from op3.identify.box_step import box_step
+from op3.identify.sensitivity import Array, Residuals
 
 DIFFERENCE_STEP = 2e-3
 """Step of finite differences, as a share of a parameter's range: above the kinks of stiction, below curvature."""
 
-DAMPING_LADDER = (1e-2, 1e-1, 1.0, 1e1, 1e2)
-"""Dampings tried in every iteration, as multiples of the last one that worked."""
-
-RESIGNED = 1e1
-"""Damping beyond which a start that cannot improve is given up."""
+TRIES = 4
+"""Points that may be simulated for every step on average: where one does not lower the loss, a shorter one is tried."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +36,7 @@ class Refinement:
 
 
 def refine(
-    residuals: Callable[[Tensor], Tensor],
+    residuals: Residuals,
     bounds: Mapping[str, tuple[float, float]],
     starts: Sequence[Mapping[str, float]],
     *,
@@ -52,13 +45,13 @@ def refine(
     race: int | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> Refinement:
-    """Least squares from several starts at once.
+    """Least squares from several starts.
 
     Args:
         residuals: points of the unit box ``[candidate, parameter]`` to ``[candidate, residual]``.
         bounds: lowest and highest value by parameter name; the order of names is that of the box.
         starts: values to start from; those outside the bounds are clipped.
-        max_iterations: at most so many Jacobians.
+        max_iterations: at most so many Jacobians of a start.
         tolerance: a start has converged when an iteration lowers its loss by less than this share.
         race: iterations after which only the best start goes on; None: all go on until each has converged.
         progress: called with iteration and best loss.
@@ -68,87 +61,88 @@ def refine(
     """
     if not bounds or not starts:
         raise ValueError("refine needs at least one parameter and one start")
-    names = list(bounds)
-    low = np.array([bounds[name][0] for name in names])
-    span = np.array([bounds[name][1] for name in names]) - low
-    points = np.clip((np.array([[start[name] for name in names] for start in starts]) - low) / span, 0.0, 1.0)
-    search = _Search(residuals, points)
-    history = [float(search.losses.min())]
-    while search.active.any() and len(history) <= max_iterations:
-        search.iterate(tolerance)
-        if race is not None and len(history) >= race:
-            search.keep_best()
-        history.append(float(search.losses.min()))
+    low, span = np.array([(low, high - low) for low, high in bounds.values()]).T
+    units = np.clip((np.array([[start[name] for name in bounds] for start in starts]) - low) / span, 0.0, 1.0)
+    evaluations, history = 0, [np.inf]
+
+    def counted(unit: torch.Tensor) -> torch.Tensor:
+        nonlocal evaluations
+        evaluations += len(unit)
+        return residuals(unit)
+
+    def differences(unit: Array, residual: Array) -> Array:
+        steps = np.where(unit + DIFFERENCE_STEP > 1.0, -DIFFERENCE_STEP, DIFFERENCE_STEP)
+        moved = simulate(counted, unit + np.diag(steps))
+        return ((moved - residual) / steps[:, None]).T
+
+    def note(_: int, loss: float) -> None:
+        history.append(min(history[-1], loss))
         if progress is not None:
             progress(len(history) - 1, history[-1])
-    ends = [
-        (
-            {name: float(v) for name, v in zip(names, low + search.points[i] * span, strict=True)},
-            float(search.losses[i]),
+
+    def descend(unit: Array, iterations: int) -> tuple[float, Array]:
+        residual = simulate(counted, unit[None])[0]
+        history[0] = min(history[0], float(residual @ residual)) if len(history) == 1 else history[0]
+        unit, residual = least_squares(
+            counted, unit, residual, differences, steps=iterations, tolerance=tolerance, progress=note
         )
-        for i in np.argsort(search.losses)
-    ]
-    return Refinement(ends[0][0], ends[0][1], history, ends, search.evaluations)
+        return float(residual @ residual), unit
+
+    ends = [descend(unit, race or max_iterations) for unit in units]
+    if race is not None and race < max_iterations:
+        first = min(range(len(ends)), key=lambda i: ends[i][0])
+        ends[first] = descend(ends[first][1], max_iterations - race)
+    ends.sort(key=lambda end: end[0])
+    named = [(dict(zip(bounds, (low + unit * span).tolist(), strict=True)), loss) for loss, unit in ends]
+    return Refinement(*named[0], history, named, evaluations)
 
 
-class _Search:
-    """State of all starts."""
+def simulate(residuals: Residuals, points: Array) -> Array:
+    """Residuals ``[point, residual]`` of points ``[point, parameter]`` as arrays."""
+    return residuals(torch.from_numpy(np.ascontiguousarray(points))).numpy()
 
-    def __init__(self, residuals: Callable[[Tensor], Tensor], points: np.ndarray):
-        self._residuals = residuals
-        self.points = points
-        self.evaluations = 0
-        self.residual = self._evaluate(points)
-        self.losses = np.square(self.residual).sum(1)
-        self.damping = np.full(len(points), 1e-2)
-        self.active = np.ones(len(points), dtype=bool)
 
-    def _evaluate(self, points: np.ndarray) -> np.ndarray:
-        self.evaluations += len(points)
-        return self._residuals(torch.from_numpy(np.ascontiguousarray(points))).numpy()
+def least_squares(
+    residuals: Residuals,
+    unit: Array,
+    residual: Array,
+    jacobian: Callable[[Array, Array], Array],
+    *,
+    steps: int,
+    tolerance: float,
+    progress: Callable[[int, float], None] | None = None,
+) -> tuple[Array, Array]:
+    """Go down within the unit box by a trust region (`scipy.optimize.least_squares`).
 
-    def iterate(self, tolerance: float) -> None:
-        """One Jacobian and one ladder of steps for every start that has not converged."""
-        active = np.flatnonzero(self.active)
-        jacobians = self._jacobians(active)
-        candidates = np.concatenate([self._ladder(i, jacobian) for i, jacobian in zip(active, jacobians, strict=True)])
-        residual = self._evaluate(candidates)
-        losses = np.square(residual).sum(1).reshape(len(active), -1)
-        for row, i in enumerate(active):
-            best = int(losses[row].argmin())
-            if losses[row, best] < self.losses[i]:
-                gained = 1.0 - losses[row, best] / self.losses[i]
-                self.losses[i] = losses[row, best]
-                self.points[i] = candidates[row * len(DAMPING_LADDER) + best]
-                self.residual[i] = residual[row * len(DAMPING_LADDER) + best]
-                self.damping[i] = max(1e-9, self.damping[i] * DAMPING_LADDER[best])
-                self.active[i] = gained > tolerance
-            else:
-                # the whole ladder failed: try one far more careful step, then take the kinks for the floor
-                self.active[i] = self.damping[i] < RESIGNED
-                self.damping[i] *= 1e3
+    Args:
+        residuals: of points in the unit box.
+        unit: where to begin, ``[parameter]``.
+        residual: there, ``[residual]``.
+        jacobian: at a point, from it and its residual: ``[residual, parameter]``.
+        steps: at most so many.
+        tolerance: a step that lowers the loss by less than this share is the last.
+        progress: called after every step with its number and the loss, the squared length of the residual.
 
-    def keep_best(self) -> None:
-        """Give up all starts but the best; if that one has converged, the search is over."""
-        self.active &= np.arange(len(self.losses)) == self.losses.argmin()
+    Returns:
+        The last point and its residual.
+    """
+    known = {unit.tobytes(): residual}
 
-    def _jacobians(self, active: np.ndarray) -> list[np.ndarray]:
-        """Finite differences ``[residual, parameter]`` of each active start, inwards at the bounds."""
-        size = self.points.shape[1]
-        steps = np.where(self.points[active] + DIFFERENCE_STEP > 1.0, -DIFFERENCE_STEP, DIFFERENCE_STEP)
-        moved = (self.points[active][:, None] + steps[:, :, None] * np.eye(size)).reshape(-1, size)
-        residual = self._evaluate(moved).reshape(len(active), size, -1)
-        return [((residual[row] - self.residual[i]) / steps[row][:, None]).T for row, i in enumerate(active)]
+    def at(point: Array) -> Array:
+        key = point.tobytes()
+        if key not in known:
+            known[key] = simulate(residuals, point[None])[0]
+        return known[key]
 
-    def _ladder(self, start: int | np.intp, jacobian: np.ndarray) -> np.ndarray:
-        """Points after bounded steps of growing damping, ``[damping, parameter]``."""
-        size = jacobian.shape[1]
-        gradient = jacobian.T @ self.residual[start]
-        hessian = jacobian.T @ jacobian
-        scale = np.diag(hessian).max()
-        points = []
-        for factor in DAMPING_LADDER:
-            damped = hessian + np.eye(size) * scale * self.damping[start] * factor
-            step = box_step(damped, gradient, -self.points[start], 1.0 - self.points[start])
-            points.append(np.clip(self.points[start] + step, 0.0, 1.0))
-        return np.array(points)
+    def stop(intermediate_result: optimize.OptimizeResult) -> None:
+        if progress is not None:
+            progress(intermediate_result.nit, 2 * float(intermediate_result.cost))
+        if intermediate_result.nit >= steps:
+            raise StopIteration
+
+    found = optimize.least_squares(
+        at, unit, lambda point: jacobian(point, at(point)),  # type: ignore[arg-type]
+        bounds=(0.0, 1.0), ftol=tolerance, xtol=1e-6, gtol=1e-15,
+        max_nfev=1 + TRIES * steps, callback=stop,
+    )  # fmt: skip
+    return found.x, at(found.x)

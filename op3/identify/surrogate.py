@@ -16,9 +16,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-Array = NDArray[np.float64]
-Residuals = Callable[[Tensor], Tensor]
-"""Points of the unit box ``[candidate, parameter]`` to ``[candidate, residual]``."""
+from op3.identify.refine import simulate
+from op3.identify.sensitivity import Array, Residuals
 
 CAUTION = (1.0, 0.2, 0.02)
 """How much the variance counts beside the squared mean: at 1 it is the expected loss, below it steps are bolder."""
@@ -101,7 +100,7 @@ def explore(
         surrogate = Surrogate(points[order], residual[order], scales)
         scales = surrogate.scales
         proposals = _propose(surrogate, batch, rng)
-        simulated = _simulate(residuals, proposals)
+        simulated = simulate(residuals, proposals)
         points, residual = np.concatenate([points, proposals]), np.concatenate([residual, simulated])
         losses = np.square(residual).sum(1)
         history.append(float(losses.min()))
@@ -236,10 +235,6 @@ class Surrogate:
         change = (self.weights(unit + step) - self.weights(unit - step)) / 2e-3
         gradient = change @ self._products @ self.weights(unit[None])[0]
         return gradient.numpy(), (change @ self._products @ change.T).numpy()
-
-
-def _simulate(residuals: Residuals, points: Array) -> Array:
-    return residuals(torch.from_numpy(np.ascontiguousarray(points))).numpy()
 
 
 def _stuck(history: Sequence[float]) -> bool:

@@ -4,13 +4,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import plotly.graph_objects as go
-
 from op3.identify.design import Candidate, Step
 from op3.report.page import Page
-from op3.report.result import finish, write_result
-from op3.report.style import colours, dress, words
-from op3.report.tables import Cell, number
+from op3.report.result import publish
+from op3.report.style import curves_figure, words
+from op3.report.tables import number
 
 MEANINGS: Mapping[str, str] = {
     "plan": "recordings in the order to make them",
@@ -50,17 +48,11 @@ def report_design(
         "wall_seconds": wall_seconds,
         "provenance": provenance,
     }
-    result = write_result(folder / "result.yaml", values, MEANINGS)
-    finish(_page(steps, candidates, wanted, left_out, provenance).write(folder / "index.html"), result)
-    return values
+    return publish(_page(steps, candidates, wanted, left_out), values, folder, MEANINGS)
 
 
 def _page(
-    steps: Sequence[Step],
-    candidates: Sequence[Candidate],
-    wanted: Sequence[str],
-    left_out: Mapping[str, str],
-    provenance: Mapping[str, Any],
+    steps: Sequence[Step], candidates: Sequence[Candidate], wanted: Sequence[str], left_out: Mapping[str, str]
 ) -> Page:
     names = list(dict.fromkeys(step.name for step in steps))
     worst = max(wanted, key=lambda name: steps[-1].widths[name])
@@ -69,16 +61,20 @@ def _page(
     lead += f" The widest interval of the wanted parameters, {words(worst)}, is then {share} % of its range."
     page = Page("Plan of recordings", lead)
     page.section("Plan")
-    rows: list[list[Cell]] = [[i, words(s.name), s.mount, s.seconds] for i, s in enumerate(steps, start=1)]
+    rows = [[i, words(s.name), s.mount, s.seconds] for i, s in enumerate(steps, start=1)]
     page.table(["step", "motion", "mount", "robot time up to here [s]"], rows)
     page.code("python experiments/collect.py plan=<this folder>/plan.yaml robot=...")
     page.section("What it gives")
-    page.figure(
-        _widths_figure(steps, wanted), "Expected 90 % intervals after each recording, as a share of the ranges."
-    )
+    seconds = [step.seconds for step in steps]
+    widths = {words(name): (seconds, [step.widths[name] for step in steps]) for name in wanted}
+    figure = curves_figure(widths, "robot time [s]", "width of the 90 % interval [share of the range]", 420,
+                           mode="lines+markers", yaxis_type="log")  # fmt: skip
+    page.figure(figure, "Expected 90 % intervals after each recording, as a share of the ranges.")
     page.section("What there was to choose from")
-    rows = [[words(c.name), c.mount, c.duration, *(float(c.information[i, i]) ** 0.5 for i in _places(steps, wanted))]
-            for c in candidates]  # fmt: skip
+    places = [list(steps[0].widths).index(name) for name in wanted]
+    rows = [
+        [words(c.name), c.mount, c.duration, *(float(c.information[i, i]) ** 0.5 for i in places)] for c in candidates
+    ]
     header = ["motion", "mount", "duration [s]", *(words(name) for name in wanted)]
     caption = "Sensitivity to each parameter alone: inverse of the standard deviation in ranges."
     page.table(header, rows, caption=caption, digits=3)
@@ -86,26 +82,4 @@ def _page(
         page.text(f"Left out: {words(name)}. {reason}")
     page.section("Files")
     page.files({"plan.yaml": "the plan that collect plays", "result.yaml": "all numbers of this page"})
-    page.provenance(provenance)
     return page
-
-
-def _places(steps: Sequence[Step], wanted: Sequence[str]) -> list[int]:
-    names = list(steps[0].widths)
-    return [names.index(name) for name in wanted]
-
-
-def _widths_figure(steps: Sequence[Step], wanted: Sequence[str]) -> go.Figure:
-    figure = go.Figure()
-    colour = colours(list(wanted))
-    labels = [f"{words(step.name)}, {step.mount}" for step in steps]
-    for name in wanted:
-        figure.add_scatter(
-            x=[step.seconds for step in steps], y=[step.widths[name] for step in steps], mode="lines+markers",
-            name=words(name), line=dict(color=colour[name], width=2), hovertext=labels,
-            hovertemplate="%{hovertext}: %{y:.3g}<extra>" + words(name) + "</extra>",
-        )  # fmt: skip
-    dress(figure, 420, hovermode="closest")
-    figure.update_yaxes(type="log", title_text="width of the 90 % interval [share of the range]")
-    figure.update_xaxes(title_text="robot time [s]", rangemode="tozero")
-    return figure

@@ -9,8 +9,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from op3.report.page import Page
-from op3.report.result import finish, write_result
-from op3.report.style import PALETTE, dress, faded, words
+from op3.report.result import publish
+from op3.report.style import PALETTE, SHADE, boxes_figure, dress, faded, words
 from op3.report.traces import body_figure, traces_figure
 from op3.rollout import Rollout
 from op3.tasks.behaviour import GaitProfile
@@ -36,24 +36,12 @@ def gait_figure(profile: GaitProfile, joint: str) -> go.Figure:
         figure.update_yaxes(title_text=axis, row=row, col=1)
     half = 0.5 / len(profile.phase)
     for phase in profile.phase[profile.stance]:
-        figure.add_vrect(x0=phase - half, x1=phase + half, fillcolor="#eef1f4", line_width=0, layer="below")
+        figure.add_vrect(x0=phase - half, x1=phase + half, fillcolor=SHADE, line_width=0, layer="below")
     figure.update_xaxes(
         title_text=f"phase of the gait [cycles]; shaded: stance of the {words(joint[:2]).strip()} foot", row=2
     )
     figure.update_xaxes(range=[0, 1])
     return dress(figure, 420, showlegend=False)
-
-
-def returns_figure(returns: Mapping[str, Sequence[float]]) -> go.Figure:
-    """Return of every episode, a column per label."""
-    figure = go.Figure()
-    for index, (label, values) in enumerate(returns.items()):
-        figure.add_box(
-            y=list(values), name=label, boxpoints="all", jitter=0.4, pointpos=0, marker=dict(size=5), line_width=1.2,
-            marker_color=PALETTE[index % len(PALETTE)], fillcolor="rgba(0,0,0,0)", showlegend=False,
-        )  # fmt: skip
-    figure.update_yaxes(title_text="R_eval per episode [-]")
-    return dress(figure, 340)
 
 
 def report_evaluation(
@@ -107,7 +95,8 @@ def report_evaluation(
         page.tile("speed", numbers["evaluation.speed"], "m/s", "mean forward speed of the foremost foot")
     page.tile("tilt", float(np.rad2deg(numbers["evaluation.tilt"])), "deg", "mean of the trunk from upright")
     page.section("Returns")
-    page.figure(returns_figure(returns), "R_eval of every episode; the box spans the quartiles.")
+    boxes = {label: {label: values} for label, values in returns.items()}
+    page.figure(boxes_figure(boxes, "R_eval per episode [-]"), "R_eval of every episode; the box spans the quartiles.")
     if profile is not None:
         page.section("Gait")
         caption = f"The {words(joint)} over the gait: mean and standard deviation over all cycles and episodes."
@@ -117,12 +106,6 @@ def report_evaluation(
     joints = ["l_ank_pitch", "r_ank_pitch", "l_ank_roll", "r_ank_roll"]
     quantities = [key for key in ("joint/position", "command/p_gain", "joint/current") if key in logs[0]]
     page.figure(traces_figure(logs[0], {}, joints, quantities), "The ankles in the first episode.")
-    if files:
-        page.section("Files")
-        page.files(files)
-    page.provenance(provenance)
-    values = {**numbers, "provenance": dict(provenance)}
+    page.side_files(files)
     meanings = {"evaluation": "means over episodes unless listed; gain [A/rad], tilt [rad], duration [s]"}
-    page_path = page.write(folder / "index.html")
-    finish(page_path, write_result(folder / "result.yaml", values, meanings))
-    return values
+    return publish(page, {**numbers, "provenance": dict(provenance)}, folder, meanings)

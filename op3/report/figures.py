@@ -6,7 +6,8 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from op3.report.style import INK, MUTED, colours, dress, faded, plain, unit_text, words
+from op3.identify.intervals import at_bound
+from op3.report.style import FRAME, GROUND, INK, MUTED, SHADE, colours, dress, faded, plain, unit_text, words
 from op3.report.tables import Bounds, bounded_parameters, number
 from op3.rollout import Rollout
 from op3.servo import Estimate, Parameter, RobotModel
@@ -108,7 +109,8 @@ def ranges_figure(
         for lane, (label, model) in zip(lanes, models.items(), strict=True):
             if split_name(name)[0] in model.parameters():
                 estimate = model.estimate(name)
-                _estimate(figure, known[name], estimate, row + lane, label, colour[label])
+                searched = name in (bounds or {})
+                _estimate(figure, known[name], estimate, row + lane, label, colour[label], searched)
     for label in models:
         figure.add_scatter(
             x=[None], y=[None], mode="markers", name=plain(label), marker=dict(color=colour[label], size=10)
@@ -132,7 +134,7 @@ def ranges_figure(
 
 def _range_bar(figure: go.Figure, known: Parameter, row: int) -> None:
     figure.add_shape(
-        type="rect", x0=0, x1=1, y0=row - 0.34, y1=row + 0.34, fillcolor="#f1f3f6", line_width=0, layer="below"
+        type="rect", x0=0, x1=1, y0=row - 0.34, y1=row + 0.34, fillcolor=SHADE, line_width=0, layer="below"
     )
     nominal = (known.nominal - known.low) / (known.high - known.low)
     if 0.0 <= nominal <= 1.0:
@@ -144,11 +146,15 @@ def _range_bar(figure: go.Figure, known: Parameter, row: int) -> None:
         )
 
 
-def _estimate(figure: go.Figure, known: Parameter, estimate: Estimate, y: float, label: str, colour: str) -> None:
+def _estimate(
+    figure: go.Figure, known: Parameter, estimate: Estimate, y: float, label: str, colour: str, searched: bool
+) -> None:
     def place(value: float) -> float:
         return (value - known.low) / (known.high - known.low)
 
     text = number(estimate.value, 4)
+    if searched and at_bound(place(estimate.value)):
+        text += "  at its bound"
     if estimate.low is not None and estimate.high is not None:
         text += f"  ({number(estimate.low, 3)} to {number(estimate.high, 3)})"
         figure.add_scatter(
@@ -158,7 +164,7 @@ def _estimate(figure: go.Figure, known: Parameter, estimate: Estimate, y: float,
     if estimate.joints:
         figure.add_scatter(
             x=[place(value) for value in estimate.joints.values()], y=[y] * len(estimate.joints), mode="markers",
-            marker=dict(color="white", size=7, line=dict(color=colour, width=1.4)), showlegend=False,
+            marker=dict(color=GROUND, size=7, line=dict(color=colour, width=1.4)), showlegend=False,
             customdata=[[words(joint), value] for joint, value in estimate.joints.items()],
             hovertemplate="%{customdata[0]}: %{customdata[1]:.4g}<extra></extra>",
         )  # fmt: skip
@@ -213,7 +219,7 @@ def errors_figure(
                     line_width=0,
                     pattern=dict(
                         shape=["/" if heldout[i] else "" for i in members], fillmode="overlay", size=5, solidity=0.5,
-                        fgcolor="white",
+                        fgcolor=GROUND,
                     ),
                 ),
                 customdata=["held out" if heldout[i] else "fitted" for i in members],
@@ -221,12 +227,12 @@ def errors_figure(
                 **place,
             )  # fmt: skip
     if any(heldout):
-        pattern = dict(shape="/", fgcolor="white", fillmode="overlay", size=5, solidity=0.5)
+        pattern = dict(shape="/", fgcolor=GROUND, fillmode="overlay", size=5, solidity=0.5)
         figure.add_bar(x=[None], y=[None], name="hatched: held out", marker=dict(color=MUTED, pattern=pattern))
     dress(figure, height, barmode="group", bargap=0.25, margin=dict(l=70, r=16, t=72, b=84))
     figure.update_layout(legend_y=1 + 34 / inner)
     figure.update_yaxes(title_text="position error [mrad]", col=1)
-    figure.update_xaxes(tickfont=dict(size=10), tickangle=0, showgrid=False, dividercolor="#d5d8dd")
+    figure.update_xaxes(tickfont=dict(size=10), tickangle=0, showgrid=False, dividercolor=FRAME)
     figure.update_xaxes(title_text="gain kp [firmware units], by mass [kg] and length [m]", row=rows)
     for annotation in figure.layout.annotations:
         annotation.font = dict(size=13)

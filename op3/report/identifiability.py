@@ -6,19 +6,28 @@ from plotly.subplots import make_subplots
 
 from op3.identify.identifiability import SHARE, WIDTH, Identifiability
 from op3.report.page import Page
-from op3.report.style import INK, dress, words
-from op3.report.tables import Cell, number
+from op3.report.style import INK, PALETTE, dress, words
+from op3.report.tables import number
 
 
 def identifiability_section(page: Page, known: Identifiability) -> None:
     """Add a section with the combinations that the logs do not tell, their figure, and a row per parameter."""
     page.section("What the logs tell")
-    found = [words(name) for name in known.names if known.identifiable[name]]
-    missing = [words(name) for name in known.names if not known.identifiable[name]]
-    text = f"Identifiable (90 % interval below {SHARE:.0%} of the range): {', '.join(found) or 'none'}."
-    if missing:
-        text += f" Not identifiable: {', '.join(missing)}."
-    page.text(text)
+    says = {
+        name: "at its bound" if name in known.at_bound else "identifiable" if known.identifiable[name] else "not told"
+        for name in known.names
+    }
+    meanings = {
+        "identifiable": f"Identifiable (90 % interval below {SHARE:.0%} of the range)",
+        "at its bound": "At its bound, where the range searched ended and not the data",
+        "not told": "Not identifiable",
+    }
+    sentences = []
+    for verdict, meaning in meanings.items():
+        named = [words(name) for name in known.names if says[name] == verdict]
+        if named or verdict == "identifiable":
+            sentences.append(f"{meaning}: {', '.join(named) or 'none'}.")
+    page.text(" ".join(sentences))
     for sentence in known.unknown:
         page.text(sentence[0].upper() + sentence[1:] + ".")
     page.figure(
@@ -26,8 +35,8 @@ def identifiability_section(page: Page, known: Identifiability) -> None:
         "Left: how well each combination of parameters is known, one standard deviation against the ranges searched;"
         f" right of the line a 90 % interval is wider than {SHARE:.0%} of them. Right: correlation of the estimates.",
     )
-    rows: list[list[Cell]] = [[words(n), 100 * known.widths[n], known.identifiable[n]] for n in known.names]
-    header = ["parameter", "width of the interval [% of the range]", "identifiable"]
+    rows = [[words(name), 100 * known.widths[name], says[name]] for name in known.names]
+    header = ["parameter", "width of the interval [% of the range]", "verdict"]
     page.table(header, rows, caption="Parameters by what the logs tell of them.", digits=3)
 
 
@@ -35,10 +44,10 @@ def identifiability_figure(known: Identifiability) -> go.Figure:
     """Uncertainty of each combination, named by its strongest parameters, beside the correlation of the estimates."""
     figure = make_subplots(rows=1, cols=2, column_widths=[0.45, 0.55], horizontal_spacing=0.26)
     deviation = 1.0 / np.maximum(known.singular_values, 1e-6)
-    labels = [_label(known, row) for row in range(len(deviation))]
+    labels, places = [_label(known, row) for row in range(len(deviation))], list(range(len(deviation)))
     figure.add_bar(
-        x=deviation, y=list(range(len(deviation))), orientation="h", marker=dict(color="#4878a8", line_width=0),
-        hovertext=labels, hovertemplate="%{hovertext}: %{x:.3g}<extra></extra>", showlegend=False, row=1, col=1,
+        x=deviation, y=places, orientation="h", marker=dict(color=PALETTE[0], line_width=0), showlegend=False,
+        hovertext=labels, hovertemplate="%{hovertext}: %{x:.3g}<extra></extra>", row=1, col=1,
     )  # fmt: skip
     figure.add_vline(x=SHARE / WIDTH, line=dict(color=INK, width=1, dash="dot"), row=1, col=1)  # type: ignore[arg-type]
     names = [words(name) for name in known.names]
@@ -50,10 +59,8 @@ def identifiability_figure(known: Identifiability) -> go.Figure:
     )  # fmt: skip
     dress(figure, 180 + 30 * len(names), margin=dict(l=200, r=16, t=24, b=150))
     figure.update_xaxes(type="log", title_text="standard deviation [share of the ranges]", col=1)
-    figure.update_yaxes(
-        tickvals=list(range(len(deviation))), ticktext=labels, autorange="reversed", col=1, tickfont=dict(size=10)
-    )
-    figure.update_yaxes(autorange="reversed", col=2, tickfont=dict(size=10))
+    figure.update_yaxes(tickvals=places, ticktext=labels, col=1)
+    figure.update_yaxes(autorange="reversed", tickfont=dict(size=10))
     figure.update_xaxes(tickangle=-45, tickfont=dict(size=10), col=2)
     return figure
 
@@ -62,6 +69,7 @@ def identifiability_numbers(known: Identifiability) -> dict[str, object]:
     """The section's numbers for ``result.yaml``."""
     return {
         "identifiability.identifiable": [name for name in known.names if known.identifiable[name]],
+        "identifiability.at_bound": list(known.at_bound),
         "identifiability.not_identifiable": [name for name in known.names if not known.identifiable[name]],
         "identifiability.unknown_combinations": list(known.unknown),
         "identifiability.singular_values": known.singular_values.tolist(),

@@ -7,17 +7,15 @@ from typing import Any
 import numpy as np
 
 from op3.identify.identification import Fit, Score
-from op3.report.figures import errors_figure, history_figure, ranges_figure
+from op3.report.figures import history_figure, ranges_figure
 from op3.report.identifiability import identifiability_numbers, identifiability_section
 from op3.report.page import Page
-from op3.report.result import finish, write_result
-from op3.report.run_logger import RunLogger
+from op3.report.result import finite, publish
 from op3.report.tables import loss_table, number, parameter_table
-from op3.report.traces import body_figure, runs_figure, traces_figure
+from op3.report.traces import bench_sections, body_figure, run_name, traces_figure
 from op3.rollout import Rollout
 
-SHOWN_RUNS = 6
-"""Bench runs drawn on the page, the worst, the best and between."""
+EQ7 = "paper eq. (7)"
 
 
 def report_identification(
@@ -48,98 +46,72 @@ def report_identification(
     Returns:
         The numbers of ``result.yaml``.
     """
-    fits = [fit] if ablated is None else [fit, ablated]
-    values = _numbers(fit, ablated, (wall_seconds, ablated_seconds), provenance)
-    page = _page(fits, joints, values, provenance)
-    page_path = page.write(folder / "index.html")
-    result_path = write_result(folder / "result.yaml", values)
-    with RunLogger(folder, config=config, mode=wandb_mode) as logger:
-        for trial, loss in enumerate(np.fmin.accumulate(np.asarray(fit.trials, dtype=float))):
-            if np.isfinite(loss):
-                logger.log({"loss.best": float(loss)}, step=trial)
-        logger.summary({k: v for k, v in values.items() if isinstance(v, int | float)})
-    finish(page_path, result_path)
-    return values
-
-
-def _numbers(
-    fit: Fit, ablated: Fit | None, seconds: tuple[float, float], provenance: Mapping[str, Any]
-) -> dict[str, Any]:
-    numbers: dict[str, Any] = {
-        "loss.fit": _finite(fit.fit.loss),
-        "loss.heldout": _loss(fit.heldout),
-        "loss.paper_eq7": _finite(fit.fit.paper_eq7),
-        "loss.paper_eq7_heldout": None if fit.heldout is None else _finite(fit.heldout.paper_eq7),
-        "error_mrad.train": _finite(fit.fit.error_mrad),
-        "error_mrad.heldout": None if fit.heldout is None else _finite(fit.heldout.error_mrad),
-        "wall_seconds": seconds[0],
-        "simulated_seconds": fit.simulated_seconds,
-        "diverged_logs": _diverged(fit),
-        "trials": len(fit.trials),
-        "trials_failed": int(np.isnan(np.asarray(fit.trials, dtype=float)).sum()),
+    trials = np.asarray(fit.trials, dtype=float)
+    values = {
+        **_numbers(fit, wall_seconds),
+        "diverged_logs": [run_name(p.log) for score in _scores(fit) for p in score.predictions if p.failed.any()],
+        "trials": len(trials),
+        "trials_failed": int(np.isnan(trials).sum()),
     }
     if ablated is not None:
         suffix = ablated.label.replace(" ", "_").replace(",", "").lower()
-        numbers |= {
-            f"loss.fit_{suffix}": _finite(ablated.fit.loss),
-            f"loss.heldout_{suffix}": _loss(ablated.heldout),
-            f"loss.paper_eq7_{suffix}": _finite(ablated.fit.paper_eq7),
-            f"error_mrad.train_{suffix}": _finite(ablated.fit.error_mrad),
-            f"error_mrad.heldout_{suffix}": None if ablated.heldout is None else _finite(ablated.heldout.error_mrad),
-            f"wall_seconds_{suffix}": seconds[1],
-            f"simulated_seconds_{suffix}": ablated.simulated_seconds,
-        }
-    numbers["parameters"] = {name: fit.model.estimate(name) for name in fit.found}
+        values |= {f"{key}_{suffix}": value for key, value in _numbers(ablated, ablated_seconds).items()}
+    values["parameters"] = {name: fit.model.estimate(name) for name in fit.found}
     if fit.identifiability is not None:
-        numbers |= identifiability_numbers(fit.identifiability)
-    numbers["provenance"] = provenance
-    return numbers
+        values |= identifiability_numbers(fit.identifiability)
+    values["provenance"] = provenance
+    page = _page([fit] if ablated is None else [fit, ablated], joints, wall_seconds)
+    best = {"loss.best": np.fmin.accumulate(trials).tolist() if len(trials) else []}
+    return publish(page, values, folder, wandb_mode=wandb_mode, config=config, curve=best)
 
 
-def _loss(score: Score | None) -> float | None:
-    return None if score is None else _finite(score.loss)
+def _scores(fit: Fit) -> list[Score]:
+    return [fit.fit] if fit.heldout is None else [fit.fit, fit.heldout]
 
 
-def _finite(value: float) -> float | None:
-    """A number of ``result.yaml``: None where a simulation diverged, which `diverged_logs` then names."""
-    return value if np.isfinite(value) else None
+def _numbers(fit: Fit, seconds: float) -> dict[str, Any]:
+    """What a fit is worth; None without held-out logs, and where a simulation diverged."""
+    held = fit.heldout
+    return {
+        "loss.fit": finite(fit.fit.loss),
+        "loss.heldout": None if held is None else finite(held.loss),
+        "loss.paper_eq7": finite(fit.fit.paper_eq7),
+        "loss.paper_eq7_heldout": None if held is None else finite(held.paper_eq7),
+        "error_mrad.train": finite(fit.fit.error_mrad),
+        "error_mrad.heldout": None if held is None else finite(held.error_mrad),
+        "wall_seconds": seconds,
+        "simulated_seconds": fit.simulated_seconds,
+    }
 
 
-def _diverged(fit: Fit) -> list[str]:
-    scores = [fit.fit] + ([fit.heldout] if fit.heldout else [])
-    logs = [p.log for score in scores for p in score.predictions if bool(p.failed.any())]
-    return [log.metadata.recording or log.metadata.motion or "log" for log in logs]
+def _lead(fits: Sequence[Fit]) -> str:
+    bench = "imu/orientation" not in fits[0].fit.predictions[0].log
+    what, unit = ("mean position error", " mrad") if bench else ("loss", "")
+    fitted, held = (
+        [number(score.error_mrad if bench else score.loss, 3) + unit for score in scores]
+        for scores in ([f.fit for f in fits], [f.heldout for f in fits if f.heldout is not None])
+    )
+    if len(fits) == 1:
+        lead = f"The identified model leaves a {what} of {fitted[0]}."
+        lead += f" On logs it has not seen: {held[0]}." if held else ""
+    else:
+        label = fits[0].label[0].upper() + fits[0].label[1:]
+        lead = f"{label} the {what} is {fitted[0]}, {fits[1].label} {fitted[1]}."
+        lead += f" On logs that neither has seen: {held[0]} against {held[1]}." if held else ""
+    return lead
 
 
-def _lead(fit: Fit, ablated: Fit | None) -> str:
-    bench = "imu/orientation" not in fit.fit.predictions[0].log
-    what = "mean position error" if bench else "loss"
-    unit = " mrad" if bench else ""
-
-    def figures(one: Fit) -> tuple[str, str]:
-        fitted = one.fit.error_mrad if bench else one.fit.loss
-        if one.heldout is None:
-            return number(fitted, 3) + unit, ""
-        held = one.heldout.error_mrad if bench else one.heldout.loss
-        return number(fitted, 3) + unit, number(held, 3) + unit
-
-    fitted, held = figures(fit)
-    if ablated is None:
-        lead = f"The identified model leaves a {what} of {fitted}."
-        return lead + (f" On logs it has not seen: {held}." if held else "")
-    other, other_held = figures(ablated)
-    lead = f"{fit.label[0].upper()}{fit.label[1:]} the {what} is {fitted}, {ablated.label} {other}."
-    return lead + (f" On logs that neither has seen: {held} against {other_held}." if held else "")
-
-
-def _page(fits: Sequence[Fit], joints: Sequence[str], values: Mapping[str, Any], provenance: Mapping[str, Any]) -> Page:
-    fit, ablated = fits[0], fits[1] if len(fits) > 1 else None
+def _page(fits: Sequence[Fit], joints: Sequence[str], wall_seconds: float) -> Page:
+    fit = fits[0]
     logs = [prediction.log for prediction in fit.fit.predictions]
     names = ", ".join(sorted({log.metadata.motion or log.metadata.recording or "log" for log in logs}))
-    page = Page(f"Identification from {names}", _lead(fit, ablated))
-    _tiles(page, fit, ablated, values)
+    page = Page(f"Identification from {names}", _lead(fits))
+    _tiles(page, fits, wall_seconds)
     if logs[0].metadata.mount == "pendulum":
-        _bench_traces(page, fits)
+        predictions = {f.label: [p for score in _scores(f) for p in score.predictions] for f in fits}
+        errors = {f.label: [e for score in _scores(f) for e in score.errors_mrad] for f in fits}
+        heldout = [score is fit.heldout for score in _scores(fit) for _ in score.predictions]
+        bench_sections(page, [p.log for p in predictions[fit.label]], predictions, errors, heldout)
     else:
         _robot_traces(page, fits, joints)
     page.section("Loss")
@@ -149,12 +121,10 @@ def _page(fits: Sequence[Fit], joints: Sequence[str], values: Mapping[str, Any],
         ),
         "Best so far as a line, single trials as dots, then rounds of the surrogate and iterations of least squares.",
     )
-    terms = {"fit": {f.label: {**f.fit.terms, "paper eq. (7)": f.fit.paper_eq7} for f in fits}}
+    terms = {"fit": {f.label: {**f.fit.terms, EQ7: f.fit.paper_eq7} for f in fits}}
     if fit.heldout is not None:
-        terms["held out"] = {
-            f.label: {**f.heldout.terms, "paper eq. (7)": f.heldout.paper_eq7} for f in fits if f.heldout
-        }
-    page.table(*loss_table(terms, "paper eq. (7)"), caption="Terms of the loss, unweighted.")
+        terms["held out"] = {f.label: {**f.heldout.terms, EQ7: f.heldout.paper_eq7} for f in fits if f.heldout}
+    page.table(*loss_table(terms, EQ7), caption="Terms of the loss, unweighted.")
     page.section("Parameters")
     models = {f.label: f.model for f in fits}
     page.figure(
@@ -169,21 +139,20 @@ def _page(fits: Sequence[Fit], joints: Sequence[str], values: Mapping[str, Any],
         identifiability_section(page, fit.identifiability)
     page.section("Files")
     page.files({"result.yaml": "all numbers of this page", "model.yaml": "the identified model"})
-    page.provenance(provenance)
     return page
 
 
-def _tiles(page: Page, fit: Fit, ablated: Fit | None, values: Mapping[str, Any]) -> None:
-    page.tile("loss", fit.fit.loss, note=f"{number(ablated.fit.loss, 3)} {ablated.label}" if ablated else "")
-    if fit.heldout is not None:
-        other = ablated.heldout if ablated else None
-        note = f"{number(other.loss, 3)} {ablated.label}" if other is not None and ablated is not None else ""
+def _tiles(page: Page, fits: Sequence[Fit], wall_seconds: float) -> None:
+    fit, others = fits[0], fits[1:]
+    page.tile("loss", fit.fit.loss, note=", ".join(f"{number(o.fit.loss, 3)} {o.label}" for o in others))
+    if fit.heldout is None:
+        page.tile("position error", fit.fit.error_mrad, "mrad")
+    else:
+        note = ", ".join(f"{number(o.heldout.loss, 3)} {o.label}" for o in others if o.heldout is not None)
         page.tile("held-out loss", fit.heldout.loss, note=note)
         page.tile("held-out error", fit.heldout.error_mrad, "mrad", f"{number(fit.fit.error_mrad, 3)} on fitted logs")
-    else:
-        page.tile("position error", fit.fit.error_mrad, "mrad")
     page.tile("trials", len(fit.trials), note=f"{number(fit.simulated_seconds, 3)} s simulated")
-    page.tile("time", values["wall_seconds"], "s")
+    page.tile("time", wall_seconds, "s")
 
 
 def _robot_traces(page: Page, fits: Sequence[Fit], joints: Sequence[str]) -> None:
@@ -202,21 +171,3 @@ def _one_robot(page: Page, what: str, log: Rollout, shown: Mapping[str, Any], jo
         "Measured and simulated, left and right. Drag to zoom all panels in time, double-click to return.",
     )
     page.figure(body_figure(log, shown), "Trunk: roll, pitch and body rates.")
-
-
-def _bench_traces(page: Page, fits: Sequence[Fit]) -> None:
-    fit = fits[0]
-    scores = [fit.fit] + ([fit.heldout] if fit.heldout else [])
-    logs = [p.log for score in scores for p in score.predictions]
-    heldout = [score is fit.heldout for score in scores for _ in score.predictions]
-    errors = {f.label: [*f.fit.errors_mrad, *(f.heldout.errors_mrad if f.heldout else ())] for f in fits}
-    page.section("Error of every run")
-    page.figure(errors_figure(logs, errors, heldout=heldout), "Mean absolute position error of open-loop replays.")
-    page.section("Some runs")
-    order = np.argsort(errors[fit.label])
-    chosen = order[np.unique(np.linspace(0, len(order) - 1, SHOWN_RUNS).round().astype(int))]
-    predictions = {f.label: [*f.fit.predictions, *(f.heldout.predictions if f.heldout else ())] for f in fits}
-    page.figure(
-        runs_figure([logs[i] for i in chosen], {name: [all_[i] for i in chosen] for name, all_ in predictions.items()}),
-        "From the best to the worst, evenly chosen.",
-    )

@@ -9,7 +9,8 @@ import numpy as np
 import plotly.graph_objects as go
 
 from op3.report.page import Page
-from op3.report.style import INK, MUTED, colours, dress, plain, words
+from op3.report.style import GROUND, INK, MUTED, PALETTE, SHADE, colours, dress, plain, words
+from op3.report.tables import Cell
 
 LABELS: Mapping[str, tuple[str, str]] = {
     "clear_exact": ("one clear or strong effect: right name and joints", "at least 80 %"),
@@ -37,6 +38,9 @@ MEDIANS: Mapping[str, tuple[str, str]] = {
     "peak_memory_median": ("peak memory of a diagnosis [bytes]", "at most 1e9"),
 }
 """Medians over cases: what each is called, and the aim."""
+
+
+RATE_HEADER = ["rate", "count", "of", "%", "from %", "to %", "aim"]
 
 
 def rates_figure(summaries: Mapping[str, Mapping[str, Any]]) -> go.Figure:
@@ -77,7 +81,7 @@ def confusion_figure(truths: Sequence[str], claims: Sequence[str], counts: np.nd
         go.Heatmap(
             z=share, x=[words(name) for name in claims], y=[words(name) for name in truths],
             text=np.where(counts > 0, counts.astype(str), ""), texttemplate="%{text}", zmin=0, zmax=1,
-            colorscale=[[0, "#ffffff"], [0.001, "#e7eef7"], [1, "#2b6cb0"]], showscale=False, xgap=1, ygap=1,
+            colorscale=[[0, GROUND], [0.001, SHADE], [1, PALETTE[0]]], showscale=False, xgap=1, ygap=1,
             hovertemplate="hidden: %{y}<br>claimed: %{x}<br>%{z:.0%}<extra></extra>",
         )
     )  # fmt: skip
@@ -137,14 +141,7 @@ def naming_page(
             page.tile(LABELS[key][0], 100 * rate["value"], "%", note)
     page.section("Rates")
     page.figure(rates_figure(summaries), "Rates with Wilson's 95 % intervals.")
-    rows_of = []
-    for key, (label, aim) in LABELS.items():
-        if summary.get(key):
-            rate = summary[key]
-            rows_of.append(
-                [label, rate["count"], rate["of"], *(100 * rate[k] for k in ("value", "low", "high")), aim or None]
-            )
-    page.table(["rate", "count", "of", "%", "from %", "to %", "aim"], rows_of, "Rates of the diagnosis", digits=3)
+    page.table(RATE_HEADER, _rate_rows(summary, LABELS), "Rates of the diagnosis", digits=3)
     _medians(page, summary)
     page.section("What was called what")
     page.figure(confusion_figure(*table), "Hidden effects against the most probable name.")
@@ -161,6 +158,15 @@ def naming_page(
     page.table(header, [[row[key] for key in entries] for row in rows], "All cases", digits=3)
     page.text(f"The list of sealed answers has the SHA-256 `{commitment}`; it was written before the first diagnosis.")
     return page
+
+
+def _rate_rows(rates: Mapping[str, Any], labels: Mapping[str, tuple[str, str]]) -> list[list[Cell]]:
+    """Rows of a table of rates that are there, with what each is called and its aim."""
+    return [
+        [label, rate["count"], rate["of"], *(100 * rate[k] for k in ("value", "low", "high")), aim or None]
+        for key, (label, aim) in labels.items()
+        if (rate := rates.get(key))
+    ]
 
 
 def _medians(page: Page, summary: Mapping[str, Any]) -> None:

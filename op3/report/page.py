@@ -1,28 +1,27 @@
-"""One self-contained HTML page: verdict first, then key numbers, figures, tables, and where it all comes from."""
+"""One HTML page: verdict first, then key numbers, figures, tables, and where it all comes from."""
 
+import json
 import re
+import shutil
 from collections.abc import Mapping, Sequence
-from html import escape
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import jinja2
+import plotly
 import plotly.graph_objects as go
-from plotly.offline import get_plotlyjs
+from markupsafe import Markup, escape
 
-from op3.report.picture import film_element, png_element
+from op3.report.style import DARK
 from op3.report.tables import Cell, number
 from op3.rollout.files import write_text
 
-# The browser itself then refuses to load anything from elsewhere.
-_POLICY = (
-    "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data: blob:; font-src data:"
-)
+LIBRARY = "plotly.min.js"
+"""Draws the figures; it lies beside the pages of a folder, or above those of a multirun's numbered folders."""
 
 
 class Page:
-    """A page that is built from top to bottom and written once; it loads nothing and works offline.
+    """A page that is built from top to bottom and written once; it loads nothing from elsewhere and works offline.
 
     All text is escaped. Text between backticks is set as code.
 
@@ -32,16 +31,16 @@ class Page:
     """
 
     def __init__(self, title: str, lead: str):
-        self._title = title
-        self._verdict, self._detail = _split(lead)
-        self._tiles: list[str] = []
-        self._sections: list[str] = []
-        self._body: list[str] = []
-        self._figures: list[str] = []
-        self._tables = 0
+        lead = " ".join(lead.split())
+        end = re.search(r"(?<=[.!?])\s+(?=[^a-z])", lead)
+        self._title, self._verdict = title, lead[: end.start()] if end else lead
+        self._detail = lead[end.end() :] if end else ""
+        self._tiles: list[dict[str, Any]] = []
+        self._blocks: list[dict[str, Any]] = []
+        self._figures: list[Markup] = []
         self._provenance: dict[str, str] = {}
 
-    def tile(self, name: str, value: float | str | None, unit: str = "", note: str = "") -> None:
+    def tile(self, name: str, value: Cell, unit: str = "", note: str = "") -> None:
         """Add a key number to the row under the verdict.
 
         Args:
@@ -50,53 +49,38 @@ class Page:
             unit: of the number.
             note: what to compare it with.
         """
-        shown = _cell(value, 3)
-        unit = f' <span class="unit">{escape(unit)}</span>' if unit else ""
-        note = f'<div class="note">{_inline(note)}</div>' if note else ""
-        self._tiles.append(f'<div class="tile"><div class="name">{_inline(name)}</div><b>{shown}{unit}</b>{note}</div>')
+        self._tiles.append({"name": name, "value": value, "unit": unit, "note": note})
 
     def section(self, heading: str) -> None:
         """Start a section."""
-        self._sections.append(heading)
-        self._body.append(f'<h2 id="section-{len(self._sections)}">{_inline(heading)}</h2>')
+        self._add("section", heading)
 
     def text(self, text: str) -> None:
         """Add paragraphs, separated by blank lines."""
-        paragraphs = re.split(r"\n\s*\n", text.strip())
-        self._body.extend(f"<p>{_inline(paragraph)}</p>" for paragraph in paragraphs)
+        for paragraph in re.split(r"\n\s*\n", text.strip()):
+            self._add("text", paragraph)
 
     def code(self, text: str) -> None:
         """Add lines as they are, such as a command or the head of a file."""
-        self._body.append(f"<pre>{escape(text)}</pre>")
+        self._add("code", text)
 
     def figure(self, figure: go.Figure | None, caption: str) -> None:
         """Add a figure with its caption; None, for a figure that a log has no data for, adds nothing."""
         if figure is None:
             return
         # `<` inside the data must not end the script element
-        self._figures.append(str(figure.to_json()).replace("<", "\\u003c"))
-        count = len(self._figures)
-        height = int(figure.layout.height or 420)
-        self._body.append(
-            f'<figure><div class="card"><div class="plot" id="figure-{count}" style="height:{height}px"></div></div>'
-            f"<figcaption><b>Figure {count}.</b> {_inline(caption)}</figcaption></figure>"
-        )
+        self._figures.append(Markup(str(figure.to_json()).replace("<", "\\u003c")))
+        margin = figure.layout.margin
+        width = 320 + (margin.l or 0) + (margin.r or 0)  # narrower screens move the figure sideways
+        self._add("figure", caption, height=int(figure.layout.height or 420), width=width)
 
-    def picture(self, image: np.ndarray, caption: str) -> None:
-        """Add an image, uint8 ``[height, width, 3]``, for example a rendered frame."""
-        self._body.append(f"<figure>{png_element(image, caption)}<figcaption>{_inline(caption)}</figcaption></figure>")
-
-    def films(self, films: Sequence[tuple[bytes, str]]) -> None:
-        """Add animated PNGs with a caption each, side by side where there is room."""
-        shown = "".join(
-            f"<figure>{film_element(data, caption)}<figcaption>{_inline(caption)}</figcaption></figure>"
-            for data, caption in films
-        )
-        if shown:
-            self._body.append(f'<div class="films">{shown}</div>')
+    def films(self, films: Sequence[tuple[str, str]]) -> None:
+        """Add animated pictures, as paths from the page with a caption each, side by side where there is room."""
+        if films:
+            self._add("films", films=films)
 
     def table(self, header: Sequence[str], rows: Sequence[Sequence[Cell]], caption: str = "", digits: int = 4) -> None:
-        """Add a table; numbers are aligned at the decimal point.
+        """Add a table, which the reader can sort; numbers are aligned at the decimal point.
 
         Args:
             header: of the columns, with units.
@@ -110,147 +94,89 @@ class Page:
         for i, row in enumerate(rows):
             if len(row) != len(header):
                 raise ValueError(f"row {i} of the table has {len(row)} cells, the header {len(header)}")
-        self._tables += 1
-        columns = list(zip(*rows, strict=True)) or [()] * len(header)
-        numeric = [_numeric(column) for column in columns]
-        fractions = [max((len(_fraction(cell, digits)) for cell in column), default=0) for column in columns]
-        head = "".join(
-            f'<th scope="col"{_right(n)}>{_inline(name)}</th>' for name, n in zip(header, numeric, strict=True)
-        )
-        body = "".join(
-            "<tr>"
-            + "".join(
-                f"<td{_right(n)}>{_cell(cell, digits, width if n else None)}</td>"
-                for cell, n, width in zip(row, numeric, fractions, strict=True)
-            )
-            + "</tr>"
-            for row in rows
-        )
-        named = f"<caption><b>Table {self._tables}.</b> {_inline(caption)}</caption>" if caption else ""
-        self._body.append(
-            f'<div class="wide"><table>{named}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
-        )
+        columns = [_column(name, [row[i] for row in rows], digits) for i, name in enumerate(header)]
+        cells = zip(*(column["cells"] for column in columns), strict=True)
+        self._add("table", caption, columns=columns, rows=list(cells))
 
     def files(self, files: Mapping[str, str]) -> None:
         """Link files that lie beside the page: relative path, and what is in them."""
-        items = "".join(
-            f'<li><a href="{escape(name)}"><code>{escape(name)}</code></a> {_inline(text)}</li>'
-            for name, text in files.items()
-        )
-        self._body.append(f'<ul class="files">{items}</ul>')
+        self._add("files", files=files)
+
+    def side_files(self, files: Mapping[str, str] | None) -> None:
+        """Add a section of files beside the page, where there are any; films among them are shown."""
+        if files:
+            self.section("Files")
+            self.films([(name, text) for name, text in files.items() if name.endswith(".webp")])
+            self.files(files)
 
     def provenance(self, values: Mapping[str, Any]) -> None:
         """Say at the foot where the page comes from; nested mappings become one line each."""
-        for key, value in values.items():
-            self._provenance[key] = _line(value)
+        self._provenance |= {key.replace("_", " "): _line(value) for key, value in values.items()}
 
-    def html(self) -> str:
-        """The page as text."""
-        return "".join(
-            (
-                '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">',
-                f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
-                '<meta name="viewport" content="width=device-width, initial-scale=1">',
-                '<meta name="color-scheme" content="light dark">',
-                f"<title>{escape(self._title)}</title><style>{_asset('page.css')}</style></head>\n<body>",
-                self._header(),
-                f"<main>{chr(10).join(self._body)}</main>\n",
-                self._footer(),
-                self._scripts(),
-                "</body></html>\n",
-            )
-        )
+    def html(self, library: str = LIBRARY) -> str:
+        """The page as text.
+
+        Args:
+            library: path of `LIBRARY` from the page.
+        """
+        return _TEMPLATES.get_template("page.html").render(
+            title=self._title, verdict=self._verdict, detail=self._detail, tiles=self._tiles, blocks=self._blocks,
+            sections=[block for block in self._blocks if block["kind"] == "section"], figures=self._figures,
+            provenance=self._provenance, library=library, dark=Markup(json.dumps(DARK)),
+            style=_asset("page.css"), script=_asset("page.js"),
+        )  # fmt: skip
 
     def write(self, path: str | Path) -> Path:
         """Write the page; the file appears whole or not at all."""
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(path, self.html())
+        numbered = path.resolve().parent.name.isdecimal()
+        library = path.parent / ".." / LIBRARY if numbered else path.parent / LIBRARY
+        if self._figures and not library.exists():
+            shutil.copyfile(Path(plotly.__path__[0]) / "package_data" / LIBRARY, library)
+        write_text(path, self.html(f"../{LIBRARY}" if numbered else LIBRARY))
         return path
 
-    def _header(self) -> str:
-        detail = f'<p class="detail">{_inline(self._detail)}</p>' if self._detail else ""
-        tiles = f'<div class="tiles">{"".join(self._tiles)}</div>' if self._tiles else ""
-        links = "".join(
-            f'<a href="#section-{i}">{_inline(heading)}</a>' for i, heading in enumerate(self._sections, start=1)
-        )
-        contents = f'<nav aria-label="Contents">{links}</nav>' if len(self._sections) > 2 else ""
-        return (
-            f'<header><h1>{_inline(self._title)}</h1><p class="verdict">{_inline(self._verdict)}</p>'
-            f"{detail}{tiles}{contents}</header>\n"
-        )
-
-    def _footer(self) -> str:
-        if not self._provenance:
-            return ""
-        items = "".join(
-            f"<dt>{escape(key.replace('_', ' '))}</dt><dd>{escape(value)}</dd>"
-            for key, value in self._provenance.items()
-        )
-        return f"<footer><h2>Where this comes from</h2><dl>{items}</dl></footer>\n"
-
-    def _scripts(self) -> str:
-        if not self._figures:
-            return ""
-        data = "".join(
-            f'<script type="application/json" id="figure-{i}-data">{json}</script>\n'
-            for i, json in enumerate(self._figures, start=1)
-        )
-        library = get_plotlyjs()
-        return (
-            "<noscript><p>The figures need JavaScript; it is part of this file and loads nothing.</p></noscript>\n"
-            f"{data}<script>{library}</script>\n<script>{_asset('page.js')}</script>\n"
-        )
+    def _add(self, kind: str, text: str = "", **more: Any) -> None:
+        count = 1 + sum(block["kind"] == kind for block in self._blocks)
+        self._blocks.append({"kind": kind, "text": text, "count": count, **more})
 
 
-def _asset(name: str) -> str:
-    return resources.files("op3.report").joinpath(name).read_text(encoding="utf-8")
+def _asset(name: str) -> Markup:
+    assert _TEMPLATES.loader is not None
+    return Markup(_TEMPLATES.loader.get_source(_TEMPLATES, name)[0])
 
 
-def _split(lead: str) -> tuple[str, str]:
-    """The first sentence and the rest."""
-    lead = " ".join(lead.split())
-    end = re.search(r"(?<=[.!?])\s+(?=[^a-z])", lead)
-    return (lead, "") if end is None else (lead[: end.start()], lead[end.end() :])
-
-
-def _inline(text: str) -> str:
-    return re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(text))
+def _inline(text: str) -> Markup:
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
 def _is_number(cell: object) -> bool:
     return isinstance(cell, int | float) and not isinstance(cell, bool)
 
 
-def _numeric(column: Sequence[Cell]) -> bool:
-    """Whether a column has numbers, and nothing else but gaps."""
-    return any(map(_is_number, column)) and all(cell is None or _is_number(cell) for cell in column)
+def _text(cell: Cell, digits: int = 4) -> str:
+    """A cell as it is read."""
+    if cell is None or isinstance(cell, bool):
+        return {None: "–", True: "yes", False: "no"}[cell]
+    return number(cell, digits) if isinstance(cell, int | float) else cell
 
 
-def _right(numeric: bool) -> str:
-    return ' class="number"' if numeric else ""
-
-
-def _fraction(cell: Cell, digits: int) -> str:
-    """What stands from the decimal point on."""
-    text = number(cell, digits) if _is_number(cell) else ""  # type: ignore[arg-type]
-    whole = re.match(r"−?\d*", text)
-    return text[whole.end() :] if whole else ""
-
-
-def _cell(cell: Cell, digits: int, width: int | None = None) -> str:
-    """A cell as HTML; with a width, the fraction takes that many digits' room so that points stand in line."""
-    if cell is None:
-        text, fraction = "–", ""
-    elif isinstance(cell, bool):
-        text, fraction = ("yes" if cell else "no"), ""
-    elif _is_number(cell):
-        text, fraction = number(cell, digits), _fraction(cell, digits)  # type: ignore[arg-type]
-    else:
-        return _inline(str(cell))
-    if not width:
-        return text
-    return f'{text.removesuffix(fraction)}<span class="fraction" style="width:{width}ch">{fraction}</span>'
+def _column(name: str, cells: Sequence[Cell], digits: int) -> dict[str, Any]:
+    """A column; numbers, and gaps among them, end with room for the digits that others have more."""
+    numeric = any(map(_is_number, cells)) and all(cell is None or _is_number(cell) for cell in cells)
+    texts = [_text(cell, digits) for cell in cells]
+    if numeric:
+        fractions = [text.partition(".")[1] + text.partition(".")[2] for text in texts]
+        widest = max(map(len, fractions))
+        # U+2008 is as wide as a point, U+2007 as a digit
+        rooms = [
+            (widest - len(f)) * "\u2007" if f or not widest else "\u2008" + (widest - 1) * "\u2007" for f in fractions
+        ]
+        texts = [text + room for text, room in zip(texts, rooms, strict=True)]
+    values = ["" if cell is None else cell for cell in cells]
+    shown = [{"text": text, "value": value} for text, value in zip(texts, values, strict=True)]
+    return {"name": name, "numeric": numeric, "cells": shown}
 
 
 def _line(value: Any) -> str:
@@ -258,6 +184,11 @@ def _line(value: Any) -> str:
         return ", ".join(f"{key.replace('_', ' ')} {_line(item)}" for key, item in value.items())
     if isinstance(value, list | tuple):
         return ", ".join(map(_line, value))
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return "–" if value is None else str(value)
+    return _text(value) if value is None or isinstance(value, bool) else str(value)
+
+
+_TEMPLATES = jinja2.Environment(
+    loader=jinja2.PackageLoader("op3.report"), autoescape=True, trim_blocks=True, lstrip_blocks=True,
+    undefined=jinja2.StrictUndefined,
+)  # fmt: skip
+_TEMPLATES.filters |= {"inline": _inline, "cell": _text}

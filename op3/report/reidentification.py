@@ -8,18 +8,28 @@ import numpy as np
 import optuna
 import plotly.graph_objects as go
 
-from op3.identify.reidentification import TOLERATED, Reidentified
+from op3.identify.reidentification import TOLERATED, Candidate, Reidentified
 from op3.report.figures import ranges_figure
 from op3.report.page import Page
-from op3.report.result import finish, write_result
-from op3.report.run_logger import RunLogger
-from op3.report.style import INK, MUTED, PALETTE, dress, faded, words
-from op3.report.tables import Cell, number
+from op3.report.result import finite, publish
+from op3.report.style import INK, MUTED, PALETTE, curves_figure, dress, faded, words
+from op3.report.tables import number
 from op3.servo import RobotModel, parameter
 
 FOUND = "re-identified"
 BEFORE = "excitation only"
 ACTUAL = "actual"
+
+MEANINGS: Mapping[str, str] = {
+    "distance": "Wasserstein-1 distance to the returns on the robot [-]",
+    "excitation": "loss of the excitation, paper eq. (7)",
+    "returns": "R_eval of every episode [-]",
+    "normalised": "parameter within its range of the catalogue (paper Table I), 0 to 1",
+    "fresh": "distance over episodes that neither the search nor the choice has seen, and what chance alone leaves",
+    "front": "Pareto front: excitation loss and distance",
+    "accepted": "whether a candidate took the place of the start",
+    "at_chance": "whether the start's returns are as close to the robot's as chance would leave them",
+}
 
 
 def report_reidentification(
@@ -48,52 +58,15 @@ def report_reidentification(
     Returns:
         The numbers of ``result.yaml``.
     """
-    values = _numbers(found, study, wall_seconds, simulated_seconds, provenance)
-    page_path = _page(found, study, values, provenance).write(folder / "index.html")
-    meanings = {
-        "distance": "Wasserstein-1 distance to the returns on the robot [-]",
-        "excitation": "loss of the excitation, paper eq. (7)",
-        "returns": "R_eval of every episode [-]",
-        "normalised": "parameter within its range of the catalogue (paper Table I), 0 to 1",
-        "fresh": "distance over episodes that neither the search nor the choice has seen, and what chance alone leaves",
-        "front": "Pareto front: excitation loss and distance",
-        "accepted": "whether a candidate took the place of the start",
-        "at_chance": "whether the start's returns are as close to the robot's as chance would leave them",
-    }
-    result_path = write_result(folder / "result.yaml", values, meanings)
-    with RunLogger(folder, config=config, mode=wandb_mode) as logger:
-        logger.summary({k: v for k, v in values.items() if isinstance(v, int | float)})
-    finish(page_path, result_path)
-    return values
-
-
-def _numbers(
-    found: Reidentified,
-    study: optuna.Study,
-    wall_seconds: float,
-    simulated_seconds: float,
-    provenance: Mapping[str, Any],
-) -> dict[str, Any]:
-    start, chosen = found.start, found.chosen
-    return {
-        "distance.excitation_only": start.distance,
-        "distance.reidentified": chosen.distance,
-        "distance.ratio": _ratio(chosen.distance, start.distance),
-        "fresh.excitation_only": _finite(found.fresh_start.distance),
-        "fresh.reidentified": _finite(found.fresh_chosen.distance),
+    values = {
+        **_objectives("excitation_only", found.start, found.fresh_start),
+        **_objectives("reidentified", found.chosen, found.fresh_chosen),
+        "distance.ratio": _ratio(found.chosen.distance, found.start.distance),
         "fresh.noise": found.noise,
         "fresh.ratio": _ratio(found.fresh_chosen.distance, found.fresh_start.distance),
-        "excitation.excitation_only": start.excitation,
-        "excitation.reidentified": chosen.excitation,
+        "excitation.ratio": _ratio(found.chosen.excitation, found.start.excitation),
         "returns.actual": list(found.actual),
-        "returns.excitation_only": list(start.returns),
-        "returns.reidentified": list(chosen.returns),
-        "excitation.ratio": _ratio(chosen.excitation, start.excitation),
-        "returns.fresh_excitation_only": [_finite(value) for value in found.fresh_start.returns],
-        "returns.fresh_reidentified": [_finite(value) for value in found.fresh_chosen.returns],
-        "parameters": {name: {"value": value} for name, value in chosen.values.items()},
-        "normalised.excitation_only": {name: _normalised(name, value) for name, value in start.values.items()},
-        "normalised.reidentified": {name: _normalised(name, value) for name, value in chosen.values.items()},
+        "parameters": {name: {"value": value} for name, value in found.chosen.values.items()},
         "front.excitation": [one.excitation for one in found.front],
         "front.distance": [one.distance for one in found.front],
         "accepted": found.accepted,
@@ -106,11 +79,20 @@ def _numbers(
         "simulated_seconds": simulated_seconds,
         "provenance": dict(provenance),
     }
+    page = _page(found, study, values)
+    return publish(page, values, folder, MEANINGS, wandb_mode=wandb_mode, config=config)
 
 
-def _finite(value: float) -> float | None:
-    """None in place of what a simulation that failed leaves."""
-    return value if np.isfinite(value) else None
+def _objectives(name: str, one: Candidate, fresh: Candidate) -> dict[str, Any]:
+    """Both objectives, returns and parameters of a model."""
+    return {
+        f"distance.{name}": one.distance,
+        f"fresh.{name}": finite(fresh.distance),
+        f"excitation.{name}": one.excitation,
+        f"returns.{name}": list(one.returns),
+        f"returns.fresh_{name}": [finite(value) for value in fresh.returns],
+        f"normalised.{name}": {key: _normalised(key, value) for key, value in one.values.items()},
+    }
 
 
 def _ratio(after: float, before: float) -> float | None:
@@ -122,8 +104,8 @@ def _normalised(name: str, value: float) -> float:
     return (value - known.low) / (known.high - known.low)
 
 
-def _page(found: Reidentified, study: optuna.Study, values: Mapping[str, Any], provenance: Mapping[str, Any]) -> Page:
-    start, chosen = found.start, found.chosen
+def _page(found: Reidentified, study: optuna.Study, values: Mapping[str, Any]) -> Page:
+    start, chosen, before = found.start, found.chosen, found.start_name
     page = Page("Re-identification from a failed transfer", _lead(found))
     page.tile("distance of returns", chosen.distance, note=f"{number(start.distance, 3)} before")
     page.tile("excitation loss", chosen.excitation, note=f"{number(start.excitation, 3)} before")
@@ -133,18 +115,19 @@ def _page(found: Reidentified, study: optuna.Study, values: Mapping[str, Any], p
     page.tile("time", values["wall_seconds"], "s")
     page.section("Returns")
     page.text(
-        f"What the policy's episodes are worth under R_eval: on the robot, in simulation before ({found.start_name}),"
-        " and in the simulation after re-identification, with the same episodes for every candidate."
+        f"What the policy's episodes are worth under R_eval: on the robot, in simulation before ({before}), and in the"
+        " simulation after re-identification, with the same episodes for every candidate."
         f" Over fresh episodes, which neither the search nor the choice has seen, the distance is"
         f" {number(found.fresh_start.distance, 3)} before and {number(found.fresh_chosen.distance, 3)} after; if the"
         f" model were the robot, chance alone would leave {number(found.noise, 3)}."
     )
     page.figure(_returns_figure(found), "Returns of the episodes, as steps of their cumulative distribution.")
-    rows: list[list[Cell]] = [
-        [ACTUAL, *_summary(found.actual), None, None],
-        [found.start_name, *_summary(start.returns), start.distance, found.fresh_start.distance],
-        [FOUND, *_summary(chosen.returns), chosen.distance, found.fresh_chosen.distance],
-    ]
+    entries = (
+        (ACTUAL, found.actual, None, None),
+        (before, start.returns, start.distance, found.fresh_start.distance),
+        (FOUND, chosen.returns, chosen.distance, found.fresh_chosen.distance),
+    )
+    rows = [[label, float(np.mean(own)), float(np.std(own)), *distances] for label, own, *distances in entries]
     header = ["episodes", "mean return [-]", "deviation [-]", "distance [-]", "distance, fresh episodes [-]"]
     page.table(header, rows, "Returns and their Wasserstein-1 distance to the robot's.")
     page.section("Pareto front")
@@ -156,23 +139,17 @@ def _page(found: Reidentified, study: optuna.Study, values: Mapping[str, Any], p
     page.figure(_front_figure(found, study), "Both objectives of every trial that played episodes, and the front.")
     page.section("Parameters")
     models = {  # in this order they have the colours of the other figures
-        FOUND: RobotModel(found.model.effects).with_values(dict(chosen.values)),
-        found.start_name: RobotModel(found.model.effects).with_values(dict(start.values)),
+        label: RobotModel(found.model.effects).with_values(dict(one.values))
+        for label, one in ((FOUND, chosen), (before, start))
     }
     page.figure(ranges_figure(models, list(chosen.values)), "Parameters within the ranges of Table I.")
-    before = found.start_name
-    header = ["parameter", before, FOUND, f"{before}, of its range", f"{FOUND}, of its range"]
     rows = [
         [words(name), start.values[name], value, _normalised(name, start.values[name]), _normalised(name, value)]
         for name, value in chosen.values.items()
     ]
+    header = ["parameter", before, FOUND, f"{before}, of its range", f"{FOUND}, of its range"]
     page.table(header, rows, "Parameters, and normalised by Table I.")
-    page.provenance(provenance)
     return page
-
-
-def _summary(returns: Sequence[float]) -> tuple[float, float]:
-    return float(np.mean(returns)), float(np.std(returns))
 
 
 def _lead(found: Reidentified) -> str:
@@ -190,17 +167,18 @@ def _lead(found: Reidentified) -> str:
         )
     change = f"from {number(start.distance, 3)} to {number(chosen.distance, 3)}"
     fresh = f"from {number(found.fresh_start.distance, 3)} to {number(found.fresh_chosen.distance, 3)}"
+    chance = f"where chance alone leaves {number(found.noise, 3)}"
     cost = f"The excitation loss is {chosen.excitation / start.excitation:.2f} times that before."
     if chosen.distance >= start.distance:
         return (
             f"The chosen model was closer to the robot's returns over the episodes that decided between the finalists,"
             f" and not over those searched with: the distance goes {change} over these, and {fresh} over fresh ones,"
-            f" where chance alone leaves {number(found.noise, 3)}. {cost}"
+            f" {chance}. {cost}"
         )
     if found.fresh_chosen.distance >= found.fresh_start.distance:
         return (
             f"No gain that lasts: the distance between simulated and actual returns goes {change} over the episodes"
-            f" searched with, and {fresh} over fresh ones, where chance alone leaves {number(found.noise, 3)}. {cost}"
+            f" searched with, and {fresh} over fresh ones, {chance}. {cost}"
         )
     return (
         f"Re-identification lowers the distance between simulated and actual returns {change}, and {fresh} over fresh"
@@ -209,22 +187,13 @@ def _lead(found: Reidentified) -> str:
 
 
 def _returns_figure(found: Reidentified) -> go.Figure:
-    figure = go.Figure()
-    lines = {
-        ACTUAL: (found.actual, INK),
-        found.start_name: (found.start.returns, PALETTE[1]),
-        FOUND: (found.chosen.returns, PALETTE[0]),
-    }
-    for label, (returns, colour) in lines.items():
-        ordered = np.sort(np.asarray(returns, dtype=float))
-        share = np.arange(1, len(ordered) + 1) / len(ordered)
-        figure.add_scatter(
-            x=ordered, y=share, mode="lines+markers", name=label, line=dict(color=colour, shape="hv", width=2.4)
-        )
-    dress(figure, 340, hovermode="closest")
-    figure.update_xaxes(title_text="return under R_eval [-]", rangemode="tozero")
-    figure.update_yaxes(title_text="share of episodes [-]", range=[0, 1.05])
-    return figure
+    curves = {}
+    for label, own in ((FOUND, found.chosen.returns), (found.start_name, found.start.returns), (ACTUAL, found.actual)):
+        curves[label] = (np.sort(np.asarray(own, dtype=float)), np.arange(1, len(own) + 1) / len(own))
+    figure = curves_figure(
+        curves, "return under R_eval [-]", "share of episodes [-]", 340, "lines+markers", "hv", yaxis_range=[0, 1.05]
+    )
+    return figure.update_traces(line_color=INK, marker_color=INK, selector={"name": ACTUAL})
 
 
 def _front_figure(found: Reidentified, study: optuna.Study) -> go.Figure:
@@ -233,22 +202,14 @@ def _front_figure(found: Reidentified, study: optuna.Study) -> go.Figure:
     if played:
         x, y = np.array(played).T
         figure.add_scatter(x=x, y=y, mode="markers", name="trials", marker=dict(color=faded(MUTED, 0.35), size=5))
-    front = [one for one in found.front if one.returns]
-    figure.add_scatter(
-        x=[one.excitation for one in front],
-        y=[one.distance for one in front],
-        mode="lines+markers",
-        name="Pareto front",
-        line=dict(color=PALETTE[2], shape="hv"),
-    )
-    for label, one, colour in ((found.start_name, found.start, PALETTE[1]), (FOUND, found.chosen, PALETTE[0])):
-        figure.add_scatter(
-            x=[one.excitation],
-            y=[one.distance],
-            mode="markers",
-            name=label,
-            marker=dict(color=colour, size=13, symbol="diamond"),
-        )
+    marks: list[tuple[str, Sequence[Candidate], dict[str, Any]]] = [
+        ("Pareto front", [one for one in found.front if one.returns], dict(mode="lines+markers", line_shape="hv")),
+        (found.start_name, [found.start], dict(mode="markers", marker_size=13, marker_symbol="diamond")),
+        (FOUND, [found.chosen], dict(mode="markers", marker_size=13, marker_symbol="diamond")),
+    ]
+    for (label, some, look), colour in zip(marks, (PALETTE[2], PALETTE[1], PALETTE[0]), strict=True):
+        x, y = [one.excitation for one in some], [one.distance for one in some]
+        figure.add_scatter(x=x, y=y, name=label, marker_color=colour, **look)
     figure.add_vline(x=TOLERATED * found.start.excitation, line=dict(color=MUTED, dash="dot"))
     dress(figure, 400, hovermode="closest")
     figure.update_xaxes(title_text="excitation loss [-]", type="log")

@@ -1,12 +1,14 @@
 """``result.yaml``: the numbers of a run, flat, documented, and finite."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from op3.report.page import Page
+from op3.report.run_logger import RunLogger
 from op3.rollout.files import write_text
 from op3.servo import Estimate, catalogue
 
@@ -66,6 +68,48 @@ def read_result(path: str | Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise ValueError(f"{path}: not a mapping of results; write it with write_result")
     return content
+
+
+def publish(
+    page: Page,
+    values: Mapping[str, Any],
+    folder: Path,
+    meanings: Mapping[str, str] | None = None,
+    *,
+    wandb_mode: str | None = "disabled",
+    config: Mapping[str, Any] | None = None,
+    curve: Mapping[str, Sequence[float]] | None = None,
+) -> dict[str, Any]:
+    """Write ``index.html`` and ``result.yaml``, log the numbers to wandb, and print the paths of both files.
+
+    Args:
+        page: of the run.
+        values: of ``result.yaml``, with the run's provenance, which the page gets too.
+        folder: of the run.
+        meanings: what first parts of keys stand for, see `write_result`.
+        wandb_mode: ``offline``, ``online``, ``disabled``; None leaves it to the environment.
+        config: settings of the run, for wandb.
+        curve: numbers by step and name, for wandb; those that are not finite are left out.
+
+    Returns:
+        The values.
+    """
+    page.provenance(values["provenance"])
+    paths = page.write(folder / "index.html"), write_result(folder / "result.yaml", values, meanings)
+    if wandb_mode != "disabled":
+        with RunLogger(folder, config=config, mode=wandb_mode) as logger:
+            for name, numbers in (curve or {}).items():
+                for step, number in enumerate(numbers):
+                    if math.isfinite(number):
+                        logger.log({name: number}, step=step)
+            logger.summary({key: value for key, value in values.items() if isinstance(value, int | float)})
+    finish(*paths)
+    return dict(values)
+
+
+def finite(value: float) -> float | None:
+    """A number of ``result.yaml``; None in place of what a simulation that diverged leaves."""
+    return value if math.isfinite(value) else None
 
 
 def finish(page: str | Path, result: str | Path) -> None:

@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from op3.report.picture import png_element
-
 
 def sweep_group(folder: str | Path) -> str:
     """The group of a run by its folder.
@@ -88,8 +86,8 @@ class RunLogger:
         self._run.log({name: self._wandb.Plotly(figure)}, step=step)
 
     def image(self, name: str, image: np.ndarray, step: int | None = None) -> None:
-        """Log an image, uint8 ``[height, width, 3]``, as HTML: wandb's own image needs a further package."""
-        self._run.log({name: self._wandb.Html(png_element(image, name), inject=False)}, step=step)
+        """Log an image, uint8 ``[height, width, 3]``."""
+        self._run.log({name: self._wandb.Image(image)}, step=step)
 
     def summary(self, values: Mapping[str, Any]) -> None:
         """Set the numbers that stand for the whole run in wandb's tables."""

@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
 
 from op3.report.page import Page
-from op3.report.style import INK, PALETTE, dress, words
-from op3.report.tables import Cell, number
+from op3.report.style import bars_figure, boxes_figure
+from op3.report.tables import number
 
 WALKERS = 0.8
 """Share of episodes that must walk for their whole time; paper, 8 of 10."""
@@ -110,7 +109,28 @@ def story(
     if last.walked is not None:
         page.tile("episodes that walked to their end", f"{sum(last.walked)} of {len(last.walked)}")
     page.tile("time", sum(seconds.values()), "s", f"budget {budget}")
-    _films(page, transfers)
+    _films(page, folder, transfers)
+    _transfers(page, transfers, remarks)
+    sentences, numbers = dict(named or {}), dict(learned or {})
+    for i in range(1, len(transfers)):
+        if i in sentences or i in numbers:
+            page.section(f"Learned in round {i}")
+        if i in sentences:
+            page.text(f"Diagnosis of further motions in the stand: {sentences[i]}")
+        if i in numbers:
+            _lesson(page, numbers[i])
+    page.section("Stages")
+    stages = [[name, value, (processor_seconds or {}).get(name)] for name, value in seconds.items()]
+    page.table(["stage", "time [s]", "processor time [s]"], stages, "What was run.")
+    pages = {f"{name}/index.html": f"page of the stage {name.replace('_', ' ')}" for name in seconds}
+    page.files({name: text for name, text in pages.items() if (folder / name).exists()})
+    page.provenance(provenance)
+    return page
+
+
+def _transfers(page: Page, transfers: Sequence[Transfer], remarks: Sequence[str]) -> None:
+    """How policies are judged, and what each was worth."""
+    first = transfers[0]
     page.section("Transfers")
     judged = (
         f"the share of the promised mean return that the robot reaches; {100 * first.criterion:.0f} % count as success."
@@ -125,69 +145,37 @@ def story(
         page.text(f"Here it is judged by {few} episodes, where the paper judges ten; so few leave much to chance.")
     for remark in remarks:
         page.text(remark)
-    rows = [
-        [
-            i,
-            one.began_with,
-            float(np.mean(one.expected)),
-            float(np.mean(one.actual)),
-            100 * one.share,
-            f"{sum(one.upright)} of {len(one.upright)}",
-            "yes" if one.success else "no",
-        ]
-        for i, one in enumerate(transfers)
-    ]
-    header = [
-        "round",
-        "training began with",
-        "return promised [-]",
-        "return on the robot [-]",
-        "share [%]",
-        "upright",
-        "success",
-    ]
-    page.table(header, rows, "Transfers.")
-    page.figure(_returns(transfers), "Return of every episode, promised and on the robot.")
-    sentences, numbers = dict(named or {}), dict(learned or {})
-    for i in range(1, len(transfers)):
-        if i in sentences or i in numbers:
-            page.section(f"Learned in round {i}")
-        if i in sentences:
-            page.text(f"Diagnosis of further motions in the stand: {sentences[i]}")
-        if i in numbers:
-            _lesson(page, numbers[i])
-    page.section("Stages")
-    spent = processor_seconds or {}
-    stages: list[list[Cell]] = [[name, value, spent.get(name)] for name, value in seconds.items()]
-    page.table(["stage", "time [s]", "processor time [s]"], stages, "What was run.")
-    files = {}
-    for name in seconds:
-        if (folder / name / "index.html").exists():
-            files[f"{name}/index.html"] = f"page of the stage {name.replace('_', ' ')}"
-    for i, one in enumerate(transfers):
-        for film, where in ((one.film, "in simulation"), (one.robot_film, "on the robot")):
-            if film is not None and film.exists():
-                files[str(film.relative_to(folder))] = f"an episode of round {i} {where}, animated"
-    page.files(files)
-    page.provenance(provenance)
-    return page
+    columns = {
+        "round": [*range(len(transfers))],
+        "training began with": [one.began_with for one in transfers],
+        "return promised [-]": [float(np.mean(one.expected)) for one in transfers],
+        "return on the robot [-]": [float(np.mean(one.actual)) for one in transfers],
+        "share [%]": [100 * one.share for one in transfers],
+        "upright": [f"{sum(one.upright)} of {len(one.upright)}" for one in transfers],
+        "success": [one.success for one in transfers],
+    }
+    page.table(list(columns), list(zip(*columns.values(), strict=True)), "Transfers.")
+    boxes = {
+        label: {f"round {i}": getattr(one, name) for i, one in enumerate(transfers)}
+        for label, name in (("in simulation", "expected"), ("on the robot", "actual"))
+    }
+    figure = boxes_figure(boxes, "return under R_eval [-]")
+    page.figure(figure, "Return of every episode, promised and on the robot.")
 
 
-def _films(page: Page, transfers: Sequence[Transfer]) -> None:
+def _films(page: Page, folder: Path, transfers: Sequence[Transfer]) -> None:
     """The first transfer and the last, in simulation and on the robot."""
     films = []
     for i in sorted({0, len(transfers) - 1}):
         one = transfers[i]
-        shares = f"{100 * one.share:.0f} % of the return promised"
+        falls = len(one.upright) - sum(one.upright)
+        worst = f"the worst episode, return {np.min(one.actual):.0f}; {falls} of {len(one.upright)} fall"
         for film, text in (
             (one.film, f"Round {i}, in simulation: mean return {np.mean(one.expected):.0f}."),
-            (
-                one.robot_film,
-                f"Round {i}, on the robot: the worst episode, return {np.min(one.actual):.0f}; {shares} on average.",
-            ),
+            (one.robot_film, f"Round {i}, on the robot: {worst}; {100 * one.share:.0f} % of the return promised."),
         ):
             if film is not None and film.exists():
-                films.append((film.read_bytes(), text))
+                films.append((str(film.relative_to(folder)), text))
     if films:
         page.section("Films")
         page.films(films)
@@ -205,19 +193,15 @@ def _lesson(page: Page, learned: Mapping[str, Any]) -> None:
     if not learned.get("accepted", True):
         page.text("No candidate took the place of that model, so the policy was trained further on it.")
     keys = (("distance", "distance of returns [-]"), ("fresh", "the same, fresh episodes [-]"), ("excitation", "loss"))
-    rows: list[list[Cell]] = [
-        [text, learned[f"{key}.excitation_only"], learned[f"{key}.reidentified"]] for key, text in keys
-    ]
+    rows = [[text, learned[f"{key}.excitation_only"], learned[f"{key}.reidentified"]] for key, text in keys]
     page.table(["", before, after], rows, "Both objectives.")
     prefix = "normalised.reidentified."
     names = [key.removeprefix(prefix) for key in learned if key.startswith(prefix)]
-    figure = go.Figure()
-    for label, key, colour in ((before, "excitation_only", PALETTE[1]), (after, "reidentified", PALETTE[0])):
-        values = [learned[f"normalised.{key}.{name}"] for name in names]
-        figure.add_bar(x=[words(name) for name in names], y=values, name=label, marker_color=colour)
-    dress(figure, 420, barmode="group", margin=dict(l=70, r=80, t=48, b=120))
-    figure.update_yaxes(title_text="share of the range [-]", range=[0, 1.02])
-    page.figure(figure, "Parameters normalised by Table I.")
+    bars = {
+        label: {name: learned[f"normalised.{key}.{name}"] for name in names}
+        for label, key in ((after, "reidentified"), (before, "excitation_only"))
+    }
+    page.figure(bars_figure(bars, "share of the range [-]"), "Parameters normalised by Table I.")
 
 
 def _lead(transfers: Sequence[Transfer], condition: str, spared: bool) -> str:
@@ -231,18 +215,3 @@ def _lead(transfers: Sequence[Transfer], condition: str, spared: bool) -> str:
         f"After learning from the failed transfer the policy {outcome}: {last.achieved}; at first, {first.achieved}."
         f" Condition: {condition.replace('_', ' ')}."
     )
-
-
-def _returns(transfers: Sequence[Transfer]) -> go.Figure:
-    figure = go.Figure()
-    for label, colour, name in (("in simulation", PALETTE[0], "expected"), ("on the robot", INK, "actual")):
-        x: list[str] = []
-        y: list[float] = []
-        for i, one in enumerate(transfers):
-            values = getattr(one, name)
-            x += [f"round {i}"] * len(values)
-            y += list(values)
-        figure.add_box(x=x, y=y, name=label, boxpoints="all", jitter=0.5, pointpos=0, marker=dict(color=colour, size=6))
-    dress(figure, 380, hovermode="closest", boxmode="group")
-    figure.update_yaxes(title_text="return under R_eval [-]", rangemode="tozero")
-    return figure

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from op3.identify.intervals import at_bound
 from op3.report.style import unit_text, words
 from op3.rollout import CHANNELS
 from op3.rollout.schema import normal_key
@@ -63,6 +64,8 @@ def parameter_table(
 ) -> TableRows:
     """Parameters with unit, range and start of the search, and per model the value with its 90 % interval.
 
+    What was searched and ended at an end of its range is marked: that is no value that the data gave.
+
     Args:
         models: by label.
         names: parameters to list; all of the models where empty.
@@ -72,6 +75,12 @@ def parameter_table(
     known = bounded_parameters(models, bounds, starts)
     intervals = {label: any(e.low is not None for e in model.estimates.values()) for label, model in models.items()}
     header = ["parameter", "unit", "range from", "to", "start"]
+    ended = {
+        (name, label)
+        for name, (low, high) in (bounds or {}).items()
+        for label, model in models.items()
+        if split_name(name)[0] in model.parameters() and at_bound((model.estimate(name).value - low) / (high - low))
+    }
     for label in models:
         header += [label, "90 % from", "to"] if intervals[label] else [label]
     rows: list[list[Cell]] = []
@@ -83,8 +92,11 @@ def parameter_table(
             row.append(None if estimate is None else estimate.value)
             if intervals[label]:
                 row += [None, None] if estimate is None else [estimate.low, estimate.high]
+        if ended:
+            there = [label for label in models if (name, label) in ended]
+            row.append("at its bound" + (f" {', '.join(there)}" if there and len(models) > 1 else "") if there else "")
         rows.append(row)
-    return header, rows
+    return [*header, "remark"] if ended else header, rows
 
 
 def loss_table(terms: Mapping[str, Mapping[str, Mapping[Any, float]]], total: str | None = None) -> TableRows:

@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
+from op3.report.figures import errors_figure
+from op3.report.page import Page
 from op3.report.panels import Line, Panel, panels_figure
 from op3.report.style import COMMAND, MEASURED, words
 from op3.rollout import CHANNELS, Rollout
@@ -14,6 +16,9 @@ from op3.tasks import Prediction
 
 Channels = Prediction | Mapping[Any, Any]
 """A prediction of one candidate, or arrays ``[time, joint | 3]`` by channel, such as ``("joint", "position")``."""
+
+SHOWN_RUNS = 6
+"""Bench runs drawn on a page, the worst, the best and between."""
 
 JOINT_QUANTITIES: tuple[Key, ...] = (("joint", "position"), ("joint", "velocity"), ("joint", "current"))
 
@@ -108,6 +113,32 @@ def runs_figure(
         panels.append(_panel(log, mine, key, column, run_name(log), titled=True))
     grid = [panels[start : start + columns] for start in range(0, len(panels), columns)]
     return panels_figure(grid, row_height=180)
+
+
+def bench_sections(
+    page: Page,
+    logs: Sequence[Rollout],
+    predictions: Mapping[str, Sequence[Channels]],
+    errors_mrad: Mapping[str, Sequence[float | None]],
+    heldout: Sequence[bool],
+) -> None:
+    """Add the error of every run of a servo bench, and traces of some, from the best to the worst of the first label.
+
+    Args:
+        page: to add to.
+        logs: what was measured.
+        predictions: by label, one per log.
+        errors_mrad: by label, mean absolute position error of each run [mrad]; None where the simulation failed.
+        heldout: whether each run was kept from the fit.
+    """
+    page.section("Error of every run")
+    page.figure(errors_figure(logs, errors_mrad, heldout), "Mean absolute position error of open-loop replays.")
+    page.section("Some runs")
+    first = next(iter(errors_mrad.values()))
+    order = sorted((i for i, error in enumerate(first) if error is not None), key=lambda i: first[i] or 0.0)
+    chosen = [order[i] for i in np.unique(np.linspace(0, len(order) - 1, SHOWN_RUNS).round().astype(int))]
+    shown = {label: [members[i] for i in chosen] for label, members in predictions.items()}
+    page.figure(runs_figure([logs[i] for i in chosen], shown), "From the best to the worst, evenly chosen.")
 
 
 def run_name(log: Rollout) -> str:

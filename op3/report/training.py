@@ -9,8 +9,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from op3.report.page import Page
-from op3.report.result import finish, write_result
-from op3.report.style import PALETTE, dress, faded
+from op3.report.result import publish
+from op3.report.style import PALETTE, curves_figure, dress, faded
 
 History = Sequence[Mapping[str, float]]
 """Entries with ``steps`` and measures by name, as `op3.train.Progress` keeps them."""
@@ -56,14 +56,8 @@ def reward_figure(history: History) -> go.Figure | None:
     names = sorted({name for entry in history for name in entry if name.startswith("reward_terms/")})
     if not names:
         return None
-    figure = go.Figure()
-    for index, name in enumerate(["reward", *names]):
-        steps, values = series(history, name)
-        label = name.removeprefix("reward_terms/")
-        figure.add_scatter(x=steps, y=values, mode="lines", name=label, line=dict(color=PALETTE[index % len(PALETTE)]))
-    figure.update_xaxes(title_text="environment steps [-]")
-    figure.update_yaxes(title_text="mean per step [-]")
-    return dress(figure, 320, hovermode="x unified")
+    curves = {name.removeprefix("reward_terms/"): series(history, name) for name in ["reward", *names]}
+    return curves_figure(curves, "environment steps [-]", "mean per step [-]", 320, hovermode="x unified")
 
 
 def histogram_figure(values: Mapping[str, np.ndarray], axis: str) -> go.Figure:
@@ -134,16 +128,10 @@ def report_training(
             page.figure(figure, caption)
     page.section("Settings")
     page.table(["setting", "value"], [[name, str(value)] for name, value in settings.items()])
-    if files:
-        page.section("Files")
-        page.files(files)
-    page.provenance(provenance)
-    values = {**numbers, "provenance": dict(provenance)}
+    page.side_files(files)
     meanings = {
         "evaluation": "means over the final evaluation's episodes, without exploration",
         "policy": "the kept policy",
         "steps": "environment steps of the run",
     }
-    page_path = page.write(folder / "index.html")
-    finish(page_path, write_result(folder / "result.yaml", values, meanings))
-    return values
+    return publish(page, {**numbers, "provenance": dict(provenance)}, folder, meanings)

@@ -1,4 +1,4 @@
-"""Short films of a robot, simulated or as its log tells, as animated PNG."""
+"""Short films of a robot, simulated or as its log tells, as animated WebP."""
 
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false
@@ -8,9 +8,9 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from PIL import Image
 
 from op3.report.frames import RenderError, draw_frames
-from op3.report.picture import animated_png
 from op3.robot import Scene
 from op3.rollout import Rollout
 
@@ -23,7 +23,7 @@ def film(
     say: Callable[[str], None] = print,
     follow: bool = True,
 ) -> Path | None:
-    """Draw states and write them as ``.png`` that browsers play; None where MuJoCo cannot render here.
+    """Draw states and write them as ``.webp`` that browsers play; None where MuJoCo cannot render here.
 
     Args:
         scene: in which the robot is; it is compiled anew, because simulations leave out what only pictures show.
@@ -41,7 +41,16 @@ def film(
         return None
     path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_suffix(".part")
-    unfinished.write_bytes(animated_png(list(frames), rate))
+    first, *others = map(Image.fromarray, frames)
+    options = {
+        "save_all": True,
+        "append_images": others,
+        "duration": round(1000 / rate),
+        "loop": 0,
+        "quality": 40,
+        "method": 4,
+    }
+    first.save(unfinished, "WEBP", **options)
     unfinished.replace(path)  # a film that exists is whole
     return path
 

@@ -57,25 +57,6 @@ def test_jumps_do_not_hide_a_valley():
     assert 0.5 * truth < told < 2 * truth
 
 
-def test_a_point_between_the_ends_is_not_measured_again():
-    """Differences that reach beyond the last step hold at its end; those of a long step are measured anew there."""
-    residuals, weak, _ = valley(jump=0.0)
-    counts = []
-    for away in (0.002, 0.25):
-        asked: list[int] = []
-
-        def counted(unit: torch.Tensor, asked: list[int] = asked) -> torch.Tensor:
-            asked.append(len(unit))
-            return residuals(unit)
-
-        start = dict(zip(BOX, (2 * (TRUTH + away * weak + 0.002)).tolist(), strict=True))
-        known = np.eye(SIZE) * 500 - np.outer(weak, weak) * 499.95
-        end = polish(counted, BOX, start, steps=1, curvature=known)
-        assert end.history[-1] < end.history[0]
-        counts.append(asked.count(2 * SIZE))
-    assert counts == [1, 2]
-
-
 def test_without_steps_the_point_stays():
     """Sensitivities alone leave the values as they are."""
     residuals, weak, _ = valley(jump=0.0)

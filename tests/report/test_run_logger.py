@@ -29,7 +29,7 @@ def test_an_offline_run_is_written_with_group_and_values(tmp_path, monkeypatch, 
     for part in expected:
         assert part in record.read_bytes()
     media = {path.suffix for path in (folder / "files" / "media").rglob("*") if path.is_file()}
-    assert media == {".json", ".html"}
+    assert media == {".json", ".png"}
     assert capfd.readouterr() == ("", "")
 
 
