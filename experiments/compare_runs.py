@@ -11,7 +11,7 @@ from support import check_given, one_sentence
 
 from op3.command_line import launch
 from op3.report import finish
-from op3.report.comparison import read_runs, write_comparison
+from op3.report.comparison_page import read_runs, write_comparison
 
 
 @hydra.main(config_path="../conf", config_name="compare_runs", version_base="1.3")

@@ -29,7 +29,7 @@ from op3.deploy import (
     calibrate,
     connect,
     read_only,
-    replay,
+    replay_policy,
     run,
     setup,
 )
@@ -73,7 +73,7 @@ def deploy(cfg: DictConfig) -> ExitCode:
     if cfg.mode == "replay":
         if cfg.log is None or runner is None:
             raise ValueError("mode=replay needs policy=<bundle> and log=<folder of a run>")
-        result = replay(read_log(cfg.log), runner)
+        result = replay_policy(read_log(cfg.log), runner)
         print(result)
         return ExitCode.OK if result.ok else ExitCode.REPLAY
     duration = positive(cfg, "duration", "seconds")

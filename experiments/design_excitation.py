@@ -22,7 +22,7 @@ from op3.identify.resolvers import register as register_interpolations
 from op3.identify.search_space import parse_search_space
 from op3.identify.sweeper import register as register_sweeper
 from op3.report import run_provenance
-from op3.report.design import report_design
+from op3.report.design_page import report_design
 from op3.robot import CONTROLLED_JOINTS, named_configs
 from op3.sim import load_model
 

@@ -23,7 +23,7 @@ from op3.envs import BatchedEnv, record_episodes
 from op3.envs.actors import Watched, find_actor
 from op3.policy.actions import GAIN_HIGH, GAIN_LOW
 from op3.report import run_provenance
-from op3.report.evaluation import report_evaluation
+from op3.report.evaluation_page import report_evaluation
 from op3.report.video import film
 from op3.robot import CONTROLLED_JOINTS
 from op3.rollout import Rollout

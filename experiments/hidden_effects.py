@@ -21,7 +21,7 @@ from support import one_sentence
 
 from op3.command_line import launch
 from op3.report import finish, run_provenance, write_result
-from op3.report.naming import naming_page
+from op3.report.naming_page import naming_page
 from op3.stand_in import CATALOGUE, Case, make_case, open_answers
 from op3.stand_in.bench import commit, draw_mix, read_cost, run_all
 from op3.stand_in.score import Verdict, confusion, random_name, read_verdict, score_case, summarise

@@ -26,8 +26,8 @@ from op3.identify.resolvers import register as register_interpolations
 from op3.identify.settings import read_settings, search_space_of
 from op3.identify.sweeper import sweep_or_report
 from op3.report import finish, run_provenance
-from op3.report.comparison import read_runs, write_comparison
-from op3.report.identification import report_identification
+from op3.report.comparison_page import read_runs, write_comparison
+from op3.report.identification_page import report_identification
 from op3.rollout import Rollout, read_logs
 from op3.servo import RobotModel, effect_class
 from op3.servo.conditions import split_name

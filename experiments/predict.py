@@ -16,9 +16,9 @@ from omegaconf import DictConfig
 from support import check_given, focus_joints, logs_where, one_sentence, plain
 
 from op3.command_line import launch
-from op3.identify.prediction import predict_logs
+from op3.identify.prediction_score import predict_logs
 from op3.report import run_provenance
-from op3.report.prediction import report_prediction
+from op3.report.prediction_page import report_prediction
 from op3.rollout import read_logs
 from op3.sim import find_model, load_model
 

@@ -30,8 +30,8 @@ from op3.identify.search_space import parse_search_space
 from op3.identify.sweeper import sweep_or_report
 from op3.policy import PolicyBundle
 from op3.report import run_provenance
-from op3.report.reidentification import report_reidentification
-from op3.report.reidentification_seeds import write_seeds
+from op3.report.reidentification_page import report_reidentification
+from op3.report.seeds_page import write_seeds
 from op3.rollout import read_logs
 from op3.sim import load_model, save_model
 

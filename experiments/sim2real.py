@@ -24,7 +24,7 @@ from op3.command_line import launch
 from op3.identify.episodes import ended_by, that_count
 from op3.policy import PolicyBundle
 from op3.report import finish, read_result, run_provenance, write_result
-from op3.report.sim2real import Transfer, story
+from op3.report.transfer_page import Transfer, story
 from op3.report.video import film, states_of_log
 from op3.robot import build_scene
 from op3.rollout import Rollout, read_logs

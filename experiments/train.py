@@ -26,7 +26,7 @@ from op3.envs.specs import PEAKS
 from op3.policy import ActionMap, Manifest, PolicyBundle, Training
 from op3.policy.mirror import Mirror
 from op3.report import RunLogger, run_provenance
-from op3.report.training import histogram_figure, report_training
+from op3.report.training_page import histogram_figure, report_training
 from op3.report.video import film
 from op3.sim import load_model
 from op3.sim.model_file import model_hash

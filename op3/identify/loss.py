@@ -1,13 +1,14 @@
 """How far a prediction is from a log: the paper's loss, its terms, and residuals for least squares."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from op3.rollout import CHANNELS, LogError, Rollout
+from op3.settings import Listed, NotNegative, Positive, settings
 from op3.tasks import Prediction
 
 UNIT_WEIGHTS: Mapping[tuple[str, str], float] = {
@@ -23,7 +24,7 @@ FAILED_RESIDUAL = 10.0
 """Residual of every sample of a simulation that diverged; far beyond any real one."""
 
 
-@dataclass(frozen=True)
+@settings("loss")
 class TrajectoryLoss:
     """Paper eq. (7), with a weight per channel.
 
@@ -43,23 +44,16 @@ class TrajectoryLoss:
             not in it, and decides how the joints first break away.
     """
 
-    joints: Sequence[str] = ()
-    weights: Mapping[tuple[str, str], float] = field(default_factory=lambda: UNIT_WEIGHTS)
-    robust_scale: float | None = None
-    skip: float = 0.0
+    joints: Listed[str] = ()
+    weights: Mapping[tuple[str, str], NotNegative] = field(default_factory=lambda: UNIT_WEIGHTS)
+    robust_scale: Positive | None = None
+    skip: NotNegative = 0.0
 
     def __post_init__(self):
         unknown = [key for key in self.weights if key not in CHANNELS]
         if unknown or not self.weights:
             names = ", ".join("/".join(key) for key in UNIT_WEIGHTS)
             raise ValueError(f"weights: unknown channel {unknown or 'list (empty)'}; weigh channels such as {names}")
-        wrong = {"/".join(key): weight for key, weight in self.weights.items() if not weight >= 0}
-        if wrong:
-            raise ValueError(f"weights must not be negative, got {wrong}")
-        if self.robust_scale is not None and not self.robust_scale > 0:
-            raise ValueError(f"robust_scale must be positive, got {self.robust_scale}; null for squares")
-        if not self.skip >= 0:
-            raise ValueError(f"skip must not be negative, got {self.skip}")
 
     def columns(self, log: Rollout) -> list[int]:
         """Places of the focusing joints in a log's joint axis.

@@ -15,6 +15,7 @@ from op3.identify.search_space import SearchSpace, SearchSpaceError, check_nomin
 from op3.identify.storage import open_storage
 from op3.identify.study import Evaluate, StudyError, run_study
 from op3.servo.conditions import JOINT
+from op3.settings import Count, Listed, Whole, settings
 
 STORAGE_FILE = "study.journal"
 # Hydra takes plugin classes from the module tree `hydra_plugins` only, see `op3.identify.sweeper.register`.
@@ -54,21 +55,25 @@ class PopulationSweeperConf:
     each: Any = None
 
 
-@dataclass(frozen=True)
+def _refused(field: str, wanted: str, given: Any) -> StudyError:
+    return StudyError(f"hydra.sweeper: {field} must be {wanted}, got {given!r}.")
+
+
+@settings("hydra.sweeper", _refused)
 class StudySettings:
     """What one study needs, read from a composed config."""
 
     search_space: SearchSpace
     nominal: dict[str, Any] | None
     sampler: Any
-    directions: tuple[str, ...]
+    directions: Listed[str]
     storage: str
     study_name: str
-    n_trials: int
-    population: int
-    parallel_populations: int
-    seed: int | None
-    starts: int = 0
+    n_trials: Count
+    population: Count
+    parallel_populations: Count
+    seed: Whole | None
+    starts: Whole = 0
 
     def check(self) -> None:
         """Find out before the first trial whether the sampler and the storage can be used."""
@@ -120,10 +125,6 @@ def read_settings(config: DictConfig, sweeper: DictConfig, folder: Path, cell: s
     values = {key: _config_value(config, key.partition(f"@{JOINT}=")[0]) for key in search_space}
     direction = plain["direction"]
     storage, name = plain["storage"], plain["study_name"] or "study"
-    if plain["parallel_populations"] < 1 or plain["population"] < 1 or plain["n_trials"] < 1 or plain["starts"] < 0:
-        raise StudyError(
-            "hydra.sweeper: population, parallel_populations and n_trials must be at least 1, starts at least 0."
-        )
     return StudySettings(
         search_space=search_space,
         nominal=check_nominal(search_space, values) if plain["nominal"] else None,
@@ -131,11 +132,7 @@ def read_settings(config: DictConfig, sweeper: DictConfig, folder: Path, cell: s
         directions=(direction,) if isinstance(direction, str) else tuple(direction),
         storage=_storage_address(storage, folder),
         study_name=f"{name}/{cell}" if storage and cell else name,
-        n_trials=plain["n_trials"],
-        population=plain["population"],
-        parallel_populations=plain["parallel_populations"],
-        seed=plain["seed"],
-        starts=plain["starts"],
+        **{key: plain[key] for key in ("n_trials", "population", "parallel_populations", "seed", "starts")},
     )
 
 

@@ -70,8 +70,8 @@ class Page:
             return
         # `<` inside the data must not end the script element
         self._figures.append(Markup(str(figure.to_json()).replace("<", "\\u003c")))
-        margin = figure.layout.margin
-        width = 320 + (margin.l or 0) + (margin.r or 0)  # narrower screens move the figure sideways
+        margin, columns = figure.layout.margin, len({axis.domain for axis in figure.select_xaxes()})
+        width = max(320, 240 * columns) + (margin.l or 0) + (margin.r or 0)  # narrower screens move it sideways
         self._add("figure", caption, height=int(figure.layout.height or 420), width=width)
 
     def films(self, films: Sequence[tuple[str, str]]) -> None:

@@ -96,6 +96,7 @@ def dress(figure: go.Figure, height: int, **layout: Any) -> go.Figure:
         ),
         margin=dict(l=70, r=20, t=48, b=48),
         hoverlabel=dict(font=dict(family=FONT, size=12, color=INK), bgcolor=GROUND, bordercolor=FRAME),
+        modebar=dict(bgcolor="rgba(0,0,0,0)", color=FRAME, activecolor=MUTED),
         dragmode="zoom",
     )
     figure.update_layout(**layout)

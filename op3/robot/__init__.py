@@ -17,12 +17,12 @@ from op3.robot.joints import (
 )
 from op3.robot.kinematics import KEY_POINTS, center_of_mass, key_points, quaternion, sole_corners
 from op3.robot.leg_excitations import LEG_JOINTS, Excitation, leg_suite, leg_walking
+from op3.robot.motion_checks import SPEED_LIMIT, check_motion, motion_faults
 from op3.robot.motions import Motion, hold, squat
 from op3.robot.op3_entity import OP3
 from op3.robot.poses import POSES, pose, standing_height
 from op3.robot.robot import Robot, load_robot
 from op3.robot.robot_excitations import robot_suite, robot_walking
-from op3.robot.safety import SPEED_LIMIT, check_motion, motion_faults
 from op3.robot.scenes import SCENES, Scene, build_bench, build_scene
 from op3.robot.servo_make import ServoMake, load_servo
 from op3.robot.surfaces import draw_tiles, place_tiles, tile_ids

@@ -1,7 +1,7 @@
 """Excitations: motions that make the parameters of servos and body visible in a log.
 
 Every one starts and ends at rest in the pose it goes around, keeps its own speed limit, and is sampled at the rate of
-the robot's PD loop. `op3.robot.safety` checks limits, speeds and collisions of the result.
+the robot's PD loop. `op3.robot.motion_checks` checks limits, speeds and collisions of the result.
 """
 
 from collections.abc import Mapping, Sequence

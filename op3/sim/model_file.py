@@ -11,6 +11,7 @@ import yaml
 from op3.robot import named_configs
 from op3.servo import Estimate, RobotModel, effect_class
 from op3.servo.conditions import split_name
+from op3.settings import read_yaml
 
 FORMAT = "op3-model/1"
 
@@ -63,10 +64,7 @@ def load_model(name_or_path: str | Path) -> RobotModel:
         FileNotFoundError: if there is no such file.
     """
     path = find_model(name_or_path)
-    try:
-        content = yaml.safe_load(path.read_text())
-    except yaml.YAMLError as error:
-        raise ValueError(f"{path}: not valid YAML ({' '.join(str(error).split())}); fix or rewrite it") from error
+    content = read_yaml(path)
     try:
         return from_dict(content)
     except ValueError as error:

@@ -12,7 +12,7 @@ import pytest
 from deploy_rig import make_rig
 from policies import hold_policy
 
-from op3.deploy import Calibration, Connection, Plan, Player, calibrate, connect, read_only, replay, run, setup
+from op3.deploy import Calibration, Connection, Plan, Player, calibrate, connect, read_only, replay_policy, run, setup
 from op3.deploy.bus import Unplugged
 from op3.deploy.emulator import OP3_SETTINGS, read_frames
 from op3.deploy.exit_codes import ExitCode, Stop
@@ -376,10 +376,10 @@ def test_replay_with_another_policy(tmp_path):
         report=rig.lines.append,
     )
     log = Rollout.load(tmp_path / "logs" / "run")
-    assert replay(log, PolicyRunner(hold_policy())).ok
+    assert replay_policy(log, PolicyRunner(hold_policy())).ok
     walker = PolicyRunner(PolicyBundle.load(ROOT / "assets" / "policies" / "walk"))
     with pytest.raises(ValueError, match="observations have 124 numbers and those of this policy 256"):
-        replay(log, walker)
+        replay_policy(log, walker)
 
 
 def test_collect_from_the_emulated_robot(tmp_path):

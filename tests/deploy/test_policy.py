@@ -11,8 +11,8 @@ from policies import hold_policy
 from op3.deploy.emulator import Faults
 from op3.deploy.exit_codes import ExitCode
 from op3.deploy.phases import GainRamp
+from op3.deploy.policy_replay import replay_policy
 from op3.deploy.policy_runner import FollowPolicy, PolicyRunner
-from op3.deploy.replay import replay
 from op3.envs import make_env
 from op3.policy import PolicyBundle
 from op3.robot import JOINTS, indices
@@ -93,7 +93,7 @@ def test_replay_gives_the_same_actions(tmp_path, faults):
     _, outcome = run_policy(tmp_path, bundle, 2.0, faults=Faults(lost=faults))
     assert outcome.code == ExitCode.OK
     log = Rollout.load(tmp_path / "logs" / "run")
-    result = replay(log, PolicyRunner(bundle))
+    result = replay_policy(log, PolicyRunner(bundle))
     assert result.ok
     assert result.steps in (62, 63)
     assert result.action_difference < 1e-12
@@ -104,7 +104,7 @@ def test_replay_tells_another_policy(tmp_path):
     """Another policy's actions are told from step 0 on."""
     run_policy(tmp_path, hold_policy(feedback=0.2))
     log = Rollout.load(tmp_path / "logs" / "run")
-    result = replay(log, PolicyRunner(hold_policy(feedback=0.2, seed=1)))
+    result = replay_policy(log, PolicyRunner(hold_policy(feedback=0.2, seed=1)))
     assert not result.ok
     assert result.first == 0
     assert "other actions from step 0 on" in str(result)
@@ -115,7 +115,7 @@ def test_replay_refuses_what_it_cannot_replay(tmp_path):
     rig = make_rig(tmp_path)
     log = rig.run(duration=0.2, folder=tmp_path / "logs").logs["run"]
     with pytest.raises(ValueError, match="no policy/action"):
-        replay(log, PolicyRunner(hold_policy()))
+        replay_policy(log, PolicyRunner(hold_policy()))
 
 
 def test_a_policy_that_breaks_is_refused(tmp_path):

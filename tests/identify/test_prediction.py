@@ -8,7 +8,7 @@ import torch
 from scipy import stats
 
 from op3.identify.loss import TrajectoryLoss, position_error
-from op3.identify.prediction import bootstrap_interval, predict_logs, score_predictions
+from op3.identify.prediction_score import bootstrap_interval, predict_logs, score_predictions
 from op3.robot import CONTROLLED_JOINTS, squat
 from op3.rollout import Metadata, Rollout
 from op3.servo import Estimate

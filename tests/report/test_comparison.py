@@ -8,7 +8,7 @@ import yaml
 from report_logs import PageReader
 
 from op3.report import read_result, write_result
-from op3.report.comparison import read_runs, varied, write_comparison
+from op3.report.comparison_page import read_runs, varied, write_comparison
 
 
 @pytest.fixture

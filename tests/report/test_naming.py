@@ -3,7 +3,7 @@
 import numpy as np
 from report_logs import PageReader
 
-from op3.report.naming import LABELS, confusion_figure, naming_page, rates_figure, reliability_figure
+from op3.report.naming_page import LABELS, confusion_figure, naming_page, rates_figure, reliability_figure
 
 
 def rate(count: int, of: int) -> dict[str, float]:

@@ -6,8 +6,8 @@ from optuna.distributions import FloatDistribution
 
 from op3.identify.reidentification import Candidate, Reidentified
 from op3.report import read_result
-from op3.report.reidentification import report_reidentification
-from op3.report.reidentification_seeds import write_seeds
+from op3.report.reidentification_page import report_reidentification
+from op3.report.seeds_page import write_seeds
 from op3.sim import load_model
 
 NAME = "torque_constant"

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from op3.report.sim2real import Transfer, story
+from op3.report.transfer_page import Transfer, story
 
 
 def transfer(expected, actual, upright=(True,), walked=None):

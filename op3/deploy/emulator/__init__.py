@@ -1,6 +1,5 @@
 """An emulated ROBOTIS-OP3 on a Dynamixel Protocol 2.0 bus, to the byte."""
 
-from op3.deploy.emulator.bus import Timing
 from op3.deploy.emulator.faults import (
     BrownOut,
     Faults,
@@ -11,6 +10,7 @@ from op3.deploy.emulator.faults import (
     Unplug,
 )
 from op3.deploy.emulator.frames import Frame, read_frames
+from op3.deploy.emulator.line import Timing
 from op3.deploy.emulator.physics import Physics, Readings, StandInPhysics
 from op3.deploy.emulator.port import Clock, VirtualPort
 from op3.deploy.emulator.power import Battery, Windings

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from serial import SerialException
 
-from op3.deploy.emulator.bus import Bus, Timing
 from op3.deploy.emulator.device import Device
 from op3.deploy.emulator.faults import (
     RESET_VOLTAGE,
@@ -27,6 +26,7 @@ from op3.deploy.emulator.faults import (
 from op3.deploy.emulator.firmware import PERIOD, Firmware
 from op3.deploy.emulator.frames import FrameRecorder
 from op3.deploy.emulator.instructions import Dispatcher
+from op3.deploy.emulator.line import Line, Timing
 from op3.deploy.emulator.open_cr import BUTTONS, OpenCR
 from op3.deploy.emulator.physics import Physics, Readings
 from op3.deploy.emulator.port import Clock, VirtualPort
@@ -120,7 +120,7 @@ class EmulatedRobot:
         self._dispatcher = Dispatcher((*self._all, self.open_cr), timing.turnaround, self._hears)
         self.recorder = None if record is None else FrameRecorder(record)
         self.clock = Clock(self)
-        self.bus = Bus(self._answers, timing, self.faults, np.random.default_rng([seed, 6]), self.recorder)
+        self.bus = Line(self._answers, timing, self.faults, np.random.default_rng([seed, 6]), self.recorder)
         self.time = 0.0
         self.unplugged = False
         self._ticks = 0

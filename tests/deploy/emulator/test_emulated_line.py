@@ -20,7 +20,7 @@ from op3.deploy.emulator import (
     Unplug,
     read_frames,
 )
-from op3.deploy.emulator.bus import Bus
+from op3.deploy.emulator.line import Bus
 from op3.deploy.protocol import Parser, encode
 from op3.deploy.registers import HardwareError
 from op3.sim import load_model

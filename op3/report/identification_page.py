@@ -8,7 +8,7 @@ import numpy as np
 
 from op3.identify.identification import Fit, Score
 from op3.report.figures import history_figure, ranges_figure
-from op3.report.identifiability import identifiability_numbers, identifiability_section
+from op3.report.identifiability_section import identifiability_numbers, identifiability_section
 from op3.report.page import Page
 from op3.report.result import finite, publish
 from op3.report.tables import loss_table, number, parameter_table

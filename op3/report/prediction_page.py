@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from op3.identify.prediction import PredictionScore
+from op3.identify.prediction_score import PredictionScore
 from op3.report.page import Page
 from op3.report.result import publish
 from op3.report.style import words

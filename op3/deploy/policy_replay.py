@@ -15,7 +15,7 @@ TOLERANCE = 1e-5
 
 
 @dataclass(frozen=True)
-class Replay:
+class PolicyReplay:
     """What came out.
 
     Attributes:
@@ -43,7 +43,7 @@ class Replay:
         )
 
 
-def replay(log: Rollout, runner: PolicyRunner) -> Replay:
+def replay_policy(log: Rollout, runner: PolicyRunner) -> PolicyReplay:
     """Feed a log's sensor readings to a policy and compare.
 
     Args:
@@ -82,7 +82,7 @@ def replay(log: Rollout, runner: PolicyRunner) -> Replay:
         if seen is not None:
             observations.append(np.abs(observation - seen[row]).max())
     beyond = [step for step, difference in zip(steps, actions, strict=True) if not difference < TOLERANCE]
-    return Replay(
+    return PolicyReplay(
         steps=len(steps),
         action_difference=float(np.max(actions)),
         observation_difference=float(np.max(observations)) if observations else float("nan"),

@@ -49,7 +49,7 @@ Answers = Callable[[Packet, float], list[tuple[float, bytes]]]
 """Handles an instruction that ends at a time [s]: the pauses before the answers [s], and the answers."""
 
 
-class Bus:
+class Line:
     """The line, the adapter and what is under way on them.
 
     Args:

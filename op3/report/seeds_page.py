@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from op3.report.comparison import Run, read_runs, spread, spread_cells, variants
+from op3.report.comparison_page import Run, read_runs, spread, spread_cells, variants
 from op3.report.page import Page
-from op3.report.reidentification import ACTUAL, BEFORE, FOUND
+from op3.report.reidentification_page import ACTUAL, BEFORE, FOUND
 from op3.report.result import write_result
 from op3.report.style import bars_figure, boxes_figure, words
 
