@@ -20,7 +20,7 @@ from op3.deploy.emulator import (
     Unplug,
     read_frames,
 )
-from op3.deploy.emulator.line import Bus
+from op3.deploy.emulator.line import Line
 from op3.deploy.protocol import Parser, encode
 from op3.deploy.registers import HardwareError
 from op3.sim import load_model
@@ -217,7 +217,7 @@ def test_equal_seeds_give_equal_bytes_with_a_robot_behind_them(tmp_path, make):
 def test_a_hundred_thousand_damaged_instructions_reach_no_device():
     """Writes with up to three wrong bits or a wrong burst of 16: no crash, and nothing that a device would obey."""
     obeyed = []
-    line = Bus(lambda packet, end: obeyed.append(packet) or [], Timing(), Faults(), np.random.default_rng(0), None)
+    line = Line(lambda packet, end: obeyed.append(packet) or [], Timing(), Faults(), np.random.default_rng(0), None)
     line.baud = 2_000_000
     frames = [encode(14, 3, bytes([64, 0, 1])), encode(254, 0x83, bytes([102, 0, 2, 0, *range(60)]))]
     numbers = [int.from_bytes(frame, "big") for frame in frames]
