@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from op3.report import machine
-from op3.train import SAC, Replay, SACSettings
+from op3.train import SAC, ReplayBuffer, SACSettings
 
 BATCH, OBSERVATION, ACTION = 256, 124, 20
 ROWS, ENVIRONMENTS = 600, 32
@@ -39,7 +39,7 @@ def ours(hidden: int, **settings: object) -> Callable[[], object]:
     """Our update, one-step returns and no layer normalisation unless asked for, so as to compute what others do."""
     options = {"n_step": 1, "layer_norm": False, **settings}
     sac = SAC(OBSERVATION, ACTION, SACSettings(hidden=(hidden, hidden), **options), torch.Generator().manual_seed(0))
-    replay = Replay(ROWS * ENVIRONMENTS, ENVIRONMENTS, OBSERVATION, ACTION)
+    replay = ReplayBuffer(ROWS * ENVIRONMENTS, ENVIRONMENTS, OBSERVATION, ACTION)
     replay.extend(**transitions())
     steps, discount = sac.settings.n_step, sac.settings.discount
     return lambda: sac.update(replay.sample(BATCH, steps, discount, sac.generator))

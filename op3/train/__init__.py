@@ -4,7 +4,7 @@ from op3.train.collector import Collector
 from op3.train.evaluate import evaluate
 from op3.train.explorer import Explorer
 from op3.train.practice import Practice
-from op3.train.replay import Batch, Replay
+from op3.train.replay_buffer import Batch, ReplayBuffer
 from op3.train.sac import SAC, SACSettings
 from op3.train.training import Progress, TrainSettings, train
 
@@ -15,7 +15,7 @@ __all__ = [
     "Explorer",
     "Practice",
     "Progress",
-    "Replay",
+    "ReplayBuffer",
     "SACSettings",
     "TrainSettings",
     "evaluate",

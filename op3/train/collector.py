@@ -9,7 +9,7 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 
 STORED = ("observation", "action", "reward", "next_observation", "terminated", "done")
-"""What a replay buffer keeps of a rollout, in the order of `op3.train.Replay.extend`."""
+"""What a replay buffer keeps of a rollout, in the order of `op3.train.ReplayBuffer.extend`."""
 
 Policy = Callable[[Tensor], Tensor]
 """Observations [env, observation] to actions [env, action] in [-1, 1]."""

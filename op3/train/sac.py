@@ -11,7 +11,7 @@ from op3.policy import Manifest, PolicyBundle
 from op3.settings import Count, NotNegative, Number, Positive, Some, Whole, settings
 from op3.train.networks import LARGEST_STD, SMALLEST_STD, Actor, TwinCritics
 from op3.train.normaliser import Normaliser
-from op3.train.replay import Batch
+from op3.train.replay_buffer import Batch
 
 NORMALISED = 10_000
 """Observations that a normalisation taken over from another policy counts for."""

@@ -19,7 +19,7 @@ from op3.train.checkpoint import load_checkpoint, save_checkpoint, stop_requeste
 from op3.train.collector import STORED, Collector, Episodes, Policy
 from op3.train.explorer import Explorer
 from op3.train.practice import Practice
-from op3.train.replay import Batch, Replay
+from op3.train.replay_buffer import Batch, ReplayBuffer
 from op3.train.sac import SAC
 
 CHECKPOINT = "checkpoint.pt"
@@ -135,7 +135,7 @@ def train(
     """
     folder, practice = Path(folder), practice or Practice()
     size, action_size = manifest.observation_size, manifest.action_map.size
-    replay = Replay(settings.buffer, collector.count, size, action_size, sac.device)
+    replay = ReplayBuffer(settings.buffer, collector.count, size, action_size, sac.device)
     identity = _identity(manifest, settings)
     run = _resume(folder / CHECKPOINT, identity, manifest, sac, replay, say) if resume else Progress()
     run.stopped = False
@@ -186,7 +186,7 @@ def train(
     return run
 
 
-def _sample(sac: SAC, replay: Replay, mirrored: float, mirror: Mirror | None) -> Batch:
+def _sample(sac: SAC, replay: ReplayBuffer, mirrored: float, mirror: Mirror | None) -> Batch:
     """A batch, part of which is seen in the mirror."""
     settings = sac.settings
     batch = replay.sample(settings.batch, settings.n_step, settings.discount, sac.generator)
@@ -243,7 +243,7 @@ def _identity(manifest: Manifest, settings: TrainSettings) -> dict[str, Any]:
 
 
 def _save(
-    path: Path, identity: dict[str, Any], manifest: Manifest, run: Progress, sac: SAC, replay: Replay | None
+    path: Path, identity: dict[str, Any], manifest: Manifest, run: Progress, sac: SAC, replay: ReplayBuffer | None
 ) -> None:
     states = {"sac": sac.state_dict(), "replay": None if replay is None else replay.state_dict()}
     settings = flat(manifest.training.settings)
@@ -251,7 +251,7 @@ def _save(
 
 
 def _resume(
-    path: Path, identity: dict[str, Any], manifest: Manifest, sac: SAC, replay: Replay, say: Callable[[str], None]
+    path: Path, identity: dict[str, Any], manifest: Manifest, sac: SAC, replay: ReplayBuffer, say: Callable[[str], None]
 ) -> Progress:
     state = load_checkpoint(path)
     known = state["identity"]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from torch.distributions import Independent, Normal, TanhTransform, TransformedDistribution
 
 from op3.policy import ActionMap, Manifest
-from op3.train import SAC, Batch, Replay, SACSettings
+from op3.train import SAC, Batch, ReplayBuffer, SACSettings
 from op3.train.networks import Actor, TwinCritics
 from op3.train.normaliser import Normaliser
 
@@ -151,7 +151,7 @@ def test_target_critics_follow_by_their_rate():
         torch.testing.assert_close(new, old + 0.1 * (critic.detach() - old))
 
 
-def naive_return(replay: Replay, row: int, env: int, steps: int, discount: float) -> tuple[float, float, int]:
+def naive_return(replay: ReplayBuffer, row: int, env: int, steps: int, discount: float) -> tuple[float, float, int]:
     """Return, discount of what follows, and last row, by a loop."""
     total, last = 0.0, row
     for number in range(steps):
@@ -167,7 +167,7 @@ def naive_return(replay: Replay, row: int, env: int, steps: int, discount: float
 def test_n_step_returns(steps, rows, chunk, seed):
     """Returns, discounts and last observations equal a plain loop's, over ends of episodes and of the ring."""
     g = generator(seed)
-    replay = Replay(48, 3, 2, 1)
+    replay = ReplayBuffer(48, 3, 2, 1)
     written = 0
     while written < max(rows, steps):
         terminated = torch.rand(chunk, 3, generator=g) < 0.15
@@ -191,7 +191,7 @@ def test_n_step_returns(steps, rows, chunk, seed):
 
 def test_cut_ends_episodes_by_time():
     """After `cut` a return does not reach over the restart, and still bootstraps."""
-    replay = Replay(10, 1, 1, 1)
+    replay = ReplayBuffer(10, 1, 1, 1)
     flags = torch.zeros(2, 1, dtype=torch.bool)
     one = torch.ones(2, 1, 1)
     replay.extend(one, one, torch.ones(2, 1), one, flags, flags)

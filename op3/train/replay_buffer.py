@@ -24,7 +24,7 @@ class Batch(NamedTuple):
     next_observation: Tensor
 
 
-class Replay:
+class ReplayBuffer:
     """A ring of rows, each one step of all environments; batches look ahead n rows for their returns.
 
     TorchRL's buffers sample single transitions, whose n-step returns must be formed before they are stored; here
