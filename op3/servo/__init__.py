@@ -5,7 +5,6 @@ from op3.servo.effect import (
     ModelEdit,
     Parameter,
     Scope,
-    Signals,
     Stage,
     Trunk,
     catalogue,
@@ -16,7 +15,7 @@ from op3.servo.effect import (
 )
 from op3.servo.effects import *  # noqa: F403  (registers the effects)
 from op3.servo.robot_model import Estimate, RobotModel
-from op3.servo.servo_law import ServoLaw
+from op3.servo.servos import Servos, Signals
 
 __all__ = [
     "Effect",
@@ -25,7 +24,7 @@ __all__ = [
     "Parameter",
     "RobotModel",
     "Scope",
-    "ServoLaw",
+    "Servos",
     "Signals",
     "Stage",
     "Trunk",

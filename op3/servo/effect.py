@@ -10,7 +10,6 @@ from enum import IntEnum
 from math import inf, isfinite
 from typing import ClassVar, Literal, get_args, get_origin, get_type_hints
 
-import torch
 from torch import Tensor
 
 
@@ -85,72 +84,71 @@ class ModelEdit:
     per: str | None = None
 
 
-@dataclass
-class Signals:
-    """What flows through the servo law in one step. Every tensor is ``[sim, joint]`` unless stated.
-
-    The simulation fills the inputs, the effects fill the rest in the order of their stages, and the
-    simulation hands the last three to MuJoCo.
-    """
-
+SIGNALS = {
     # inputs: the true state of the joint, and what the output transmitted to its link in the last step
-    position: Tensor  # [rad]
-    velocity: Tensor  # [rad/s]
-    speed: Tensor  # |velocity| [rad/s]
-    load_torque: Tensor  # tau_a [N m]
-    radial_force: Tensor  # across the output shaft [N]; filled only where an effect reads it
+    "position": "of the joint [rad]",
+    "velocity": "of the joint [rad/s]",
+    "load_torque": "tau_a [N m]",
+    "radial_force": "across the output shaft [N]; filled only where an effect reads it",
     # commands, held until the next tick
-    position_target: Tensor  # [rad]
-    p_gain: Tensor  # [A/rad]
-    d_gain: Tensor  # [A s/rad]
-    firmware_gain: Tensor  # kp of the servo's own position loop [firmware units]
-    torque_enable: Tensor  # 1 or 0
-    packet: Tensor  # whether that of this tick arrived, where it is known: 1, -1 where it was lost; 0 elsewhere
-    bus_voltage: Tensor  # [V]
-    temperature: Tensor  # of the servo, as it measures it [C]
-    time: Tensor  # since the start [s]; filled only where an effect reads it
-    phase: int | Tensor  # simulation steps since the last tick; ``[1]`` in a step that is translated
+    "position_target": "[rad]",
+    "p_gain": "[A/rad]",
+    "d_gain": "[A s/rad]",
+    "firmware_gain": "kp of the servo's own position loop [firmware units]",
+    "torque_enable": "1 or 0",
+    "packet": "whether that of this tick arrived, where it is known: 1, -1 where it was lost; 0 elsewhere",
+    "bus_voltage": "[V]",
+    "temperature": "of the servo, as it measures it [C]",
+    # what a servo's registers say, where its motor is driven by them
+    "goal_duty": "-1 to 1",
+    "by_voltage": "1 where a voltage is applied, 0 where current is regulated",
+    "current_bound": "of a servo that applies a voltage [A]",
+    # clocks
+    "time": "since the start [s]",
+    "phase": "simulation steps since the last tick",
     # sensing stage: what the servo's encoder says
-    measured_position: Tensor  # [rad]
-    measured_velocity: Tensor  # [rad/s]
+    "measured_position": "[rad]",
+    "measured_velocity": "[rad/s]",
     # what reaches the servo, and what its driver applies
-    target_current: Tensor  # [A]
-    goal: Tensor  # of the servo's own position loop [rad]
-    duty: Tensor  # what the PWM register says, -1 to 1
-    voltage: Tensor  # [V]
+    "target_current": "[A]",
+    "ahead": "by how much the current wanted at the end of a step exceeds its mean over the step [A]",
+    "since": "share of the step for which the command at its end has acted",
+    "goal": "of the servo's own position loop [rad]",
+    "duty": "what the PWM register says, -1 to 1",
+    "voltage": "[V]",
+    "drawn": "sum of the currents of all servos of the robot in the last step, without signs [A]",
+    "supply_resistance": "by which the bus voltage of this step falls with the currents of this step [ohm]",
     # motor stage
-    current: Tensor  # [A]
-    motor_torque: Tensor  # tau_m at the old velocity [N m]
-    measured_current: Tensor  # what the servo says of it [A]; filled when sensors are read for a log
+    "torque_constant_factor": "by which the motor's constant differs now",
+    "resistance_factor": "by which its resistance differs now",
+    "current": "[A]",
+    "motor_torque": "tau_m at the old velocity [N m]",
+    "measured_current": "what the servo says of it [A]; filled when sensors are read for a log",
     # friction stage
-    fade: Tensor  # share of the friction near rest that is left at this speed; 1 without a Stribeck effect
-    # to MuJoCo
-    applied_torque: Tensor  # at the old velocity [N m]
-    damping: Tensor  # minus its derivative by velocity, to be integrated implicitly [N m s/rad]
-    friction_bound: Tensor  # [N m]
-    # memory of effects that have one, by effect name
-    state: dict[str, Tensor]
-    # factors on the motor's parameters that change in time, by parameter name; none where no effect sets one
-    factors: dict[str, Tensor]
+    "speed": "|velocity| [rad/s]",
+    "fade": "share of the friction near rest that is left at this speed; 1 without a Stribeck effect",
+    # to the physics
+    "applied_torque": "at the old velocity [N m]",
+    "damping": "minus its derivative by velocity, to be integrated implicitly [N m s/rad]",
+    "friction_bound": "[N m]",
+    # the joint's own, where an effect puts others in their place during a step
+    "link_position": "[rad]",
+    "link_velocity": "[rad/s]",
+    "true_load": "[N m]",
+    "open_voltage": "[V]",
+    "asked_current": "[A]",
+    # a rotor that is a body of its own: its velocity after a step is ``rotor_velocity + rotor_gain * velocity``
+    "rotor_angle": "before the step [rad]",
+    "rotor_velocity": "[rad/s]",
+    "rotor_gain": "-",
+    "rotor_slips": "direction in which it slipped",
+    "rotor_torque": "on it in the last step [N m]",
+    "contact_torque": "between it and the link in the last step [N m]",
+}
+"""What flows through the servo law, of each joint: the fields of ``s`` in the functions of an effect.
 
-    @classmethod
-    def zeros(
-        cls,
-        num_sims: int,
-        num_joints: int,
-        device: torch.device | str = "cpu",
-        dtype: torch.dtype = torch.float64,
-    ) -> "Signals":
-        """Signals of a servo at rest without command."""
-        made = {
-            field.name: torch.zeros(num_sims, num_joints, dtype=dtype, device=device)
-            for field in fields(cls)
-            if field.name not in ("phase", "state", "factors")
-        }
-        return cls(**made, phase=0, state={}, factors={})
-
-
-Prepared = Mapping[str, Tensor]
+The simulation fills the inputs, the effects fill the rest in the order of their stages, and the simulation hands
+torque, damping and friction to the physics."""
 
 
 @dataclass
@@ -186,6 +184,31 @@ Scope = Literal["robot", "shared", "joint", "side"]
 class Effect:
     """Base class of everything in the catalogue; subclasses are frozen dataclasses of their options.
 
+    The law of an effect is a few scalar functions of one joint, compiled with those of all others into one kernel. Each
+    is a static method of ``(s, p)``: ``s`` holds the `SIGNALS` and the effect's own ``memory``, ``p`` the parameters of
+    the whole catalogue, each as it is where its effect is off too: neutral. Memory, constants and options bear the
+    effect's name: ``s.backlash_angle``, ``p.motor_gear_ratio``. An option that is a word counts as the place in its
+    list. Functions that an effect does not have cost nothing; what they all must do without are objects and memory of
+    their own.
+
+    | function | when | for |
+    |---|---|---|
+    | ``prepare(p)`` | when parameters are set | ``constants`` of a step |
+    | ``reset(s, p)`` | at the start | memory, which is zero before |
+    | ``sense(s, p)`` | whenever sensors are read | what they say; memory is only read |
+    | ``tick(s, p)`` | once per control period, when commands arrived | commands |
+    | ``begin(s, p)`` | first in every step | bringing memory up to the joint's new state |
+    | ``apply(s, p)`` | in every step, by stage and rank | the law |
+    | ``finish(s, p)`` | last in every step | what must be remembered of it |
+    | ``motor_side(s, p)`` | before a servo reports of itself | the motor's velocity in place of the joint's |
+    | ``report(s, p)`` | when a row of a log is read | what it says of itself and does not act on |
+    | ``balance(s, p, torque, rests)`` | where a simulation starts from data | bending what is elastic |
+
+    Position, velocity, load torque, bus voltage and target current may be changed during a step; after it they are what
+    they were. `balance` gets the torque by which the last step exceeds what the measured motion asks for [N m] and
+    whether the joint rests, and returns the torque that it leaves to the effects nearer to the motor. An effect that
+    has a `depth` gets as many numbers of memory more, as the last argument of ``reset``, ``tick`` and ``apply``.
+
     What the diagnosis needs to find an effect stands beside the law. A *secant* is one finite change of parameters at
     which a prediction is compared with that of the model without it: an amount that is added to what the parameter is
     (its neutral value where the effect is off), or the value itself where a parameter has no neutral value. It may
@@ -195,14 +218,15 @@ class Effect:
     Class attributes:
         name: identifier in ``model.yaml`` and ``conf/effect/``.
         stage: when it acts.
-        rank: place within the stage; effects of one rank keep the order of the model.
+        rank: place within the stage; effects of one rank act in the order of their names.
         equation: the law in one line.
         source: where the law comes from.
         parameters: its numbers.
+        memory: names of what it remembers.
+        constants: names of what `prepare` computes.
         edits: what it changes in the MuJoCo model.
         reads: signals that simulations fill only where an effect asks for them.
-        commands: inputs of `Signals` without which it cannot act.
-        borrows: parameters of other effects that `prepare` is given too, where those effects are on.
+        commands: inputs without which it cannot act.
         size: name of the parameter that says how strong the effect is.
         smallest: smallest size that matters, as a distance from neutral in that parameter's unit.
         secants: finite changes for screening, several where the effect is not local in its parameters.
@@ -220,10 +244,11 @@ class Effect:
     equation: ClassVar[str]
     source: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]] = ()
+    memory: ClassVar[tuple[str, ...]] = ()
+    constants: ClassVar[tuple[str, ...]] = ()
     edits: ClassVar[tuple[ModelEdit, ...]] = ()
     reads: ClassVar[tuple[str, ...]] = ()
     commands: ClassVar[tuple[str, ...]] = ()
-    borrows: ClassVar[tuple[str, ...]] = ()
     size: ClassVar[str] = ""
     smallest: ClassVar[float] = 0.0
     secants: ClassVar[tuple[Mapping[str, float], ...]] = ()
@@ -251,7 +276,7 @@ class Effect:
                 raise ValueError(f"effect {self.name!r}: {option} must be a finite number, got {value!r}")
 
     def adjust(self, values: Mapping[str, Tensor], sides: Tensor) -> Mapping[str, Tensor]:
-        """All parameters of the model as this effect leaves them, before any constants are computed from them.
+        """All parameters of the model as this effect leaves them; or an error where they are none it can have.
 
         Args:
             values: parameters of all effects that are on, each ``[sim, joint]``.
@@ -260,57 +285,18 @@ class Effect:
         del sides
         return values
 
-    def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
-        """Constants of a step, computed once whenever parameters change.
-
-        Args:
-            values: this effect's parameters, and those that it borrows, each ``[sim, joint]``.
-            clock: simulation step and control period.
-        """
+    def depth(self, clock: Clock) -> int:
+        """How many numbers beside its memory it remembers of each joint."""
         del clock
-        return values
+        return 0
 
-    def reset(self, signals: Signals, prepared: Prepared) -> None:
-        """Create the effect's memory in ``signals.state``, given the commands and state at the start."""
-
-    def balance(self, signals: Signals, prepared: Prepared, torque: Tensor, rests: Tensor) -> Tensor:
-        """Bend elastic elements so that the joint does what was measured, where a simulation starts from data.
+    def sense_trunk(self, trunk: Trunk, values: Mapping[str, Tensor]) -> None:
+        """Change what the trunk's IMU says.
 
         Args:
-            signals: after a step of the law.
-            prepared: see `prepare`.
-            torque: by which what the law gave in that step exceeds what the measured motion asks for [N m].
-            rests: where the joint rests: there all is in balance.
-
-        Returns:
-            The torque that is left to the effects nearer to the motor.
+            trunk: what it says so far.
+            values: parameters of the model, ``[sim, 1]`` those of the whole robot.
         """
-        del signals, prepared, rests
-        return torque
-
-    def tick(self, signals: Signals, prepared: Prepared) -> None:
-        """Act once per control period, right after new commands arrived."""
-
-    def begin(self, signals: Signals, prepared: Prepared) -> None:
-        """Look at the joint's new state once per simulation step, before any effect acts.
-
-        An effect may put other values in place of the joint's position, velocity and load torque for this step.
-        """
-
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
-        """Act once per simulation step; effects on sensors act whenever these are read, and keep no memory there."""
-
-    def finish(self, signals: Signals, prepared: Prepared) -> None:
-        """Keep what must be remembered of the joint's state, once per simulation step, after all effects acted."""
-
-    def motor_side(self, signals: Signals, prepared: Prepared) -> None:
-        """Put the motor's velocity in place of the joint's while the servo reports of itself, where they differ."""
-
-    def report(self, signals: Signals, prepared: Prepared) -> None:
-        """Change what the servo says of itself in a log and does not act on."""
-
-    def sense_trunk(self, trunk: Trunk, prepared: Prepared) -> None:
-        """Change what the trunk's IMU says."""
 
     @classmethod
     def options(cls) -> tuple[str, ...]:

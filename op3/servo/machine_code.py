@@ -1,39 +1,35 @@
-"""Functions in machine code, kept on disk where that can be."""
+"""Functions in machine code, without objects and memory of their own, which a graphics processor could run too."""
 
 from collections.abc import Callable
 from typing import Any
 
 import numba
-from numba.core import cgutils, types
-from numba.extending import intrinsic
+
+OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
+"""Numbers are divided by zero as numpy does it; arrays are looked at, never made or counted."""
+
+INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "no_rewrites": True, "forceinline": True}
 
 
-def machine_code(function: Callable[..., Any]) -> Any:
-    """The function, compiled when it is first called with arguments of a kind, as numpy would compute it.
+def scalar(function: Callable[..., Any]) -> Any:
+    """A function of numbers that both machine code and Python call."""
+    return numba.njit(**OPTIONS)(function)
+
+
+def part(function: Callable[..., Any]) -> Any:
+    """A function that machine code alone calls, and takes in whole: half the time to compile, and to run."""
+    return numba.njit(**OPTIONS, **INNER)(function)
+
+
+def entry(function: Callable[..., Any]) -> Any:
+    """A function over arrays that Python calls, compiled at its first call and kept on disk where that can be.
+
+    What is kept counts as long as its file and the law are what they were: other functions it calls stand in that file.
 
     Where neither the package's folder nor the user's cache can be written, each process compiles anew; the environment
-    variable `NUMBA_CACHE_DIR` names another folder.
+    variable `NUMBA_CACHE_DIR` names another folder. Other threads run meanwhile.
     """
     try:
-        return numba.njit(cache=True, error_model="numpy")(function)
+        return numba.njit(cache=True, nogil=True, **OPTIONS)(function)
     except RuntimeError:
-        return numba.njit(error_model="numpy")(function)
-
-
-def _typed(context: Any, address: Any) -> Any:
-    """A number as the address of memory."""
-
-    def generate(_: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.inttoptr(arguments[0], cgutils.voidptr_t)
-
-    return types.voidptr(address), generate
-
-
-_pointer: Any = intrinsic(_typed)
-_array: Any = numba.carray  # type: ignore[reportPrivateImportUsage]
-
-
-@numba.njit(inline="always")
-def row_at(address, count, kind):
-    """Numbers that lie one behind the other, from an address on; for use in machine code."""
-    return _array(_pointer(address), count, kind)
+        return numba.njit(nogil=True, **OPTIONS)(function)

@@ -2,7 +2,6 @@
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -11,13 +10,12 @@ import torch
 from mujoco.batch import Batch
 from torch import Tensor
 
-from op3.servo import RobotModel, ServoLaw, Signals, Trunk
-from op3.servo.compiled_step import CompiledStep
+from op3.servo import RobotModel, Servos, Trunk
 from op3.sim.base import Base, roll_pitch_yaw
 from op3.sim.edits import edited_fields
-from op3.sim.inputs import COMMANDS, default_commands, expand_parameters, set_commands, set_start
+from op3.sim.exchange import hand_over, read
+from op3.sim.inputs import default_commands, expand_parameters, set_commands, set_start
 from op3.sim.ports import ServoPorts
-from op3.sim.translated import RESULTS, Translated
 
 
 class BatchSimulation:
@@ -41,8 +39,6 @@ class BatchSimulation:
         joint_names: names by which the model's per-joint values address the joints; by default the last part
             of each full name.
         num_threads: threads that step the physics; 0 for all processors.
-        translated: whether the law runs in numpy and machine code where it can, which agrees with torch to rounding and
-            takes a fraction of the time. `signals` are then views that the next step overwrites.
         fields: MuJoCo model fields that differ between simulations, ``[sim, ...]``, before the model's edits.
 
     Raises:
@@ -60,7 +56,6 @@ class BatchSimulation:
         base_body: str | None = None,
         joint_names: Sequence[str] | None = None,
         num_threads: int = 0,
-        translated: bool = True,
         fields: Mapping[str, np.ndarray] | None = None,
     ):
         self.timestep = float(mj_model.opt.timestep)
@@ -74,11 +69,8 @@ class BatchSimulation:
         self.batch = Batch(mj_model, num_sims, num_threads)
         self._base = None if base_body is None else Base.find(mj_model, mj_model.body(base_body).id)
         self._fields = {name: np.array(value, dtype=np.float64) for name, value in (fields or {}).items()}
-        self.law = ServoLaw(model.effects, self.timestep, control_period, self.joint_names)
-        self.signals = Signals.zeros(num_sims, len(joints))
-        self._reads_force = self.law.reads("radial_force")
-        self._translate = translated
-        self._translated: Translated | None = None
+        self.law = Servos(model.effects, self.joint_names, num_sims, self.timestep, control_period)
+        self.signals = self.law.signals
         default_commands(self.signals, model)
         self.failed = torch.zeros(num_sims, dtype=torch.bool)
         self.on_step: Callable[[], None] | None = None
@@ -87,26 +79,18 @@ class BatchSimulation:
         self.set_parameters({})
 
     def _bind(self) -> None:
-        batch = self.batch
-        self._qpos, self._qvel = _torch_view(batch.bind("qpos")), _torch_view(batch.bind("qvel"))
-        self._ctrl = _torch_view(batch.bind("ctrl"))
-        self._sensors = _torch_view(batch.bind("sensordata"))
-        self._friction = _torch_view(batch.expand("dof_frictionloss"))
-        self._armature = _torch_view(batch.expand("dof_armature"))
+        batch, self._at = self.batch, self.ports.table
+        self._state = batch.bind("qpos"), batch.bind("qvel"), batch.bind("sensordata")
+        self._handed = batch.bind("ctrl"), batch.expand("dof_armature"), batch.expand("dof_frictionloss")
+        self._qpos, self._qvel, self._sensors = map(_torch_view, self._state)
+        _, self._armature, self._friction = map(_torch_view, self._handed)
         if self._base is not None:
             self._base_quaternion = _torch_view(batch.bind("xquat"))[:, self._base.body]
 
     @property
-    def translated(self) -> bool:
-        """Whether numpy has taken over the law."""
-        return self._translated is not None
-
-    @property
     def motor_current(self) -> np.ndarray:
         """In the motors at the last step [A], ``[sim, joint]``."""
-        if self._translated is not None:
-            return self._translated.step.outputs["current"]
-        return self.signals.current.numpy()
+        return self.law.records["current"]
 
     @property
     def sensordata(self) -> Tensor:
@@ -123,11 +107,10 @@ class BatchSimulation:
             ValueError: if the model has no such parameter, or a shape does not fit.
         """
         expanded = expand_parameters(self.model, self.joint_names, values, self.num_sims)
-        self._translated = None  # it holds the parameters of before
         if hasattr(self, "_rotor"):
             self._armature[:, self.ports.dof] = self._rotor  # without the damping of the last step
         self.parameters = expanded
-        self.law.set_parameters(expanded)
+        self.law.set(expanded)
         base = -1 if self._base is None else self._base.body
         edits = edited_fields(
             self.batch.model,
@@ -142,7 +125,7 @@ class BatchSimulation:
             self.batch.expand(field)[...] = array
         if edits:
             self.batch.set_const()
-        self._rotor = self._armature[:, self.ports.dof].clone()
+        self._rotor = self._armature[:, self.ports.dof].clone(memory_format=torch.contiguous_format)
 
     def reset(
         self,
@@ -180,7 +163,6 @@ class BatchSimulation:
                 raise ValueError("measured, load_torque, current and time can start all simulations only: omit rows")
             self._reset_rows(np.asarray(rows, dtype=np.int64), qpos, commands or {}, qvel)
             return
-        self._translated = None  # it holds the shapes of before
         self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
         self._qpos[...] = torch.as_tensor(qpos, dtype=torch.float64)
         if measured:
@@ -195,7 +177,7 @@ class BatchSimulation:
         default_commands(self.signals, self.model)
         self.command(**(commands or {}))
         set_start(self.signals, load_torque, current, time)
-        self.law.reset(self.signals)
+        self.law.reset()
 
     def _reset_rows(self, rows: np.ndarray, qpos: Any, commands: Mapping[str, Tensor], qvel: Any) -> None:
         if not len(rows):
@@ -211,28 +193,18 @@ class BatchSimulation:
         self.batch.warning[rows] = 0
         self.failed[rows] = False
         self._read()
-        # the law starts all simulations anew, on the side; those of the rows are taken over
-        fresh = replace(self.signals, state={}, factors={})
-        default_commands(fresh, self.model)
-        whole = {name: getattr(fresh, name).clone() for name in commands}
-        for name, value in commands.items():
-            whole[name][rows] = torch.as_tensor(value, dtype=torch.float64)
-        set_commands(fresh, whole)
-        set_start(fresh)
-        self.law.reset(fresh)
-        for name in (*COMMANDS, "current", "time"):
-            setattr(self.signals, name, _take_over(getattr(self.signals, name), getattr(fresh, name), rows))
-        for memory, anew in ((self.signals.state, fresh.state), (self.signals.factors, fresh.factors)):
-            for name, value in anew.items():
-                memory[name] = _take_over(memory.get(name, value), value, rows)
+        default_commands(self.signals, self.model, rows)
+        set_commands(self.signals, commands, rows)
+        set_start(self.signals, rows=rows)
+        self.law.reset(rows)
 
     def _undo_sensing(self) -> None:
         """Move the joints until their sensors read what the joints' positions were."""
         reading = self._qpos[:, self.ports.qpos].clone()
         for _ in range(3):  # exact after one round for an offset; more for a reading that bends with the angle
             self.signals.position = self._qpos[:, self.ports.qpos]
-            self.signals.velocity = torch.zeros_like(reading)
-            self.law.sense(self.signals)
+            self.signals.velocity = 0.0
+            self.law.sense()
             self._qpos[:, self.ports.qpos] += reading - self.signals.measured_position
 
     def command(self, **commands: Tensor) -> None:
@@ -246,9 +218,7 @@ class BatchSimulation:
         Raises:
             ValueError: if a command is unknown.
         """
-        # physics has no gradients; a policy's actions may
-        detached = {name: torch.as_tensor(value, dtype=torch.float64).detach() for name, value in commands.items()}
-        set_commands(self.signals, detached)
+        set_commands(self.signals, commands)
 
     def push(self, torque: np.ndarray) -> None:
         """Torque on the joints beside what their servos give, held until the next call or reset.
@@ -260,93 +230,23 @@ class BatchSimulation:
 
     def advance(self) -> None:
         """One control period: a tick of the law, then its simulation steps."""
-        signals, law, ports = self.signals, self.law, self.ports
         self._read()
-        law.tick(signals)
-        if self._translate and self._translated is None:
-            self._translated = self._translation()
-            self._translate = self._translated is not None
-        if self._translated is None:
-            for _ in range(self.substeps):
-                self._read()
-                law.step(signals)
-                self._ctrl[:, ports.ctrl] = signals.applied_torque
-                self._armature[:, ports.dof] = self._rotor + self.timestep * signals.damping
-                self._friction[:, ports.dof] = signals.friction_bound
-                self.batch.step()
-                if self.on_step is not None:
-                    self.on_step()
-        else:
-            self._advance_translated(self._translated)
-        self._note_failures()
-
-    def _advance_translated(self, translated: Translated) -> None:
-        """The steps of a control period in numpy, over the simulator's own arrays."""
-        signals = self.signals
-        signals.phase = self._phase_zero
-        translated.hear(signals)
+        self.law.tick()
         for _ in range(self.substeps):
-            self._step_in_numpy(translated.step)
-        translated.tell(signals)
-
-    def _step_in_numpy(self, law: CompiledStep) -> None:
-        """A step of the law and of the physics, over the arrays of `_live_arrays`."""
-        np.negative(self._transmitted, out=self._load)
-        if self._reads_force:
-            sensors, across = self._sensors.numpy(), self.ports.force
-            np.hypot(sensors[:, across], sensors[:, across + 1], out=self._radial_force)
-        law()
-        control, armature, friction = self._handed
-        control[...] = law.outputs["applied_torque"]
-        np.multiply(law.outputs["damping"], self.timestep, out=armature)
-        armature += self._rotor_inertia
-        friction[...] = law.outputs["friction_bound"]
-        self.batch.step()
-        if self.on_step is not None:
-            self.on_step()
-
-    def _live_arrays(self) -> dict[str, np.ndarray] | None:
-        """Inputs of the law that `_step_in_numpy` fills, or that are the simulator's own; None where they cannot be."""
-        ports = self.ports
-        if not all(isinstance(each, slice) for each in (ports.qpos, ports.dof, ports.ctrl, ports.transmitted)):
-            return None
-        self._transmitted = self._sensors.numpy()[:, ports.transmitted]
-        self._load = np.zeros_like(self._transmitted, order="C")
-        live = {
-            "position": self._qpos.numpy()[:, ports.qpos],
-            "velocity": self._qvel.numpy()[:, ports.dof],
-            "load_torque": self._load,
-        }
-        if self._reads_force:
-            self._radial_force = live["radial_force"] = np.zeros_like(self._load)
-        self._rotor_inertia = self._rotor.numpy()
-        self._handed = (
-            self._ctrl.numpy()[:, ports.ctrl],
-            self._armature.numpy()[:, ports.dof],
-            self._friction.numpy()[:, ports.dof],
-        )
-        return live
-
-    def _translation(self) -> Translated | None:
-        """The law's step in numpy, reading the simulator's own arrays; None where that cannot be."""
-        live = self._live_arrays()
-        if live is None:
-            return None
-        self._phase_zero = torch.zeros(1, dtype=torch.int64)
-
-        def step(signals: Signals) -> None:
-            # also right after a tick, which left the sensors as this does
-            self.law.sense(signals)
-            self.law.act(signals)
-
-        started = replace(self.signals, phase=self._phase_zero)
-        return Translated.of(step, started, RESULTS, live)
+            self.law.step()
+            self._hand_over()
+            self.batch.step()
+            self._read()
+            if self.on_step is not None:
+                self.on_step()
+        # MuJoCo resets a diverging state and zeroes NaN controls without an exception; only its warning counters tell
+        if self.batch.warning.any():
+            self.failed |= torch.from_numpy(self.batch.warning.any((1, 2)))
 
     def measure(self) -> dict[tuple[str, str], Tensor]:
         """What the servos' and the trunk's sensors say now: channels of the log, ``[sim, joint | 3]``."""
         self._read()
-        self.law.sense(self.signals)
-        self.law.report(self.signals)
+        self.law.report()
         signals = self.signals
         channels = {
             ("joint", "position"): signals.measured_position.clone(),
@@ -364,30 +264,11 @@ class BatchSimulation:
         return channels
 
     def _read(self) -> None:
-        self.signals.position = self._qpos[:, self.ports.qpos]
-        self.signals.velocity = self._qvel[:, self.ports.dof]
-        self.signals.load_torque = -self._sensors[:, self.ports.transmitted]
-        if self._reads_force:
-            force = self.ports.force
-            self.signals.radial_force = torch.hypot(self._sensors[:, force], self._sensors[:, force + 1])
+        read(self.law.records, self._at, *self._state)
 
-    def _note_failures(self) -> None:
-        # MuJoCo resets a diverging state and zeroes NaN controls without an exception; only its warning
-        # counters, and non-finite values on our side, tell.
-        signals = self.signals
-        handed_over = signals.applied_torque + signals.damping + signals.friction_bound
-        finite = np.isfinite(handed_over.detach().numpy()).all(1)
-        if self.batch.warning.any() or not finite.all():
-            self.failed |= torch.from_numpy(self.batch.warning.any((1, 2)) | ~finite)
-
-
-def _take_over(old: Tensor, new: Tensor, rows: np.ndarray) -> Tensor:
-    """Values ``[..., sim, joint]`` with those of some simulations replaced; numbers that all share stay."""
-    if old.ndim < 2:
-        return old
-    kept = old.clone()
-    kept[..., rows, :] = new[..., rows, :]
-    return kept
+    def _hand_over(self) -> None:
+        failed = self.failed.numpy()
+        hand_over(self.law.records, self._at, self.timestep, self._rotor.numpy(), *self._handed, failed)
 
 
 def _torch_view(array: np.ndarray) -> Tensor:

@@ -8,9 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from op3.servo import RobotModel, ServoLaw, Signals, Trunk
+from op3.servo import RobotModel, Servos, Trunk
 from op3.sim.base import Base, roll_pitch_yaw
 from op3.sim.edits import edited_fields, model_field
+from op3.sim.exchange import hand_over, read
 from op3.sim.inputs import default_commands, expand_parameters, set_commands, set_start
 from op3.sim.ports import ServoPorts, attach_servos
 
@@ -35,9 +36,9 @@ class GearedServo:
         self._control_period = control_period
         self.model = model
         self.joint_names = tuple(joint.name for joint in joints)
-        self.signals = Signals.zeros(1, len(joints))
         self._base: Base | None = None
-        self._rotor: np.ndarray = np.zeros(len(joints))
+        self._rotor: np.ndarray = np.zeros((1, len(joints)))
+        self._failed = np.zeros(1, bool)
 
     def after_compile(self, physics: Any, random_state: Any = None) -> None:
         """Find the servos in the compiled model and carry out the effects' model edits."""
@@ -47,28 +48,28 @@ class GearedServo:
         base = -1 if self._base_element is None else int(physics.bind(self._base_element).element_id)
         self._base = None if base < 0 else Base.find(physics.model.ptr, base)
         values = expand_parameters(self.model, self.joint_names, {}, 1)
-        self.law = ServoLaw(
-            self.model.effects, float(physics.model.opt.timestep), self._control_period, self.joint_names
-        )
-        self.law.set_parameters(values)
+        timestep = float(physics.model.ptr.opt.timestep)
+        self.law = Servos(self.model.effects, self.joint_names, 1, timestep, self._control_period)
+        self.law.set(values)
+        self.signals, self._at = self.law.signals, self.ports.table
         edits = edited_fields(physics.model.ptr, self.model.effects, values, self.ports, base, {}, 1)
         for field, array in edits.items():
             model_field(physics.model.ptr, field)[...] = array[0]
         if edits:
             mujoco.mj_setConst(physics.model.ptr, physics.data.ptr)
-        self._rotor = physics.model.ptr.dof_armature[self.ports.dof].copy()
+        self._rotor = physics.model.ptr.dof_armature[None, self.ports.dof].copy()
 
     def initialize_episode(self, physics: Any, random_state: Any = None, **commands: Any) -> None:
         """Start with these commands (see `before_step`) as if they had been held for long."""
         del random_state
         physics.model.ptr.dof_frictionloss[self.ports.dof] = 0.0
-        physics.model.ptr.dof_armature[self.ports.dof] = self._rotor
+        physics.model.ptr.dof_armature[self.ports.dof] = self._rotor[0]
         mujoco.mj_forward(physics.model.ptr, physics.data.ptr)
         self._read(physics)
         default_commands(self.signals, self.model)
         set_start(self.signals)
         set_commands(self.signals, commands)
-        self.law.reset(self.signals)
+        self.law.reset()
 
     def before_step(self, physics: Any, random_state: Any = None, **commands: Any) -> None:
         """A control period begins: take commands and let the PD look at the sensors.
@@ -82,18 +83,16 @@ class GearedServo:
         del random_state
         set_commands(self.signals, commands)
         self._read(physics)
-        self.law.tick(self.signals)
+        self.law.tick()
 
     def before_substep(self, physics: Any, random_state: Any = None) -> None:
         """Set torque, damping and friction of the coming physics step."""
         del random_state
         self._read(physics)
-        self.law.step(self.signals)
-        physics.data.ptr.ctrl[self.ports.ctrl] = self.signals.applied_torque[0].numpy()
-        physics.model.ptr.dof_armature[self.ports.dof] = (
-            self._rotor + self.law.clock.timestep * self.signals.damping[0].numpy()
-        )
-        physics.model.ptr.dof_frictionloss[self.ports.dof] = self.signals.friction_bound[0].numpy()
+        self.law.step()
+        model, ctrl = physics.model.ptr, physics.data.ptr.ctrl
+        handed = ctrl[None], model.dof_armature[None], model.dof_frictionloss[None]
+        hand_over(self.law.records, self._at, self.law.clock.timestep, self._rotor, *handed, self._failed)
 
     @property
     def motor_current(self) -> np.ndarray:
@@ -103,8 +102,7 @@ class GearedServo:
     def measure(self, physics: Any) -> dict[tuple[str, str], Tensor]:
         """What the servos' and the trunk's sensors say now: channels of the log, ``[joint]`` and ``[3]``."""
         self._read(physics)
-        self.law.sense(self.signals)
-        self.law.report(self.signals)
+        self.law.report()
         channels = {
             ("joint", "position"): self.signals.measured_position[0].clone(),
             ("joint", "velocity"): self.signals.measured_velocity[0].clone(),
@@ -120,10 +118,4 @@ class GearedServo:
 
     def _read(self, physics: Any) -> None:
         data = physics.data.ptr
-        self.signals.position = torch.from_numpy(data.qpos[self.ports.qpos])[None]
-        self.signals.velocity = torch.from_numpy(data.qvel[self.ports.dof])[None]
-        self.signals.load_torque = -torch.from_numpy(data.sensordata[self.ports.transmitted])[None]
-        if self.law.reads("radial_force"):
-            force = self.ports.force
-            across = np.hypot(data.sensordata[force], data.sensordata[force + 1])
-            self.signals.radial_force = torch.from_numpy(across)[None]
+        read(self.law.records, self._at, data.qpos[None], data.qvel[None], data.sensordata[None])

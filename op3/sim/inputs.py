@@ -15,30 +15,32 @@ REFERENCE_TEMPERATURE = 25.0
 """Of servos whose temperature is not known [C]: that at which a model's parameters hold."""
 
 
-def default_commands(signals: Signals, model: RobotModel) -> None:
+def default_commands(signals: Signals, model: RobotModel, rows: Any = slice(None)) -> None:
     """Commands before any is given: torque on, gains zero, the joints' own positions, voltage of the model, 25 C."""
-    zeros = torch.zeros_like(signals.position)
-    signals.position_target = signals.position.clone()
-    signals.p_gain = signals.d_gain = signals.firmware_gain = zeros
-    signals.torque_enable = torch.ones_like(zeros)
-    signals.bus_voltage = torch.full_like(zeros, model.bus_voltage)
-    signals.temperature = torch.full_like(zeros, REFERENCE_TEMPERATURE)
+    for name in COMMANDS:
+        getattr(signals, name)[rows] = 0.0
+    signals.position_target[rows] = signals.position[rows]
+    signals.torque_enable[rows] = 1.0
+    signals.bus_voltage[rows] = model.bus_voltage
+    signals.temperature[rows] = REFERENCE_TEMPERATURE
 
 
-def set_commands(signals: Signals, commands: Mapping[str, Any]) -> None:
+def set_commands(signals: Signals, commands: Mapping[str, Any], rows: Any = slice(None)) -> None:
     """Write commands, each broadcastable to ``[sim, joint]``, into the signals.
 
     Raises:
         ValueError: if a command is unknown.
     """
-    shape = signals.position.shape
     for name, value in commands.items():
         if name not in COMMANDS:
             raise ValueError(f"unknown command {name!r}; commands are {', '.join(COMMANDS)}")
-        setattr(signals, name, torch.as_tensor(value, dtype=torch.float64).expand(shape))
+        # physics has no gradients; a policy's actions may
+        getattr(signals, name)[rows] = torch.as_tensor(value, dtype=torch.float64).detach()
 
 
-def set_start(signals: Signals, load_torque: Any = None, current: Any = None, time: Any = 0.0) -> None:
+def set_start(
+    signals: Signals, load_torque: Any = None, current: Any = None, time: Any = 0.0, rows: Any = slice(None)
+) -> None:
     """What is known of the start beside positions and velocities, each broadcastable to ``[sim, joint]``.
 
     Args:
@@ -46,12 +48,11 @@ def set_start(signals: Signals, load_torque: Any = None, current: Any = None, ti
         load_torque: on the servos [N m]; None keeps what the simulation computed.
         current: in the motors [A]; None for none.
         time: since the start of the recording [s].
+        rows: simulations that start.
     """
-    like = torch.zeros_like(signals.position)
-    if load_torque is not None:
-        signals.load_torque = torch.as_tensor(load_torque, dtype=like.dtype).expand_as(like).clone()
-    signals.current = like if current is None else torch.as_tensor(current, dtype=like.dtype).expand_as(like).clone()
-    signals.time = torch.as_tensor(time, dtype=like.dtype).expand_as(like).clone()
+    for name, value in (("load_torque", load_torque), ("current", 0.0 if current is None else current), ("time", time)):
+        if value is not None:
+            getattr(signals, name)[rows] = torch.as_tensor(value, dtype=torch.float64)
 
 
 def expand_parameters(
@@ -77,9 +78,6 @@ def expand_parameters(
         full[name] = value.view(-1, 1) if value.ndim < 2 else value
     shape = (num_sims, len(joints))
     try:
-        return {
-            name: value.expand(shape if known[name].per_joint else (num_sims, 1)).contiguous()
-            for name, value in full.items()
-        }
+        return {name: value.expand(shape if known[name].per_joint else (num_sims, 1)) for name, value in full.items()}
     except RuntimeError as error:
         raise ValueError(f"parameter values must be [sim] or [sim, joint] with {shape}: {error}") from error

@@ -1,31 +1,26 @@
 """Many pendulums on servos, stepped in closed form: the bench without a physics engine.
 
 A pendulum on one hinge needs no constraint solver: friction is a bound on an impulse that may stop the joint and
-never reverse it. Written as tensors over all runs and candidates it steps an order of magnitude faster than one
-MuJoCo model per run, which pays when a fit simulates thousands of bench runs. The servo law is the same object;
-`tests/sim/test_pendulum_simulation.py` holds it against MuJoCo.
+never reverse it. It steps an order of magnitude faster than one MuJoCo model per run, which pays when a fit simulates
+thousands of bench runs. The servo law is the same; `tests/sim/test_pendulum_simulation.py` holds it against MuJoCo.
 """
 
 from collections.abc import Mapping
+from math import copysign, cos, hypot, sin
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from op3.robot.units import GRAVITY
-from op3.servo import RobotModel, ServoLaw, Signals
+from op3.servo import RobotModel, Servos
 from op3.servo.effects import LinkInertia, Motor
+from op3.servo.machine_code import entry
 from op3.sim.inputs import default_commands, expand_parameters, set_commands, set_start
-from op3.sim.translated import Translated
 
 PD_PERIOD = 0.008
 """Time between ticks of a PD that commands current [s]; paper, 125 Hz."""
-
-TRANSLATED_AFTER = 50
-"""Steps in torch after a reset before numpy takes over; a shorter run does not pay for the translation."""
-
-REPORTED = ("position", "velocity", "voltage", "current", "duty")
-"""Signals to be read from a simulation."""
 
 ROTOR, LINK = Motor.edits[0], LinkInertia.edits[0]
 """The changes to a MuJoCo model that mean something here: of the rotor's inertia and of the link's."""
@@ -43,7 +38,6 @@ class PendulumSimulation:
         length: from shaft to weight [m], ``[sim]``.
         timestep: simulation step [s], in which a servo's own position loop runs once; a PD that commands current
             ticks every `PD_PERIOD`.
-        translated: whether long runs are translated to numpy where they can be, which takes half the time or less.
 
     Raises:
         ValueError: if the model has an effect that changes what a bench does not have.
@@ -51,15 +45,7 @@ class PendulumSimulation:
 
     joint_names = ("servo",)
 
-    def __init__(
-        self,
-        model: RobotModel,
-        mass: Tensor,
-        length: Tensor,
-        *,
-        timestep: float = 0.001,
-        translated: bool = True,
-    ):
+    def __init__(self, model: RobotModel, mass: Tensor, length: Tensor, *, timestep: float = 0.001):
         for effect in model.effects:
             for edit in effect.edits:
                 if edit not in (ROTOR, LINK):
@@ -72,14 +58,11 @@ class PendulumSimulation:
         # the PD on a computer has its own period; a servo's own loop runs in every step
         self._every = round(PD_PERIOD / timestep) if "current_pd" in model.effect_names else 1
         self._steps = 0
-        self._translate = translated and self._every == 1
-        self._translated: Translated | None = None
         self.num_sims = len(mass)
-        self._mass, self._length = mass.view(-1, 1), length.view(-1, 1)
+        self._mass, self._length = (value.to(torch.float64).view(-1, 1) for value in (mass, length))
         self._moment = self._mass * GRAVITY * self._length
-        self.law = ServoLaw(model.effects, timestep, self._every * timestep, self.joint_names)
-        self._reads_force = self.law.reads("radial_force")
-        self.signals = Signals.zeros(self.num_sims, 1)
+        self.law = Servos(model.effects, self.joint_names, self.num_sims, timestep, self._every * timestep)
+        self.signals = self.law.signals
         default_commands(self.signals, model)
         self.failed = torch.zeros(self.num_sims, dtype=torch.bool)
         self.set_parameters({})
@@ -87,12 +70,11 @@ class PendulumSimulation:
     def set_parameters(self, values: Mapping[str, Tensor | float]) -> None:
         """Give parameters per simulation, as `op3.sim.BatchSimulation.set_parameters` does."""
         self.parameters = expand_parameters(self.model, self.joint_names, values, self.num_sims)
-        self._translated = None
-        self.law.set_parameters(self.parameters)
+        self.law.set(self.parameters)
         none = torch.zeros(self.num_sims, 1, dtype=torch.float64)
-        gyration_squared = self.parameters.get(LINK.parameter, none)
-        self._inertia = self._mass * self._length**2 + self._mass * gyration_squared
-        self._total = self._inertia + self.parameters.get(ROTOR.parameter, none)
+        inertia = self._mass * (self._length**2 + self.parameters.get(LINK.parameter, none))
+        total = inertia + self.parameters.get(ROTOR.parameter, none)
+        self._body = torch.cat([self._mass, self._length, inertia, total], 1).numpy()
 
     def reset(
         self,
@@ -107,84 +89,36 @@ class PendulumSimulation:
     ) -> None:
         """Start all pendulums anew; arguments as for `op3.sim.BatchSimulation.reset`."""
         signals = self.signals
-        zeros = torch.zeros(self.num_sims, 1, dtype=torch.float64)
-        signals.position = torch.as_tensor(position, dtype=torch.float64).expand_as(zeros).clone()
-        signals.velocity = torch.as_tensor(velocity, dtype=torch.float64).expand_as(zeros).clone()
+        signals.position, signals.velocity = position, velocity
         if measured:
-            reading = signals.position
+            reading = signals.position.clone()
             for _ in range(3):
-                self.law.sense(signals)
-                signals.position = signals.position + reading - signals.measured_position
+                self.law.sense()
+                signals.position += reading - signals.measured_position
         signals.load_torque = -self._moment * torch.sin(signals.position)
-        signals.radial_force = (self._mass * GRAVITY).expand_as(zeros)
+        signals.radial_force = self._mass * GRAVITY
         default_commands(signals, self.model)
         set_commands(signals, commands or {})
         set_start(signals, load_torque, current, time)
         self._steps = 0
-        self._translated = None
         self.failed = torch.zeros(self.num_sims, dtype=torch.bool)
-        self.law.reset(signals)
+        self.law.reset()
 
     def command(self, **commands: Any) -> None:
         """Set commands for the steps to come; those not named are held."""
         set_commands(self.signals, commands)
 
-    @property
-    def translated(self) -> bool:
-        """Whether numpy has taken over."""
-        return self._translated is not None
-
     def advance(self) -> None:
         """One step."""
-        if self._translated is not None:
-            self._translated.advance(self.signals)
-            return
         if self._steps % self._every == 0:
-            self.law.tick(self.signals)
-        self._move(self.signals)
+            self.law.tick()
+        self.law.step()
+        swing(self.law.records, self._body, self.timestep)
         self._steps += 1
-        if self._translate and self._steps % TRANSLATED_AFTER == 0 and not self._differentiated:
-            self._translated = Translated.of(self._tick_and_move, self.signals, REPORTED)
-            self._translate = self._translated is not None
-
-    @property
-    def _differentiated(self) -> bool:
-        """Whether anything is to be differentiated, which numpy could not."""
-        known = (*self.parameters.values(), *vars(self.signals).values(), self._mass, self._length)
-        return any(isinstance(value, Tensor) and value.requires_grad for value in known)
-
-    def _tick_and_move(self, signals: Signals) -> None:
-        self.law.tick(signals)
-        self._move(signals)
-
-    def _move(self, signals: Signals) -> None:
-        """Apply the law and integrate one step."""
-        step = self.timestep
-        self.law.step(signals)
-        gravity = -self._moment * torch.sin(signals.position)
-        inertia = self._total + step * signals.damping
-        free = signals.velocity + step * (signals.applied_torque + gravity) / inertia
-        # friction takes up to its impulse from the speed and no more
-        speed = (free.abs() - step * signals.friction_bound / inertia).clamp(min=0.0)
-        velocity = torch.copysign(speed, free)
-        # what the output transmits moves the link against gravity; the load on the servo is its reaction
-        acceleration = (velocity - signals.velocity) / step
-        signals.load_torque = gravity - self._inertia * acceleration
-        if self._reads_force:
-            signals.radial_force = self._force(signals, acceleration)
-        signals.velocity = velocity
-        signals.position = signals.position + step * velocity
-
-    def _force(self, signals: Signals, acceleration: Tensor) -> Tensor:
-        """What the shaft bears [N]: the weight's acceleration along the arm and across it, less gravity's."""
-        along = GRAVITY * torch.cos(signals.position) + self._length * signals.velocity.square()
-        across = GRAVITY * torch.sin(signals.position) + self._length * acceleration
-        return self._mass * torch.hypot(along, across)
 
     def measure(self) -> dict[tuple[str, str], Tensor]:
         """What the servo's sensors say now: channels of the log, ``[sim, 1]``."""
-        self.law.sense(self.signals)
-        self.law.report(self.signals)
+        self.law.report()
         signals = self.signals
         self.failed |= ~(torch.isfinite(signals.position) & (signals.position.abs() < 1e3))[:, 0]
         return {
@@ -193,3 +127,30 @@ class PendulumSimulation:
             ("joint", "current"): signals.measured_current.clone(),
             ("joint", "duty"): signals.duty * signals.torque_enable,
         }
+
+
+@entry
+def swing(s, body, step):
+    """Integrate a step under what the law handed over.
+
+    Args:
+        s: signals, ``[sim, 1]``.
+        body: mass [kg], length [m], inertia of the weight and that with the rotor [kg m^2], ``[sim, 4]``.
+        step: [s].
+    """
+    for i in range(s.shape[0]):
+        one = s[i, 0]
+        mass, length, link, total = body[i, 0], body[i, 1], body[i, 2], body[i, 3]
+        gravity = -mass * GRAVITY * length * sin(one.position)
+        inertia = total + step * one.damping
+        free = one.velocity + step * (one.applied_torque + gravity) / inertia
+        # friction takes up to its impulse from the speed and no more
+        velocity = copysign(np.maximum(abs(free) - step * one.friction_bound / inertia, 0.0), free)
+        # what the output transmits moves the link against gravity; the load on the servo is its reaction
+        acceleration = (velocity - one.velocity) / step
+        one.load_torque = gravity - link * acceleration
+        # the weight's acceleration along the arm and across it, less gravity's
+        along = GRAVITY * cos(one.position) + length * one.velocity * one.velocity
+        one.radial_force = mass * hypot(along, GRAVITY * sin(one.position) + length * acceleration)
+        one.velocity = velocity
+        one.position += step * velocity

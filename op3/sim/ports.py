@@ -72,6 +72,13 @@ class ServoPorts:
     body: np.ndarray
     force: np.ndarray
 
+    @property
+    def table(self) -> np.ndarray:
+        """Addresses by joint: qpos, dof, ctrl, transmitted and force, ``[5, joint]``."""
+        every = np.arange(2**16)
+        rows = (self.qpos, self.dof, self.ctrl, self.transmitted)
+        return np.array([*(every[row] for row in rows), self.force], np.int64)
+
     @classmethod
     def find(cls, model: mujoco.MjModel, joints: Sequence[str]) -> "ServoPorts":
         """Look up joints with servos attached, by their full names.

@@ -13,7 +13,6 @@ from op3.servo.effects import (
     AntagonisticFriction,
     BearingFriction,
     Coulomb,
-    CurrentLag,
     CurrentPD,
     DirectionalEfficiency,
     DirectionalFriction,
@@ -21,13 +20,11 @@ from op3.servo.effects import (
     Latency,
     LinkInertia,
     LoadFriction,
-    LuGre,
     MinimumDuty,
     Motor,
     Payload,
     PositionServo,
     Stribeck,
-    VelocityFilter,
     Viscous,
 )
 from op3.sim import BatchSimulation, PendulumSimulation, attach_servos
@@ -122,26 +119,6 @@ def test_effects_matter_and_are_nothing_at_their_neutral_values(effect):
     plain = run(bench_model())
     np.testing.assert_array_equal(run(with_more(effect, neutral=True)), plain)
     assert np.abs(run(with_more(effect)) - plain).mean() > 1e-4
-
-
-@pytest.mark.parametrize(
-    "more",
-    [tuple(MORE), (LuGre(), MinimumDuty()), (VelocityFilter(), CurrentLag())],
-    ids=["laws", "presliding", "memory of the last step"],
-)
-def test_numpy_takes_over_without_a_trace(more):
-    """A long run is the same in numpy and in torch, with commands and free swing."""
-    model = bench_model()
-    for effect in more:
-        model = model.with_effect(effect, MORE.get(effect, {}))
-    mass, length = torch.tensor([0.26, 0.46]), torch.tensor([0.05, 0.1])
-    translated = PendulumSimulation(model, mass, length)
-    plain = PendulumSimulation(model, mass, length, translated=False)
-    np.testing.assert_allclose(trajectory(translated, [[0.0]]), trajectory(plain, [[0.0]]), rtol=0, atol=1e-9)
-    assert translated.translated
-    assert not plain.translated
-    translated.reset([[0.0]])
-    assert not translated.translated
 
 
 def test_the_register_does_not_see_the_lift():

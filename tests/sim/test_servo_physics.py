@@ -254,9 +254,9 @@ def test_latency_delays_the_current_by_its_amount(hinge):
     sim.reset([0.0], {"p_gain": 1.0, "d_gain": 0.0})
     sim.command(position_target=1.0)
     seen = []
-    sim.law.tick(sim.signals)
+    sim.law.tick()
     for _ in range(8):
-        sim.law.step(sim.signals)
+        sim.law.step()
         seen.append(sim.signals.current.item())
     np.testing.assert_allclose(seen, [0, 0, 0, 0.6, 1, 1, 1, 1], atol=1e-9)
 

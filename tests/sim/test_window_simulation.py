@@ -9,18 +9,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from op3.robot import JOINTS, pose
-from op3.servo import catalogue
-from op3.servo.effect import secant_values
+from op3.servo import catalogue, secant_values
+from op3.servo.machine_code import scalar
 from op3.sim import (
     BatchSimulation,
     MeasuredMotion,
+    TrajectoryDynamics,
     Window,
     WindowSimulation,
     load_model,
     trajectory_dynamics,
 )
-from op3.sim.joint_step import between, pull_back, solve_dry, solve_linear
-from op3.sim.translated import Translated
+from op3.sim.window_steps import coupled, solve_dry, solve_linear
 from op3.tasks.setups import Setup
 
 LEG = ("r_hip_yaw", "r_hip_roll", "r_hip_pitch", "r_knee", "r_ank_pitch", "r_ank_roll")
@@ -83,66 +83,27 @@ def test_windows_follow_mujoco(recorded):
         assert np.sqrt(np.square(error).mean()) < tolerance
 
 
-def test_candidates_are_what_they_are_alone(recorded):
-    """A candidate's windows are the same, to rounding, simulated alone or among others, in chunks or at once."""
+def secant(model, name: str):
+    """The model with an effect at its first secant."""
+    kind = catalogue()[name]
+    model = model if name in model.effect_names else model.with_effect(kind())
+    values = secant_values(kind.secants[0], {known: model.value(known) for known in model.parameters()})
+    return model.with_values({known: value for known, value in values.items() if known in model.parameters()})
+
+
+@pytest.mark.parametrize("name", ["latency", "compliance", "lugre", "velocity_filter", "voltage_sag", "packet_drop"])
+def test_candidates_are_what_they_are_alone(recorded, name):
+    """A candidate's windows are the same to the last bit alone or among others, and shared by threads."""
     model, motion = recorded
-    simulation = WindowSimulation(model, [motion], [Window(0, 20), Window(0, 60)], 10, LEG)
+    windows = [Window(0, 20), Window(0, 60)]
+    simulation = WindowSimulation(secant(model, name), [motion], windows, 10, LEG, dtype=torch.float64)
     friction = torch.tensor([0.05, 0.1, 0.2], dtype=torch.float64)
     together = simulation.run({"coulomb_friction": friction}, 3)
     alone = simulation.run({"coulomb_friction": friction[1:2]}, 1)
-    pieces = simulation.run({"coulomb_friction": friction}, 3, chunk=2)
-    key = ("joint", "position")
-    assert torch.allclose(together[key][1], alone[key][0], rtol=0, atol=1e-6)
-    assert torch.allclose(together[key], pieces[key], rtol=0, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["latency", "backlash", "compliance", "lugre", "velocity_filter", "current_lag", "current_offset", "load_friction"],
-)
-def test_windows_in_numpy_are_those_in_torch(recorded, name, monkeypatch):
-    """With laws, memory and springs that are balanced at the start, numpy and torch agree to rounding."""
-    model, motion = recorded
-    translate, made = Translated.of, []
-    monkeypatch.setattr(Translated, "of", lambda *arguments: made.append(translate(*arguments)) or made[-1])
-    kind = catalogue()[name]
-    model = model if name in model.effect_names else model.with_effect(kind())
-    values = secant_values(kind.secants[0], {known: model.value(known) for known in model.parameters()})
-    model = model.with_values({known: value for known, value in values.items() if known in model.parameters()})
-    friction = {"coulomb_friction": torch.tensor([0.05, 0.2], dtype=torch.float64)}
-    in_numpy, in_torch = (
-        WindowSimulation(
-            model, [motion], [Window(0, 20), Window(0, 60)], 12, LEG, dtype=torch.float64, translated=translated
-        ).run(friction, 2)
-        for translated in (True, False)
-    )
-    assert len(made) == 1
-    assert made[0] is not None
-    for key, channel in in_torch.items():
-        np.testing.assert_allclose(in_numpy[key], channel, rtol=0, atol=1e-9, err_msg=str(key))
-
-
-@pytest.mark.parametrize("name", ["latency", "backlash", "lugre", "velocity_filter", "current_lag", "voltage_sag"])
-def test_runs_with_other_parameters_take_up_the_translation(recorded, name, monkeypatch):
-    """Whether a run starts from a translation of its own or from an earlier run's, its numbers are the same."""
-    renew, renewed = Translated.renew, []
-    monkeypatch.setattr(Translated, "renew", lambda *arguments: renewed.append(renew(*arguments)) or renewed[-1])
-    model, motion = recorded
-    kind = catalogue()[name]
-    model = model if name in model.effect_names else model.with_effect(kind())
-    values = secant_values(kind.secants[0], {known: model.value(known) for known in model.parameters()})
-    model = model.with_values({known: value for known, value in values.items() if known in model.parameters()})
-    windows = [Window(0, 20), Window(0, 60)]
-    used = WindowSimulation(model, [motion], windows, 8, LEG)
-    for friction in (0.05, 0.1, 0.02):
-        parameters = {
-            "coulomb_friction": torch.tensor([friction, 0.2], dtype=torch.float64),
-            "armature": torch.tensor([0.01, 0.01 + 0.1 * friction], dtype=torch.float64),
-        }
-        fresh = WindowSimulation(model, [motion], windows, 8, LEG).run(parameters, 2)
-        for key, channel in used.run(parameters, 2).items():
-            np.testing.assert_array_equal(channel, fresh[key], err_msg=str(key))
-    assert renewed == [name != "backlash"] * 2  # which lets its parameters decide what a step does
+    simulation.num_threads = 4
+    for key, channel in simulation.run({"coulomb_friction": friction}, 3).items():
+        assert torch.equal(channel, together[key])
+        assert torch.equal(channel[1], alone[key][0])
 
 
 def test_the_same_windows_under_another_model(recorded):
@@ -157,33 +118,42 @@ def test_the_same_windows_under_another_model(recorded):
     assert not torch.equal(first.under(other).run()[key], before)
 
 
-@given(seed=st.integers(0, 10**6), edits=st.integers(0, 3))
-def test_dynamics_between_ticks_with_edits(seed, edits):
-    """A straight line between two ticks, of the plain dynamics and of every edit at its weight."""
-    rng = np.random.default_rng(seed)
-    plain, added = rng.normal(size=(2, 4, 5)), rng.normal(size=(edits, 2, 4, 5))
-    weights = rng.normal(size=(edits, 3, 5)) * (rng.random((edits, 3, 1)) < 0.7)
-    out, share = np.empty((4, 3 if edits else 1, 5)), rng.random()
-    places = np.array([one.ctypes.data for one in added], np.int64)
-    between(plain[0], plain[1], share, weights, places, out)
-    line = np.array([1.0 - share, share])
-    want = np.einsum("t,tew->ew", line, plain)[:, None] + np.einsum("t,ntew,ncw->ecw", line, added, weights)
-    np.testing.assert_allclose(np.broadcast_to(out, want.shape), want, rtol=0, atol=1e-12)
+def test_edits_of_bodies_and_a_false_zero_change_the_dynamics(recorded):
+    """Twice the edit at half the weight is the same; a zero error weighs its edit by how far a joint stands off."""
+    model, motion = recorded
+    rng = np.random.default_rng(0)
+
+    def added(scale: float) -> TrajectoryDynamics:
+        none = {name: np.zeros_like(value) for name, value in vars(motion.dynamics).items()}
+        return TrajectoryDynamics(**{**none, "bias": scale * bias})
+
+    bias = rng.normal(size=motion.dynamics.bias.shape)
+    key = ("joint", "velocity")
+
+    def run(model, changes, **values):
+        simulation = WindowSimulation(model, [replace(motion, changes=changes)], [Window(0, 20)], 10, LEG)
+        return simulation.run({name: torch.tensor([value]) for name, value in values.items()})[key]
+
+    heavy, shifted = (model.with_effect(catalogue()[name]()) for name in ("link_mass", "encoder_offset"))
+    plain = run(heavy, {("link_mass_offset", 3): added(1.0)}, link_mass_offset=0.0)
+    once = run(heavy, {("link_mass_offset", 3): added(1.0)}, link_mass_offset=0.1)
+    twice = run(heavy, {("link_mass_offset", 3): added(2.0)}, link_mass_offset=0.05)
+    assert torch.equal(plain, run(model, {}))
+    assert not torch.equal(plain, once)
+    torch.testing.assert_close(once, twice)
+    off = run(shifted, {("encoder_offset", 3): added(1.0)}, encoder_offset=0.02)
+    assert not torch.allclose(off, run(shifted, {}, encoder_offset=0.02))
 
 
-@given(seed=st.integers(0, 10**6))
-def test_pull_is_gradient_and_damping_within_limbs(seed):
-    """Matrices of two limbs times how far and how much faster joints are than was measured."""
-    rng = np.random.default_rng(seed)
-    gradient, damping = rng.normal(size=(4, 4, 2, 5)), rng.normal(size=(4, 4, 5))
-    q, v, accounted = rng.normal(size=(3, 4, 2, 5))
-    measured_q, measured_v = rng.normal(size=(2, 4, 5))
-    out = np.empty_like(q)
-    pull_back(gradient, damping, q, v, measured_q, measured_v, accounted, np.array([[0, 3], [3, 4]]), out)
-    linked = np.array([[1, 1, 1, 0]] * 3 + [[0, 0, 0, 1]])
-    away, faster = q - accounted - measured_q[:, None], v - measured_v[:, None]
-    want = np.einsum("ik,ikcw,kcw->icw", linked, gradient, away) + np.einsum("ik,ikw,kcw->icw", linked, damping, faster)
-    np.testing.assert_allclose(out, want, rtol=0, atol=1e-12)
+def test_motions_with_other_inputs_share_their_dynamics(recorded):
+    """Windows of a second motion that differs in its commands alone are those of that motion simulated by itself."""
+    model, motion = recorded
+    other = replace(motion, inputs={**motion.inputs, "p_gain": 2.0 * motion.inputs["p_gain"]})
+    key, windows = ("joint", "position"), [Window(0, 20), Window(1, 20)]
+    both = WindowSimulation(model, [motion, other], windows, 10, LEG).run()[key]
+    for place, one in enumerate((motion, other)):
+        alone = WindowSimulation(model, [one], windows[:1], 10, LEG).run()[key]
+        assert torch.equal(both[:, place], alone[:, 0])
 
 
 def test_window_must_fit(recorded):
@@ -193,21 +163,32 @@ def test_window_must_fit(recorded):
         WindowSimulation(model, [motion], [Window(0, TICKS - 5)], 25, LEG)
 
 
+@scalar
+def dry(mass, total, velocity, force, bound, change, sweeps):
+    """Sweeps over all joints as one limb."""
+    for _ in range(sweeps):
+        solve_dry(mass, total, velocity, force, bound, change, 0, len(change))
+
+
+@scalar
+def linear(mass, total, force, change, rows, first, last):
+    """A limb's linear equations."""
+    solve_linear(mass, total, force, change, rows, first, last)
+
+
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 10_000))
 def test_linear_step_solves_the_equations(seed):
     """Without dry friction the change of velocity is that of the linear equations, as numpy solves them."""
     rng = np.random.default_rng(seed)
-    root = rng.normal(size=(5, 6, 6)) * 0.05
-    matrix = root @ root.transpose(0, 2, 1) + np.eye(6) * 0.005
-    force = rng.normal(size=(5, 6)) * 1e-3
-    mass, total = np.moveaxis(matrix, 0, -1).copy(), np.diagonal(matrix, 0, 1, 2).T.copy()
-    change = np.full_like(total, np.nan)
-    solve_linear(mass, total, force.T.copy(), change, 0, 6)
-    assert np.allclose(change.T, np.linalg.solve(matrix, force[..., None])[..., 0])
-    alone = np.zeros_like(total)
-    solve_linear(mass, total, force.T.copy(), alone, 2, 3)
-    assert np.allclose(alone[2], force[:, 2] / total[2])
+    root = rng.normal(size=(6, 6)) * 0.05
+    mass, force = root @ root.T + np.eye(6) * 0.005, rng.normal(size=6) * 1e-3
+    change, total = np.full(6, np.nan), np.diag(mass).copy()
+    linear(mass, total, force, change, np.empty((6, 6)), 0, 6)
+    np.testing.assert_allclose(change, np.linalg.solve(mass, force))
+    alone = np.zeros(6)
+    linear(mass, total, force, alone, np.empty((6, 6)), 2, 3)
+    assert alone[2] == pytest.approx(force[2] / total[2])
     assert not alone[[0, 1, 3, 4, 5]].any()
 
 
@@ -219,11 +200,8 @@ def test_friction_solution_is_the_minimum(seed):
     root = rng.normal(size=(3, 3)) * 0.05
     matrix = root @ root.T + np.diag(rng.uniform(0.005, 0.01, 3))
     velocity, force, bound = rng.normal(size=3) * 0.01, rng.normal(size=3) * 1e-3, rng.uniform(0, 2e-3, 3)
-    change = np.zeros((3, 1))
-    known = [np.diag(matrix), velocity, force, bound]
-    for _ in range(60):
-        solve_dry(matrix[..., None], *(each[:, None].copy() for each in known), change, 0, 3)
-    found = change[:, 0]
+    found = np.zeros(3)
+    dry(matrix, np.diag(matrix).copy(), velocity, force, bound, found, 60)
 
     def cost(change: np.ndarray) -> float:
         return float(0.5 * change @ matrix @ change - change @ force + bound @ np.abs(velocity + change))
@@ -233,36 +211,30 @@ def test_friction_solution_is_the_minimum(seed):
             assert cost(found) <= cost(found + move * np.eye(3)[joint]) + 1e-12
 
 
-def test_held_joint_stays_at_zero():
+def test_held_joint_stays_at_zero_and_what_is_no_number_shows():
     """Where friction can take the whole impulse, the joint's speed is exactly zero, coupled or not."""
-    mass = np.array([[0.01, 0.004], [0.004, 0.02]])[..., None]
-    total, force = np.array([[0.01], [0.02]]), np.array([[1e-4], [-2e-4]])
-    change = np.zeros((2, 1))
-    solve_dry(mass, total, np.zeros((2, 1)), force, np.full((2, 1), 3e-4), change, 0, 2)
-    assert not change.any()
-    solve_dry(mass, total, np.zeros((2, 1)), 10 * force, np.full((2, 1), 3e-4), change, 0, 2)
-    assert change.all()
+    mass, total, force = np.array([[0.01, 0.004], [0.004, 0.02]]), np.array([0.01, 0.02]), np.array([1e-4, -2e-4])
+    for pushed, bound, moves in ((force, 3e-4, False), (10 * force, 3e-4, True), (force, np.nan, True)):
+        change = np.zeros(2)
+        dry(mass, total, np.zeros(2), pushed, np.full(2, bound), change, 1)
+        assert change.all() == moves
+    assert np.isnan(change).all()
+
+
+def test_limbs_are_joints_that_masses_couple():
+    """Two joints that push each other, and one alone."""
+    mass = np.array([[[1.0, 0.1, 0.0], [0.1, 1.0, 0.0], [0.0, 0.0, 1.0]]])
+    assert coupled(mass).tolist() == [[0, 2], [2, 3]]
 
 
 def test_the_bus_falls_with_the_currents_that_it_lets_through(recorded):
-    """Under a hard push of all joints a weak supply gives a sixth less, in numpy as in torch."""
+    """Under a hard push of all joints a weak supply gives a sixth less."""
     model, motion = recorded
     pushed = {**motion.inputs, "p_gain": np.full_like(motion.position, 6.0)}
     pushed["position_target"] = motion.inputs["position_target"] + 1.0
-    weak = replace(motion, inputs=pushed, supply_resistance=0.5)
 
-    def currents(one: MeasuredMotion, translated: bool) -> torch.Tensor:
-        simulation = WindowSimulation(model, [one], [Window(0, 40)], 1, LEG, translated=translated, dtype=torch.float64)
-        return simulation.run()["joint", "current"][0, 0, -1].abs()
+    def currents(resistance: float) -> torch.Tensor:
+        one = replace(motion, inputs=pushed, supply_resistance=resistance)
+        return WindowSimulation(model, [one], [Window(0, 40)], 1, LEG).run()["joint", "current"][0, 0, -1].abs()
 
-    fallen = currents(weak, True)
-    assert torch.allclose(fallen, currents(weak, False), rtol=0, atol=1e-9)
-    assert (fallen < 0.85 * currents(replace(weak, supply_resistance=0.0), True)).all()
-
-
-def test_friction_that_is_no_number_shows():
-    """A joint whose friction diverged does not look as if it was held."""
-    one = np.ones((1, 1))
-    change = np.zeros((1, 1))
-    solve_dry(0.01 * one[None], 0.01 * one, one, 0.001 * one, np.nan * one, change, 0, 1)
-    assert np.isnan(change).all()
+    assert (currents(0.5) < 0.85 * currents(0.0)).all()

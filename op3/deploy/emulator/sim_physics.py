@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -28,17 +28,11 @@ from op3.robot import (
 )
 from op3.robot.scenes import Scene
 from op3.robot.units import GRAVITY
-from op3.servo import Effect, RobotModel, Signals, Stage, Trunk
-from op3.servo.compiled_step import CompiledStep
-from op3.servo.recording import Untranslatable
+from op3.servo import RobotModel, Trunk
 from op3.sim import BatchSimulation, attach_servos
-from op3.sim.translated import HANDED_OVER
 from op3.stand_in.sensors import roll_pitch_yaw
 
 Array = NDArray[np.float64]
-
-FLOWS = ("current", "duty", "voltage")
-"""What the law says of the motors, of which the servos report."""
 
 SLOW_EVERY = 10
 """Battery and temperatures move on, and divergence is looked for, once in this many periods."""
@@ -76,7 +70,6 @@ class SimPhysics(BatchSimulation):
         battery: where the servos' voltage comes from; None for a supply at the model's `bus_voltage`.
         windings: how the motors warm up.
         imu: noise and filter of the IMU.
-        compiled: whether the servo law is translated to numpy where it can be, which is several times faster.
     """
 
     def __init__(
@@ -89,7 +82,6 @@ class SimPhysics(BatchSimulation):
         battery: Battery | None = None,
         windings: Windings | None = None,
         imu: ImuNoise | None = None,
-        compiled: bool = True,
     ):
         self.scene = build_scene(scene) if isinstance(scene, str) else scene
         attach_servos(self.scene.joints)
@@ -104,7 +96,6 @@ class SimPhysics(BatchSimulation):
             base_body=None if robot is None else robot.trunk.full_identifier,
             joint_names=self.joints,
             num_threads=1,
-            translated=False,  # here a tick and its one step are translated together
         )
         self.battery, self._windings = battery, windings or Windings()
         self.supply: float | None = None
@@ -120,16 +111,12 @@ class SimPhysics(BatchSimulation):
         if joint_position is None:
             joint_position = np.zeros(count) if robot is None else pose("stand")
         self.reset(self.scene.initial_qpos(joint_position), {"torque_enable": torch.zeros(1, count)})
-        self.law.sense(self.signals)
+        self.law.sense()
         self._voltage = self.model.bus_voltage if battery is None else battery.voltage
-        self.signals.bus_voltage = torch.full_like(self.signals.position, self._voltage)
-        self.signals.temperature = torch.from_numpy(self._temperature.copy())[None]
+        self.signals.bus_voltage = self._voltage
+        self.signals.temperature = torch.from_numpy(self._temperature)
+        self.signals.current_bound = UNBOUNDED
         self._resistance = self.parameters["terminal_resistance"][0].numpy()
-        self._compiled = self._compile() if compiled else None
-        # without an effect on the sensors they say what is, and that can be seen in the batch's own arrays
-        self._senses = self._compiled is None or _has(self.model, "apply", Stage.SENSING)
-        self._reports, self._tilts = _has(self.model, "report"), _has(self.model, "sense_trunk")
-        self._report = None if self._compiled is None or not self._reports else self._compile_report(self._compiled)
         self._find_imu()
 
     def _find_imu(self) -> None:
@@ -158,36 +145,21 @@ class SimPhysics(BatchSimulation):
         self._imu = self._attitude.copy(), felt + self._imu_spread * self._rng.standard_normal(6)
 
     @property
-    def translated(self) -> bool:
-        """Whether the law runs in numpy."""
-        return self._compiled is not None
-
-    @property
     def position(self) -> Array:
         """Joint angles as the encoders see them [joint] in rad."""
-        return self.signals.measured_position[0].numpy() if self._senses else self._position[0]
+        return self.signals.measured_position[0].numpy()
 
     @property
     def velocity(self) -> Array:
         """Joint velocities [joint] in rad/s."""
-        return self.signals.measured_velocity[0].numpy() if self._senses else self._velocity[0]
+        return self.signals.measured_velocity[0].numpy()
 
     def drive(self, drive: Drive) -> None:
         """What the drivers do from now on; joints that are not enabled run free, with friction alone."""
-        goals = {
-            "goal_current": drive.current,
-            "goal_duty": drive.duty,
-            "by_voltage": drive.voltage,
-            "bound": np.minimum(drive.limit, UNBOUNDED),
-        }
-        self.signals.torque_enable = torch.from_numpy(drive.enabled.astype(float))[None]
-        if self._compiled is None:
-            for name, value in goals.items():
-                self.signals.state[name] = torch.from_numpy(value.astype(float))[None]
-        else:
-            self._compiled.inputs["torque_enable"][0] = drive.enabled
-            for name, value in goals.items():
-                self._compiled.state[name][0] = value
+        row = self.law.records[0]
+        row["torque_enable"], row["target_current"] = drive.enabled, drive.current * drive.enabled
+        row["goal_duty"], row["by_voltage"] = drive.duty, drive.voltage
+        row["current_bound"] = np.minimum(drive.limit, UNBOUNDED)
 
     def advance(self, steps: int = 1) -> None:
         """Let a number of periods pass.
@@ -195,21 +167,18 @@ class SimPhysics(BatchSimulation):
         Raises:
             RuntimeError: if the physics has diverged; within `SLOW_EVERY` periods.
         """
-        law = self._compiled
-        step = super().advance if law is None else partial(self._step_in_numpy, law)
         for _ in range(steps):
             if self._board_drive is not None:
                 self._move_board()
-            step()
+            super().advance()
             self._steps += 1
             if self._attitude is not None and self._steps % IMU_EVERY == 0:
                 self._latch_imu()
             if self._steps % SLOW_EVERY == 0:
                 self._check()
                 self._step_slow()
-        if self._senses:
-            self._read()
-            self.law.sense(self.signals)
+        self._read()
+        self.law.report()
 
     def set_ground(self, board: BoardMotion | WeightSchedule | None = None, tiles: ArrayLike | None = None) -> None:
         """What the ground does from now on; its time counts from this call.
@@ -251,89 +220,21 @@ class SimPhysics(BatchSimulation):
         return mujoco.MjData(model), tips
 
     def _check(self) -> None:
-        if self._compiled is not None:
-            # a number that is not finite spreads through the sum
-            finite = np.isfinite(sum(float(array.sum()) for array in self._handed))
-            self.failed[0] = not finite or bool(self.batch.warning.any())
         if bool(self.failed[0]):
             raise RuntimeError(f"the simulated robot's physics diverged at {self._steps * PERIOD:.3f} s")
 
-    def _law_alone(self, signals: Signals) -> None:
-        self.law.tick(signals)
-        self.law.step(signals)
-
-    def _compile(self) -> CompiledStep | None:
-        """The law in numpy, reading the batch's own arrays; None where that cannot be."""
-        if any(e.stage == Stage.SENSING and e.name in self.signals.state for e in self.model.effects):
-            return None  # its memory would be asked for outside the law's own steps
-        live = self._live_arrays()
-        if live is None:
-            return None
-        self._position, self._velocity = live["position"], live["velocity"]
-        try:
-            return CompiledStep(self._law_alone, self.signals, (*HANDED_OVER, *FLOWS), live, tuple(live))
-        except Untranslatable:
-            return None
-
-    def _flow(self, name: str) -> Array:
-        """Current, duty or voltage of the last step [joint]."""
-        if self._compiled is None:
-            return getattr(self.signals, name)[0].numpy()
-        return self._compiled.outputs[name][0]
-
     def _step_slow(self) -> None:
         signals, duration = self.signals, SLOW_EVERY * PERIOD
-        current = self._flow("current")
+        current = signals.current[0].numpy()
         if self.battery is not None:
-            self.battery.step(float((self._flow("voltage") * current).sum()), duration)
+            self.battery.step(float((signals.voltage[0] * signals.current[0]).sum()), duration)
             self._voltage = self.battery.voltage
         if self.supply is not None:
             self._voltage = self.supply
         elif self.battery is None:
             self._voltage = self.model.bus_voltage
         self._windings.step(self._temperature, self._resistance * current**2, duration)
-        if self._compiled is not None:
-            slow = {"bus_voltage": self._voltage, "temperature": self._temperature}
-            for name in slow.keys() & self._compiled.inputs.keys():
-                self._compiled.inputs[name][...] = slow[name]
-        if self._compiled is None or self._senses or self._reports:
-            signals.bus_voltage = torch.full_like(signals.position, self._voltage)
-            signals.temperature = torch.from_numpy(self._temperature.copy())[None]
-
-    def _compile_report(self, compiled: CompiledStep) -> CompiledStep | None:
-        """What the servos say of their current, in numpy, from what the compiled law left; None if that cannot be."""
-        live = compiled.inputs | {name: compiled.outputs[name] for name in FLOWS}
-        live |= {"position": self._position, "velocity": self._velocity}
-
-        def step(signals: Signals) -> None:
-            # of the law's step only the factors on the motor's parameters are kept, and computed
-            before = replace(signals, state=dict(signals.state), factors={})
-            self.law.step(before)
-            signals.factors.update(before.factors)
-            self.law.report(signals)
-
-        try:
-            return CompiledStep(step, self.signals, ("measured_current",), live, tuple(live))
-        except Untranslatable:
-            return None
-
-    def _measured_current(self) -> Array:
-        """Current of every joint as the effects say that it is measured [A]."""
-        signals, compiled, report = self.signals, self._compiled, self._report
-        if compiled is not None and report is not None:
-            for name, memory in report.state.items():
-                memory[...] = compiled.state[name] if name in compiled.state else compiled.next_state[name]
-            report()
-            return report.outputs["measured_current"][0]
-        if compiled is not None:
-            for name in FLOWS:
-                setattr(signals, name, torch.from_numpy(self._flow(name).copy())[None])
-            signals.position = torch.from_numpy(self._position.copy())
-            signals.velocity = torch.from_numpy(self._velocity.copy())
-            memories = compiled.next_state | compiled.state
-            signals.state.update({name: torch.from_numpy(memory) for name, memory in memories.items()})
-        self.law.report(signals)
-        return signals.measured_current[0].numpy()
+        signals.bus_voltage, signals.temperature = self._voltage, torch.from_numpy(self._temperature)
 
     def read(self) -> Readings:
         """What all sensors say now."""
@@ -341,25 +242,17 @@ class SimPhysics(BatchSimulation):
         if self._attitude is not None:
             quaternion, felt = self._imu
             rates, force = felt[:3], felt[3:]
-            if self._tilts:
-                seen = self.law.sense_trunk(Trunk(torch.from_numpy(quaternion)[None], torch.from_numpy(rates)[None]))
-                quaternion, rates = seen.quaternion[0].numpy(), seen.angular_velocity[0].numpy()
+            seen = self.law.sense_trunk(Trunk(torch.from_numpy(quaternion)[None], torch.from_numpy(rates)[None]))
+            quaternion, rates = seen.quaternion[0].numpy(), seen.angular_velocity[0].numpy()
             orientation = roll_pitch_yaw(quaternion)
-        current = self._measured_current() if self._reports else self._flow("current")
         return Readings(
             position=self.position.copy(),
             velocity=self.velocity.copy(),
-            current=current.copy(),
-            duty=self._flow("duty").copy(),
+            current=self.signals.measured_current[0].numpy().copy(),
+            duty=self.signals.duty[0].numpy().copy(),
             voltage=np.full(len(self.joints), self._voltage),
             temperature=self._temperature.copy(),
             orientation=orientation,
             angular_velocity=rates,
             linear_acceleration=force,
         )
-
-
-def _has(model: RobotModel, hook: str, stage: Stage | None = None) -> bool:
-    """Whether an effect of the model, of this stage, acts at a hook of `Effect`."""
-    effects = [effect for effect in model.effects if stage is None or effect.stage == stage]
-    return any(getattr(type(effect), hook) is not getattr(Effect, hook) for effect in effects)

@@ -4,13 +4,25 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-import torch
-from torch import Tensor
+import numpy as np
 
-from op3.servo.effect import Clock, Effect, Parameter, Prepared, Scope, Signals, Stage, register
+from op3.servo.effect import Effect, Parameter, Scope, Stage, register
+from op3.servo.machine_code import scalar
 
-TABLE_LENGTH = 4096
-"""Random numbers drawn; a recording with more ticks sees them again."""
+GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+"""Step of the generator of random numbers."""
+
+CURRENT = 0
+"""Place of the target current among the signals that can be held."""
+
+
+@scalar
+def chance(seed, number):
+    """A random number in [0, 1) that follows from seed and place alone: splitmix64 (Steele et al., 2014)."""
+    mixed = np.uint64(seed) * np.uint64(0xD1342543DE82EF95) + (np.uint64(number) + np.uint64(1)) * GOLDEN
+    mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return np.float64((mixed ^ (mixed >> np.uint64(31))) >> np.uint64(11)) * 2.0**-53
 
 
 @register
@@ -19,8 +31,8 @@ class PacketDrop(Effect):
     """Some command packets do not arrive; the servos then hold their last command.
 
     One packet carries the commands of all servos, so all lose it. Which packets are lost follows from the seed and the
-    number of the tick alone: all simulations lose the same ones, and more where the probability is higher. Where
-    `Signals.packet` tells whether one arrived, as a diagnosis reads it off a log, that counts if the probability is
+    number of the tick alone: all simulations lose the same ones, and more where the probability is higher. Where the
+    signal ``packet`` tells whether one arrived, as a diagnosis reads it off a log, that counts if the probability is
     above 0.
 
     Attributes:
@@ -36,6 +48,7 @@ class PacketDrop(Effect):
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("drop_probability", "-", 0.0, 0.1, 0.0, 0.0, "p", per_joint=False, least=0.0, most=1.0),
     )
+    memory: ClassVar[tuple[str, ...]] = ("held", "number")
     size: ClassVar[str] = "drop_probability"
     smallest: ClassVar[float] = 0.01
     secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"drop_probability": 0.05}, {"drop_probability": 0.2})
@@ -48,25 +61,22 @@ class PacketDrop(Effect):
     seed: int = 0
     signal: Literal["target_current", "goal"] = "target_current"
 
-    def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
-        """Random numbers of the ticks."""
-        probability = values["drop_probability"]
-        generator = torch.Generator().manual_seed(self.seed)
-        chance = torch.rand(TABLE_LENGTH, generator=generator, dtype=torch.float64).to(probability.device)
-        return {"probability": probability, "chance": chance}
-
-    def reset(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def reset(s, p):
         """The first command has arrived."""
-        signals.state[self.name] = getattr(signals, self.signal).clone()
-        signals.state["packet_number"] = torch.zeros((), dtype=torch.int64)
+        s.packet_drop_held = s.target_current if p.packet_drop_signal == CURRENT else s.goal
 
-    def tick(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def tick(s, p):
         """Hold the last command where this packet is lost."""
-        number = int(signals.state["packet_number"])
-        signals.state["packet_number"] = signals.state["packet_number"] + 1
-        drawn = prepared["chance"][number % TABLE_LENGTH] < prepared["probability"]
-        known = (signals.packet < 0) & (prepared["probability"] > 0)
-        lost = torch.where(signals.packet == 0, drawn, known)
-        arrived = torch.where(lost, signals.state[self.name], getattr(signals, self.signal))
-        signals.state[self.name] = arrived
-        setattr(signals, self.signal, arrived)
+        if s.packet == 0.0:
+            lost = chance(p.packet_drop_seed, s.packet_drop_number) < p.drop_probability
+        else:
+            lost = s.packet < 0.0 and p.drop_probability > 0.0
+        s.packet_drop_number += 1.0
+        sent = s.target_current if p.packet_drop_signal == CURRENT else s.goal
+        s.packet_drop_held = s.packet_drop_held if lost else sent
+        if p.packet_drop_signal == CURRENT:
+            s.target_current = s.packet_drop_held
+        else:
+            s.goal = s.packet_drop_held

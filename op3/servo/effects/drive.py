@@ -5,11 +5,14 @@ from dataclasses import dataclass, replace
 from math import ceil, exp
 from typing import ClassVar, Literal
 
-import torch
+import numpy as np
 from torch import Tensor
 
-from op3.servo import law
-from op3.servo.effect import Clock, Effect, Parameter, Prepared, Scope, Signals, Stage, register
+from op3.servo.effect import Clock, Effect, Parameter, Scope, Stage, register
+from op3.servo.law import acted, clip, lifted_voltage
+
+CURRENT = 0
+"""Place of the target current among the signals that can be late."""
 
 
 @register
@@ -31,18 +34,13 @@ class CurrentPD(Effect):
     current_limit: float = 2.3
     resolution: float = 0.0
 
-    def tick(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def tick(s, p):
         """Compute the current command from the sensors of this tick."""
-        current = law.pd_current(
-            signals.position_target,
-            signals.measured_position,
-            signals.measured_velocity,
-            signals.p_gain,
-            signals.d_gain,
-        )
-        if self.resolution > 0.0:
-            current = torch.round(current / self.resolution) * self.resolution
-        signals.target_current = current.clamp(-self.current_limit, self.current_limit) * signals.torque_enable
+        current = s.p_gain * (s.position_target - s.measured_position) - s.d_gain * s.measured_velocity
+        if p.current_pd_resolution > 0.0:
+            current = np.rint(current / p.current_pd_resolution) * p.current_pd_resolution
+        s.target_current = clip(current, -p.current_pd_current_limit, p.current_pd_current_limit) * s.torque_enable
 
 
 @register
@@ -62,6 +60,7 @@ class Latency(Effect):
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("command_latency", "s", 0.0, 0.016, 0.006, 0.0, "time from reading sensors to torque", least=0.0),
     )
+    constants: ClassVar[tuple[str, ...]] = ("steps", "steps_per_tick")
     size: ClassVar[str] = "command_latency"
     smallest: ClassVar[float] = 0.0005
     secants: ClassVar[tuple[Mapping[str, float], ...]] = (
@@ -87,8 +86,8 @@ class Latency(Effect):
         known = tuple(replace(known, most=self.longest) for known in type(self).parameters)
         object.__setattr__(self, "parameters", known)
 
-    def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
-        """Weights of past commands for each step of the period.
+    def adjust(self, values: Mapping[str, Tensor], sides: Tensor) -> Mapping[str, Tensor]:
+        """Nothing is changed; a latency must be one that the memory holds.
 
         Raises:
             ValueError: if a latency is negative or longer than the memory.
@@ -99,32 +98,45 @@ class Latency(Effect):
                 f"command_latency must lie in [0, {self.longest}] s, got {latency.min():g} to {latency.max():g};"
                 " raise the option `longest` of the effect `latency` for slower buses"
             )
-        depth = ceil(self.longest / clock.period - 1e-9) + 1
-        weights = law.delay_weights(latency, clock.timestep, clock.period, depth)
-        last = law.last_arrivals(weights)
-        return {"weights": weights, "last": last, "since": (weights * last).sum(1)}
+        return values
 
-    def reset(self, signals: Signals, prepared: Prepared) -> None:
+    def depth(self, clock: Clock) -> int:
+        """Commands that can be on their way, and the one in force."""
+        return ceil(self.longest / clock.period - 1e-9) + 1
+
+    @staticmethod
+    def prepare(p):
+        """Latency and control period in simulation steps."""
+        p.latency_steps, p.latency_steps_per_tick = p.command_latency / p.timestep, p.period / p.timestep
+
+    @staticmethod
+    def reset(s, p, past):
         """Before the start, the first command was already held."""
-        first = getattr(signals, self.signal)
-        signals.state[self.name] = law.stacked(*[first] * prepared["weights"].shape[1])
-        if self.signal == "target_current":
-            signals.state[law.ARRIVED] = law.stacked(torch.zeros_like(first), torch.ones_like(first))
+        past[:] = s.target_current if p.latency_signal == CURRENT else s.goal
 
-    def tick(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def tick(s, p, past):
         """Put the new command in front of the older ones."""
-        older = signals.state[self.name][:-1].unbind()
-        signals.state[self.name] = law.stacked(getattr(signals, self.signal), *older)
+        for age in range(len(past) - 1, 0, -1):
+            past[age] = past[age - 1]
+        past[0] = s.target_current if p.latency_signal == CURRENT else s.goal
 
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def apply(s, p, past):
         """Let through the mean over the step of what has arrived."""
-        held = signals.state[self.name]
-        arrived = (law.at_phase(prepared["weights"], signals.phase) * held).sum(0)
-        setattr(signals, self.signal, arrived)
-        if self.signal == "target_current":
-            last = (law.at_phase(prepared["last"], signals.phase) * held).sum(0)
-            since = law.at_phase(prepared["since"], signals.phase)
-            signals.state[law.ARRIVED] = law.stacked(last - arrived, since.expand_as(arrived))
+        arrived, before, last, since = 0.0, 0.0, 0.0, 0.0
+        for age in range(len(past)):
+            share = acted(age, s.phase, p.latency_steps, p.latency_steps_per_tick)
+            arrived += (share - before) * past[age]
+            if before == 0.0 and share > 0.0:  # the newest that acts
+                last, since = past[age], share
+            before = share
+            if share == 1.0:
+                break
+        if p.latency_signal == CURRENT:
+            s.target_current, s.ahead, s.since = arrived, last - arrived, since
+        else:
+            s.goal = arrived
 
 
 @register
@@ -143,6 +155,8 @@ class PositionServo(Effect):
     stage: ClassVar[Stage] = Stage.CONTROLLER
     equation: ClassVar[str] = "V = V_bus clip(c kp g (goal - q) + kd (d goal/dt - w), -d_max, d_max)"
     source: ClassVar[str] = "Feetech STS3032 and Dynamixel XL330 as recorded on Rhoban's servo bench"
+    memory: ClassVar[tuple[str, ...]] = ("goal", "goal_rate")
+    constants: ClassVar[tuple[str, ...]] = ("stride", "forget")
     commands: ClassVar[tuple[str, ...]] = ("firmware_gain",)
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("controller_gain", "-", 0.6, 1.4, 1.0, 1.0, "factor c on the firmware's nominal gain"),
@@ -162,38 +176,28 @@ class PositionServo(Effect):
     goal_speed: float = 34.0
     goal_filter: float = 0.006
 
-    def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
-        """Gains, and how far the followed goal moves and its filter forgets in a step."""
-        gain = values["controller_gain"] * self.error_gain
-        return {
-            "gain": gain,
-            "derivative_gain": values["derivative_gain"],
-            "stride": torch.tensor(self.goal_speed * clock.timestep, dtype=gain.dtype),
-            "forget": torch.tensor(1.0 - exp(-clock.timestep / self.goal_filter), dtype=gain.dtype),
-            "timestep": torch.tensor(clock.timestep, dtype=gain.dtype),
-        }
+    @staticmethod
+    def prepare(p):
+        """How far the followed goal moves and its filter forgets in a step."""
+        p.position_servo_stride = p.position_servo_goal_speed * p.timestep
+        p.position_servo_forget = 1.0 - exp(-p.timestep / p.position_servo_goal_filter)
 
-    def reset(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def reset(s, p):
         """The goal followed so far is the first one commanded, and it rests."""
-        signals.state["followed_goal"] = signals.position_target.clone()
-        signals.state["goal_rate"] = torch.zeros_like(signals.position_target)
+        s.position_servo_goal, s.position_servo_goal_rate = s.position_target, 0.0
 
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def apply(s, p):
         """Follow the goal and set the voltage."""
-        move = torch.clamp(signals.goal - signals.state["followed_goal"], -prepared["stride"], prepared["stride"])
-        followed = signals.state["followed_goal"] + move
-        rate = signals.state["goal_rate"]
-        rate = rate + prepared["forget"] * (move / prepared["timestep"] - rate)
-        signals.state["followed_goal"], signals.state["goal_rate"] = followed, rate
-        duty = law.position_duty(
-            followed - signals.measured_position,
-            rate - signals.measured_velocity,
-            signals.firmware_gain * prepared["gain"],
-            prepared["derivative_gain"],
-            self.max_duty,
-        )
-        signals.duty = duty
-        signals.voltage = duty * signals.bus_voltage
+        move = clip(s.goal - s.position_servo_goal, -p.position_servo_stride, p.position_servo_stride)
+        s.position_servo_goal += move
+        s.position_servo_goal_rate += p.position_servo_forget * (move / p.timestep - s.position_servo_goal_rate)
+        gain = s.firmware_gain * (p.controller_gain * p.position_servo_error_gain)
+        duty = gain * (s.position_servo_goal - s.measured_position)
+        duty += p.derivative_gain * (s.position_servo_goal_rate - s.measured_velocity)
+        s.duty = clip(duty, -p.position_servo_max_duty, p.position_servo_max_duty)
+        s.voltage = s.duty * s.bus_voltage
 
 
 @register
@@ -227,8 +231,7 @@ class MinimumDuty(Effect):
     alias_class: ClassVar[str] = "supply"
     scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint")
 
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def apply(s, p):
         """Raise the voltage."""
-        signals.voltage = law.lifted_voltage(
-            signals.voltage, signals.bus_voltage, prepared["minimum_duty"], prepared["minimum_duty_fade"]
-        )
+        s.voltage = lifted_voltage(s.voltage, s.bus_voltage, p.minimum_duty, p.minimum_duty_fade)

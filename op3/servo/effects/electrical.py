@@ -2,13 +2,16 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import exp, inf
 from typing import ClassVar, Literal
 
-import torch
 from torch import Tensor
 
-from op3.servo import law
-from op3.servo.effect import Clock, Effect, Parameter, Prepared, Scope, Signals, Stage, register
+from op3.servo.effect import Effect, Parameter, Scope, Stage, register
+from op3.servo.law import clip, lags_per_step
+
+CURRENT = 0
+"""Place of the target current among the signals that can lag."""
 
 REFERENCE_TEMPERATURE = 25.0
 """Temperature at which the motor's parameters hold [C]."""
@@ -74,10 +77,10 @@ class TerminalResistance(Effect):
         """Scale the motor's parameter."""
         return scaled(values, "terminal_resistance", values["terminal_resistance_error"])
 
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def apply(s, p):
         """Tell the motor how the windings' temperature changes its resistance."""
-        warmer = signals.temperature - REFERENCE_TEMPERATURE
-        signals.factors["terminal_resistance"] = 1.0 + prepared["resistance_temperature_coefficient"] * warmer
+        s.resistance_factor = 1.0 + p.resistance_temperature_coefficient * (s.temperature - REFERENCE_TEMPERATURE)
 
 
 @register
@@ -102,10 +105,10 @@ class TorqueConstantTemperature(Effect):
     alias_class: ClassVar[str] = "temperature"
     scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint")
 
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def apply(s, p):
         """Tell the motor how much of its torque constant is left."""
-        warmer = signals.temperature - REFERENCE_TEMPERATURE
-        signals.factors["torque_constant"] = 1.0 - prepared["magnet_temperature_coefficient"] * warmer
+        s.torque_constant_factor = 1.0 - p.magnet_temperature_coefficient * (s.temperature - REFERENCE_TEMPERATURE)
 
 
 @register
@@ -128,6 +131,8 @@ class VoltageSag(Effect):
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("supply_resistance", "ohm", 0.0, 0.6, 0.0, 0.0, "Rb", per_joint=False, least=0.0),
     )
+    memory: ClassVar[tuple[str, ...]] = ("drawn",)
+    constants: ClassVar[tuple[str, ...]] = ("keep",)
     size: ClassVar[str] = "supply_resistance"
     smallest: ClassVar[float] = 0.05
     secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"supply_resistance": 0.1}, {"supply_resistance": 0.3})
@@ -140,22 +145,22 @@ class VoltageSag(Effect):
     time_constant: float = 0.002
     least_voltage: float = 1.0
 
-    def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
-        """Resistance, and the share of the old current that a step keeps."""
-        resistance = values["supply_resistance"]
-        keep = torch.exp(torch.tensor(-clock.timestep / self.time_constant, dtype=resistance.dtype))
-        return {"resistance": resistance, "keep": keep}
+    @staticmethod
+    def prepare(p):
+        """Share of the old current that a step keeps."""
+        p.voltage_sag_keep = exp(-p.timestep / p.voltage_sag_time_constant)
 
-    def reset(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def reset(s, p):
         """The bus has settled at the first currents."""
-        signals.state[self.name] = signals.current.abs().sum(-1, keepdim=True)
+        s.voltage_sag_drawn = s.drawn
 
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def apply(s, p):
         """Lower the bus voltage of this step."""
-        drawn = signals.current.abs().sum(-1, keepdim=True)
-        drawn = drawn + prepared["keep"] * (signals.state[self.name] - drawn)
-        signals.state[self.name] = drawn
-        signals.bus_voltage = (signals.bus_voltage - prepared["resistance"] * drawn).clamp(min=self.least_voltage)
+        s.voltage_sag_drawn = s.drawn + p.voltage_sag_keep * (s.voltage_sag_drawn - s.drawn)
+        fallen = s.bus_voltage - p.supply_resistance * s.voltage_sag_drawn
+        s.bus_voltage = clip(fallen, p.voltage_sag_least_voltage, inf)
 
 
 @register
@@ -178,6 +183,8 @@ class CurrentLag(Effect):
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("current_time_constant", "s", 0.0, 0.01, 0.0, 0.0, "Tc", least=0.0),
     )
+    memory: ClassVar[tuple[str, ...]] = ("end", "wanted")
+    constants: ClassVar[tuple[str, ...]] = ("rate", "left")
     size: ClassVar[str] = "current_time_constant"
     smallest: ClassVar[float] = 0.0005
     secants: ClassVar[tuple[Mapping[str, float], ...]] = (
@@ -194,32 +201,36 @@ class CurrentLag(Effect):
 
     signal: Literal["target_current", "voltage"] = "target_current"
 
-    def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
-        """Share of the old deviation that is left after a step, and in the mean over the step."""
-        time_constant = values["current_time_constant"]
-        rate = rate_per_step(time_constant, clock.timestep)
-        return {"left": torch.exp(-rate), "steps": time_constant / clock.timestep, "rate": rate}
+    @staticmethod
+    def prepare(p):
+        """Time constants in a step, and the share of a deviation that it leaves."""
+        p.current_lag_rate = lags_per_step(p.current_time_constant, p.timestep)
+        p.current_lag_left = exp(-p.current_lag_rate)
 
-    def reset(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def reset(s, p):
         """The first command was held for long; a voltage starts from zero."""
-        start = signals.target_current if self.signal == "target_current" else torch.zeros_like(signals.position)
-        signals.state[self.name] = law.stacked(start, torch.zeros_like(start), start)
+        s.current_lag_end = s.current_lag_wanted = s.target_current if p.current_lag_signal == CURRENT else 0.0
 
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def apply(s, p):
         """Let the command through as far as it has come, also where a new one arrives within the step."""
-        asked = getattr(signals, self.signal)
-        before, _, last = signals.state[self.name]
-        if self.signal == "target_current" and law.ARRIVED in signals.state:
-            ahead, since = signals.state[law.ARRIVED]
-            now = asked + ahead
-            end = now + (last - now) * torch.exp(-since * prepared["rate"]) + (before - last) * prepared["left"]
+        if p.current_lag_signal == CURRENT:
+            before, asked = s.current_lag_end, s.target_current
+            now = asked + s.ahead
+            left = p.current_lag_left if s.since == 1.0 else exp(-s.since * p.current_lag_rate)
+            end = now + (s.current_lag_wanted - now) * left + (before - s.current_lag_wanted) * p.current_lag_left
         else:
+            before, asked = s.current_lag_end, s.voltage
             now = asked
-            end = now + (before - now) * prepared["left"]
+            end = now + (before - now) * p.current_lag_left
         # the mean of dI/dt = (u - I) / Tc
-        mean = asked - prepared["steps"] * (end - before)
-        signals.state[self.name] = law.stacked(end, end - mean, now)
-        setattr(signals, self.signal, mean)
+        mean = asked - p.current_time_constant / p.timestep * (end - before)
+        s.current_lag_end, s.current_lag_wanted = end, now
+        if p.current_lag_signal == CURRENT:
+            s.target_current, s.ahead = mean, end - mean
+        else:
+            s.voltage = mean
 
 
 @register
@@ -246,31 +257,17 @@ class CurrentOffset(Effect):
     alias_class: ClassVar[str] = "torque_bias"
     scopes: ClassVar[tuple[Scope, ...]] = ("joint", "shared", "side")
 
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def apply(s, p):
         """Take from the current what the sensor reads too much; a servo without torque regulates nothing."""
-        signals.target_current = signals.target_current - prepared["current_offset"] * signals.torque_enable
+        s.target_current -= p.current_offset * s.torque_enable
 
-    def report(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def report(s, p):
         """Shift the reading."""
-        signals.measured_current = signals.measured_current + prepared["current_offset"]
+        s.measured_current += p.current_offset
 
 
 def scaled(values: Mapping[str, Tensor], name: str, error: Tensor) -> Mapping[str, Tensor]:
     """Parameters with one of them times ``1 + error``, where the model has it."""
     return {**values, name: values[name] * (1.0 + error)} if name in values else values
-
-
-def rate_per_step(time_constant: Tensor, timestep: float) -> Tensor:
-    """Time constants of a first-order lag that pass in a step.
-
-    Args:
-        time_constant: [s], ``[sim, joint]``.
-        timestep: [s].
-    """
-    # below a thousandth of the step nothing of a deviation is left in float64, and the derivative stays finite
-    return timestep / time_constant.clamp(min=1e-3 * timestep)
-
-
-def left_after_step(time_constant: Tensor, timestep: float) -> Tensor:
-    """Share of a deviation that a first-order lag leaves after a step; exactly none for no time constant."""
-    return torch.exp(-rate_per_step(time_constant, timestep))

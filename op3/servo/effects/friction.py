@@ -6,12 +6,16 @@ in every step: a friction that can hold the joint still and always opposes its m
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import inf
 from typing import ClassVar, Literal
 
-import torch
+import numpy as np
 
-from op3.servo import law
-from op3.servo.effect import Effect, Parameter, Prepared, Scope, Signals, Stage, register
+from op3.servo.effect import Effect, Parameter, Scope, Stage, register
+from op3.servo.law import clip, stribeck_fade
+
+GAUSSIAN = 1
+"""Place of that fade in its list."""
 
 
 @register
@@ -38,9 +42,10 @@ class Coulomb(Effect):
     alias_class: ClassVar[str] = "coulomb"
     scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
 
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def apply(s, p):
         """Raise the bound by fc."""
-        signals.friction_bound = signals.friction_bound + prepared["coulomb_friction"]
+        s.friction_bound += p.coulomb_friction
 
 
 @register
@@ -76,10 +81,11 @@ class Stribeck(Effect):
 
     fade: Literal["exponential", "gaussian"] = "exponential"
 
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def apply(s, p):
         """Raise the bound near rest, and tell other friction how much of it is left at this speed."""
-        signals.fade = law.stribeck_fade(signals.speed, prepared["stribeck_velocity"], self.fade == "gaussian")
-        signals.friction_bound = signals.friction_bound + prepared["static_friction_excess"] * signals.fade
+        s.fade = stribeck_fade(s.speed, p.stribeck_velocity, p.stribeck_fade == GAUSSIAN)
+        s.friction_bound += p.static_friction_excess * s.fade
 
 
 @register
@@ -108,9 +114,10 @@ class Viscous(Effect):
     alias_class: ClassVar[str] = "speed_friction"
     scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
 
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def apply(s, p):
         """Raise the bound in proportion to speed."""
-        signals.friction_bound = signals.friction_bound + prepared["viscous_friction"] * signals.speed
+        s.friction_bound += p.viscous_friction * s.speed
 
 
 @register
@@ -135,10 +142,10 @@ class BearingFriction(Effect):
     alias_class: ClassVar[str] = "speed_friction"
     scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
 
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def apply(s, p):
         """Raise the bound in proportion to radial force and speed."""
-        bearing = prepared["bearing_friction"] * signals.radial_force * signals.speed
-        signals.friction_bound = signals.friction_bound + bearing
+        s.friction_bound += p.bearing_friction * s.radial_force * s.speed
 
 
 @register
@@ -155,7 +162,7 @@ class AsymmetricFriction(Effect):
 
     name: ClassVar[str] = "asymmetric_friction"
     stage: ClassVar[Stage] = Stage.FRICTION
-    rank: ClassVar[int] = 1  # what is less than nothing has to be known
+    rank: ClassVar[int] = 2  # what is less than nothing has to be known
     equation: ClassVar[str] = "tau_fric += sign(w) a / 2, not below 0"
     source: ClassVar[str] = "skewed teeth, worms and preloaded seals; differences of 0.01 to 0.1 N m"
     parameters: ClassVar[tuple[Parameter, ...]] = (
@@ -175,12 +182,12 @@ class AsymmetricFriction(Effect):
 
     rest: float = 0.001
 
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def apply(s, p):
         """Raise the bound in one direction and lower it in the other."""
-        pushed = signals.motor_torque + signals.load_torque
-        direction = torch.sign(torch.where(signals.speed > self.rest, signals.velocity, pushed))
-        bound = signals.friction_bound + 0.5 * direction * prepared["asymmetric_friction"]
-        signals.friction_bound = bound.clamp(min=0.0)
+        pushed = s.motor_torque + s.load_torque
+        direction = np.sign(s.velocity if s.speed > p.asymmetric_friction_rest else pushed)
+        s.friction_bound = clip(s.friction_bound + 0.5 * direction * p.asymmetric_friction, 0.0, inf)
 
 
 @register
@@ -204,6 +211,7 @@ class QuadraticDrag(Effect):
     alias_class: ClassVar[str] = "speed_friction"
     scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
 
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def apply(s, p):
         """Raise the bound with the square of speed."""
-        signals.friction_bound = signals.friction_bound + prepared["quadratic_drag"] * signals.speed.square()
+        s.friction_bound += p.quadratic_drag * (s.speed * s.speed)

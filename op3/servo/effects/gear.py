@@ -4,12 +4,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
-import torch
-from torch import Tensor
+import numpy as np
 
-from op3.servo import law
-from op3.servo.effect import Clock, Effect, Parameter, Prepared, Scope, Signals, Stage, register
-from op3.servo.effects.presliding import LuGre
+from op3.servo.effect import Effect, Parameter, Scope, Stage, register
+from op3.servo.effects.presliding import deflection
+from op3.servo.law import dte_brake, dte_passive_loss, dte_power_loss, motor_leads, zones
+
+PASSIVE, POWER = 0, 2
+"""Places of the forms in their list."""
 
 _SHARE: dict[str, Any] = {"least": 0.0, "most": 1.0}
 
@@ -79,39 +81,21 @@ class DirectionalEfficiency(Effect):
 
     form: Literal["passive", "printed", "power"] = "passive"
 
-    def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
-        """Efficiencies and losses."""
-        return {
-            "forward_efficiency": values["forward_efficiency"],
-            "backward_efficiency": values["backward_efficiency"],
-            "forward_loss": 1.0 - values["forward_efficiency"],
-            "backward_loss": 1.0 - values["backward_efficiency"],
-            "backward_share": 1.0 / values["backward_efficiency"].clamp(min=1e-3) - 1.0,
-        }
-
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def apply(s, p):
         """Lose torque, as friction or as a brake."""
-        motor, load = signals.motor_torque, signals.load_torque
-        if self.form == "passive":
-            leads = law.motor_leads(motor, load)
-            signals.friction_bound = signals.friction_bound + law.dte_passive_loss(
-                motor, load, leads, prepared["forward_loss"], prepared["backward_loss"]
-            )
-            # the loss falls with the motor torque when the joint gains speed, so less of the motor's damping arrives
-            lost = prepared["forward_loss"] * torch.sign(motor * signals.velocity)
-            signals.damping = signals.damping * (1.0 - torch.where(leads, lost, 0.0))
-        elif self.form == "power":
+        motor, load = s.motor_torque, s.load_torque
+        forward, backward = p.forward_efficiency, p.backward_efficiency
+        if p.dte_form == PASSIVE:
+            s.friction_bound += dte_passive_loss(motor, load, forward, backward)
+            if motor_leads(motor, load):
+                # the loss falls with the motor torque when the joint gains speed: less of the motor's damping arrives
+                s.damping *= 1.0 - (1.0 - forward) * np.sign(motor * s.velocity)
+        elif p.dte_form == POWER:
             # bristles of presliding tell the direction in which the teeth are strained, before the joint moves
-            direction = LuGre.deflection(signals) if LuGre.name in signals.state else signals.velocity
-            signals.friction_bound = signals.friction_bound + law.dte_power_loss(
-                motor, load, direction, prepared["forward_loss"], prepared["backward_share"]
-            )
+            direction = deflection(s) if p.bristle_compliance > 0.0 else s.velocity
+            s.friction_bound += dte_power_loss(motor, load, direction, forward, backward)
         else:
-            signals.applied_torque = signals.applied_torque + law.dte_brake(
-                motor, load, prepared["forward_efficiency"], prepared["backward_efficiency"]
-            )
-            forward, backward = law.dte_zones(
-                motor, load, prepared["forward_efficiency"], prepared["backward_efficiency"]
-            )
-            arrives = torch.where(forward, prepared["forward_efficiency"], torch.where(backward, 1.0, 0.0))
-            signals.damping = signals.damping * arrives
+            s.applied_torque += dte_brake(motor, load, forward, backward)
+            drives, driven = zones(motor, load, forward, backward)
+            s.damping *= forward if drives else (1.0 if driven else 0.0)

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from op3.servo.effect import Clock, Effect, ModelEdit, Parameter, Prepared, Scope, Stage, Trunk, register
+from op3.servo.effect import Effect, ModelEdit, Parameter, Scope, Stage, Trunk, register
 from op3.servo.effects.trunk import about, product
 
 
@@ -92,10 +92,7 @@ class GroundTilt(Effect):
     alias_class: ClassVar[str] = "level"
     scopes: ClassVar[tuple[Scope, ...]] = ("robot",)
 
-    def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
-        """The floor's quaternion, ``[sim, 4]``."""
-        return {"floor": product(about(1, values["ground_pitch"]), about(0, values["ground_roll"]))}
-
-    def sense_trunk(self, trunk: Trunk, prepared: Prepared) -> None:
+    def sense_trunk(self, trunk: Trunk, values: Mapping[str, Tensor]) -> None:
         """Measure against gravity."""
-        trunk.quaternion = product(prepared["floor"], trunk.quaternion)
+        floor = product(about(1, values["ground_pitch"]), about(0, values["ground_roll"]))
+        trunk.quaternion = product(floor, trunk.quaternion)

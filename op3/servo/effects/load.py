@@ -10,8 +10,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from op3.servo import law
-from op3.servo.effect import Effect, Parameter, Prepared, Scope, Signals, Stage, register
+from op3.servo.effect import Effect, Parameter, Scope, Stage, register
+from op3.servo.law import antagonistic_friction, load_friction
+
+SUM = 0
+"""Place of that form in its list."""
 
 SOURCE = "Duclusaud et al. (2024), Extended Friction Models for the Physics Simulation of Servo Actuators"
 
@@ -39,7 +42,6 @@ class LoadFriction(Effect):
         Parameter("load_friction", "-", 0.0, 0.9, 0.1, 0.0, "friction per torque passed on, l", least=0.0),
         Parameter("load_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "more of it near rest, ls", least=0.0),
     )
-    reads: ClassVar[tuple[str, ...]] = ("fade",)
     size: ClassVar[str] = "load_friction"
     smallest: ClassVar[float] = 0.03
     secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"load_friction": 0.05}, {"load_friction": 0.2})
@@ -53,12 +55,14 @@ class LoadFriction(Effect):
 
     form: Literal["sum", "motor"] = "sum"
 
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def apply(s, p):
         """Raise the bound."""
-        share = prepared["load_friction"] + signals.fade * prepared["load_friction_excess"]
-        motor_share, load_share = (share, share) if self.form == "sum" else (2.0 * share, 0.0 * share)
-        bound = law.load_friction(signals.motor_torque, signals.load_torque, motor_share, load_share)
-        signals.friction_bound = signals.friction_bound + bound
+        share = p.load_friction + s.fade * p.load_friction_excess
+        if p.load_friction_form == SUM:
+            s.friction_bound += load_friction(s.motor_torque, s.load_torque, share, share)
+        else:
+            s.friction_bound += load_friction(s.motor_torque, s.load_torque, 2.0 * share, 0.0)
 
 
 @register
@@ -80,7 +84,6 @@ class DirectionalFriction(Effect):
             "external_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "share of the load's torque near rest, les", least=0.0
         ),
     )
-    reads: ClassVar[tuple[str, ...]] = ("fade",)
     size: ClassVar[str] = "motor_friction"
     smallest: ClassVar[float] = 0.03
     secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"motor_friction": 0.1}, {"external_friction": 0.1})
@@ -92,12 +95,13 @@ class DirectionalFriction(Effect):
     alias_class: ClassVar[str] = "load_loss"
     scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
 
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def apply(s, p):
         """Raise the bound."""
-        motor, load = signals.motor_torque, signals.load_torque
-        steady = law.load_friction(motor, load, prepared["motor_friction"], prepared["external_friction"])
-        excess = law.load_friction(motor, load, prepared["motor_friction_excess"], prepared["external_friction_excess"])
-        signals.friction_bound = signals.friction_bound + (steady + signals.fade * excess)
+        motor, load = s.motor_torque, s.load_torque
+        steady = load_friction(motor, load, p.motor_friction, p.external_friction)
+        excess = load_friction(motor, load, p.motor_friction_excess, p.external_friction_excess)
+        s.friction_bound += steady + s.fade * excess
 
 
 @register
@@ -116,7 +120,6 @@ class AntagonisticFriction(Effect):
         Parameter("motor_square", "1/(N m)", 0.0, 5.0, 0.0, 0.0, "qm, where the load is the stronger", least=0.0),
         Parameter("external_square", "1/(N m)", 0.0, 5.0, 0.0, 0.0, "qe, where the motor is the stronger", least=0.0),
     )
-    reads: ClassVar[tuple[str, ...]] = ("fade",)
     size: ClassVar[str] = "external_square"
     smallest: ClassVar[float] = 0.05
     secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"external_square": 0.2}, {"motor_square": 0.2})
@@ -128,9 +131,8 @@ class AntagonisticFriction(Effect):
     alias_class: ClassVar[str] = "load_loss"
     scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
 
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def apply(s, p):
         """Raise the bound."""
-        bound = law.antagonistic_friction(
-            signals.motor_torque, signals.load_torque, prepared["motor_square"], prepared["external_square"]
-        )
-        signals.friction_bound = signals.friction_bound + signals.fade * bound
+        bound = antagonistic_friction(s.motor_torque, s.load_torque, p.motor_square, p.external_square)
+        s.friction_bound += s.fade * bound

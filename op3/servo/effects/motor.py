@@ -1,15 +1,23 @@
 """The DC motor behind its gear ratio."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-import torch
-from torch import Tensor
+import numpy as np
 
 from op3.robot.joints import GEAR_RATIO
-from op3.servo import law
-from op3.servo.effect import Clock, Effect, ModelEdit, Parameter, Prepared, Signals, Stage, register
+from op3.servo.effect import Effect, ModelEdit, Parameter, Stage, register
+from op3.servo.law import clip
+from op3.servo.machine_code import part
+
+CURRENT, VOLTAGE, REGISTERS = range(3)
+"""Places of the drives in their list."""
+
+SETTLING = 4
+"""Newton's steps to a settled voltage."""
+
+LEAST_VOLTAGE = 1.0
+"""A bus falls no further [V]."""
 
 
 @register
@@ -23,7 +31,8 @@ class Motor(Effect):
 
     Attributes:
         gear_ratio: motor turns per turn of the joint.
-        drive: whether the driver regulates current or applies a voltage.
+        drive: whether the driver regulates current, applies a voltage, or does either as the servo's registers say
+            (``by_voltage``, ``goal_duty`` and ``current_bound`` of the signals).
     """
 
     name: ClassVar[str] = "motor"
@@ -35,67 +44,92 @@ class Motor(Effect):
         Parameter("terminal_resistance", "ohm", 4.0, 9.0, 6.5, None, "of the motor and its driver", least=1e-3),
         Parameter("armature", "kg m^2", 0.0025, 0.011, 0.00675, None, "rotor inertia seen at the joint", least=0.0),
     )
+    memory: ClassVar[tuple[str, ...]] = ("wanted", "bus_voltage")
+    constants: ClassVar[tuple[str, ...]] = ("constant",)
     edits: ClassVar[tuple[ModelEdit, ...]] = (ModelEdit("dof_armature", "joint_dof", "set", "armature"),)
 
     gear_ratio: float = GEAR_RATIO
-    drive: Literal["current", "voltage"] = "current"
-
-    def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
-        """Joint-side torque constant K and the factors that contain it."""
-        constant = values["torque_constant"] * self.gear_ratio
-        resistance = values["terminal_resistance"]
-        return {
-            "constant": constant,
-            "resistance": resistance,
-            "back_emf_damping": constant * constant / resistance,
-        }
-
-    def reset(self, signals: Signals, prepared: Prepared) -> None:
-        """The first current was wanted before."""
-        if self.drive == "current":
-            signals.state[self.name] = law.stacked(signals.target_current, signals.bus_voltage)
-
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
-        """Voltage, current, torque, and the part of the torque that is linear in velocity."""
-        constant, resistance = prepared["constant"], prepared["resistance"]
-        back_emf_damping = prepared["back_emf_damping"]
-        if signals.factors:  # temperature has changed the motor
-            constant = constant * signals.factors.get("torque_constant", 1.0)
-            resistance = resistance * signals.factors.get("terminal_resistance", 1.0)
-            back_emf_damping = constant * constant / resistance
-        back_emf = constant * signals.velocity
-        if self.drive == "current":
-            if law.SUPPLY in signals.state:
-                signals.bus_voltage = law.settled_voltage(
-                    signals.bus_voltage, signals.state[law.SUPPLY], signals.target_current, back_emf, resistance
-                )
-            signals.state[self.name] = law.stacked(signals.target_current, signals.bus_voltage)
-            signals.voltage = law.current_control(signals.target_current, back_emf, resistance, signals.bus_voltage)
-            signals.duty = signals.voltage / signals.bus_voltage
-            implicit = signals.voltage.abs() >= signals.bus_voltage
-        else:
-            signals.voltage = signals.voltage * signals.torque_enable
-            implicit = signals.torque_enable > 0
-        current = (signals.voltage - back_emf) / resistance
-        signals.current = current if self.drive == "current" else current * signals.torque_enable
-        signals.motor_torque = constant * signals.current
-        signals.applied_torque = signals.motor_torque
-        signals.damping = torch.where(implicit, back_emf_damping, 0.0)
+    drive: Literal["current", "voltage", "registers"] = "current"
 
     @staticmethod
-    def as_it_is(signals: Signals, prepared: Prepared) -> tuple[Tensor, Tensor]:
-        """Torque constant on the joint side and resistance, with what temperature has made of them."""
-        factors = signals.factors
-        constant = prepared["constant"] * factors.get("torque_constant", 1.0)
-        return constant, prepared["resistance"] * factors.get("terminal_resistance", 1.0)
+    def prepare(p):
+        """Torque constant on the joint side."""
+        p.motor_constant = p.torque_constant * p.motor_gear_ratio
 
-    def report(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def reset(s, p):
+        """The first current was wanted before."""
+        s.motor_wanted, s.motor_bus_voltage = s.target_current, s.bus_voltage
+
+    @staticmethod
+    def apply(s, p):
+        """Voltage, current, torque, and the part of the torque that is linear in velocity."""
+        constant = p.motor_constant * s.torque_constant_factor
+        resistance = p.terminal_resistance * s.resistance_factor
+        back_emf, enabled, bus = constant * s.velocity, s.torque_enable, s.bus_voltage
+        s.motor_wanted, s.motor_bus_voltage = s.target_current, bus
+        if p.motor_drive == VOLTAGE:
+            s.voltage *= enabled
+            implicit = enabled > 0.0
+        else:
+            wanted = back_emf + resistance * s.target_current
+            implicit = False
+            if p.motor_drive == REGISTERS and s.by_voltage > 0.0:
+                applied, reach = s.goal_duty * bus, resistance * s.current_bound
+                wanted = clip(applied, back_emf - reach, back_emf + reach)
+                implicit = wanted == applied
+            s.voltage = clip(wanted, -bus, bus)
+            s.duty = s.voltage / bus
+            implicit = implicit or abs(s.voltage) >= bus
+        s.current = (s.voltage - back_emf) / resistance
+        damping = constant * constant / resistance if implicit else 0.0
+        if p.motor_drive != CURRENT:
+            s.current *= enabled
+        if p.motor_drive == REGISTERS:
+            s.duty *= enabled
+            damping *= enabled
+        s.motor_torque = constant * s.current
+        s.applied_torque, s.damping = s.motor_torque, damping
+
+    @staticmethod
+    def report(s, p):
         """Read the current of now: what is wanted at the end of the step, as far as the supply allows it."""
-        if self.drive != "current":
+        if p.motor_drive == VOLTAGE or (p.motor_drive == REGISTERS and s.torque_enable == 0.0):
             return
-        constant, resistance = self.as_it_is(signals, prepared)
-        wanted, bus_voltage = signals.state[self.name]
-        back_emf = constant * signals.velocity
-        least, most = (-bus_voltage - back_emf) / resistance, (bus_voltage - back_emf) / resistance
-        now = torch.minimum(torch.maximum(wanted + law.ahead(signals.state), least), most)
-        signals.measured_current = signals.measured_current + now - signals.current
+        constant = p.motor_constant * s.torque_constant_factor
+        resistance = p.terminal_resistance * s.resistance_factor
+        back_emf, bus = constant * s.velocity, s.motor_bus_voltage
+        if p.motor_drive == REGISTERS and s.by_voltage > 0.0:
+            # a bound holds the current, but where the whole voltage is applied
+            now = s.current if abs(s.duty) < 1.0 else (s.voltage - back_emf) / resistance
+        else:
+            now = clip(s.motor_wanted + s.ahead, (-bus - back_emf) / resistance, (bus - back_emf) / resistance)
+        s.measured_current += now - s.current
+
+
+@part
+def settle(s, p):
+    """Let the bus voltage of a robot fall with the currents that it lets through: ``V = V0 - R_s sum |I(V)|``.
+
+    Where no servo is driven back by its speed the currents fall with the voltage, and there is one solution; Newton's
+    steps from above reach it as soon as they have found which servos the voltage limits.
+
+    Args:
+        s: signals of its joints, ``[joint]``.
+        p: their parameters.
+    """
+    supply = s[0].supply_resistance
+    for _ in range(SETTLING):
+        drawn, slope = 0.0, 0.0
+        for j in range(len(s)):
+            resistance = p[j].terminal_resistance * s[j].resistance_factor
+            back_emf = p[j].motor_constant * s[j].torque_constant_factor * s[j].velocity
+            target, bus = s[j].target_current, s[j].bus_voltage
+            current = clip(target, (-bus - back_emf) / resistance, (bus - back_emf) / resistance)
+            drawn += abs(current)
+            if current != target:  # one that its speed drives back gives the more, the lower the voltage is
+                slope += np.sign(current * target) / resistance
+        for j in range(len(s)):
+            opened, bus = s[j].open_voltage, s[j].bus_voltage
+            fallen = bus + (opened - supply * drawn - bus) / (1.0 + supply * max(slope, 0.0))
+            s[j].bus_voltage = min(max(fallen, LEAST_VOLTAGE), opened)

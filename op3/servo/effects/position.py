@@ -2,12 +2,10 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import pi
+from math import cos, pi, sin
 from typing import ClassVar
 
-import torch
-
-from op3.servo.effect import Effect, Parameter, Prepared, Scope, Signals, Stage, register
+from op3.servo.effect import Effect, Parameter, Scope, Stage, register
 
 
 @register
@@ -37,10 +35,10 @@ class Cogging(Effect):
     alias_class: ClassVar[str] = "ripple"
     scopes: ClassVar[tuple[Scope, ...]] = ("joint",)
 
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def apply(s, p):
         """Add the ripple."""
-        angle = prepared["cogging_periods"] * signals.position + prepared["cogging_phase"]
-        signals.applied_torque = signals.applied_torque + prepared["cogging_amplitude"] * torch.sin(angle)
+        s.applied_torque += p.cogging_amplitude * sin(p.cogging_periods * s.position + p.cogging_phase)
 
 
 @register
@@ -56,6 +54,7 @@ class CableSpring(Effect):
         Parameter("cable_stiffness", "N m/rad", 0.0, 0.3, 0.0, 0.0, "k", least=0.0),
         Parameter("cable_rest_angle", "rad", -1.5, 1.5, 0.0, None, "q0"),
     )
+    memory: ClassVar[tuple[str, ...]] = ("pull",)
     size: ClassVar[str] = "cable_stiffness"
     smallest: ClassVar[float] = 0.02
     secants: ClassVar[tuple[Mapping[str, float], ...]] = (
@@ -68,15 +67,16 @@ class CableSpring(Effect):
     alias_class: ClassVar[str] = "gravity_phase"
     scopes: ClassVar[tuple[Scope, ...]] = ("joint", "side")
 
-    def begin(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def begin(s, p):
         """Take the cable's part out of what the link asks of the gear."""
-        pull = prepared["cable_stiffness"] * (prepared["cable_rest_angle"] - signals.position)
-        signals.state[self.name] = pull
-        signals.load_torque = signals.load_torque + pull
+        s.cable_spring_pull = p.cable_stiffness * (p.cable_rest_angle - s.link_position)
+        s.load_torque += s.cable_spring_pull
 
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def apply(s, p):
         """Pull."""
-        signals.applied_torque = signals.applied_torque + signals.state[self.name]
+        s.applied_torque += s.cable_spring_pull
 
 
 @register
@@ -109,7 +109,8 @@ class PositionFriction(Effect):
 
     periods: float = 1.0
 
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def apply(s, p):
         """Raise the bound."""
-        wave = torch.cos(self.periods * (signals.position - prepared["position_friction_angle"]))
-        signals.friction_bound = signals.friction_bound + 0.5 * prepared["position_friction"] * (1.0 + wave)
+        wave = cos(p.position_friction_periods * (s.position - p.position_friction_angle))
+        s.friction_bound += 0.5 * p.position_friction * (1.0 + wave)

@@ -2,13 +2,23 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import exp, expm1, sqrt
 from typing import ClassVar
 
-import torch
-from torch import Tensor
+import numpy as np
 
-from op3.servo import law
-from op3.servo.effect import Clock, Effect, Parameter, Prepared, Scope, Signals, Stage, register
+from op3.servo.effect import Effect, Parameter, Scope, Stage, register
+from op3.servo.law import clip
+from op3.servo.machine_code import part
+
+FULLY = 1e9
+"""More than bristles can be bent [rad]."""
+
+
+@part
+def deflection(s):
+    """How far bristles are bent at the beginning of a step, which the velocity has just become known for [rad]."""
+    return s.lugre_bent * s.lugre_left + s.lugre_gain * s.velocity
 
 
 @register
@@ -36,7 +46,8 @@ class LuGre(Effect):
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("bristle_compliance", "rad/(N m)", 0.0, 0.05, 0.0, 0.0, "s; 20 to 200 N m/rad", least=0.0),
     )
-    borrows: ClassVar[tuple[str, ...]] = ("armature",)
+    memory: ClassVar[tuple[str, ...]] = ("bent", "left", "gain", "velocity")
+    constants: ClassVar[tuple[str, ...]] = ("stiffness", "rate")
     size: ClassVar[str] = "bristle_compliance"
     smallest: ClassVar[float] = 0.003
     secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"bristle_compliance": 0.005}, {"bristle_compliance": 0.02})
@@ -48,58 +59,44 @@ class LuGre(Effect):
 
     damping_ratio: float = 0.2
 
-    def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
-        """Where bristles are soft, and how soft; and the torque per deflection gained in a step by damping."""
-        compliance = values["bristle_compliance"]
-        timestep = torch.tensor(clock.timestep, dtype=compliance.dtype)
-        soft = (compliance > 0).to(compliance.dtype)
-        held = compliance.clamp(min=1e-9)
-        stiffness = soft / held
-        armature = values["armature"] if "armature" in values else torch.zeros_like(compliance)
-        # kept off zero, where the root has no derivative
-        damping = 2.0 * self.damping_ratio * soft * torch.sqrt((armature / held).clamp(min=1e-12))
-        return {
-            "compliance": held,
-            "stiffness": stiffness,
-            "rate": damping / clock.timestep,
-            "whole": stiffness + damping / clock.timestep,
-            "rigid": 1.0 - soft,
-            "timestep": timestep,
-        }
+    @staticmethod
+    def prepare(p):
+        """Torque per deflection, and per deflection gained in a step by damping."""
+        soft = p.bristle_compliance > 0.0
+        p.lugre_stiffness = 1.0 / p.bristle_compliance if soft else 0.0
+        damping = 2.0 * p.lugre_damping_ratio * sqrt(p.armature * p.lugre_stiffness)
+        p.lugre_rate = damping / p.timestep
 
-    def reset(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def reset(s, p):
         """Bristles of a joint that moves are fully bent, those of one at rest are straight."""
-        straight = torch.zeros_like(signals.velocity)
-        bent = 1e9 * torch.sign(signals.velocity)  # the level of friction bounds it in the first step
-        signals.state[self.name] = law.stacked(bent, straight + 1.0, straight, signals.velocity)
+        # the level of friction bounds it in the first step
+        s.lugre_bent, s.lugre_left, s.lugre_gain = FULLY * np.sign(s.velocity), 1.0, 0.0
+        s.lugre_velocity = s.velocity
 
-    @classmethod
-    def deflection(cls, signals: Signals) -> Tensor:
-        """How far bristles are bent at the beginning of a step, which the velocity has just become known for [rad]."""
-        before, left, gain, _ = signals.state[cls.name]
-        return torch.addcmul(before * left, gain, signals.velocity)
-
-    def balance(self, signals: Signals, prepared: Prepared, torque: Tensor, rests: Tensor) -> Tensor:
-        """Bristles of resting joints take up the torque; the level of friction bounds them in the next step."""
-        bent = self.deflection(signals) + prepared["compliance"] * torch.where(rests, torque, 0.0)
-        before = signals.state[self.name][3]
-        signals.state[self.name] = law.stacked(bent, torch.ones_like(bent), torch.zeros_like(bent), before)
-        return prepared["rigid"] * torque
-
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def apply(s, p):
         """Put the bristle's torque in place of the bound."""
-        step, compliance = prepared["timestep"], prepared["compliance"]
-        limit = (signals.friction_bound * compliance).clamp(min=1e-12)
-        deflection = self.deflection(signals).clamp(-limit, limit)
-        foretold = (2.0 * signals.velocity - signals.state[self.name][3]).abs()
+        if p.bristle_compliance <= 0.0:
+            return
+        limit = max(s.friction_bound * p.bristle_compliance, 1e-12)
+        bent = clip(deflection(s), -limit, limit)
         # a joint that an impact has slowed down may be foretold to rest, and would be gripped by far more than F
-        speed = torch.maximum(foretold, 0.5 * signals.velocity.abs())
+        speed = max(abs(2.0 * s.velocity - s.lugre_velocity), 0.5 * abs(s.velocity))
         # share of a deflection that a step leaves, and how much deflection a unit of velocity adds in it
-        slip = (step * speed / limit).clamp(min=1e-9)
-        left, gain = torch.exp(-slip), step * -torch.expm1(-slip) / slip
-        signals.state[self.name] = law.stacked(deflection, left, gain, signals.velocity)
-        later = torch.addcmul(deflection * left, gain, signals.velocity)
-        grip = prepared["whole"] * later - prepared["rate"] * deflection
-        signals.applied_torque = signals.applied_torque - grip
-        signals.damping = torch.addcmul(signals.damping, gain, prepared["whole"])
-        signals.friction_bound = prepared["rigid"] * signals.friction_bound
+        slip = max(p.timestep * speed / limit, 1e-9)
+        s.lugre_bent, s.lugre_left, s.lugre_gain = bent, exp(-slip), p.timestep * -expm1(-slip) / slip
+        s.lugre_velocity = s.velocity
+        whole = p.lugre_stiffness + p.lugre_rate
+        s.applied_torque -= whole * deflection(s) - p.lugre_rate * bent
+        s.damping += s.lugre_gain * whole
+        s.friction_bound = 0.0
+
+    @staticmethod
+    def balance(s, p, torque, rests):
+        """Bristles of resting joints take up the torque; the level of friction bounds them in the next step."""
+        if p.bristle_compliance <= 0.0:
+            return torque
+        s.lugre_bent = deflection(s) + (p.bristle_compliance * torque if rests else 0.0)
+        s.lugre_left, s.lugre_gain = 1.0, 0.0
+        return 0.0

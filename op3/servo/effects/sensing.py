@@ -2,15 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import pi
+from math import cos, exp, pi, sin
 from typing import ClassVar, Literal
 
-import torch
-from torch import Tensor
+from op3.servo.effect import Effect, Parameter, Scope, Stage, register
+from op3.servo.law import lags_per_step
 
-from op3.servo import law
-from op3.servo.effect import Clock, Effect, Parameter, Prepared, Scope, Signals, Stage, register
-from op3.servo.effects.electrical import left_after_step
+BENT = 0
+"""Place of a velocity that bends with the angle in its list."""
 
 
 @register
@@ -44,9 +43,10 @@ class EncoderOffset(Effect):
     alias_class: ClassVar[str] = "gravity_phase"
     scopes: ClassVar[tuple[Scope, ...]] = ("joint", "shared", "side")
 
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def sense(s, p):
         """Shift the reading."""
-        signals.measured_position = signals.measured_position + prepared["encoder_offset"]
+        s.measured_position += p.encoder_offset
 
 
 @register
@@ -81,12 +81,13 @@ class EncoderNonlinearity(Effect):
 
     velocity: Literal["bent", "apart"] = "bent"
 
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def sense(s, p):
         """Bend the reading, and with it the velocity if the servo computes it from that."""
-        bend, angle = prepared["encoder_nonlinearity"], signals.position + prepared["encoder_nonlinearity_phase"]
-        signals.measured_position = signals.measured_position + bend * torch.sin(angle)
-        if self.velocity == "bent":
-            signals.measured_velocity = signals.measured_velocity * (1.0 + bend * torch.cos(angle))
+        angle = s.position + p.encoder_nonlinearity_phase
+        s.measured_position += p.encoder_nonlinearity * sin(angle)
+        if p.encoder_nonlinearity_velocity == BENT:
+            s.measured_velocity *= 1.0 + p.encoder_nonlinearity * cos(angle)
 
 
 @register
@@ -102,6 +103,8 @@ class VelocityFilter(Effect):
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("velocity_time_constant", "s", 0.0, 0.02, 0.0, 0.0, "Tw", least=0.0),
     )
+    memory: ClassVar[tuple[str, ...]] = ("filtered", "velocity", "now", "knows")
+    constants: ClassVar[tuple[str, ...]] = ("left", "behind")
     size: ClassVar[str] = "velocity_time_constant"
     smallest: ClassVar[float] = 0.001
     secants: ClassVar[tuple[Mapping[str, float], ...]] = (
@@ -114,26 +117,29 @@ class VelocityFilter(Effect):
     alias_class: ClassVar[str] = "timing"
     scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint")
 
-    def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
+    @staticmethod
+    def prepare(p):
         """Share of a deviation that a step leaves, and of a change that lags behind."""
-        time_constant = values["velocity_time_constant"]
-        left = left_after_step(time_constant, clock.timestep)
-        return {"left": left, "behind": time_constant / clock.timestep * (1.0 - left)}
+        p.velocity_filter_left = exp(-lags_per_step(p.velocity_time_constant, p.timestep))
+        p.velocity_filter_behind = p.velocity_time_constant / p.timestep * (1.0 - p.velocity_filter_left)
 
-    def reset(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def reset(s, p):
         """The velocity was held for long."""
-        signals.state[self.name] = law.stacked(signals.measured_velocity, signals.measured_velocity)
+        s.velocity_filter_filtered = s.velocity_filter_velocity = s.measured_velocity
+        s.velocity_filter_knows = 1.0
 
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def sense(s, p):
         """Filter what has happened since the memory was last renewed, a step ago."""
-        if self.name not in signals.state:
-            return  # nothing is known of the past yet
-        filtered, velocity = signals.state[self.name]
-        now = signals.measured_velocity
-        deviation = prepared["left"] * (filtered - velocity)
-        signals.state["velocity_now"] = now
-        signals.measured_velocity = now + deviation - prepared["behind"] * (now - velocity)
+        now = s.measured_velocity
+        s.velocity_filter_now = now
+        if s.velocity_filter_knows == 0.0:
+            return
+        deviation = p.velocity_filter_left * (s.velocity_filter_filtered - s.velocity_filter_velocity)
+        s.measured_velocity = now + deviation - p.velocity_filter_behind * (now - s.velocity_filter_velocity)
 
-    def finish(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def finish(s, p):
         """Renew the memory."""
-        signals.state[self.name] = law.stacked(signals.measured_velocity, signals.state["velocity_now"])
+        s.velocity_filter_filtered, s.velocity_filter_velocity = s.measured_velocity, s.velocity_filter_now

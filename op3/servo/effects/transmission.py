@@ -9,13 +9,13 @@ with the link: a light foot that rattles within the play does so at another rate
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import copysign, sqrt
 from typing import ClassVar
 
-import torch
-from torch import Tensor
+import numpy as np
 
-from op3.servo import law
-from op3.servo.effect import Clock, Effect, Parameter, Prepared, Scope, Signals, Stage, register
+from op3.servo.effect import Effect, Parameter, Scope, Stage, register
+from op3.servo.machine_code import part
 
 STEADY = 0.25
 """How much of the spring's torque per step acts against a change of velocity, as an inertia of ``STEADY h^2 K`` would:
@@ -30,159 +30,114 @@ MOST_BEHIND = 0.5
 LEAST_COMPLIANCE = 1e-6
 """Stands for a rigid transmission where none acts [rad/(N m)]."""
 
-ROTOR = "rotor"
-"""Key of the memory: angle before the step, and the velocity after it as ``constant + gain * link velocity``, and the
-direction in which it slipped, stacked."""
+
+@part
+def behind(p):
+    """Inertia behind play and spring [kg m^2], where there are any."""
+    own = 0.0
+    if p.backlash_half_gap > 0.0:
+        own = p.output_inertia
+    elif p.gear_compliance > 0.0:
+        own = p.wheel_inertia
+    return min(own, MOST_BEHIND * p.armature)
 
 
-class Transmission(Effect):
-    """What backlash and compliance share."""
-
-    stiff: ClassVar[bool] = True
-    damping_ratio: float
-
-    @staticmethod
-    def behind(values: Mapping[str, Tensor]) -> Tensor:
-        """Inertia behind play and spring [kg m^2], where there are any, by the effects' parameters and the armature."""
-        own = torch.zeros_like(values["armature"])
-        for size, inertia in (("gear_compliance", "wheel_inertia"), ("backlash_half_gap", "output_inertia")):
-            if size in values:
-                own = torch.where(values[size] > 0, values[inertia], own)
-        return torch.minimum(own, MOST_BEHIND * values["armature"])
-
-    @staticmethod
-    def rotor_angle(position: Tensor, load_torque: Tensor, prepared: Prepared) -> Tensor:
-        """Angle of the rotor [rad] at rest: on the flank that carries the load, the spring bent by it.
-
-        The start of the hidden state from data: tau_a is minus the torque transmitted to the link, for example
-        minus ``M qdd + h`` by inverse dynamics.
-
-        Args:
-            position: of the link [rad], ``[sim, joint]``.
-            load_torque: tau_a [N m].
-            prepared: of the effect, see `prepare`.
-        """
-        return position - torch.sign(load_torque) * prepared["half_gap"] - load_torque / prepared["stiffness"]
-
-    def _prepared(self, half_gap: Tensor, compliance: Tensor, armature: Tensor, clock: Clock) -> Prepared:
-        active = (half_gap > 0) | (compliance > 0)
-        stiffness = 1.0 / compliance.clamp(min=LEAST_COMPLIANCE)
-        friction = 2.0 * self.damping_ratio * torch.sqrt(stiffness * armature)
-        return {
-            "active": active,
-            "half_gap": half_gap,
-            "stiffness": stiffness,
-            "steadying": STEADY * clock.timestep * stiffness,
-            # torque per difference of velocities at the end of the step
-            "grip": STEADY * clock.timestep * stiffness + friction,
-            "armature": armature,
-            "timestep": torch.tensor(clock.timestep, dtype=half_gap.dtype),
-        }
-
-    def reset(self, signals: Signals, prepared: Prepared) -> None:
-        """The rotor rests against the flank that carries the load, and moves with the link."""
-        if not prepared["active"].any() and ROTOR in signals.state:
-            return  # the other of the two effects acts, and has made its memory
-        angle = self.rotor_angle(signals.position, signals.load_torque, prepared)
-        velocity = signals.velocity.clone()
-        none = torch.zeros_like(angle)
-        signals.state[ROTOR] = law.stacked(angle - prepared["timestep"] * velocity, velocity, none, none)
-        signals.state[LINK] = law.stacked(signals.position, signals.velocity)
-        signals.state[PUSH] = law.stacked(none, none)
-
-    def balance(self, signals: Signals, prepared: Prepared, torque: Tensor, rests: Tensor) -> Tensor:
-        """Put the rotor against the flank that carries the load, bent by it, and let it move with the link.
-
-        On a contact this stiff the noise of a measured angle would be a large torque. Where there is next to no load
-        the rotor stays where it is.
-        """
-        if not prepared["active"].any():
-            return torque
-        push, contact = signals.state[PUSH]
-        load = contact - torque
-        placed = prepared["active"] & (rests | (load.abs() > UNLOADED))
-        angle, constant, gain, slips = signals.state[ROTOR]
-        velocity = torch.where(rests, 0.0, signals.velocity)
-        bent = self.rotor_angle(signals.position, -load, prepared) - prepared["timestep"] * velocity
-        signals.state[ROTOR] = law.stacked(
-            torch.where(placed, bent, angle),
-            torch.where(placed, velocity, constant),
-            torch.where(placed, 0.0, gain),
-            torch.where(placed, 0.0, slips),
-        )
-        return torch.where(prepared["active"], push - load, torque)
-
-    @staticmethod
-    def _rotor_velocity(signals: Signals) -> Tensor:
-        """At the end of the last step; friction stops the rotor, it does not reverse it."""
-        _, constant, gain, slips = signals.state[ROTOR]
-        velocity = constant + gain * signals.velocity
-        return torch.where(slips * velocity < 0, 0.0, velocity)
-
-    def motor_side(self, signals: Signals, prepared: Prepared) -> None:
-        """The rotor's velocity: what turns against the voltage when it limits the current."""
-        if prepared["active"].any():
-            signals.velocity = torch.where(prepared["active"], self._rotor_velocity(signals), signals.velocity)
-
-    def begin(self, signals: Signals, prepared: Prepared) -> None:
-        """Move the rotor to the end of the last step, and let motor and friction see it instead of the link."""
-        if not prepared["active"].any():
-            return
-        angle, _, gain, slips = signals.state[ROTOR]
-        velocity = self._rotor_velocity(signals)
-        angle = angle + prepared["timestep"] * velocity
-        signals.state[LINK] = law.stacked(signals.position, signals.velocity)
-        signals.state[ROTOR] = law.stacked(angle, velocity, gain, slips)
-        signals.position = torch.where(prepared["active"], angle, signals.position)
-        signals.velocity = torch.where(prepared["active"], velocity, signals.velocity)
-
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
-        """Solve the rotor's step with the link's, and hand the contact's torque to the link."""
-        active = prepared["active"]
-        if not active.any():
-            return
-        step, grip, half_gap = prepared["timestep"], prepared["grip"], prepared["half_gap"]
-        angle, velocity = signals.state[ROTOR][:2]
-        link, link_velocity = signals.state[LINK]
-        inertia = prepared["armature"] + step * signals.damping
-        torque, bound = signals.applied_torque, signals.friction_bound
-        # where the rotor would be without the link decides which flank it meets
-        free = velocity + step * torque / inertia
-        free = torch.copysign((free.abs() - step * bound / inertia).clamp(min=0.0), free)
-        apart = angle - link
-        side = torch.sign(apart + step * (free - link_velocity))
-        side = torch.where((apart + step * (free - link_velocity)).abs() > half_gap, side, 0.0)
-        bent = prepared["stiffness"] * (apart - side * half_gap) - prepared["steadying"] * (velocity - link_velocity)
-        pushes = side * (bent + grip * (free - link_velocity)) > 0
-        touches = (half_gap == 0) | ((side != 0) & pushes)
-        bent, grip = torch.where(touches, bent, 0.0), torch.where(touches, grip, 0.0)
-        # the rotor's velocity after the step: friction holds it, or opposes it
-        total = inertia + step * grip
-        impulse = inertia * velocity + step * (torque - bent)
-        moves = impulse + step * grip * link_velocity
-        slips = torch.where(moves.abs() > step * bound, torch.sign(moves), 0.0)
-        constant = torch.where(slips != 0, (impulse - step * bound * slips) / total, 0.0)
-        gain = torch.where(slips != 0, step * grip / total, 0.0)
-        signals.state[ROTOR] = law.stacked(angle, constant, gain, slips)
-        # the contact's torque is bent + grip (rotor velocity - link velocity), both after the step
-        signals.state[PUSH] = law.stacked(torque, bent + grip * (constant + gain * link_velocity - link_velocity))
-        falls = grip * (1.0 - gain)
-        contact = bent + grip * constant - falls * link_velocity
-        signals.applied_torque = torch.where(active, contact, signals.applied_torque)
-        signals.damping = torch.where(active, falls - prepared["armature"] / step, signals.damping)
-        signals.friction_bound = torch.where(active, 0.0, bound)
+@part
+def contact_friction(p, stiffness, damping_ratio):
+    """Torque per difference of velocities in a contact [N m s/rad]."""
+    return 2.0 * damping_ratio * sqrt(stiffness * (p.armature - behind(p)))
 
 
-PUSH = "push"
-"""Key of the memory of the torque on the rotor and that in the contact [N m], in the last step."""
+@part
+def rotor_angle(position, load_torque, half_gap, stiffness):
+    """Angle of the rotor [rad] at rest: on the flank that carries the load, the spring bent by it.
 
-LINK = "link"
-"""Key of the memory of the link's position and velocity, which the law does not see during the step."""
+    Args:
+        position: of the link [rad].
+        load_torque: tau_a [N m].
+        half_gap: half of the play [rad].
+        stiffness: of the contact [N m/rad].
+    """
+    return position - np.sign(load_torque) * half_gap - load_torque / stiffness
+
+
+@part
+def rotor_velocity(s):
+    """At the end of the last step; friction stops the rotor, it does not reverse it."""
+    velocity = s.rotor_velocity + s.rotor_gain * s.velocity
+    return 0.0 if s.rotor_slips * velocity < 0.0 else velocity
+
+
+@part
+def rest_rotor(s, p, half_gap, stiffness):
+    """The rotor rests against the flank that carries the load, and moves with the link."""
+    angle = rotor_angle(s.position, s.load_torque, half_gap, stiffness)
+    s.rotor_angle, s.rotor_velocity = angle - p.timestep * s.velocity, s.velocity
+    s.rotor_gain = s.rotor_slips = s.rotor_torque = s.contact_torque = 0.0
+
+
+@part
+def move_rotor(s, p):
+    """Move the rotor to the end of the last step, and let motor and friction see it instead of the link."""
+    s.rotor_velocity = rotor_velocity(s)
+    s.rotor_angle += p.timestep * s.rotor_velocity
+    s.position, s.velocity = s.rotor_angle, s.rotor_velocity
+
+
+@part
+def push_link(s, p, half_gap, stiffness, friction):
+    """Solve the rotor's step with the link's, and hand the contact's torque to the link."""
+    step, steadying = p.timestep, STEADY * p.timestep * stiffness
+    grip = steadying + friction  # torque per difference of velocities at the end of the step
+    angle, velocity, link_velocity = s.rotor_angle, s.rotor_velocity, s.link_velocity
+    rotor = p.armature - behind(p)
+    inertia = rotor + step * s.damping
+    torque, bound = s.applied_torque, s.friction_bound
+    # where the rotor would be without the link decides which flank it meets
+    free = velocity + step * torque / inertia
+    free = copysign(max(abs(free) - step * bound / inertia, 0.0), free)
+    apart = angle - s.link_position
+    ends = apart + step * (free - link_velocity)
+    side = np.sign(ends) if abs(ends) > half_gap else 0.0
+    bent = stiffness * (apart - side * half_gap) - steadying * (velocity - link_velocity)
+    if half_gap != 0.0 and not side * (bent + grip * (free - link_velocity)) > 0.0:
+        bent, grip = 0.0, 0.0  # it touches neither
+    # the rotor's velocity after the step: friction holds it, or opposes it
+    total = inertia + step * grip
+    impulse = inertia * velocity + step * (torque - bent)
+    moves = impulse + step * grip * link_velocity
+    s.rotor_slips = np.sign(moves) if abs(moves) > step * bound else 0.0
+    constant, gain = 0.0, 0.0
+    if s.rotor_slips != 0.0:
+        constant, gain = (impulse - step * bound * s.rotor_slips) / total, step * grip / total
+    s.rotor_velocity, s.rotor_gain = constant, gain
+    # the contact's torque is bent + grip (rotor velocity - link velocity), both after the step
+    s.rotor_torque = torque
+    s.contact_torque = bent + grip * (constant + gain * link_velocity - link_velocity)
+    falls = grip * (1.0 - gain)
+    s.applied_torque = bent + grip * constant - falls * link_velocity
+    s.damping = falls - rotor / step
+    s.friction_bound = 0.0
+
+
+@part
+def balance_rotor(s, p, half_gap, stiffness, torque, rests):
+    """Put the rotor against the flank that carries the load, bent by it, and let it move with the link.
+
+    On a contact this stiff the noise of a measured angle would be a large torque. Where there is next to no load the
+    rotor stays where it is.
+    """
+    load = s.contact_torque - torque
+    if rests or abs(load) > UNLOADED:
+        velocity = 0.0 if rests else s.velocity
+        s.rotor_angle = rotor_angle(s.position, -load, half_gap, stiffness) - p.timestep * velocity
+        s.rotor_velocity, s.rotor_gain, s.rotor_slips = velocity, 0.0, 0.0
+    return s.rotor_torque - load
 
 
 @register
 @dataclass(frozen=True)
-class Backlash(Transmission):
+class Backlash(Effect):
     """Play between gear and link: the rotor crosses the gap freely when the transmitted torque changes sign.
 
     Attributes:
@@ -208,7 +163,8 @@ class Backlash(Transmission):
             least=0.0,
         ),
     )
-    borrows: ClassVar[tuple[str, ...]] = ("armature", "gear_compliance", "wheel_inertia")
+    constants: ClassVar[tuple[str, ...]] = ("stiffness", "friction")
+    stiff: ClassVar[bool] = True
     size: ClassVar[str] = "backlash_half_gap"
     smallest: ClassVar[float] = 0.001
     secants: ClassVar[tuple[Mapping[str, float], ...]] = tuple(
@@ -226,18 +182,47 @@ class Backlash(Transmission):
 
     damping_ratio: float = 0.04
 
-    def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
-        """Gap and stiffness; the compliance of the gear train is in series where that effect is on too."""
-        gap = values["backlash_half_gap"]
-        compliance = torch.where(gap > 0, 1.0 / values["contact_stiffness"], 0.0)
-        if "gear_compliance" in values:
-            compliance = compliance + values["gear_compliance"]
-        return self._prepared(gap, compliance, values["armature"] - self.behind(values), clock)
+    @staticmethod
+    def prepare(p):
+        """Stiffness and damping of the contact; the compliance of the gear train is in series."""
+        p.backlash_stiffness = 1.0 / max(1.0 / p.contact_stiffness + p.gear_compliance, LEAST_COMPLIANCE)
+        p.backlash_friction = contact_friction(p, p.backlash_stiffness, p.backlash_damping_ratio)
+
+    @staticmethod
+    def reset(s, p):
+        """The rotor rests against the flank that carries the load, and moves with the link."""
+        if p.backlash_half_gap > 0.0:
+            rest_rotor(s, p, p.backlash_half_gap, p.backlash_stiffness)
+
+    @staticmethod
+    def begin(s, p):
+        """Let motor and friction see the rotor instead of the link."""
+        if p.backlash_half_gap > 0.0:
+            move_rotor(s, p)
+
+    @staticmethod
+    def apply(s, p):
+        """Hand the torque of the contact to the link."""
+        if p.backlash_half_gap > 0.0:
+            push_link(s, p, p.backlash_half_gap, p.backlash_stiffness, p.backlash_friction)
+
+    @staticmethod
+    def motor_side(s, p):
+        """The rotor's velocity: what turns against the voltage when it limits the current."""
+        if p.backlash_half_gap > 0.0:
+            s.velocity = rotor_velocity(s)
+
+    @staticmethod
+    def balance(s, p, torque, rests):
+        """Let the contact carry what is asked for."""
+        if p.backlash_half_gap > 0.0:
+            return balance_rotor(s, p, p.backlash_half_gap, p.backlash_stiffness, torque, rests)
+        return torque
 
 
 @register
 @dataclass(frozen=True)
-class Compliance(Transmission):
+class Compliance(Effect):
     """Elasticity of gear train and bracket between rotor and link.
 
     Where `backlash` is on too, that effect solves both in series, and this one only lends its parameter.
@@ -264,7 +249,8 @@ class Compliance(Transmission):
             least=0.0,
         ),
     )
-    borrows: ClassVar[tuple[str, ...]] = ("armature", "backlash_half_gap", "output_inertia")
+    constants: ClassVar[tuple[str, ...]] = ("stiffness", "friction")
+    stiff: ClassVar[bool] = True
     size: ClassVar[str] = "gear_compliance"
     smallest: ClassVar[float] = 0.002
     # the inertia behind the gears moves the resonance too, and no refit crosses from one period of it to the next
@@ -281,8 +267,39 @@ class Compliance(Transmission):
 
     damping_ratio: float = 0.04
 
-    def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
-        """Stiffness; none where backlash takes it along."""
-        compliance = values["gear_compliance"]
-        own = torch.zeros_like(compliance) if "backlash_half_gap" in values else compliance
-        return self._prepared(torch.zeros_like(compliance), own, values["armature"] - self.behind(values), clock)
+    @staticmethod
+    def prepare(p):
+        """Stiffness and damping."""
+        p.compliance_stiffness = 1.0 / max(p.gear_compliance, LEAST_COMPLIANCE)
+        p.compliance_friction = contact_friction(p, p.compliance_stiffness, p.compliance_damping_ratio)
+
+    @staticmethod
+    def reset(s, p):
+        """The rotor rests against the flank that carries the load, and moves with the link."""
+        if p.gear_compliance > 0.0 and p.backlash_half_gap == 0.0:
+            rest_rotor(s, p, 0.0, p.compliance_stiffness)
+
+    @staticmethod
+    def begin(s, p):
+        """Let motor and friction see the rotor instead of the link."""
+        if p.gear_compliance > 0.0 and p.backlash_half_gap == 0.0:
+            move_rotor(s, p)
+
+    @staticmethod
+    def apply(s, p):
+        """Hand the torque of the spring to the link."""
+        if p.gear_compliance > 0.0 and p.backlash_half_gap == 0.0:
+            push_link(s, p, 0.0, p.compliance_stiffness, p.compliance_friction)
+
+    @staticmethod
+    def motor_side(s, p):
+        """The rotor's velocity: what turns against the voltage when it limits the current."""
+        if p.gear_compliance > 0.0 and p.backlash_half_gap == 0.0:
+            s.velocity = rotor_velocity(s)
+
+    @staticmethod
+    def balance(s, p, torque, rests):
+        """Let the spring carry what is asked for."""
+        if p.gear_compliance > 0.0 and p.backlash_half_gap == 0.0:
+            return balance_rotor(s, p, 0.0, p.compliance_stiffness, torque, rests)
+        return torque

@@ -7,7 +7,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from op3.servo.effect import Clock, Effect, Parameter, Prepared, Scope, Stage, Trunk, register
+from op3.servo.effect import Effect, Parameter, Scope, Stage, Trunk, register
 
 
 @register
@@ -33,14 +33,10 @@ class ImuMount(Effect):
     alias_class: ClassVar[str] = "level"
     scopes: ClassVar[tuple[Scope, ...]] = ("robot",)
 
-    def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
-        """The mount's quaternion, ``[sim, 4]``."""
-        turns = [about(axis, values[f"imu_{name}"]) for axis, name in enumerate(("roll", "pitch", "yaw"))]
-        return {"mount": product(product(turns[2], turns[1]), turns[0])}
-
-    def sense_trunk(self, trunk: Trunk, prepared: Prepared) -> None:
+    def sense_trunk(self, trunk: Trunk, values: Mapping[str, Tensor]) -> None:
         """Read in the frame of the mount."""
-        mount = prepared["mount"]
+        turns = [about(axis, values[f"imu_{name}"]) for axis, name in enumerate(("roll", "pitch", "yaw"))]
+        mount = product(product(turns[2], turns[1]), turns[0])
         trunk.quaternion = product(trunk.quaternion, mount)
         trunk.angular_velocity = turned_back(trunk.angular_velocity, mount)
 
@@ -73,13 +69,10 @@ class GyroBias(Effect):
     alias_class: ClassVar[str] = "gyro_bias"
     scopes: ClassVar[tuple[Scope, ...]] = ("robot",)
 
-    def prepare(self, values: Mapping[str, Tensor], clock: Clock) -> Prepared:
-        """The bias, ``[sim, 3]``."""
-        return {"bias": torch.cat([values[f"gyro_bias_{axis}"] for axis in "xyz"], -1)}
-
-    def sense_trunk(self, trunk: Trunk, prepared: Prepared) -> None:
+    def sense_trunk(self, trunk: Trunk, values: Mapping[str, Tensor]) -> None:
         """Add the bias."""
-        trunk.angular_velocity = trunk.angular_velocity + prepared["bias"]
+        bias = torch.cat([values[f"gyro_bias_{axis}"] for axis in "xyz"], -1)
+        trunk.angular_velocity = trunk.angular_velocity + bias
 
 
 def about(axis: int, angle: Tensor) -> Tensor:

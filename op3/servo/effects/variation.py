@@ -2,12 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import expm1
 from typing import ClassVar
 
-import torch
 from torch import Tensor
 
-from op3.servo.effect import Effect, Parameter, Prepared, Scope, Signals, Stage, register
+from op3.servo.effect import Effect, Parameter, Scope, Stage, register
 from op3.servo.effects.electrical import scaled
 
 FRICTION = ("coulomb_friction", "viscous_friction", "static_friction_excess")
@@ -29,7 +29,6 @@ class FrictionDrift(Effect):
         Parameter("friction_drift_time", "s", 30.0, 600.0, 180.0, None, "T", least=1e-3),
     )
     reads: ClassVar[tuple[str, ...]] = ("time",)
-    borrows: ClassVar[tuple[str, ...]] = ("coulomb_friction", "viscous_friction")
     size: ClassVar[str] = "friction_drift"
     smallest: ClassVar[float] = 0.05
     secants: ClassVar[tuple[Mapping[str, float], ...]] = (
@@ -42,12 +41,12 @@ class FrictionDrift(Effect):
     alias_class: ClassVar[str] = "temperature"
     scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint")
 
-    def apply(self, signals: Signals, prepared: Prepared) -> None:
+    @staticmethod
+    def apply(s, p):
         """Lower the bound by what has been lost so far."""
-        gone = prepared["friction_drift"] * -torch.expm1(-signals.time / prepared["friction_drift_time"])
-        for name, factor in (("coulomb_friction", 1.0), ("viscous_friction", signals.speed)):
-            if name in prepared:
-                signals.friction_bound = signals.friction_bound - gone * prepared[name] * factor
+        gone = p.friction_drift * -expm1(-s.time / p.friction_drift_time)
+        s.friction_bound -= gone * p.coulomb_friction
+        s.friction_bound -= gone * p.viscous_friction * s.speed
 
 
 @register

@@ -9,7 +9,6 @@ from op3.deploy.emulator import Battery, SimPhysics, StandInPhysics, Windings
 from op3.deploy.emulator.firmware import Drive
 from op3.robot import JOINTS, build_scene, pose
 from op3.robot.units import VELOCITY_UNIT
-from op3.servo import catalogue, secant_values
 from op3.sim import BatchSimulation, attach_servos, load_model
 from op3.stand_in import StandIn, World
 
@@ -187,38 +186,3 @@ def test_velocity_reads_in_its_unit():
     bench.clock.sleep(0.5)
     truth = bench.physics.velocity[KNEE]
     assert abs(bench.read(14, 128, 4, signed=True) * VELOCITY_UNIT - truth) < VELOCITY_UNIT
-
-
-def effects():
-    return [name for name, kind in catalogue().items() if kind.secants and name != "position_servo"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", effects())
-def test_the_translated_law_is_the_law(name):
-    """With any effect on, numpy and torch move the robot alike, motors off, regulated and driven by turns."""
-    kind, model = catalogue()[name], load_model("paper")
-    model = model if name in model.effect_names else model.with_effect(kind())
-    values = secant_values(kind.secants[0], {known: model.value(known) for known in model.parameters()})
-    model = model.with_values({known: value for known, value in values.items() if known in model.parameters()})
-    translated, plain = (SimPhysics(model, compiled=compiled) for compiled in (True, False))
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        asked = Drive(
-            rng.random(20) < 0.8,
-            0.5 * rng.normal(size=20),
-            0.1 * rng.normal(size=20),
-            rng.random(20) < 0.3,
-            np.full(20, 3.2),
-        )
-        for physics in (translated, plain):
-            physics.drive(asked)
-            physics.advance(4)
-        first, second = translated.read(), plain.read()
-        for channel in ("position", "velocity", "current", "duty", "voltage", "orientation", "angular_velocity"):
-            assert np.abs(getattr(first, channel) - getattr(second, channel)).max() < 1e-9, channel
-
-
-def test_the_law_of_the_paper_is_translated():
-    """The default model does not fall back to torch."""
-    assert SimPhysics(load_model("paper"), "stand").translated

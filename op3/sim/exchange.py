@@ -1,0 +1,45 @@
+"""What servos and MuJoCo tell each other in every step, without a copy in between.
+
+Arrays are MuJoCo's own, ``[sim, ...]``; ``at`` is `op3.sim.ServoPorts.table`.
+"""
+
+import numpy as np
+
+from op3.servo.machine_code import entry
+
+
+@entry
+def read(s, at, qpos, qvel, sensordata):
+    """Joint state, and what the outputs transmitted, into the signals ``[sim, joint]``."""
+    for i in range(s.shape[0]):
+        for j in range(s.shape[1]):
+            one, force = s[i, j], at[4, j]
+            one.position, one.velocity = qpos[i, at[0, j]], qvel[i, at[1, j]]
+            one.load_torque = -sensordata[i, at[3, j]]
+            one.radial_force = np.hypot(sensordata[i, force], sensordata[i, force + 1])
+
+
+@entry
+def hand_over(s, at, timestep, rotor, ctrl, armature, friction, failed):
+    """Torque, implicit damping and friction of the coming step to MuJoCo.
+
+    Damping ``D`` is integrated implicitly as armature ``h D`` of that step, see `op3.sim.BatchSimulation`.
+
+    Args:
+        s: signals, ``[sim, joint]``.
+        at: addresses.
+        timestep: h [s].
+        rotor: the rotors' own inertia [kg m^2], ``[sim, joint]``.
+        ctrl: of the model's motors.
+        armature: of the model's degrees of freedom.
+        friction: of these.
+        failed: ``[sim]``, set where what is handed over is no finite number.
+    """
+    for i in range(s.shape[0]):
+        for j in range(s.shape[1]):
+            one, dof = s[i, j], at[1, j]
+            ctrl[i, at[2, j]] = one.applied_torque
+            armature[i, dof] = rotor[i, j] + timestep * one.damping
+            friction[i, dof] = one.friction_bound
+            if not np.isfinite(one.applied_torque + one.damping + one.friction_bound):
+                failed[i] = True
