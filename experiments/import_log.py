@@ -13,6 +13,7 @@ import hydra
 from omegaconf import DictConfig
 from support import check_given, one_sentence, plain
 
+from op3.command_line import launch
 from op3.rollout import LogError, Rollout
 from op3.rollout.files import write_text
 from op3.rollout.health import ERROR, examine
@@ -65,4 +66,4 @@ def main(cfg: DictConfig) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    launch(main, "import_log", __doc__)

@@ -17,6 +17,7 @@ from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
+from op3.private import scrub
 from op3.robot import CONTROLLED_JOINTS, Motion, named_configs
 from op3.rollout import Metadata, Rollout
 from op3.rollout.files import write_text
@@ -41,7 +42,7 @@ def one_sentence(
             error = error.__cause__ or error
         if HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN:
             raise CompactHydraException(str(error)) from error  # the sweeper says which job it was
-        print(error, file=sys.stderr)
+        print(scrub(str(error)) if "://" in str(error) else error, file=sys.stderr)
         raise SystemExit(1) from None
     except KeyboardInterrupt:
         print(f"\nInterrupted. {interrupted}", file=sys.stderr)
@@ -64,7 +65,7 @@ def check_same(path: Path, asked: Mapping[str, Any]) -> None:
     """
     if not path.exists():
         return
-    before = yaml.safe_load(path.read_text(encoding="utf-8"))
+    before, asked = yaml.safe_load(path.read_text(encoding="utf-8")), scrub(dict(asked))
     names = [name for name in {**before, **asked} if before.get(name) != asked.get(name)]
     if names:
         was, now = ({name: one.get(name) for name in names} for one in (before, asked))
@@ -75,7 +76,7 @@ def remember(path: Path, asked: Mapping[str, Any]) -> None:
     """Write down what a folder was begun with, once; see `check_same`."""
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(path, yaml.safe_dump(dict(asked), width=1000))
+        write_text(path, yaml.safe_dump(scrub(dict(asked)), width=1000))
 
 
 def by_name(overrides: Sequence[str]) -> dict[str, str]:

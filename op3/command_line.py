@@ -5,14 +5,17 @@ The overrides are Hydra's, as of ``python experiments/<name>.py``; both go throu
 
 import ast
 import importlib.resources
+import itertools
 import os
 import re
 import runpy
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any, NoReturn
 
+from op3.private import CLAIMED, hide, scrub, scrub_folder
 from op3.settings import nearest
 
 COMMANDS: Mapping[str, str] = {
@@ -74,6 +77,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     runpy.run_path(str(path), run_name="__main__")
 
 
+def config_file(config: str) -> Path:
+    """The file of a config, which may lie in a folder of its name."""
+    conf = files() / "conf"
+    return conf / f"{config}.yaml" if (conf / f"{config}.yaml").is_file() else conf / config / f"{config}.yaml"
+
+
 def script(command: str) -> Path:
     """The experiment of a command."""
     return files() / "experiments" / f"{COMMANDS[command]}.py"
@@ -123,7 +132,7 @@ def settings_of(config: str) -> list[str]:
     import yaml
 
     folder = files() / "conf"
-    content = yaml.safe_load((folder / f"{config}.yaml").read_text(encoding="utf-8")) or {}
+    content = yaml.safe_load(config_file(config).read_text(encoding="utf-8")) or {}
     groups = [name for entry in content.get("defaults", []) if isinstance(entry, dict) for name in entry]
     choices = [f"{group}={file.stem}" for group in groups for file in sorted((folder / group).glob("*.yaml"))]
     return [*choices, *(f"{name}=" for name in content if name not in ("defaults", "hydra"))]
@@ -131,8 +140,7 @@ def settings_of(config: str) -> list[str]:
 
 def usage(config: str, documentation: str) -> str:
     """What ``--help`` of an experiment prints: how it is called, its settings with defaults and units, its groups."""
-    folder = files() / "conf"
-    text = (folder / f"{config}.yaml").read_text(encoding="utf-8")
+    text = config_file(config).read_text(encoding="utf-8")
     body = re.sub(r"^(defaults|hydra):\n(?:[ #].*\n|\n)*", "", text, flags=re.MULTILINE)
     body = "\n".join(line for line in body.splitlines() if not line.startswith("#")).strip()
     body = re.sub(r"\n{3,}", "\n\n", body)
@@ -163,15 +171,60 @@ def launch(run: Callable[[], Any], config: str, documentation: str | None) -> No
     if {"-h", "--help"} & set(sys.argv[1:]):
         print(usage(config, documentation or ""))
         return
-    sys.argv[1:] = [quoted(argument) for argument in sys.argv[1:]]
+    sys.argv[1:] = [hide(quoted(argument)) for argument in sys.argv[1:]]
     # Hydra's own handler prints a wall of text; with this it lets errors through
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
+    folder = claim(config, sys.argv[1:])
+    if folder is not None:
+        sys.argv.append(os.environ.setdefault(CLAIMED, f"hydra.{_kind(sys.argv)}.dir={folder}"))
     try:
         run()
     except MissingConfigException as error:
         end(missing(error))
     except (HydraException, OmegaConfBaseException) as error:
-        end(explained(error, config))
+        end(scrub(explained(error, config)))
+    finally:
+        if folder is not None:
+            leave(folder)
+
+
+def claim(config: str, arguments: Sequence[str]) -> Path | None:
+    """A folder of the run's own, made at once, so that of two runs begun in the same second none writes to the other's.
+
+    Returns:
+        None where the user or the config names another place, or where nothing is run.
+    """
+    path = config_file(config)
+    flags = {word for word in arguments if word.startswith("-")} - {"-m", "--multirun"}
+    if not path.is_file() or flags or any(re.match(r"\+*hydra\.(run|sweep)\.dir=", word) for word in arguments):
+        return None
+    text = path.read_text(encoding="utf-8")
+    section = re.search(rf"^  {_kind(arguments)}:\n    dir: (outputs/\w+/)\$\{{now:", text, re.MULTILINE)
+    if section is None:
+        return None
+    now = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+    for number in itertools.count(1):
+        folder = Path(section[1]) / (now if number == 1 else f"{now}_{number}")
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        break
+    return folder
+
+
+def _kind(arguments: Sequence[str]) -> str:
+    return "sweep" if {"-m", "--multirun"} & set(arguments) else "run"
+
+
+def leave(folder: Path) -> None:
+    """Take secrets and paths out of what Hydra has written, and empty folders away."""
+    for place in (folder, *folder.rglob(".hydra")):
+        if place.is_dir():
+            scrub_folder(place)
+    for place in (folder, *list(folder.parents)[:2]):
+        if place.is_dir() and not any(place.iterdir()):
+            place.rmdir()
 
 
 def quoted(argument: str) -> str:
@@ -225,7 +278,7 @@ def known_settings(config: str) -> list[str]:
     from omegaconf import DictConfig
 
     GlobalHydra.instance().clear()
-    with initialize_config_dir(str(files() / "conf"), version_base="1.3"):
+    with initialize_config_dir(str(config_file(config).parent), version_base="1.3"):
         cfg = compose(config)
     names: list[str] = []
 

@@ -22,7 +22,7 @@ from op3.deploy.policy_runner import FollowPolicy
 from op3.deploy.safety import Onlooker, Safety
 from op3.deploy.serial_port import SerialPort
 from op3.deploy.session import Logs, Outcome, Phases, Session
-from op3.deploy.start_checks import StartChecks
+from op3.deploy.start_checks import UNTOUCHED, StartChecks
 from op3.deploy.state import Calibration, State
 from op3.deploy.ticker import PERIOD, POLICY_TICKS
 from op3.policy.actions import D_GAIN, HELD_GAIN
@@ -256,8 +256,8 @@ def read_only(
     return _run(session, lambda loop: [Watch(duration)], show)
 
 
-SETTINGS = {"return_delay_time": 0, "drive_mode": 0}
-"""Registers of the EEPROM that a robot needs once."""
+SETTINGS = {"return_delay_time": 0, **UNTOUCHED}
+"""Registers that a robot needs once."""
 
 
 def setup(connection: Connection, *, report: Callable[[str], None] = print) -> ExitCode:

@@ -41,6 +41,8 @@ class ExitCode(IntEnum):
     """The policy or the controller asked for something that is not a finite number."""
     OVERRUN = 28
     """The loop was held up so long that the servos' watchdogs have let go."""
+    POSITION_JUMP = 29
+    """A position moved faster than its servo can: a turn was lost, or a counter was reset."""
     ERROR = 30
     """An unexpected error, printed above."""
     NOT_VERIFIED = 40

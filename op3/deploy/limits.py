@@ -50,6 +50,7 @@ class Limits:
         coast_ticks: how many ticks a servo or the IMU may stay silent before the joints are damped.
         loss_time: how long one may stay silent before torque goes off [s].
         imu_repeats: how many identical IMU blocks in a row mean that it is dead.
+        homing_offset: largest homing offset that a servo may have [counts], for a robot that was calibrated with it.
         damp_gain: D gain of a damped joint [A s/rad].
         damp_time: how long joints are damped before torque goes off [s].
     """
@@ -66,6 +67,7 @@ class Limits:
     coast_ticks: Whole = 3
     loss_time: Positive = 0.096
     imu_repeats: Annotated[Count, Field(ge=2)] = 25
+    homing_offset: Whole = 0
     damp_gain: NotNegative = 0.2
     damp_time: NotNegative = 0.5
 

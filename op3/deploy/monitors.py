@@ -5,18 +5,27 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Limits
 from op3.deploy.registers import HardwareError
 from op3.deploy.state import State
 from op3.robot import JOINTS
+from op3.robot.servo_make import load_servo
+from op3.robot.units import POSITION_UNIT
 
 CONFIRMED = 3
 """Readings in a row that confirm a temperature; a single reading may be a glitch."""
 
 ALIVE_COUNTS = 50
 """A servo that answers has at least 5 V; one that says less has started anew and lost its indirect addresses."""
+
+FASTEST = 3.0 * load_servo("xm430-w350").limits.no_load_speed.si
+"""No joint moves this fast [rad/s], even when it is pushed: three times the servo's speed without load."""
+
+LEAST_JUMP = 0.1
+"""A position that differs by less from reading to reading has not jumped [rad]."""
 
 SAG_READINGS = 10
 """Readings in a row that confirm a low supply; a step of load makes it sag for some milliseconds."""
@@ -48,7 +57,9 @@ class Monitor:
     def __init__(self, limits: Limits, period: float):
         self._limits = limits
         self._loss_ticks = round(limits.loss_time / period)
+        self._period = period
         self._last_heard = np.full(len(JOINTS) + 1, -1)
+        self._last_position: NDArray[np.float64] | None = None
         self._upright = 0.0
         self._started = False
         self._block: bytes | None = None
@@ -71,6 +82,7 @@ class Monitor:
             self._started, self._upright = True, time
             self._last_heard[:] = tick - 1
         self._check_shutdown(state)
+        self._check_jump(tick, state)
         verdict = self._check_silence(tick, state)
         self._check_imu(state)
         self._check_fall(time, state)
@@ -93,6 +105,22 @@ class Monitor:
         if fresh.size:
             names = ", ".join(JOINTS[i] for i in fresh)
             raise Stop(ExitCode.SERVO_SHUTDOWN, f"restarted by itself: {names}; check its cable and the battery")
+
+    def _check_jump(self, tick: int, state: State) -> None:
+        """A controller that believes a position which cannot be drives the joint with all it has."""
+        before, self._last_position = self._last_position, state.position
+        if before is None:
+            return
+        jump = np.where(state.answered, state.position - before, 0.0)
+        limit = LEAST_JUMP + FASTEST * self._period * np.maximum(tick - self._last_heard[:-1], 1)
+        if (np.abs(jump) > limit).any():
+            joint = int((np.abs(jump) / limit).argmax())
+            raise Stop(
+                ExitCode.POSITION_JUMP,
+                f"the position of {JOINTS[joint]} jumped by {jump[joint]:+.3f} rad ({jump[joint] / POSITION_UNIT:+.0f}"
+                " counts), faster than the servo can move: it lost a turn or its counter was reset; check its cable"
+                " and horn, then switch the power off and on",
+            )
 
     def _check_silence(self, tick: int, state: State) -> Verdict:
         heard = np.append(state.answered, state.imu_answered)

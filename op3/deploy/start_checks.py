@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from op3.deploy.bus import BOARD, Bus, BusError, Writer
+from op3.deploy.bus import BOARD, FIRST_ANSWER, SLOW_ANSWER, Bus, BusError, NoAnswer, Writer
 from op3.deploy.limits import HIGH, LOW, Limits
 from op3.deploy.registers import OPEN_CR, XM430_W350, HardwareError
 from op3.deploy.state import State
 from op3.robot import JOINTS
-from op3.robot.units import VOLTAGE_UNIT
+from op3.robot.units import POSITION_UNIT, VOLTAGE_UNIT
 
 POWER_UP_TIME = 0.5
 """How long servos take to start after their supply is switched on [s]."""
@@ -23,6 +24,15 @@ LEAST_FIRMWARE = 38
 
 LONGEST_RETURN_DELAY = 1
 """In units of 2 us: with the factory value, 500 us, twenty answers do not fit into a tick."""
+
+UNTOUCHED = {
+    "drive_mode": 0,
+    "homing_offset": 0,
+    "pwm_limit": 885,
+    "profile_velocity": 0,
+    "profile_acceleration": 0,
+}
+"""Registers that other programs leave behind, and their values from the factory; ROBOTIS e-Manual."""
 
 LARGEST_TILT_DEG = 30.0
 """An upright trunk rolls and pitches less than this [deg]; the squat leans by 17."""
@@ -79,7 +89,7 @@ class StartChecks:
             ("models and firmware", self._firmware),
             ("return delay", self._return_delay),
             ("status return level", self._return_level),
-            ("drive mode", self._drive_mode),
+            *((register.replace("_", " "), partial(self._untouched, register)) for register in UNTOUCHED),
             ("servo limits", self._servo_limits),
             ("hardware errors", self._hardware_errors),
             ("temperature", self._temperature),
@@ -120,7 +130,16 @@ class StartChecks:
 
     def _power(self) -> tuple[bool, str]:
         bus = self._bus
-        bus.ping(BOARD)
+        try:
+            bus.ping(BOARD)
+        except NoAnswer:
+            with bus.patience(SLOW_ANSWER, SLOW_ANSWER):
+                bus.ping(BOARD)
+            port = Path(str(getattr(bus.port, "port_name", "ttyUSB0"))).name
+            return False, (
+                f"answers come only after {FIRST_ANSWER:g} ms: the USB adapter's latency timer is about 16 ms and must"
+                f" be 1; echo 1 | sudo tee {self._sysfs}/{port}/latency_timer, or setserial /dev/{port} low_latency"
+            )
         if bus.read(BOARD, "dynamixel_power"):
             return True, "on"
         if self._writer is None:
@@ -136,7 +155,8 @@ class StartChecks:
         self._models = self._bus.ping_all()
         missing = [f"{name} (id {self._bus.ids[name]})" for name in self._bus.ids if name not in self._models]
         if missing:
-            return False, f"no answer from {', '.join(missing)}; check cables, power, ids and that all are at 2 Mbps"
+            remedy = "check cables, power, ids, and that all are at 2 Mbps and speak protocol 2.0"
+            return False, f"no answer from {', '.join(missing)}; {remedy}"
         return True, f"{len(JOINTS)} servos and OpenCR answer"
 
     def _firmware(self) -> tuple[bool, str]:
@@ -164,12 +184,20 @@ class StartChecks:
             return False, f"{', '.join(wrong)} do not answer every packet; switch the power off and on"
         return True, "every packet is answered"
 
-    def _drive_mode(self) -> tuple[bool, str]:
-        # A reversed servo turns every correction into a push the wrong way.
-        odd = [f"{name} {value}" for name, value in self._all("drive_mode").items() if value]
-        if odd:
-            return False, f"not normal: {', '.join(odd)}; write it once with mode=setup, then calibrate"
-        return True, "normal"
+    def _untouched(self, register: str) -> tuple[bool, str]:
+        # A reversed servo turns every correction into a push the wrong way; an offset moves its zero.
+        normal = UNTOUCHED[register]
+        allowed = self._limits.homing_offset if register == "homing_offset" else 0
+        odd = {name: value for name, value in self._all(register).items() if abs(value - normal) > allowed}
+        if not odd:
+            return True, "normal"
+        text = f"not normal: {', '.join(f'{name} {value}' for name, value in odd.items())}"
+        if register == "homing_offset":
+            worst = max(odd.values(), key=abs)
+            text += f" (up to {worst * POSITION_UNIT:+.2f} rad), left behind by another program"
+            remedy = f"or keep it with limits.homing_offset={abs(worst)} and calibrate with it"
+            return False, f"{text}; write it once with mode=setup, then calibrate, {remedy}"
+        return False, f"{text}; write it once with mode=setup, then calibrate"
 
     def _servo_limits(self) -> tuple[bool, str]:
         """The run has to end before a servo lets go by itself."""

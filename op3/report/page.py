@@ -12,6 +12,7 @@ import plotly
 import plotly.graph_objects as go
 from markupsafe import Markup, escape
 
+from op3.private import scrub
 from op3.report.style import DARK
 from op3.report.tables import Cell, number
 from op3.rollout.files import write_text
@@ -58,11 +59,11 @@ class Page:
     def text(self, text: str) -> None:
         """Add paragraphs, separated by blank lines."""
         for paragraph in re.split(r"\n\s*\n", text.strip()):
-            self._add("text", paragraph)
+            self._add("text", scrub(paragraph))
 
     def code(self, text: str) -> None:
         """Add lines as they are, such as a command or the head of a file."""
-        self._add("code", text)
+        self._add("code", scrub(text))
 
     def figure(self, figure: go.Figure | None, caption: str) -> None:
         """Add a figure with its caption; None, for a figure that a log has no data for, adds nothing."""
@@ -111,7 +112,7 @@ class Page:
 
     def provenance(self, values: Mapping[str, Any]) -> None:
         """Say at the foot where the page comes from; nested mappings become one line each."""
-        self._provenance |= {key.replace("_", " "): _line(value) for key, value in values.items()}
+        self._provenance |= {key.replace("_", " "): _line(scrub(value)) for key, value in values.items()}
 
     def html(self, library: str = LIBRARY) -> str:
         """The page as text.

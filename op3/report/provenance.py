@@ -10,6 +10,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from op3.private import CLAIMED, scrub
 from op3.rollout.code_version import git_changes, git_hash
 
 PACKAGES = ("torch", "torchrl", "tensordict", "mujoco", "dm-control", "hydra-core", "optuna", "numpy", "scipy")
@@ -33,7 +34,7 @@ def run_provenance(
     if seed is not None:
         facts["seed"] = seed
     if data is not None:
-        facts["data"] = data if isinstance(data, str) else ", ".join(map(str, data))
+        facts["data"] = scrub(data if isinstance(data, str) else ", ".join(map(str, data)))
     facts["versions"] = versions()
     facts["machine"] = machine()
     return facts
@@ -55,7 +56,8 @@ def command_line() -> str:
     if script.is_absolute():
         here = Path.cwd()
         script = script.relative_to(here) if script.is_relative_to(here) else Path(script.name)
-    return shlex.join(["python", str(script), *sys.argv[1:]])
+    given = [argument for argument in sys.argv[1:] if argument != os.environ.get(CLAIMED)]
+    return scrub(shlex.join(["python", str(script), *given]))
 
 
 def git_state() -> dict[str, Any]:

@@ -7,6 +7,7 @@ from typing import Any
 
 import yaml
 
+from op3.private import scrub
 from op3.report.page import Page
 from op3.report.run_logger import RunLogger
 from op3.rollout.files import write_text
@@ -154,9 +155,9 @@ def _plain(key: str, value: Any) -> Any:
     if hasattr(value, "tolist") and not isinstance(value, str):
         return _plain(key, value.tolist())
     if isinstance(value, Path):
-        return str(value)
+        return scrub(str(value))
     if value is None or isinstance(value, bool | int | str):
-        return value
+        return scrub(value)
     if isinstance(value, float):
         if not math.isfinite(value):
             raise ValueError(f"result {key} is {value}: write a finite number, or None where there is none")

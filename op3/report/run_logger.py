@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
+from op3.private import scrub
+
 
 def sweep_group(folder: str | Path) -> str:
     """The group of a run by its folder.
@@ -62,7 +64,7 @@ class RunLogger:
             group=group or sweep_group(folder),
             name=name or folder.resolve().name,
             dir=str(folder),
-            config=dict(config or {}),
+            config=scrub(dict(config or {})),
             mode=mode,
             reinit="create_new",
             settings=wandb.Settings(

@@ -175,11 +175,12 @@ class Rollout:
         from op3.rollout.health import ERROR, examine  # the checks look at rollouts, so they import this module
 
         source = source or self.metadata.recording
+        name = source if source is None else Path(source).name
         findings = examine(self)
         for finding in findings:
             if finding.severity == ERROR:
                 raise finding.error(source)
-            _log.warning("%s", finding.error(source))
+            _log.warning("%s", finding.error(name))
         aside = {str(finding.column) for finding in findings if finding.set_aside}
         return dataclasses.replace(self._without(aside), findings=findings) if findings else self
 

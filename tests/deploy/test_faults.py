@@ -394,3 +394,18 @@ def test_a_stop_carries_code_and_reason():
     """`Stop` is what every layer raises to end a run."""
     stop = Stop(ExitCode.FALL, "fallen", damp=True)
     assert (stop.code, str(stop), stop.damp) == (ExitCode.FALL, "fallen", True)
+
+
+@pytest.mark.parametrize(("counts", "jump"), [(4096, "+6.283 rad (+4096 counts)"), (-150, "-0.2")])
+def test_a_position_that_jumps_ends_the_run_within_a_tick(tmp_path, counts, jump):
+    """A counter that loses a turn, or is reset: torque off before the next tick, and servo and jump are named."""
+    rig = faulty(tmp_path)
+    index = JOINTS.index("l_knee")
+    rig.robot.at(START, lambda: rig.robot._zero.__setitem__(index, rig.robot._zero[index] + counts))
+    outcome = go(rig, folder=tmp_path / "logs")
+    assert outcome.code == ExitCode.POSITION_JUMP
+    assert "position of l_knee jumped by " + jump[:5] in outcome.reason
+    assert_released(rig, outcome)
+    assert torque_off(rig) < START + 0.02
+    assert np.abs(goals(rig, start=START)[1]).max(initial=0) < 200  # nothing was driven by the wrong angle
+    assert "l_knee" in str(Rollout.load(tmp_path / "logs" / "run").metadata.extra)

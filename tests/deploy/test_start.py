@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from deploy_rig import make_rig
 
-from op3.deploy.emulator import OP3_SETTINGS, BrownOut, Faults, FrozenImu, Silent
+from op3.deploy.emulator import OP3_SETTINGS, BrownOut, Faults, FrozenImu, Silent, Timing
 from op3.deploy.exit_codes import ExitCode
 from op3.deploy.limits import IS_LEG, Limits
 from op3.deploy.phases import GainRamp, Hold, minimum_jerk
@@ -56,7 +56,22 @@ def other_return_level(robot):
     robot.at(0.4, lambda: robot.servos["l_el"].put("status_return_level", 1))
 
 
+def left_behind(register, value):
+    # after the servo has booted, which clears what is not in its EEPROM
+    return lambda robot: robot.at(0.3, lambda: robot.servos["l_knee"].put(register, value))
+
+
 FAILURES = {
+    "homing": (
+        dict(prepare=left_behind("homing_offset", 150)),
+        r"homing offset: not normal: l_knee 150 \(up to \+0.23 rad\), left behind.*limits.homing_offset=150",
+    ),
+    "pwm": (dict(prepare=left_behind("pwm_limit", 400)), "pwm limit: not normal: l_knee 400; .*mode=setup"),
+    "profile": (dict(prepare=left_behind("profile_velocity", 30)), "profile velocity: not normal: l_knee 30"),
+    "latency timer": (
+        dict(timing=Timing(latency_timer=0.016)),
+        r"servo power: answers come only after 4 ms: .*latency timer.*echo 1 .*latency_timer, or setserial",
+    ),
     "return level": (dict(prepare=other_return_level), "status return level: l_el do not answer every packet"),
     "drive": (dict(prepare=reversed_drive), "drive mode: not normal: l_el 1; write it once with mode=setup"),
     "cool": (dict(prepare=cool_limit), "servo limits: l_el 70 C: a servo would shut down before the run ends at 72 C"),
