@@ -154,7 +154,15 @@ def test_the_checks_pass_at_1_ms_and_are_all_told(tmp_path):
     told = [line.split(":")[0].removeprefix("ok").strip() for line in rig.lines if line.startswith("ok  ")]
     assert told == [
         *("latency timer", "servo power", "ping", "models and firmware", "return delay"),
-        *("status return level", "drive mode", "servo limits", "hardware errors", "temperature"),
+        *(
+            "status return level",
+            "drive mode",
+            "homing offset",
+            "pwm limit",
+            "profile velocity",
+            "profile acceleration",
+        ),
+        *("servo limits", "hardware errors", "temperature"),
         *("supply voltage", "joint angles", "IMU"),
     ]
 
