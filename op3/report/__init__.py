@@ -1,4 +1,4 @@
-"""Figures, tables, one self-contained HTML page per run, ``result.yaml``, and wandb; it computes no results."""
+"""Figures, tables, one HTML page per run (`templates/`), ``result.yaml``, and wandb; it computes no results."""
 
 from op3.report.figures import errors_figure, history_figure, ranges_figure
 from op3.report.page import Page
