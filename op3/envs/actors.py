@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
 
 from op3.envs.batched import BatchedEnv
@@ -45,6 +46,31 @@ class Actor:
         made = make_env(task, model, num_envs, seed, action_map=self.action_map, **options)
         assert isinstance(made, BatchedEnv)
         return made
+
+    def step(self, env: BatchedEnv, state: TensorDictBase) -> TensorDictBase:
+        """One policy step of all robots of an environment.
+
+        Args:
+            env: made by `environment`.
+            state: as `reset`, `begin` or the step before gave it.
+
+        Returns:
+            The state after it, without the reward.
+        """
+        state["action"] = self.policy.act(state["observation"]).to(torch.float32).clamp(-1.0, 1.0)
+        before = env.on_tick
+
+        def command(tick: int) -> None:
+            env.simulation.command(**self.policy.commands(env.rules.time + tick * OP3_CONTROL_PERIOD))
+            if before is not None:
+                before(tick)
+
+        if self.stiff:
+            env.on_tick = command
+        try:
+            return env.step(state)["next"].exclude("reward")
+        finally:
+            env.on_tick = before
 
 
 class FixedGain:

@@ -1,0 +1,75 @@
+"""Measure how soft policies are: gains over the gait, joints that are turned, landings, pushes, pulls, heat.
+
+python experiments/compliance.py policy=<bundle>
+python experiments/compliance.py policy=<bundle>,<trained with a fixed gain>
+python experiments/compliance.py policy=<bundle> 'sizes={episodes: 8, push_episodes: 1}' grounds=[walk]
+"""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import hydra
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+from support import check_given, one_sentence, plain, positive, whole
+
+from op3.compliance.compare import difference
+from op3.compliance.study import Sizes, Study, contestants
+from op3.report import run_provenance
+from op3.report.compliance import report_compliance
+from op3.sim import load_model
+
+
+def names(value: Any) -> list[str]:
+    """Policies of a list, or of a text with commas."""
+    given = value.split(",") if isinstance(value, str) else list(value)
+    if not given or not all(isinstance(name, str) and name for name in given):
+        raise ValueError(f"policy must be a folder or several, got {value!r}")
+    return given
+
+
+def run(cfg: DictConfig) -> dict[str, Any]:
+    """Measure all policies and report."""
+    torch.set_num_threads(1)
+    check_given(cfg, "policy", "folder of a bundle")
+    whole(cfg, "seed", 0)
+    whole(cfg, "threads", 0)
+    scale = positive(cfg, "gain_scale", "a factor")
+    options = {"gain_scale": scale, "num_threads": cfg.threads}
+    model, sizes = load_model(cfg.model), Sizes(**plain(cfg.sizes))
+    study = Study(model, plain(cfg.grounds), sizes, cfg.seed, **options)
+    asked = names(plain(cfg.policy))
+    asked += [cfg.baseline] if cfg.baseline is not None and cfg.baseline not in asked else []
+    actors = contestants(asked, study.task, plain(cfg.fixed_gains), scale)
+    standing = {Path(name).name: study.stand(name)[0] for name in plain(cfg.standing)}
+    measured = [study.measure(actor, led=cfg.led) for actor in actors]
+    landings = study.stiff_landings() if any(actor.stiff for actor in actors[1:]) else None
+    differences = {
+        other.label: difference(measured[0], other, landings if actor.stiff else None)
+        for actor, other in zip(actors[1:], measured[1:], strict=True)
+    }
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    settings = {"policies": asked, "model": cfg.model, "sizes": plain(cfg.sizes), "gain_scale": scale}
+    provenance = {**run_provenance(seed=cfg.seed), **settings}
+    return report_compliance(measured, differences, standing, folder, provenance)
+
+
+@hydra.main(config_path="../conf", config_name="compliance", version_base="1.3")
+def main(cfg: DictConfig) -> None:
+    """Measure and report."""
+    with one_sentence("Nothing is kept but what the folder holds."):
+        run(cfg)
+
+
+if __name__ == "__main__":
+    # Hydra takes commas for a sweep; here they are a list
+    several = "-m" not in sys.argv and "--multirun" not in sys.argv
+    sys.argv = [
+        f"policy=[{a.removeprefix('policy=')}]"
+        if several and a.startswith("policy=") and "," in a and "[" not in a
+        else a
+        for a in sys.argv
+    ]
+    main()

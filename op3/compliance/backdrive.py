@@ -1,0 +1,122 @@
+"""Back-drivability: how joints give way to a torque that grows slowly, at states of the gait, through the whole law."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from op3.robot import CONTROLLED_JOINTS, JOINTS
+from op3.robot.units import POSITION_UNIT
+from op3.servo import RobotModel
+from op3.sim import BatchSimulation
+from op3.tasks.setups import OP3_CONTROL_PERIOD, Setup
+
+Array = NDArray[np.float64]
+
+SETTLE = 0.6
+"""Time for which commands act before the torque begins to grow [s]."""
+
+RATE = 0.5
+"""Growth of the torque [N m/s]."""
+
+MOST = 2.0
+"""Torque at which the ramp ends [N m]; half of what a servo stalls at."""
+
+MOVED = 3 * POSITION_UNIT
+"""Displacement that counts as giving way [rad]: three counts of the encoder."""
+
+FITTED = 0.1
+"""Displacement up to which the slope is fitted [rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class BackDrive:
+    """Joints that are turned at states of the gait; arrays ``[state, joint, direction]``.
+
+    Attributes:
+        break_away: torque at which the joint moves [N m]; NaN where it never does.
+        slope: further torque per further angle [N m/rad]; NaN where the joint hardly moves.
+    """
+
+    break_away: Array
+    slope: Array
+
+
+def back_drive(model: RobotModel, position: Array, commands: Mapping[str, Array], num_threads: int = 1) -> BackDrive:
+    """Hold the trunk, freeze the commands, and turn one controlled joint after the other, both ways.
+
+    Args:
+        model: of the robot.
+        position: joint angles of the states, ``[state, joint]`` in rad.
+        commands: in force there, by the names of `BatchSimulation.command`, ``[state, joint]``.
+        num_threads: that step the physics.
+    """
+    setup = Setup.of_mount("stand")
+    turned = [JOINTS.index(joint) for joint in CONTROLLED_JOINTS]
+    shape = (len(position), len(turned), 2)
+    rows = np.prod(shape)
+    state, which, way = (axis.reshape(-1) for axis in np.indices(shape))
+    simulation = BatchSimulation(
+        setup.mj_model, setup.scene.joint_names, model, int(rows), base_body=setup.base_body,
+        control_period=OP3_CONTROL_PERIOD, num_threads=num_threads,
+    )  # fmt: skip
+    frozen: dict[str, Tensor] = {name: torch.from_numpy(np.asarray(v)[state]) for name, v in commands.items()}
+    simulation.reset(position[state], frozen)
+    for _ in range(round(SETTLE / OP3_CONTROL_PERIOD)):
+        simulation.advance()
+    joint, sign = np.array(turned)[which], np.where(way, -1.0, 1.0)
+    angle = simulation.batch.bind("qpos")[:, simulation.ports.qpos]
+    everyone = np.arange(rows)
+    start, twist = angle[everyone, joint].copy(), _Twist(simulation, joint)
+    grown = RATE * OP3_CONTROL_PERIOD * np.arange(1, round(MOST / RATE / OP3_CONTROL_PERIOD) + 1)
+    moved = np.zeros((len(grown), int(rows)))
+    for step, size in enumerate(grown):
+        twist.apply(sign * size)
+        simulation.advance()
+        moved[step] = sign * (angle[everyone, joint] - start)
+        if (moved[step] >= FITTED).all():
+            grown, moved = grown[: step + 1], moved[: step + 1]
+            break
+    return BackDrive(*(values.reshape(shape) for values in _fits(grown, moved)))
+
+
+class _Twist:
+    """Torques between the two links of a joint, one joint per robot.
+
+    They act on the links and not in the servo, so that the servo law feels them as the load of its output.
+
+    Args:
+        simulation: of the robots.
+        joint: of each, [sim].
+    """
+
+    def __init__(self, simulation: BatchSimulation, joint: NDArray[np.int64]):
+        model, batch = simulation.batch.model, simulation.batch
+        self._everyone = np.arange(simulation.num_sims)
+        self._child = simulation.ports.body[joint]
+        self._parent = model.body_parentid[self._child]
+        self._joint = np.array([model.joint(name).id for name in simulation.ports.joints])[joint]
+        self._axis, self._external = batch.bind("xaxis"), batch.bind("xfrc_applied")
+
+    def apply(self, torque: Array) -> None:
+        """Twist with these torques [N m], ``[sim]``, until the next call."""
+        turning = torque[:, None] * self._axis[self._everyone, self._joint]
+        self._external[self._everyone, self._child, 3:] = turning
+        self._external[self._everyone, self._parent, 3:] = -turning
+
+
+def _fits(torque: NDArray[np.floating], moved: Array) -> tuple[Array, Array]:
+    """Break-away torque and slope of each column of displacements ``[time, sim]`` under torques [time]."""
+    break_away, slope = np.full(moved.shape[1], np.nan), np.full(moved.shape[1], np.nan)
+    for sim, angle in enumerate(moved.T):
+        if angle.max() < MOVED:
+            continue
+        first = int(np.argmax(angle >= MOVED))
+        last = int(np.argmax(angle >= FITTED)) if angle.max() >= FITTED else len(angle)
+        break_away[sim] = torque[first]
+        if last - first > 4 and angle[last - 1] - angle[first] > 2 * MOVED:
+            slope[sim] = 1.0 / np.polyfit(torque[first:last], angle[first:last], 1)[0]
+    return break_away, slope

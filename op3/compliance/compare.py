@@ -1,0 +1,73 @@
+"""One policy beside another: what the difference is worth, with intervals."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from op3.compliance.landing import Comparison, Landings, compare_landings
+from op3.compliance.study import Measured, Passed
+from op3.tasks.evaluation import wilson_interval
+
+Triple = tuple[float, float, float]
+"""A difference and its 95 % interval."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The first policy minus another one.
+
+    Attributes:
+        landing: of peaks at landings that are alike.
+        bricks: of the share of episodes passed on all grounds but the first; None where there is no other ground.
+        push: of the largest push survived, mean over the directions [N s].
+    """
+
+    landing: Comparison
+    bricks: Triple | None
+    push: Triple
+
+    @property
+    def better(self) -> list[str]:
+        """In what the first policy is better, with an interval that excludes no difference."""
+        found = []
+        if self.landing.force is not None and self.landing.force[2] < 0:
+            found.append("softer landings")
+        if self.bricks is not None and self.bricks[1] > 0:
+            found.append("more bricks passed")
+        if self.push[1] > 0:
+            found.append("larger pushes")
+        return found
+
+
+def difference(first: Measured, other: Measured, their_landings: Landings | None = None) -> Difference:
+    """The first policy beside another.
+
+    Args:
+        first: policy.
+        other: policy.
+        their_landings: the other's, where more are known than from its own episodes.
+    """
+    landing = compare_landings(first.landings, their_landings or other.landings)
+    return Difference(landing, _of_shares(_uneven(first), _uneven(other)), _of_pushes(first, other))
+
+
+def _uneven(measured: Measured) -> list[Passed]:
+    return list(measured.passed.values())[1:]
+
+
+def _of_shares(first: list[Passed], other: list[Passed]) -> Triple | None:
+    """Difference of two shares with the interval made of Wilson's (Newcombe 1998, method 10)."""
+    if not first:
+        return None
+    ours, theirs = ((sum(p.successes for p in each), sum(p.episodes for p in each)) for each in (first, other))
+    (p, q), (low_p, high_p), (low_q, high_q) = (
+        (ours[0] / ours[1], theirs[0] / theirs[1]), wilson_interval(*ours), wilson_interval(*theirs)
+    )  # fmt: skip
+    below, above = np.hypot(p - low_p, high_q - q), np.hypot(high_p - p, q - low_q)
+    return p - q, float(p - q - below), float(p - q + above)
+
+
+def _of_pushes(first: Measured, other: Measured) -> Triple:
+    (a, low_a, high_a), (b, low_b, high_b) = first.survival.mean_largest, other.survival.mean_largest
+    half = np.hypot(high_a - low_a, high_b - low_b) / 2
+    return float(a - b), float(a - b - half), float(a - b + half)

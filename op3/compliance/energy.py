@@ -1,0 +1,135 @@
+"""What walking and standing cost: power, currents and heat of every servo, an hour of it included."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from op3.compliance.interval import with_interval
+from op3.robot import JOINTS, load_servo
+from op3.robot.units import GRAVITY
+from op3.rollout import Rollout
+from op3.servo import RobotModel
+
+Array = NDArray[np.float64]
+
+HOUR = 3600.0
+"""[s]."""
+
+SETTLED = 2.0
+"""Time at the beginning of an episode that does not count [s]."""
+
+AMBIENT = 25.0
+"""[C]."""
+
+WARMING = 240.0
+"""Time constant with which a servo warms up [s]; the size of the case and its 82 g say minutes, no data sheet gives it.
+
+The temperature after an hour, fifteen of these, does not depend on it.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Energy:
+    """Costs of episodes; intervals are 95 % over episodes.
+
+    Attributes:
+        power: that all motors draw, with its interval, [3] in W; what they feed back charges nothing.
+        cost_of_transport: power over weight and speed, with its interval, [3]; None for robots that do not travel.
+        current: root of the mean square of each motor's current, [joint] in A.
+        loss: heat of each motor's windings, [joint] in W.
+        temperature: of each after an hour like this [C], [joint].
+        drift: loss of all motors in the second half of the episodes over that in the first, minus 1: about 0 where an
+            hour may be reckoned from them.
+        limit: temperature at which a servo switches itself off [C].
+        continuous: current that a servo carries for ever [A].
+    """
+
+    power: Array
+    cost_of_transport: Array | None
+    current: Array
+    loss: Array
+    temperature: Array
+    drift: float
+    limit: float
+    continuous: float
+
+    @property
+    def hottest(self) -> str:
+        """The joint that gets hottest."""
+        return JOINTS[int(self.temperature.argmax())]
+
+
+def measure_energy(
+    logs: Sequence[Rollout], model: RobotModel, mass: float, travels: bool, servo: str = "xm430-w350"
+) -> Energy:
+    """The costs of episodes, from their logs.
+
+    Args:
+        logs: with `joint/current` and `joint/velocity`.
+        model: of the robot.
+        mass: of the robot [kg].
+        travels: whether it walks, so that a cost of transport has a meaning.
+        servo: make, of which limits and the current that it carries for ever are known.
+    """
+    resistance = model.tensors(JOINTS)["terminal_resistance"].numpy().reshape(-1)
+    constant = torque_per_current(model)
+    powers, costs, losses, halves = [], [], [], []
+    for log in logs:
+        kept = log.array("time")[:, 0] >= min(SETTLED, 0.5 * log.duration)
+        current, velocity = log.array("joint/current")[kept], log.array("joint/velocity")[kept]
+        loss = resistance * current**2
+        drawn = np.maximum(loss + constant * current * velocity, 0.0).sum(1).mean()
+        powers.append(drawn)
+        losses.append(loss.mean(0))
+        half = len(loss) // 2
+        halves.append((loss[:half].sum(1).mean(), loss[half:].sum(1).mean()))
+        if travels:
+            speed = log.metadata.travelled_distance / log.metadata.episode_duration  # type: ignore[operator]
+            if speed > 0:
+                costs.append(drawn / (mass * GRAVITY * speed))
+    loss, (first, second) = np.mean(losses, 0), np.mean(halves, 0)
+    make = load_servo(servo)
+    limit, continuous = make.limits.temperature.si, make.continuous_current
+    own = make.motor.terminal_resistance.si
+    return Energy(
+        power=with_interval(powers),
+        cost_of_transport=with_interval(costs) if costs else None,
+        current=np.sqrt(loss / resistance),
+        loss=loss,
+        temperature=temperature_after(loss, thermal_resistance(limit, continuous, own)),
+        drift=float(second / first - 1) if first > 0 else 0.0,
+        limit=limit,
+        continuous=continuous,
+    )
+
+
+def torque_per_current(model: RobotModel) -> Array:
+    """Torque of each motor at its gear's output [N m/A], [joint]: torque constant times gear ratio, without losses."""
+    motor: Any = model.effect("motor")
+    constant = model.tensors(JOINTS)["torque_constant"].numpy().reshape(-1)
+    return np.broadcast_to(constant * motor.gear_ratio, len(JOINTS))
+
+
+def thermal_resistance(limit: float, continuous: float, resistance: float, ambient: float = AMBIENT) -> float:
+    """From winding to air [K/W], as a servo's data sheet implies it.
+
+    What it carries for ever, no longer, takes it just to the temperature at which it switches itself off.
+
+    Args:
+        limit: that temperature [C].
+        continuous: current that it carries for ever [A].
+        resistance: of its windings [ohm].
+        ambient: temperature of the air [C].
+    """
+    return (limit - ambient) / (resistance * continuous**2)
+
+
+def temperature_after(loss: Array, resistance: float, duration: float = HOUR, ambient: float = AMBIENT) -> Array:
+    """Temperature [C] of servos that begin at `ambient` and lose a steady power [W] as heat, after `duration` [s].
+
+    One heat capacity, dT/dt = (ambient + resistance loss - T) / `WARMING`, solved.
+    """
+    return ambient + resistance * np.asarray(loss) * (1 - np.exp(-duration / WARMING))

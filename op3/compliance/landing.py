@@ -1,0 +1,124 @@
+"""Landings: peaks of force and acceleration, compared between walks at the same speed and step height."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from op3.compliance.gains import SKIPPED
+from op3.compliance.traces import TOUCHED, Traces, touchdowns
+
+Array = NDArray[np.float64]
+
+WINDOW = 50
+"""Milliseconds after a touchdown in which peaks are looked for."""
+
+ALIKE = np.array([0.03, 0.004])
+"""Differences of speed [m/s] and step height [m] up to which two landings count as alike."""
+
+FEWEST = 20
+"""Pairs of alike landings below which nothing is compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class Landings:
+    """Touchdowns of many episodes, arrays [landing].
+
+    Attributes:
+        episode: in which it happened.
+        force: peak of the ground's force on the foot [N].
+        acceleration: peak of the trunk's, without gravity [m/s^2].
+        speed: forward, over the second around the touchdown [m/s].
+        height: of the swing before it: how far above the ground the sole's lowest point was [m].
+    """
+
+    episode: NDArray[np.int64]
+    force: Array
+    acceleration: Array
+    speed: Array
+    height: Array
+
+    @property
+    def alike(self) -> Array:
+        """Speed and height in units of `ALIKE`, ``[landing, 2]``."""
+        return np.stack([self.speed, self.height], -1) / ALIKE
+
+    def of(self, episodes: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Indices of the landings of episodes, as often as these are named."""
+        by_episode = [np.flatnonzero(self.episode == episode) for episode in episodes]
+        return np.concatenate(by_episode) if by_episode else np.zeros(0, dtype=np.int64)
+
+
+def find_landings(traces: Traces, lengths: NDArray[np.int64]) -> Landings:
+    """All landings of robots while they walk.
+
+    Args:
+        traces: of the robots.
+        lengths: milliseconds for which each robot's episode lasted, [sim].
+    """
+    found: list[tuple[float, ...]] = []
+    for robot, length in enumerate(lengths):
+        for side in range(2):
+            force, sole = traces.force[:length, robot, side], traces.sole[:length, robot, side]
+            for time in touchdowns(force):
+                if time < 1000 * SKIPPED or time + 500 >= length:
+                    continue
+                inside = slice(int(time), int(time) + WINDOW)
+                in_the_air = _swing_before(force, int(time))
+                ahead, height = traces.ahead[:, robot], float(sole[in_the_air].max() - sole[time])
+                peaks = float(force[inside].max()), float(traces.acceleration[inside, robot].max())
+                found.append((robot, *peaks, float(ahead[time + 500] - ahead[time - 500]), height))
+    columns = np.array(found, dtype=float).reshape(-1, 5).T
+    return Landings(columns[0].astype(np.int64), *columns[1:])
+
+
+def _swing_before(force: NDArray[np.floating], landing: int) -> slice:
+    """The milliseconds for which a foot was in the air before it landed; short touches on the way belong to them."""
+    stood = np.flatnonzero(force[:landing] >= TOUCHED)
+    return slice(int(stood[-1]) if len(stood) else 0, landing)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Landings of one walk minus alike ones of another.
+
+    Attributes:
+        pairs: how many landings have a partner that is alike.
+        force: mean difference of the peak force and its 95 % interval [N]; None where there are too few pairs.
+        acceleration: the same of the acceleration [m/s^2].
+    """
+
+    pairs: int
+    force: tuple[float, float, float] | None
+    acceleration: tuple[float, float, float] | None
+
+
+def compare_landings(ours: Landings, theirs: Landings, seed: int = 0, resamples: int = 300) -> Comparison:
+    """Each of our landings beside the one of theirs that is nearest in speed and step height, where one is alike.
+
+    Intervals are bootstrapped over the episodes of both.
+    """
+    everything = [np.unique(walk.episode) for walk in (ours, theirs)]
+    first = _paired(ours, theirs, *everything)
+    if first is None or len(first) < FEWEST:
+        return Comparison(0 if first is None else len(first), None, None)
+    rng = np.random.default_rng(seed)
+    drawn = [_paired(ours, theirs, *(rng.choice(e, len(e)) for e in everything)) for _ in range(resamples)]
+    means = np.array([pairs.mean(0) for pairs in drawn if pairs is not None and len(pairs)])
+    low, high = np.quantile(means, (0.025, 0.975), axis=0)
+    force, acceleration = np.stack([first.mean(0), low, high], 1).tolist()
+    return Comparison(len(first), tuple(force), tuple(acceleration))
+
+
+def _paired(ours: Landings, theirs: Landings, *episodes: NDArray[np.int64]) -> Array | None:
+    """Differences of force and acceleration, ``[pair, 2]``; None where one of them never lands."""
+    mine, other = ours.of(episodes[0]), theirs.of(episodes[1])
+    if not len(mine) or not len(other):
+        return None
+    found: Any = KDTree(theirs.alike[other]).query(ours.alike[mine], distance_upper_bound=1.0)
+    distance, nearest = found
+    known = np.isfinite(distance)
+    a, b = mine[known], other[nearest[known]]
+    return np.stack([ours.force[a] - theirs.force[b], ours.acceleration[a] - theirs.acceleration[b]], -1)

@@ -1,0 +1,266 @@
+"""All measurements of one policy, on the same episodes as everyone else's."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import cycle
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from op3.compliance.backdrive import BackDrive, back_drive
+from op3.compliance.energy import Energy, measure_energy
+from op3.compliance.gains import SKIPPED, TICK, Gains, measure_gains
+from op3.compliance.landing import Landings, find_landings
+from op3.compliance.leading import Led, lead
+from op3.compliance.pushing import Survival, survive_pushes
+from op3.compliance.traces import Watch
+from op3.envs.actors import Actor, FixedGain, find_actor
+from op3.envs.record import record_episodes
+from op3.policy import ActionMap
+from op3.robot import SinusoidalGait
+from op3.rollout import Rollout
+from op3.servo import RobotModel
+from op3.tasks.baselines import StiffWalk, position_mode
+from op3.tasks.evaluation import LEAST_DISTANCE, succeeded
+from op3.tasks.setups import OP3_CONTROL_PERIOD
+from op3.tasks.task import Task, find_task
+
+Array = NDArray[np.float64]
+
+FAMILY = tuple((step, height) for step in (0.03, 0.045, 0.06) for height in (0.02, 0.04, 0.06))
+"""Steps and foot heights [m] of the stiff walks that landings are compared with."""
+
+MINUTE = 60.0
+"""How long robots stand [s]; losses of its halves tell whether an hour may be reckoned from it."""
+
+STANDING = 4
+"""Robots that stand."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How much is measured.
+
+    Attributes:
+        episodes: of walking on each ground.
+        push_rungs: impulses of the ladder.
+        push_episodes: on each rung, in each of eight directions.
+        push_most: impulse up to which the ladder reaches [N s].
+        lead_episodes: for each way of pulling.
+        states: of the gait at which joints are turned.
+    """
+
+    episodes: int = 50
+    push_rungs: int = 10
+    push_episodes: int = 5
+    push_most: float = 3.0
+    lead_episodes: int = 8
+    states: int = 8
+
+    def __post_init__(self):
+        least = {"episodes": 2, "push_rungs": 2, "push_episodes": 1, "lead_episodes": 2, "states": 1}
+        for name, bound in least.items():
+            if getattr(self, name) < bound:
+                raise ValueError(f"sizes.{name} must be at least {bound}, got {getattr(self, name)}")
+        if not self.push_most > 0:
+            raise ValueError(f"sizes.push_most must be above 0 N s, got {self.push_most}")
+
+
+@dataclass(frozen=True)
+class Passed:
+    """Episodes on one ground.
+
+    Attributes:
+        successes: that went on for the whole time without a fall, at least 1 m forward.
+        episodes: all.
+        speed: mean forward [m/s].
+    """
+
+    successes: int
+    episodes: int
+    speed: float
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What was found about one policy.
+
+    Attributes:
+        label: of the policy.
+        passed: by ground.
+        landings: on the flat floor.
+        survival: of pushes.
+        led: by way of pulling; empty where it was not asked for.
+        energy: of walking.
+        back_drive: at states of its gait.
+        gains: over its gait; None for servos in position mode.
+    """
+
+    label: str
+    passed: dict[str, Passed]
+    landings: Landings
+    survival: Survival
+    led: dict[str, Led]
+    energy: Energy
+    back_drive: BackDrive
+    gains: Gains | None
+
+
+def contestants(names: Sequence[str], task: Task, fixed_gains: Sequence[float], gain_scale: float = 1.0) -> list[Actor]:
+    """Those to be measured: bundles and baselines by name, and the first one's targets with gains that are fixed.
+
+    Raises:
+        ValueError: if a name comes twice, or a policy does not fit the task.
+    """
+    actors = [find_actor(name, task, gain_scale=gain_scale) for name in names]
+    first = actors[0]
+    if not first.stiff:
+        for gain in fixed_gains:
+            fixed = FixedGain(first.policy, first.action_map, gain)
+            actors.append(Actor(f"{first.label}, gain fixed at {gain:g} A/rad", fixed, first.action_map))
+    labels = [actor.label for actor in actors]
+    if len(set(labels)) < len(labels):
+        raise ValueError(f"policies must have folders of different names, got {', '.join(labels)}")
+    return actors
+
+
+class Study:
+    """Measures policies that walk.
+
+    Args:
+        model: of the robots.
+        grounds: names of tasks in which walking is counted; the first one is looked at in all detail.
+        sizes: how much is measured.
+        seed: of the episodes, alike for all policies.
+        gain_scale: factor on every gain that is commanded.
+        num_threads: that step the physics.
+        say: takes a line about what is being done.
+    """
+
+    def __init__(
+        self,
+        model: RobotModel,
+        grounds: Sequence[str],
+        sizes: Sizes | None = None,
+        seed: int = 0,
+        *,
+        gain_scale: float = 1.0,
+        num_threads: int = 1,
+        say: Callable[[str], None] = print,
+    ):
+        self.model, self.sizes, self.seed = model, sizes or Sizes(), seed
+        self.tasks = {name: find_task(name) for name in grounds}
+        self._scale, self._threads, self._say = gain_scale, num_threads, say
+        for task in self.tasks.values():
+            if task.cycle is None:
+                raise ValueError(f"grounds: task {task.name} has no gait; name tasks of walking")
+
+    @property
+    def task(self) -> Task:
+        """That is looked at in all detail."""
+        return next(iter(self.tasks.values()))
+
+    def measure(self, actor: Actor, led: bool = True) -> Measured:
+        """Everything about one policy."""
+        logs, landings, gains, mass = self._walk(actor)
+        passed = {self.task.name: _passed(logs, self.task)}
+        for name, task in list(self.tasks.items())[1:]:
+            self._say(f"{actor.label}: {name}")
+            env = actor.environment(task, self.model, self.sizes.episodes, self.seed, **self._options)
+            passed[name] = _passed(record_episodes(env, actor.policy), task)
+        self._say(f"{actor.label}: pushes, pulls, joints")
+        sizes, known = self.sizes, {"seed": self.seed, **self._options}
+        ladder = {"most": sizes.push_most, "rungs": sizes.push_rungs, "episodes": sizes.push_episodes}
+        return Measured(
+            label=actor.label,
+            passed=passed,
+            landings=landings,
+            survival=survive_pushes(actor, self.model, self.task, **ladder, **known),
+            led=lead(actor, self.model, self.task, episodes=sizes.lead_episodes, **known) if led else {},
+            energy=measure_energy(logs, self.model, mass, travels=True),
+            back_drive=self._back_drive(actor, logs),
+            gains=gains,
+        )
+
+    def stand(self, name: str) -> tuple[Energy, int]:
+        """What a minute of standing on a level board costs, for an hour to be reckoned from it; and how many fell.
+
+        Args:
+            name: folder of a bundle for balancing, or hold.
+        """
+        task = find_task("balance", board="still", duration=MINUTE)
+        actor = find_actor(name, task, field="standing")
+        self._say(f"{actor.label}: standing")
+        env = actor.environment(task, self.model, STANDING, self.seed, **self._options)
+        logs = record_episodes(env, actor.policy)
+        mass = float(env.simulation.batch.get_model(0).body_subtreemass[0])
+        return measure_energy(logs, self.model, mass, travels=False), sum(bool(log.metadata.fallen) for log in logs)
+
+    def stiff_landings(self) -> Landings:
+        """Landings of stiff walks with steps and foot heights of a whole family, each in as many episodes."""
+        self._say("stiff walks: landings")
+        gaits = [SinusoidalGait(step=step, foot_height=height) for step, height in FAMILY]
+        actor = Actor("stiff walks", StiffFamily(gaits), ActionMap.around_stand())
+        count = len(FAMILY) * max(1, round(self.sizes.episodes / len(FAMILY)))
+        return self._watched(actor, count)[1]
+
+    @property
+    def _options(self) -> dict[str, Any]:
+        return {"num_threads": self._threads, "gain_scale": self._scale}
+
+    def _watched(self, actor: Actor, episodes: int) -> tuple[list[Rollout], Landings, Any, float]:
+        """Episodes on the first ground, seen every millisecond: logs, landings, traces, and the robot's mass [kg]."""
+        env = actor.environment(self.task, self.model, episodes, self.seed, **self._options)
+        watch = Watch(env)
+        with watch.watching():
+            logs = record_episodes(env, actor.policy)
+        traces = watch.traces()
+        lengths = np.array([log.rows * TICK for log in logs])
+        mass = float(env.simulation.batch.get_model(0).body_subtreemass[0])
+        return logs, find_landings(traces, lengths), traces, mass
+
+    def _walk(self, actor: Actor) -> tuple[list[Rollout], Landings, Gains | None, float]:
+        self._say(f"{actor.label}: {self.task.name}")
+        logs, landings, traces, mass = self._watched(actor, self.sizes.episodes)
+        gains = None if actor.stiff else measure_gains(logs, traces, self.task, self.model)
+        return logs, landings, gains, mass
+
+    def _back_drive(self, actor: Actor, logs: Sequence[Rollout]) -> BackDrive:
+        """At states spread over a cycle of the gait, of the episodes that lasted longest."""
+        assert self.task.cycle is not None
+        longest, count = sorted(logs, key=lambda log: -log.rows), self.sizes.states
+        phases = (np.arange(count) / count).tolist()
+        rows = [round((SKIPPED + self.task.cycle * phase) / OP3_CONTROL_PERIOD) for phase in phases]
+        gains = ["firmware_gain"] if actor.stiff else ["p_gain", "d_gain"]
+        names = {"position_target": "command/position", **{name: f"command/{name}" for name in gains}}
+        taken = [(log, min(row, log.rows - 1)) for log, row in zip(cycle(longest), rows, strict=False)]
+        commands = {name: np.stack([log.array(key)[row] for log, row in taken]) for name, key in names.items()}
+        position = np.stack([log.array("joint/position")[row] for log, row in taken])
+        model = position_mode(self.model) if actor.stiff else self.model
+        return back_drive(model, position, commands, num_threads=self._threads)
+
+
+class StiffFamily(StiffWalk):
+    """Stiff walks, one after the other on the robots of a batch.
+
+    Args:
+        gaits: the walks.
+    """
+
+    def __init__(self, gaits: Sequence[SinusoidalGait]):
+        super().__init__()
+        self.gaits = gaits
+
+    def commands(self, time: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Goals of the servos at times since each episode's beginning, ``[sim]`` in s."""
+        targets = np.stack(
+            [self.gaits[row % len(self.gaits)].targets(now[None])[0] for row, now in enumerate(time.numpy())]
+        )
+        return {**super().commands(time), "position_target": torch.from_numpy(targets)}
+
+
+def _passed(logs: Sequence[Rollout], task: Task) -> Passed:
+    speeds = [log.metadata.travelled_distance / log.metadata.episode_duration for log in logs]  # type: ignore[operator]
+    return Passed(sum(succeeded(log, task, LEAST_DISTANCE) for log in logs), len(logs), float(np.mean(speeds)))
