@@ -5,6 +5,7 @@ python experiments/compliance.py policy=<bundle>,<trained with a fixed gain>
 python experiments/compliance.py policy=<bundle> 'sizes={episodes: 8, push_episodes: 1}' grounds=[walk]
 """
 
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from support import check_given, one_sentence, plain, positive, whole
 
+from op3.command_line import launch
 from op3.compliance.compare import difference
 from op3.compliance.study import Sizes, Study, contestants
 from op3.report import run_provenance
@@ -64,12 +66,6 @@ def main(cfg: DictConfig) -> None:
 
 
 if __name__ == "__main__":
-    # Hydra takes commas for a sweep; here they are a list
-    several = "-m" not in sys.argv and "--multirun" not in sys.argv
-    sys.argv = [
-        f"policy=[{a.removeprefix('policy=')}]"
-        if several and a.startswith("policy=") and "," in a and "[" not in a
-        else a
-        for a in sys.argv
-    ]
-    main()
+    if not {"-m", "--multirun"} & set(sys.argv):  # Hydra takes commas for a sweep; here they make a list
+        sys.argv = [re.sub(r"^policy=([^\[\]'\"]*,[^\[\]'\"]*)$", r"policy=[\1]", argument) for argument in sys.argv]
+    launch(main, "compliance", __doc__)

@@ -215,7 +215,9 @@ def _gain_figure(known: Mapping[str, Gains]) -> go.Figure:
             )
     figure.update_xaxes(range=[0, 1])
     figure.update_xaxes(title_text="phase of the gait [cycles]", row=5)
-    figure.update_yaxes(title_text="P gain [A/rad]", rangemode="tozero", col=1)
+    highest = max(float(np.nanmax(gains.profile_interval)) for gains in known.values())
+    figure.update_yaxes(range=[0, 1.05 * highest])
+    figure.update_yaxes(title_text="P gain [A/rad]", col=1)
     return dress(figure, 980)
 
 
