@@ -5,6 +5,8 @@ rows, ``[row, entry]`` with mass matrix, bias and gradient of the bias behind on
 of one candidate at a tick and the next; ``work`` rooms ``[SLOTS, joint]`` of a window.
 """
 
+from math import copysign
+
 import numpy as np
 
 from op3.servo import kernel, rows
@@ -26,7 +28,8 @@ SWEEPS = 3
 REST = 0.03
 """Speed below which a measured joint is taken to rest [rad/s]; half of it is the noise of its estimate."""
 
-SHIFT, ACCOUNTED, PULL, CHANGE, TOTAL, FORCE, BOUND, OWN, SPEED, ACCELERATION, SLOTS = range(11)
+SHIFT, ACCOUNTED, PULL, CHANGE, TOTAL, FORCE, BOUND, OWN, SPEED, ACCELERATION, ROOMS = range(11)
+SLOTS = ROOMS + 2
 """Rooms of a window: how far joints stand from their readings and how far the dynamics know; how the bias changes; the
 change of velocity; what a step solves; the acceleration."""
 
@@ -153,7 +156,7 @@ def move(s, p, here, there, share, limbs, matrix, work, step):
         for i in range(first, last):
             dry = dry or work[BOUND, i] != 0.0
         if dry:
-            solve_dry(mass, work[TOTAL], work[SPEED], work[FORCE], work[BOUND], work[CHANGE], first, last)
+            solve_dry(mass, work[TOTAL], work[SPEED], work[FORCE], work[BOUND], work[CHANGE], work[ROOMS:], first, last)
         else:
             solve_linear(mass, work[TOTAL], work[FORCE], work[CHANGE], matrix[1], first, last)
         for i in range(first, last):
@@ -166,7 +169,7 @@ def move(s, p, here, there, share, limbs, matrix, work, step):
 
 
 @part
-def solve_dry(mass, total, velocity, force, bound, change, first, last):
+def solve_dry(mass, total, velocity, force, bound, change, rooms, first, last):
     """Change of velocity in one step under coupled dry friction, from a guess.
 
     Minimises ``u' A u / 2 - u' force + bound |velocity + u|`` by sweeps over the joints, A being `mass` with `total` on
@@ -179,18 +182,31 @@ def solve_dry(mass, total, velocity, force, bound, change, first, last):
         force: impulses without friction [N m s].
         bound: largest impulses of friction [N m s].
         change: guess, and result [rad/s].
+        rooms: to work in, ``[2, joint]``.
         first: joint of the limb.
         last: the joint after its last.
     """
+    left, inverse = rooms[0], rooms[1]
+    for i in range(first, last):
+        left[i], inverse[i] = force[i] + total[i] * velocity[i], 1.0 / total[i]
+        for k in range(first, last):
+            if k != i:
+                left[i] -= mass[i, k] * change[k]
+    for i in range(first, last):
+        change[i] += velocity[i]
     for _ in range(SWEEPS):
         for i in range(first, last):
-            left = force[i] + total[i] * velocity[i]
-            for k in range(first, last):
-                if k != i:
-                    left -= mass[i, k] * change[k]
             # what friction leaves of the impulse, never reversed; a bound that is no number shows
-            lost = np.minimum(np.maximum(left, -bound[i]), bound[i])
-            change[i] = (left - lost) / total[i] - velocity[i]
+            impulse = left[i]
+            excess = abs(impulse) - bound[i]
+            speed = 0.0 if excess <= 0.0 else copysign(excess, impulse) * inverse[i]
+            faster = speed - change[i]
+            change[i] = speed
+            for k in range(first, last):
+                left[k] -= mass[i, k] * faster
+            left[i] = impulse
+    for i in range(first, last):
+        change[i] -= velocity[i]
 
 
 @part

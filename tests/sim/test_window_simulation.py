@@ -164,10 +164,10 @@ def test_window_must_fit(recorded):
 
 
 @scalar
-def dry(mass, total, velocity, force, bound, change, sweeps):
+def dry(mass, total, velocity, force, bound, change, rooms, sweeps):
     """Sweeps over all joints as one limb."""
     for _ in range(sweeps):
-        solve_dry(mass, total, velocity, force, bound, change, 0, len(change))
+        solve_dry(mass, total, velocity, force, bound, change, rooms, 0, len(change))
 
 
 @scalar
@@ -201,7 +201,7 @@ def test_friction_solution_is_the_minimum(seed):
     matrix = root @ root.T + np.diag(rng.uniform(0.005, 0.01, 3))
     velocity, force, bound = rng.normal(size=3) * 0.01, rng.normal(size=3) * 1e-3, rng.uniform(0, 2e-3, 3)
     found = np.zeros(3)
-    dry(matrix, np.diag(matrix).copy(), velocity, force, bound, found, 60)
+    dry(matrix, np.diag(matrix).copy(), velocity, force, bound, found, np.empty((2, 3)), 60)
 
     def cost(change: np.ndarray) -> float:
         return float(0.5 * change @ matrix @ change - change @ force + bound @ np.abs(velocity + change))
@@ -216,7 +216,7 @@ def test_held_joint_stays_at_zero_and_what_is_no_number_shows():
     mass, total, force = np.array([[0.01, 0.004], [0.004, 0.02]]), np.array([0.01, 0.02]), np.array([1e-4, -2e-4])
     for pushed, bound, moves in ((force, 3e-4, False), (10 * force, 3e-4, True), (force, np.nan, True)):
         change = np.zeros(2)
-        dry(mass, total, np.zeros(2), pushed, np.full(2, bound), change, 1)
+        dry(mass, total, np.zeros(2), pushed, np.full(2, bound), change, np.empty((2, 2)), 1)
         assert change.all() == moves
     assert np.isnan(change).all()
 
