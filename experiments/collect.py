@@ -1,13 +1,16 @@
 """Record a motion, a plan of motions or a policy on a robot, once or several times.
 
-python experiments/collect.py robot=stand_in motion=squat [world=eta_060] [mount=stand] [repeats=3] [seed=1]
+python experiments/collect.py source=stand_in motion=squat [world=eta_060] [mount=stand] [repeats=3] [seed=1]
 python experiments/collect.py world=random world_seed=7 motion=squat_heldout
 python experiments/collect.py motion=chirp_knee mount=stand
 python experiments/collect.py plan=outputs/design_excitation/<run>/plan.yaml
-python experiments/collect.py robot=emulated|real motion=squat [port=/dev/ttyUSB0] [mount=stand]
-python experiments/collect.py robot=emulated|real policy=assets/policies/balance [duration=10] [repeats=5]
-python experiments/collect.py robot=emulated policy=assets/policies/balance task=balance_eval repeats=10
+python experiments/collect.py source=emulated|real motion=squat [port=/dev/ttyUSB0] [mount=stand]
+python experiments/collect.py source=emulated|real policy=assets/policies/balance [duration=10] [repeats=5]
+python experiments/collect.py source=emulated policy=assets/policies/balance task=balance_eval repeats=10
 python experiments/collect.py -m world=eta_060,eta_070,eta_080
+python experiments/collect.py robot=path/to/my_robot.yaml source=model motion=multisine mount=stand
+
+`robot=stand_in`, `robot=emulated` and `robot=real` of before still mean `source=`.
 
 The same command with the same hydra.run.dir goes on after an interruption with what has not been recorded yet.
 """
@@ -24,14 +27,14 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from support import ASKED, by_name, check_same, library_motion, one_sentence, plain, positive, remember
+from support import ASKED, by_name, check_same, library_motion, one_sentence, plain, positive, remember, source_word
 
 from op3.command_line import launch
 from op3.deploy import Stop
 from op3.deploy.bus import Unplugged
 from op3.deploy.exit_codes import ExitCode
 from op3.policy import PolicyBundle
-from op3.robot import Motion, check_motion
+from op3.robot import Motion, check_motion, load_robot
 from op3.rollout import MOUNTS, Rollout, git_hash
 
 
@@ -55,16 +58,29 @@ def collect(cfg: DictConfig) -> list[Path]:
         raise ValueError(f"mount must be {' or '.join(MOUNTS[:2])}, got {cfg.mount!r}")
     if cfg.policy is not None:
         return collect_episodes(cfg)
-    motion, robot = build(cfg.motion), build(cfg.robot)
+    motion = build(cfg.motion)
+    check_made_for(motion, cfg.robot)
     check_motion(motion, cfg.mount)
+    robot = build(cfg.source)
     name = HydraConfig.get().runtime.choices.motion
     return [record(cfg, robot, motion, f"{name}-{number}") for number in range(cfg.repeats)]
 
 
+def check_made_for(motion: Motion, robot: str) -> None:
+    """Refuse a motion of another robot."""
+    known = load_robot(robot)
+    if load_robot(motion.robot).path != known.path:
+        general = "chirp, multisine, staircase or triangle"
+        raise ValueError(
+            f"motion {motion.name!r} is made for {motion.robot}, not for {known.name}; choose motion={general}"
+        )
+
+
 def collect_plan(cfg: DictConfig, plan: list[tuple[str, str]]) -> list[Path]:
     """Record motion after motion; all are checked before the first one is played."""
-    motions = {name: library_motion(name) for name, _ in plan}
+    motions = {name: library_motion(name, cfg.robot) for name, _ in plan}
     for name, mount in plan:
+        check_made_for(motions[name], cfg.robot)
         check_motion(motions[name], mount)
     robots: dict[str, Any] = {}
     counts: dict[str, int] = {}
@@ -72,7 +88,7 @@ def collect_plan(cfg: DictConfig, plan: list[tuple[str, str]]) -> list[Path]:
     for name, mount in plan:
         if mount not in robots:
             there = OmegaConf.merge(cfg, {"mount": mount})
-            robots[mount] = build(there.robot)
+            robots[mount] = build(there.source)
         for _ in range(cfg.repeats):
             counts[name] = counts.get(name, -1) + 1
             folders.append(record(cfg, robots[mount], motions[name], f"{name}-{counts[name]}"))
@@ -97,9 +113,9 @@ def read_plan(path: Path) -> list[tuple[str, str]]:
 
 def collect_episodes(cfg: DictConfig) -> list[Path]:
     """Record episodes of a policy."""
-    robot = build(cfg.robot)
+    robot = build(cfg.source)
     if not hasattr(robot, "run_policy"):
-        raise ValueError("this robot only plays motions; record a policy with robot=emulated or robot=real")
+        raise ValueError("this source only plays motions; record a policy with source=emulated or source=real")
     bundle, task = PolicyBundle.load(cfg.policy), cfg.get("task")
     task = None if task is None else build(task)
     folders = []
@@ -173,5 +189,5 @@ def main(cfg: DictConfig) -> None:
 
 
 if __name__ == "__main__":
-    sys.argv = ["confirm=false" if argument == "--yes" else argument for argument in sys.argv]
+    sys.argv = [source_word("confirm=false" if argument == "--yes" else argument) for argument in sys.argv]
     launch(main, "collect", __doc__)

@@ -1,7 +1,7 @@
 """Choose the motions that narrow the intervals of chosen parameters most per second of robot time.
 
 python experiments/design_excitation.py groups=[gear,friction] seconds=60 [mounts=[floor]] [model=<model.yaml>]
-python experiments/collect.py plan=<its folder>/plan.yaml robot=stand_in
+python experiments/collect.py plan=<its folder>/plan.yaml source=stand_in
 """
 
 import time
@@ -18,13 +18,13 @@ from support import library_motion, one_sentence, plain
 from op3.command_line import launch
 from op3.identify.design import Candidate, choose, information
 from op3.identify.identification import PREFIX
+from op3.identify.resolvers import chosen_model
 from op3.identify.resolvers import register as register_interpolations
 from op3.identify.search_space import parse_search_space
 from op3.identify.sweeper import register as register_sweeper
 from op3.report import run_provenance
 from op3.report.design_page import report_design
-from op3.robot import CONTROLLED_JOINTS, named_configs
-from op3.sim import load_model
+from op3.robot import load_robot, named_configs
 
 register_interpolations()
 register_sweeper()
@@ -32,11 +32,13 @@ register_sweeper()
 
 def judge(cfg: DictConfig, bounds: dict[str, tuple[float, float]]) -> tuple[list[Candidate], dict[str, str]]:
     """Simulate every motion on every mount, and say which cannot be judged."""
-    model = load_model(cfg.model)
-    joints = CONTROLLED_JOINTS if cfg.joints is None else tuple(cfg.joints)
+    model, robot = chosen_model(cfg), load_robot(cfg.robot)
+    joints = robot.controlled if cfg.joints is None else tuple(cfg.joints)
     candidates, left_out = [], {}
     for name in plain(cfg.motions) or sorted(named_configs("motion")):
-        motion = library_motion(name)
+        motion = library_motion(name, cfg.robot)
+        if load_robot(motion.robot).path != robot.path:
+            continue
         for mount in (place for place in motion.mounts if place in cfg.mounts):
             try:
                 matrix = information(model, motion, mount, bounds, joints=joints)

@@ -35,13 +35,14 @@ from op3.diagnose import (
     suited,
     with_chain,
 )
+from op3.identify.resolvers import chosen_model
 from op3.policy import PolicyBundle
 from op3.report import run_provenance
 from op3.report.diagnosis import log_verdict, write_page
 from op3.robot import MIRROR, leg_suite
 from op3.rollout import Rollout, read_logs
 from op3.servo import effect_class
-from op3.sim import load_model, save_model
+from op3.sim import model_for, save_model
 from op3.tasks.planned import planned_motions, planned_suite
 
 IMPORTED = time.process_time()
@@ -66,11 +67,11 @@ class Progress:
 
 def planned_logs(cfg: DictConfig) -> list[Rollout]:
     """What the planned excitation would give, by the model."""
-    model = with_chain(load_model(cfg.model))
+    model = with_chain(chosen_model(cfg))
     if cfg.planned == "leg_suite":
         return planned_suite(model, leg_suite(cfg.seed))
     names = [cfg.planned] if isinstance(cfg.planned, str) else plain(cfg.planned)
-    return planned_motions(model, [library_motion(name) for name in names])
+    return planned_motions(model, [library_motion(name, cfg.robot or "op3") for name in names])
 
 
 def returns(cfg: DictConfig, verdict: Verdict) -> dict[str, Any]:
@@ -96,8 +97,8 @@ def diagnose(cfg: DictConfig) -> dict[str, Any]:
     if cfg.planned and cfg.mode != "aliasing":
         raise ValueError("planned= has no measurement to diagnose: add mode=aliasing, or give data= instead")
     data: Any = None if cfg.planned else plain(cfg.data)
-    logs, others = diagnosed_mount(planned_logs(cfg) if cfg.planned else read_logs(data))
-    model = suited(load_model(cfg.model), logs)
+    logs, others = diagnosed_mount(planned_logs(cfg) if cfg.planned else read_logs(data, cfg.robot))
+    model = suited(model_for(logs[0].robot, cfg.model), logs)
     split = split_logs(logs, seed=cfg.seed)
     diagnosis = Diagnosis(
         model,

@@ -22,6 +22,7 @@ from support import check_given, focus_joints, logs_where, one_sentence, plain
 from op3.command_line import launch
 from op3.identify.identification import PREFIX, Fit, Identification
 from op3.identify.loss import UNIT_WEIGHTS, TrajectoryLoss
+from op3.identify.resolvers import chosen_model
 from op3.identify.resolvers import register as register_interpolations
 from op3.identify.settings import read_settings, search_space_of
 from op3.identify.sweeper import sweep_or_report
@@ -31,15 +32,15 @@ from op3.report.identification_page import report_identification
 from op3.rollout import Rollout, read_logs
 from op3.servo import RobotModel, effect_class
 from op3.servo.conditions import split_name
-from op3.sim import load_model, save_model
+from op3.sim import save_model
 
 register_interpolations()
 
 
 def split_logs(cfg: DictConfig) -> tuple[list[Rollout], list[Rollout]]:
     """Logs to fit and logs held out, by files or by a metadata field."""
-    logs = read_logs(plain(cfg.data))
-    heldout = [] if cfg.heldout is None else read_logs(plain(cfg.heldout))
+    logs = read_logs(plain(cfg.data), cfg.robot)
+    heldout = [] if cfg.heldout is None else read_logs(plain(cfg.heldout), cfg.robot)
     # overrides of a mapping join it: a field of the experiment's that is not wanted is set to null
     where = {key: value for key, value in (plain(cfg.heldout_where) or {}).items() if value is not None}
     chosen = logs_where(logs, where, "heldout_where") if where else []
@@ -66,7 +67,7 @@ def build(cfg: DictConfig, model: RobotModel, label: str) -> Identification:
 
 def base_model(cfg: DictConfig) -> RobotModel:
     """The model that the config starts from: a model file, and the effects switched on beside it."""
-    model = load_model(cfg.model)
+    model = chosen_model(cfg)
     for name, options in plain(cfg.effects).items():
         if name not in model.effect_names:
             model = model.with_effect(effect_class(name)(**(options or {})))

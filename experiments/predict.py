@@ -20,7 +20,7 @@ from op3.identify.prediction_score import predict_logs
 from op3.report import run_provenance
 from op3.report.prediction_page import report_prediction
 from op3.rollout import read_logs
-from op3.sim import find_model, load_model
+from op3.sim import find_model, model_for
 
 
 @hydra.main(config_path="../conf", config_name="predict", version_base="1.3")
@@ -29,14 +29,13 @@ def main(cfg: DictConfig) -> dict[str, Any]:
     with one_sentence():
         torch.set_num_threads(1)
         started = time.monotonic()
-        check_given(cfg, "model", "a model.yaml or a name from conf/servo")
         check_given(cfg, "data", "a log, a folder of logs, or a list of them")
-        logs = logs_where(read_logs(plain(cfg.data)), plain(cfg.where), "where")
+        logs = logs_where(read_logs(plain(cfg.data), cfg.robot), plain(cfg.where), "where")
         joints = focus_joints(plain(cfg.joints), logs)
         score = predict_logs(
-            load_model(cfg.model), logs, joints=joints, bench_timestep=cfg.bench_timestep, seed=cfg.seed
+            model_for(logs[0].robot, cfg.model), logs, joints=joints, bench_timestep=cfg.bench_timestep, seed=cfg.seed
         )
-        path = find_model(cfg.model)
+        path = Path(logs[0].robot.name) if cfg.model is None else find_model(cfg.model)
         return report_prediction(
             score,
             Path(HydraConfig.get().runtime.output_dir),

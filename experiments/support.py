@@ -18,7 +18,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from op3.private import scrub
-from op3.robot import CONTROLLED_JOINTS, Motion, named_configs
+from op3.robot import Motion, named_configs
 from op3.rollout import Metadata, Rollout
 from op3.rollout.files import write_text
 
@@ -133,8 +133,15 @@ def check_given(cfg: DictConfig, name: str, what: str) -> None:
         raise ValueError(f"{name} is missing: add {name}=<{what}>")
 
 
-def library_motion(name: str) -> Motion:
-    """A motion of the library by its name in `conf/motion`.
+def source_word(argument: str) -> str:
+    """An argument of before `robot=` named a robot, `robot=stand_in`, as it is now: `source=stand_in`."""
+    name, _, value = argument.partition("=")
+    sources = set(named_configs("source"))
+    return f"source={value}" if name == "robot" and set(value.split(",")) <= sources else argument
+
+
+def library_motion(name: str, robot: str = "op3") -> Motion:
+    """A motion of the library by its name in `conf/motion`, for a robot if it is one for any.
 
     Raises:
         ValueError: if there is none of this name.
@@ -144,7 +151,7 @@ def library_motion(name: str) -> Motion:
         raise ValueError(f"there is no motion {name!r}; choose {', '.join(known)}")
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        return instantiate(compose("collect", [f"motion={name}"]).motion)
+        return instantiate(compose("collect", [f"motion={name}", f"robot={robot!r}"]).motion)
 
 
 def logs_where(logs: Sequence[Rollout], where: Mapping[str, Any] | None, field: str) -> list[Rollout]:
@@ -166,7 +173,8 @@ def logs_where(logs: Sequence[Rollout], where: Mapping[str, Any] | None, field: 
 
 
 def focus_joints(joints: Sequence[str] | None, logs: Sequence[Rollout]) -> tuple[str, ...]:
-    """Joints whose traces count: those given, else the ten controlled leg joints where the logs have them."""
+    """Joints whose traces count: those given, else the controlled ones of the robot where the logs have them."""
     if joints is not None:
         return tuple(joints)
-    return CONTROLLED_JOINTS if set(CONTROLLED_JOINTS) <= set(logs[0].joints) else ()
+    controlled = logs[0].robot.controlled
+    return controlled if set(controlled) <= set(logs[0].joints) else ()

@@ -8,28 +8,83 @@ searched and not the shared one. ``${each_joint:}`` is what the config's `per_jo
 each joint. `register` makes them known.
 """
 
+from functools import lru_cache
+from typing import Any
+
 from omegaconf import DictConfig, OmegaConf
 
-from op3.robot import CONTROLLED_JOINTS
-from op3.servo import parameter
+from op3.identify import search_groups
+from op3.robot import Robot, load_robot
+from op3.rollout.read import robot_of
+from op3.servo import Parameter, RobotModel, catalogue, parameter
 from op3.servo.conditions import split_name
-from op3.sim import load_model
+from op3.sim import load_model, model_for
+
+MARGIN = 3.0
+"""How far from what a robot's own makes of servo say a parameter of motor or friction may lie: by this factor."""
 
 
-def _range(name: str) -> str:
+def chosen_robot(config: DictConfig) -> Robot:
+    """The robot that a config is about: its `robot`, else that of its `data`, else the OP3."""
+    if config.get("robot"):
+        return load_robot(config.robot)
+    if "data" in config and not OmegaConf.is_missing(config, "data"):
+        data: Any = OmegaConf.to_container(config.data) if OmegaConf.is_config(config.data) else config.data
+        return _robot_of(tuple(data) if isinstance(data, list) else data)
+    return load_robot("op3")
+
+
+@lru_cache(maxsize=8)
+def _robot_of(data: Any) -> Robot:
+    try:
+        return robot_of(data)
+    except ValueError:  # that these are no logs is said where they are read
+        return load_robot("op3")
+
+
+def chosen_model(config: DictConfig) -> RobotModel:
+    """The model that a config starts from: its `model`, else the robot's own."""
+    return load_model(config.model) if config.get("model") else model_for(chosen_robot(config))
+
+
+def _bounds(name: str, config: DictConfig) -> tuple[float, float]:
+    """The catalogue's range; where a model comes from the makes of a robot's servos, one around what they say."""
     known = parameter(name)
-    return f"interval({known.low!r}, {known.high!r})"
+    if config.get("model") or chosen_robot(config).file.law:
+        return known.low, known.high
+    model = chosen_model(config)
+    value = model.value(name) if name in model.parameters() else known.nominal
+    if known.neutral is None and name in model.estimates:
+        return value / MARGIN, value * MARGIN
+    return (min(known.low, value), max(known.high, MARGIN * value)) if value > 0 else (known.low, known.high)
+
+
+def _of_the_base(known: Parameter) -> bool:
+    """Whether a parameter belongs to the body that carries the rest."""
+    return any(
+        edit.target == "base_body" and edit.parameter == known.name
+        for effect in catalogue().values()
+        for edit in effect.edits
+    )
+
+
+def _range(name: str, *, _root_: DictConfig) -> str | None:
+    robot = chosen_robot(_root_)
+    if (robot.file.fixed or robot.file.base is None) and _of_the_base(parameter(name)):
+        return None  # what is bolted down shows neither mass nor centre of mass
+    low, high = _bounds(name, _root_)
+    return f"interval({low!r}, {high!r})"
 
 
 def _value(name: str, *, _root_: DictConfig) -> float:
-    model = load_model(_root_.model)
+    model = chosen_model(_root_)
     # a group may name a parameter of an effect that this model has switched off: it starts from its nominal value
     base, _ = split_name(name)
     return model.estimate(name).value if base in model.parameters() else parameter(base).nominal
 
 
 def _own(name: str, low: float, high: float, *, _root_: DictConfig) -> str | None:
-    model = load_model(_root_.model)
+    model = chosen_model(_root_)
     base, condition = split_name(name)
     if base not in model.parameters():
         return None
@@ -39,19 +94,20 @@ def _own(name: str, low: float, high: float, *, _root_: DictConfig) -> str | Non
 
 
 def _each_joint(*, _root_: DictConfig) -> dict[str, list[str]]:
-    joints, names = list(_root_.joints or CONTROLLED_JOINTS), _root_.per_joint
+    joints, names = list(_root_.joints or chosen_robot(_root_).controlled), _root_.per_joint
     if isinstance(names, str):
         raise ValueError(f"per_joint must be a list: write per_joint=[{names}]")
     return {f"parameters.{name}": joints for name in names}
 
 
 def _start(name: str, *, _root_: DictConfig) -> float:
-    known = parameter(name)
-    return min(max(_value(name, _root_=_root_), known.low), known.high)
+    low, high = _bounds(name, _root_)
+    return min(max(_value(name, _root_=_root_), low), high)
 
 
 def register() -> None:
-    """Register the interpolations; again is harmless."""
+    """Register the interpolations, and the groups that use them; again is harmless."""
+    search_groups.register()
     OmegaConf.register_new_resolver("range", _range, replace=True)
     OmegaConf.register_new_resolver("value", _value, replace=True)
     OmegaConf.register_new_resolver("start", _start, replace=True)

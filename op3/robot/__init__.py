@@ -41,7 +41,6 @@ __all__ = [
     "SCENES",
     "SERVO_IDS",
     "SOFT_LIMITS",
-    "SPEED_LIMIT",
     "BoardDrive",
     "BoardMotion",
     "Excitation",

@@ -4,15 +4,16 @@ Every one starts and ends at rest in the pose it goes around, keeps its own spee
 the robot's PD loop. `op3.robot.motion_checks` checks limits, speeds and collisions of the result.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.robot.joints import JOINTS, indices
 from op3.robot.motions import D_GAIN, P_GAIN, Motion, sample_times
 from op3.robot.poses import SQUAT_LEAN, pose, squat_position
+from op3.robot.robot import Robot, load_robot
+from op3.robot.motion_checks import motion_faults
 
 RATE = 125.0
 """Rows per second: the robot's PD loop."""
@@ -24,45 +25,58 @@ Array = NDArray[np.float64]
 Amplitudes = Mapping[str, float]
 """Amplitude of each joint that moves [rad]; the sign is its direction."""
 
+SHARES = (0.4, 0.2, 0.1, 0.05)
+"""How far joints move where no amplitudes are given, of the way from home to the nearer limit: the first safe one."""
+
+LARGEST = 0.5
+"""And the largest of these amplitudes [rad]."""
+
 
 def chirp(
-    joints: Amplitudes,
+    joints: Amplitudes | None = None,
     low: float = 0.3,
     high: float = 4.0,
     duration: float = 10.0,
     speed: float = 2.0,
-    around: str = "stand",
+    around: str = "home",
     offset: Amplitudes | None = None,
+    robot: str = "op3",
     name: str = "chirp",
 ) -> Motion:
     """Sines whose frequency grows exponentially: inertia and damping over load.
 
     Args:
         joints: amplitude of each joint [rad]; it shrinks with frequency where `speed` asks for it.
+            None: every controlled joint as far as is safe, see `amplitudes`.
         low: first frequency [Hz].
         high: last frequency [Hz].
         duration: length [s].
         speed: greatest joint speed of the sine [rad/s].
-        around: pose in the middle.
+        around: pose in the middle: "home", or one of the OP3's.
         offset: added to that pose, by joint [rad], for example to spread the legs.
         name: of the motion.
+        robot: a name in `assets/robots`, or the path of its file.
     """
+    known = load_robot(robot)
+    if joints is None:
+        return _largest_safe(lambda own: chirp(own, low, high, duration, speed, around, offset, robot, name), known)
     time = sample_times(duration, RATE)
     growth = np.log(high / low)
     phase = 2 * np.pi * low * duration / growth * np.expm1(growth * time / duration)
     frequency = low * np.exp(growth * time / duration)
     largest = max(abs(amplitude) for amplitude in joints.values())
     shrink = np.minimum(1.0, speed / (2 * np.pi * frequency * largest))
-    return _around(time, shrink * np.sin(phase) * _fade(time), joints, _middle(around, offset), name)
+    return _around(time, shrink * np.sin(phase) * _fade(time), joints, _middle(known, around, offset), name, known)
 
 
 def triangle(
-    joints: Amplitudes,
+    joints: Amplitudes | None = None,
     speed: float = 0.15,
     acceleration: float = 2.0,
     cycles: int = 2,
-    around: str = "stand",
+    around: str = "home",
     offset: Amplitudes | None = None,
+    robot: str = "op3",
     name: str = "triangle",
 ) -> Motion:
     """To and fro at constant speed: friction against angle and load, in both directions.
@@ -71,27 +85,33 @@ def triangle(
 
     Args:
         joints: amplitude of each joint [rad].
+            None: every controlled joint as far as is safe, see `amplitudes`.
         speed: of the joint with the largest amplitude [rad/s].
         acceleration: at the turns, of the same joint [rad/s^2].
         cycles: full ones, each from the pose to one side, to the other, and back.
-        around: pose in the middle.
+        around: pose in the middle: "home", or one of the OP3's.
         offset: added to that pose, by joint [rad], for example to spread the legs.
         name: of the motion.
+        robot: a name in `assets/robots`, or the path of its file.
     """
+    known = load_robot(robot)
+    if joints is None:
+        return _largest_safe(lambda own: triangle(own, speed, acceleration, cycles, around, offset, robot, name), known)
     largest = max(abs(amplitude) for amplitude in joints.values())
     corners = [0.0, *[1.0, -1.0] * cycles, 0.0]
     shape = np.concatenate([_stroke(a, b, speed / largest, acceleration / largest) for a, b in pairwise(corners)])
-    return _around(np.arange(len(shape)) / RATE, shape, joints, _middle(around, offset), name)
+    return _around(np.arange(len(shape)) / RATE, shape, joints, _middle(known, around, offset), name, known)
 
 
 def multisine(
-    joints: Amplitudes,
+    joints: Amplitudes | None = None,
     low: float = 0.2,
     high: float = 3.0,
     lines: int = 6,
     duration: float = 10.0,
-    around: str = "stand",
+    around: str = "home",
     offset: Amplitudes | None = None,
+    robot: str = "op3",
     name: str = "multisine",
 ) -> Motion:
     """All joints at once, each a sum of sines at frequencies of its own, so that their effects can be told apart.
@@ -102,50 +122,61 @@ def multisine(
 
     Args:
         joints: largest excursion of each joint [rad].
+            None: every controlled joint as far as is safe, see `amplitudes`.
         low: lowest frequency [Hz].
         high: highest frequency [Hz].
         lines: sines per joint.
         duration: length [s].
-        around: pose in the middle.
+        around: pose in the middle: "home", or one of the OP3's.
         offset: added to that pose, by joint [rad], for example to spread the legs.
         name: of the motion.
+        robot: a name in `assets/robots`, or the path of its file.
     """
+    known = load_robot(robot)
+    if joints is None:
+        return _largest_safe(lambda own: multisine(own, low, high, lines, duration, around, offset, robot, name), known)
     time = sample_times(duration, RATE)
     wanted = np.geomspace(low * duration, high * duration, lines * len(joints))
     multiples = _distinct(wanted)
-    position = np.tile(_middle(around, offset), (len(time), 1))
+    position = np.tile(_middle(known, around, offset), (len(time), 1))
     for number, (joint, amplitude) in enumerate(joints.items()):
         own = multiples[number :: len(joints)]
         k = np.arange(lines)
         phases = -np.pi * k * (k + 1) / lines
         waves = np.sin(2 * np.pi * own * time[:, None] / duration + phases) / own
         wave = waves.sum(1) * _fade(time)
-        position[:, indices([joint])[0]] += amplitude * wave / np.abs(wave).max()
-    return Motion(time, position, JOINTS, name, ("stand",))
+        position[:, known.indices([joint])[0]] += amplitude * wave / np.abs(wave).max()
+    return Motion(time, position, name=name, mounts=("stand",), robot=known.reference)
 
 
 def staircase(
-    joints: Amplitudes,
+    joints: Amplitudes | None = None,
     levels: Sequence[float] = (0.5, 1.0, 0.5, 0.0, -0.5, -1.0, -0.5),
     ramp: float = 0.4,
     rest: float = 0.6,
-    around: str = "stand",
+    around: str = "home",
     offset: Amplitudes | None = None,
+    robot: str = "op3",
     name: str = "staircase",
 ) -> Motion:
     """Holds at several angles, each reached from both sides: what a joint rests at shows static friction and gear.
 
     Args:
         joints: amplitude of each joint [rad].
+            None: every controlled joint as far as is safe, see `amplitudes`.
         levels: share of the amplitude at each hold.
         ramp: time from one hold to the next [s].
         rest: time at each hold [s].
-        around: pose at the start and at the end.
+        around: pose at the start and at the end: "home", or one of the OP3's.
         offset: added to that pose, by joint [rad].
         name: of the motion.
+        robot: a name in `assets/robots`, or the path of its file.
     """
+    known = load_robot(robot)
+    if joints is None:
+        return _largest_safe(lambda own: staircase(own, levels, ramp, rest, around, offset, robot, name), known)
     shape = _levels([0.0, *levels, 0.0], ramp, rest)
-    return _around(np.arange(len(shape)) / RATE, shape, joints, _middle(around, offset), name)
+    return _around(np.arange(len(shape)) / RATE, shape, joints, _middle(known, around, offset), name, known)
 
 
 def push_down(
@@ -168,7 +199,7 @@ def push_down(
         name: of the motion.
     """
     knee = _levels(knees, ramp, rest)
-    return Motion(np.arange(len(knee)) / RATE, squat_position(knee, lean), JOINTS, name, ("floor",))
+    return Motion(np.arange(len(knee)) / RATE, squat_position(knee, lean), name=name, mounts=("floor",))
 
 
 def sway(
@@ -180,13 +211,15 @@ def sway(
         amplitude: of the four roll joints [rad].
         frequency: full cycles per second.
         duration: length [s].
-        around: pose in the middle.
+        around: pose in the middle: "home", or one of the OP3's.
         name: of the motion.
     """
     time = sample_times(duration, RATE)
     joints = {joint: amplitude for joint in ("l_hip_roll", "r_hip_roll", "l_ank_roll", "r_ank_roll")}
-    motion = _around(time, np.sin(2 * np.pi * frequency * time) * _fade(time), joints, pose(around), name)
-    return Motion(time, motion.position, JOINTS, name, ("floor",))
+    motion = _around(
+        time, np.sin(2 * np.pi * frequency * time) * _fade(time), joints, pose(around), name, load_robot("op3")
+    )
+    return Motion(time, motion.position, name=name, mounts=("floor",))
 
 
 def soften(
@@ -213,24 +246,38 @@ def soften(
     fall = (1 - np.cos(2 * np.pi * np.minimum(time, cycles * period) / period)) / 2
     gain = P_GAIN * (p_gain / P_GAIN) ** fall
     position = np.tile(squat_position(knee, lean), (len(time), 1))
-    return Motion(time, position, JOINTS, name, ("floor",), gain, D_GAIN)
+    return Motion(time, position, name=name, mounts=("floor",), p_gain=gain, d_gain=D_GAIN)
 
 
-def _middle(around: str, offset: Amplitudes | None) -> Array:
+def _largest_safe(make: Callable[[Amplitudes], Motion], robot: Robot) -> Motion:
+    """The motion of all controlled joints with the largest amplitudes that are safe."""
+    motions = [make(amplitudes(robot, share)) for share in SHARES]
+    return next((motion for motion in motions if not motion_faults(motion)), motions[-1])
+
+
+def amplitudes(robot: Robot, share: float = SHARES[0]) -> dict[str, float]:
+    """How far each controlled joint may move around home [rad]: a share of the way to its nearer limit."""
+    columns = robot.indices(robot.controlled)
+    low, high = robot.limits[columns].T
+    reach = share * np.minimum(robot.home[columns] - low, high - robot.home[columns])
+    return dict(zip(robot.controlled, np.minimum(reach, LARGEST).tolist(), strict=True))
+
+
+def _middle(robot: Robot, around: str, offset: Amplitudes | None) -> Array:
     """A pose with some joints moved aside, [joint] in rad."""
-    position = pose(around)
+    position = robot.home.copy() if around == "home" else pose(around)
     for joint, angle in (offset or {}).items():
-        position[indices([joint])[0]] += angle
+        position[robot.indices([joint])[0]] += angle
     return position
 
 
-def _around(time: Array, shape: Array, joints: Amplitudes, middle: Array, name: str) -> Motion:
+def _around(time: Array, shape: Array, joints: Amplitudes, middle: Array, name: str, robot: Robot) -> Motion:
     """Joints move by amplitude times shape [time] around a pose; on the stand, where nothing can tip over."""
     if not joints:
         raise ValueError(f"motion {name!r} moves no joint: give joints with their amplitudes in rad")
     position = np.tile(middle, (len(time), 1))
-    position[:, indices(joints)] += shape[:, None] * np.array(list(joints.values()))
-    return Motion(time, position, JOINTS, name, ("stand",))
+    position[:, robot.indices(joints)] += shape[:, None] * np.array(list(joints.values()))
+    return Motion(time, position, name=name, mounts=("stand",), robot=robot.reference)
 
 
 def _fade(time: Array) -> Array:

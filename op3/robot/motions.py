@@ -8,12 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from op3.robot.joints import JOINTS, indices
-from op3.robot.kinematics import check_joint_position
 from op3.robot.poses import SQUAT_KNEE_HIGH, SQUAT_KNEE_LOW, SQUAT_LEAN, squat_position
-
-BENCH_JOINTS = ("servo",)
-"""Joints of the bench."""
+from op3.robot.robot import load_robot
 
 P_GAIN = 6.0
 """Gain of position of the paper's squat [A/rad]."""
@@ -29,25 +25,28 @@ class Motion:
     Attributes:
         time: [time] in s, increasing.
         position: [time, joint] in rad, in the order of `joints`.
-        joints: joint names, of the OP3 or `BENCH_JOINTS`.
+        joints: joint names of the robot; all of them where none are given.
         name: what the motion is called in logs and figures.
         mounts: where it may be played: "floor", "stand".
         p_gain: gain of position it is played with [A/rad]: one number, or one per row [time].
         d_gain: gain of velocity it is played with [A s/rad].
+        robot: that it is made for, a name in `assets/robots` or the path of its file.
     """
 
     time: NDArray[np.float64]
     position: NDArray[np.float64]
-    joints: tuple[str, ...] = JOINTS
+    joints: tuple[str, ...] = ()
     name: str = "motion"
     mounts: tuple[str, ...] = ("floor", "stand")
     p_gain: float | NDArray[np.float64] = P_GAIN
     d_gain: float = D_GAIN
+    robot: str = "op3"
 
     def __post_init__(self):
         """Refuse arrays that do not fit together."""
-        if self.joints != BENCH_JOINTS:
-            indices(self.joints)
+        robot = load_robot(self.robot)
+        object.__setattr__(self, "joints", self.joints or robot.joints)
+        robot.indices(self.joints)
         if self.position.shape != (len(self.time), len(self.joints)):
             raise ValueError(
                 f"motion {self.name!r}: position must be [time, joint] = "
@@ -85,8 +84,8 @@ class Motion:
         return path
 
     @classmethod
-    def load(cls, path: str | Path) -> "Motion":
-        """Read a motion that `save` wrote. A .csv takes its name from the file."""
+    def load(cls, path: str | Path, robot: str = "op3") -> "Motion":
+        """Read a motion that `save` wrote. A .csv takes its name from the file, and is made for the robot given."""
         path = Path(path)
         if path.suffix == ".npz":
             with np.load(path) as file:
@@ -94,11 +93,11 @@ class Motion:
                 names = {key: tuple(str(name) for name in values[key]) for key in ("joints", "mounts") if key in values}
                 return cls(**{**values, **names})
         if path.suffix == ".csv":
-            return _load_csv(path)
+            return _load_csv(path, robot)
         raise ValueError(f"a motion is read from .npz or .csv, got {path.name!r}")
 
 
-def _load_csv(path: Path) -> Motion:
+def _load_csv(path: Path, robot: str) -> Motion:
     with path.open(newline="") as file:
         rows = list(csv.reader(file))
     if not rows:
@@ -113,7 +112,7 @@ def _load_csv(path: Path) -> Motion:
         table = np.array(rows, dtype=float).reshape(len(rows), len(header))
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-    return Motion(table[:, 0], table[:, 1:], tuple(header[1:]), path.stem)
+    return Motion(table[:, 0], table[:, 1:], tuple(header[1:]), path.stem, robot=robot)
 
 
 def sample_times(duration: float, rate: float) -> NDArray[np.float64]:
@@ -150,11 +149,13 @@ def squat(
     time = sample_times(duration, rate)
     crouch = (1 + np.cos(2 * np.pi * frequency * time)) / 2
     knee = knee_high + (knee_low - knee_high) * crouch
-    return Motion(time, squat_position(knee, lean), JOINTS, name)
+    return Motion(time, squat_position(knee, lean), name=name)
 
 
-def hold(joint_position: ArrayLike, duration: float, rate: float = 125.0, name: str = "hold") -> Motion:
+def hold(
+    joint_position: ArrayLike, duration: float, rate: float = 125.0, name: str = "hold", robot: str = "op3"
+) -> Motion:
     """Stay at the angles `joint_position` [joint] in rad for `duration` [s], with `rate` rows per second."""
     time = sample_times(duration, rate)
-    position = check_joint_position(joint_position)
-    return Motion(time, np.tile(position, (len(time), 1)), JOINTS, name)
+    position = load_robot(robot).position(joint_position)
+    return Motion(time, np.tile(position, (len(time), 1)), name=name, robot=robot)

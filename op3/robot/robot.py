@@ -407,6 +407,8 @@ def _check_joints(file: DataFile, model: mujoco.MjModel, robot: Robot) -> None:
             )
         if entry.bus_id is not None:
             ids[entry.bus_id] = name
-    order = [name for name in hinges if name in robot.joints]
-    if order != list(robot.joints):
-        raise file.fault(("joints",), f"stand in another order than in the model; write {', '.join(order)}")
+    for name in hinges:
+        if name not in robot.joints:
+            raise file.fault(("joints",), f"leave out the model's joint {name!r}; list it, or take it out of the model")
+    if hinges != list(robot.joints):
+        raise file.fault(("joints",), f"stand in another order than in the model; write {', '.join(hinges)}")

@@ -61,7 +61,7 @@ def _whole(right: Motion, left: Motion, seed: int) -> Motion:
         time, np.random.default_rng([seed, 22, zlib.crc32(right.name.encode())])
     )
     low, high = np.array([SOFT_LIMITS[joint] for joint in JOINTS]).T
-    return Motion(time, np.clip(position, low + 0.01, high - 0.01), JOINTS, right.name)
+    return Motion(time, np.clip(position, low + 0.01, high - 0.01), name=right.name)
 
 
 def _sway(time: Array, rng: np.random.Generator) -> Array:

@@ -18,10 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from op3.robot.assets import asset_path
 from op3.robot.board import AXIS_HEIGHT, TILT, TOP_HEIGHT
-from op3.robot.joints import JOINTS, LIMBS, whole_limbs
-from op3.robot.kinematics import check_joint_position, quaternion, rotation_matrix
+from op3.robot.entity import RobotEntity
+from op3.robot.kinematics import quaternion, rotation_matrix
 from op3.robot.op3_entity import OP3
 from op3.robot.poses import level_soles, pose, standing_height
+from op3.robot.robot import Robot, load_robot
 from op3.robot.surfaces import add_bricks, add_tiles
 
 SCENES: tuple[str, ...] = (
@@ -38,12 +39,6 @@ SCENES: tuple[str, ...] = (
 )
 """Names that `build_scene` knows."""
 
-BENCH_MASS = 0.5
-"""Mass of the default pendulum [kg]."""
-
-BENCH_LENGTH = 0.15
-"""Length of the default pendulum [m]; with the default mass it hangs on the servo with at most 0.74 Nm."""
-
 
 @dataclass(frozen=True, eq=False)
 class Scene:
@@ -52,8 +47,7 @@ class Scene:
     Attributes:
         arena: the composer arena that holds everything.
         robot: the robot in it, None on the bench.
-        joints: hinge elements [joint]: in `JOINTS` order, of a robot without some limbs only those that are there, or
-            the one servo of the bench.
+        joints: hinge elements [joint] in the robot's order; of a robot without some limbs only those that are there.
         name: one of `SCENES`.
         mount: how the robot is held, as logs call it: "stand", "pendulum" or what it stands on.
         tilt_roll: roll of a fixed base in rad.
@@ -64,7 +58,7 @@ class Scene:
     """
 
     arena: composer.Arena
-    robot: OP3 | None
+    robot: RobotEntity | None
     joints: tuple[mjcf.Element, ...]
     name: str
     mount: str
@@ -125,7 +119,11 @@ class Scene:
             [qpos]: with a free base the trunk's x, y, z in m, its quaternion (w, x, y, z), the joints, and then what
             moves besides the robot; otherwise the joints alone.
         """
-        position = check_joint_position(joint_position, len(self.joints))
+        position = np.asarray(joint_position, dtype=float)
+        if position.shape != (len(self.joints),):
+            raise ValueError(f"joint_position must have shape ({len(self.joints)},), got {position.shape}")
+        if not np.isfinite(position).all():
+            raise ValueError(f"joint_position must be finite, got {position}")
         if self.floating:
             level_roll, level_pitch = level_soles(position)
             roll = level_roll if roll is None else roll
@@ -159,20 +157,26 @@ class Scene:
 
 
 def build_scene(
-    name: str, *, tilt_roll: float = 0.0, tilt_pitch: float = 0.0, joints: Sequence[str] | None = None
+    name: str,
+    *,
+    tilt_roll: float = 0.0,
+    tilt_pitch: float = 0.0,
+    joints: Sequence[str] | None = None,
+    robot: str | Robot = "op3",
 ) -> Scene:
     """A new scene.
 
     Args:
-        name: "floor": level floor, free robot. "stand": the trunk is fixed 0.5 m up, no foot reaches the
+        name: "floor": level floor, free robot. "stand": the base is fixed 0.5 m up, no foot reaches the
             ground. "bench": one servo with the default pendulum (see `build_bench`). "board": a board that
             `BoardDrive` tilts. "board_weight": a passive board between stops, and a weight that `WeightDrive` lowers
-            on it. "bricks_a" to "bricks_d": bricks ahead of the robot (`op3.robot.surfaces`). "terrain": tiles ahead of
-            the robot whose heights `place_tiles` sets.
+            on it. "bricks_a", "bricks_b", "bricks_c": 5 mm bricks ahead of the robot. "terrain": tiles ahead of the
+            robot whose heights `place_tiles` sets.
         tilt_roll: roll of the stand in rad.
         tilt_pitch: pitch of the stand in rad, positive forward.
-        joints: on the stand, limbs without any of these are left away: with a fixed trunk the others do not feel them.
+        joints: on the stand, limbs without any of these are left away: with a fixed base the others do not feel them.
             None: the whole robot.
+        robot: a robot, its name, or the path of its file; on the stand any, elsewhere one with soles.
     """
     if name not in SCENES:
         raise ValueError(f"unknown scene {name!r}; the scenes are {', '.join(SCENES)}")
@@ -182,22 +186,29 @@ def build_scene(
         raise ValueError(f"only on the scene 'stand' limbs can be left away, got joints for {name!r}")
     if name == "bench":
         return build_bench()
+    known = load_robot(robot)
     if name == "stand":
-        arena, robot = composer.Arena(xml_path=str(asset_path("scenes/stand.xml"))), OP3()
-        kept = _without_limbs(robot, JOINTS if joints is None else joints)
+        arena, entity = composer.Arena(xml_path=str(asset_path("scenes/stand.xml"))), _entity(known)
+        kept = _without_limbs(entity, known.joints if joints is None else joints)
         root: Any = arena.mjcf_model
         mount = root.find("site", "mount")
         mount.quat = quaternion(tilt_roll, tilt_pitch)
-        arena.attach(robot, mount)
-        return Scene(arena, robot, kept, name, name, tilt_roll, tilt_pitch)
+        arena.attach(entity, mount)
+        return Scene(arena, entity, kept, name, name, tilt_roll, tilt_pitch)
+    if known.name != "op3":
+        raise ValueError(f"{known.name} does not walk: the scene {name!r} needs the soles of the OP3; choose the stand")
     return _on_floor(name)
 
 
-def _without_limbs(robot: OP3, wanted: Sequence[str]) -> tuple[mjcf.Element, ...]:
+def _entity(robot: Robot) -> RobotEntity:
+    return OP3(robot) if robot.name == "op3" else RobotEntity(robot)
+
+
+def _without_limbs(entity: RobotEntity, wanted: Sequence[str]) -> tuple[mjcf.Element, ...]:
     """Take limbs without any wanted joint from a robot, and return the joints of those that are left."""
-    joints = dict(zip(JOINTS, robot.joints, strict=True))
-    kept = whole_limbs(wanted)
-    for limb in LIMBS:
+    robot, joints = entity.robot, dict(zip(entity.robot.joints, entity.joints, strict=True))
+    kept = robot.whole_limbs(wanted)
+    for limb in robot.limbs:
         if limb[0] not in kept:
             root: Any = joints[limb[0]].parent
             root.remove()
@@ -232,27 +243,31 @@ def _meets_feet(geom: Any) -> bool:
     return str(kind).rsplit("/", 1)[-1] == "ground"
 
 
-def build_bench(mass: float = BENCH_MASS, length: float = BENCH_LENGTH) -> Scene:
+def build_bench(mass: float | None = None, length: float | None = None) -> Scene:
     """One servo whose horizontal shaft carries a pendulum: a point mass on a massless arm.
 
     About the shaft the inertia is mass * length^2 and gravity's torque -mass * 9.81 * length * sin(position);
     position 0 hangs down.
 
     Args:
-        mass: mass of the weight in kg.
-        length: distance of the weight from the shaft in m.
+        mass: mass of the weight in kg; None: that of `assets/robots/bench.yaml`.
+        length: distance of the weight from the shaft in m; None: the same.
     """
+    bench = load_robot("bench")
+    mass = bench.file.parameters["mass"].default if mass is None else mass
+    length = bench.file.parameters["length"].default if length is None else length
     if not (mass > 0 and length > 0):
         raise ValueError(f"mass and length must be positive, got {mass} kg and {length} m")
     arena = composer.Arena(xml_path=str(asset_path("scenes/bench.xml")))
+    entity = RobotEntity(bench, mass=mass, length=length)
     root: Any = arena.mjcf_model
-    pendulum = root.find("body", "pendulum")
-    pendulum.inertial.mass = mass
-    pendulum.inertial.pos = [0.0, 0.0, -length]
-    root.find("body", "rig").pos = [0.0, 0.0, max(0.4, length + 0.1)]
+    mount = root.find("site", "mount")
+    mount.pos = [0.0, 0.0, max(0.4, length + 0.1)]
     # The looks follow: the weight is a brass disc of the right mass, 20 mm thick.
     radius = float(np.sqrt(mass / (8500.0 * np.pi * 0.02)))
-    root.find("geom", "arm").fromto = [0.0, 0.0, 0.0, 0.0, 0.0, -length]
-    root.find("geom", "weight").fromto = [-0.01, 0.0, -length, 0.01, 0.0, -length]
-    root.find("geom", "weight").size = [radius]
-    return Scene(arena, None, (root.find("joint", "servo"),), "bench", "pendulum", ground=())
+    looks: Any = entity.mjcf_model
+    looks.find("geom", "arm").fromto = [0.0, 0.0, 0.0, 0.0, 0.0, -length]
+    looks.find("geom", "weight").fromto = [-0.01, 0.0, -length, 0.01, 0.0, -length]
+    looks.find("geom", "weight").size = [radius]
+    arena.attach(entity, mount)
+    return Scene(arena, None, tuple(entity.joints), "bench", "pendulum", ground=())

@@ -91,6 +91,8 @@ class Metadata:
         mass: Mass at the end of the pendulum [kg]; required for the pendulum.
         length: Distance from the servo's axis to that mass [m]; required for the pendulum.
         battery: Nominal supply voltage [V].
+        robot_file: The robot whose joints these are, a name in `assets/robots` or the path of its file; None: the OP3,
+            or the bench for a pendulum.
         servo: Servo type, such as `xm430-w350` or `xl330`.
         firmware_gain: Proportional gain register of servos that close the loop themselves [firmware units].
         policy_rate: Policy steps per second [Hz].
@@ -115,6 +117,7 @@ class Metadata:
     mass: Positive | None = None
     length: Positive | None = None
     battery: Positive | None = None
+    robot_file: Text = None
     servo: Text = None
     firmware_gain: Annotated[Number, Field(ge=0)] | None = None
     policy_rate: Positive | None = None

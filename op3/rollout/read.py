@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from op3.robot.robot import Robot, load_robot
 from op3.rollout.errors import LogError
 from op3.rollout.importing import read_side, roll_out, with_options
 from op3.rollout.readers import readers
 from op3.rollout.readers.reader import Reader, Recording
+from op3.rollout.robot_log import as_robot
 from op3.rollout.rollout import METADATA_FILE, Rollout
 
 
@@ -23,13 +25,17 @@ def kinds() -> str:
     )
 
 
-def read_log(path: str | Path) -> Rollout:
+def read_log(path: str | Path, robot: str | Path | Robot | None = None) -> Rollout:
     """Read one log of any format; several episodes of equal length come as a batch.
+
+    Args:
+        path: of the log.
+        robot: that made it, its name or file: a log that names none is read in its terms, see `as_robot`.
 
     Raises:
         LogError: with one sentence, and nothing is imported, if anything about it is wrong.
     """
-    logs = read_episodes(path)
+    logs = _of(path, robot)
     if len(logs) == 1:
         return logs[0]
     if len({(log.rows, log.channels, log.joints) for log in logs}) > 1:
@@ -37,6 +43,19 @@ def read_log(path: str | Path) -> Rollout:
         raise LogError(problem, "read them all with read_logs, or give the path to `data=`", source=path)
     arrays = {key: np.stack([log.array(key) for log in logs]) for key in logs[0].channels}
     return Rollout.from_arrays(arrays, logs[0].metadata, path)
+
+
+def _of(path: str | Path, robot: str | Path | Robot | None) -> list[Rollout]:
+    """The recordings in a log, in the terms of a robot where one is given."""
+    if robot is None:
+        return read_episodes(path)
+    known, logs = load_robot(robot), []
+    for log in read_episodes(path, check=False):
+        if log.metadata.robot_file not in (None, known.reference):
+            problem = f"the log is of the robot {log.metadata.robot_file!r} and not of {known.reference!r}"
+            raise LogError(problem, "leave out robot=", source=path, column="field robot_file")
+        logs.append((log if log.metadata.robot_file else as_robot(log, known)).check(path))
+    return logs
 
 
 def read_episodes(path: str | Path, options: Mapping[str, Any] | None = None, check: bool = True) -> list[Rollout]:
@@ -68,20 +87,29 @@ def read_episodes(path: str | Path, options: Mapping[str, Any] | None = None, ch
     return logs
 
 
-def read_logs(paths: str | Path | Iterable[str | Path]) -> list[Rollout]:
+def read_logs(
+    paths: str | Path | Iterable[str | Path], robot: str | Path | Robot | None = None
+) -> list[Rollout]:
     """Read many logs, sorted by path.
 
     Args:
         paths: A log, a folder of logs (those directly in it; where there are none, in the folders in it, as a multirun
             leaves them), a glob pattern (`logs/**/*.csv`), or several of these, whose order is kept. In a folder, files
             that hold no recording are passed over.
+        robot: that made them, see `read_log`.
     """
     if isinstance(paths, str | Path):
-        return [log for path in expand(paths) for log in read_episodes(path)]
-    logs = [log for path in paths for log in read_logs(path)]
+        return [log for path in expand(paths) for log in _of(path, robot)]
+    logs = [log for path in paths for log in read_logs(path, robot)]
     if not logs:
         raise LogError("the list of logs is empty", f"name {kinds()}")
     return logs
+
+
+def robot_of(paths: str | Path | Iterable[str | Path]) -> Robot:
+    """The robot of the first of these logs, see `read_logs`."""
+    first = paths if isinstance(paths, str | Path) else next(iter(paths))
+    return read_episodes(expand(first)[0])[0].robot
 
 
 def expand(path: str | Path) -> list[Path]:

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 
+from op3.robot.robot import Robot, load_robot
 from op3.rollout import files
 from op3.rollout.errors import LogError
 from op3.rollout.metadata import Metadata
@@ -83,6 +84,20 @@ class Rollout:
     def joints(self) -> tuple[str, ...]:
         """Joint names, in the order of every [joint] axis."""
         return self.metadata.joints
+
+    @property
+    def robot(self) -> Robot:
+        """The robot whose joints these are.
+
+        Raises:
+            LogError: if its file is not where the metadata says, or is wrong.
+        """
+        name = self.metadata.robot_file or ("bench" if self.metadata.mount == "pendulum" else "op3")
+        try:
+            return load_robot(name)
+        except ValueError as error:
+            remedy = "correct `robot_file` in the metadata, or give robot=<path>"
+            raise LogError(str(error), remedy, source=self.metadata.recording, column="field robot_file") from None
 
     @property
     def channels(self) -> tuple[Key, ...]:

@@ -1,7 +1,7 @@
 """What an effect is: one physical thing a servo, body, sensor or floor does, as a small class.
 
 A robot model is a list of effects with parameter values. The same class serves simulation, identification,
-diagnosis and training; adding an effect is one class here, one file in ``conf/effect/`` and one test.
+diagnosis and training; adding an effect is one class here and one test.
 """
 
 from collections.abc import Mapping, Sequence
@@ -46,6 +46,7 @@ class Parameter:
         least: smallest value that physics allows, whatever the plausible range.
         most: largest value that physics allows.
         text: what it is, in a sentence.
+        searched: whether it is searched where its effect is; others are fixed unless a config names them.
     """
 
     name: str
@@ -58,6 +59,7 @@ class Parameter:
     per_joint: bool = True
     least: float = -inf
     most: float = inf
+    searched: bool = True
 
 
 @dataclass(frozen=True)
@@ -216,7 +218,7 @@ class Effect:
     no secants.
 
     Class attributes:
-        name: identifier in ``model.yaml`` and ``conf/effect/``.
+        name: identifier in ``model.yaml`` and in ``effect=[name]``.
         stage: when it acts.
         rank: place within the stage; effects of one rank act in the order of their names.
         equation: the law in one line.

@@ -6,6 +6,7 @@ from op3.sim.geared_servo import GearedServo
 from op3.sim.model_file import find_model, load_model, model_hash, model_names, save_model
 from op3.sim.pendulum_simulation import PendulumSimulation
 from op3.sim.ports import ServoPorts, attach_servos
+from op3.sim.servo_models import model_for, servo_model
 from op3.sim.trajectory_dynamics import TrajectoryDynamics, trajectory_dynamics
 from op3.sim.window_simulation import MeasuredMotion, Window, WindowSimulation
 
@@ -21,9 +22,11 @@ __all__ = [
     "attach_servos",
     "find_model",
     "load_model",
+    "model_for",
     "model_hash",
     "model_names",
     "roll_pitch_yaw",
     "save_model",
+    "servo_model",
     "trajectory_dynamics",
 ]

@@ -8,7 +8,7 @@ from op3.tasks.playback import Playback, bench_task, play, playback_environment,
 from op3.tasks.randomisation import Randomisation
 from op3.tasks.replay import Prediction, Replay
 from op3.tasks.setups import Setup
-from op3.tasks.simulate import simulate_motion
+from op3.tasks.simulate import ModelRobot, simulate_motion
 from op3.tasks.task import POLICY_PERIOD, TASKS, Placement, Sensor, Sensors, Task, find_task
 
 __all__ = [
@@ -16,6 +16,7 @@ __all__ = [
     "TASKS",
     "Hold",
     "LocomotionTask",
+    "ModelRobot",
     "Placement",
     "Playback",
     "Prediction",

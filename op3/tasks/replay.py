@@ -56,7 +56,8 @@ class Replay:
     then receives each command at the control tick at which it was in force. Nothing measured after the first
     row reaches the simulation, except the bus voltage where the log has it. A log from the stand may have some limbs
     only, whole ones; the others are left away. A robot's PD ticks at the rate of the log's rows, or at the
-    ``control_rate`` [Hz] of its metadata's ``extra``.
+    ``control_rate`` [Hz] of its metadata's ``extra``. Servos that close the loop themselves do so with the gain of the
+    log or of its metadata, else with that of their make.
 
     Args:
         logs: what to replay; mounts may differ.
@@ -82,7 +83,7 @@ class Replay:
             raise ValueError("there is nothing to replay: give at least one log")
         self.logs = list(logs)
         self._groups: list[_Group] = []
-        mounts = [(*_mount(log), log.joints, _control_period(log)) for log in logs]
+        mounts = [(*_mount(log), log.joints, _control_period(log), log.robot.reference) for log in logs]
         for mount, members in groupby(sorted(range(len(logs)), key=mounts.__getitem__), key=mounts.__getitem__):
             setup = Setup.of_mount(mount[0], bench_timestep, mount[1:3], *mount[3:])
             self._groups.append(_Group(list(members), logs, setup, settle, record_period, duration, num_threads))
@@ -115,7 +116,7 @@ class Replay:
         Raises:
             ValueError: if a bench is to be pushed.
         """
-        if push is not None and any(group.setup.base_body is None for group in self._groups):
+        if push is not None and any(group.setup.pendulum for group in self._groups):
             raise ValueError("push: a bench has no place for a torque beside its servo's")
         predictions: dict[int, Prediction] = {}
         for group in self._groups:
@@ -131,7 +132,7 @@ class _Group:
         self.logs = [logs[i] for i in members]
         self.setup = setup
         self.period = self.setup.control_period
-        default = self.period if self.setup.base_body else 0.005
+        default = 0.005 if self.setup.pendulum else self.period
         self.every = max(1, round((record_period or default) / self.period))
         self.settle = round(settle / self.period)
         times = [log.array("time")[:, 0] - log.array("time")[0, 0] for log in self.logs]
@@ -289,6 +290,9 @@ def _fallback(command: str, log: Rollout) -> float:
         return 1.0
     if command == "bus_voltage" and log.metadata.battery is not None:
         return log.metadata.battery
+    laws = [servo.position_law for servo in log.robot.servos]
+    if command == "firmware_gain" and log.metadata.mount != "pendulum" and laws[0] is not None:
+        return log.metadata.firmware_gain or laws[0].gain.si
     return float("nan")
 
 

@@ -7,8 +7,7 @@ import mujoco
 import numpy as np
 import torch
 
-from op3.robot import build_bench, build_scene
-from op3.robot.joints import JOINTS
+from op3.robot import Robot, build_bench, build_scene, load_robot
 from op3.robot.scenes import Scene
 from op3.rollout import LogError, Rollout
 from op3.servo import RobotModel
@@ -29,7 +28,7 @@ class Setup:
         scene: the scene.
         mj_model: its compiled model.
         joints: joint names as logs spell them.
-        base_body: full name of the trunk; None on the bench.
+        base_body: full name of the robot's base; None where its file names none, and on the bench.
         control_period: time between commands [s].
     """
 
@@ -47,6 +46,7 @@ class Setup:
         tilt: tuple[float, float] = (0.0, 0.0),
         joints: Sequence[str] | None = None,
         control_period: float = OP3_CONTROL_PERIOD,
+        robot: str | Robot = "op3",
     ) -> "Setup":
         """The setup for logs of this mount.
 
@@ -57,29 +57,36 @@ class Setup:
             joints: of the logs; on the stand the robot has no more limbs than these. None: all.
             control_period: time between commands to a robot [s]; a simulation step is a whole part of it, of at most
                 1 ms.
+            robot: that made the logs, or its file.
 
         Raises:
             ValueError: for a ground that commands alone do not tell, such as a board that moved.
         """
         if mount in ("board", "board_weight", "terrain"):
             raise ValueError(f"a log of the mount {mount!r} cannot be replayed: its ground is not in the log")
-        limbs = joints if mount == "stand" and set(joints or ()) & set(JOINTS) else None
+        known = load_robot(robot)
+        limbs = joints if mount == "stand" and set(joints or ()) & set(known.joints) else None
         if mount == "pendulum":
             scene = build_bench()
         else:
-            scene = build_scene(mount, tilt_roll=tilt[0], tilt_pitch=tilt[1], joints=limbs)
+            scene = build_scene(mount, tilt_roll=tilt[0], tilt_pitch=tilt[1], joints=limbs, robot=known)
         attach_servos(scene.joints)
-        robot, mj_model = scene.robot, scene.compile(visual=False)
-        if robot is not None:
+        entity, mj_model = scene.robot, scene.compile(visual=False)
+        if entity is not None:
             steps = np.ceil(control_period / mj_model.opt.timestep - 1e-6)
             mj_model.opt.timestep = control_period / steps
         return cls(
             scene=scene,
             mj_model=mj_model,
             joints=tuple(joint.name for joint in scene.joints),
-            base_body=None if robot is None else robot.trunk.full_identifier,
-            control_period=bench_timestep if robot is None else control_period,
+            base_body=None if entity is None or known.file.base is None else entity.trunk.full_identifier,
+            control_period=bench_timestep if entity is None else control_period,
         )
+
+    @property
+    def pendulum(self) -> bool:
+        """Whether this is the bench, whose pendulums are stepped in closed form."""
+        return self.scene.robot is None
 
     def simulation(
         self, model: RobotModel, logs: Sequence[Rollout], candidates: int, num_threads: int = 0
@@ -103,7 +110,7 @@ class Setup:
                     source=log.metadata.recording,
                     column="joints",
                 )
-        if self.base_body is None:
+        if self.pendulum:
             mass, length = zip(*((log.metadata.mass, log.metadata.length) for log in logs), strict=True)
             return PendulumSimulation(
                 model,

@@ -184,7 +184,7 @@ def test_bench_is_a_point_pendulum(mass, length, position):
     model, data = start(scene, [position])
     inertia = np.empty((1, 1))
     mujoco.mj_fullM(model, data, inertia)
-    assert scene.joint_names == ("servo",)
+    assert scene.joint_names == ("bench/servo",)
     assert model.body_mass.sum() == pytest.approx(mass, rel=1e-12)
     assert inertia[0, 0] == pytest.approx(mass * length**2, rel=1e-6)
     torque = -mass * 9.81 * length * np.sin(position)

@@ -63,7 +63,17 @@ class Stribeck(Effect):
     source: ClassVar[str] = "paper eq. (4), the exponential corrected; range of fs - fc from Table I"
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("static_friction_excess", "N m", 0.0, 0.25, 0.05, 0.0, "fs - fc", least=0.0),
-        Parameter("stribeck_velocity", "rad/s", 0.02, 3.0, 0.1, None, "w_static; the paper gives no value", least=1e-4),
+        Parameter(
+            "stribeck_velocity",
+            "rad/s",
+            0.02,
+            3.0,
+            0.1,
+            None,
+            "w_static; the paper gives no value",
+            least=1e-4,
+            searched=False,
+        ),
     )
     size: ClassVar[str] = "static_friction_excess"
     smallest: ClassVar[float] = 0.01

@@ -46,6 +46,7 @@ class DirectionalEfficiency(Effect):
             "torque that arrives when the motor drives",
             least=0.0,
             most=1.0,
+            searched=False,
         ),
         Parameter(
             "backward_efficiency",

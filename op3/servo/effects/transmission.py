@@ -151,7 +151,17 @@ class Backlash(Effect):
     source: ClassVar[str] = "X series: 15 arcmin in all, delta = 2.2 mrad when new (ROBOTIS e-Manual)"
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("backlash_half_gap", "rad", 0.0, 0.012, 0.0, 0.0, "delta, half of the play", least=0.0),
-        Parameter("contact_stiffness", "N m/rad", 100.0, 500.0, 300.0, None, "K, of teeth and shafts", least=1.0),
+        Parameter(
+            "contact_stiffness",
+            "N m/rad",
+            100.0,
+            500.0,
+            300.0,
+            None,
+            "K, of teeth and shafts",
+            least=1.0,
+            searched=False,
+        ),
         Parameter(
             "output_inertia",
             "kg m2",
@@ -161,6 +171,7 @@ class Backlash(Effect):
             None,
             "J_o, part of the armature that turns with the link",
             least=0.0,
+            searched=False,
         ),
     )
     constants: ClassVar[tuple[str, ...]] = ("stiffness", "friction")
@@ -247,6 +258,7 @@ class Compliance(Effect):
             None,
             "J_o, part of the armature that turns with the link; of a loose gear `output_inertia` does",
             least=0.0,
+            searched=False,
         ),
     )
     constants: ClassVar[tuple[str, ...]] = ("stiffness", "friction")

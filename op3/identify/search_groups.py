@@ -1,0 +1,44 @@
+"""Config groups made from the catalogue of effects: what ``effect=[name]`` and ``groups=[name]`` bring into a config.
+
+``effect=[name]`` switches an effect on in the model and searches its parameters; ``groups=[name]`` only searches them,
+for a model in which it is on. Both take every effect that has parameters to search. Groups of the paper's Table I join
+parameters of several effects.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from hydra.core.config_store import ConfigStore
+
+from op3.servo import catalogue
+
+TABLE_ONE: Mapping[str, Sequence[str]] = {
+    "gear": ("backward_efficiency",),
+    "friction": ("coulomb_friction", "viscous_friction", "static_friction_excess"),
+    "body": ("base_mass_offset", "base_com_offset_x", "base_com_offset_z"),
+    "stribeck_velocity": ("stribeck_velocity",),
+}
+"""Groups of the paper's Table I, whose motor is the effect of that name, and the speed that it does not give."""
+
+
+def searched_parameters() -> dict[str, tuple[str, ...]]:
+    """Parameters that are searched with each effect, by its name."""
+    searched = {name: tuple(p.name for p in effect.parameters if p.searched) for name, effect in catalogue().items()}
+    return {name: names for name, names in searched.items() if names}
+
+
+def search(names: Sequence[str]) -> dict[str, Any]:
+    """The part of a config that searches parameters: their starts, and their ranges for the sweeper."""
+    return {
+        "parameters": {name: f"${{start:{name}}}" for name in names},
+        "hydra": {"sweeper": {"params": {f"parameters.{name}": f"${{range:{name}}}" for name in names}}},
+    }
+
+
+def register() -> None:
+    """Make the groups known to Hydra; again is harmless."""
+    store, effects = ConfigStore.instance(), searched_parameters()
+    for name, names in effects.items():
+        store.store(group="effect", name=name, node={"effects": {name: {}}, **search(names)}, package="_global_")
+    for name, names in {**effects, **TABLE_ONE}.items():
+        store.store(group="groups", name=name, node=search(names), package="_global_")

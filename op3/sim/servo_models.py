@@ -1,0 +1,90 @@
+"""A model to start from for any robot: what its servos' makes say of them, and guesses where they say nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from op3.robot import Robot, ServoMake
+from op3.servo import Effect, Estimate, RobotModel, effect_class
+from op3.sim.model_file import load_model
+
+LATENCY = 0.006
+"""From sensors to torque [s]; the paper is silent."""
+
+COULOMB, STATIC_EXCESS, VISCOUS = 0.03, 0.02, 0.03
+"""Friction at start, as shares of the stall torque (the viscous one at the speed without load)."""
+
+EFFICIENCY = 0.8
+"""Of the gear against the load at start; middle of the paper's range."""
+
+
+def servo_model(robot: Robot) -> RobotModel:
+    """Drive, gear and friction of a robot's servos, with values per joint where makes differ.
+
+    Raises:
+        ValueError: if some of its servos close the loop themselves and some do not.
+    """
+    makes = robot.servos
+    first = makes[0]
+    for name, make in zip(robot.joints, makes, strict=True):
+        if make.loop != first.loop:
+            raise ValueError(
+                f"{robot.name}: {robot.joints[0]} has the loop {first.loop!r} ({first.name}), but {name} has"
+                f" {make.loop!r} ({make.name}); one model holds one kind of loop"
+            )
+    late = {"signal": "goal"} if first.loop == "firmware" else {}
+    effects = [*_drive(first), effect_class("latency")(**late), *map(_effect, ("coulomb", "stribeck", "viscous"))]  # type: ignore[call-arg]
+    effects.append(effect_class("dte")(form="passive"))  # type: ignore[call-arg]
+    if robot.file.base is not None and not robot.file.fixed:
+        effects += [_effect("payload"), _effect("com_offset")]
+    values: dict[str, float | Estimate] = {"command_latency": LATENCY, "backward_efficiency": EFFICIENCY}
+    for parameter, per_make in _constants(first).items():
+        values[parameter] = _estimate([per_make(make) for make in makes], robot.joints)
+    if first.loop == "firmware":
+        gains = [_law(make).error_gain.si / _law(first).error_gain.si for make in makes]
+        values["controller_gain"] = _estimate(gains, robot.joints)
+    return RobotModel(tuple(effects), bus_voltage=first.supply.si).with_values(values)
+
+
+def model_for(robot: Robot, name: str | Path | None = None) -> RobotModel:
+    """The model of this name or file; where none is given that of the robot's file, else one made of its servos."""
+    chosen = name or robot.file.law
+    return load_model(chosen) if chosen else servo_model(robot)
+
+
+def _effect(name: str) -> Effect:
+    return effect_class(name)()
+
+
+def _law(make: ServoMake):
+    assert make.position_law is not None  # its file was refused otherwise
+    return make.position_law
+
+
+def _drive(make: ServoMake) -> list[Effect]:
+    motor = {"gear_ratio": make.motor.gear_ratio.si}
+    if make.loop == "firmware":
+        law = _law(make)
+        options = {"error_gain": law.error_gain.si, "max_duty": law.max_duty.si, "goal_speed": law.goal_speed.si}
+        return [effect_class("position_servo")(**options), effect_class("motor")(drive="voltage", **motor)]  # type: ignore[call-arg]
+    limit = make.limits.current.si if make.limits.current else make.supply.si / make.motor.terminal_resistance.si
+    return [effect_class("current_pd")(current_limit=limit), effect_class("motor")(**motor)]  # type: ignore[call-arg]
+
+
+def _constants(first: ServoMake):
+    """Parameters of motor and friction, and how each follows from a make; the gear ratio is that of the first."""
+    ratio = first.motor.gear_ratio.si
+    return {
+        "torque_constant": lambda make: make.output_constant / ratio,
+        "terminal_resistance": lambda make: make.motor.terminal_resistance.si,
+        "armature": lambda make: make.motor.armature.si,
+        "coulomb_friction": lambda make: COULOMB * make.limits.stall_torque.si,
+        "static_friction_excess": lambda make: STATIC_EXCESS * make.limits.stall_torque.si,
+        "viscous_friction": lambda make: VISCOUS * make.limits.stall_torque.si / make.limits.no_load_speed.si,
+    }
+
+
+def _estimate(values: Sequence[float], joints: Sequence[str]) -> Estimate:
+    own = {joint: value for joint, value in zip(joints, values, strict=True) if value != values[0]}
+    return Estimate(values[0], joints=own)
