@@ -79,6 +79,11 @@ class Scene:
         return tuple(str(joint.full_identifier) for joint in self.joints)
 
     @property
+    def robot_file(self) -> Robot:
+        """The robot in it as its file says; on the bench that of the pendulum."""
+        return load_robot("bench") if self.robot is None else self.robot.robot
+
+    @property
     def floating(self) -> bool:
         """Whether the trunk is free to move: qpos then starts with 7 and qvel with 6 numbers of the base."""
         return self.mount not in ("stand", "pendulum")

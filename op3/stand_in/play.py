@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from op3.robot import JOINTS, SOFT_LIMITS, Excitation, Motion, pose
+from op3.robot import Excitation, Motion, load_robot
 from op3.rollout import Metadata, Rollout
 from op3.stand_in.sensors import Sensors
 
@@ -78,7 +78,7 @@ def play(
     if not 0 <= settle < np.inf:
         raise ValueError(f"settle must be at least 0 s and finite, got {settle}")
     targets = sample(motion, CONTROL_PERIOD, robot.joints, robot.rest)
-    _check_limits(motion, robot.joints, targets)
+    _check_limits(robot, motion, targets)
     gains = {name: _gain(name, value, targets.shape) for name, value in (("p_gain", p_gain), ("d_gain", d_gain))}
     robot.reset(targets[0], by_hand=True, **placed)
     _settle(robot, targets[0], gains["p_gain"][0], gains["d_gain"][0], settle, still)
@@ -101,15 +101,17 @@ def _settle(robot: StandIn, target: Array, p_gain: Array, d_gain: Array, settle:
         quiet = 0.0 if sensors.velocity.any() else quiet + CONTROL_PERIOD
 
 
-def sample(motion: Motion, period: float, joints: Sequence[str] = JOINTS, rest: Array | None = None) -> Array:
+def sample(motion: Motion, period: float, joints: Sequence[str] = (), rest: Array | None = None) -> Array:
     """Targets of joints at ticks of `period` [s], [tick, joint]: held between a motion's own rows.
 
-    Joints that the motion does not name stay at `rest`, without it in the OP3's pose "stand".
+    Joints that the motion does not name stay at `rest`; without them all of the robot that it is made for, at home.
     """
+    known = load_robot(motion.robot)
+    joints, rest = joints or known.joints, known.home if rest is None else rest
     ticks = np.arange(round((motion.time[-1] - motion.time[0]) / period) + 1) * period
     # Half a percent of the period absorbs rounding of written times.
     rows = np.searchsorted(motion.time - motion.time[0], ticks + 0.005 * period, side="right") - 1
-    targets = np.tile(pose("stand") if rest is None else rest, (len(ticks), 1))
+    targets = np.tile(rest, (len(ticks), 1))
     targets[:, [joints.index(name) for name in motion.joints]] = motion.position[rows]
     return targets
 
@@ -125,9 +127,10 @@ def _gain(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     return gain
 
 
-def _check_limits(motion: Motion, joints: Sequence[str], targets: Array) -> None:
+def _check_limits(robot: StandIn, motion: Motion, targets: Array) -> None:
     """Refuse what a robot must not be told: servos in current mode enforce no limit themselves."""
-    low, high = np.array([SOFT_LIMITS.get(name, (-np.inf, np.inf)) for name in joints]).T
+    known, joints = robot.scene.robot_file, robot.joints
+    low, high = known.limits[known.indices(joints)].T
     outside = (targets < low) | (targets > high)
     if outside.any():
         row, joint = np.argwhere(outside)[0]
@@ -172,7 +175,8 @@ def _rollout(
         mount=robot.scene.mount,
         rate=1 / CONTROL_PERIOD,
         battery=NOMINAL_BATTERY,
-        servo="xm430-w350",
+        servo=robot.scene.robot_file.servos[0].name,
+        robot_file=robot.scene.robot_file.reference,
         motion=motion.name,
         recording=recording,
         seed=robot.seed,

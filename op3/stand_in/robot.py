@@ -23,9 +23,7 @@ from op3.robot import (
     WeightSchedule,
     board_drive,
     build_scene,
-    indices,
     place_tiles,
-    pose,
     tile_ids,
 )
 from op3.robot.scenes import Scene
@@ -73,10 +71,16 @@ class StandIn:
         ids = [model.joint(name).id for name in names]
         ranges = np.where(model.jnt_limited[ids, None], model.jnt_range[ids], [-np.inf, np.inf])
         count = len(self.joints)
-        self.rest = np.zeros(count) if self.scene.robot is None else pose("stand")[indices(self.joints)]
+        known = self.scene.robot_file
+        self.rest = known.home[known.indices(self.joints)]
+        if any(make.loop != "current" for make in known.servos):
+            raise ValueError(
+                f"the stand-in's servos are commanded in current, those of {known.name} close the loop themselves;"
+                " choose source=model"
+            )
         self.servos = Servos(world, self.hidden, self.joints, self.rest, ranges)
         self._model = model
-        self._has_imu = self.scene.robot is not None
+        self._has_imu = known.file.imu is not None
         if self.scene.floating:
             self._bodies: Bodies = Floor(model, self.servos, names, self._imu_places())
         else:
@@ -97,7 +101,7 @@ class StandIn:
         """The scene compiled, with the world's body and ground, and what is hidden in the links."""
         world = self._world
         model = self.scene.compile(visual=False)
-        if self.scene.robot is not None:
+        if self.scene.robot is not None and self.scene.robot_file.file.base is not None:
             trunk = model.body(self.scene.robot.trunk.full_identifier).id
             model.body_mass[trunk] += world.base_mass_offset
             model.body_ipos[trunk] += (world.base_com_offset_x, 0.0, world.base_com_offset_z)
@@ -112,7 +116,7 @@ class StandIn:
 
     def _imu_places(self) -> list[int] | None:
         robot = self.scene.robot
-        if robot is None:
+        if robot is None or not self._has_imu:
             return None
         elements = (robot.imu_orientation, robot.imu_gyro, robot.imu_accelerometer)
         return [int(self._model.sensor(element.full_identifier).adr[0]) for element in elements]

@@ -19,6 +19,7 @@ from op3.robot import (
     build_scene,
     leg_suite,
     leg_walking,
+    load_robot,
     multisine,
     push_down,
     robot_suite,
@@ -27,7 +28,7 @@ from op3.robot import (
     squat,
     sway,
 )
-from op3.robot.scenes import BENCH_LENGTH, BENCH_MASS, Scene
+from op3.robot.scenes import Scene
 from op3.stand_in.play import Push, Run
 
 Array = NDArray[np.float64]
@@ -139,7 +140,7 @@ SETTINGS: dict[str, Setting] = {
         build_bench,
         pendulum_suite,
         partial(pendulum_suite, poor=True),
-        metadata={"mass": BENCH_MASS, "length": BENCH_LENGTH},
+        metadata={name: one.default for name, one in load_robot("bench").file.parameters.items()},
     ),
 }
 """The whole OP3 on the stand and on its feet, its right leg on the stand, and one servo with a pendulum."""
