@@ -56,7 +56,7 @@ def _bounds(name: str, config: DictConfig) -> tuple[float, float]:
     value = model.value(name) if name in model.parameters() else known.nominal
     if known.neutral is None and name in model.estimates:
         return value / MARGIN, value * MARGIN
-    return (min(known.low, value), max(known.high, MARGIN * value)) if value > 0 else (known.low, known.high)
+    return min(known.low, value), min(max(known.high, MARGIN * value), known.most)
 
 
 def _of_the_base(known: Parameter) -> bool:
