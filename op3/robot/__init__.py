@@ -17,7 +17,7 @@ from op3.robot.joints import (
 )
 from op3.robot.kinematics import KEY_POINTS, center_of_mass, key_points, quaternion, sole_corners
 from op3.robot.leg_excitations import LEG_JOINTS, Excitation, leg_suite, leg_walking
-from op3.robot.motion_checks import SPEED_LIMIT, check_motion, motion_faults
+from op3.robot.motion_checks import check_motion, motion_faults
 from op3.robot.motions import Motion, hold, squat
 from op3.robot.op3_entity import OP3
 from op3.robot.poses import POSES, pose, standing_height

@@ -10,10 +10,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from op3.robot.motion_checks import motion_faults
 from op3.robot.motions import D_GAIN, P_GAIN, Motion, sample_times
 from op3.robot.poses import SQUAT_LEAN, pose, squat_position
 from op3.robot.robot import Robot, load_robot
-from op3.robot.motion_checks import motion_faults
 
 RATE = 125.0
 """Rows per second: the robot's PD loop."""

@@ -87,9 +87,7 @@ def read_episodes(path: str | Path, options: Mapping[str, Any] | None = None, ch
     return logs
 
 
-def read_logs(
-    paths: str | Path | Iterable[str | Path], robot: str | Path | Robot | None = None
-) -> list[Rollout]:
+def read_logs(paths: str | Path | Iterable[str | Path], robot: str | Path | Robot | None = None) -> list[Rollout]:
     """Read many logs, sorted by path.
 
     Args:
