@@ -290,9 +290,9 @@ def _fallback(command: str, log: Rollout) -> float:
         return 1.0
     if command == "bus_voltage" and log.metadata.battery is not None:
         return log.metadata.battery
-    laws = [servo.position_law for servo in log.robot.servos]
-    if command == "firmware_gain" and log.metadata.mount != "pendulum" and laws[0] is not None:
-        return log.metadata.firmware_gain or laws[0].gain.si
+    first = log.robot.servos[0]
+    if command == "firmware_gain" and first.loop == "firmware" and first.position_law is not None:
+        return log.metadata.firmware_gain or first.position_law.gain.si
     return float("nan")
 
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from op3.identify.prediction_score import predict_logs
 
 from op3.identify.identification import Identification
+from op3.identify.prediction_score import predict_logs
 from op3.robot import check_motion, load_robot, multisine
 from op3.rollout import Rollout, read_log
 from op3.sim import servo_model
