@@ -70,7 +70,7 @@ class BatchSimulation:
         self._base = None if base_body is None else Base.find(mj_model, mj_model.body(base_body).id)
         self._fields = {name: np.array(value, dtype=np.float64) for name, value in (fields or {}).items()}
         self.law = Servos(model.effects, self.joint_names, num_sims, self.timestep, control_period)
-        self.signals = self.law.signals
+        self.signals, self._forces = self.law.signals, self.law.reads("radial_force")
         default_commands(self.signals, model)
         self.failed = torch.zeros(num_sims, dtype=torch.bool)
         self.on_step: Callable[[], None] | None = None
@@ -264,7 +264,7 @@ class BatchSimulation:
         return channels
 
     def _read(self) -> None:
-        read(self.law.records, self._at, *self._state)
+        read(self.law.records, self._at, self._forces, *self._state)
 
     def _hand_over(self) -> None:
         failed = self.failed.numpy()

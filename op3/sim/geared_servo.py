@@ -118,4 +118,11 @@ class GearedServo:
 
     def _read(self, physics: Any) -> None:
         data = physics.data.ptr
-        read(self.law.records, self._at, data.qpos[None], data.qvel[None], data.sensordata[None])
+        read(
+            self.law.records,
+            self._at,
+            self.law.reads("radial_force"),
+            data.qpos[None],
+            data.qvel[None],
+            data.sensordata[None],
+        )
