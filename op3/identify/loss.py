@@ -161,7 +161,7 @@ class TrajectoryLoss:
 
 def position_error(predictions: Sequence[Prediction], joints: Sequence[str] = ()) -> Tensor:
     """Mean absolute position error [rad] per log over some joints or all, ``[candidate, log]``; NaN where failed."""
-    focus = TrajectoryLoss(joints)
+    focus = TrajectoryLoss(tuple(joints))
     errors = []
     for prediction in predictions:
         simulated = prediction.channels[("joint", "position")]
