@@ -17,6 +17,7 @@ import pinocchio
 from numpy.typing import NDArray
 
 from op3.robot.kinematics import rotation_matrix
+from op3.stand_in.hidden import Hidden
 from op3.stand_in.kernel import TICK, step_limbs, step_servos
 from op3.stand_in.servos import Servos
 
@@ -182,6 +183,23 @@ def limb_model(model: mujoco.MjModel, elastic: bool = False) -> tuple[pinocchio.
             mass = pinocchio.Inertia(float(model.body_mass[body]), np.array(model.body_ipos[body]), inertia)
             made.appendBodyToJoint(carrier, mass, frame)
     return made, names
+
+
+def change_body(model: mujoco.MjModel, body: int, effect: Hidden) -> None:
+    """What an effect changes in a link."""
+    size = effect.size
+    if effect.name == "link_com":
+        model.body_ipos[body, 0] += size
+    elif effect.name == "link_inertia":
+        model.body_inertia[body] += size * model.body_mass[body]
+    elif effect.name == "link_mass":
+        mass = model.body_mass[body]
+        if effect.form == "plate":  # 60 mm by 40 mm, beside the link's centre of mass
+            apart = np.array([0.02, 0.0, -0.035])
+            share = size / (mass + size)
+            model.body_ipos[body] += share * apart
+            model.body_inertia[body] += size * (0.06**2 + 0.04**2) / 12 + (1 - share) * size * (apart @ apart) * 0.7
+        model.body_mass[body] = mass + size
 
 
 def _matrix(quaternion: Array) -> Array:

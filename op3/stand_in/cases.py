@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -21,7 +21,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from op3.robot import MIRROR, Excitation
+from op3.robot import Excitation
 from op3.robot.scenes import Scene
 from op3.rollout import Rollout
 from op3.stand_in.hidden import ALIAS_PAIRS, BASES, CATALOGUE, KINDS, OUTSIDERS, SEVERITIES, Hidden
@@ -66,6 +66,7 @@ MORNING = datetime.datetime(2026, 1, 15, 9, 0)
 """When the first run begins."""
 
 Array = NDArray[np.float64]
+Places = Mapping[str, tuple[str, ...]]
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ class Case:
         seed: of everything in the case.
         kind: one of `CASE_KINDS`.
         severity: one of `SEVERITIES`, None where nothing is hidden.
-        base: model that the diagnosis starts from.
+        base: model that the diagnosis starts from; "null" for one made of the robot's servos.
         world: numbers of the robot, with those of `hidden` that are part of a world.
         hidden: what is hidden.
         joints: of the robot.
@@ -145,19 +146,20 @@ def draw_case(
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise ValueError(f"the seed of a case must be a whole number of at least 0, got {seed!r}")
     rng = np.random.default_rng([int(seed), 40])
-    joints, places = _places(robot)
-    names = _names(rng, kind, effect)
-    hidden = tuple(_hide(rng, name, SEVERITIES[severity] * scale, places) for name in names)
-    missing = next((name for name in names if name in BASES), None)
-    if missing is None and rng.random() < LESS_SHARE:
-        missing = str(rng.choice(list(BASES)))
+    joints, places, mirror, law = _places(robot)
+    bases = BASES if law == PLAIN_BASE else {}
+    names = _names(rng, kind, effect, bases)
+    hidden = tuple(_hide(rng, name, SEVERITIES[severity] * scale, places, mirror) for name in names)
+    missing = next((name for name in names if name in bases), None)
+    if missing is None and rng.random() < LESS_SHARE and bases:
+        missing = str(rng.choice(list(bases)))
     world = World.random(int(seed), ranges)
     return Case(
         name=f"case_{hashlib.sha256(f'op3 {seed}'.encode()).hexdigest()[:10]}",
         seed=int(seed),
         kind=kind,
         severity=None if kind == "null" else severity,
-        base=PLAIN_BASE if missing is None else BASES[missing],
+        base=law or "null" if missing is None else bases[missing],
         world=_without(world, missing, {one.name: one for one in hidden}),
         hidden=hidden,
         joints=joints,
@@ -177,35 +179,37 @@ def _without(world: World, missing: str | None, hidden: dict[str, Hidden]) -> Wo
     return world.replace(command_latency=0.0) if missing == "latency" else world
 
 
-def _names(rng: np.random.Generator, kind: str, effect: str | None) -> tuple[str, ...]:
-    """What is hidden, by name."""
+def _names(rng: np.random.Generator, kind: str, effect: str | None, bases: Mapping[str, str]) -> tuple[str, ...]:
+    """What is hidden, by name; what base models lack can be hidden only where there are such base models."""
     if kind == "null":
         return ()
-    pool = OUTSIDERS if kind == "outsider" else CATALOGUE
+    catalogue = [name for name in CATALOGUE if name in bases or name not in BASES]
+    pool = OUTSIDERS if kind == "outsider" else catalogue
     if effect is not None and effect not in pool:
         raise ValueError(f"a case of kind {kind} cannot hide {effect!r}; it can hide {', '.join(pool)}")
     first = effect or str(rng.choice(pool))
     if kind != "pair":
         return (first,)
-    partners = [b if a == first else a for a, b in ALIAS_PAIRS if first in (a, b)]
+    alike = [pair for pair in ALIAS_PAIRS if set(pair) <= set(catalogue)]
+    partners = [b if a == first else a for a, b in alike if first in (a, b)]
     if effect is None and rng.random() < 0.5:
-        first, second = ALIAS_PAIRS[rng.integers(len(ALIAS_PAIRS))]
+        first, second = alike[rng.integers(len(alike))]
     elif effect is not None and partners and rng.random() < 0.5:
         second = str(rng.choice(partners))
     else:
-        second = str(rng.choice([name for name in CATALOGUE if name != first]))
+        second = str(rng.choice([name for name in catalogue if name != first]))
     if first in BASES and second in BASES:  # a base model lacks one effect at most
-        second = str(rng.choice([name for name in CATALOGUE if name not in BASES]))
+        second = str(rng.choice([name for name in catalogue if name not in BASES]))
     return first, second
 
 
-def _hide(rng: np.random.Generator, name: str, factor: float, places: dict[str, tuple[str, ...]]) -> Hidden:
+def _hide(rng: np.random.Generator, name: str, factor: float, places: Places, mirror: Mapping[str, str]) -> Hidden:
     """One effect of this strength, at a drawn place, in a drawn form."""
     kind = KINDS[name]
     joints: tuple[str, ...] = ()
     if kind.place != "all":
         joints = (str(rng.choice(places[kind.place])),)
-        partner = MIRROR.get(joints[0], (joints[0],))[0]
+        partner = mirror.get(joints[0], joints[0])
         if not kind.signed and partner != joints[0] and partner in places["any"] and rng.random() < MIRROR_SHARE:
             joints = tuple(sorted((joints[0], partner), key=places["any"].index))
     strength = rng.uniform(0.9, 1.1)
@@ -217,14 +221,18 @@ def _hide(rng: np.random.Generator, name: str, factor: float, places: dict[str, 
 
 
 @cache
-def _places(robot: str) -> tuple[tuple[str, ...], dict[str, tuple[str, ...]]]:
-    """Joints of a robot, and those where effects can sit: any, loaded by gravity, far from the base."""
+def _places(robot: str) -> tuple[tuple[str, ...], Places, dict[str, str], str | None]:
+    """Joints of a robot, and those where effects can sit: any, loaded by gravity, far from the base; partners in the
+    mirror, and the model that it starts from."""
     scene = SETTINGS[robot].scene()
     joints = tuple(str(joint.name) for joint in scene.joints)
     load, depth = _load_and_depth(scene)
     loaded = tuple(name for name, torque in zip(joints, load, strict=True) if torque >= LOADED)
     far = tuple(name for name, links in zip(joints, depth, strict=True) if links >= min(3, max(depth)))
-    return joints, {"any": joints, "loaded": loaded or joints, "far": far}
+    known = scene.robot_file
+    mirror = {name: entry.mirror for name, entry in known.file.joints.items() if entry.mirror}
+    mirror |= {partner: name for name, partner in mirror.items()}
+    return joints, {"any": joints, "loaded": loaded or joints, "far": far}, mirror, known.file.law
 
 
 def _load_and_depth(scene: Scene) -> tuple[Array, list[int]]:

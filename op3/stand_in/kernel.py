@@ -39,12 +39,13 @@ oval oval_centre oval_form asymmetry patch patch_centre ageing cogging cogging_p
 chip chip_phase gear_stiffness gear_damping half_gap tooth_form output_inertia
 spring spring_rest spring_form vibration vibration_frequency vibration_phase stop stop_side stop_edge
 creep creep_rate warm_loss warm_form dropout low high
+position_gain max_duty goal_speed position_unit
 encoder_offset encoder_bend encoder_phase encoder_form velocity_time velocity_form slower_time slower_form
 """
 _STATE = """
 position velocity acceleration torque transmitted current goal duty limit by_voltage enabled late_1 late_2
 bristle noise rest_time gear_position gear_velocity slack yielded temperature air gain reach dry static drift_phase out
-velocity_1 velocity_2 velocity_3
+velocity_1 velocity_2 velocity_3 followed
 """
 _ROBOT = """
 step time day_time supply open_voltage bus_resistance hidden_resistance bus_voltage drift drift_period noise_memory
@@ -341,5 +342,10 @@ def step_slow(servos, states, robot, memory, speed, normal, uniform) -> None:
             s.out = max(s.out - TICK, 0.0)
             if uniform[j] < p.dropout * TICK:
                 s.out = 0.02
-        memory[j, ticks % MEMORY] = encoder(p, s.position)
+        seen = encoder(p, s.position)
+        memory[j, ticks % MEMORY] = seen
+        if p.position_gain > 0:  # the servo's own position loop, on whole counts, towards a goal that it follows
+            s.followed += min(max(s.goal - s.followed, -p.goal_speed * TICK), p.goal_speed * TICK)
+            error = s.followed - np.round(seen / p.position_unit) * p.position_unit
+            s.duty = min(max(p.position_gain * error, -p.max_duty), p.max_duty)
         speed[j] = estimate_velocity(p, s, memory[j], ticks)

@@ -23,9 +23,6 @@ if TYPE_CHECKING:
 CONTROL_PERIOD = 0.008
 """Period of the PD [s]; paper, 125 Hz."""
 
-NOMINAL_BATTERY = 11.1
-"""What is printed on the battery [V]."""
-
 FALL_ANGLE = np.deg2rad(45)
 """A trunk that rolls or pitches further has fallen [rad]."""
 
@@ -78,16 +75,21 @@ def play(
     if not 0 <= settle < np.inf:
         raise ValueError(f"settle must be at least 0 s and finite, got {settle}")
     targets = sample(motion, CONTROL_PERIOD, robot.joints, robot.rest)
-    _check_limits(robot, motion, targets)
-    gains = {name: _gain(name, value, targets.shape) for name, value in (("p_gain", p_gain), ("d_gain", d_gain))}
+    _check_limits(motion, robot, targets)
+    given = {name: _gain(name, value, targets.shape) for name, value in (("p_gain", p_gain), ("d_gain", d_gain))}
     robot.reset(targets[0], by_hand=True, **placed)
-    _settle(robot, targets[0], gains["p_gain"][0], gains["d_gain"][0], settle, still)
+    _settle(robot, targets[0], given["p_gain"][0], given["d_gain"][0], settle, still)
     begin, due, time, readings = robot.time, list(pushes), [], []
-    for target, p, d in zip(targets, gains["p_gain"], gains["d_gain"], strict=True):
+    for target, p, d in zip(targets, given["p_gain"], given["d_gain"], strict=True):
         time.append(robot.time - begin)
         if due and time[-1] >= due[0].start:
             robot.push(due[0].force, due.pop(0).duration)
         readings.append(_tick(robot, target, p, d))
+    laws = [make.position_law for make in robot.makes]
+    if robot.loops:
+        gains = {"firmware_gain": np.tile([law.gain.si if law else 0.0 for law in laws], (len(targets), 1))}
+    else:
+        gains = given
     return _rollout(robot, motion, recording, np.array(time), readings, targets, gains, metadata or {})
 
 
@@ -127,15 +129,14 @@ def _gain(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     return gain
 
 
-def _check_limits(robot: StandIn, motion: Motion, targets: Array) -> None:
+def _check_limits(motion: Motion, robot: StandIn, targets: Array) -> None:
     """Refuse what a robot must not be told: servos in current mode enforce no limit themselves."""
-    known, joints = robot.scene.robot_file, robot.joints
-    low, high = known.limits[known.indices(joints)].T
+    low, high = robot.limits.T
     outside = (targets < low) | (targets > high)
     if outside.any():
         row, joint = np.argwhere(outside)[0]
         raise ValueError(
-            f"motion {motion.name!r} asks {joints[joint]} for {targets[row, joint]:.3f} rad at"
+            f"motion {motion.name!r} asks {robot.joints[joint]} for {targets[row, joint]:.3f} rad at"
             f" {row * CONTROL_PERIOD:.3f} s; it may go from {low[joint]:.3f} to {high[joint]:.3f} rad"
         )
 
@@ -143,7 +144,7 @@ def _check_limits(robot: StandIn, motion: Motion, targets: Array) -> None:
 def _tick(robot: StandIn, target: Array, p_gain: Array, d_gain: Array) -> Sensors:
     """Read, command, wait for the next tick."""
     sensors = robot.read_sensors()
-    robot.send(p_gain * (target - sensors.position) - d_gain * sensors.velocity)
+    robot.send(target if robot.loops else p_gain * (target - sensors.position) - d_gain * sensors.velocity)
     robot.wait(CONTROL_PERIOD)
     return sensors
 
@@ -158,7 +159,8 @@ def _rollout(
     gains: dict[str, Array],
     metadata: dict[str, Any],
 ) -> Rollout:
-    names = ("position", "velocity", "current", "voltage", "temperature")
+    names = ["position", "velocity", "voltage"]
+    names += [name for name in ("current", "temperature") if all(getattr(make.counts, name) for make in robot.makes)]
     arrays: dict[Any, Array] = {
         ("joint", name): np.stack([getattr(reading, name) for reading in readings]) for name in names
     }
@@ -174,9 +176,9 @@ def _rollout(
         robot="simulated",
         mount=robot.scene.mount,
         rate=1 / CONTROL_PERIOD,
-        battery=NOMINAL_BATTERY,
-        servo=robot.scene.robot_file.servos[0].name,
-        robot_file=robot.scene.robot_file.reference,
+        robot_file=robot.known.reference,
+        battery=robot.makes[0].supply.si,
+        servo=robot.makes[0].name,
         motion=motion.name,
         recording=recording,
         seed=robot.seed,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -19,6 +19,7 @@ from op3.robot import (
     BoardDrive,
     BoardMotion,
     Motion,
+    ServoMake,
     WeightDrive,
     WeightSchedule,
     board_drive,
@@ -27,9 +28,8 @@ from op3.robot import (
     tile_ids,
 )
 from op3.robot.scenes import Scene
-from op3.robot.units import CURRENT_UNIT, POSITION_UNIT, TEMPERATURE_UNIT, VELOCITY_UNIT, VOLTAGE_UNIT
 from op3.rollout import Rollout
-from op3.stand_in.bodies import Bodies, Floor, Limbs
+from op3.stand_in.bodies import Bodies, Floor, Limbs, change_body
 from op3.stand_in.hidden import Hidden
 from op3.stand_in.kernel import TICK
 from op3.stand_in.play import play
@@ -39,9 +39,6 @@ from op3.stand_in.world import World
 
 BOARD_EVERY = 8
 """Ticks between two looks of a board's drive at its motion; in between the board follows it smoothly."""
-
-CURRENT_LIMIT = 2.3
-"""The servos hold no goal current beyond this [A]; stall current at 12 V, ROBOTIS e-Manual."""
 
 Array = NDArray[np.float64]
 
@@ -65,26 +62,26 @@ class StandIn:
         self.seed = _whole("seed", seed)
         self.scene = build_scene(scene) if isinstance(scene, str) else scene
         self.joints: tuple[str, ...] = tuple(str(joint.name) for joint in self.scene.joints)
+        self.known = self.scene.robot_file
+        own = self.known.indices(self.joints)
+        self.rest, self.limits = self.known.home[own], self.known.limits[own]
+        self.makes = tuple(self.known.servos[number] for number in own)
+        self._units = {name: np.array([unit(make) for make in self.makes]) for name, unit in _UNITS.items()}
+        limits = [make.limits.current.si if make.limits.current else np.inf for make in self.makes]
+        self._current_limit = np.array(limits)
         self._per_tick = round(TICK / world.timestep)
         model = self._hidden_model()
         names = self.scene.joint_names
         ids = [model.joint(name).id for name in names]
         ranges = np.where(model.jnt_limited[ids, None], model.jnt_range[ids], [-np.inf, np.inf])
         count = len(self.joints)
-        known = self.scene.robot_file
-        self.rest = known.home[known.indices(self.joints)]
-        if any(make.loop != "current" for make in known.servos):
-            raise ValueError(
-                f"the stand-in's servos are commanded in current, those of {known.name} close the loop themselves;"
-                " choose source=model"
-            )
-        self.servos = Servos(world, self.hidden, self.joints, self.rest, ranges)
+        self.servos = Servos(world, self.hidden, self.joints, self.makes, self.rest, ranges)
         self._model = model
-        self._has_imu = known.file.imu is not None
+        self._has_imu = self.scene.robot is not None and self.known.file.imu is not None
         if self.scene.floating:
             self._bodies: Bodies = Floor(model, self.servos, names, self._imu_places())
         else:
-            mount = (world.mount_frequency if self._has_imu else 0.0, world.mount_damping)
+            mount = (0.0 if self.known.file.fixed else world.mount_frequency, world.mount_damping)
             self._bodies = Limbs(model, self.servos, names, mount)
         if self._has_imu:
             self._imu = Imu(world)
@@ -101,7 +98,7 @@ class StandIn:
         """The scene compiled, with the world's body and ground, and what is hidden in the links."""
         world = self._world
         model = self.scene.compile(visual=False)
-        if self.scene.robot is not None and self.scene.robot_file.file.base is not None:
+        if self.scene.robot is not None and not self.known.file.fixed:
             trunk = model.body(self.scene.robot.trunk.full_identifier).id
             model.body_mass[trunk] += world.base_mass_offset
             model.body_ipos[trunk] += (world.base_com_offset_x, 0.0, world.base_com_offset_z)
@@ -127,9 +124,9 @@ class StandIn:
         return self._steps * self._world.timestep
 
     @property
-    def world(self) -> World:
-        """The truth, for the robot's own modules and for scorers."""
-        return self._world
+    def loops(self) -> bool:
+        """Whether the servos close a position loop themselves."""
+        return self.makes[0].loop != "current"
 
     @property
     def world_id(self) -> str:
@@ -239,7 +236,8 @@ class StandIn:
         """Give the servos new goal currents.
 
         Args:
-            current: [joint] in A; held until the next ones arrive.
+            current: [joint] in A, of servos with a position loop of their own the angle in rad; held until the next
+                ones arrive.
             delay: how long they are under way [s]. Later writes may not overtake earlier ones.
         """
         goal = np.array(current, dtype=float)
@@ -248,7 +246,8 @@ class StandIn:
         arrival = self._steps + round(delay / self._world.timestep)
         if delay < 0 or (self._arrivals and arrival < self._arrivals[-1][0]):
             raise ValueError(f"currents cannot arrive {delay} s after writing: not before those written earlier")
-        self._arrivals.append((arrival, goal.clip(-CURRENT_LIMIT, CURRENT_LIMIT)))
+        own = self.servos.servos["position_gain"] > 0  # whose goal is an angle [rad]
+        self._arrivals.append((arrival, np.where(own, goal, goal.clip(-self._current_limit, self._current_limit))))
 
     def write_drive(self, enabled: ArrayLike, by_voltage: ArrayLike, duty: ArrayLike, limit: ArrayLike) -> None:
         """What the drivers do from now on besides regulating current; all [joint].
@@ -275,8 +274,8 @@ class StandIn:
                 self._losing -= 1
                 return
         last = self._arrivals[-1][0] - self._steps if self._arrivals else 0
-        goal = np.round(np.asarray(current) / CURRENT_UNIT) * CURRENT_UNIT
-        self.write_current(goal, max(delay, last * world.timestep, 0.0))
+        unit = np.where(self.servos.servos["position_gain"] > 0, self._units["position"], self._units["current"])
+        self.write_current(quantise(np.asarray(current), unit), max(delay, last * world.timestep, 0.0))
 
     def wait(self, period: float) -> None:
         """Let about a period pass [s], as a computer keeps time that is no real-time computer."""
@@ -337,22 +336,19 @@ class StandIn:
     def read_sensors(self) -> Sensors:
         """Read every register once."""
         servos, noise = self.servos, self._rng.standard_normal((2, len(self.joints)))
-        volts = servos.robot["bus_voltage"] + 0.2 * VOLTAGE_UNIT * noise[1]
-        imu = {}
+        volts = servos.robot["bus_voltage"] + 0.2 * self._units["voltage"] * noise[1]
+        seen = {
+            "position": servos.encoders,
+            "velocity": servos.velocity,
+            "current": servos.reading + self._world.current_noise * noise[0],
+            "voltage": volts,
+            "temperature": servos.states["temperature"],
+        }
+        read = {name: quantise(values, self._units[name]) for name, values in seen.items()}
         if self._has_imu:
-            imu = dict(
-                orientation=self._imu.orientation,
-                angular_velocity=self._imu.rates_and_force[:3],
-                linear_acceleration=self._imu.rates_and_force[3:],
-            )
-        return Sensors(
-            position=quantise(servos.encoders, POSITION_UNIT),
-            velocity=quantise(servos.velocity, VELOCITY_UNIT),
-            current=quantise(servos.reading + self._world.current_noise * noise[0], CURRENT_UNIT),
-            voltage=quantise(volts, VOLTAGE_UNIT),
-            temperature=quantise(servos.states["temperature"], TEMPERATURE_UNIT),
-            **imu,
-        )
+            rates, force = np.split(self._imu.rates_and_force, 2)
+            read.update(orientation=self._imu.orientation, angular_velocity=rates, linear_acceleration=force)
+        return Sensors(**read)
 
     def play(
         self,
@@ -385,21 +381,14 @@ class StandIn:
         self.reset(np.zeros(len(self.joints)))
 
 
-def change_body(model: mujoco.MjModel, body: int, effect: Hidden) -> None:
-    """What an effect changes in a link."""
-    size = effect.size
-    if effect.name == "link_com":
-        model.body_ipos[body, 0] += size
-    elif effect.name == "link_inertia":
-        model.body_inertia[body] += size * model.body_mass[body]
-    elif effect.name == "link_mass":
-        mass = model.body_mass[body]
-        if effect.form == "plate":  # 60 mm by 40 mm, beside the link's centre of mass
-            apart = np.array([0.02, 0.0, -0.035])
-            share = size / (mass + size)
-            model.body_ipos[body] += share * apart
-            model.body_inertia[body] += size * (0.06**2 + 0.04**2) / 12 + (1 - share) * size * (apart @ apart) * 0.7
-        model.body_mass[body] = mass + size
+_UNITS: dict[str, Callable[[ServoMake], float]] = {
+    "position": lambda make: make.position_unit,
+    "velocity": lambda make: make.unit("velocity"),
+    "current": lambda make: make.unit("current") if make.counts.current else 0.001,
+    "voltage": lambda make: make.unit("voltage"),
+    "temperature": lambda make: make.unit("temperature") if make.counts.temperature else 1.0,
+}
+"""One unit of every register, of servos that do not read a current or a temperature a fine one."""
 
 
 def _whole(name: str, value: int) -> int:

@@ -16,7 +16,6 @@ It reads `verdict.yaml` as a diagnosis writes it and knows nothing of how the ve
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +23,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from scipy.stats import binomtest, bootstrap
 
 from op3.stand_in.hidden import KINDS, SEVERITIES
 
@@ -227,14 +227,10 @@ def closure(gap: Mapping[str, Any]) -> float | None:
     return float(np.clip(np.mean(shares), -1.0, 1.0)) if shares else None
 
 
-def wilson(count: int, of: int, z: float = 1.959964) -> tuple[float, float]:
+def wilson(count: int, of: int) -> tuple[float, float]:
     """Wilson's 95 % interval of a rate (Wilson 1927): count successes of `of` trials."""
-    if of == 0:
-        return 0.0, 1.0
-    share, spread = count / of, z * z / of
-    middle = (share + spread / 2) / (1 + spread)
-    half = z * math.sqrt(share * (1 - share) / of + spread / (4 * of)) / (1 + spread)
-    return max(0.0, middle - half), min(1.0, middle + half)
+    low, high = binomtest(count, of).proportion_ci(method="wilson")
+    return float(low), float(high)
 
 
 def rate(values: Sequence[bool | None]) -> dict[str, Any] | None:
@@ -278,15 +274,14 @@ def summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return summary
 
 
-def median(values: Sequence[float], resamples: int = 1000) -> dict[str, Any] | None:
-    """Median with its 95 % bootstrap interval over cases; None without any."""
-    if not len(values):
+def median(values: Sequence[float]) -> dict[str, Any] | None:
+    """Median with its 95 % bootstrap interval over cases, a point where all are alike; None without any."""
+    if not values:
         return None
-    array = np.asarray(values, dtype=float)
-    rng = np.random.default_rng(len(array))
-    draws = np.median(array[rng.integers(len(array), size=(resamples, len(array)))], axis=1)
-    low, high = np.quantile(draws, [0.025, 0.975])
-    return {"value": float(np.median(array)), "low": float(low), "high": float(high), "of": len(array)}
+    low = high = float(np.median(values))
+    if min(values) < max(values):
+        low, high = bootstrap((values,), np.median, method="percentile", rng=len(values)).confidence_interval
+    return {"value": float(np.median(values)), "low": float(low), "high": float(high), "of": len(values)}
 
 
 def calibration(stated: Sequence[Sequence[Any]]) -> dict[str, Any]:

@@ -49,7 +49,7 @@ class Sensors:
     linear_acceleration: Array | None = None
 
 
-def quantise(value: Array, unit: float) -> Array:
+def quantise(value: Array, unit: float | Array) -> Array:
     """The nearest whole number of units."""
     return np.round(value / unit) * unit
 

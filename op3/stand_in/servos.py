@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.robot import GEAR_RATIO
+from op3.robot import ServoMake, load_servo
 from op3.stand_in.hidden import Hidden
 from op3.stand_in.kernel import MEMORY, ROBOT, SERVO, STATE, TICK, encoders, step_slow
 from op3.stand_in.world import FORMS, World
@@ -39,11 +39,21 @@ class Servos:
         world: the truth.
         hidden: what is hidden besides.
         joints: names [joint].
+        makes: of the servos [joint]. A world's numbers are those of an XM430-W350, and of another make in proportion of
+            the data sheets.
         rest: angles about which the robot moves [joint] in rad; what sits at an angle is near them.
         limits: mechanical range of the joints [joint, 2] in rad.
     """
 
-    def __init__(self, world: World, hidden: Sequence[Hidden], joints: Sequence[str], rest: Array, limits: Array):
+    def __init__(
+        self,
+        world: World,
+        hidden: Sequence[Hidden],
+        joints: Sequence[str],
+        makes: Sequence[ServoMake],
+        rest: Array,
+        limits: Array,
+    ):
         self.world, count = world, len(joints)
         self.servos = np.zeros(count, SERVO)
         self.states = np.zeros(count, STATE)
@@ -51,16 +61,18 @@ class Servos:
         self.velocity = np.zeros(count)
         self._memory = np.zeros((count, MEMORY))
         self._fill(limits)
+        self._scale(makes)
         for effect in hidden:
             self._hide(effect, joints, rest)
-        self.servos["output_inertia"][self.servos["gear_stiffness"] == 0] = world.armature
+        rigid = self.servos["gear_stiffness"] == 0
+        self.servos["output_inertia"] = np.where(rigid, self.servos["armature"], self.servos["output_inertia"])
         self.states["temperature"] = self.states["air"] = world.ambient_temperature
 
     def _fill(self, limits: Array) -> None:
         """What the world alone says."""
         world, servos, robot = self.world, self.servos, self.robot
         joints = world.per_joint(len(servos))
-        servos["constant"] = GEAR_RATIO * joints["torque_constant"]
+        servos["constant"] = joints["torque_constant"]
         servos["coulomb"], servos["viscous"] = joints["coulomb_friction"], joints["viscous_friction"]
         servos["excess"], servos["resistance"] = joints["static_friction_excess"], joints["terminal_resistance"]
         for name in ("armature", "current_lag", "stribeck_velocity"):
@@ -81,6 +93,32 @@ class Servos:
         memory = np.exp(-2 * np.pi * world.torque_noise_bandwidth * TICK)
         robot["noise_memory"], robot["noise_gain"] = memory, world.torque_noise * np.sqrt(1 - memory**2)
         robot["supply"] = np.nan
+
+    def _scale(self, makes: Sequence[ServoMake]) -> None:
+        """Bring the numbers of an XM430-W350 to the makes there are, in proportion of the data sheets."""
+        servos, like = self.servos, load_servo("xm430-w350")
+
+        def of(read: Callable[[ServoMake], float]) -> Array:
+            return np.array([read(make) for make in makes]) / read(like)
+
+        torque, speed = of(_stall), of(lambda make: make.supply.si / make.output_constant)
+        servos["constant"] *= like.motor.gear_ratio.si * of(lambda make: make.output_constant)
+        servos["resistance"] *= of(lambda make: make.motor.terminal_resistance.si)
+        servos["armature"] *= of(lambda make: make.motor.armature.si)
+        servos["output_inertia"] *= of(lambda make: make.motor.armature.si)
+        for name in ("coulomb", "excess", "stiffness"):
+            servos[name] *= torque
+        for name in ("viscous", "damping"):
+            servos[name] *= torque / speed
+        supply = makes[0].supply.si / like.supply.si
+        for name in ("open_voltage", "bus_voltage"):
+            self.robot[name] *= supply
+        servos["position_unit"] = [make.position_unit for make in makes]
+        for servo, make in zip(servos, makes, strict=True):
+            law = make.position_law
+            if make.loop != "current" and law is not None:
+                servo["position_gain"], servo["max_duty"] = law.gain.si * law.error_gain.si, law.max_duty.si
+                servo["goal_speed"] = law.goal_speed.si
 
     def _hide(self, effect: Hidden, joints: Sequence[str], rest: Array) -> None:
         """Write an effect into the records; those of links, bus and world are not the servos' matter."""
@@ -139,11 +177,14 @@ class Servos:
         states["temperature"], states["air"] = kept
         for name in ("position", "gear_position", "slack", "yielded"):
             states[name] = position
+        own = self.servos["position_gain"] > 0
+        states["by_voltage"], states["goal"] = own, np.where(own, position, 0.0)
+        states["followed"] = position
         states["enabled"], states["limit"] = 1.0, np.inf
         states["noise"] = self.world.torque_noise * rng.standard_normal(len(states))
         states["drift_phase"] = rng.uniform(0, 2 * np.pi, len(states))
         self.robot["time"], self.robot["day_time"], self.robot["ticks"] = 0.0, day_time, 0.0
-        self.robot["bus_voltage"] = self.world.bus_voltage
+        self.robot["bus_voltage"] = self.robot["open_voltage"]
         self._memory[:] = self.encoders[:, None]
         self.velocity[:] = 0
         self.tick(rng)
@@ -154,6 +195,11 @@ class Servos:
         count = len(self.states)
         normal, uniform = rng.standard_normal(count), rng.random(count)
         step_slow(*self.records, self._memory, self.velocity, normal, uniform)
+
+
+def _stall(make: ServoMake) -> float:
+    """Torque of the stalled motor at its usual supply, without losses [N m]."""
+    return make.output_constant * make.supply.si / make.motor.terminal_resistance.si
 
 
 Writer = Callable[[Records, Hidden, Array], dict[str, Array | float]]

@@ -118,14 +118,23 @@ def floor_walking(seed: int) -> list[Excitation]:
     return [first if i % 6 == 0 else run(f"walk_{i - i // 6}") for i in range(26)]
 
 
-def pendulum_suite(seed: int, joint: str = "servo", poor: bool = False) -> list[Excitation]:
-    """One joint of a leg's suite, at three times its amplitude, on a pendulum."""
-    suite = (leg_walking if poor else leg_suite)(seed)
-    column = LEG_JOINTS.index("r_knee")
+def joint_suite(seed: int, robot: str = "bench", poor: bool = False) -> list[Excitation]:
+    """A leg's suite for the joints of any robot on its base, about home, as far as their limits let it be enlarged.
+
+    Args:
+        seed: of amplitudes, frequencies and phases. Equal seeds give equal commands.
+        robot: a name in `assets/robots`, or the path of a robot file.
+        poor: whether it only walks.
+    """
+    known = load_robot(robot)
+    room = np.minimum(known.home - known.limits[:, 0], known.limits[:, 1] - known.home)
+    columns = [(LEG_JOINTS.index("r_knee") + number) % len(LEG_JOINTS) for number in range(len(room))]
     runs = []
-    for run in suite:
-        away = run.motion.position[:, [column]] - run.motion.position[:, column].mean()
-        motion = Motion(run.motion.time, 3 * away, (joint,), run.motion.name)
+    for run in (leg_walking if poor else leg_suite)(seed):
+        away = run.motion.position[:, columns] - run.motion.position[:, columns].mean(0)
+        larger = np.minimum(3.0, 0.9 * room / np.maximum(np.abs(away).max(0), 1e-3))
+        position = known.home + larger * away
+        motion = Motion(run.motion.time, position, known.joints, run.motion.name, robot=known.reference)
         runs.append(Excitation(motion, run.p_gain, run.d_gain, warm=run.warm))
     return runs
 
@@ -138,9 +147,14 @@ SETTINGS: dict[str, Setting] = {
     "leg": Setting(partial(build_scene, "stand", joints=LEG_JOINTS), leg_suite, leg_walking),
     "pendulum": Setting(
         build_bench,
-        pendulum_suite,
-        partial(pendulum_suite, poor=True),
+        joint_suite,
+        partial(joint_suite, poor=True),
         metadata={name: one.default for name, one in load_robot("bench").file.parameters.items()},
     ),
+    "arm": Setting(
+        partial(build_scene, "stand", robot="arm"),
+        partial(joint_suite, robot="arm"),
+        partial(joint_suite, robot="arm", poor=True),
+    ),
 }
-"""The whole OP3 on the stand and on its feet, its right leg on the stand, and one servo with a pendulum."""
+"""The whole OP3 in the stand and on its feet, its right leg alone, one servo with a pendulum, a six-joint arm."""

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from op3.robot import load_servo
 from op3.stand_in import Hidden, World
 from op3.stand_in.kernel import TICK, step_servos
 from op3.stand_in.servos import Servos
@@ -16,7 +17,8 @@ STEP = QUIET.timestep
 
 def bank(world: World, *hidden: Hidden, count: int = 1) -> Servos:
     joints = tuple(f"joint_{number}" for number in range(count))
-    servos = Servos(world, hidden, joints, np.zeros(count), np.tile([-np.inf, np.inf], (count, 1)))
+    makes = [load_servo("xm430-w350")] * count
+    servos = Servos(world, hidden, joints, makes, np.zeros(count), np.tile([-np.inf, np.inf], (count, 1)))
     servos.reset(np.zeros(count), np.random.default_rng(0))
     return servos
 
@@ -221,3 +223,29 @@ def test_an_encoder_finds_its_angle_again():
     servos = bank(QUIET, Hidden("encoder_offset", 0.02), Hidden("encoder_nonlinearity", 0.03))
     servos.states["position"] = servos.angles(np.array([0.4]))
     assert servos.encoders == pytest.approx([0.4], abs=1e-9)
+
+
+def test_a_servo_of_another_make_is_in_proportion():
+    """An STS3215 has its own gear, motor and supply, and friction in proportion of the stalled motors' torques.
+
+    Without losses a motor at its usual supply stalls at K V / R, of the XM430 5.20 N m, of the STS3215 3.77 N m.
+    """
+    make, like = load_servo("sts3215"), load_servo("xm430-w350")
+    servos = Servos(QUIET, (), ("joint",), [make], np.zeros(1), np.array([[-1.0, 1.0]]))
+    stalls = [one.output_constant * one.supply.si / one.motor.terminal_resistance.si for one in (make, like)]
+    assert stalls == pytest.approx([3.77, 5.20], abs=0.01)
+    assert servos.servos["coulomb"][0] == pytest.approx(QUIET.coulomb_friction * stalls[0] / stalls[1])
+    more = QUIET.torque_constant / like.motor.torque_constant.si
+    assert servos.servos["constant"][0] == pytest.approx(more * make.output_constant)
+    assert servos.robot["open_voltage"][0] == pytest.approx(QUIET.bus_voltage * 7.4 / 11.1)
+
+
+def test_a_position_loop_of_its_own():
+    """A duty of 0.166 per rad and unit of gain: at 32 units and 0.05 rad off it is 0.266, and never above 0.97."""
+    servos = Servos(QUIET, (), ("joint",), [load_servo("sts3215")], np.zeros(1), np.array([[-3.0, 3.0]]))
+    servos.reset(np.zeros(1), np.random.default_rng(0))
+    for goal, duty in ((0.05, 0.166 * 32 * 0.05), (1.0, 0.97)):
+        servos.states["goal"] = goal
+        for _ in range(100):
+            servos.tick(np.random.default_rng(0))
+        assert servos.states["duty"][0] == pytest.approx(duty, abs=1e-6)

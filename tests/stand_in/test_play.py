@@ -111,7 +111,7 @@ def test_metadata_holds_no_truth():
     assert not hidden & {value for value in metadata.values() if isinstance(value, int | float)}
     assert set(metadata) <= {
         *("joints", "robot", "mount", "rate", "battery", "servo", "motion", "recording"),
-        *("seed", "fallen", "complete", "extra"),
+        *("seed", "fallen", "complete", "extra", "robot_file"),
     }
     # The nominal battery says nothing about the real one.
     assert metadata["battery"] == StandIn(World(bus_voltage=12.6), "stand").play(SHORT, settle=0.1).metadata.battery
@@ -183,7 +183,7 @@ def test_targets_beyond_the_soft_limits_are_refused():
 
 def test_the_bench_plays_a_motion_of_its_own():
     """The pendulum follows a motion of its joint; it has no IMU and cannot fall."""
-    motion = Motion(np.arange(60) / 125, np.linspace(0, 0.5, 60)[:, None], ("servo",))
+    motion = Motion(np.arange(60) / 125, np.linspace(0, 0.5, 60)[:, None], ("servo",), robot="bench")
     log = StandIn(World(), build_bench()).play(motion, metadata={"mass": 0.5, "length": 0.15})
     assert abs(log.column("servo.position")[-1] - 0.5) < 0.2
     assert log.metadata.fallen is None
