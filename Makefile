@@ -14,7 +14,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	touch $@
 
 demo: install
-	$(BIN)/python experiments/sim2real.py robot=emulated task=balance world=robot_4 budget=demo
+	$(BIN)/python experiments/sim2real.py source=emulated task=balance world=robot_4 budget=demo
 
 # two tests at a time: more would slow down those that keep real time, on machines of any size
 test: install

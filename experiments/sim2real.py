@@ -1,6 +1,6 @@
 """The whole method against a robot: collect, identify, train, deploy, judge, and learn from failure.
 
-python experiments/sim2real.py robot=emulated task=balance world=random seed=0 [budget=demo|laptop|paper]
+python experiments/sim2real.py source=emulated task=balance world=random seed=0 [budget=demo|laptop|paper]
 python experiments/sim2real.py task=walk world=robot_4 policy=assets/policies/walk    # begin with a policy that exists
 python experiments/sim2real.py -m world=robot_1,robot_4 condition=excitation_only,reidentified,domain_randomisation
 
@@ -8,6 +8,7 @@ Every stage is an experiment of its own in a folder of its own. The same command
 where an interrupted one stopped.
 """
 
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ import yaml
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from stages import Stages
-from support import ASKED, check_same, library_motion, one_sentence, plain, positive, remember, whole
+from support import ASKED, check_same, library_motion, one_sentence, plain, positive, remember, source_word, whole
 
 from op3.command_line import launch
 from op3.identify.episodes import ended_by, that_count
@@ -103,9 +104,9 @@ def draw(log: Rollout, task: str, path: Path) -> Path | None:
 
 def on_robot(cfg: DictConfig) -> list[str]:
     """Overrides of collect.py for the robot."""
-    robot = chosen("robot")
-    where = [f"robot={robot}", f"seed={cfg.seed}"]
-    if robot == "emulated":
+    source = chosen("source")
+    where = [f"source={source}", f"seed={cfg.seed}"]
+    if source == "emulated":
         return [*where, f"world={cfg.world}", f"world_seed={cfg.world_seed}"]
     return [*where, f"port={cfg.port}"]
 
@@ -137,15 +138,15 @@ def check(cfg: DictConfig) -> dict[str, Any]:
             f"condition must be one of {', '.join(cfg.conditions)} and task one of {', '.join(JUDGED)};"
             f" got {cfg.condition}, {chosen('task')}"
         )
-    if chosen("robot") not in ROBOTS:
-        raise ValueError(f"robot must be {' or '.join(ROBOTS)}: it has to play a policy; got {chosen('robot')}")
+    if chosen("source") not in ROBOTS:
+        raise ValueError(f"source must be {' or '.join(ROBOTS)}: it has to play a policy; got {chosen('source')}")
     name = chosen("budget")
     if name not in cfg.budgets:
         raise ValueError(f"budget must be one of {', '.join(cfg.budgets)}, got {name}")
     whole(cfg, "rounds", 0)
     if positive(cfg, "criterion", "the promised return") > MOST:
         raise ValueError(f"criterion is a share of the promised return, 0.8 for 80 %, got {cfg.criterion}")
-    if chosen("robot") == "emulated":
+    if chosen("source") == "emulated":
         World.find(cfg.world, cfg.world_seed)
     load_model(cfg.conditions[cfg.condition].get("model", cfg.model))
     if not isinstance(cfg.diagnose, bool | None):
@@ -212,7 +213,7 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
     promising = None if cfg.policy is None else trained_on(cfg)
     # more rounds may be added later
     what = {name: plain(cfg[name]) for name in ("condition", "criterion", "policy", "diagnose", "warm_start", "seed")}
-    what |= {group: chosen(group) for group in ("task", "robot", "budget")}
+    what |= {group: chosen(group) for group in ("task", "source", "budget")}
     check_same(folder / ASKED, what)
     remember(folder / ASKED, what)
     stages = Stages(folder)
@@ -298,7 +299,7 @@ def reidentified(
 def what_is_done(cfg: DictConfig) -> str:
     """Task and robot, for who reads the page alone."""
     robot = f"The robot is emulated: its truth, `{cfg.world}`, is hidden from all that learns."
-    return f"{TOLD[chosen('task')]}. {robot if chosen('robot') == 'emulated' else 'The robot is real.'}"
+    return f"{TOLD[chosen('task')]}. {robot if chosen('source') == 'emulated' else 'The robot is real.'}"
 
 
 def report(
@@ -368,4 +369,5 @@ def main(cfg: DictConfig) -> Any:
 
 
 if __name__ == "__main__":
+    sys.argv = [source_word(argument) for argument in sys.argv]
     launch(main, "sim2real", __doc__)

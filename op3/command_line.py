@@ -4,6 +4,7 @@ The overrides are Hydra's, as of ``python experiments/<name>.py``; both go throu
 """
 
 import ast
+import difflib
 import importlib.resources
 import itertools
 import os
@@ -38,7 +39,7 @@ COMMANDS: Mapping[str, str] = {
 """Experiment of each command."""
 
 PRESETS: Mapping[str, Sequence[str]] = {
-    "demo": ("robot=emulated", "task=balance", "world=robot_4", "budget=demo"),
+    "demo": ("source=emulated", "task=balance", "world=robot_4", "budget=demo"),
 }
 """Overrides that a command begins with."""
 
@@ -262,7 +263,8 @@ def explained(error: Exception, config: str) -> str:
     if found := re.search(r"Could not override '([^']+)'", text):
         asked = found.group(1).lstrip("+")
         known = known_settings(config)
-        return f"there is no setting {asked!r}{nearest(asked, known)}"
+        close = difflib.get_close_matches(asked, known, n=1)
+        return f"there is no setting {asked!r}{nearest(asked, close or [name for name in known if '.' not in name])}"
     if found := re.search(r"(?:Error parsing override|OverrideParseException:?) '([^']*)'", text):
         name = found.group(1).partition("=")[0]
         return f"{found.group(1)}: cannot be read; put the value in quotes, \"{name}='...'\""
@@ -290,7 +292,8 @@ def known_settings(config: str) -> list[str]:
                 walk(value, f"{prefix}{key}.")
 
     walk(cfg, "")
-    return [*names, *(choice.partition("=")[0] for choice in settings_of(config))]
+    groups = [choice.partition("=")[0] for choice in settings_of(config)]
+    return list(dict.fromkeys([*names, *groups]))
 
 
 def end(sentence: str) -> NoReturn:

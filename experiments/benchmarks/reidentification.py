@@ -37,7 +37,7 @@ AIM = 0.4
 
 def one_robot(cfg: DictConfig, stages: Stages, robot: str) -> dict[str, dict[str, Any]]:
     """All stages of a robot; returns what its re-identification found, and the cost of that, on each road."""
-    hidden = ["robot=emulated", f"world={robot}", f"seed={cfg.seed}"]
+    hidden = ["source=emulated", f"world={robot}", f"seed={cfg.seed}"]
     squat = stages.run(f"{robot}/squat", "collect.py", *hidden, "motion=squat")
     how = ["method=lsq", "ablate=[]", "wandb=disabled", *plain(cfg.identify)]
     model = stages.run(f"{robot}/identify", "identify.py", f"data={squat}", f"seed={cfg.seed}", *how) / "model.yaml"

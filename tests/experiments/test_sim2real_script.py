@@ -42,7 +42,7 @@ def sim2real(folder, *overrides):
     return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
 
 
-DEMO = ("robot=emulated", "task=balance", "world=robot_4")
+DEMO = ("source=emulated", "task=balance", "world=robot_4")
 
 
 def refused(folder, arguments, sentence):
@@ -62,7 +62,7 @@ def test_unknown_names_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        ((*DEMO[1:], "robot=stand_in"), "robot must be emulated or real"),
+        ((*DEMO[1:], "source=stand_in"), "source must be emulated or real"),
         ((*DEMO, "policy=nowhere"), "nowhere"),
         ((*DEMO, "policy=assets/policies/walk"), "was trained for walk, not for balance"),
         ((*DEMO, "policy=assets/policies/balance", "trained_on=paper_without_dte"), "is not that; give trained_on="),
@@ -105,13 +105,14 @@ def test_make_demo_is_a_command_that_the_script_takes():
     [
         ("diagnose", ["data=stand", "model=m", "seed=0", "policy=p", "actual=e", "task=walk"]),
         ("reidentify", ["policy=p", "model=m", "data=s", "episodes=e", "task=walk", "start_name=re-identified before"]),
-        ("collect", ["robot=emulated", "world=robot_1", "world_seed=0", "policy=p", "task=walk", "repeats=10"]),
+        ("collect", ["source=emulated", "world=robot_1", "world_seed=0", "policy=p", "task=walk", "repeats=10"]),
         ("evaluate", ["policy=p", "model=m", "task=walk", "episodes=10", "seed=0", "logs=false"]),
     ],
 )
 def test_what_stages_are_asked_is_what_they_take(experiment, overrides):
     """The overrides that the loop hands to its stages compose, and the task arrives."""
     import_module("op3.identify.sweeper")  # registers itself
+    import_module("op3.identify.search_groups").register()
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
         composed = compose(experiment, overrides)
     assert instantiate(composed.task).name == "walk"

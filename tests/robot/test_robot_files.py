@@ -104,8 +104,8 @@ def test_robots_travel_between_processes(tmp_path):
             r"line 6: imu names the site 'eye', which there is not; there are ",
         ),
         (
-            {"  j0: {bus_id: 1}\n": "", "joints:": "joints:\n  j3: {bus_id: 1}", "\n  j3: {bus_id: 4}": ""},
-            "write j1, j2, j3",
+            {"joints:": "joints:\n  j3: {bus_id: 9}", "\n  j3: {bus_id: 4}": ""},
+            "write j0, j1, j2, j3",
         ),
         ({"joints:": "joints: ["}, r"is no valid YAML"),
     ],

@@ -122,7 +122,7 @@ def bench_model() -> RobotModel:
 
 def swing() -> Motion:
     time = np.arange(1000) * 0.001
-    return Motion(time, np.sin(4 * time)[:, None], ("servo",), "sine")
+    return Motion(time, np.sin(4 * time)[:, None], ("servo",), "sine", robot="bench")
 
 
 def test_the_bench_replays_position_servos_of_any_pendulum():
