@@ -48,11 +48,17 @@ class Physics(Protocol):
 
     Attributes:
         joints: names of the joints, in the order of every [joint] array.
-        supply: voltage of the supply [V], where it is not the robot's own battery.
     """
 
     joints: tuple[str, ...]
-    supply: float | None
+
+    @property
+    def supply(self) -> float | None:
+        """Voltage of the supply [V], where it is not the robot's own battery."""
+        ...
+
+    @supply.setter
+    def supply(self, voltage: float | None) -> None: ...
 
     @property
     def position(self) -> Array:
