@@ -10,6 +10,7 @@ import itertools
 import os
 import re
 import runpy
+import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
@@ -56,6 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Args:
         arguments: the command and what follows it; those of the process where None.
     """
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `op3 --help | head` ends as other commands do
     given = list(sys.argv[1:] if arguments is None else arguments)
     available = {name: script(name) for name in COMMANDS if script(name).is_file()}
     if not given or given[0] in ("-h", "--help", "help"):
@@ -73,6 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if command not in available:
         end(f"op3 has no command {command!r}{nearest(command, [*available, 'doctor', 'completion'])}")
     path = available[command]
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # as Python has it: a closed socket is an error, not the end
     sys.argv = [str(path), *PRESETS.get(command, ()), *rest]
     sys.path.insert(0, str(path.parent))
     runpy.run_path(str(path), run_name="__main__")
