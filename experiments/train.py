@@ -59,10 +59,15 @@ FRAME_EVERY = 2
 """Policy steps between two frames of the film."""
 
 
+def earlier(cfg: DictConfig) -> PolicyBundle | None:
+    """The policy to start with, where there is one."""
+    return None if cfg.warm_start is None else PolicyBundle.load(cfg.warm_start)
+
+
 def actions(cfg: DictConfig) -> ActionMap:
     """What actions mean: the same as those of the policy to start with; with `fixed_gain` they command angles alone."""
-    if cfg.warm_start is not None:
-        return PolicyBundle.load(cfg.warm_start).manifest.action_map
+    if (start := earlier(cfg)) is not None:
+        return start.manifest.action_map
     made = ActionMap.around_stand(cfg.span)
     if cfg.fixed_gain is None:
         return made
@@ -80,7 +85,10 @@ def environment(cfg: DictConfig, task: Task, count: int, seed: int) -> BatchedEn
 
 def robots(cfg: DictConfig, task: Task) -> Collector:
     """What collects."""
-    extras = tuple(("reward_terms", name) for name in task.reward_terms)
+    extras = (
+        *(("reward_terms", name) for name in task.reward_terms),
+        *(("peak", name) for name in PEAKS),
+    )
     options = {**plain(cfg.environment), "action_map": actions(cfg), "backend": cfg.env}
     if cfg.env == "composer" and cfg.environments != 1:
         raise ValueError(f"env=composer is one robot: use environments=1, got {cfg.environments}")
@@ -88,7 +96,6 @@ def robots(cfg: DictConfig, task: Task) -> Collector:
         options["num_threads"] = cfg.threads
     if task.cycle is not None:  # a policy that walks begins anywhere in the gait
         task = replace(task, first_phase=None)
-    extras += tuple(("peak", name) for name in PEAKS)
     return Collector(make_env(task, cfg.model, cfg.environments, cfg.seed, **options), extras)
 
 
@@ -131,9 +138,8 @@ def learner(cfg: DictConfig, manifest: Manifest) -> SAC:
         torch.as_tensor(manifest.action_map.stand(cfg.initial_gain)),
         device,
     )
-    if cfg.warm_start is not None and cfg.resume is None:
-        earlier = PolicyBundle.load(cfg.warm_start)
-        sac.start_from(earlier)
+    if cfg.resume is None and (start := earlier(cfg)) is not None:
+        sac.start_from(start)
     return sac
 
 
@@ -146,8 +152,8 @@ def run(cfg: DictConfig) -> dict[str, Any]:
         whole(cfg, f"evaluation.{name}", least)
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
     task, provenance = instantiate(cfg.task), run_provenance(seed=cfg.seed)
-    if cfg.warm_start is not None:
-        cfg.sac.hidden = list(PolicyBundle.load(cfg.warm_start).manifest.hidden)
+    if (start := earlier(cfg)) is not None:
+        cfg.sac.hidden = list(start.manifest.hidden)
     manifest, settings = describe(cfg, task, provenance), TrainSettings(**plain(cfg.train))
     judge_task = task if cfg.evaluation.task is None else find_task(cfg.evaluation.task)
     judge = environment(cfg, judge_task, cfg.evaluation.episodes, cfg.evaluation.seed)

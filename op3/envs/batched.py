@@ -101,7 +101,7 @@ class BatchedEnv(EnvBase):
         if self._fixed:
             self.simulation.set_parameters(self._fixed)
         self._beginnings: dict[int, Beginning] = {}
-        self._practice: dict[str, float] = {}
+        self._speed_bonus = 0.0
         self._beginning_task = task
         self._ground: Ground | None = None
         self._trunk = batch.bind("xfrc_applied")[:, batch.model.body(robot.trunk.full_identifier).id]
@@ -123,7 +123,7 @@ class BatchedEnv(EnvBase):
         self._episodes = np.zeros(self.num_envs, dtype=np.int64)
         generator = torch.Generator().manual_seed(self.seed)
         self.rules = Rules(self.task, self.action_map, self.num_envs, generator)
-        self.rules.speed_bonus = self._practice.get("speed_bonus", 0.0)
+        self.rules.speed_bonus = self._speed_bonus
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDict:
         mask = torch.ones(self.num_envs, dtype=torch.bool)
@@ -154,8 +154,7 @@ class BatchedEnv(EnvBase):
             speed_bonus: see `op3.tasks.rules.Rules`.
             **task: numbers of the task, such as `terrain_height`, for the episodes that begin from now on.
         """
-        self._practice = {"speed_bonus": speed_bonus}
-        self.rules.speed_bonus = speed_bonus
+        self._speed_bonus = self.rules.speed_bonus = speed_bonus
         self._beginning_task = find_task(self.task, **task)
 
     def set_parameters(self, values: Mapping[str, Tensor | float]) -> None:

@@ -86,11 +86,6 @@ class Manifest:
         """Numbers in an observation: the latest one and `history` earlier ones."""
         return sum(self.layout.values()) * (self.history + 1)
 
-    @property
-    def command_ticks(self) -> int:
-        """Ticks of the PD control per action."""
-        return round(self.command_rate / self.policy_rate)
-
     def check_fits(self, layout: Mapping[str, int], history: int, command_rate: float, policy_rate: float) -> None:
         """Refuse a robot or a task that gives other observations or runs at other rates than the policy was made for.
 

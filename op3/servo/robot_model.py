@@ -32,13 +32,6 @@ class Estimate:
     intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     by: Mapping[Condition, "Estimate"] = field(default_factory=dict)
 
-    @classmethod
-    def of_row(cls, row: Tensor, joints: Sequence[str]) -> "Estimate":
-        """From the values of all joints, or the whole robot's one: shared, or where they differ their mean and each."""
-        if len(row) == 1 or bool((row == row[0]).all()):
-            return cls(float(row[0]))
-        return cls(float(row.mean()), joints=dict(zip(joints, row.tolist(), strict=True)))
-
 
 @dataclass(frozen=True)
 class RobotModel:
