@@ -216,7 +216,7 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
     what |= {group: chosen(group) for group in ("task", "source", "budget")}
     check_same(folder / ASKED, what)
     remember(folder / ASKED, what)
-    stages = Stages(folder)
+    stages = Stages(folder, None if cfg.shared is None else Path(cfg.shared).absolute())
     squat = stages.run("squat", "collect.py", *on_robot(cfg), "motion=squat")
     heldout = stages.run("squat_heldout", "collect.py", *on_robot(cfg), "motion=squat_heldout")
 
@@ -310,6 +310,8 @@ def report(
     values: dict[str, Any] = {
         "success": transfers[-1].success,
         "rounds": len(transfers) - 1,
+        "task": chosen("task"),
+        "world": cfg.world if chosen("source") == "emulated" else "real",
         "condition": cfg.condition,
         "budget": budget,
         "wall_seconds": sum(stages.seconds.values()),
@@ -319,6 +321,7 @@ def report(
             f"transfer_{number}.expected": float(np.mean(one.expected)),
             f"transfer_{number}.actual": float(np.mean(one.actual)),
             f"transfer_{number}.share": one.share,
+            f"transfer_{number}.episodes": len(one.actual),
             f"transfer_{number}.upright": float(np.mean(one.upright)),
             f"transfer_{number}.success": one.success,
             f"transfer_{number}.training_began_with": one.began_with,

@@ -1,12 +1,17 @@
 """Experiments one after another, each once: what longer experiments are made of."""
 
 import ctypes
+import fcntl
+import hashlib
+import json
+import os
 import resource
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import yaml
@@ -37,6 +42,14 @@ def children_seconds() -> float:
     return used.ru_utime + used.ru_stime
 
 
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Keep other processes out as long as this one works, those of other machines on the same disk too."""
+    with path.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
 def _is_work(path: Path) -> bool:
     """Whether a file or folder of a stage is more than what every start leaves."""
     return path.name not in (ASKED, ".hydra") and path.suffix != ".log"
@@ -47,10 +60,13 @@ class Stages:
 
     Args:
         folder: of the whole run; each stage gets a folder in it.
+        shared: folder in which stages are kept by what they were asked, so that runs have them in common: whichever
+            comes first does the work, and the folder of each run links to it. None: every run does all of its own.
     """
 
-    def __init__(self, folder: Path):
+    def __init__(self, folder: Path, shared: Path | None = None):
         self.folder = folder
+        self.shared = shared
         self.seconds: dict[str, float] = {}
         """Duration of each stage [s]."""
         self.processor_seconds: dict[str, float] = {}
@@ -64,9 +80,17 @@ class Stages:
         Raises:
             ValueError: if it fails, or was begun with other settings.
         """
-        place = self.folder / name
-        mark = place / DONE
+        overrides = tuple(self._real(override) for override in overrides)
         asked = {"script": script, **by_name(overrides)}
+        if self.shared is None:
+            return self._run(name, self.folder / name, script, overrides, asked)
+        place = self._common(name, asked)
+        with _alone(place.with_suffix(".lock")):
+            self._run(name, place, script, overrides, asked)
+        return self.folder / name
+
+    def _run(self, name: str, place: Path, script: str, overrides: Sequence[str], asked: dict[str, str]) -> Path:
+        mark = place / DONE
         check_same(place / ASKED, asked)
         if mark.exists():
             self.seconds[name], self.processor_seconds[name] = map(float, mark.read_text(encoding="utf-8").split())
@@ -88,6 +112,23 @@ class Stages:
         write_text(mark, f"{self.seconds[name]:.1f} {self.processor_seconds[name]:.1f}\n")
         return place
 
+    def _real(self, override: str) -> str:
+        """An override in which a path into this run is that of what is shared."""
+        key, equals, value = override.partition("=")
+        inside = self.shared is not None and value.startswith(str(self.folder))
+        return f"{key}{equals}{Path(value).resolve() if inside else value}"
+
+    def _common(self, name: str, asked: dict[str, str]) -> Path:
+        """The shared folder of a stage, with a link to it from this run's."""
+        assert self.shared is not None
+        text = json.dumps(asked, sort_keys=True).replace(str(self.shared.resolve()), "")
+        place = self.shared.resolve() / f"{name.lstrip('0123456789_')}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
+        place.mkdir(parents=True, exist_ok=True)
+        link = self.folder / name
+        if not link.exists():
+            link.symlink_to(os.path.relpath(place, self.folder.resolve()), target_is_directory=True)
+        return place
+
     def on_stand(self, name: str, motions: Sequence[str], *robot: str) -> Path:
         """Record motions of a robot in its stand, as one stage.
 
@@ -96,9 +137,9 @@ class Stages:
             motions: names; one may be played several times.
             robot: overrides of collect.py for it.
         """
-        plan = (self.folder / name).parent / "stand_plan.yaml"
         content = {"plan": [{"motion": motion, "mount": "stand"} for motion in motions]}
-        if (self.folder / name).exists():
+        plan = (self.shared or (self.folder / name).parent) / "stand_plan.yaml"
+        if plan.exists():
             check_same(plan, content)
         write_text(plan, yaml.safe_dump(content))
         return self.run(name, "collect.py", *robot, f"plan={plan}")

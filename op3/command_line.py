@@ -34,6 +34,7 @@ COMMANDS: Mapping[str, str] = {
     "deploy": "deploy",
     "reidentify": "reidentify",
     "sim2real": "sim2real",
+    "transfers": "transfer_table",
     "emulate": "emulate_robot",
     "compare": "compare_runs",
 }

@@ -1,0 +1,155 @@
+"""How often policies transfer, by what they were trained on: the paper's tables III and IV with intervals."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from op3.report.page import Page
+from op3.report.provenance import run_provenance
+from op3.report.result import read_result, write_result
+from op3.report.style import boxes_figure, words
+from op3.tasks.evaluation import wilson_interval
+
+FAILED = "failed.txt"
+"""File in the folder of a cell that could not be run: why."""
+
+PAGE, NUMBERS = "transfers.html", "transfers.yaml"
+
+PAPER = {
+    "balance": {
+        "excitation_only": "0/3",
+        "reidentified": "3/3",
+        "excitation_only_without_dte": "0/3",
+        "reidentified_without_dte": "0/3",
+        "domain_randomisation": "0/3",
+    },
+    "walk": {"excitation_only": "0/3", "reidentified": "3/3", "domain_randomisation": "0/3"},
+}
+"""Successful transfers of the paper, on one real robot: its Tables III and IV, in their order."""
+
+Transferred = Mapping[str, Any]
+"""Numbers of a run of sim2real.py, by dotted key."""
+
+
+def read_cells(folder: str | Path) -> list[Transferred]:
+    """All runs of sim2real.py directly in a folder that are finished, by name."""
+    return [read_result(path) for path in sorted(Path(folder).glob("*/result.yaml"))]
+
+
+def write_table(cells: Sequence[Transferred], folder: Path) -> tuple[Path, Path]:
+    """Write page and numbers.
+
+    Args:
+        cells: finished runs, at least one.
+        folder: of the multirun; what could not be run is listed from it too.
+
+    Returns:
+        Their paths.
+    """
+    page = Page("Transfers by what the policy was trained on", _lead(cells))
+    values: dict[str, Any] = {}
+    for task in sorted({cell["task"] for cell in cells}):
+        here = [cell for cell in cells if cell["task"] == task]
+        found = {condition: [one for one in here if one["condition"] == condition] for condition in _conditions(here)}
+        worlds = sorted({cell["world"] for cell in here})
+        values[task] = {name: _numbers(of) for name, of in found.items()}
+        page.section(words(task).capitalize())
+        rows = [[words(name), PAPER.get(task, {}).get(name, ""), *_row(of, worlds)] for name, of in found.items()]
+        header = ["trained on", "paper", *worlds, "all robots", "95 % interval", "episodes to their end", "share [%]"]
+        caption = (
+            "Successful transfers of those tried, by robot. In brackets: how many of them succeeded at once, so that"
+            " nothing was learned from a failure. Share: mean return on the robot over that in simulation."
+        )
+        page.table(header, rows, caption, digits=3)
+        shares = {
+            w: {words(n): [_last(c, "share") for c in of if c["world"] == w] for n, of in found.items()} for w in worlds
+        }
+        page.figure(boxes_figure(shares, "return, robot over simulation [-]"), "Each transfer, by robot.")
+    page.section("Every transfer")
+    columns = ("task", "world", "condition", "provenance.seed", "rounds", "success")
+    rows = [
+        [*(cell[name] for name in columns), *(_last(cell, k) for k in ("expected", "actual", "upright"))]
+        for cell in cells
+    ]
+    page.table(
+        [
+            "task",
+            "robot",
+            "trained on",
+            "seed",
+            "learned from failures",
+            "success",
+            "promised",
+            "on the robot",
+            "upright",
+        ],
+        rows,
+    )
+    failed = {path.parent.name: path.read_text(encoding="utf-8").strip() for path in sorted(folder.glob(f"*/{FAILED}"))}
+    if failed:
+        page.table(["cell", "why it could not be run"], [[name, why] for name, why in failed.items()])
+    page.provenance(run_provenance())
+    result = write_result(folder / NUMBERS, {**values, "failed": failed, "provenance": run_provenance()})
+    return page.write(folder / PAGE), result
+
+
+def _conditions(cells: Sequence[Transferred]) -> list[str]:
+    """Conditions in the paper's order, then ours."""
+    return list(
+        dict.fromkeys(
+            [
+                *(n for n in PAPER["balance"] if any(c["condition"] == n for c in cells)),
+                *(c["condition"] for c in cells),
+            ]
+        )
+    )
+
+
+def _last(cell: Transferred, name: str) -> Any:
+    return cell[f"transfer_{cell['rounds']}.{name}"]
+
+
+def _counts(cells: Sequence[Transferred]) -> str:
+    good = [cell for cell in cells if cell["success"]]
+    return f"{len(good)}/{len(cells)} ({sum(not cell['rounds'] for cell in good)})" if cells else "–"
+
+
+def _episodes(cells: Sequence[Transferred]) -> tuple[int, int]:
+    """Episodes on the robot that went to their end, and all."""
+    name = "walked" if cells[0]["task"] == "walk" else "upright"
+    played = [_last(cell, "episodes") for cell in cells]
+    return sum(round(n * _last(cell, name)) for n, cell in zip(played, cells, strict=True)), sum(played)
+
+
+def _numbers(cells: Sequence[Transferred]) -> dict[str, Any]:
+    good, (ended, episodes) = sum(bool(cell["success"]) for cell in cells), _episodes(cells)
+    return {
+        "transfers": len(cells),
+        "successes": good,
+        "at_once": sum(bool(cell["success"]) and not cell["rounds"] for cell in cells),
+        "interval": list(wilson_interval(good, len(cells))),
+        "episodes": episodes,
+        "episodes_to_their_end": ended,
+        "share": sum(_last(cell, "share") for cell in cells) / len(cells),
+    }
+
+
+def _row(cells: Sequence[Transferred], worlds: Sequence[str]) -> list[Any]:
+    numbers = _numbers(cells)
+    low, high = numbers["interval"]
+    return [
+        *(_counts([cell for cell in cells if cell["world"] == world]) for world in worlds),
+        _counts(cells),
+        f"{100 * low:.0f} to {100 * high:.0f} %",
+        f"{numbers['episodes_to_their_end']} of {numbers['episodes']}",
+        100 * numbers["share"],
+    ]
+
+
+def _lead(cells: Sequence[Transferred]) -> str:
+    good = sum(bool(cell["success"]) for cell in cells)
+    criteria = (
+        "Balancing succeeds if the mean return on the robot reaches 80 % of what simulation promised, walking if eight"
+        " of ten episodes go forwards without a fall for ten seconds, as in the paper."
+    )
+    return f"{good} of {len(cells)} transfers succeed. {criteria} The robots are emulated; their truth is hidden."
