@@ -16,6 +16,7 @@ What fields have to do with each other is checked in ``__post_init__`` as in any
 import dataclasses
 import difflib
 import functools
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, dataclass_transform
@@ -153,41 +154,103 @@ def nearest(name: object, known: Iterable[str]) -> str:
     return f"; the nearest is {close[0]!r}" if close else f"; there are {', '.join(known)}"
 
 
-def read_yaml(path: str | Path) -> dict[str, Any]:
+_SCALARS = {
+    "bool": (r"true|True|TRUE|false|False|FALSE", "tTfF"),
+    "int": (r"[-+]?[0-9]+", "-+0123456789"),
+    "float": (
+        r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
+        "-+.0123456789",
+    ),
+    "null": (r"~|null|Null|NULL|", ["~", "n", "N", ""]),
+}
+"""Plain values of YAML 1.2, and what they begin with."""
+
+_MOST_ALIASES = 20
+"""Few enough that no text of ours is refused, and that lists of lists of aliases cannot fill the memory."""
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML as people write it: 1e-3 is a number, `on` a name, and a key that stands twice is refused.
+
+    PyYAML reads YAML 1.1, in which 1e-3 is a text, `no` is false and 1:30 is ninety; of two equal keys the last wins.
+    """
+
+    yaml_implicit_resolvers: dict[Any, Any] = {}
+    aliases = 0
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        self.aliases += self.check_event(yaml.AliasEvent)
+        if self.aliases > _MOST_ALIASES:
+            raise yaml.composer.ComposerError(None, None, "too many aliases", self.peek_event().start_mark)
+        return super().compose_node(parent, index)
+
+    def construct_once(self, node: yaml.MappingNode) -> dict[Any, Any]:
+        """A mapping whose keys differ."""
+        lines: dict[str, int] = {}
+        for key, _ in node.value:
+            line = key.start_mark.line + 1
+            if isinstance(key, yaml.ScalarNode) and lines.setdefault(key.value, line) != line:
+                raise _Twice(key.value[:60], lines[key.value], line)
+        return self.construct_mapping(node, deep=True)
+
+
+class _Twice(Exception):
+    """A key, and the two lines at which it stands."""
+
+
+for _name, (_pattern, _first_letters) in _SCALARS.items():
+    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_name}", re.compile(f"^(?:{_pattern})$"), [*_first_letters])
+_Loader.add_constructor("tag:yaml.org,2002:int", lambda loader, node: int(node.value))
+_Loader.add_constructor("tag:yaml.org,2002:map", _Loader.construct_once)
+
+
+def _told(problem: str, remedy: str, *, source: object, column: str | None = None) -> Exception:
+    return ValueError(f"{source}{f', {column}' if column else ''}: {problem}; {remedy}")
+
+
+def read_yaml(path: str | Path, raises: Callable[..., Exception] = _told) -> dict[str, Any]:
     """The mapping in a YAML file.
+
+    Args:
+        path: of the file.
+        raises: makes the error of a problem, its remedy, and where it is (`source`, `column`).
 
     Raises:
         FileNotFoundError: if there is none.
-        ValueError: if it is not UTF-8 text, no YAML (with the line), or no mapping of names to values.
+        ValueError: if it is not UTF-8 text, no YAML (with the line), or no mapping of names to values; or what `raises`
+            makes of it.
     """
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}: correct the path")
     try:
-        return parse_yaml(path.read_text(encoding="utf-8"), path)
+        text = path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise ValueError(f"{path} is not UTF-8 text: write a YAML file there") from None
+        raise raises("the file is not UTF-8 text", "write a YAML file there", source=path) from None
+    except OSError as error:
+        raise raises(f"the file cannot be read ({error.strerror})", "correct the path", source=path) from None
+    return parse_yaml(text, path, raises)
 
 
-def parse_yaml(text: str, source: str | Path) -> dict[str, Any]:
-    """The mapping that a YAML text holds.
-
-    Args:
-        text: to parse.
-        source: of the text, named in errors.
-
-    Raises:
-        ValueError: if it is no YAML (with the line), or no mapping of names to values.
-    """
+def parse_yaml(text: str, source: str | Path, raises: Callable[..., Exception] = _told) -> dict[str, Any]:
+    """The mapping that a YAML text holds; errors as those of `read_yaml`, with `source` named."""
     try:
-        values = yaml.safe_load(text)
+        values = yaml.load(text, Loader=_Loader)
+    except _Twice as error:
+        key, first, line = error.args
+        problem = f"the key stands at line {first} and again at line {line}"
+        raise raises(problem, "keep the one that is right", source=source, column=f"field {key}") from None
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
-        raise ValueError(f"{source}, line {line} is no valid YAML ({error.problem}): correct it") from None
-    except (yaml.YAMLError, ValueError, OverflowError, RecursionError, AttributeError, TypeError) as error:
-        # PyYAML lets errors of its value constructors (a date 2026-99-99) through unmarked.
-        raise ValueError(f"{source} is no valid YAML ({' '.join(str(error).split())}): correct it") from None
-    if not isinstance(values, dict) or not all(isinstance(name, str) for name in values):
+        raise raises(f"line {line} is no valid YAML ({error.problem})", "correct it", source=source) from None
+    except (yaml.YAMLError, ValueError, OverflowError, RecursionError, AttributeError, TypeError):
+        # PyYAML lets errors of its value constructors through unmarked
+        remedy = "write plain `name: value` lines with valid numbers"
+        raise raises("the text is no valid YAML", remedy, source=source) from None
+    if not isinstance(values, dict):
         kind = "empty" if values is None else f"a {type(values).__name__}"
-        raise ValueError(f"{source} is {kind} and no mapping: write one `name: value` per line")
+        raise raises(f"the file is {kind} and no mapping", "write one `name: value` per line", source=source)
+    for name in values:
+        if not isinstance(name, str):
+            raise raises(f"{name!r} is no name", "write one `name: value` per line", source=source)
     return values

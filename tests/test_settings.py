@@ -64,8 +64,10 @@ def test_what_configs_write_is_understood():
     ("content", "sentence"),
     [
         (b"a: [1\nb: 2", "line 2 is no valid YAML"),
-        (b"date: 2026-99-99", "is no valid YAML"),
+        (b"steps: !!int three", "is no valid YAML"),
         (b"- 1", "is a list and no mapping"),
+        (b"1: 2", "1 is no name"),
+        (b"a: 1\nb: 2\na: 3", "field a: the key stands at line 1 and again at line 3"),
         (b"", "is empty and no mapping"),
         (b"\xff\xfe\xff", "is not UTF-8 text"),
     ],
@@ -76,3 +78,10 @@ def test_a_file_that_is_no_mapping_is_refused(tmp_path, content, sentence):
     path.write_bytes(content)
     with pytest.raises(ValueError, match=f"some.yaml.*{sentence}"):
         read_yaml(path)
+
+
+def test_a_file_is_read_as_people_write_it(tmp_path):
+    """1e-3 is a number, `no` a name and a date a text; a byte order mark does not matter."""
+    path = tmp_path / "some.yaml"
+    path.write_bytes("\ufeffa: 1e-3\nb: no\nc: 2026-01-15".encode())
+    assert read_yaml(path) == {"a": 1e-3, "b": "no", "c": "2026-01-15"}

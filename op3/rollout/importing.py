@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 
-from op3.rollout import plain_yaml
 from op3.rollout.errors import LogError
 from op3.rollout.metadata import Metadata
 from op3.rollout.readers.reader import Column, Recording, Stream
@@ -29,6 +28,7 @@ from op3.rollout.readers.text import stem
 from op3.rollout.rollout import Rollout
 from op3.rollout.schema import CHANNELS, Channel, Key, column_names, joint_suffixes, key_name, vector_column
 from op3.rollout.units import factor
+from op3.settings import read_yaml
 
 OPTIONS = ("columns", "scale", "unwrap", "shift", "split")
 SHARED = "columns.yaml"
@@ -63,12 +63,7 @@ def read_side(path: Path) -> Side:
     own, values, found = side_path(path), {}, False
     for file in (path.parent / SHARED, own):
         if file.is_file() and file != path:
-            content = plain_yaml.read(file)
-            if not isinstance(content, Mapping):
-                kind = "empty" if content is None else f"a {type(content).__name__}"
-                remedy = "write one `field: value` per line"
-                raise LogError(f"the metadata is {kind} and not a mapping", remedy, source=file)
-            values, found, own = {**values, **content}, True, file
+            values, found, own = {**values, **read_yaml(file, LogError)}, True, file
     options = {name: values.pop(name) for name in OPTIONS if values.get(name) is not None}
     return Side(values, options, own, found)
 

@@ -13,9 +13,8 @@ from typing import Annotated, Any
 import yaml
 from pydantic import BeforeValidator, Field
 
-from op3.rollout import plain_yaml
 from op3.rollout.errors import LogError
-from op3.settings import Number, Positive, settings
+from op3.settings import Number, Positive, read_yaml, settings
 
 ROBOTS = ("simulated", "emulated", "real", "rig")
 MOUNTS = (
@@ -163,12 +162,8 @@ class Metadata:
         return {name: v for name, v in values.items() if v not in (None, {}, [])}
 
     @classmethod
-    def from_dict(cls, values: object, source: str | Path = "metadata") -> Metadata:
+    def from_dict(cls, values: Mapping[str, Any], source: str | Path = "metadata") -> Metadata:
         """Build from plain values, refusing missing and unknown fields by name."""
-        if not isinstance(values, Mapping):
-            kind = "empty" if values is None else f"a {type(values).__name__}"
-            remedy = "write one `field: value` per line"
-            raise LogError(f"the metadata is {kind} and not a mapping", remedy, source=source)
         known = [f.name for f in dataclasses.fields(cls)]
         for name in values:
             if name not in known:
@@ -191,4 +186,4 @@ class Metadata:
     @classmethod
     def read(cls, path: str | Path) -> Metadata:
         """Read a YAML file."""
-        return cls.from_dict(plain_yaml.read(Path(path)), path)
+        return cls.from_dict(read_yaml(path, LogError), path)
