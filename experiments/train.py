@@ -66,9 +66,8 @@ def earlier(cfg: DictConfig) -> PolicyBundle | None:
 
 def actions(cfg: DictConfig) -> ActionMap:
     """What actions mean: the same as those of the policy to start with; with `fixed_gain` they command angles alone."""
-    if (start := earlier(cfg)) is not None:
-        return start.manifest.action_map
-    made = ActionMap.around_stand(cfg.span)
+    start = earlier(cfg)
+    made = ActionMap.around_stand(cfg.span) if start is None else start.manifest.action_map
     if cfg.fixed_gain is None:
         return made
     gain = positive(cfg, "fixed_gain", "A/rad")
