@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from op3.envs.batched import BatchedEnv
-from op3.robot import KEY_POINTS
 from op3.robot.units import GRAVITY
+from op3.tasks.addresses import Addresses
 
 Array = NDArray[np.float32]
 
@@ -42,14 +42,9 @@ class Watch:
 
     def __init__(self, env: BatchedEnv):
         self._env, batch = env, env.simulation.batch
-        robot = env.scene.robot
-        assert robot is not None
-        model = batch.model
-        self._trunk = model.body(robot.trunk.full_identifier).id
-        points = np.array([model.site(site.full_identifier).id for site in robot.key_points])
-        self._points = points.reshape(2, len(KEY_POINTS) // 2)
-        self._feet = model.site_bodyid[self._points[:, 0]]
-        self._accelerometer = int(model.sensor(robot.imu_accelerometer.full_identifier).adr[0])
+        at = Addresses.find(batch.model, env.scene)
+        self._trunk, self._points, self._accelerometer = at.trunk, at.foot_points, at.accelerometer
+        self._feet = batch.model.site_bodyid[self._points[:, 0]]
         self._external, self._sites = batch.bind("cfrc_ext"), batch.bind("site_xpos")
         self._turn, self._place = batch.bind("xmat"), batch.bind("xpos")
         self._sensors = env.simulation.sensordata.numpy()

@@ -15,6 +15,7 @@ from op3.policy.leg_kinematics import leg_kinematics
 from op3.robot import KEY_POINTS, Scene
 from op3.sim import ServoPorts
 from op3.tasks import rewards
+from op3.tasks.addresses import Addresses
 from op3.tasks.whole_step import Throughout
 
 _INNER_TIPS = [KEY_POINTS.index("l_sole_inner_tip"), KEY_POINTS.index("r_sole_inner_tip")]
@@ -70,18 +71,12 @@ class Probe:
     """
 
     def __init__(self, model: mujoco.MjModel, scene: Scene, feet: bool):
-        if scene.robot is None:
-            raise ValueError(f"scene {scene.name!r} has no robot to look at")
+        at = Addresses.find(model, scene)
         ports = ServoPorts.find(model, scene.joint_names)
         self._qpos, self._dof = ports.qpos, ports.dof
-        trunk = model.body(scene.robot.trunk.full_identifier).id
-        root = model.jnt(int(model.body_jntadr[model.body_rootid[trunk]]))
-        self._base, self._base_dof = int(root.qposadr[0]), int(root.dofadr[0])
-        force = model.sensor(scene.robot.imu_accelerometer.full_identifier)
-        self._force = slice(int(force.adr[0]), int(force.adr[0]) + 3)
-        ankles = [name for name in scene.joint_names if name.endswith("ank_roll")]
-        first = [int(model.sensor(f"{name}_force").adr[0]) for name in ankles]
-        self._feet = np.array([[address + axis for axis in range(3)] for address in first]) if feet else None
+        self._base, self._base_dof = at.qpos, at.dof
+        self._force = slice(at.accelerometer, at.accelerometer + 3)
+        self._feet = at.foot_force[:, None] + np.arange(3) if feet else None
         self._ground = scene.ground_height
 
     def read(

@@ -12,8 +12,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from op3.robot import KEY_POINTS, Scene
+from op3.robot import Scene
 from op3.robot.units import GRAVITY
+from op3.tasks.addresses import Addresses
 
 Array = NDArray[np.float64]
 
@@ -52,17 +53,11 @@ class WholeStep:
     """
 
     def __init__(self, model: mujoco.MjModel, scene: Scene, num_sims: int, feet: bool):
-        robot = scene.robot
-        assert robot is not None
-        trunk = model.body(robot.trunk.full_identifier).id
-        root = model.jnt(int(model.body_jntadr[model.body_rootid[trunk]]))
-        self._base = int(root.qposadr[0]) + 3, int(root.dofadr[0]) + 3
-        self._accelerometer = int(model.sensor(robot.imu_accelerometer.full_identifier).adr[0])
-        ankles = [name for name in scene.joint_names if name.endswith("ank_roll")]
-        forces = [int(model.sensor(f"{name}_force").adr[0]) for name in ankles]
-        points = [model.site(site.full_identifier).id for site in robot.key_points]
-        self._forces = np.array(forces if feet else [], dtype=np.int64)
-        self._points = np.array(points).reshape(2, len(KEY_POINTS) // 2)[: len(self._forces)]
+        at = Addresses.find(model, scene)
+        self._base = at.qpos + 3, at.dof + 3
+        self._accelerometer = at.accelerometer
+        self._forces = at.foot_force if feet else at.foot_force[:0]
+        self._points = at.foot_points[: len(self._forces)]
         self._sums = np.zeros((num_sims, 9))
         self._feet = np.zeros((num_sims, 2, 3))
         self._samples = 0
