@@ -263,7 +263,7 @@ def record_case(case: Case, runs: Sequence[Excitation] | None = None) -> Iterato
     setting = SETTINGS[case.robot]
     if runs is None:
         runs = (setting.poor if case.kind == "poor" else setting.rich)(case.seed)
-    robot = StandIn(case.world, setting.scene(), seed=case.seed, hidden=case.hidden)
+    robot = StandIn(case.world.replace(hidden=case.hidden), setting.scene(), seed=case.seed)
     day = _day(runs, setting, case)
     for number, (run, (day_time, temperature)) in enumerate(zip(runs, day, strict=True)):
         begin = MORNING + datetime.timedelta(seconds=float(day_time))

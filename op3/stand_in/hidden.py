@@ -86,6 +86,8 @@ class Hidden:
         if kind is None:
             raise ValueError(f"nothing called {self.name!r} can be hidden; there are {', '.join(KINDS)}")
         object.__setattr__(self, "form", self.form or kind.forms[0])
+        object.__setattr__(self, "joints", tuple(self.joints))  # from a file they are lists
+        object.__setattr__(self, "shape", tuple(self.shape))
         if self.form not in kind.forms:
             raise ValueError(f"{self.name} has no form {self.form!r}; it has {', '.join(kind.forms)}")
 

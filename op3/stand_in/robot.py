@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
@@ -30,7 +30,6 @@ from op3.robot import (
 from op3.robot.scenes import Scene
 from op3.rollout import Rollout
 from op3.stand_in.bodies import Bodies, Floor, Limbs, change_body
-from op3.stand_in.hidden import Hidden
 from op3.stand_in.kernel import TICK
 from op3.stand_in.play import play
 from op3.stand_in.sensors import Imu, Sensors, quantise
@@ -54,11 +53,10 @@ class StandIn:
         scene: a name from `op3.robot.SCENES`, or a scene.
         seed: of everything random in the recordings. The k-th reset draws from its own stream, so equal seeds
             give equal bytes, and repeats differ.
-        hidden: effects beyond the world.
     """
 
-    def __init__(self, world: World, scene: str | Scene = "floor", *, seed: int = 0, hidden: Sequence[Hidden] = ()):
-        self._world, self.hidden = world, tuple(hidden)
+    def __init__(self, world: World, scene: str | Scene = "floor", *, seed: int = 0):
+        self._world, self.hidden = world, world.hidden
         self.seed = _whole("seed", seed)
         self.scene = build_scene(scene) if isinstance(scene, str) else scene
         self.joints: tuple[str, ...] = tuple(str(joint.name) for joint in self.scene.joints)

@@ -13,7 +13,8 @@ import yaml
 from numpy.typing import NDArray
 
 from op3.robot import named_configs
-from op3.settings import NotNegative, Number, Positive, Share, Whole, nearest, read_yaml, settings
+from op3.settings import Listed, NotNegative, Number, Positive, Share, Whole, nearest, read_yaml, settings
+from op3.stand_in.hidden import Hidden
 
 _SPREAD = (
     "torque_constant",
@@ -114,6 +115,7 @@ class World:
         fade_form: how static friction fades with speed.
         bristle_form: elastic element of friction.
         velocity_form: how servos estimate their velocity.
+        hidden: effects beyond all this, from the kinds that the hidden-effect bench knows.
     """
 
     torque_constant: Positive = 0.0065
@@ -162,6 +164,7 @@ class World:
     fade_form: FadeForm = "gaussian"
     bristle_form: BristleForm = "prandtl"
     velocity_form: VelocityForm = "lag"
+    hidden: Listed[Hidden] = ()
 
     def __post_init__(self):
         """Efficiencies divide, and the step meets every millisecond."""
@@ -201,13 +204,15 @@ class World:
         """Read a YAML file of `name: value` lines; what it does not name is as in `World()`.
 
         A line `draw: seed` starts from the random world of that seed instead, so that the file does not tell the truth
-        to whoever glances at it.
+        to whoever glances at it. `hidden` lists effects, such as `{name: backlash, size: 0.004, joints: [l_knee]}`.
         """
         values = read_yaml(path)
         drawn = values.pop("draw", None)
         try:
-            return cls(**values) if drawn is None else cls(**{**dataclasses.asdict(cls.random(drawn)), **values})
-        except ValueError as error:
+            if "hidden" in values:
+                values["hidden"] = [Hidden(**effect) for effect in values["hidden"]]
+            return cls(**values) if drawn is None else cls(**{**vars(cls.random(drawn)), **values})
+        except (TypeError, ValueError) as error:
             raise ValueError(f"{path}: {error}") from None
 
     @classmethod

@@ -2,12 +2,14 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from op3.stand_in import BENCH_RANGES, RANDOM_RANGES, World, world_names
+from op3.robot import squat
+from op3.stand_in import BENCH_RANGES, RANDOM_RANGES, StandIn, World, world_names
 from op3.stand_in.world import FORMS, read_ranges
 
 TABLE_1 = {
@@ -72,9 +74,9 @@ def test_identity():
         .replace(**{field.name: getattr(World(), field.name) + (1 if field.name == "spread_seed" else 1e-9)})
         .identity
         for field in dataclasses.fields(World)
-        if "efficiency" not in field.name and field.name not in (*FORMS, "timestep")
+        if "efficiency" not in field.name and field.name not in (*FORMS, "timestep", "hidden")
     }
-    assert len(identities) == len(dataclasses.fields(World)) - 2 - len(FORMS) - 1
+    assert len(identities) == len(dataclasses.fields(World)) - 2 - len(FORMS) - 2
     assert World().identity not in identities
 
 
@@ -152,7 +154,7 @@ def test_a_bench_robot_is_drawn_in_everything():
     one, other = World.random(1, BENCH_RANGES), World.random(2, BENCH_RANGES)
     fields = [field.name for field in dataclasses.fields(World)]
     alike = [name for name in fields if name not in FORMS and getattr(one, name) == getattr(other, name)]
-    assert set(alike) <= {"forward_efficiency", "timestep"}
+    assert set(alike) <= {"forward_efficiency", "timestep", "hidden"}
     drawn = [World.random(seed, BENCH_RANGES) for seed in range(40)]
     for name, laws in FORMS.items():
         assert {getattr(world, name) for world in drawn} == set(laws)
@@ -173,3 +175,34 @@ def test_ranges_can_be_replaced(tmp_path):
     path.write_text("velocity_lag: 0.03\n")
     with pytest.raises(ValueError, match=r"the range of velocity_lag is 0\.03: write \[low, high\]"):
         read_ranges(path)
+
+
+def test_a_file_may_hide_effects_of_the_bench(tmp_path):
+    """A robot with one is told apart, comes back as it was, and plays otherwise than without."""
+    path = tmp_path / "world.yaml"
+    path.write_text("draw: 7\nhidden: [{name: backlash, size: 0.01, joints: [l_knee, r_knee]}]\n")
+    world = World.load(path)
+    assert world.hidden[0].form == "dead_zone"
+    assert World.load(world.save(tmp_path / "again.yaml")) == world
+    assert world.identity != World.random(7).identity
+    logs = [
+        StandIn(one, "stand").play(squat(frequency=2.0, knee_high=1.2, duration=0.5), 6.0, 0.1)
+        for one in (world, World.random(7))
+    ]
+    knee = logs[0].joints.index("l_knee")
+    assert np.abs(logs[0].array("joint/position") - logs[1].array("joint/position"))[:, knee].max() > 0.005
+
+
+@pytest.mark.parametrize(
+    ("effect", "message"),
+    [
+        ("{name: backlsh, size: 1}", "nothing called 'backlsh' can be hidden"),
+        ("{name: backlash}", "size"),
+        ("{name: backlash, size: 1, joint: l_knee}", "joint"),
+    ],
+)
+def test_an_effect_that_cannot_be_hidden_is_refused(effect, message, tmp_path):
+    path = tmp_path / "world.yaml"
+    path.write_text(f"hidden: [{effect}]\n")
+    with pytest.raises(ValueError, match=message):
+        World.load(path)
