@@ -9,7 +9,6 @@ python experiments/diagnose.py "planned=[squat_fast,multisine_legs]" mode=aliasi
 """
 
 import os
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from support import library_motion, one_sentence, plain
+from support import Progress, library_motion, one_sentence, plain
 from threadpoolctl import threadpool_limits
 
 from op3.command_line import launch
@@ -38,7 +37,7 @@ from op3.diagnose import (
 from op3.identify.resolvers import chosen_model
 from op3.policy import PolicyBundle
 from op3.report import run_provenance
-from op3.report.diagnosis import log_verdict, write_page
+from op3.report.diagnosis import report_diagnosis
 from op3.robot import MIRROR, leg_suite
 from op3.rollout import Rollout, read_logs
 from op3.servo import effect_class
@@ -46,23 +45,6 @@ from op3.sim import model_for, save_model
 from op3.tasks.planned import planned_motions, planned_suite
 
 IMPORTED = time.process_time()
-
-
-class Progress:
-    """One line on the terminal that says how far the diagnosis is and how long it still takes; elsewhere each stage."""
-
-    def __init__(self):
-        self._began, self._stage = time.monotonic(), ""
-
-    def __call__(self, stage: str, share: float) -> None:
-        """Say it."""
-        left = (time.monotonic() - self._began) * (1 / max(share, 1e-3) - 1)
-        if sys.stderr.isatty():
-            bar = f"{'#' * round(30 * share):<30}"
-            print(f"\r{stage:>10} {bar} {share:4.0%}, {left:4.0f} s left", end="", file=sys.stderr, flush=True)
-        elif stage != self._stage:
-            print(f"{stage} ...", file=sys.stderr, flush=True)
-        self._stage = stage
 
 
 def planned_logs(cfg: DictConfig) -> list[Rollout]:
@@ -85,9 +67,8 @@ def returns(cfg: DictConfig, verdict: Verdict) -> dict[str, Any]:
     return {"policy": str(cfg.policy)} | downstream(policy, verdict.base, verdict.model, actual=episodes, **options)
 
 
-def diagnose(cfg: DictConfig) -> dict[str, Any]:
-    """Diagnose, and write verdict, model and page into the run's folder."""
-    folder = Path(HydraConfig.get().runtime.output_dir)
+def diagnose(cfg: DictConfig, folder: Path) -> dict[str, Any]:
+    """Diagnose, and write verdict, model and page into a folder."""
     if cfg.mode not in ("once", "loop", "aliasing"):
         raise ValueError(f"mode must be once, loop or aliasing, got {cfg.mode!r}")
     if cfg.planned and not OmegaConf.is_missing(cfg, "data"):
@@ -122,20 +103,12 @@ def diagnose(cfg: DictConfig) -> dict[str, Any]:
     save_model(verdict.model, folder / "model.yaml")
     if cfg.policy is not None:
         content["downstream"] = returns(cfg, verdict)
-    write_page(
-        verdict,
-        split,
-        folder / "index.html",
-        run_provenance(seed=cfg.seed, data=data),
-        content.get("downstream"),
-        content.get("other_mounts"),
-    )
     content["processor_seconds"] = round(time.process_time() - IMPORTED, 1)
+    print(f"\n{verdict.sentence}")
+    provenance, mode = run_provenance(seed=cfg.seed, data=data), os.environ.get("WANDB_MODE", cfg.wandb)
+    report_diagnosis(verdict, split, content, folder, provenance, plain(cfg), mode)
     # last, so that a verdict means that all is there
     (folder / "verdict.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
-    log_verdict(content, folder, plain(cfg), os.environ.get("WANDB_MODE", cfg.wandb))
-    print(f"\n{verdict.sentence}")
-    print(folder / "index.html")
     return content
 
 
@@ -147,7 +120,7 @@ def main(cfg: DictConfig) -> None:
         threadpool_limits(1)  # as in `Diagnosis.run`, for what is outside of it
         if OmegaConf.is_missing(cfg, "data") and not cfg.planned:
             raise ValueError("data is missing: add data=<folder of logs>, or planned=<motions> mode=aliasing")
-        diagnose(cfg)
+        diagnose(cfg, Path(HydraConfig.get().runtime.output_dir))
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import sys
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,6 +25,9 @@ from op3.rollout.files import write_text
 
 CONF = Path(__file__).resolve().parents[1] / "conf"
 """The configs of this project."""
+
+LINE_SECONDS = 10.0
+"""Least time between two lines of progress in a file [s]."""
 
 
 @contextmanager
@@ -47,6 +51,27 @@ def one_sentence(
     except KeyboardInterrupt:
         print(f"\nInterrupted. {interrupted}", file=sys.stderr)
         raise SystemExit(130) from None
+
+
+class Progress:
+    """Says how far a stage of a run is and how long the run still takes: in one line on a terminal, in a file now and
+    then in a new one."""
+
+    def __init__(self) -> None:
+        self._began, self._told, self._stage = time.monotonic(), -math.inf, ""
+
+    def __call__(self, stage: str, share: float) -> None:
+        """Say it; the share is that of the whole run which is done."""
+        now = time.monotonic()
+        left = (now - self._began) * (1 / max(share, 1e-3) - 1)
+        if sys.stderr.isatty():
+            bar = f"{'#' * round(30 * share):<30}"
+            end = "\n" if share >= 1 else ""
+            print(f"\r{stage:>10} {bar} {share:4.0%}, {left:4.0f} s left", end=end, file=sys.stderr, flush=True)
+        elif stage != self._stage or now - self._told > LINE_SECONDS:
+            print(f"{stage}: {share:.0%}, {left:.0f} s left", file=sys.stderr, flush=True)
+            self._told = now
+        self._stage = stage
 
 
 ASKED = "asked.yaml"

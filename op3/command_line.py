@@ -22,6 +22,7 @@ from op3.settings import nearest
 
 COMMANDS: Mapping[str, str] = {
     "demo": "sim2real",
+    "demo diagnose": "demo_diagnose",
     "collect": "collect",
     "import": "import_log",
     "identify": "identify",
@@ -35,6 +36,7 @@ COMMANDS: Mapping[str, str] = {
     "reidentify": "reidentify",
     "sim2real": "sim2real",
     "transfers": "transfer_table",
+    "view": "view",
     "emulate": "emulate_robot",
     "compare": "compare_runs",
 }
@@ -44,6 +46,9 @@ PRESETS: Mapping[str, Sequence[str]] = {
     "demo": ("source=emulated", "task=balance", "world=robot_4", "budget=demo"),
 }
 """Overrides that a command begins with."""
+
+FIRST: Mapping[str, str] = {"view": "what"}
+"""Setting that the first word after a command is, where it is written without one."""
 
 
 def files() -> Path:
@@ -64,7 +69,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if not given or given[0] in ("-h", "--help", "help"):
         print(overview(available))
         return
-    command, *rest = given
+    words = 2 if " ".join(given[:2]) in COMMANDS else 1
+    command, rest = " ".join(given[:words]), given[words:]
     if command == "doctor":
         from op3.doctor import report
 
@@ -76,6 +82,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if command not in available:
         end(f"op3 has no command {command!r}{nearest(command, [*available, 'doctor', 'completion'])}")
     path = available[command]
+    if command in FIRST and rest and not rest[0].startswith("-") and (Path(rest[0]).exists() or "=" not in rest[0]):
+        rest[0] = f"{FIRST[command]}={rest[0]}"
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # as Python has it: a closed socket is an error, not the end
     sys.argv = [str(path), *PRESETS.get(command, ()), *rest]
     sys.path.insert(0, str(path.parent))
@@ -95,17 +103,17 @@ def script(command: str) -> Path:
 
 def overview(available: Mapping[str, Path]) -> str:
     """What ``op3 --help`` prints."""
-    rows = [f"  {name:12s}{summary(path)}" for name, path in available.items() if name != "demo"]
+    rows = [f"  {name:15s}{summary(path)}" for name, path in available.items() if name != "demo"]
     return "\n".join(
         [
             "op3: gear-driven robots from simulation to reality.",
             "",
             "  op3 <command> [setting=value ...]      op3 <command> --help lists the settings",
             "",
-            f"  {'demo':12s}The whole method on an emulated robot at a small budget; one HTML page.",
+            f"  {'demo':15s}The whole method on an emulated robot at a small budget; one HTML page.",
             *rows,
-            f"  {'doctor':12s}What this machine has, and what to do about what is missing.",
-            f'  {"completion":12s}Completion for bash: eval "$(op3 completion)".',
+            f"  {'doctor':15s}What this machine has, and what to do about what is missing.",
+            f'  {"completion":15s}Completion for bash: eval "$(op3 completion)".',
         ]
     )
 
@@ -118,16 +126,22 @@ def summary(path: Path) -> str:
 
 def completion(available: Mapping[str, Path]) -> str:
     """A bash function that completes commands, settings and the names in config groups."""
-    words = {name: " ".join(settings_of(COMMANDS[name])) for name in available}
-    cases = "\n".join(f'    {name}) words="{text}" ;;' for name, text in words.items())
-    commands = " ".join([*available, "doctor", "completion"])
+    words = {name: settings_of(COMMANDS[name]) for name in available}
+    for name in [name for name in words if " " in name]:
+        first, second = name.split()
+        words[first] = [second, *words[first], *words.pop(name)]
+    cases = "\n".join(f'    {name}) words="{" ".join(dict.fromkeys(each))}" ;;' for name, each in words.items())
+    commands = " ".join([*words, "doctor", "completion"])
+    # bash takes `=` for the end of a word: what stands before it is not to be written again
     return (
         "_op3() {\n"
-        '  local words current="${COMP_WORDS[COMP_CWORD]}"\n'
+        '  local words line="${COMP_LINE:0:COMP_POINT}"\n'
+        '  local current="${line##* }"\n'
         '  case "${COMP_WORDS[1]}" in\n'
         f"{cases}\n  esac\n"
         f'  [ "$COMP_CWORD" = 1 ] && words="{commands}"\n'
         '  COMPREPLY=($(compgen -W "$words" -- "$current"))\n'
+        '  [[ $current == *=* ]] && COMPREPLY=("${COMPREPLY[@]#*=}")\n'
         "}\ncomplete -o nospace -o default -F _op3 op3"
     )
 
@@ -136,11 +150,27 @@ def settings_of(config: str) -> list[str]:
     """Overrides that a config takes: ``group=name`` for every name of its groups, ``setting=`` for its fields."""
     import yaml
 
-    folder = files() / "conf"
     content = yaml.safe_load(config_file(config).read_text(encoding="utf-8")) or {}
-    groups = [name for entry in content.get("defaults", []) if isinstance(entry, dict) for name in entry]
-    choices = [f"{group}={file.stem}" for group in groups for file in sorted((folder / group).glob("*.yaml"))]
+    chosen = {name: value for e in content.get("defaults", []) if isinstance(e, dict) for name, value in e.items()}
+    choices = []
+    for group, value in chosen.items():
+        written = "{}=[{}]" if isinstance(value, list) else "{}={}"
+        choices += [written.format(group, name) for name in names_in(group)]
     return [*choices, *(f"{name}=" for name in content if name not in ("defaults", "hydra"))]
+
+
+def names_in(group: str) -> list[str]:
+    """What can be chosen of a group: files in ``conf``, or what the catalogue of effects brings in."""
+    folder = files() / "conf" / group
+    if folder.is_dir():
+        return sorted(file.stem for file in folder.glob("*.yaml"))
+    from hydra.core.config_store import ConfigStore
+
+    from op3.identify.search_groups import register
+
+    register()
+    known = ConfigStore.instance().repo.get(group, {})
+    return sorted(name.removesuffix(".yaml") for name in known)
 
 
 def usage(config: str, documentation: str) -> str:
@@ -153,7 +183,7 @@ def usage(config: str, documentation: str) -> str:
     for choice in settings_of(config):
         name, _, value = choice.partition("=")
         if value:
-            groups.setdefault(name, []).append(value)
+            groups.setdefault(name, []).append(value.strip("[]"))
     listed = [f"{name}=  {', '.join(values)}" for name, values in groups.items()]
     parts = [documentation.strip(), "Settings, with defaults (setting=value; group.field=value):", body]
     if listed:

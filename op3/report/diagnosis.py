@@ -9,32 +9,61 @@ import torch
 
 from op3.diagnose import Finding, LogSplit, Verdict
 from op3.report.page import Page
-from op3.report.run_logger import RunLogger
+from op3.report.result import publish
+from op3.report.style import words
 from op3.report.traces import traces_figure
+from op3.report.tracks import SHOWN, predicted
 from op3.servo import effect_class
 from op3.tasks import Prediction
-from op3.tasks.planned import with_whole_limbs
+
+MEANINGS: Mapping[str, str] = {
+    "verdict": "named, ambiguous, nothing_missing or unknown; the findings with all they say stand in verdict.yaml",
+    "probability": "of the most probable finding",
+    "gap": "root mean square over joints and runs that nothing was chosen by; the floor is how far repeats differ",
+    "loss": "paper eq. (7) on the same runs",
+}
 
 
-def write_page(
+def report_diagnosis(
     verdict: Verdict,
     split: LogSplit,
-    path: Path,
+    content: Mapping[str, Any],
+    folder: Path,
     provenance: Mapping[str, Any],
-    returns: Mapping[str, Any] | None = None,
-    elsewhere: Mapping[str, Mapping[str, Any]] | None = None,
-) -> Path:
-    """Write the page of a verdict.
+    config: Mapping[str, Any] | None = None,
+    wandb_mode: str | None = None,
+) -> dict[str, Any]:
+    """Write ``index.html`` and ``result.yaml``, log to wandb, and print the paths of both files.
 
     Args:
         verdict: of a diagnosis.
         split: its logs.
-        path: of the page.
+        content: of ``verdict.yaml``.
+        folder: of the run.
         provenance: where the numbers come from, see `op3.report.run_provenance`.
-        returns: of a policy before and after, see `op3.envs.downstream`.
-        elsewhere: gap and loss on logs of other mounts, see `op3.diagnose.on_other_mounts`.
+        config: settings, for wandb.
+        wandb_mode: ``offline``, ``online`` or ``disabled``.
+
+    Returns:
+        The numbers of ``result.yaml``.
     """
-    page = Page("Diagnosis of what the model lacks", verdict.sentence)
+    found, elsewhere = content["findings"], content.get("other_mounts", {})
+    values: dict[str, Any] = {
+        "verdict": content["verdict"],
+        "sentence": content["sentence"],
+        "findings": ", ".join(f"{one['effect']} in {', '.join(one['joints'])}" for one in found),
+        "probability": max((one["probability"] for one in found), default=None),
+        **_flat("", content),
+        **{key: value for mount, told in elsewhere.items() for key, value in _flat(f"{mount}.", told).items()},
+        "provenance": provenance,
+    }
+    save_shown(verdict, folder / SHOWN)
+    page = _page(verdict, split, content, folder)
+    return publish(page, values, folder, MEANINGS, wandb_mode=wandb_mode, config=config)
+
+
+def _page(verdict: Verdict, split: LogSplit, content: Mapping[str, Any], folder: Path) -> Page:
+    page = Page("Diagnosis of what the model lacks", lead(verdict))
     for channel, values in verdict.gap.items():
         floor = values["floor"]
         note = f"before {values['before']:.3g}" + ("" if floor is None else f", repeats differ by {floor:.3g}")
@@ -42,46 +71,47 @@ def write_page(
     _findings(page, verdict)
     _joints(page, verdict)
     _gap(page, verdict)
-    _elsewhere(page, elsewhere or {})
+    _elsewhere(page, content.get("other_mounts", {}))
     _motions(page, verdict, split)
-    _traces(page, verdict, split)
-    if returns is not None:
-        _returns(page, returns)
+    _traces(page, verdict)
+    if "downstream" in content:
+        _returns(page, content["downstream"])
     _base(page, verdict)
+    page.section("Next")
+    page.text("See the measured robot with its ghosts, and train with the model handed back:")
+    page.code(f"op3 view {folder}\nop3 train task=balance model={folder}/model.yaml")
     page.section("Files")
     page.files(
         {"verdict.yaml": "the verdict as data", "model.yaml": "the model that predicts best, for every other command"}
     )
-    page.provenance(provenance)
-    return page.write(path)
+    return page
 
 
-def log_verdict(
-    content: Mapping[str, Any], folder: Path, config: Mapping[str, Any], wandb_mode: str | None = None
-) -> None:
-    """Log a verdict to wandb; the jobs of a multirun are one group.
+def lead(verdict: Verdict) -> str:
+    """The verdict; what was abstained from with the experiment that would settle it, in the first sentence."""
+    rivals = [finding for finding in verdict.findings if finding.alternatives]
+    if rivals or verdict.findings:
+        settled = [f"What would tell {one.effect} from its rivals: {one.separate_by}." for one in rivals]
+        return " ".join([verdict.sentence, *settled])
+    if verdict.verdict == "nothing_missing" or not verdict.ranking:
+        return verdict.sentence
+    best = verdict.ranking[0]
+    where = "all joints" if best["shared"] else " and ".join(best["joints"])
+    experiment = effect_class(best["effect"]).separating_experiment
+    return f"Nothing is named; what would settle the likeliest, {best['effect']} in {where}: {experiment}. " + (
+        verdict.sentence
+    )
 
-    Args:
-        content: of ``verdict.yaml``.
-        folder: of the run.
-        config: settings.
-        wandb_mode: ``offline``, ``online`` or ``disabled``.
-    """
-    if wandb_mode == "disabled":
-        return  # half a second that many short runs need not pay
-    found = content["findings"]
-    summary: dict[str, Any] = {
-        "verdict": content["verdict"],
-        "sentence": content["sentence"],
-        "findings": ", ".join(f"{one['effect']} in {', '.join(one['joints'])}" for one in found),
-        "probability": max((one["probability"] for one in found), default=None),
-        **_flat("", content),
-        **{
-            k: v for mount, told in content.get("other_mounts", {}).items() for k, v in _flat(f"{mount}.", told).items()
-        },
-    }
-    with RunLogger(folder, config=config, mode=wandb_mode) as logger:
-        logger.summary({name: value for name, value in summary.items() if value is not None})
+
+def save_shown(verdict: Verdict, folder: Path) -> None:
+    """Keep the run that the base predicts worst, measured and as both models say, for `op3 view`."""
+    before, after = (verdict.shown.get(name, ()) for name in ("before", "after"))
+    whole = [i for i, pair in enumerate(zip(before, after, strict=True)) if not any(p.failed.any() for p in pair)]
+    if whole:
+        worst = max(whole, key=lambda i: _angle_error(before[i]))
+        tracks = {"measured": before[worst].log, "before": predicted(before[worst]), "after": predicted(after[worst])}
+        for name, log in tracks.items():
+            log.save(folder / name, overwrite=True)
 
 
 def _flat(prefix: str, content: Mapping[str, Any]) -> dict[str, Any]:
@@ -239,19 +269,19 @@ def _angle_error(prediction: Prediction) -> float:
     return float(np.sqrt(np.square(simulated - prediction.log.array("joint/position")[: len(simulated)]).mean()))
 
 
-def _traces(page: Page, verdict: Verdict, split: LogSplit) -> None:
+def _traces(page: Page, verdict: Verdict) -> None:
     shown = verdict.shown
     if not shown:
         return
-    log = split.show[0]
-    joint = _worst_joint(shown["before"], log.joints)
-    predictions = {"before": shown["before"][0].channels}
-    if shown["after"] is not shown["before"]:
-        predictions["after"] = shown["after"][0].channels
+    before, after = shown["before"], shown["after"]
+    worst = max(range(len(before)), key=lambda i: _angle_error(before[i]))
+    log = before[worst].log
+    joint = _worst_joint(before, log.joints)
+    predictions = {"before": before[worst].channels} | ({} if after is before else {"after": after[worst].channels})
     page.section("One of the logs")
     page.figure(
-        traces_figure(with_whole_limbs(log), predictions, [joint]),
-        f"{joint}, the joint that the base model predicts worst",
+        traces_figure(log, predictions, [joint]),
+        f"{words(joint)}, the joint that the base model predicts worst, in the run that it predicts worst",
     )
 
 

@@ -12,6 +12,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
@@ -20,6 +21,12 @@ from numpy.typing import NDArray
 
 SIZE = (480, 480)
 """Height and width [pixel]."""
+
+BEHIND = 0.004
+"""How far a ghost is drawn behind where it is [m]."""
+
+Colour = tuple[float, float, float]
+"""Red, green and blue, 0 to 1."""
 
 LONGEST = 300.0
 """After which a driver that has not drawn is given up [s]."""
@@ -40,13 +47,22 @@ def backends() -> tuple[str, ...]:
     return ("glfw", "egl", "osmesa") if screen else ("egl", "osmesa")
 
 
-def draw_frames(model: mujoco.MjModel, qpos: NDArray[np.float64], *, follow: bool = True) -> NDArray[np.uint8]:
+def draw_frames(
+    model: mujoco.MjModel,
+    qpos: NDArray[np.float64],
+    *,
+    follow: bool = True,
+    size: tuple[int, int] = SIZE,
+    ghosts: Sequence[Colour] = (),
+) -> NDArray[np.uint8]:
     """Draw states.
 
     Args:
         model: compiled scene.
-        qpos: ``[frame, nq]``, the first three numbers the trunk's place.
-        follow: whether the camera goes with the trunk.
+        qpos: ``[frame, nq]``; with ghosts ``[robot, frame, nq]``, the first one solid.
+        follow: whether the camera goes with the trunk of a robot that is free.
+        size: height and width [pixel].
+        ghosts: colour of each robot after the first.
 
     Returns:
         ``[frame, height, width, 3]``.
@@ -57,11 +73,13 @@ def draw_frames(model: mujoco.MjModel, qpos: NDArray[np.float64], *, follow: boo
     with tempfile.TemporaryDirectory(prefix="op3-frames-") as folder:
         place = Path(folder)
         mujoco.mj_saveModel(model, str(place / "model.mjb"), None)
-        np.save(place / "qpos.npy", np.asarray(qpos, dtype=np.float64))
+        robots = np.asarray(qpos, dtype=np.float64)
+        np.savez(place / "asked.npz", qpos=robots if robots.ndim == 3 else robots[None], follow=follow, size=size,
+                 ghosts=np.reshape(ghosts, (-1, 3)))  # fmt: skip
         tried = backends()
         said = []
         for backend in tried:
-            reason = _attempt(place, backend, follow)
+            reason = _attempt(place, backend)
             if reason is None:
                 return np.load(place / "frames.npy")
             said.append(reason)
@@ -71,10 +89,10 @@ def draw_frames(model: mujoco.MjModel, qpos: NDArray[np.float64], *, follow: boo
     )
 
 
-def _attempt(place: Path, backend: str, follow: bool) -> str | None:
+def _attempt(place: Path, backend: str) -> str | None:
     """Why this backend could not draw; None if it has drawn."""
     # -P: the modules beside this file must not hide those of the standard library
-    command = [sys.executable, "-P", str(Path(__file__).resolve()), str(place), "follow" if follow else "stay"]
+    command = [sys.executable, "-P", str(Path(__file__).resolve()), str(place)]
     environment = {**os.environ, **({"MUJOCO_GL": backend} if backend else {})}
     try:
         done = subprocess.run(
@@ -88,22 +106,58 @@ def _attempt(place: Path, backend: str, follow: bool) -> str | None:
     return lines[-1][:100] if lines else f"exit code {done.returncode}"
 
 
-def _draw(place: Path, follow: bool) -> None:
-    """Draw what `draw_frames` has written into a folder."""
-    model = mujoco.MjModel.from_binary_path(str(place / "model.mjb"))
-    qpos, data = np.load(place / "qpos.npy"), mujoco.MjData(model)
+def camera_of(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjvCamera:
+    """A camera that has what moves in view, as it stands now."""
     camera = mujoco.MjvCamera()
-    camera.distance, camera.azimuth, camera.elevation = 1.1, 140.0, -12.0
+    camera.azimuth, camera.elevation = 140.0, -12.0
+    own = model.body_rootid[model.jnt_bodyid[0]]
+    geoms = [i for i in range(model.ngeom) if model.body_rootid[model.geom_bodyid[i]] == own]
+    places, reach = data.geom_xpos[geoms], model.geom_rbound[geoms, None]
+    low, high = (places - reach).min(0), (places + reach).max(0)
+    camera.lookat[:] = (low + high) / 2
+    camera.distance = 1.35 * float(np.linalg.norm(high - low))
+    return camera
+
+
+def add_ghost(model: mujoco.MjModel, data: mujoco.MjData, scene: mujoco.MjvScene, colour: Colour) -> None:
+    """Add what moves to a scene once more, of this colour and translucent, a little behind where it is.
+
+    So a ghost that agrees with the solid robot hides in it, and only where they differ it is seen.
+    """
+    first, camera = scene.ngeom, scene.camera[0]
+    everything = (mujoco.MjvOption(), mujoco.MjvPerturb(), mujoco.mjtCatBit.mjCAT_DYNAMIC)
+    mujoco.mjv_addGeoms(model, data, *everything, scene)
+    for geom in scene.geoms[first : scene.ngeom]:
+        geom.rgba[:] = (*colour, 0.45 * (geom.rgba[3] > 0))
+        geom.matid, geom.transparent = -1, 1
+        geom.pos[:] += BEHIND * np.asarray(camera.forward)
+
+
+def _draw(place: Path) -> None:
+    """Draw what `draw_frames` has written into a folder."""
+    model, asked = mujoco.MjModel.from_binary_path(str(place / "model.mjb")), np.load(place / "asked.npz")
+    solid, *others = asked["qpos"]
+    data, ghost = mujoco.MjData(model), mujoco.MjData(model)
+    data.qpos[:] = solid[0]
+    mujoco.mj_kinematics(model, data)
+    camera = camera_of(model, data)
+    begin = np.array(camera.lookat)
+    free = bool(asked["follow"]) and model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE
     # shadows and MuJoCo's multisampling take a processor ten times as long as all the rest
     model.vis.quality.offsamples = 0
-    frames = np.empty((len(qpos), *SIZE, 3), np.uint8)
-    with mujoco.Renderer(model, *SIZE) as renderer:
-        for number, state in enumerate(qpos):
+    frames = np.empty((len(solid), *asked["size"], 3), np.uint8)
+    with mujoco.Renderer(model, *map(int, asked["size"])) as renderer:
+        for number, state in enumerate(solid):
             data.qpos[:] = state
             mujoco.mj_kinematics(model, data)
             mujoco.mj_camlight(model, data)
-            camera.lookat[:] = (*(state if follow else qpos[0])[:2], qpos[0, 2])
+            if free:
+                camera.lookat[:2] = begin[:2] + state[:2] - solid[0, :2]
             renderer.update_scene(data, camera=camera)
+            for colour, states in zip(asked["ghosts"], others, strict=True):
+                ghost.qpos[:] = states[number]
+                mujoco.mj_kinematics(model, ghost)
+                add_ghost(model, ghost, renderer.scene, colour)
             renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
             renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
             renderer.render(out=frames[number])
@@ -111,4 +165,4 @@ def _draw(place: Path, follow: bool) -> None:
 
 
 if __name__ == "__main__":
-    _draw(Path(sys.argv[1]), sys.argv[2] == "follow")
+    _draw(Path(sys.argv[1]))

@@ -62,30 +62,38 @@ TILTED = np.radians(12.0)
 def states_of_log(log: Rollout, scene: Scene, rate: float) -> np.ndarray:
     """A robot's states as its encoders and IMU tell them, for `film`.
 
-    A log does not know where the robot is: it is put such that the middle of its soles stays where it began, and a
-    board lies under them as they do. Good for looking at, not for measuring.
+    A log does not know where a robot on its feet is: it is put such that the middle of its soles stays where it began,
+    and a board lies under them as they do. Good for looking at, not for measuring.
 
     Args:
-        log: of one episode on the robot, all joints.
-        scene: that it happened on; "floor" or a board.
+        log: of one episode on the robot; joints that it lacks are drawn at home.
+        scene: that it happened on.
         rate: frames per second [Hz].
 
     Returns:
         [frame, nq].
     """
-    model = scene.compile()
+    time = log.array("time")[:, 0] - log.array("time")[0, 0]
+    rows = np.searchsorted(time, np.arange(int(log.duration * rate) + 1) / rate - 1e-6)
+    names = [name.rsplit("/", 1)[-1] for name in scene.joint_names]
+    home = scene.robot_file.home
+    joints = np.stack([
+        log.array("joint/position")[rows, log.joints.index(name)] if name in log.joints
+        else np.full(len(rows), home[scene.robot_file.joints.index(name)])
+        for name in names
+    ], axis=1)  # fmt: skip
+    if not scene.floating:
+        return joints
+    model, orientation = scene.compile(visual=False), log.array("imu/orientation")[rows]
     data = mujoco.MjData(model)
-    order = [log.joints.index(name.rsplit("/", 1)[-1]) for name in scene.joint_names]
     soles = [i for i in range(model.nsite) if "sole" in model.site(i).name]
     feet = sorted({int(model.site_bodyid[i]) for i in soles})
-    rows = np.arange(0, log.rows, max(1, round(log.metadata.rate / rate)))
-    joints, orientation = log.array("joint/position")[rows][:, order], log.array("imu/orientation")[rows]
     states = np.repeat(scene.initial_qpos(joints[0])[None], len(rows), 0)
-    board = states.shape[1] - 7 - len(order)
+    board = states.shape[1] - 7 - len(names)
     centre: np.ndarray | None = None
     for state, angles, (roll, pitch, yaw) in zip(states, joints, orientation, strict=True):
         state[3:7] = _turned(roll, pitch, yaw - orientation[0, 2])
-        state[7 : 7 + len(order)] = angles
+        state[7 : 7 + len(names)] = angles
         data.qpos[:] = state
         mujoco.mj_kinematics(model, data)
         middle = data.site_xpos[soles].mean(0)

@@ -1,0 +1,128 @@
+"""Look at a log, a policy, a model or a diagnosis: the robot solid, simulations as its ghosts, plots beside them.
+
+python experiments/view.py what=<log> [model=<model.yaml>]       # measured, and the model's prediction as a ghost
+python experiments/view.py what=<policy bundle>                  # an episode in simulation
+python experiments/view.py what=<model.yaml>                     # a squat: its commands solid, the model as a ghost
+python experiments/view.py what=<run of diagnose.py>             # measured, before and after what was named
+python experiments/view.py what=<log> out=film.mp4               # or out=log.rrd, out=rerun
+
+Without a screen an mp4 is written. As a command: op3 view <log>.
+"""
+
+import os
+import sys
+from pathlib import Path
+
+import hydra
+import numpy as np
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+from support import check_given, one_sentence, positive, whole
+
+from op3.command_line import launch
+from op3.envs import record_episodes
+from op3.envs.actors import Watched, find_actor
+from op3.policy.bundle import MANIFEST
+from op3.report.frames import RenderError
+from op3.report.tracks import SHOWN, Tracks, of_diagnosis, predicted, scene_of
+from op3.report.view import pictures, window, write_mp4
+from op3.robot import squat
+from op3.rollout import Rollout, read_logs
+from op3.sim import load_model, model_for
+from op3.tasks import Replay, play, squat_task
+from op3.tasks.task import POLICY_PERIOD, find_task
+
+
+def of_log(cfg: DictConfig) -> Tracks:
+    """A log, and what a model predicts of it where its commands tell the whole run."""
+    logs = [one for log in read_logs(cfg.what, cfg.robot) for one in log.episodes()]
+    if not cfg.number < len(logs):
+        raise ValueError(f"number={cfg.number}: {cfg.what} holds {len(logs)} logs, counted from 0")
+    log = logs[cfg.number]
+    shown: dict[str, Rollout] = {"measured": log}
+    try:
+        prediction = Replay([log], num_threads=1).run(model_for(log.robot, cfg.model))[0]
+        shown["simulated"] = predicted(prediction)
+    except ValueError as error:
+        print(f"no ghost: {error}", file=sys.stderr)
+    return Tracks(shown, scene_of(log))
+
+
+def of_policy(cfg: DictConfig) -> Tracks:
+    """An episode of a policy, in the simulation that it was trained in."""
+    from op3.policy import PolicyBundle
+
+    made = PolicyBundle.load(cfg.what).manifest
+    task = find_task(made.task)
+    actor = find_actor(str(cfg.what), task)
+    model = cfg.model or made.training.model
+    try:
+        load_model(model)
+    except FileNotFoundError:
+        print(f"{model}, on which the policy was trained, is not here; it is shown on `paper`", file=sys.stderr)
+        model = "paper"
+    env = actor.environment(task, model, 1, cfg.seed, num_threads=1)
+    watched = Watched(actor.policy, env)
+    log = record_episodes(env, watched, 1)[0]
+    return Tracks({"simulated": log}, env.scene, np.stack(watched.states), 1 / POLICY_PERIOD)
+
+
+def of_model(cfg: DictConfig) -> Tracks:
+    """A squat on the floor as a model does it, the ghost of what it is told."""
+    log = play(squat_task(load_model(cfg.what), squat(duration=6.0), mount="floor"))
+    told = {key: log.array(key) for key in log.channels} | {("joint", "position"): log.array("command/position")}
+    return Tracks({"commanded": Rollout.from_arrays(told, log.metadata), "simulated": log}, scene_of(log))
+
+
+def tracks_of(cfg: DictConfig) -> Tracks:
+    """What is to be shown, by what it is."""
+    path = Path(cfg.what)
+    if (path / MANIFEST).is_file():
+        return of_policy(cfg)
+    if (path / SHOWN).is_dir():
+        return of_diagnosis(path)
+    is_model = path.suffix in (".yaml", ".yml") or not path.exists()
+    return of_model(cfg) if is_model else of_log(cfg)
+
+
+def has_screen() -> bool:
+    """Whether a window can be opened."""
+    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def run(cfg: DictConfig, folder: Path) -> None:
+    """Show it, or write it."""
+    check_given(cfg, "what", "a log, a policy bundle, a model.yaml or the run of a diagnosis")
+    whole(cfg, "number", 0)
+    speed = positive(cfg, "speed", "times real time")
+    out = None if cfg.out is None else Path(cfg.out)
+    if out is not None and out.name != "rerun" and out.suffix not in (".mp4", ".rrd"):
+        raise ValueError(f"out must end with .mp4 or .rrd, or be rerun, got {cfg.out}")
+    tracks = tracks_of(cfg)
+    joints = next(iter(tracks.logs.values())).joints
+    if cfg.joint is not None and cfg.joint not in joints:
+        raise ValueError(f"joint={cfg.joint}: the log has {', '.join(joints)}")
+    if out is not None and (out.name == "rerun" or out.suffix == ".rrd"):
+        from op3.report.rerun_recording import record
+
+        print(record(tracks, None if out.name == "rerun" else out) or "shown in rerun")
+    elif out is None and has_screen():
+        window(tracks, cfg.joint, speed)
+    else:
+        try:
+            print(write_mp4(pictures(tracks, cfg.joint, speed), out or folder / "view.mp4"))
+        except RenderError as error:
+            raise ValueError(str(error)) from None
+
+
+@hydra.main(config_path="../conf", config_name="view", version_base="1.3")
+def main(cfg: DictConfig) -> None:
+    """Show one thing."""
+    with one_sentence("Nothing is kept."):
+        torch.set_num_threads(1)
+        run(cfg, Path(HydraConfig.get().runtime.output_dir))
+
+
+if __name__ == "__main__":
+    launch(main, "view", __doc__)

@@ -1,0 +1,85 @@
+"""Several robots in one scene: what was measured, and the same run as models say it would be."""
+
+# MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
+# pyright: reportAttributeAccessIssue=false
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from op3.report.video import states_of_log
+from op3.robot import Scene, build_bench, build_scene
+from op3.rollout import Rollout, read_log, stand_tilt
+from op3.tasks import Prediction
+
+SHOWN = "shown"
+"""Folder of a diagnosis with the run that it shows: measured, before and after."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """One run of one robot, by who says how it went.
+
+    Attributes:
+        logs: by label; the first one is drawn solid, the others are its ghosts.
+        scene: in which all of them are drawn.
+        known: states ``[frame, nq]`` of the first at `known_rate` [Hz], where they are known better than a log tells.
+        known_rate: of them.
+    """
+
+    logs: Mapping[str, Rollout]
+    scene: Scene
+    known: NDArray[np.float64] | None = None
+    known_rate: float = 0.0
+
+    @property
+    def duration(self) -> float:
+        """Of the first [s]."""
+        return next(iter(self.logs.values())).duration
+
+    def states(self, rate: float) -> NDArray[np.float64]:
+        """``[robot, frame, nq]`` at so many frames per second [Hz]; who ends early stays where it ended."""
+        frames = int(self.duration * rate) + 1
+        found = [states_of_log(log, self.scene, rate) for log in self.logs.values()]
+        if self.known is not None:
+            rows = np.arange(frames) * self.known_rate / rate
+            found[0] = self.known[np.minimum(rows.astype(int), len(self.known) - 1)]
+        return np.stack([one[np.minimum(np.arange(frames), len(one) - 1)] for one in found])
+
+    def joint(self) -> str:
+        """The joint in which the first ghost differs most; of a robot alone, the one that moves most."""
+        first, *ghosts = (log.array("joint/position") for log in self.logs.values())
+        rows = min(len(first), *(len(ghost) for ghost in ghosts)) if ghosts else len(first)
+        apart = first[:rows] - (ghosts[0][:rows] if ghosts else first.mean(0))
+        return next(iter(self.logs.values())).joints[int(np.nanargmax(np.square(apart).mean(0)))]
+
+
+def scene_of(log: Rollout) -> Scene:
+    """The scene in which a log was recorded, with the log's robot, or as much of it as the log has."""
+    known = log.metadata
+    if known.mount == "pendulum":
+        return build_bench(known.mass, known.length)
+    if known.mount != "stand":
+        return build_scene(known.mount, robot=log.robot)
+    roll, pitch = stand_tilt(log) or (0.0, 0.0)
+    return build_scene("stand", tilt_roll=roll, tilt_pitch=pitch, joints=log.joints, robot=log.robot)
+
+
+def predicted(prediction: Prediction) -> Rollout:
+    """What the only candidate of a prediction says, as a log of its own."""
+    log = prediction.log
+    channels: dict[Any, np.ndarray] = {key: values[0].numpy() for key, values in prediction.channels.items()}
+    rows = min(len(values) for values in channels.values())
+    channels |= {key: log.array(key) for key in log.channels if key == "time" or key[0] == "command"}
+    arrays = {key: values[:rows] for key, values in channels.items()}
+    return Rollout.from_arrays(arrays, log.metadata.replace(robot="simulated"))
+
+
+def of_diagnosis(folder: Path) -> Tracks:
+    """What a diagnosis has kept to be looked at."""
+    logs = {name: read_log(folder / SHOWN / name) for name in ("measured", "before", "after")}
+    return Tracks(logs, scene_of(logs["measured"]))

@@ -1,0 +1,230 @@
+"""What was done, to look at: a window that plays it, an mp4, or a recording for rerun; plots beside the robots."""
+
+# MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
+# pyright: reportAttributeAccessIssue=false
+
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from op3.report.frames import add_ghost, camera_of, draw_frames
+from op3.report.style import COMMAND, GRID, GROUND, INK, MUTED, PALETTE, words
+from op3.report.tracks import Tracks
+from op3.rollout import Rollout
+
+RATE = 30.0
+"""Frames per second [Hz]."""
+
+PICTURE, PLOTS = (720, 720), (720, 560)
+"""Height and width of the robots and of the plots beside them [pixel]."""
+
+QUANTITIES: Mapping[str, tuple[tuple[str, str], float]] = {
+    "angle [deg]": (("joint", "position"), 180 / np.pi),
+    "current [A]": (("joint", "current"), 1.0),
+    "P gain [A/rad]": (("command", "p_gain"), 1.0),
+    "gain [firmware]": (("command", "firmware_gain"), 1.0),
+}
+"""What is plotted, where a log has it, and the factor from SI units."""
+
+Plot = list[tuple[str, NDArray[np.float64], NDArray[np.float64]]]
+"""Label, time [s] and values of every line."""
+
+
+def rgb(colour: str) -> tuple[float, float, float]:
+    """A colour ``#rrggbb`` as red, green and blue, 0 to 1."""
+    return tuple(int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))  # type: ignore[return-value]
+
+
+def lines_of(tracks: Tracks, joint: str) -> dict[str, Plot]:
+    """What is plotted of a joint, by axis."""
+    plots: dict[str, Plot] = {}
+    first = next(iter(tracks.logs.values()))
+    for axis, (key, factor) in QUANTITIES.items():
+        lines = [_line(label, log, key, joint, factor) for label, log in tracks.logs.items() if key in log]
+        if key == ("joint", "position") and ("command", "position") in first:
+            lines.insert(0, _line(COMMAND, first, ("command", "position"), joint, factor))
+        if lines:
+            plots[axis] = lines
+    return plots
+
+
+def _line(label: str, log: Rollout, key: tuple[str, str], joint: str, factor: float) -> tuple[str, Any, Any]:
+    seconds = log.array("time")[:, 0] - log.array("time")[0, 0]
+    return label, seconds, factor * log.array(key)[:, log.joints.index(joint)]
+
+
+class Strip:
+    """Plots of one joint over time, drawn once; `at` puts the cursor where the time is.
+
+    Args:
+        tracks: whose.
+        joint: which; `Tracks.joint` where None.
+        size: height and width [pixel].
+    """
+
+    def __init__(self, tracks: Tracks, joint: str | None = None, size: tuple[int, int] = PLOTS):
+        self.joint = joint or tracks.joint()
+        self._duration = max(tracks.duration, 1e-6)
+        self._fine = 2  # lines are drawn at twice the size, and so without steps
+        height, width = (self._fine * side for side in size)
+        self._left, self._right, self._top, self._bottom = 110, width - 40, 130, height - 80
+        self._image = Image.new("RGB", (width, height), GROUND)
+        draw = ImageDraw.Draw(self._image)
+        colours = dict(zip(tracks.logs, (INK, *PALETTE), strict=False)) | {COMMAND: MUTED}
+        plots = lines_of(tracks, self.joint)
+        draw.text((self._left, 24), words(self.joint), INK, _font(34))
+        x = self._left
+        for label in dict.fromkeys(line[0] for plot in plots.values() for line in plot):
+            draw.line((x, 96, x + 36, 96), colours[label], 6)
+            draw.text((x + 46, 80), label, INK, _font(26))
+            x += 76 + round(_font(26).getlength(label))
+        room = (self._bottom - self._top) / max(len(plots), 1)
+        for number, (axis, lines) in enumerate(plots.items()):
+            self._plot(draw, axis, lines, colours, self._top + number * room, room - 64)
+        for second in range(0, int(self._duration) + 1, max(1, round(self._duration / 6))):
+            draw.text((self._x(second), self._bottom - 14), f"{second} s", MUTED, _font(24), anchor="mt")
+
+    def _x(self, seconds: Any) -> Any:
+        return self._left + (self._right - self._left) * seconds / self._duration
+
+    def _plot(
+        self, draw: ImageDraw.ImageDraw, axis: str, lines: Plot, colours: Mapping[str, str], top: float, height: float
+    ) -> None:
+        everything = np.concatenate([values[np.isfinite(values)] for _, _, values in lines])
+        low, high = (float(everything.min()), float(everything.max())) if everything.size else (0.0, 1.0)
+        low, high = (low, high) if high > low else (low - 0.5, high + 0.5)
+        draw.text((self._left, top), axis, MUTED, _font(24))
+        top, height = top + 36, height - 36
+        for value in (low, high):
+            y = top + height * (high - value) / (high - low)
+            draw.line((self._left, y, self._right, y), GRID, 2)
+            draw.text((self._left - 12, y), f"{value:.3g}", MUTED, _font(22), anchor="rm")
+        for label, seconds, values in lines:
+            y = top + height * (high - np.nan_to_num(values, nan=low)) / (high - low)
+            draw.line(list(np.stack([self._x(seconds), y], 1).ravel()), colours[label], 3 if label == COMMAND else 5)
+
+    def at(self, seconds: float) -> NDArray[np.uint8]:
+        """The plots at a time [s], ``[height, width, 3]``."""
+        image = self._image.copy()
+        x = self._x(min(seconds, self._duration))
+        ImageDraw.Draw(image).line((x, self._top, x, self._bottom - 20), MUTED, 3)
+        return np.asarray(image.reduce(self._fine))
+
+
+def _font(size: int) -> Any:
+    return ImageFont.load_default(size)
+
+
+def ghost_colours(tracks: Tracks) -> list[tuple[float, float, float]]:
+    """Colours of all robots but the first, those of their lines."""
+    return [rgb(colour) for _, colour in zip(list(tracks.logs)[1:], PALETTE, strict=False)]
+
+
+def pictures(tracks: Tracks, joint: str | None = None, speed: float = 1.0) -> Iterator[NDArray[np.uint8]]:
+    """Frames of the robots with the plots beside them, `RATE` a second.
+
+    Raises:
+        RenderError: if nothing can be drawn here.
+    """
+    rate = RATE / speed
+    frames = draw_frames(
+        tracks.scene.compile(), tracks.states(rate), size=PICTURE, ghosts=ghost_colours(tracks)
+    )  # fmt: skip
+    strip = Strip(tracks, joint)
+    for number, frame in enumerate(frames):
+        yield np.concatenate([frame, strip.at(number / rate)], axis=1)
+
+
+def write_mp4(images: Iterator[NDArray[np.uint8]], path: Path) -> Path:
+    """Write pictures ``[height, width, 3]`` as H.264; the file appears whole or not at all."""
+    import av  # half a second that other uses need not pay
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished, stream = path.with_suffix(".part"), None
+    with av.open(str(unfinished), "w", format="mp4") as container:
+        for image in images:
+            if stream is None:
+                stream = container.add_stream("libx264", rate=Fraction(RATE), options={"crf": "23", "preset": "fast"})
+                stream.height, stream.width, stream.pix_fmt = *image.shape[:2], "yuv420p"
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        if stream is not None:
+            container.mux(stream.encode(None))
+    unfinished.replace(path)
+    return path
+
+
+@dataclass
+class Player:
+    """Where a window is in time, and what its keys do.
+
+    Attributes:
+        duration: of what is played [s].
+        seconds: where it is.
+        speed: times real time.
+        playing: or paused.
+    """
+
+    duration: float
+    seconds: float = 0.0
+    speed: float = 1.0
+    playing: bool = True
+
+    KEYS = "space: play or pause; left, right: half a second; comma, point: a frame; up, down: speed; Home: begin"
+
+    def key(self, code: int) -> None:
+        """Do what a key of GLFW stands for."""
+        jumps = {262: 0.5, 263: -0.5, 46: 1 / RATE, 44: -1 / RATE, 268: -self.duration}
+        if code == 32:
+            self.playing = not self.playing
+        elif code in (265, 264):
+            self.speed = min(max(self.speed * (2.0 if code == 265 else 0.5), 1 / 16), 16.0)
+        elif code in jumps:
+            self.seconds = min(max(self.seconds + jumps[code], 0.0), self.duration)
+            self.playing = self.playing and code not in (44, 46)
+
+    def advance(self, elapsed: float) -> None:
+        """Let time [s] pass; at the end it begins anew."""
+        if self.playing:
+            self.seconds = (self.seconds + self.speed * elapsed) % max(self.duration, 1e-9)
+
+
+def window(tracks: Tracks, joint: str | None = None, speed: float = 1.0) -> None:
+    """Play in MuJoCo's viewer until it is closed."""
+    import mujoco.viewer
+
+    model, states, strip = tracks.scene.compile(), tracks.states(RATE), Strip(tracks, joint)
+    data, ghost, player = mujoco.MjData(model), mujoco.MjData(model), Player(tracks.duration, speed=speed)
+    data.qpos[:] = states[0, 0]
+    mujoco.mj_forward(model, data)
+    options: dict[str, Any] = {"key_callback": player.key, "show_left_ui": False, "show_right_ui": False}
+    print(Player.KEYS, flush=True)
+    with mujoco.viewer.launch_passive(model, data, **options) as handle:
+        seen = camera_of(model, data)
+        handle.cam.lookat[:], handle.cam.distance = seen.lookat, seen.distance
+        handle.cam.azimuth, handle.cam.elevation = seen.azimuth, seen.elevation
+        last = time.monotonic()
+        while handle.is_running():
+            now = time.monotonic()
+            player.advance(now - last)
+            last, row = now, min(int(player.seconds * RATE), states.shape[1] - 1)
+            with handle.lock():
+                data.qpos[:] = states[0, row]
+                mujoco.mj_forward(model, data)
+                handle.user_scn.ngeom = 0
+                for colour, robot in zip(ghost_colours(tracks), states[1:], strict=True):
+                    ghost.qpos[:] = robot[row]
+                    mujoco.mj_kinematics(model, ghost)
+                    add_ghost(model, ghost, handle.user_scn, colour)
+            image, place = strip.at(player.seconds), handle.viewport
+            if place is not None and place.width > PLOTS[1] and place.height > PLOTS[0]:
+                right = mujoco.MjrRect(place.width - PLOTS[1], place.height - PLOTS[0], PLOTS[1], PLOTS[0])
+                handle.set_images((right, image))
+            handle.sync()
+            time.sleep(max(0.0, 1 / RATE - (time.monotonic() - now)))

@@ -1,0 +1,121 @@
+"""Looking at a run: robots in one scene, plots beside them, a film, and what the keys of the window do."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from report_logs import squat_log
+
+from op3.report.frames import RenderError, draw_frames
+from op3.report.tracks import Tracks, scene_of
+from op3.report.view import RATE, Player, Strip, lines_of, write_mp4
+from op3.robot import load_robot
+from op3.rollout import Metadata, Rollout
+
+
+def arm_tracks(rows: int = 126, late: float = 0.3) -> Tracks:
+    """The six-joint arm swings its third joint by a radian in a second; its ghost ends early, and is late by that."""
+    arm = load_robot("arm")
+    time = 0.008 * np.arange(rows)
+    position = np.tile(arm.home, (rows, 1))
+    position[:, 2] += np.sin(np.pi / 2 * time)
+    metadata = Metadata(arm.joints, "simulated", "stand", 125.0, robot_file="arm")
+    arrays = {"time": time, "joint/position": position, "command/position": position}
+    ghost = position.copy()
+    ghost[:, 2] -= late
+    half = {key: value[: rows // 2] for key, value in {**arrays, "joint/position": ghost}.items()}
+    logs = {
+        "measured": Rollout.from_arrays(arrays, metadata),
+        "simulated": Rollout.from_arrays(half, replace(metadata, robot="simulated")),
+    }
+    return Tracks(logs, scene_of(logs["measured"]))
+
+
+def test_a_ghost_that_ends_early_stays_where_it_ended():
+    """One second at 25 frames is 26 frames; the ghost's half a second, 62 rows, has its last at 12/25 s, row 60."""
+    tracks = arm_tracks()
+    states = tracks.states(25.0)
+    assert states.shape == (2, 26, 6)
+    ghost = tracks.logs["simulated"].array("joint/position")
+    np.testing.assert_array_equal(states[1, 12:], np.tile(ghost[60], (14, 1)))
+
+
+def test_the_joint_that_differs_most_is_plotted():
+    """The third joint of the arm, with command, measured and simulated angle in degrees."""
+    tracks = arm_tracks()
+    joint = tracks.joint()
+    assert joint == load_robot("arm").joints[2]
+    (lines,) = lines_of(tracks, joint).values()
+    assert [label for label, *_ in lines] == ["command", "measured", "simulated"]
+    assert lines[1][2][0] - lines[2][2][0] == pytest.approx(np.degrees(0.3))
+
+
+def test_the_cursor_is_where_the_time_is():
+    """Two times differ in the columns of their cursors alone."""
+    strip = Strip(arm_tracks(), size=(400, 600))
+    changed = np.flatnonzero((strip.at(0.25) != strip.at(0.75)).any((0, 2)))
+    left, right = 55, 580  # of the plots
+    wanted = [left + (right - left) * share / 1.0 for share in (0.25, 0.75)]
+    assert {round(min(abs(column - x) for x in wanted) / 4) for column in changed} == {0}
+
+
+def test_a_ghost_is_seen_where_it_differs():
+    """A ghost in the same place hides in the solid robot; one that is off shows its colour."""
+    apart, alike = arm_tracks(), arm_tracks(late=0.0)
+    model, red = apart.scene.compile(), [(1.0, 0.0, 0.0)]
+    try:
+        bare = draw_frames(model, apart.states(25.0)[0, :1], size=(240, 240))[0]
+    except RenderError as error:
+        pytest.skip(f"no driver draws here: {error}")
+    seen = []
+    for tracks in (apart, alike):
+        drawn = draw_frames(model, tracks.states(25.0)[:, :1], size=(240, 240), ghosts=red)[0]
+        seen.append(int((np.abs(drawn.astype(int) - bare).max(-1) > 40).sum()))
+    assert seen[0] > 200
+    assert seen[1] < 0.2 * seen[0]
+
+
+def test_a_film_has_all_pictures(tmp_path):
+    """Three pictures are three frames of H.264, and no unfinished file stays."""
+    av = pytest.importorskip("av")
+    pictures = (np.full((64, 96, 3), shade, np.uint8) for shade in (0, 120, 240))
+    path = write_mp4(pictures, tmp_path / "film.mp4")
+    with av.open(str(path)) as film:
+        shades = [frame.to_ndarray(format="rgb24").mean() for frame in film.decode(video=0)]
+    assert shades == pytest.approx([0, 120, 240], abs=4)
+    assert [one.name for one in tmp_path.iterdir()] == ["film.mp4"]
+
+
+def test_keys_play_scrub_and_change_the_speed():
+    """Space pauses, right goes on half a second, up doubles the speed, a comma steps back; after 2 s it begins anew."""
+    player = Player(2.0)
+    player.key(32)
+    player.advance(1.0)
+    assert player.seconds == 0.0
+    for code in (262, 265, 32):
+        player.key(code)
+    player.advance(0.5)
+    assert (player.seconds, player.speed) == (1.5, 2.0)
+    player.key(44)
+    assert (player.seconds, player.playing) == (1.5 - 1 / RATE, False)
+    player.key(32)
+    player.advance(4.0)
+    assert player.seconds == pytest.approx(1.5 - 1 / RATE)
+
+
+def test_rerun_gets_robots_and_plots(tmp_path):
+    """A recording names both robots and the plotted joint."""
+    pytest.importorskip("rerun", reason="the extra `view` is not installed")
+    from op3.report.rerun_recording import record
+
+    tracks = arm_tracks()
+    content = record(tracks, tmp_path / "log.rrd").read_bytes()  # type: ignore[union-attr]
+    for name in ("robots/measured", "robots/simulated", f"plots/{tracks.joint()}/angle"):
+        assert name.encode() in content
+
+
+def test_joints_that_a_log_lacks_are_at_home():
+    """A log of the knees alone is drawn with its whole limbs."""
+    log = squat_log()
+    states = Tracks({"measured": log}, scene_of(log)).states(25.0)
+    assert states.shape == (1, 12, 12)
