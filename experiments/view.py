@@ -30,6 +30,7 @@ from op3.report.view import pictures, window, write_mp4
 from op3.robot import squat
 from op3.rollout import Rollout, read_logs
 from op3.sim import load_model, model_for
+from op3.sim.model_file import model_names
 from op3.tasks import Replay, play, squat_task
 from op3.tasks.task import POLICY_PERIOD, find_task
 
@@ -82,6 +83,9 @@ def tracks_of(cfg: DictConfig) -> Tracks:
         return of_policy(cfg)
     if (path / SHOWN).is_dir():
         return of_diagnosis(path)
+    if not path.exists() and cfg.what not in model_names():
+        wanted = "a log, a policy bundle, a model.yaml, a name in conf/servo or the run of a diagnosis"
+        raise ValueError(f"what={cfg.what}: there is no such file or folder; give {wanted}")
     is_model = path.suffix in (".yaml", ".yml") or not path.exists()
     return of_model(cfg) if is_model else of_log(cfg)
 

@@ -2,11 +2,12 @@
 
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from op3.command_line import COMMANDS, completion, files, quoted, script, usage
+from op3.command_line import COMMANDS, completion, quoted, script, usage
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -28,6 +29,7 @@ def _environment() -> dict[str, str]:
         (["trian"], "op3 has no command 'trian'; the nearest is 'train'"),
         (["train", "task=wlak"], "task=wlak: there is no such file in conf/task; the nearest is 'walk'"),
         (["train", "train.stpes=3"], "there is no setting 'train.stpes'; the nearest is 'train.steps'"),
+        (["demo", "diagnose", "efect=dte"], "there is no setting 'efect'; the nearest is 'effect'"),
         (["collect", "motion=sqat"], "motion=sqat: there is no such file in conf/motion; the nearest is 'squat'"),
     ],
 )
@@ -79,14 +81,35 @@ def test_help_tells_settings_with_units_and_groups():
     assert "job_logging" not in text
 
 
-def test_completion_knows_commands_and_names():
-    """The function is bash's, and offers the names of a group."""
-    available = {name: script(name) for name in COMMANDS if script(name).is_file()}
-    text = completion(available)
-    done = subprocess.run(["bash", "-n"], input=text, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "task=walk" in text
-    assert (files() / "conf").is_dir()
+@pytest.fixture(scope="module")
+def completed() -> Callable[[str], list[str]]:
+    """What the function of bash offers for a line."""
+    function = completion({name: script(name) for name in COMMANDS if script(name).is_file()})
+
+    def offer(line: str) -> list[str]:
+        call = f'COMP_LINE="{line}"; COMP_POINT={len(line)}; COMP_WORDS=({line}); COMP_CWORD={len(line.split()) - 1}'
+        text = f'{function}\n{call}\n_op3; printf "%s\\n" "${{COMPREPLY[@]}}"'
+        done = subprocess.run(["bash"], input=text, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        return done.stdout.split()
+
+    return offer
+
+
+@pytest.mark.parametrize(
+    ("line", "offered"),
+    [
+        ("op3 dem", "demo"),
+        ("op3 demo di", "diagnose"),
+        ("op3 train task=walk_t", "walk_terrain"),
+        ("op3 identify effect=[backl", "[backlash]"),
+        ("op3 identify groups=[gea", "[gear]"),
+        ("op3 train initial_g", "initial_gain="),
+    ],
+)
+def test_completion_knows_commands_settings_and_names(completed, line, offered):
+    """Names are those of files and of the catalogue; bash takes `=` for the end of a word, so only values are given."""
+    assert offered in completed(line)
 
 
 def test_every_command_is_listed():
