@@ -219,3 +219,13 @@ def test_a_baseline_is_judged_on_the_same_episodes(tmp_path):
     assert low < other["evaluation.margin"] < high
     assert other["evaluation.returns"] == same["evaluation.returns"]
     assert "random (baseline)" in (tmp_path / "other" / "index.html").read_text()
+
+
+def test_figures_of_a_policy_are_drawn(tmp_path):
+    """The gait and snapshots of a walk; a film where something draws."""
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed: pip install 'op3[docs]'")
+    overrides = ["policy=assets/policies/walk", "tasks=[walk]", "episodes=1", f"folder={tmp_path}", "film_seconds=0.5"]
+    done = script("policy_figures.py", *overrides, f"hydra.run.dir={tmp_path}/run")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "walk_gait.svg").stat().st_size > 10_000
+    assert (tmp_path / "walk.jpg").exists() or "no snapshots" in done.stdout

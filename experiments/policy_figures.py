@@ -1,0 +1,151 @@
+"""The figures of a policy for documents: learning curves, commands over the gait, snapshots and films.
+
+python experiments/policy_figures.py policy=assets/policies/walk
+python experiments/policy_figures.py policy=<bundle> tasks=[walk_bricks_c,walk_push] \\
+    'trainings={walk: [<run of seed 0>, <run of seed 1>], balance: [<run>]}'
+
+Needs what `pip install "op3[docs]"` installs. Pictures lie in `folder`, ready for a document in Markdown.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import hydra
+import matplotlib
+import numpy as np
+import torch
+from omegaconf import DictConfig
+from PIL import Image
+from support import check_given, one_sentence, plain, positive, whole
+
+from op3.command_line import launch
+from op3.envs import record_episodes
+from op3.envs.actors import Watched, find_actor
+from op3.report.frames import RenderError, draw_frames
+from op3.report.style import PALETTE, words
+from op3.report.video import film
+from op3.robot import CONTROLLED_JOINTS
+from op3.rollout import Rollout
+from op3.tasks.behaviour import GaitProfile, gait_profile
+from op3.tasks.task import find_task
+from op3.train.checkpoint import load_checkpoint
+
+matplotlib.use("Agg")
+from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
+
+FRAME_EVERY = 3
+"""Policy steps between two frames of a film."""
+SHOWN = 6
+"""Snapshots side by side."""
+BETWEEN = 4
+"""Frames between two of them: what comes in between is a step or so."""
+
+
+def learning(trainings: Mapping[str, Sequence[str]], path: Path) -> Path:
+    """Return without exploration over the steps, a panel per task and a line per run."""
+    figure, panels = plt.subplots(1, len(trainings), figsize=(4.2 * len(trainings), 3.0), squeeze=False)
+    for axes, (task, folders) in zip(panels[0], trainings.items(), strict=True):
+        for folder, colour in zip(folders, PALETTE, strict=False):
+            history = load_checkpoint(Path(folder) / "checkpoint.pt")["run"]["history"]
+            points = [(one["steps"], one["evaluation/return"]) for one in history if "evaluation/return" in one]
+            steps, returns = np.array(points).T
+            axes.plot(steps / 1e6, returns, color=colour, label=Path(folder).name)
+        axes.set(title=words(task), xlabel="steps [million]", ylabel="return [-]")
+        axes.legend(frameon=False)
+    return keep(figure, path)
+
+
+def gait(profile: GaitProfile, joint: str, path: Path) -> Path:
+    """Target angle and P gain of a joint over the gait, the phase in which its foot carries shaded."""
+    figure, panels = plt.subplots(2, 1, figsize=(5.6, 4.2), sharex=True)
+    lines = (
+        (profile.target, profile.target_deviation, "target angle [rad]"),
+        (profile.gain, profile.gain_deviation, "P gain [A/rad]"),
+    )
+    for axes, (mean, deviation, label) in zip(panels, lines, strict=True):
+        shade(axes, profile)
+        axes.plot(profile.phase, mean, color=PALETTE[0])
+        axes.fill_between(profile.phase, mean - deviation, mean + deviation, color=PALETTE[0], alpha=0.2, lw=0)
+        axes.set_ylabel(label)
+    panels[0].set_title(f"{words(joint)}, support shaded")
+    panels[1].set_xlabel("phase of the gait [cycles]")
+    return keep(figure, path)
+
+
+def shade(axes: Axes, profile: GaitProfile) -> None:
+    """Mark the bins in which the foot carries."""
+    half = 0.5 / len(profile.phase)
+    for phase in profile.phase[profile.stance]:
+        axes.axvspan(phase - half, phase + half, color="0.5", alpha=0.15, lw=0)
+
+
+def keep(figure: Any, path: Path) -> Path:
+    """Write a figure; the same data give the same bytes."""
+    figure.tight_layout()
+    figure.savefig(path, metadata={"Date": None})
+    plt.close(figure)
+    return path
+
+
+def play(cfg: DictConfig, name: str, episodes: int) -> tuple[list[Rollout], Any, np.ndarray]:
+    """Episodes of a task, its scene, and the states [frame, nq] of the first one."""
+    task = find_task(name)
+    actor = find_actor(cfg.policy, task)
+    env = actor.environment(task, cfg.model, episodes, cfg.seed)
+    watched = Watched(actor.policy, env)
+    logs = record_episodes(env, watched, episodes)
+    steps = round((logs[0].metadata.episode_duration or 0.0) / env.policy_period)
+    return logs, env.scene, np.stack(watched.states[:steps])
+
+
+def snapshots(scene: Any, states: np.ndarray, path: Path) -> Path | None:
+    """Some moments from the middle of an episode, side by side; None where MuJoCo cannot render here."""
+    middle = len(states) // 2
+    chosen = states[middle : middle + SHOWN * BETWEEN : BETWEEN]
+    try:
+        frames = draw_frames(scene.compile(), chosen)
+    except RenderError as error:
+        print(f"no snapshots: {error}")
+        return None
+    strip = Image.fromarray(np.concatenate([frame[:, 80:-80] for frame in frames], axis=1))
+    strip.resize((strip.width * 2 // 3, strip.height * 2 // 3)).save(path, quality=80)
+    return path
+
+
+def run(cfg: DictConfig) -> None:
+    """Draw all that is asked for."""
+    torch.set_num_threads(1)
+    check_given(cfg, "policy", "folder of a bundle")
+    whole(cfg, "seed", 0)
+    whole(cfg, "episodes", 1)
+    seconds = positive(cfg, "film_seconds", "s")
+    if cfg.joint not in CONTROLLED_JOINTS:
+        raise ValueError(f"joint={cfg.joint}: choose {', '.join(CONTROLLED_JOINTS)}")
+    folder = Path(cfg.folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    label = Path(cfg.policy).name
+    made: list[Path | None] = [learning(plain(cfg.trainings), folder / "learning.svg")] if cfg.trainings else []
+    for task in plain(cfg.tasks):
+        walks = find_task(task).cycle is not None
+        logs, scene, states = play(cfg, task, cfg.episodes if task == cfg.tasks[0] else 1)
+        if walks and task == cfg.tasks[0]:
+            made.append(gait(gait_profile(logs, task, cfg.joint), cfg.joint, folder / f"{label}_gait.svg"))
+        rate = logs[0].metadata.policy_rate or 0.0
+        shown = states[len(states) // 2 :][: round(seconds * rate) : FRAME_EVERY]
+        made.append(snapshots(scene, states, folder / f"{task}.jpg"))
+        made.append(film(scene, shown, folder / f"{task}.webp", rate / FRAME_EVERY, follow=walks))
+    for path in filter(None, made):
+        print(f"{path}: {path.stat().st_size / 1000:.0f} kB")
+
+
+@hydra.main(config_path="../conf", config_name="policy_figures", version_base="1.3")
+def main(cfg: DictConfig) -> None:
+    """Draw."""
+    with one_sentence("Nothing is kept but what the folder holds."):
+        run(cfg)
+
+
+if __name__ == "__main__":
+    launch(main, "policy_figures", __doc__)
