@@ -7,8 +7,8 @@ on the floor. Besides wall time, processor time is given, which a busy machine d
 bare physics takes: MuJoCo's steps and the servo law.
 """
 
+import argparse
 import statistics
-import sys
 import time
 
 import numpy as np
@@ -76,7 +76,9 @@ def measure(computer: Computer, seconds: float) -> tuple[float, float, float]:
 def main() -> None:
     """Measure both physics in turn and print medians."""
     torch.set_num_threads(1)
-    seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 2.0
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("seconds", type=float, nargs="?", default=2.0, help="of the robot's clock in one round")
+    seconds = parser.parse_args().seconds
     made: dict[str, Physics] = {"op3/sim": SimPhysics(load_model("paper")), "op3/stand_in": StandInPhysics()}
     computers = {name: Computer(EmulatedRobot(physics)) for name, physics in made.items()}
     rows: dict[str, list[tuple[float, float, float]]] = {name: [] for name in made}

@@ -3,8 +3,8 @@
 python experiments/benchmarks/environment_speed.py [robots]
 """
 
+import argparse
 import statistics
-import sys
 import time
 from collections.abc import Callable
 
@@ -67,7 +67,9 @@ def bare(simulation: BatchSimulation, steps: int) -> Callable[[], None]:
 def main() -> None:
     """Measure in turn, so that a drift of the machine's speed meets all, and print medians of ratios."""
     torch.set_num_threads(1)
-    robots = int(sys.argv[1]) if len(sys.argv) > 1 else 64
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("robots", type=int, nargs="?", default=64, help="side by side")
+    robots = parser.parse_args().robots
     env = make_env("balance", num_envs=robots)
     one = make_env("balance", backend="composer")
     step, inner, physics = whole(env, STEPS), without_torchrl(env, STEPS), bare(env.simulation, STEPS)

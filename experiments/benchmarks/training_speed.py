@@ -6,6 +6,7 @@ Both learn the same to the last bit, so that only the time differs. Robots colle
 step, which is what most of a run is like.
 """
 
+import argparse
 import statistics
 import sys
 import tempfile
@@ -46,7 +47,11 @@ def seconds(cfg, overlap: bool) -> float:
 def main() -> None:
     """Measure in turn, so that a drift of the machine's speed meets both, and print the ratios."""
     torch.set_num_threads(1)
-    steps, rounds = (int(value) for value in [*sys.argv[1:], *("20000", "3")[len(sys.argv) - 1 :]])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("steps", type=int, nargs="?", default=20000, help="of one training")
+    parser.add_argument("rounds", type=int, nargs="?", default=3, help="in turn")
+    options = parser.parse_args()
+    steps, rounds = options.steps, options.rounds
     never = steps + 1
     overrides = [
         "task=walk", f"train.steps={steps}", "train.warmup=2048", "sac.actor_after=0", "train.checkpoint_buffer=false",

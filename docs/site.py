@@ -1,22 +1,23 @@
-"""Write the catalogue of effects as a page, from the classes themselves.
+"""What the site has beside docs/: the catalogue of effects, README.md and CHANGELOG.md, and formulae as MathML.
 
-python experiments/write_catalogue.py [--out docs/catalogue.md]
+A hook of MkDocs; ``make docs`` builds the site.
 """
 
-import argparse
 import dataclasses
+import html
 import inspect
+import re
 from pathlib import Path
+from typing import Any
 
 from op3.servo import Effect, Parameter, catalogue
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "catalogue.md"
+ROOT = Path(__file__).resolve().parents[1]
 
 INTRODUCTION = """\
 # The catalogue of effects
 
-Written by `python experiments/write_catalogue.py` from the classes in `op3/servo/effects/`; change those, then write it
-again.
+Written from the classes in `op3/servo/effects/`.
 
 A robot model is a list of these effects with values for their parameters (see [servo_model.md](servo_model.md)).
 Effects run in the order of their stages. *Range* is what identification searches unless told otherwise, *start* the
@@ -106,14 +107,31 @@ def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
-def main() -> None:
-    """Write the page."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, default=PAGE, help="the file to write")
-    out = parser.parse_args().out
-    out.write_text(page(), encoding="utf-8")
-    print(out)
+def on_files(files: Any, config: Any) -> Any:
+    """Add the pages that are not written by hand."""
+    from mkdocs.structure.files import File
+
+    made = {"index.md": (ROOT / "README.md").read_text(encoding="utf-8"), "catalogue.md": page()}
+    made["changelog.md"] = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    for name, text in made.items():
+        files.append(File.generated(config, name, content=text))
+    return files
 
 
-if __name__ == "__main__":
-    main()
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Make links of the repository's pages links of the site; files that the site lacks are named alone."""
+    if page.file.src_uri != "index.md":
+        return markdown
+    markdown = markdown.replace("](docs/", "](").replace("](CHANGELOG.md)", "](changelog.md)")
+    return markdown.replace("[LICENSE](LICENSE)", "LICENSE")
+
+
+def on_page_content(content: str, **_: Any) -> str:
+    """Turn formulae into MathML, which browsers draw by themselves."""
+    from latex2mathml.converter import convert
+
+    def drawn(found: re.Match[str]) -> str:
+        display = "block" if found[1] == "div" else "inline"
+        return convert(html.unescape(found[2]), display=display)
+
+    return re.sub(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', drawn, content, flags=re.DOTALL)

@@ -1,0 +1,49 @@
+"""The site builds from the pages, the README and the classes, and its gallery shows what its commands make."""
+
+import runpy
+import subprocess
+import sys
+
+import pytest
+from documented import ROOT
+
+from op3.servo import catalogue
+
+PAGES = runpy.run_path(str(ROOT / "docs" / "site.py"))
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--site-dir", str(folder)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def test_no_link_is_broken_and_formulae_are_drawn(site):
+    """Strict: a warning ends the build; the law's equations are MathML, which needs nothing from elsewhere."""
+    page = (site / "servo_model.html").read_text(encoding="utf-8")
+    assert "<math" in page
+    assert "arithmatex" not in page
+    assert "https://fonts" not in page
+
+
+def test_every_effect_has_a_section(site):
+    """The catalogue is that of the classes: equation, source and every parameter."""
+    sections = {part.partition("\n")[0]: part for part in PAGES["page"]().split("\n## ")[1:]}
+    assert set(sections) == set(catalogue())
+    for name, effect in catalogue().items():
+        assert effect.equation in sections[name]
+        assert effect.source in sections[name]
+        assert all(f"| `{parameter.name}` |" in sections[name] for parameter in effect.parameters)
+        assert f'id="{name}"' in (site / "catalogue.html").read_text(encoding="utf-8")
+
+
+def test_bars_in_equations_do_not_break_a_row():
+    """Every row of a table has as many cells as its head."""
+    width = None
+    for line in PAGES["page"]().splitlines():
+        cells = line.replace("\\|", "").count("|") if line.startswith("|") else None
+        assert None in (width, cells) or cells == width, line
+        width = cells
