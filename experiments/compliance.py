@@ -19,7 +19,7 @@ from support import check_given, one_sentence, plain, positive, whole
 from op3.command_line import launch
 from op3.compliance.compare import difference
 from op3.compliance.study import Sizes, Study, contestants
-from op3.report import run_provenance
+from op3.report import RunFolder, run_provenance
 from op3.report.compliance import report_compliance
 from op3.sim import load_model
 
@@ -55,7 +55,7 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     folder = Path(HydraConfig.get().runtime.output_dir)
     settings = {"policies": asked, "model": cfg.model, "sizes": plain(cfg.sizes), "gain_scale": scale}
     provenance = {**run_provenance(seed=cfg.seed), **settings}
-    return report_compliance(measured, differences, standing, folder, provenance)
+    return report_compliance(measured, differences, standing, RunFolder(folder, provenance))
 
 
 @hydra.main(config_path="../conf", config_name="compliance", version_base="1.3")

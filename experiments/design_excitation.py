@@ -22,7 +22,7 @@ from op3.identify.resolvers import chosen_model
 from op3.identify.resolvers import register as register_interpolations
 from op3.identify.search_space import parse_search_space
 from op3.identify.sweeper import register as register_sweeper
-from op3.report import run_provenance
+from op3.report import RunFolder, run_provenance
 from op3.report.design_page import report_design
 from op3.robot import load_robot, named_configs
 
@@ -80,9 +80,8 @@ def main(cfg: DictConfig) -> dict[str, Any]:
             candidates,
             wanted,
             left_out,
-            folder,
-            provenance=run_provenance(seed=cfg.seed),
-            wall_seconds=time.monotonic() - started,
+            RunFolder(folder, run_provenance(seed=cfg.seed)),
+            time.monotonic() - started,
         )
 
 

@@ -19,7 +19,7 @@ import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from support import Progress, library_motion, one_sentence, plain
+from support import Progress, library_motion, model_file, one_sentence, plain
 from threadpoolctl import threadpool_limits
 
 from op3.command_line import launch
@@ -36,7 +36,7 @@ from op3.diagnose import (
 )
 from op3.identify.resolvers import chosen_model
 from op3.policy import PolicyBundle
-from op3.report import run_provenance
+from op3.report import RunFolder, run_provenance
 from op3.report.diagnosis import report_diagnosis
 from op3.robot import MIRROR, leg_suite
 from op3.rollout import Rollout, read_logs
@@ -105,8 +105,15 @@ def diagnose(cfg: DictConfig, folder: Path) -> dict[str, Any]:
         content["downstream"] = returns(cfg, verdict)
     content["processor_seconds"] = round(time.process_time() - IMPORTED, 1)
     print(f"\n{verdict.sentence}")
-    provenance, mode = run_provenance(seed=cfg.seed, data=data), os.environ.get("WANDB_MODE", cfg.wandb)
-    report_diagnosis(verdict, split, content, folder, provenance, plain(cfg), mode)
+    where = RunFolder(
+        folder,
+        run_provenance(seed=cfg.seed, data=data),
+        plain(cfg),
+        os.environ.get("WANDB_MODE", cfg.wandb),
+        used=[("log", data), *model_file(cfg)],
+        made=[("model", folder / "model.yaml")],
+    )
+    report_diagnosis(verdict, split, content, where)
     # last, so that a verdict means that all is there
     (folder / "verdict.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
     return content

@@ -22,7 +22,7 @@ from op3.command_line import launch
 from op3.envs import BatchedEnv, record_episodes
 from op3.envs.actors import Watched, find_actor
 from op3.policy.actions import GAIN_HIGH, GAIN_LOW
-from op3.report import run_provenance
+from op3.report import RunFolder, run_provenance
 from op3.report.evaluation_page import report_evaluation
 from op3.report.video import film
 from op3.robot import CONTROLLED_JOINTS
@@ -123,17 +123,16 @@ def run(cfg: DictConfig) -> dict[str, Any]:
         steps = round(logs[0].metadata.episode_duration / env.policy_period)  # type: ignore[operator]
         states = np.stack(watched.states[:steps:FRAME_EVERY])
         rate = 1 / (FRAME_EVERY * env.policy_period)
-        if film(env.scene, states, folder / "episode.webp", rate, follow=task.cycle is not None):
-            files["episode.webp"] = "the first episode, animated"
+        if film(env.scene, states, folder / "episode.mp4", rate, follow=task.cycle is not None):
+            files["episode.mp4"] = "a film of the first episode"
     long_enough = [log for log in logs if log.duration > 1.5 and not stiff]
     return report_evaluation(
         logs,
-        folder,
+        RunFolder(folder, run_provenance(seed=cfg.seed)),
         label=label,
         task=task.name,
         numbers=numbers,
         returns=shown,
-        provenance=run_provenance(seed=cfg.seed),
         profile=gait_profile(long_enough, task, cfg.joint) if task.cycle is not None and long_enough else None,
         joint=cfg.joint,
         files=files,

@@ -17,7 +17,7 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
-from support import check_given, focus_joints, logs_where, one_sentence, plain
+from support import check_given, focus_joints, logs_where, model_file, one_sentence, plain
 
 from op3.command_line import launch
 from op3.identify.identification import PREFIX, Fit, Identification
@@ -26,7 +26,7 @@ from op3.identify.resolvers import chosen_model
 from op3.identify.resolvers import register as register_interpolations
 from op3.identify.settings import read_settings, search_space_of
 from op3.identify.sweeper import sweep_or_report
-from op3.report import finish, run_provenance
+from op3.report import RunFolder, finish, run_provenance
 from op3.report.comparison_page import read_runs, write_comparison
 from op3.report.identification_page import report_identification
 from op3.rollout import Rollout, read_logs
@@ -132,16 +132,24 @@ def main(cfg: DictConfig) -> Any:
             wall_seconds, compared = duration(started, study), datetime.now()
             ablated = without_effects(cfg, folder)
             save_model(fit.model, folder / "model.yaml")
+            if ablated is not None:
+                save_model(
+                    ablated.model, folder / f"model_{ablated.label.lower().replace(', ', '_').replace(' ', '_')}.yaml"
+                )
             numbers = report_identification(
                 fit,
                 ablated,
-                folder,
+                RunFolder(
+                    folder,
+                    run_provenance(seed=cfg.seed, data=plain(cfg.data)),
+                    plain(cfg),
+                    os.environ.get("WANDB_MODE", cfg.wandb),
+                    used=[*(("log", plain(one)) for one in (cfg.data, cfg.heldout) if one), *model_file(cfg)],
+                    made=[("model", folder / "model.yaml")],
+                ),
                 wall_seconds=wall_seconds,
                 ablated_seconds=(datetime.now() - compared).total_seconds(),
-                provenance=run_provenance(seed=cfg.seed, data=plain(cfg.data)),
                 joints=identification.joints,
-                config=plain(cfg),
-                wandb_mode=os.environ.get("WANDB_MODE", cfg.wandb),
             )
             if HydraConfig.get().mode == RunMode.MULTIRUN:
                 finish(*write_comparison(read_runs(folder.parent), folder.parent))  # grows with every cell

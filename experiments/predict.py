@@ -13,11 +13,11 @@ import hydra
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
-from support import check_given, focus_joints, logs_where, one_sentence, plain
+from support import check_given, focus_joints, logs_where, model_file, one_sentence, plain
 
 from op3.command_line import launch
 from op3.identify.prediction_score import predict_logs
-from op3.report import run_provenance
+from op3.report import RunFolder, run_provenance
 from op3.report.prediction_page import report_prediction
 from op3.rollout import read_logs
 from op3.sim import find_model, model_for
@@ -38,12 +38,16 @@ def main(cfg: DictConfig) -> dict[str, Any]:
         path = Path(logs[0].robot.name) if cfg.model is None else find_model(cfg.model)
         return report_prediction(
             score,
-            Path(HydraConfig.get().runtime.output_dir),
+            RunFolder(
+                Path(HydraConfig.get().runtime.output_dir),
+                run_provenance(seed=cfg.seed, data=plain(cfg.data)),
+                plain(cfg),
+                os.environ.get("WANDB_MODE", cfg.wandb),
+                used=[("log", plain(cfg.data)), *model_file(cfg)],
+            ),
             model=path.parent.name if path.name == "model.yaml" else path.stem,
-            provenance=run_provenance(seed=cfg.seed, data=plain(cfg.data)),
             wall_seconds=time.monotonic() - started,
             joints=joints,
-            wandb_mode=os.environ.get("WANDB_MODE", cfg.wandb),
         )
 
 

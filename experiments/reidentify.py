@@ -19,7 +19,7 @@ from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from stages import Stages
-from support import ASKED, check_same, one_sentence, plain, remember, whole
+from support import ASKED, check_same, model_file, one_sentence, plain, remember, whole
 
 from op3.command_line import launch
 from op3.identify.episodes import ended_by, that_count
@@ -29,7 +29,7 @@ from op3.identify.resolvers import register as register_interpolations
 from op3.identify.search_space import parse_search_space
 from op3.identify.sweeper import sweep_or_report
 from op3.policy import PolicyBundle
-from op3.report import run_provenance
+from op3.report import RunFolder, run_provenance
 from op3.report.reidentification_page import report_reidentification
 from op3.report.seeds_page import write_seeds
 from op3.rollout import read_logs
@@ -114,12 +114,21 @@ def main(cfg: DictConfig) -> Any:
             numbers = report_reidentification(
                 found,
                 study,
-                folder,
+                RunFolder(
+                    folder,
+                    run_provenance(seed=cfg.seed, data=plain(cfg.data)),
+                    plain(cfg),
+                    os.environ.get("WANDB_MODE", cfg.wandb),
+                    used=[
+                        ("policy", cfg.policy),
+                        ("log", plain(cfg.data)),
+                        ("log", plain(cfg.episodes)),
+                        *model_file(cfg),
+                    ],
+                    made=[("model", folder / "model.yaml")],
+                ),
                 wall_seconds=time.monotonic() - started,
                 simulated_seconds=problem.simulated_seconds,
-                provenance=run_provenance(seed=cfg.seed, data=plain(cfg.data)),
-                config=plain(cfg),
-                wandb_mode=os.environ.get("WANDB_MODE", cfg.wandb),
             )
             if HydraConfig.get().mode == RunMode.MULTIRUN:
                 write_seeds(folder.parent)  # grows with every cell

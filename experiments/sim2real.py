@@ -25,21 +25,21 @@ from op3.command_line import launch
 from op3.identify.episodes import ended_by, that_count
 from op3.policy import PolicyBundle
 from op3.report import finish, read_result, run_provenance, write_result
+from op3.report.result import finite
 from op3.report.transfer_page import Transfer, story
 from op3.report.video import film, states_of_log
 from op3.robot import build_scene
 from op3.rollout import Rollout, read_logs
 from op3.sim import load_model, model_hash
 from op3.stand_in import World
-from op3.tasks.evaluation import evaluation_return, succeeded
+from op3.tasks import Prediction, Replay
+from op3.tasks.evaluation import evaluation_return, stood, succeeded
 from op3.tasks.task import find_task
 
 JUDGED = {"balance": "balance_eval", "walk": "walk"}
 """Task of the evaluation by task of the training."""
 ROBOTS = ("emulated", "real")
 """Robots that play policies."""
-FORWARDS = 0.1
-"""Mean speed from which an episode has gone forwards and not marked time [m/s]."""
 UNHEARD = ("train.", "task.", "sac.", "environment", "evaluation.", "robot.")
 """Overrides of what the budget, the task and the robot bring in, which the stages do not see."""
 MOST = 10.0
@@ -48,7 +48,7 @@ TOLD = {"balance": "Balancing on a board that tilts", "walk": "Walking"}
 """Tasks as the page names them."""
 EXPECTED_SEED = 1_000_003
 """Added to the seed of the episodes in simulation: none of them has been trained or evaluated on."""
-FILM_RATE = 125 / 12
+FILM_RATE = 25.0
 """Frames per second of the films of the robot [Hz]."""
 
 
@@ -83,13 +83,14 @@ def transfer(
         model=model,
         expected=tuple(read_result(expected / "result.yaml")["evaluation.returns"]),
         actual=tuple(returns),
-        upright=tuple(not log.metadata.fallen for log in logs),
+        upright=tuple(stood(log) for log in logs),
+        afterwards=sum("afterwards" in log.metadata.extra for log in logs),
         episodes=played,
-        film=expected / "episode.webp",
-        robot_film=draw(logs[int(np.argmin(returns))], task, played / "episode.webp"),
+        film=expected / "episode.mp4",
+        robot_film=draw(logs[int(np.argmin(returns))], task, played / "episode.mp4"),
         criterion=cfg.criterion,
         began_with=began_with,
-        walked=tuple(succeeded(log, task, FORWARDS) for log in logs) if chosen("task") == "walk" else None,
+        walked=tuple(succeeded(log, task) for log in logs) if chosen("task") == "walk" else None,
     )
 
 
@@ -221,7 +222,8 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
     heldout = stages.run("squat_heldout", "collect.py", *on_robot(cfg), "motion=squat_heldout")
 
     def identified() -> str:
-        data = [f"data={squat}", f"heldout={heldout}", f"model={base}", "ablate=[]", f"seed={cfg.seed}"]
+        none = [] if any(o.startswith("ablate=") for o in budget["identify"]) else ["ablate=[]"]
+        data = [f"data={squat}", f"heldout={heldout}", f"model={base}", *none, f"seed={cfg.seed}"]
         method = [] if any(o.startswith("method=") for o in budget["identify"]) else ["method=lsq"]
         return str(stages.run("identify", "identify.py", *data, *groups, *method, *budget["identify"]) / "model.yaml")
 
@@ -302,6 +304,36 @@ def what_is_done(cfg: DictConfig) -> str:
     return f"{TOLD[chosen('task')]}. {robot if chosen('source') == 'emulated' else 'The robot is real.'}"
 
 
+def squat_fit(folder: Path) -> dict[str, Prediction]:
+    """What the identified models, with DTE and without where both were asked for, say of the squat."""
+    models = {"identified": folder / "identify" / "model.yaml"}
+    without = folder / "identify" / "model_without_dte.yaml"
+    if without.is_file():
+        models = {"with DTE": models["identified"], "without DTE": without}
+    found = {label: load_model(path) for label, path in models.items() if path.is_file()}
+    replay = Replay(read_logs(folder / "squat")[:1], num_threads=1) if found else None
+    return {label: replay.run(model)[0] for label, model in found.items()} if replay else {}
+
+
+def learning(folder: Path, stages: Stages) -> dict[str, tuple[list[float], list[float]]]:
+    """Learning curves of all trainings."""
+    runs = {name: read_result(folder / name / "result.yaml") for name in stages.seconds if name.endswith("_train")}
+    return {
+        f"round {name.split('_')[0]}": (run["learning.steps"], run["learning.return"])
+        for name, run in runs.items() if run.get("learning.steps")
+    }  # fmt: skip
+
+
+def following(folder: Path, last: Transfer) -> list[str]:
+    """What to do next."""
+    episode = next(iter(sorted(path for path in last.episodes.iterdir() if path.is_dir() and path.name[0] != ".")), "")
+    return [
+        f"op3 view {episode}  # an episode on the robot",
+        f"op3 view {last.policy}  # the same policy in simulation",
+        "op3 demo diagnose  # what a model lacks, named from a robot's logs",
+    ]
+
+
 def report(
     cfg: DictConfig, budget: str, folder: Path, stages: Stages, transfers: list[Transfer], learned: Learned
 ) -> dict[str, Any]:
@@ -321,6 +353,8 @@ def report(
             f"transfer_{number}.expected": float(np.mean(one.expected)),
             f"transfer_{number}.actual": float(np.mean(one.actual)),
             f"transfer_{number}.share": one.share,
+            f"transfer_{number}.interval": [finite(end) for end in one.interval],
+            f"transfer_{number}.fell_afterwards": one.afterwards,
             f"transfer_{number}.episodes": len(one.actual),
             f"transfer_{number}.upright": float(np.mean(one.upright)),
             f"transfer_{number}.success": one.success,
@@ -348,6 +382,9 @@ def report(
         named=learned.named,
         remarks=learned.remarks,
         processor_seconds=stages.processor_seconds,
+        fit=squat_fit(folder),
+        learning=learning(folder, stages),
+        following=following(folder, transfers[-1]),
     )
     path = write_result(
         folder / "result.yaml",

@@ -22,6 +22,7 @@ from op3.private import scrub
 from op3.robot import Motion, named_configs
 from op3.rollout import Metadata, Rollout
 from op3.rollout.files import write_text
+from op3.sim.model_file import find_model
 
 CONF = Path(__file__).resolve().parents[1] / "conf"
 """The configs of this project."""
@@ -156,6 +157,11 @@ def check_given(cfg: DictConfig, name: str, what: str) -> None:
     """Refuse a config whose field `name` is still `???`."""
     if OmegaConf.is_missing(cfg, name):
         raise ValueError(f"{name} is missing: add {name}=<{what}>")
+
+
+def model_file(cfg: DictConfig) -> list[tuple[str, Path]]:
+    """The file of a config's model, as an artifact that the run has read; none where the model is the robot's own."""
+    return [("model", find_model(cfg.model))] if cfg.get("model") else []
 
 
 def source_word(argument: str) -> str:

@@ -18,14 +18,14 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig
-from support import one_sentence, plain, positive, whole
+from support import model_file, one_sentence, plain, positive, whole
 
 from op3.command_line import launch
 from op3.envs import BatchedEnv, make_env
 from op3.envs.specs import PEAKS
 from op3.policy import ActionMap, Manifest, PolicyBundle, Training
 from op3.policy.mirror import Mirror
-from op3.report import RunLogger, run_provenance
+from op3.report import RunFolder, RunLogger, run_provenance
 from op3.report.training_page import histogram_figure, report_training
 from op3.report.video import film
 from op3.sim import load_model
@@ -198,17 +198,18 @@ def run(cfg: DictConfig) -> dict[str, Any]:
             "wall_seconds": progress.seconds,
         }
         logger.summary({name: value for name, value in numbers.items() if isinstance(value, int | float)})
+        begun = [] if cfg.warm_start is None else [("policy", cfg.warm_start)]
+        logger.lineage([*begun, *model_file(cfg)], [("policy", folder / "policy")])
     files = {"policy/manifest.yaml": "the policy bundle", "checkpoint.pt": "to go on from with resume"}
     rate = 1.0 / (FRAME_EVERY * judge.policy_period)
     walks = judge_task.cycle is not None
-    if cfg.evaluation.video and film(judge.scene, states, folder / "episode.webp", rate, follow=walks):
-        files["episode.webp"] = "one episode of the kept policy, animated"
+    if cfg.evaluation.video and film(judge.scene, states, folder / "episode.mp4", rate, follow=walks):
+        files["episode.mp4"] = "a film of one episode of the kept policy"
     return report_training(
         progress.history,
-        folder,
+        RunFolder(folder, provenance),
         title=f"Training: {task.name} on {cfg.model}, seed {cfg.seed}",
         numbers=numbers,
-        provenance=provenance,
         settings={f"{part}.{k}": v for part in ("sac", "train", "practice") for k, v in plain(cfg[part]).items()},
         histograms=histograms,
         files=files,

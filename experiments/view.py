@@ -26,7 +26,8 @@ from op3.envs.actors import Watched, find_actor
 from op3.policy.bundle import MANIFEST
 from op3.report.frames import RenderError
 from op3.report.tracks import SHOWN, Tracks, of_diagnosis, predicted, scene_of
-from op3.report.view import pictures, window, write_mp4
+from op3.report.video import write_mp4
+from op3.report.view import RATE, pictures, window
 from op3.robot import squat
 from op3.rollout import Rollout, read_logs
 from op3.sim import load_model, model_for
@@ -115,7 +116,7 @@ def run(cfg: DictConfig, folder: Path) -> None:
         window(tracks, cfg.joint, speed)
     else:
         try:
-            print(write_mp4(pictures(tracks, cfg.joint, speed), out or folder / "view.mp4"))
+            print(write_mp4(pictures(tracks, cfg.joint, speed), out or folder / "view.mp4", RATE))
         except RenderError as error:
             raise ValueError(str(error)) from None
 

@@ -3,13 +3,14 @@
 from op3.report.figures import errors_figure, history_figure, ranges_figure
 from op3.report.page import Page
 from op3.report.provenance import machine, run_provenance
-from op3.report.result import finish, read_result, write_result
+from op3.report.result import RunFolder, finish, read_result, write_result
 from op3.report.run_logger import RunLogger, sweep_group
 from op3.report.tables import loss_table, number, parameter_table
 from op3.report.traces import body_figure, run_name, runs_figure, traces_figure
 
 __all__ = [
     "Page",
+    "RunFolder",
     "RunLogger",
     "body_figure",
     "errors_figure",

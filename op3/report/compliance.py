@@ -1,7 +1,6 @@
 """The page of how soft policies are: gains, joints, landings, pushes, pulls and heat, side by side."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from op3.compliance.energy import Energy
 from op3.compliance.gains import Gains
 from op3.compliance.study import Measured
 from op3.report.page import Page
-from op3.report.result import finish, write_result
+from op3.report.result import RunFolder, publish
 from op3.report.style import PALETTE, colours, dress, faded, words
 from op3.report.tables import Cell
 from op3.robot import CONTROLLED_JOINTS, JOINTS
@@ -37,8 +36,7 @@ def report_compliance(
     measured: Sequence[Measured],
     differences: Mapping[str, Difference],
     standing: Mapping[str, Energy],
-    folder: Path,
-    provenance: Mapping[str, Any],
+    run: RunFolder,
 ) -> dict[str, Any]:
     """Write ``index.html`` and ``result.yaml`` and print the paths of both.
 
@@ -46,8 +44,7 @@ def report_compliance(
         measured: the policies; the first one is the one in question.
         differences: of the first from others, by their label.
         standing: energy of an hour of standing, by label of who stands.
-        folder: of the run.
-        provenance: see `op3.report.run_provenance`.
+        run: where it is kept.
 
     Returns:
         The numbers of ``result.yaml``.
@@ -77,10 +74,7 @@ def report_compliance(
     page.section("Energy and heat")
     page.table(*_energies(measured, standing), "Motors only; an hour like these episodes, or of standing.")
     page.figure(_heat_figure(measured, standing), "Root mean square of each motor's current.")
-    page.provenance(provenance)
-    values = {**_numbers(measured, differences, standing), "provenance": dict(provenance)}
-    finish(page.write(folder / "index.html"), write_result(folder / "result.yaml", values, MEANINGS))
-    return values
+    return publish(page, _numbers(measured, differences, standing), run, MEANINGS)
 
 
 def _verdict(first: Measured, differences: Mapping[str, Difference]) -> str:

@@ -1,12 +1,11 @@
 """The page of a plan of recordings."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from op3.identify.design import Candidate, Step
 from op3.report.page import Page
-from op3.report.result import publish
+from op3.report.result import RunFolder, publish
 from op3.report.style import curves_figure, words
 from op3.report.tables import number
 
@@ -23,9 +22,7 @@ def report_design(
     candidates: Sequence[Candidate],
     wanted: Sequence[str],
     left_out: Mapping[str, str],
-    folder: Path,
-    *,
-    provenance: Mapping[str, Any],
+    run: RunFolder,
     wall_seconds: float,
 ) -> dict[str, Any]:
     """Write ``index.html`` and ``result.yaml``, and print their paths.
@@ -35,8 +32,7 @@ def report_design(
         candidates: what it was chosen from.
         wanted: parameters whose intervals counted.
         left_out: motions that could not be judged, with the reason.
-        folder: of the run.
-        provenance: where the numbers come from.
+        run: where it is kept.
         wall_seconds: duration of the run [s].
     """
     values = {
@@ -46,9 +42,8 @@ def report_design(
         "wanted": list(wanted),
         "left_out": dict(left_out) or None,
         "wall_seconds": wall_seconds,
-        "provenance": provenance,
     }
-    return publish(_page(steps, candidates, wanted, left_out), values, folder, MEANINGS)
+    return publish(_page(steps, candidates, wanted, left_out), values, run, MEANINGS)
 
 
 def _page(

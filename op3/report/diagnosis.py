@@ -9,7 +9,7 @@ import torch
 
 from op3.diagnose import Finding, LogSplit, Verdict
 from op3.report.page import Page
-from op3.report.result import publish
+from op3.report.result import RunFolder, publish
 from op3.report.style import words
 from op3.report.traces import traces_figure
 from op3.report.tracks import SHOWN, predicted
@@ -28,10 +28,7 @@ def report_diagnosis(
     verdict: Verdict,
     split: LogSplit,
     content: Mapping[str, Any],
-    folder: Path,
-    provenance: Mapping[str, Any],
-    config: Mapping[str, Any] | None = None,
-    wandb_mode: str | None = None,
+    run: RunFolder,
 ) -> dict[str, Any]:
     """Write ``index.html`` and ``result.yaml``, log to wandb, and print the paths of both files.
 
@@ -39,10 +36,7 @@ def report_diagnosis(
         verdict: of a diagnosis.
         split: its logs.
         content: of ``verdict.yaml``.
-        folder: of the run.
-        provenance: where the numbers come from, see `op3.report.run_provenance`.
-        config: settings, for wandb.
-        wandb_mode: ``offline``, ``online`` or ``disabled``.
+        run: where it is kept.
 
     Returns:
         The numbers of ``result.yaml``.
@@ -55,11 +49,9 @@ def report_diagnosis(
         "probability": max((one["probability"] for one in found), default=None),
         **_flat("", content),
         **{key: value for mount, told in elsewhere.items() for key, value in _flat(f"{mount}.", told).items()},
-        "provenance": provenance,
     }
-    save_shown(verdict, folder / SHOWN)
-    page = _page(verdict, split, content, folder)
-    return publish(page, values, folder, MEANINGS, wandb_mode=wandb_mode, config=config)
+    save_shown(verdict, run.path / SHOWN)
+    return publish(_page(verdict, split, content, run.path), values, run, MEANINGS)
 
 
 def _page(verdict: Verdict, split: LogSplit, content: Mapping[str, Any], folder: Path) -> Page:

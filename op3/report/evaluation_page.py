@@ -1,7 +1,6 @@
 """The page and numbers of a policy's evaluation."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,7 +8,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from op3.report.page import Page
-from op3.report.result import publish
+from op3.report.result import RunFolder, publish
 from op3.report.style import PALETTE, SHADE, boxes_figure, dress, faded, words
 from op3.report.traces import body_figure, traces_figure
 from op3.rollout import Rollout
@@ -46,13 +45,12 @@ def gait_figure(profile: GaitProfile, joint: str) -> go.Figure:
 
 def report_evaluation(
     logs: Sequence[Rollout],
-    folder: Path,
+    run: RunFolder,
     *,
     label: str,
     task: str,
     numbers: Mapping[str, Any],
     returns: Mapping[str, Sequence[float]],
-    provenance: Mapping[str, Any],
     profile: GaitProfile | None = None,
     joint: str = "r_ank_pitch",
     files: Mapping[str, str] | None = None,
@@ -61,12 +59,11 @@ def report_evaluation(
 
     Args:
         logs: the episodes; the first and the worst are drawn.
-        folder: of the run.
+        run: where it is kept.
         label: of the policy.
         task: that was attempted.
         numbers: for ``result.yaml``.
         returns: R_eval of every episode by label, the policy's first and any baselines' after it.
-        provenance: see `op3.report.run_provenance`.
         profile: of the gait, for walking.
         joint: that the profile is of.
         files: that lie beside the page, with what is in them.
@@ -108,4 +105,4 @@ def report_evaluation(
     page.figure(traces_figure(logs[0], {}, joints, quantities), "The ankles in the first episode.")
     page.side_files(files)
     meanings = {"evaluation": "means over episodes unless listed; gain [A/rad], tilt [rad], duration [s]"}
-    return publish(page, {**numbers, "provenance": dict(provenance)}, folder, meanings)
+    return publish(page, numbers, run, meanings)

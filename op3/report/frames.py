@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-SIZE = (480, 480)
+SIZE = (540, 540)
 """Height and width [pixel]."""
 
 BEHIND = 0.004

@@ -1,7 +1,6 @@
 """The page, numbers and wandb run of an identification."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ from op3.identify.identification import Fit, Score
 from op3.report.figures import history_figure, ranges_figure
 from op3.report.identifiability_section import identifiability_numbers, identifiability_section
 from op3.report.page import Page
-from op3.report.result import finite, publish
+from op3.report.result import RunFolder, finite, publish
 from op3.report.tables import loss_table, number, parameter_table
 from op3.report.traces import bench_sections, body_figure, run_name, traces_figure
 from op3.rollout import Rollout
@@ -21,27 +20,21 @@ EQ7 = "paper eq. (7)"
 def report_identification(
     fit: Fit,
     ablated: Fit | None,
-    folder: Path,
+    run: RunFolder,
     *,
     wall_seconds: float,
     ablated_seconds: float = 0.0,
-    provenance: Mapping[str, Any],
     joints: Sequence[str] = (),
-    config: Mapping[str, Any] | None = None,
-    wandb_mode: str | None = None,
 ) -> dict[str, Any]:
     """Write ``index.html`` and ``result.yaml``, log to wandb, and print the paths of both files.
 
     Args:
         fit: the identified model.
         ablated: the same without some effects, for comparison.
-        folder: of the run.
+        run: where it is kept.
         wall_seconds: duration of the identification [s].
         ablated_seconds: duration of that for comparison [s].
-        provenance: where the numbers come from, see `op3.report.run_provenance`.
         joints: joints to draw; all of a log where empty.
-        config: settings, for wandb.
-        wandb_mode: ``offline``, ``online`` or ``disabled``.
 
     Returns:
         The numbers of ``result.yaml``.
@@ -59,10 +52,9 @@ def report_identification(
     values["parameters"] = {name: fit.model.estimate(name) for name in fit.found}
     if fit.identifiability is not None:
         values |= identifiability_numbers(fit.identifiability)
-    values["provenance"] = provenance
     page = _page([fit] if ablated is None else [fit, ablated], joints, wall_seconds)
     best = {"loss.best": np.fmin.accumulate(trials).tolist() if len(trials) else []}
-    return publish(page, values, folder, wandb_mode=wandb_mode, config=config, curve=best)
+    return publish(page, values, run, curve=best)
 
 
 def _scores(fit: Fit) -> list[Score]:

@@ -76,7 +76,7 @@ class Page:
         self._add("figure", caption, height=int(figure.layout.height or 420), width=width)
 
     def films(self, films: Sequence[tuple[str, str]]) -> None:
-        """Add animated pictures, as paths from the page with a caption each, side by side where there is room."""
+        """Add films, as paths from the page with a caption each, side by side where there is room."""
         if films:
             self._add("films", films=films)
 
@@ -107,7 +107,7 @@ class Page:
         """Add a section of files beside the page, where there are any; films among them are shown."""
         if files:
             self.section("Files")
-            self.films([(name, text) for name, text in files.items() if name.endswith(".webp")])
+            self.films([(name, text) for name, text in files.items() if name.endswith(".mp4")])
             self.files(files)
 
     def provenance(self, values: Mapping[str, Any]) -> None:

@@ -1,12 +1,11 @@
 """The page and numbers of how well a model predicts logs."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from op3.identify.prediction_score import PredictionScore
 from op3.report.page import Page
-from op3.report.result import publish
+from op3.report.result import RunFolder, publish
 from op3.report.style import words
 from op3.report.tables import number
 from op3.report.traces import bench_sections, body_figure, run_name, traces_figure
@@ -26,24 +25,20 @@ MEANINGS: Mapping[str, str] = {
 
 def report_prediction(
     score: PredictionScore,
-    folder: Path,
+    run: RunFolder,
     *,
     model: str,
-    provenance: Mapping[str, Any],
     wall_seconds: float,
     joints: Sequence[str] = (),
-    wandb_mode: str | None = None,
 ) -> dict[str, Any]:
     """Write ``index.html`` and ``result.yaml``, log to wandb, and print the paths of both files.
 
     Args:
         score: what was measured.
-        folder: of the run.
+        run: where it is kept.
         model: what the model is called.
-        provenance: where the numbers come from, see `op3.report.run_provenance`.
         wall_seconds: duration of the run [s].
         joints: joints to draw; all of a log where empty.
-        wandb_mode: ``offline``, ``online`` or ``disabled``.
 
     Returns:
         The numbers of ``result.yaml``.
@@ -64,9 +59,8 @@ def report_prediction(
             | {key: getattr(entry, key) for key in ("error_mrad", "paper_eq7", "seen")}
             for entry in score.logs
         ],
-        "provenance": provenance,
     }
-    return publish(_page(score, model, joints), values, folder, MEANINGS, wandb_mode=wandb_mode)
+    return publish(_page(score, model, joints), values, run, MEANINGS)
 
 
 def _span(estimate: Estimate | None, digits: int = 3) -> str:

@@ -1,7 +1,6 @@
 """The page, numbers and wandb run of a re-identification (paper, Fig. "Materials for analysis")."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ import plotly.graph_objects as go
 from op3.identify.reidentification import TOLERATED, Candidate, Reidentified
 from op3.report.figures import ranges_figure
 from op3.report.page import Page
-from op3.report.result import finite, publish
+from op3.report.result import RunFolder, finite, publish
 from op3.report.style import INK, MUTED, PALETTE, curves_figure, dress, faded, words
 from op3.report.tables import number
 from op3.servo import RobotModel, parameter
@@ -35,25 +34,19 @@ MEANINGS: Mapping[str, str] = {
 def report_reidentification(
     found: Reidentified,
     study: optuna.Study,
-    folder: Path,
+    run: RunFolder,
     *,
     wall_seconds: float,
     simulated_seconds: float,
-    provenance: Mapping[str, Any],
-    config: Mapping[str, Any] | None = None,
-    wandb_mode: str | None = None,
 ) -> dict[str, Any]:
     """Write ``index.html`` and ``result.yaml``, log to wandb, and print the paths of both files.
 
     Args:
         found: what the study found.
         study: finished.
-        folder: of the run.
+        run: where it is kept.
         wall_seconds: duration of the run [s].
         simulated_seconds: simulated time [s].
-        provenance: where the numbers come from, see `op3.report.run_provenance`.
-        config: settings, for wandb.
-        wandb_mode: ``offline``, ``online`` or ``disabled``.
 
     Returns:
         The numbers of ``result.yaml``.
@@ -77,10 +70,8 @@ def report_reidentification(
         "trials_played": sum("returns" in t.user_attrs for t in study.trials),
         "wall_seconds": wall_seconds,
         "simulated_seconds": simulated_seconds,
-        "provenance": dict(provenance),
     }
-    page = _page(found, study, values)
-    return publish(page, values, folder, MEANINGS, wandb_mode=wandb_mode, config=config)
+    return publish(_page(found, study, values), values, run, MEANINGS)
 
 
 def _objectives(name: str, one: Candidate, fresh: Candidate) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -71,41 +72,59 @@ def read_result(path: str | Path) -> dict[str, Any]:
     return content
 
 
+@dataclass(frozen=True)
+class RunFolder:
+    """A run's folder, where its numbers come from, and how it is logged to wandb.
+
+    Attributes:
+        path: of the folder.
+        provenance: see `op3.report.run_provenance`; it stands on the page and in ``result.yaml``.
+        config: settings, for wandb.
+        wandb_mode: ``offline``, ``online``, ``disabled``; None leaves it to the environment.
+        used: kind (``log``, ``model``, ``policy``) and path, pattern or list of paths of what the run read.
+        made: the same of what it wrote.
+    """
+
+    path: Path
+    provenance: Mapping[str, Any]
+    config: Mapping[str, Any] | None = None
+    wandb_mode: str | None = "disabled"
+    used: Sequence[tuple[str, Any]] = ()
+    made: Sequence[tuple[str, Any]] = ()
+
+
 def publish(
     page: Page,
     values: Mapping[str, Any],
-    folder: Path,
+    run: RunFolder,
     meanings: Mapping[str, str] | None = None,
-    *,
-    wandb_mode: str | None = "disabled",
-    config: Mapping[str, Any] | None = None,
     curve: Mapping[str, Sequence[float]] | None = None,
 ) -> dict[str, Any]:
     """Write ``index.html`` and ``result.yaml``, log the numbers to wandb, and print the paths of both files.
 
     Args:
         page: of the run.
-        values: of ``result.yaml``, with the run's provenance, which the page gets too.
-        folder: of the run.
+        values: of ``result.yaml``; the provenance is added.
+        run: where it is kept.
         meanings: what first parts of keys stand for, see `write_result`.
-        wandb_mode: ``offline``, ``online``, ``disabled``; None leaves it to the environment.
-        config: settings of the run, for wandb.
         curve: numbers by step and name, for wandb; those that are not finite are left out.
 
     Returns:
         The values.
     """
-    page.provenance(values["provenance"])
-    paths = page.write(folder / "index.html"), write_result(folder / "result.yaml", values, meanings)
-    if wandb_mode != "disabled":
-        with RunLogger(folder, config=config, mode=wandb_mode) as logger:
+    values = {**values, "provenance": dict(run.provenance)}
+    page.provenance(run.provenance)
+    paths = page.write(run.path / "index.html"), write_result(run.path / "result.yaml", values, meanings)
+    if run.wandb_mode != "disabled":
+        with RunLogger(run.path, config=run.config, mode=run.wandb_mode) as logger:
+            logger.lineage(run.used, run.made)
             for name, numbers in (curve or {}).items():
                 for step, number in enumerate(numbers):
                     if math.isfinite(number):
                         logger.log({name: number}, step=step)
-            logger.summary({key: value for key, value in values.items() if isinstance(value, int | float)})
+            logger.summary({key: value for key, value in values.items() if isinstance(value, int | float | str)})
     finish(*paths)
-    return dict(values)
+    return values
 
 
 def finite(value: float) -> float | None:

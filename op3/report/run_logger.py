@@ -1,7 +1,9 @@
 """A thin wrapper of wandb: offline, quiet and without an account unless asked otherwise."""
 
+import glob
+import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -21,6 +23,21 @@ def sweep_group(folder: str | Path) -> str:
     folder = Path(folder).resolve()
     sweep = folder.parent if folder.name.isdecimal() else folder
     return f"{sweep.parent.name}/{sweep.name}".strip("/")
+
+
+def files_of(where: Any) -> list[Path]:
+    """Files that a path, a pattern, a folder or a list of them names; hidden ones are left out."""
+    if isinstance(where, list | tuple):
+        return [file for one in where for file in files_of(one)]
+    found = [Path(path) for path in sorted(glob.glob(str(where)))]
+    inside = [file for path in found for file in (sorted(path.rglob("*")) if path.is_dir() else [path])]
+    return [file for file in inside if file.is_file() and not any(part.startswith(".") for part in file.parts[-3:])]
+
+
+def artifact_name(kind: str, files: Sequence[Path]) -> str:
+    """Kind and what the files hold, whatever they are called: equal content gives equal names."""
+    digest = hashlib.sha256(b"".join(sorted(hashlib.sha256(file.read_bytes()).digest() for file in files)))
+    return f"{kind}-{digest.hexdigest()[:12]}"
 
 
 class RunLogger:
@@ -58,7 +75,8 @@ class RunLogger:
         self._wandb = wandb
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        quiet = mode != "online"
+        self._online = mode == "online"
+        quiet = not self._online
         self._run = wandb.init(
             project=project,
             group=group or sweep_group(folder),
@@ -94,6 +112,32 @@ class RunLogger:
     def summary(self, values: Mapping[str, Any]) -> None:
         """Set the numbers that stand for the whole run in wandb's tables."""
         self._run.summary.update(dict(values))
+
+    def lineage(self, used: Sequence[tuple[str, Any]], made: Sequence[tuple[str, Any]]) -> None:
+        """Record artifacts: what a run read, and what it made of it.
+
+        An artifact is named by its content, so that what one run made and another read is the same one, offline too.
+        Offline wandb takes no inputs: there the run's config and what it made name them.
+
+        Args:
+            used: kind and path, pattern or list of paths.
+            made: the same.
+        """
+        inputs = [(kind, files) for kind, where in used if (files := files_of(where))]
+        names = [artifact_name(*each) for each in inputs]
+        self._run.config.update({"made_from": names})
+        if self._online:
+            for kind, files in inputs:
+                self._run.use_artifact(self._artifact(kind, files))
+        for kind, where in made:
+            self._run.log_artifact(self._artifact(kind, files_of(where), {"made_from": names}))
+
+    def _artifact(self, kind: str, files: Sequence[Path], metadata: Mapping[str, Any] | None = None) -> Any:
+        artifact = self._wandb.Artifact(artifact_name(kind, files), kind, metadata=dict(metadata or {}))
+        above = Path(os.path.commonpath([file.parent for file in files]))
+        for file in files:  # not copied: they stay in the run's folder
+            artifact.add_file(str(file), str(file.relative_to(above)), policy="immutable", skip_cache=True)
+        return artifact
 
     def close(self, failed: bool = False) -> None:
         """Write everything and end the run."""

@@ -1,7 +1,6 @@
 """The page, numbers and figures of a training run."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,7 +8,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from op3.report.page import Page
-from op3.report.result import publish
+from op3.report.result import RunFolder, publish
 from op3.report.style import PALETTE, curves_figure, dress, faded
 
 History = Sequence[Mapping[str, float]]
@@ -84,11 +83,10 @@ def histogram_figure(values: Mapping[str, np.ndarray], axis: str) -> go.Figure:
 
 def report_training(
     history: History,
-    folder: Path,
+    run: RunFolder,
     *,
     title: str,
     numbers: Mapping[str, Any],
-    provenance: Mapping[str, Any],
     settings: Mapping[str, Any],
     histograms: Mapping[str, go.Figure] | None = None,
     files: Mapping[str, str] | None = None,
@@ -97,10 +95,9 @@ def report_training(
 
     Args:
         history: of the run.
-        folder: of the run.
+        run: where it is kept.
         title: what was trained on what.
         numbers: of the final evaluation and the budget, for ``result.yaml``.
-        provenance: see `op3.report.run_provenance`.
         settings: of the run, shown as a table.
         histograms: figures of the commands by caption.
         files: that lie beside the page, with what is in them.
@@ -133,5 +130,8 @@ def report_training(
         "evaluation": "means over the final evaluation's episodes, without exploration",
         "policy": "the kept policy",
         "steps": "environment steps of the run",
+        "learning": "returns of the evaluations while training, by environment steps",
     }
-    return publish(page, {**numbers, "provenance": dict(provenance)}, folder, meanings)
+    steps, judged = series(history, "evaluation/return")
+    numbers = {**numbers, "learning.steps": steps.tolist(), "learning.return": judged.tolist()}
+    return publish(page, numbers, run, meanings)

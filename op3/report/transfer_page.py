@@ -6,10 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.special import stdtrit
 
 from op3.report.page import Page
-from op3.report.style import bars_figure, boxes_figure
+from op3.report.style import Curves, bars_figure, boxes_figure, curves_figure
 from op3.report.tables import number
+from op3.report.traces import traces_figure
+from op3.tasks import Prediction
+from op3.tasks.evaluation import wilson_interval
 
 WALKERS = 0.8
 """Share of episodes that must walk for their whole time; paper, 8 of 10."""
@@ -27,12 +31,13 @@ class Transfer:
         model: that it was trained on.
         expected: returns under R_eval in simulation.
         actual: returns on the robot.
-        upright: which of the robot's episodes ended without a fall.
+        upright: which of the robot's episodes went without a fall, the way to the end pose included.
         episodes: folder of the robot's logs.
         film: animated picture of an episode in simulation; None or no such file: not shown.
         robot_film: the same of an episode on the robot.
         criterion: share of the expected mean return that the robot must reach.
         began_with: what its training began with, or that it was given.
+        afterwards: episodes that ended well and fell, or had to be stopped, on the way to the end pose.
         walked: which of the robot's episodes went forwards without a fall, by which the paper judges walking; None for
             other tasks.
     """
@@ -48,13 +53,23 @@ class Transfer:
     criterion: float = 0.8
     walked: Sequence[bool] | None = None
     began_with: str = "nothing"
+    afterwards: int = 0
+
+    @property
+    def falls(self) -> int:
+        """Episodes that did not end upright."""
+        return len(self.upright) - sum(self.upright)
 
     @property
     def achieved(self) -> str:
-        """What the criterion looks at, in words."""
+        """What the criterion looks at, with its 95 % interval, and how many episodes fell."""
+        span = f" ({self.span})" if self.span else ""
         if self.walked is not None:
-            return f"{sum(self.walked)} of {len(self.walked)} episodes walk to their end"
-        return f"the robot reaches {100 * self.share:.0f} % of the return that simulation promised"
+            said = f"{sum(self.walked)} of {len(self.walked)} episodes walk to their end{span}"
+        else:
+            said = f"the robot reaches {100 * self.share:.0f} %{span} of the return that simulation promised"
+        way = f", {self.afterwards} of them on the way to the end pose" if self.afterwards else ""
+        return said + (f", and falls in {self.falls} of {len(self.upright)} episodes{way}" if self.falls else "")
 
     @property
     def share(self) -> float:
@@ -62,11 +77,37 @@ class Transfer:
         return float(np.mean(self.actual) / np.mean(self.expected))
 
     @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of what is judged: Wilson's of the episodes that walked; of the share Student's, by the
+        spread of both means (the delta method); no interval of a single episode."""
+        if self.walked is not None:
+            return wilson_interval(sum(self.walked), len(self.walked))
+        fewest = min(len(self.expected), len(self.actual))
+        if fewest < 2:
+            return -np.inf, np.inf
+        parts = [np.var(one, ddof=1) / len(one) / np.mean(one) ** 2 for one in (self.expected, self.actual)]
+        half = float(stdtrit(fewest - 1, 0.975) * abs(self.share) * np.sqrt(sum(parts)))
+        return self.share - half, self.share + half
+
+    @property
+    def span(self) -> str:
+        """The interval in words; nothing where there is none."""
+        low, high = self.interval
+        return f"95 %: {100 * low:.0f} to {100 * high:.0f} %" if np.isfinite([low, high]).all() else ""
+
+    @property
     def success(self) -> bool:
         """Whether the transfer meets the paper's criterion."""
         if self.walked is not None:
             return float(np.mean(self.walked)) >= WALKERS
         return self.share >= self.criterion
+
+    @property
+    def settled(self) -> bool:
+        """Whether the interval lies on one side of the criterion: more episodes would hardly turn the verdict."""
+        low, high = self.interval
+        limit = self.criterion if self.walked is None else WALKERS
+        return low >= limit or high < limit
 
 
 def story(
@@ -83,6 +124,9 @@ def story(
     named: Mapping[int, str] | None = None,
     remarks: Sequence[str] = (),
     processor_seconds: Mapping[str, float] | None = None,
+    fit: Mapping[str, Prediction] | None = None,
+    learning: Curves | None = None,
+    following: Sequence[str] = (),
 ) -> Page:
     """The page.
 
@@ -99,17 +143,27 @@ def story(
         named: first sentence of the diagnosis by round.
         remarks: what else the reader should know, a sentence each.
         processor_seconds: time of all processors spent on every stage [s].
+        fit: what the identified models say of the log that they were fitted to, by label.
+        learning: steps and mean returns of every training's evaluations, by label.
+        following: commands to go on with.
     """
     first, last = transfers[0], transfers[-1]
     page = Page("From simulation to the robot", f"{_lead(transfers, condition, spared)} {what}".strip())
-    page.tile("first transfer", 100 * first.share, "%", "of the promised return")
-    if len(transfers) > 1:
-        page.tile("last transfer", 100 * last.share, "%", "of the promised return")
-    page.tile("episodes upright", f"{sum(last.upright)} of {len(last.upright)}")
-    if last.walked is not None:
-        page.tile("episodes that walked to their end", f"{sum(last.walked)} of {len(last.walked)}")
+    for one, name in ((first, "first transfer"), (last, "last transfer"))[: len(transfers)]:
+        if one.walked is None:
+            page.tile(name, 100 * one.share, "%", f"of the promised return; {one.span}")
+        else:
+            page.tile(name, f"{sum(one.walked)} of {len(one.walked)}", "", f"walked to their end; {one.span}")
+    note = f"{last.afterwards} fell on the way to the end pose" if last.afterwards else ""
+    page.tile("episodes upright", f"{sum(last.upright)} of {len(last.upright)}", "", note)
     page.tile("time", sum(seconds.values()), "s", f"budget {budget}")
     _films(page, folder, transfers)
+    if fit:
+        _fit(page, fit)
+    if learning:
+        page.section("Learning")
+        figure = curves_figure(learning, "environment steps [-]", "mean return [-]", 320, "lines+markers")
+        page.figure(figure, "Mean return of the policy without exploration, in simulation, while it was trained.")
     _transfers(page, transfers, remarks)
     sentences, numbers = dict(named or {}), dict(learned or {})
     for i in range(1, len(transfers)):
@@ -119,6 +173,9 @@ def story(
             page.text(f"Diagnosis of further motions in the stand: {sentences[i]}")
         if i in numbers:
             _lesson(page, numbers[i])
+    if following:
+        page.section("Next")
+        page.code("\n".join(following))
     page.section("Stages")
     stages = [[name, value, (processor_seconds or {}).get(name)] for name, value in seconds.items()]
     page.table(["stage", "time [s]", "processor time [s]"], stages, "What was run.")
@@ -126,6 +183,21 @@ def story(
     page.files({name: text for name, text in pages.items() if (folder / name).exists()})
     page.provenance(provenance)
     return page
+
+
+def _fit(page: Page, fit: Mapping[str, Prediction]) -> None:
+    """The knees of the squat that was fitted, measured and as the models say."""
+    log = next(iter(fit.values())).log
+    page.section("The squat that was fitted")
+    rows: list[list[Any]] = []
+    for label, one in fit.items():
+        simulated = one.channels["joint", "position"][0].numpy()
+        rows.append([label, 1e3 * float(np.abs(simulated - log.array("joint/position")[: len(simulated)]).mean())])
+    page.figure(
+        traces_figure(log, fit, ["l_knee", "r_knee"]),
+        "Measured on the robot, and what the identified models make of the same commands, from the first row on.",
+    )
+    page.table(["model", "mean error of the joints' angles [mrad]"], rows)
 
 
 def _transfers(page: Page, transfers: Sequence[Transfer], remarks: Sequence[str]) -> None:
@@ -143,6 +215,8 @@ def _transfers(page: Page, transfers: Sequence[Transfer], remarks: Sequence[str]
     few = len(first.actual)
     if few < PAPERS_EPISODES:
         page.text(f"Here it is judged by {few} episodes, where the paper judges ten; so few leave much to chance.")
+    if not transfers[-1].settled:
+        page.text("The interval of the last transfer holds the criterion: more episodes may turn the verdict.")
     for remark in remarks:
         page.text(remark)
     columns = {
@@ -151,6 +225,7 @@ def _transfers(page: Page, transfers: Sequence[Transfer], remarks: Sequence[str]
         "return promised [-]": [float(np.mean(one.expected)) for one in transfers],
         "return on the robot [-]": [float(np.mean(one.actual)) for one in transfers],
         "share [%]": [100 * one.share for one in transfers],
+        "interval": [one.span for one in transfers],
         "upright": [f"{sum(one.upright)} of {len(one.upright)}" for one in transfers],
         "success": [one.success for one in transfers],
     }
@@ -168,8 +243,7 @@ def _films(page: Page, folder: Path, transfers: Sequence[Transfer]) -> None:
     films = []
     for i in sorted({0, len(transfers) - 1}):
         one = transfers[i]
-        falls = len(one.upright) - sum(one.upright)
-        worst = f"the worst episode, return {np.min(one.actual):.0f}; {falls} of {len(one.upright)} fall"
+        worst = f"the worst episode, return {np.min(one.actual):.0f}; {one.falls} of {len(one.upright)} fall"
         for film, text in (
             (one.film, f"Round {i}, in simulation: mean return {np.mean(one.expected):.0f}."),
             (one.robot_film, f"Round {i}, on the robot: {worst}; {100 * one.share:.0f} % of the return promised."),

@@ -1,14 +1,14 @@
-"""Short films of a robot, simulated or as its log tells, as animated WebP."""
+"""Short films of a robot, simulated or as its log tells."""
 
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from fractions import Fraction
 from pathlib import Path
 
 import mujoco
 import numpy as np
-from PIL import Image
 
 from op3.report.frames import RenderError, draw_frames
 from op3.robot import Scene
@@ -23,7 +23,7 @@ def film(
     say: Callable[[str], None] = print,
     follow: bool = True,
 ) -> Path | None:
-    """Draw states and write them as ``.webp`` that browsers play; None where MuJoCo cannot render here.
+    """Draw states and write them as ``.mp4``; None where MuJoCo cannot render here.
 
     Args:
         scene: in which the robot is; it is compiled anew, because simulations leave out what only pictures show.
@@ -31,27 +31,32 @@ def film(
         path: of the file to write.
         rate: frames per second [Hz].
         say: takes the reason where nothing can be drawn.
-        follow: whether the camera goes with the trunk; one that stands still makes a far smaller file.
+        follow: whether the camera goes with the trunk.
     """
-    path = Path(path)
     try:
-        frames = draw_frames(scene.compile(), qpos, follow=follow)
+        return write_mp4(draw_frames(scene.compile(), qpos, follow=follow), path, rate)
     except RenderError as error:
         say(f"no video: {error}")
         return None
+
+
+def write_mp4(pictures: Iterable[np.ndarray], path: str | Path, rate: float) -> Path:
+    """Write pictures ``[height, width, 3]`` of even size, `rate` a second [Hz], as H.264; the file appears whole."""
+    import av  # half a second that other uses need not pay
+
+    path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_suffix(".part")
-    first, *others = map(Image.fromarray, frames)
-    options = {
-        "save_all": True,
-        "append_images": others,
-        "duration": round(1000 / rate),
-        "loop": 0,
-        "quality": 40,
-        "method": 4,
-    }
-    first.save(unfinished, "WEBP", **options)
-    unfinished.replace(path)  # a film that exists is whole
+    unfinished, stream = path.with_suffix(".part"), None
+    with av.open(str(unfinished), "w", format="mp4", options={"movflags": "faststart"}) as container:
+        for picture in pictures:
+            if stream is None:
+                each = Fraction(rate).limit_denominator(1000)
+                stream = container.add_stream("libx264", rate=each, options={"crf": "23", "preset": "fast"})
+                stream.height, stream.width, stream.pix_fmt = *picture.shape[:2], "yuv420p"
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        if stream is not None:
+            container.mux(stream.encode(None))
+    unfinished.replace(path)
     return path
 
 

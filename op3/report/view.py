@@ -6,8 +6,6 @@
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from fractions import Fraction
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -142,24 +140,6 @@ def pictures(tracks: Tracks, joint: str | None = None, speed: float = 1.0) -> It
         yield np.concatenate([frame, strip.at(number / rate)], axis=1)
 
 
-def write_mp4(images: Iterator[NDArray[np.uint8]], path: Path) -> Path:
-    """Write pictures ``[height, width, 3]`` as H.264; the file appears whole or not at all."""
-    import av  # half a second that other uses need not pay
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished, stream = path.with_suffix(".part"), None
-    with av.open(str(unfinished), "w", format="mp4") as container:
-        for image in images:
-            if stream is None:
-                stream = container.add_stream("libx264", rate=Fraction(RATE), options={"crf": "23", "preset": "fast"})
-                stream.height, stream.width, stream.pix_fmt = *image.shape[:2], "yuv420p"
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
-        if stream is not None:
-            container.mux(stream.encode(None))
-    unfinished.replace(path)
-    return path
-
-
 @dataclass
 class Player:
     """Where a window is in time, and what its keys do.
@@ -215,6 +195,7 @@ def window(tracks: Tracks, joint: str | None = None, speed: float = 1.0) -> None
             player.advance(now - last)
             last, row = now, min(int(player.seconds * RATE), states.shape[1] - 1)
             with handle.lock():
+                assert handle.user_scn is not None
                 data.qpos[:] = states[0, row]
                 mujoco.mj_forward(model, data)
                 handle.user_scn.ngeom = 0

@@ -110,6 +110,11 @@ LEAST_DISTANCE = 1.0
 """From which an upright episode of walking has gone forward [m]; the paper says "forward" without a number."""
 
 
+def stood(log: Rollout) -> bool:
+    """Whether a robot was upright to the end of its episode and, where it was moved to an end pose, on that way too."""
+    return not _field(log, "fallen", log.metadata.fallen) and "afterwards" not in log.metadata.extra
+
+
 def succeeded(log: Rollout, task: str | Task, least_distance: float = LEAST_DISTANCE) -> bool:
     """Whether an episode is what the task asks for: upright to its end and, in walking, forwards.
 
@@ -118,7 +123,7 @@ def succeeded(log: Rollout, task: str | Task, least_distance: float = LEAST_DIST
         task: that was attempted.
         least_distance: that counts as walking forwards [m].
     """
-    if _field(log, "fallen", log.metadata.fallen):
+    if not stood(log):
         return False
     if find_task(task).cycle is None:
         return True

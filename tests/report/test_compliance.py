@@ -10,7 +10,7 @@ from op3.compliance.landing import Landings
 from op3.compliance.leading import Led
 from op3.compliance.pushing import Survival
 from op3.compliance.study import Measured, Passed
-from op3.report import read_result
+from op3.report import RunFolder, read_result
 from op3.report.compliance import report_compliance
 
 
@@ -39,7 +39,9 @@ def measured(label: str, force: float, rungs: int, successes: int) -> Measured:
 def test_page_and_numbers(tmp_path):
     """The first policy lands 20 N softer, survives 0.9 N s more and passes all bricks where the other passes half."""
     first, other = measured("soft", 100.0, 7, 50), measured("stiff one", 120.0, 4, 25)
-    report_compliance([first, other], {other.label: difference(first, other)}, {"hold": first.energy}, tmp_path, {})
+    report_compliance(
+        [first, other], {other.label: difference(first, other)}, {"hold": first.energy}, RunFolder(tmp_path, {})
+    )
     numbers = read_result(tmp_path / "result.yaml")
     assert abs(numbers["difference.stiff_one.force"][0] + 20) < 0.5
     assert abs(numbers["difference.stiff_one.push"][0] - 0.9) < 1e-9

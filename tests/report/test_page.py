@@ -23,7 +23,7 @@ def example() -> Page:
     page.text("One paragraph.\n\nAnother with `code`.")
     page.figure(traces_figure(squat_log(), {"with DTE": {}}), "Knees.")
     page.table(["parameter", "value [N m]"], [["friction", 0.25], ["stiction", None], ["bias", 12.5]], "Parameters")
-    page.films([("film.webp", "An episode.")])
+    page.films([("film.mp4", "An episode.")])
     page.files({"result.yaml": "all numbers"})
     page.provenance({"seed": 0, "versions": {"torch": "2.13.0"}})
     return page

@@ -5,7 +5,7 @@ import pytest
 from optuna.distributions import FloatDistribution
 
 from op3.identify.reidentification import Candidate, Reidentified
-from op3.report import read_result
+from op3.report import RunFolder, read_result
 from op3.report.reidentification_page import report_reidentification
 from op3.report.seeds_page import write_seeds
 from op3.sim import load_model
@@ -38,7 +38,7 @@ def report(folder, value=0.006, fresh=20.0, distance=10.0):
             optuna.trial.create_trial(params=params, distributions=SPACE, values=values, user_attrs=attributes)
         )
     return report_reidentification(
-        found, study, folder, wall_seconds=1.0, simulated_seconds=2.0, provenance={"seed": 0}, wandb_mode="disabled"
+        found, study, RunFolder(folder, {"seed": 0}), wall_seconds=1.0, simulated_seconds=2.0
     )
 
 
