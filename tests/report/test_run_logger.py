@@ -1,12 +1,14 @@
 """wandb offline: a run folder without account or network, grouped by sweep."""
 
 import time
+from pathlib import Path
 
 import numpy as np
 import plotly.graph_objects as go
 import pytest
 
 from op3.report import RunLogger, sweep_group
+from op3.report.run_logger import artifact_name
 
 
 def test_an_offline_run_is_written_with_group_and_values(tmp_path, monkeypatch, capfd):
@@ -21,16 +23,39 @@ def test_an_offline_run_is_written_with_group_and_values(tmp_path, monkeypatch, 
     (folder,) = (tmp_path / "sweep" / "0" / "wandb").glob("offline-run-*")
     assert logger.folder is not None
     assert logger.folder.resolve() == folder.resolve()
-    (record,) = folder.glob("*.wandb")
     expected = (b"squat-sweep", b"job-0", b"budget", b"2000", b"0.25", b"error_mrad", b"11.5")
-    deadline = time.monotonic() + 30  # another process of wandb writes the file, late on a busy machine
-    while not all(part in record.read_bytes() for part in expected) and time.monotonic() < deadline:
-        time.sleep(0.1)
-    for part in expected:
-        assert part in record.read_bytes()
+    record = record_of(tmp_path / "sweep" / "0", *expected)
+    assert all(part in record for part in expected)
     media = {path.suffix for path in (folder / "files" / "media").rglob("*") if path.is_file()}
     assert media == {".json", ".png"}
     assert capfd.readouterr() == ("", "")
+
+
+def record_of(folder: Path, *parts: bytes) -> bytes:
+    """The file of a run, once it holds these parts: another process of wandb writes it, late on a busy machine."""
+    (path,) = folder.glob("wandb/offline-run-*/*.wandb")
+    deadline = time.monotonic() + 30
+    while not all(part in path.read_bytes() for part in parts) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    return path.read_bytes()
+
+
+def test_what_one_run_made_another_has_read(tmp_path, monkeypatch):
+    """A model is the same artifact wherever it lies; every artifact says what it was made from, without an account."""
+    monkeypatch.setenv("WANDB_MODE", "offline")
+    for name, text in (("log.csv", "1"), ("model.yaml", "2"), ("copy.yaml", "2"), ("policy/manifest.yaml", "3")):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    with RunLogger(tmp_path / "identify") as logger:
+        logger.lineage([("log", [tmp_path / "log.csv"])], [("model", tmp_path / "model.yaml")])
+    with RunLogger(tmp_path / "train") as logger:
+        logger.lineage([("model", tmp_path / "copy.yaml")], [("policy", tmp_path / "policy")])
+    kinds = {"log": "log.csv", "model": "model.yaml", "policy": "policy/manifest.yaml"}
+    names = {kind: artifact_name(kind, [tmp_path / file]).encode() for kind, file in kinds.items()}
+    for run, told in (("identify", ("log", "model")), ("train", ("model", "policy"))):
+        wanted = [names[kind] for kind in told]
+        record = record_of(tmp_path / run, *wanted)
+        assert all(name in record for name in wanted)
 
 
 def test_jobs_of_one_sweep_share_the_group(tmp_path):
