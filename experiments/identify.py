@@ -15,7 +15,6 @@ import hydra
 import optuna
 import torch
 from hydra.core.hydra_config import HydraConfig
-from hydra.types import RunMode
 from omegaconf import DictConfig
 from support import check_given, focus_joints, logs_where, model_file, one_sentence, plain
 
@@ -26,8 +25,7 @@ from op3.identify.resolvers import chosen_model
 from op3.identify.resolvers import register as register_interpolations
 from op3.identify.settings import read_settings, search_space_of
 from op3.identify.sweeper import sweep_or_report
-from op3.report import RunFolder, finish, run_provenance
-from op3.report.comparison_page import read_runs, write_comparison
+from op3.report import RunFolder, run_provenance
 from op3.report.identification_page import report_identification
 from op3.rollout import Rollout, read_logs
 from op3.servo import RobotModel, effect_class
@@ -136,7 +134,7 @@ def main(cfg: DictConfig) -> Any:
                 save_model(
                     ablated.model, folder / f"model_{ablated.label.lower().replace(', ', '_').replace(' ', '_')}.yaml"
                 )
-            numbers = report_identification(
+            return report_identification(
                 fit,
                 ablated,
                 RunFolder(
@@ -151,9 +149,6 @@ def main(cfg: DictConfig) -> Any:
                 ablated_seconds=(datetime.now() - compared).total_seconds(),
                 joints=identification.joints,
             )
-            if HydraConfig.get().mode == RunMode.MULTIRUN:
-                finish(*write_comparison(read_runs(folder.parent), folder.parent))  # grows with every cell
-            return numbers
 
         return sweep_or_report(cfg, identification.evaluate, report)
 

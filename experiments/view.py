@@ -26,7 +26,7 @@ from op3.envs.actors import Watched, find_actor
 from op3.policy.bundle import MANIFEST
 from op3.report.frames import RenderError
 from op3.report.tracks import SHOWN, Tracks, of_diagnosis, predicted, scene_of
-from op3.report.video import write_mp4
+from op3.report.video import write_film
 from op3.report.view import RATE, pictures, window
 from op3.robot import squat
 from op3.rollout import Rollout, read_logs
@@ -102,8 +102,8 @@ def run(cfg: DictConfig, folder: Path) -> None:
     whole(cfg, "number", 0)
     speed = positive(cfg, "speed", "times real time")
     out = None if cfg.out is None else Path(cfg.out)
-    if out is not None and out.name != "rerun" and out.suffix not in (".mp4", ".rrd"):
-        raise ValueError(f"out must end with .mp4 or .rrd, or be rerun, got {cfg.out}")
+    if out is not None and out.name != "rerun" and out.suffix not in (".mp4", ".webp", ".rrd"):
+        raise ValueError(f"out must end with .mp4, .webp or .rrd, or be rerun, got {cfg.out}")
     tracks = tracks_of(cfg)
     joints = next(iter(tracks.logs.values())).joints
     if cfg.joint is not None and cfg.joint not in joints:
@@ -116,7 +116,7 @@ def run(cfg: DictConfig, folder: Path) -> None:
         window(tracks, cfg.joint, speed)
     else:
         try:
-            print(write_mp4(pictures(tracks, cfg.joint, speed), out or folder / "view.mp4", RATE))
+            print(write_film(pictures(tracks, cfg.joint, speed), out or folder / "view.mp4", RATE))
         except RenderError as error:
             raise ValueError(str(error)) from None
 

@@ -219,8 +219,21 @@ def launch(run: Callable[[], Any], config: str, documentation: str | None) -> No
     except (HydraException, OmegaConfBaseException) as error:
         end(scrub(explained(error, config)))
     finally:
+        if _kind(sys.argv) == "sweep":
+            compare(next((found[1] for word in sys.argv if (found := re.match(r"hydra\.sweep\.dir=(.+)", word))), None))
         if folder is not None:
             leave(folder)
+
+
+def compare(folder: str | None) -> None:
+    """Write one page over the finished runs of a multirun, and say where it is and which variants it has."""
+    place = Path((folder or "").strip("'\""))
+    if folder is None or len(list(place.glob("*/result.yaml"))) < 2:
+        return
+    from op3.report.comparison_page import read_runs, variants, write_comparison
+
+    runs = read_runs(place)
+    print(*write_comparison(runs, place), f"variants: {'; '.join(variants(runs))}", sep="\n", flush=True)
 
 
 def claim(config: str, arguments: Sequence[str]) -> Path | None:

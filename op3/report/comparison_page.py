@@ -1,12 +1,12 @@
-"""One page for several runs: losses, held-out errors, parameters and time side by side."""
+"""One page for several runs of one experiment: what they found, by what they differ in."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
 import yaml
 
 from op3.report.page import Page
@@ -17,15 +17,27 @@ from op3.report.tables import Cell
 PAGE, NUMBERS = "comparison.html", "comparison.yaml"
 
 QUANTITIES: Mapping[str, str] = {
-    "loss.fit": "loss",
+    "error_mrad.heldout": "held-out error [mrad]",
+    "error_mrad.train": "error [mrad]",
     "loss.heldout": "held-out loss",
     "loss.paper_eq7": "paper eq. (7)",
-    "error_mrad.train": "error [mrad]",
-    "error_mrad.heldout": "held-out error [mrad]",
+    "loss.fit": "loss",
+    "evaluation.return_mean": "mean return",
+    "evaluation.return": "return",
+    "evaluation.success": "success",
+    "evaluation.upright": "upright",
+    "gap.joint/position.after": "gap in angle [rad]",
+    "probability": "probability",
     "simulated_seconds": "simulated [s]",
     "wall_seconds": "time [s]",
 }
-"""Numbers of a run's `result.yaml` that are compared, and their columns."""
+"""Numbers of a run's `result.yaml` that are compared, where they are there, and their columns; the first orders."""
+
+HIGHER = ("evaluation.", "probability")
+"""What is the better the higher it is."""
+
+MOST = 8
+"""Numbers that are compared of runs that have none of these."""
 
 _STORES = ("hydra.sweep", "hydra.sweeper.storage", "hydra.sweeper.study_name", "hydra.run", "population")
 """Overrides that only say where a run stores things."""
@@ -54,7 +66,7 @@ def read_runs(folder: str | Path) -> list[Run]:
     """
     cells = [path.parent for path in Path(folder).glob("*/result.yaml")]
     if not cells:
-        raise ValueError(f"{folder} holds no run with a result.yaml; name the folder of a multirun of identify.py")
+        raise ValueError(f"{folder} holds no run with a result.yaml; name the folder of a multirun")
     cells.sort(key=lambda cell: (not cell.name.isdigit(), int(cell.name) if cell.name.isdigit() else 0, cell.name))
     return [Run(cell.name, _settings(cell), read_result(cell / "result.yaml")) for cell in cells]
 
@@ -83,6 +95,17 @@ def variants(runs: Sequence[Run]) -> dict[str, list[Run]]:
     return found
 
 
+def quantities(runs: Sequence[Run]) -> dict[str, str]:
+    """What is compared, with its column: what is known of these runs, else their first numbers."""
+    has = dict.fromkeys(key for run in runs for key, value in run.numbers.items() if _is_number(value))
+    known = {key: title for key, title in QUANTITIES.items() if key in has}
+    return known if set(known) - {"wall_seconds"} else {key: words(key.replace(".", " ")) for key in list(has)[:MOST]}
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float)
+
+
 def spread(values: Sequence[float | None]) -> dict[str, Any] | None:
     """Mean and standard deviation; None where no run has the number, no deviation of a single one."""
     known = [float(value) for value in values if value is not None]
@@ -109,20 +132,22 @@ def write_comparison(runs: Sequence[Run], folder: str | Path) -> tuple[Path, Pat
     Returns:
         Their paths.
     """
-    folder = Path(folder)
-    groups = variants(runs)
-    entries = sorted((_entry(name, members) for name, members in groups.items()), key=_score)
+    folder, groups, columns = Path(folder), variants(runs), quantities(runs)
+    entries = [_entry(name, members, columns) for name, members in groups.items()]
+    first = next(iter(columns), None)
+    sign = -1.0 if first is not None and first.startswith(HIGHER) else 1.0
+    entries.sort(key=lambda e: sign * e[first]["value"] if first is not None and e[first] else math.inf)
     meanings = {"variants": "runs that differ in the seed alone; spread is the standard deviation over seeds"}
     result = write_result(folder / NUMBERS, {"runs": len(runs), "variants": entries}, meanings)
-    return _page(runs, groups, entries).write(folder / PAGE), result
+    return _page(runs, columns, entries).write(folder / PAGE), result
 
 
-def _entry(name: str, members: Sequence[Run]) -> dict[str, Any]:
+def _entry(name: str, members: Sequence[Run], columns: Mapping[str, str]) -> dict[str, Any]:
     parameters = dict.fromkeys(key for run in members for key in run.numbers if key.startswith("parameters."))
     return {
         "variant": name,
         "runs": [run.name for run in members],
-        **{key: spread([run.numbers.get(key) for run in members]) for key in QUANTITIES},
+        **{key: spread([run.numbers.get(key) for run in members]) for key in columns},
         **{key: spread([_value(run.numbers[key]) for run in members if key in run.numbers]) for key in parameters},
     }
 
@@ -131,52 +156,38 @@ def _value(estimate: Any) -> float:
     return float(estimate["value"]) if isinstance(estimate, Mapping) else float(estimate)
 
 
-def _score(entry: Mapping[str, Any]) -> float:
-    """What variants are ordered by: the held-out error where there is one, else the paper's loss."""
-    keys = ("error_mrad.heldout", "loss.paper_eq7", "loss.fit")
-    return next((entry[key]["value"] for key in keys if entry.get(key) is not None), float("inf"))
-
-
-def _page(runs: Sequence[Run], groups: Mapping[str, Sequence[Run]], entries: Sequence[Mapping[str, Any]]) -> Page:
-    best, keys = entries[0], varied(runs)
-    lead = f"{len(runs)} runs of {len(groups)} {'variant' if len(groups) == 1 else 'variants'}."
-    if len(groups) > 1:
-        by = "held-out error" if best["error_mrad.heldout"] is not None else "loss"
-        lead = f"Best by the {by}: {best['variant']}. {lead}"
-    page = Page("Comparison of identifications", lead)
+def _page(runs: Sequence[Run], columns: Mapping[str, str], entries: Sequence[Mapping[str, Any]]) -> Page:
+    keys, count = varied(runs), len(entries)
+    lead = f"{len(runs)} runs of {count} variant{'s' if count > 1 else ''}."
+    if count > 1 and columns:
+        by = next(iter(columns.values())).partition(" [")[0]
+        lead = f"Best by the {by}: {entries[0]['variant']}. {lead}"
+    page = Page("Comparison of runs", lead)
     page.section("Variants")
-    header = ["variant", "runs", *(part for title in QUANTITIES.values() for part in (title, "±"))]
-    rows = [[e["variant"], len(e["runs"]), *(c for key in QUANTITIES for c in spread_cells(e[key]))] for e in entries]
+    header = ["variant", "runs", *(part for title in columns.values() for part in (title, "±"))]
+    rows = [[e["variant"], len(e["runs"]), *(c for key in columns for c in spread_cells(e[key]))] for e in entries]
     page.table(header, rows, caption="Mean and standard deviation over seeds, best first.")
-    page.figure(_figure(groups), "Every run: on the logs fitted and on those held out.")
-    page.section("Parameters")
+    if len(columns) > 1:
+        (x, x_title), (y, y_title) = list(columns.items())[1::-1]
+        of = {run.name: run.numbers for run in runs}
+        shown = {e["variant"]: [(of[n].get(x), of[n].get(y)) for n in e["runs"]] for e in entries}
+        kept = {name: [pair for pair in pairs if None not in pair] for name, pairs in shown.items()}
+        points = {name: tuple(zip(*pairs, strict=True)) for name, pairs in kept.items() if pairs}
+        units = [title if "[" in title else f"{title} [-]" for title in (x_title, y_title)]
+        page.figure(curves_figure(points, *units, 380, "markers"), "Every run.")
     names = list(dict.fromkeys(key for entry in entries for key in entry if key.startswith("parameters.")))
-    header = ["parameter", *(part for entry in entries for part in (entry["variant"], "±"))]
-    rows = [
-        [words(n.removeprefix("parameters.")), *(c for e in entries for c in spread_cells(e.get(n)))] for n in names
-    ]
-    page.table(header, rows, caption="Values found, and how they differ between seeds.")
+    if names:
+        page.section("Parameters")
+        header = ["parameter", *(part for entry in entries for part in (entry["variant"], "±"))]
+        named = [
+            [words(n.removeprefix("parameters.")), *(c for e in entries for c in spread_cells(e.get(n)))] for n in names
+        ]
+        page.table(header, named, caption="Values found, and how they differ between seeds.")
     page.section("Runs")
-    header = ["run", *keys, *QUANTITIES.values()]
     rows = [
-        [run.name, *(run.settings.get(key, "default") for key in keys), *(run.numbers.get(k) for k in QUANTITIES)]
+        [run.name, *(run.settings.get(key, "default") for key in keys), *(run.numbers.get(k) for k in columns)]
         for run in runs
     ]
-    page.table(header, rows, caption="Every run.")
+    page.table(["run", *keys, *columns.values()], rows, caption="Every run.")
     page.files({f"{run.name}/index.html": f"run {run.name}" for run in runs} | {NUMBERS: "all numbers of this page"})
     return page
-
-
-def _figure(groups: Mapping[str, Sequence[Run]]) -> go.Figure:
-    """Fitted against held-out error of every run; without held-out logs, the paper's loss."""
-    held = any(run.numbers.get("error_mrad.heldout") is not None for members in groups.values() for run in members)
-    axes = {"error_mrad.train": "error on fitted logs [mrad]", "error_mrad.heldout": "error on held-out logs [mrad]"}
-    (x, x_title), (y, y_title) = (
-        axes if held else {"wall_seconds": "time [s]", "loss.paper_eq7": "paper eq. (7) [-]"}
-    ).items()
-    shown = {
-        name: [run.numbers for run in members if None not in (run.numbers.get(x), run.numbers.get(y))]
-        for name, members in groups.items()
-    }
-    points = {name: ([n[x] for n in numbers], [n[y] for n in numbers]) for name, numbers in shown.items()}
-    return curves_figure(points, x_title, y_title, 380, mode="markers")

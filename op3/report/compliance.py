@@ -13,8 +13,8 @@ from op3.compliance.gains import Gains
 from op3.compliance.study import Measured
 from op3.report.page import Page
 from op3.report.result import RunFolder, publish
-from op3.report.style import PALETTE, colours, dress, faded, words
-from op3.report.tables import Cell
+from op3.report.style import PALETTE, SHADE, colours, dress, faded, words
+from op3.report.tables import Cell, TableRows
 from op3.robot import CONTROLLED_JOINTS, JOINTS
 from op3.tasks.evaluation import wilson_interval
 from op3.tasks.pushes import DIRECTIONS
@@ -49,31 +49,25 @@ def report_compliance(
     Returns:
         The numbers of ``result.yaml``.
     """
-    page = Page(f"Compliance: {measured[0].label}", _verdict(measured[0], differences))
-    _tiles(page, measured[0])
-    page.section("Who walks")
-    page.table(*_walks(measured), "Episodes passed of those played, and mean forward speed [m/s].")
-    _add_differences(page, differences)
-    _add_gains(page, measured)
-    page.section("Joints that are turned")
-    page.text(
-        "Commands frozen at states of the gait, trunk held; a torque between the links of one joint grows slowly. It "
-        "breaks away after three counts of the encoder, and the slope is of what it then takes to 0.1 rad."
-    )
-    page.figure(_back_drive_figure(measured), "Median over states and directions.")
-    page.section("Landings")
-    page.table(*_landings(measured), "Within 50 ms after touchdown, seen every millisecond.")
-    page.section("Pushes")
-    page.figure(_push_figure(measured), "Largest impulse survived [N s] by direction, mean over times of the gait.")
-    page.table(*_pushes(measured), "Largest impulse survived, mean over the directions, with its 95 % interval.")
-    if measured[0].led:
-        page.section("Led")
-        page.figure(
-            _led_figure(measured), "How far a slow force moves a walking robot against its twin; ends at falls."
-        )
-    page.section("Energy and heat")
-    page.table(*_energies(measured, standing), "Motors only; an hour like these episodes, or of standing.")
-    page.figure(_heat_figure(measured, standing), "Root mean square of each motor's current.")
+    first, known = measured[0], {each.label: each.gains for each in measured if each.gains is not None}
+    page = Page(f"Compliance: {first.label}", _verdict(first, differences))
+    _tiles(page, first)
+    figures = {
+        "gains": _gain_figure(known) if known else None,
+        "back_drive": _back_drive_figure(measured),
+        "pushes": _push_figure(measured),
+        "led": _led_figure(measured) if first.led else None,
+        "heat": _heat_figure(measured, standing),
+    }
+    tables = {
+        "walks": _walks(measured),
+        "differences": _differences(differences),
+        **(_gains(known) if known else {}),
+        "landings": _landings(measured),
+        "pushes": _pushes(measured),
+        "energies": _energies(measured, standing),
+    }
+    page.fill("compliance", figures, tables, differences=differences, gains=next(iter(known), None), led=first.led)
     return publish(page, _numbers(measured, differences, standing), run, MEANINGS)
 
 
@@ -111,7 +105,7 @@ def _tiles(page: Page, first: Measured) -> None:
     )
 
 
-def _walks(measured: Sequence[Measured]) -> tuple[list[str], list[list[Cell]]]:
+def _walks(measured: Sequence[Measured]) -> TableRows:
     grounds = list(measured[0].passed)
     header = ["policy", *(text for ground in grounds for text in (ground, "95 %", "m/s"))]
     rows: list[list[Cell]] = []
@@ -132,10 +126,7 @@ def _said(triple: Any, digits: int = 2) -> str | None:
     return f"{value} ({low} to {high})" if np.isfinite(triple[1]) else value
 
 
-def _add_differences(page: Page, differences: Mapping[str, Difference]) -> None:
-    if not differences:
-        return
-    page.section("What choosing gains buys")
+def _differences(differences: Mapping[str, Difference]) -> TableRows:
     rows: list[list[Cell]] = [
         [
             label,
@@ -148,37 +139,21 @@ def _add_differences(page: Page, differences: Mapping[str, Difference]) -> None:
         for label, d in differences.items()
     ]
     header = ["first policy minus", "peak force [N]", "peak acceleration [m/s²]", "pairs", "share passed", "push [N s]"]
-    page.table(
-        header, rows, "Differences with 95 % intervals; landings at one speed and step height, uneven grounds pooled."
-    )
+    return header, rows
 
 
-def _add_gains(page: Page, measured: Sequence[Measured]) -> None:
-    known = {each.label: each.gains for each in measured if each.gains is not None}
-    if not known:
-        return
-    page.section("Gains over the gait")
-    caption = (
-        "Mean over episodes with its 95 % interval. Shaded: most of the time the first policy's foot is on the ground."
-    )
-    page.figure(_gain_figure(known), caption)
-    label, gains = next(iter(known.items()))
-    names = ("support", "swing", "landed", "support_clock", "swing_clock")
+def _gains(known: Mapping[str, Gains]) -> dict[str, tuple]:
+    """Gains of the first policy by joint, and of all by situation."""
+    gains, names = next(iter(known.values())), ("support", "swing", "landed", "support_clock", "swing_clock")
     rows: list[list[Cell]] = []
     for row, joint in enumerate(CONTROLLED_JOINTS):
-        per_gain = float(gains.stiffness[row])
-        stiff: list[Cell] = [float(gains.by_situation[name][row, 0] * per_gain) for name in ("support", "swing")]
+        stiff = [float(gains.by_situation[n][row, 0] * gains.stiffness[row]) for n in ("support", "swing")]
         rows.append([words(joint), *(_said(gains.by_situation[name][row]) for name in names), *stiff])
     header = ["joint", "support", "swing", "100 ms after touchdown", "support by the clock", "swing by the clock"]
     header += ["stiffness in support [N m/rad]", "in swing"]
-    page.table(
-        header, rows, f"{label}: P gain [A/rad] with its 95 % interval; stiffness is gain times torque per current.", 3
-    )
-    page.table(
-        ["policy", "all", "support minus swing", "100 ms after touchdown minus swing"],
-        [[name, _said(g.mean), _said(g.softening), _said(g.landing)] for name, g in known.items()],
-        "P gain [A/rad], mean of the controlled joints.",
-    )
+    columns = ["policy", "all", "support minus swing", "100 ms after touchdown minus swing"]
+    softening = [[name, _said(g.mean), _said(g.softening), _said(g.landing)] for name, g in known.items()]
+    return {"gains": (header, rows, 3), "softening": (columns, softening)}
 
 
 def _gain_figure(known: Mapping[str, Gains]) -> go.Figure:
@@ -204,9 +179,7 @@ def _gain_figure(known: Mapping[str, Gains]) -> go.Figure:
                 line=dict(color=looks[label], width=1.8), **look,
             )  # fmt: skip
         for phase in first.phase[first.loaded[row] > 0.5]:
-            figure.add_vrect(
-                x0=phase - half, x1=phase + half, fillcolor="#eef1f4", line_width=0, layer="below", **place
-            )
+            figure.add_vrect(x0=phase - half, x1=phase + half, fillcolor=SHADE, line_width=0, layer="below", **place)
     figure.update_xaxes(range=[0, 1])
     figure.update_xaxes(title_text="phase of the gait [cycles]", row=5)
     highest = max(float(np.nanmax(gains.profile_interval)) for gains in known.values())
@@ -229,7 +202,7 @@ def _back_drive_figure(measured: Sequence[Measured]) -> go.Figure:
     return dress(figure, 560)
 
 
-def _landings(measured: Sequence[Measured]) -> tuple[list[str], list[list[Cell]]]:
+def _landings(measured: Sequence[Measured]) -> TableRows:
     header = ["policy", "touchdowns", "peak force [N]", "peak acceleration [m/s²]", "speed [m/s]", "step height [mm]"]
     rows: list[list[Cell]] = []
     for each in measured:
@@ -254,7 +227,7 @@ def _push_figure(measured: Sequence[Measured]) -> go.Figure:
     return dress(figure, 460, polar=dict(angularaxis=around, radialaxis=dict(rangemode="tozero", title="N s")))
 
 
-def _pushes(measured: Sequence[Measured]) -> tuple[list[str], list[list[Cell]]]:
+def _pushes(measured: Sequence[Measured]) -> TableRows:
     header = ["policy", "pushes", "all [N s]", "forwards", "to the left", "backwards", "to the right"]
     rows: list[list[Cell]] = []
     for each in measured:
@@ -281,7 +254,7 @@ def _led_figure(measured: Sequence[Measured]) -> go.Figure:
     return dress(figure, 560)
 
 
-def _energies(measured: Sequence[Measured], standing: Mapping[str, Energy]) -> tuple[list[str], list[list[Cell]]]:
+def _energies(measured: Sequence[Measured], standing: Mapping[str, Energy]) -> TableRows:
     header = ["who", "power [W]", "cost of transport", "hottest servo", "its current [A]", "after an hour [C]", "drift"]
     known = {each.label: each.energy for each in measured} | {f"{name}, standing": e for name, e in standing.items()}
     rows: list[list[Cell]] = []

@@ -13,7 +13,7 @@ import plotly.graph_objects as go
 from markupsafe import Markup, escape
 
 from op3.private import scrub
-from op3.report.style import DARK
+from op3.report.style import DARK, words
 from op3.report.tables import Cell, number
 from op3.rollout.files import write_text
 
@@ -58,7 +58,7 @@ class Page:
 
     def text(self, text: str) -> None:
         """Add paragraphs, separated by blank lines."""
-        for paragraph in re.split(r"\n\s*\n", text.strip()):
+        for paragraph in filter(None, re.split(r"\n\s*\n", text.strip())):
             self._add("text", scrub(paragraph))
 
     def code(self, text: str) -> None:
@@ -74,6 +74,37 @@ class Page:
         margin, columns = figure.layout.margin, len({axis.domain for axis in figure.select_xaxes()})
         width = max(320, 240 * columns) + (margin.l or 0) + (margin.r or 0)  # narrower screens move it sideways
         self._add("figure", caption, height=int(figure.layout.height or 420), width=width)
+
+    def fill(
+        self,
+        template: str,
+        figures: Mapping[str, go.Figure | None] | None = None,
+        tables: Mapping[str, tuple] | None = None,
+        **context: Any,
+    ) -> None:
+        """Add what a template of prose says: blocks with blank lines between them.
+
+        A block is a paragraph, ``## a heading``, ``[[figure name | caption]]``, ``[[table name | caption]]``, or
+        ``[[code]]`` and lines after it. Figures and tables that are not there, or have no rows, are left out.
+
+        Args:
+            template: name of the file ``<name>.md`` in ``templates/``, Jinja's.
+            figures: by name.
+            tables: header, rows and perhaps digits by name, as `table` takes them.
+            context: what the template speaks of.
+        """
+        for block in re.split(r"\n\s*\n", PROSE_TEMPLATES.get_template(f"{template}.md").render(context).strip()):
+            found = re.fullmatch(r"\[\[(figure|table) (\w+)(?: \| (.*))?\]\]", block.strip(), re.DOTALL)
+            if block.startswith("## "):
+                self.section(block[3:])
+            elif block.startswith("[[code]]\n"):
+                self.code(block.removeprefix("[[code]]\n"))
+            elif found is None:
+                self.text(" ".join(block.split()))
+            elif found[1] == "figure":
+                self.figure((figures or {}).get(found[2]), " ".join((found[3] or "").split()))
+            elif (given := (tables or {}).get(found[2])) and given[1]:
+                self.table(*given[:2], " ".join((found[3] or "").split()), *given[2:])
 
     def films(self, films: Sequence[tuple[str, str]]) -> None:
         """Add films, as paths from the page with a caption each, side by side where there is room."""
@@ -188,6 +219,10 @@ def _line(value: Any) -> str:
     return _text(value) if value is None or isinstance(value, bool) else str(value)
 
 
+PROSE_TEMPLATES = jinja2.Environment(  # its text is escaped when the page is written
+    loader=jinja2.PackageLoader("op3.report"), trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
+)
+PROSE_TEMPLATES.filters |= {"number": lambda value, digits=3: _text(value, digits), "words": words}
 _TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("op3.report"), autoescape=True, trim_blocks=True, lstrip_blocks=True,
     undefined=jinja2.StrictUndefined,

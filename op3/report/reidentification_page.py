@@ -7,6 +7,7 @@ import numpy as np
 import optuna
 import plotly.graph_objects as go
 
+from op3.identify.intervals import at_bound
 from op3.identify.reidentification import TOLERATED, Candidate, Reidentified
 from op3.report.figures import ranges_figure
 from op3.report.page import Page
@@ -104,15 +105,6 @@ def _page(found: Reidentified, study: optuna.Study, values: Mapping[str, Any]) -
     page.tile("fresh episodes", found.fresh_chosen.distance, note=f"{number(found.fresh_start.distance, 3)} before")
     page.tile("trials", values["trials"], note=f"{values['trials_played']} played all episodes")
     page.tile("time", values["wall_seconds"], "s")
-    page.section("Returns")
-    page.text(
-        f"What the policy's episodes are worth under R_eval: on the robot, in simulation before ({before}), and in the"
-        " simulation after re-identification, with the same episodes for every candidate."
-        f" Over fresh episodes, which neither the search nor the choice has seen, the distance is"
-        f" {number(found.fresh_start.distance, 3)} before and {number(found.fresh_chosen.distance, 3)} after; if the"
-        f" model were the robot, chance alone would leave {number(found.noise, 3)}."
-    )
-    page.figure(_returns_figure(found), "Returns of the episodes, as steps of their cumulative distribution.")
     entries = (
         (ACTUAL, found.actual, None, None),
         (before, start.returns, start.distance, found.fresh_start.distance),
@@ -120,26 +112,26 @@ def _page(found: Reidentified, study: optuna.Study, values: Mapping[str, Any]) -
     )
     rows = [[label, float(np.mean(own)), float(np.std(own)), *distances] for label, own, *distances in entries]
     header = ["episodes", "mean return [-]", "deviation [-]", "distance [-]", "distance, fresh episodes [-]"]
-    page.table(header, rows, "Returns and their Wasserstein-1 distance to the robot's.")
-    page.section("Pareto front")
-    page.text(
-        f"Rule: among the candidates whose excitation loss is at most {TOLERATED:g} times that of the start (dotted"
-        " line), the closest few play as many episodes again, and the smallest distance over these is chosen, the"
-        " start's included. Where the start's returns are as close to the robot's as chance would leave them, it stays."
-    )
-    page.figure(_front_figure(found, study), "Both objectives of every trial that played episodes, and the front.")
-    page.section("Parameters")
     models = {  # in this order they have the colours of the other figures
         label: RobotModel(found.model.effects).with_values(dict(one.values))
         for label, one in ((FOUND, chosen), (before, start))
     }
-    page.figure(ranges_figure(models, list(chosen.values)), "Parameters within the ranges of Table I.")
-    rows = [
-        [words(name), start.values[name], value, _normalised(name, start.values[name]), _normalised(name, value)]
+    places = {name: [_normalised(name, one.values[name]) for one in (start, chosen)] for name in chosen.values}
+    parameters = [
+        [words(name), start.values[name], value, *places[name], "at its bound" if at_bound(places[name][1]) else ""]
         for name, value in chosen.values.items()
     ]
-    header = ["parameter", before, FOUND, f"{before}, of its range", f"{FOUND}, of its range"]
-    page.table(header, rows, "Parameters, and normalised by Table I.")
+    columns = ["parameter", before, FOUND, f"{before}, of its range", f"{FOUND}, of its range", "remark"]
+    page.fill(
+        "reidentification",
+        {
+            "returns": _returns_figure(found),
+            "front": _front_figure(found, study),
+            "parameters": ranges_figure(models, list(chosen.values)),
+        },
+        {"returns": (header, rows), "parameters": (columns, parameters)},
+        found=found, before=before, tolerated=TOLERATED,
+    )  # fmt: skip
     return page
 
 

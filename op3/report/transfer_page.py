@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import plotly.graph_objects as go
 from scipy.special import stdtrit
 
 from op3.report.page import Page
 from op3.report.style import Curves, bars_figure, boxes_figure, curves_figure
-from op3.report.tables import number
+from op3.report.tables import TableRows
 from op3.report.traces import traces_figure
 from op3.tasks import Prediction
 from op3.tasks.evaluation import wilson_interval
@@ -158,67 +159,47 @@ def story(
     page.tile("episodes upright", f"{sum(last.upright)} of {len(last.upright)}", "", note)
     page.tile("time", sum(seconds.values()), "s", f"budget {budget}")
     _films(page, folder, transfers)
-    if fit:
-        _fit(page, fit)
-    if learning:
-        page.section("Learning")
-        figure = curves_figure(learning, "environment steps [-]", "mean return [-]", 320, "lines+markers")
-        page.figure(figure, "Mean return of the policy without exploration, in simulation, while it was trained.")
-    _transfers(page, transfers, remarks)
     sentences, numbers = dict(named or {}), dict(learned or {})
-    for i in range(1, len(transfers)):
-        if i in sentences or i in numbers:
-            page.section(f"Learned in round {i}")
-        if i in sentences:
-            page.text(f"Diagnosis of further motions in the stand: {sentences[i]}")
-        if i in numbers:
-            _lesson(page, numbers[i])
-    if following:
-        page.section("Next")
-        page.code("\n".join(following))
-    page.section("Stages")
-    stages = [[name, value, (processor_seconds or {}).get(name)] for name, value in seconds.items()]
-    page.table(["stage", "time [s]", "processor time [s]"], stages, "What was run.")
+    rounds = [i for i in range(1, len(transfers)) if i in sentences or i in numbers]
+    boxes = {
+        label: {f"round {i}": getattr(one, name) for i, one in enumerate(transfers)}
+        for label, name in (("in simulation", "expected"), ("on the robot", "actual"))
+    }
+    figures = {"returns": boxes_figure(boxes, "return under R_eval [-]")}
+    tables: dict[str, TableRows] = {
+        "transfers": _table(transfers),
+        "stages": (
+            ["stage", "time [s]", "processor time [s]"],
+            [[name, value, (processor_seconds or {}).get(name)] for name, value in seconds.items()],
+        ),
+    }
+    if fit:
+        figures["fit"], tables["fit"] = _fit(fit)
+    if learning:
+        axes = ("environment steps [-]", "mean return [-]")
+        figures["learning"] = curves_figure(learning, *axes, 320, "lines+markers")
+    for i, each in numbers.items():
+        figures[f"lesson_{i}"], tables[f"lesson_{i}"] = _lesson(each)
+    page.fill("transfer", figures, tables, first=first, last=last, remarks=remarks, rounds=rounds, named=sentences,
+              learned=numbers, following=following, fit=fit, learning=learning, walkers=WALKERS,
+              papers_episodes=PAPERS_EPISODES)  # fmt: skip
     pages = {f"{name}/index.html": f"page of the stage {name.replace('_', ' ')}" for name in seconds}
     page.files({name: text for name, text in pages.items() if (folder / name).exists()})
     page.provenance(provenance)
     return page
 
 
-def _fit(page: Page, fit: Mapping[str, Prediction]) -> None:
+def _fit(fit: Mapping[str, Prediction]) -> tuple[go.Figure, TableRows]:
     """The knees of the squat that was fitted, measured and as the models say."""
-    log = next(iter(fit.values())).log
-    page.section("The squat that was fitted")
-    rows: list[list[Any]] = []
+    log, rows = next(iter(fit.values())).log, []
     for label, one in fit.items():
         simulated = one.channels["joint", "position"][0].numpy()
         rows.append([label, 1e3 * float(np.abs(simulated - log.array("joint/position")[: len(simulated)]).mean())])
-    page.figure(
-        traces_figure(log, fit, ["l_knee", "r_knee"]),
-        "Measured on the robot, and what the identified models make of the same commands, from the first row on.",
-    )
-    page.table(["model", "mean error of the joints' angles [mrad]"], rows)
+    figure = traces_figure(log, fit, ["l_knee", "r_knee"])
+    return figure, (["model", "mean error of the joints' angles [mrad]"], rows)
 
 
-def _transfers(page: Page, transfers: Sequence[Transfer], remarks: Sequence[str]) -> None:
-    """How policies are judged, and what each was worth."""
-    first = transfers[0]
-    page.section("Transfers")
-    judged = (
-        f"the share of the promised mean return that the robot reaches; {100 * first.criterion:.0f} % count as success."
-    )
-    if first.walked is not None:
-        judged = f"how many episodes walk forwards without a fall; {WALKERS * 10:.0f} of 10 count as success."
-    page.text(
-        f"Every policy is trained in simulation, plays its episodes there and on the robot, and is judged by {judged}"
-    )
-    few = len(first.actual)
-    if few < PAPERS_EPISODES:
-        page.text(f"Here it is judged by {few} episodes, where the paper judges ten; so few leave much to chance.")
-    if not transfers[-1].settled:
-        page.text("The interval of the last transfer holds the criterion: more episodes may turn the verdict.")
-    for remark in remarks:
-        page.text(remark)
+def _table(transfers: Sequence[Transfer]) -> TableRows:
     columns = {
         "round": [*range(len(transfers))],
         "training began with": [one.began_with for one in transfers],
@@ -229,13 +210,7 @@ def _transfers(page: Page, transfers: Sequence[Transfer], remarks: Sequence[str]
         "upright": [f"{sum(one.upright)} of {len(one.upright)}" for one in transfers],
         "success": [one.success for one in transfers],
     }
-    page.table(list(columns), list(zip(*columns.values(), strict=True)), "Transfers.")
-    boxes = {
-        label: {f"round {i}": getattr(one, name) for i, one in enumerate(transfers)}
-        for label, name in (("in simulation", "expected"), ("on the robot", "actual"))
-    }
-    figure = boxes_figure(boxes, "return under R_eval [-]")
-    page.figure(figure, "Return of every episode, promised and on the robot.")
+    return list(columns), [list(row) for row in zip(*columns.values(), strict=True)]
 
 
 def _films(page: Page, folder: Path, transfers: Sequence[Transfer]) -> None:
@@ -256,26 +231,14 @@ def _films(page: Page, folder: Path, transfers: Sequence[Transfer]) -> None:
         page.text("Films of the robot are drawn from its encoders and IMU; the board is laid under its soles.")
 
 
-def _lesson(page: Page, learned: Mapping[str, Any]) -> None:
+def _lesson(learned: Mapping[str, Any]) -> tuple[go.Figure, TableRows]:
     """What a round's re-identification found."""
-    before, after = "before", "re-identified"
-    page.text(
-        "The same policy, in the simulation of the model that the search began with and in the re-identified one:"
-        " distance of its returns to those on the robot, over the episodes searched with and over fresh ones, and the"
-        f" loss of the excitation. Chance alone would leave a distance of {number(learned['fresh.noise'], 3)}."
-    )
-    if not learned.get("accepted", True):
-        page.text("No candidate took the place of that model, so the policy was trained further on it.")
+    labels = {"re-identified": "reidentified", "before": "excitation_only"}
     keys = (("distance", "distance of returns [-]"), ("fresh", "the same, fresh episodes [-]"), ("excitation", "loss"))
     rows = [[text, learned[f"{key}.excitation_only"], learned[f"{key}.reidentified"]] for key, text in keys]
-    page.table(["", before, after], rows, "Both objectives.")
-    prefix = "normalised.reidentified."
-    names = [key.removeprefix(prefix) for key in learned if key.startswith(prefix)]
-    bars = {
-        label: {name: learned[f"normalised.{key}.{name}"] for name in names}
-        for label, key in ((after, "reidentified"), (before, "excitation_only"))
-    }
-    page.figure(bars_figure(bars, "share of the range [-]"), "Parameters normalised by Table I.")
+    names = [key.split(".", 2)[2] for key in learned if key.startswith("normalised.reidentified.")]
+    bars = {label: {n: learned[f"normalised.{key}.{n}"] for n in names} for label, key in labels.items()}
+    return bars_figure(bars, "share of the range [-]"), (["", "before", "re-identified"], rows)
 
 
 def _lead(transfers: Sequence[Transfer], condition: str, spared: bool) -> str:

@@ -6,9 +6,11 @@
 from collections.abc import Callable, Iterable
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
+from PIL import Image
 
 from op3.report.frames import RenderError, draw_frames
 from op3.robot import Scene
@@ -23,7 +25,7 @@ def film(
     say: Callable[[str], None] = print,
     follow: bool = True,
 ) -> Path | None:
-    """Draw states and write them as ``.mp4``; None where MuJoCo cannot render here.
+    """Draw states and write them, see `write_film`; None where MuJoCo cannot render here.
 
     Args:
         scene: in which the robot is; it is compiled anew, because simulations leave out what only pictures show.
@@ -34,30 +36,44 @@ def film(
         follow: whether the camera goes with the trunk.
     """
     try:
-        return write_mp4(draw_frames(scene.compile(), qpos, follow=follow), path, rate)
+        return write_film(draw_frames(scene.compile(), qpos, follow=follow), path, rate)
     except RenderError as error:
         say(f"no video: {error}")
         return None
 
 
-def write_mp4(pictures: Iterable[np.ndarray], path: str | Path, rate: float) -> Path:
-    """Write pictures ``[height, width, 3]`` of even size, `rate` a second [Hz], as H.264; the file appears whole."""
-    import av  # half a second that other uses need not pay
+def write_film(pictures: Iterable[np.ndarray], path: str | Path, rate: float) -> Path:
+    """Write pictures ``[height, width, 3]`` of even size; the file appears whole or not at all.
 
+    Args:
+        pictures: in their order.
+        path: ``.mp4`` (H.264), or ``.webp``, which a document shows as it shows pictures.
+        rate: pictures per second [Hz].
+    """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished, stream = path.with_suffix(".part"), None
-    with av.open(str(unfinished), "w", format="mp4", options={"movflags": "faststart"}) as container:
+    unfinished = path.with_suffix(".part")
+    if path.suffix == ".webp":
+        first, *others = map(Image.fromarray, pictures)
+        options = {"append_images": others, "duration": round(1000 / rate), "loop": 0, "quality": 40, "method": 4}
+        first.save(unfinished, "WEBP", save_all=True, **options)
+    else:
+        _write_mp4(pictures, unfinished, Fraction(rate).limit_denominator(1000))
+    return unfinished.replace(path)
+
+
+def _write_mp4(pictures: Iterable[np.ndarray], path: Path, rate: Fraction) -> None:
+    import av  # half a second that other uses need not pay
+
+    stream: Any = None
+    with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as container:
         for picture in pictures:
             if stream is None:
-                each = Fraction(rate).limit_denominator(1000)
-                stream = container.add_stream("libx264", rate=each, options={"crf": "23", "preset": "fast"})
+                stream = container.add_stream("libx264", rate=rate, options={"crf": "23", "preset": "fast"})
                 stream.height, stream.width, stream.pix_fmt = *picture.shape[:2], "yuv420p"
             container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
         if stream is not None:
             container.mux(stream.encode(None))
-    unfinished.replace(path)
-    return path
 
 
 TILTED = np.radians(12.0)

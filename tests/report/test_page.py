@@ -5,13 +5,17 @@ import os
 import re
 import shutil
 import subprocess
+from pathlib import Path
 
+import jinja2
+import numpy as np
 import plotly.graph_objects as go
 import pytest
+from PIL import Image
 from report_logs import PageReader, squat_log
 
 from op3.report import Page, traces_figure
-from op3.report.page import LIBRARY
+from op3.report.page import LIBRARY, PROSE_TEMPLATES
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
@@ -113,6 +117,34 @@ def test_numbers_in_a_column_share_the_decimal_point():
     assert cells[1::2] == ["0.12", "12.5\u2007", "–\u2008\u2007\u2007", "−3\u2008\u2007\u2007"]
 
 
+PROSE = """
+## Part {{ n }}
+
+One
+paragraph.
+
+[[figure no | Gone.]]
+
+[[table none | Gone.]]
+
+[[table some | Kept.]]
+
+[[code]]
+op3 view
+"""
+
+
+def test_a_template_of_prose_leaves_out_what_is_not_there(monkeypatch):
+    """Headings, paragraphs, tables and commands come in their order; an absent figure and an empty table go."""
+    monkeypatch.setattr(PROSE_TEMPLATES, "loader", jinja2.DictLoader({"part.md": PROSE}))
+    page = Page("t", "v")
+    page.fill("part", {"no": None}, {"none": (["a"], []), "some": (["a"], [[1]])}, n=1)
+    reader = PageReader(page.html())
+    told = [text for tag, text in reader.texts if tag in ("h2", "p", "td", "pre")]
+    assert told == ["v", "Part 1", "One paragraph.", "1", "op3 view"]
+    assert "Gone" not in reader.text
+
+
 def test_a_ragged_table_is_refused():
     """A row of the wrong length is named."""
     with pytest.raises(ValueError, match="row 1 of the table has 1 cells, the header 2"):
@@ -127,29 +159,49 @@ def test_provenance_stands_at_the_foot():
 
 
 SORT = """<script>for (let i = 0; i < CLICKS; i++) document.querySelectorAll("th")[1].click();</script></body>"""
+WIDTH = """<script>document.title = "wide " + document.documentElement.scrollWidth;</script></body>"""
+
+
+def browse(path: Path, *options: str, dark: bool = False) -> str:
+    """What a browser makes of a page."""
+    scheme = ["--blink-settings=preferredColorScheme=0"] if dark else []
+    command = [
+        str(CHROMIUM), "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--virtual-time-budget=5000",
+        f"--user-data-dir={path.parent}/profile", *scheme, *options, path.as_uri(),
+    ]  # fmt: skip
+    environment = {**os.environ, "HOME": str(path.parent)}
+    return subprocess.run(command, capture_output=True, text=True, timeout=240, check=True, env=environment).stdout
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium here")
 @pytest.mark.parametrize(
-    ("clicks", "order"), [(1, ["friction", "bias", "stiction"]), (2, ["bias", "friction", "stiction"])]
+    ("dark", "clicks", "order"),
+    [(False, 1, ["friction", "bias", "stiction"]), (True, 2, ["bias", "friction", "stiction"])],
 )
-@pytest.mark.parametrize("dark", [False, True])
 def test_a_browser_draws_figures_in_both_schemes_and_sorts_tables(tmp_path, dark, clicks, order):
     """Figures take the colours of the scheme, the note that they are missing goes; a gap is last, whichever way."""
     path = example().write(tmp_path / "index.html")
     path.write_text(path.read_text().replace("</body>", SORT.replace("CLICKS", str(clicks))))
-    command = [
-        str(CHROMIUM), "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path}/profile",
-        "--virtual-time-budget=5000", "--dump-dom", *(["--blink-settings=preferredColorScheme=0"] if dark else []),
-        path.as_uri(),
-    ]  # fmt: skip
-    shown = subprocess.run(
-        command, capture_output=True, text=True, timeout=120, check=True, env={**os.environ, "HOME": str(tmp_path)}
-    )
-    dom = shown.stdout
+    dom = browse(path, "--dump-dom", dark=dark)
     assert "main-svg" in dom
     assert "The figures need JavaScript" not in dom
     colours = {"light": "rgb(22, 24, 29)", "dark": "rgb(233, 235, 238)"}
     assert (colours["dark"] in dom, colours["light"] in dom) == (dark, not dark)
     body = dom[dom.index("<tbody>") : dom.index("</tbody>")]
     assert re.findall(r"<td>(\w+)</td>", body) == order
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium here")
+@pytest.mark.parametrize("dark", [False, True])
+def test_a_phone_shows_the_whole_page_in_the_colours_of_its_scheme(tmp_path, dark):
+    """Nothing is wider than the narrowest window of a browser without a screen, 500 pixels; the ground is the scheme's,
+    and what stands on it is seen."""
+    path = example().write(tmp_path / "index.html")
+    path.write_text(path.read_text().replace("</body>", WIDTH))
+    picture = tmp_path / "phone.png"
+    assert "<title>wide 500</title>" in browse(path, "--dump-dom", "--window-size=500,1200", dark=dark)
+    browse(path, f"--screenshot={picture}", "--window-size=500,1200", dark=dark)
+    shades = np.asarray(Image.open(picture).convert("L"), dtype=float)
+    ground = np.median(shades)
+    assert ground < 40 if dark else ground > 240
+    assert (np.abs(shades - ground) > 150).mean() > 0.005

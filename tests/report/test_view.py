@@ -8,7 +8,7 @@ from report_logs import squat_log
 
 from op3.report.frames import RenderError, draw_frames
 from op3.report.tracks import Tracks, scene_of
-from op3.report.video import write_mp4
+from op3.report.video import write_film
 from op3.report.view import RATE, Player, Strip, lines_of
 from op3.robot import load_robot
 from op3.rollout import Metadata, Rollout
@@ -80,7 +80,7 @@ def test_a_film_has_all_pictures(tmp_path):
     """Three pictures are three frames of H.264, and no unfinished file stays."""
     av = pytest.importorskip("av")
     pictures = (np.full((64, 96, 3), shade, np.uint8) for shade in (0, 120, 240))
-    path = write_mp4(pictures, tmp_path / "film.mp4", 30.0)
+    path = write_film(pictures, tmp_path / "film.mp4", 30.0)
     with av.open(str(path)) as film:
         shades = [frame.to_ndarray(format="rgb24").mean() for frame in film.decode(video=0)]
     assert shades == pytest.approx([0, 120, 240], abs=4)
