@@ -27,7 +27,18 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from support import ASKED, by_name, check_same, library_motion, one_sentence, plain, positive, remember, source_word
+from support import (
+    ASKED,
+    Progress,
+    by_name,
+    check_same,
+    library_motion,
+    one_sentence,
+    plain,
+    positive,
+    remember,
+    source_word,
+)
 
 from op3.command_line import launch
 from op3.deploy import Stop
@@ -83,6 +94,7 @@ def collect_plan(cfg: DictConfig, plan: list[tuple[str, str]]) -> list[Path]:
         check_made_for(motions[name], cfg.robot)
         check_motion(motions[name], mount)
     robots: dict[str, Any] = {}
+    say, total = Progress(), len(plan) * cfg.repeats
     counts: dict[str, int] = {}
     folders = []
     for name, mount in plan:
@@ -92,6 +104,7 @@ def collect_plan(cfg: DictConfig, plan: list[tuple[str, str]]) -> list[Path]:
         for _ in range(cfg.repeats):
             counts[name] = counts.get(name, -1) + 1
             folders.append(record(cfg, robots[mount], motions[name], f"{name}-{counts[name]}"))
+            say("recording", len(folders) / total)
     return folders
 
 
@@ -118,8 +131,9 @@ def collect_episodes(cfg: DictConfig) -> list[Path]:
         raise ValueError("this source only plays motions; record a policy with source=emulated or source=real")
     bundle, task = PolicyBundle.load(cfg.policy), cfg.get("task")
     task = None if task is None else build(task)
-    folders = []
+    folders, say = [], Progress()
     for number in range(cfg.repeats):
+        say("episodes", number / cfg.repeats)
         name = f"{Path(cfg.policy).name}-{number}"
         if recorded(robot, name):
             folders.append(place(name))

@@ -64,13 +64,13 @@ class Progress:
     def __call__(self, stage: str, share: float) -> None:
         """Say it; the share is that of the whole run which is done."""
         now = time.monotonic()
-        left = (now - self._began) * (1 / max(share, 1e-3) - 1)
+        left = f", {(now - self._began) * (1 / share - 1):.0f} s left" if share else ""
         if sys.stderr.isatty():
             bar = f"{'#' * round(30 * share):<30}"
             end = "\n" if share >= 1 else ""
-            print(f"\r{stage:>10} {bar} {share:4.0%}, {left:4.0f} s left", end=end, file=sys.stderr, flush=True)
+            print(f"\r{stage:>10} {bar} {share:4.0%}{left}  ", end=end, file=sys.stderr, flush=True)
         elif stage != self._stage or now - self._told > LINE_SECONDS:
-            print(f"{stage}: {share:.0%}, {left:.0f} s left", file=sys.stderr, flush=True)
+            print(f"{stage}: {share:.0%}{left}", file=sys.stderr, flush=True)
             self._told = now
         self._stage = stage
 

@@ -10,6 +10,7 @@ from op3.report.figures import history_figure, ranges_figure
 from op3.report.identifiability_section import identifiability_numbers, identifiability_section
 from op3.report.page import Page
 from op3.report.result import RunFolder, finite, publish
+from op3.report.style import words
 from op3.report.tables import loss_table, number, parameter_table
 from op3.report.traces import bench_sections, body_figure, run_name, traces_figure
 from op3.rollout import Rollout
@@ -83,14 +84,29 @@ def _lead(fits: Sequence[Fit]) -> str:
         [number(score.error_mrad if bench else score.loss, 3) + unit for score in scores]
         for scores in ([f.fit for f in fits], [f.heldout for f in fits if f.heldout is not None])
     )
+    untold = abstained(fits[0])
     if len(fits) == 1:
-        lead = f"The identified model leaves a {what} of {fitted[0]}."
+        lead = f"The identified model leaves a {what} of {fitted[0]}{untold}."
         lead += f" On logs it has not seen: {held[0]}." if held else ""
     else:
         label = fits[0].label[0].upper() + fits[0].label[1:]
-        lead = f"{label} the {what} is {fitted[0]}, {fits[1].label} {fitted[1]}."
+        lead = f"{label} the {what} is {fitted[0]}, {fits[1].label} {fitted[1]}{untold}."
         lead += f" On logs that neither has seen: {held[0]} against {held[1]}." if held else ""
     return lead
+
+
+def abstained(fit: Fit) -> str:
+    """What the logs do not tell, and how recordings that would are found; it follows a sentence's end."""
+    known = fit.identifiability
+    if known is None:
+        return ""
+    bound = [words(name) for name in known.at_bound]
+    untold = [name for name in known.names if not known.identifiable[name] and name not in known.at_bound]
+    said = f"; at its bound: {', '.join(bound)}" if bound else ""
+    if untold:
+        said += f"; these logs do not tell {', '.join(map(words, untold))}, and"
+        said += f" `op3 design 'wanted=[{','.join(untold)}]'` plans recordings that would"
+    return said
 
 
 def _page(fits: Sequence[Fit], joints: Sequence[str], wall_seconds: float) -> Page:
