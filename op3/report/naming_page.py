@@ -40,9 +40,6 @@ MEDIANS: Mapping[str, tuple[str, str]] = {
 """Medians over cases: what each is called, and the aim."""
 
 
-RATE_HEADER = ["rate", "count", "of", "%", "from %", "to %", "aim"]
-
-
 def rates_figure(summaries: Mapping[str, Mapping[str, Any]]) -> go.Figure:
     """Rates with their 95 % intervals, a row per rate, a colour per diagnosis.
 
@@ -139,50 +136,38 @@ def naming_page(
             rate = summary[key]
             note = f"{rate['count']} of {rate['of']}; 95 %: {100 * rate['low']:.0f} to {100 * rate['high']:.0f} %"
             page.tile(LABELS[key][0], 100 * rate["value"], "%", note)
-    page.section("Rates")
-    page.figure(rates_figure(summaries), "Rates with Wilson's 95 % intervals.")
-    page.table(RATE_HEADER, _rate_rows(summary, LABELS), "Rates of the diagnosis", digits=3)
-    _medians(page, summary)
-    page.section("What was called what")
-    page.figure(confusion_figure(*table), "Hidden effects against the most probable name.")
-    page.section("Probability")
-    page.figure(
-        reliability_figure({label: s["calibration"] for label, s in summaries.items()}),
-        "Stated probability of all findings and the share that was right, with Wilson's 95 % intervals.",
-    )
-    page.section("Cases")
+    figures = {
+        "rates": rates_figure(summaries),
+        "confusion": confusion_figure(*table),
+        "reliability": reliability_figure({label: s["calibration"] for label, s in summaries.items()}),
+    }
     entries = ("case", "kind", "robot", "severity", "truth", "truth_joints", "claim", "claim_joints", "probability",
                "size_ratio", "seconds")  # fmt: skip
     header = ["case", "kind", "robot", "severity", "hidden", "in", "most probable name", "in", "probability",
               "size ratio", "time [s]"]  # fmt: skip
-    page.table(header, [[row[key] for key in entries] for row in rows], "All cases", digits=3)
-    page.text(f"The list of sealed answers has the SHA-256 `{commitment}`; it was written before the first diagnosis.")
-    return page
-
-
-def _rate_rows(rates: Mapping[str, Any], labels: Mapping[str, tuple[str, str]]) -> list[list[Cell]]:
-    """Rows of a table of rates that are there, with what each is called and its aim."""
-    return [
-        [label, rate["count"], rate["of"], *(100 * rate[k] for k in ("value", "low", "high")), aim or None]
-        for key, (label, aim) in labels.items()
-        if (rate := rates.get(key))
+    rates: list[list[Cell]] = [
+        [label, rate["count"], rate["of"], *(100 * rate[k] for k in ("value", "low", "high")), aim]
+        for key, (label, aim) in LABELS.items()
+        if (rate := summary.get(key))
     ]
-
-
-def _medians(page: Page, summary: Mapping[str, Any]) -> None:
-    """Medians and the calibration error."""
-    rows = [
-        [label, s["value"], s["low"], s["high"], s["of"], aim or None]
+    medians: list[list[Cell]] = [
+        [label, s["value"], s["low"], s["high"], s["of"], aim]
         for key, (label, aim) in MEDIANS.items()
         if (s := summary.get(key))
     ]
     calibration = summary["calibration"]
     if calibration["ece"] is not None:
         count = calibration["findings"]
-        rows.append(["calibration error of stated probability", calibration["ece"], None, None, count, "at most 0.1"])
-    if rows:
-        columns = ["median over cases", "value", "from", "to", "of", "aim"]
-        page.table(columns, rows, "With 95 % bootstrap intervals", digits=3)
+        medians.append(
+            ["calibration error of stated probability", calibration["ece"], None, None, count, "at most 0.1"]
+        )
+    tables = {
+        "rates": (["rate", "count", "of", "%", "from %", "to %", "aim"], rates, 3),
+        "medians": (["median over cases", "value", "from", "to", "of", "aim"], medians, 3),
+        "cases": (header, [[row[key] for key in entries] for row in rows], 3),
+    }
+    page.fill("naming", figures, tables, commitment=commitment)
+    return page
 
 
 def _lead(summary: Mapping[str, Any]) -> str:

@@ -13,7 +13,7 @@ from op3.report.style import COMMAND, INK, MEASURED, MUTED, colours, dress, plai
 MOST_POINTS = 1000
 """Points per trace. Longer traces keep the smallest and largest value of each stretch, so that peaks survive."""
 
-_TOP, _BOTTOM, _GAP = 48, 48, 22
+_TOP, _BOTTOM, _GAP, _TITLE = 48, 48, 22, 18
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,22 +45,14 @@ class Panel:
 
 
 def thin(time: np.ndarray, values: np.ndarray, most: int = MOST_POINTS) -> tuple[np.ndarray, np.ndarray]:
-    """At most about `most` points of a trace, with the extremes of every stretch among them.
-
-    Args:
-        time: ``[time]``.
-        values: ``[time]``; NaN leaves a gap.
-        most: points to keep.
-    """
+    """At most about `most` points of a trace ``[time]``, the extremes of every stretch among them; NaN leaves a gap."""
     if len(time) <= most:
         return time, values
     keep = [0, len(time) - 1]
     for stretch in np.array_split(np.arange(len(time)), most // 2):
         inside = values[stretch]
-        if np.isnan(inside).all():
-            keep.append(int(stretch[0]))
-            continue
-        keep += [int(stretch[np.nanargmin(inside)]), int(stretch[np.nanargmax(inside)])]
+        known = not np.isnan(inside).all()
+        keep += [int(stretch[of(inside)]) for of in (np.nanargmin, np.nanargmax)] if known else [int(stretch[0])]
     index = np.unique(keep)
     return time[index], values[index]
 
@@ -72,40 +64,31 @@ def panels_figure(grid: Sequence[Sequence[Panel | None]], row_height: int = 126)
         grid: rows of panels; None leaves a place empty.
         row_height: of the plots [pixels].
     """
-    rows, columns = len(grid), max(len(row) for row in grid)
-    titled = any(panel is not None and panel.titled for row in grid for panel in row)
-    gap = _GAP + (18 if titled else 0)
-    inner = rows * row_height + (rows - 1) * gap
-    figure = make_subplots(
-        rows=rows,
-        cols=columns,
-        vertical_spacing=gap / inner if rows > 1 else 0,
-        horizontal_spacing=0.07 if columns > 1 else 0,
-    )
-    labels = list(dict.fromkeys(line.label for row in grid for panel in row if panel for line in panel.lines))
+    rows, columns = len(grid), max(map(len, grid))
+    panels = [panel for row in grid for panel in row if panel is not None]
+    title = _TITLE if any(panel.titled for panel in panels) else 0
+    inner = rows * row_height + (rows - 1) * (_GAP + title)
+    gaps = {"vertical_spacing": (_GAP + title) / inner if rows > 1 else 0, "horizontal_spacing": 0.07 * (columns > 1)}
+    figure = make_subplots(rows=rows, cols=columns, **gaps)
+    labels = list(dict.fromkeys(line.label for panel in panels for line in panel.lines))
     looks = _looks(labels)
-    for i, row in enumerate(grid, start=1):
-        for j in range(1, columns + 1):
-            panel = row[j - 1] if j <= len(row) else None
-            if panel is None:
-                figure.update_xaxes(visible=False, row=i, col=j)
-                figure.update_yaxes(visible=False, row=i, col=j)
-                continue
-            _draw(figure, panel, i, j, looks)
-            below = grid[i][j - 1] if i < rows and j <= len(grid[i]) else None
-            figure.update_xaxes(
-                showticklabels=below is None, title_text="time [s]" if below is None else "", row=i, col=j
-            )
+    for i, j in np.ndindex(rows, columns):
+        panel, place = grid[i][j] if j < len(grid[i]) else None, dict(row=i + 1, col=j + 1)
+        if panel is None:
+            figure.update_xaxes(visible=False, **place)
+            figure.update_yaxes(visible=False, **place)
+            continue
+        _draw(figure, panel, place, looks)
+        last = i + 1 == rows or j >= len(grid[i + 1]) or grid[i + 1][j] is None
+        figure.update_xaxes(showticklabels=last, title_text="time [s]" if last else "", **place)
     for label in sorted(labels, key=lambda label: (label == COMMAND, label != MEASURED, labels.index(label))):
         # an entry of its own, in reading order, because the traces are ordered by depth
         figure.add_scatter(x=[None], y=[None], name=plain(label), legendgroup=label, mode="lines", line=looks[label])
     for axis in list(figure.select_xaxes())[1:]:
         axis.matches = "x"
-    top = _TOP + (18 if titled else 0)
-    height = inner + top + _BOTTOM
-    dress(figure, height, margin=dict(l=92, r=16, t=top, b=_BOTTOM), hovermode="x unified")
-    figure.update_layout(legend_y=1 + (8 + (18 if titled else 0)) / inner)
-    return figure
+    margin = dict(l=92, r=16, t=_TOP + title, b=_BOTTOM)
+    dress(figure, inner + _TOP + title + _BOTTOM, margin=margin, hovermode="x unified")
+    return figure.update_layout(legend_y=1 + (8 + title) / inner)
 
 
 def _looks(labels: Sequence[str]) -> Mapping[str, dict[str, Any]]:
@@ -113,37 +96,25 @@ def _looks(labels: Sequence[str]) -> Mapping[str, dict[str, Any]]:
     coloured = colours([label for label in labels if label not in (MEASURED, COMMAND)])
     looks: dict[str, dict[str, Any]] = {label: dict(color=colour, width=1.5) for label, colour in coloured.items()}
     # the measured trace lies beneath, so it is the wider one
-    looks[MEASURED] = dict(color=INK, width=2.0)
-    looks[COMMAND] = dict(color=MUTED, width=1.2, dash="dot")
-    return looks
+    return looks | {MEASURED: dict(color=INK, width=2.0), COMMAND: dict(color=MUTED, width=1.2, dash="dot")}
 
 
-def _draw(figure: go.Figure, panel: Panel, row: int, column: int, looks: Mapping[str, dict[str, Any]]) -> None:
+def _draw(figure: go.Figure, panel: Panel, place: dict[str, Any], looks: Mapping[str, dict[str, Any]]) -> None:
     # the first label is the page's subject and lies on top; commands and measurements lie beneath
     beneath = [line for line in panel.lines if line.label in (COMMAND, MEASURED)]
     above = [line for line in panel.lines if line not in beneath]
     for line in (*beneath, *reversed(above)):
         time, values = thin(line.time, np.where(np.isfinite(line.values), line.values, np.nan))
-        figure.add_trace(
-            go.Scatter(
-                **_abscissa(time),
-                y=values.astype(np.float32),
-                name=plain(line.label),
-                legendgroup=line.label,
-                showlegend=False,
-                mode="lines",
-                line=looks[line.label],
-                hovertemplate="%{y:.4g}",
-            ),
-            row=row,
-            col=column,
-        )
-    name = dict(text=f"<b>{plain(panel.name)}</b>", xref="x domain", yref="y domain", showarrow=False, x=0)
-    if panel.name and panel.titled:
-        figure.add_annotation(name, y=1, xanchor="left", yanchor="bottom", row=row, col=column)
-    elif panel.name:
-        figure.add_annotation(name, y=0.5, xanchor="right", xshift=-70, textangle=-90, row=row, col=column)
-    figure.update_yaxes(title_text=panel.axis, range=_range(panel), nticks=5, row=row, col=column)
+        figure.add_scatter(
+            **_abscissa(time), y=values.astype(np.float32), name=plain(line.label), legendgroup=line.label,
+            showlegend=False, mode="lines", line=looks[line.label], hovertemplate="%{y:.4g}", **place,
+        )  # fmt: skip
+    beside = dict(y=0.5, xanchor="right", xshift=-70, textangle=-90)
+    where = dict(y=1, xanchor="left", yanchor="bottom") if panel.titled else beside
+    if panel.name:
+        name = dict(text=f"<b>{plain(panel.name)}</b>", xref="x domain", yref="y domain", showarrow=False, x=0)
+        figure.add_annotation(name, **where, **place)
+    figure.update_yaxes(title_text=panel.axis, range=_range(panel), nticks=5, **place)
 
 
 def _abscissa(time: np.ndarray) -> dict[str, Any]:
@@ -156,8 +127,7 @@ def _abscissa(time: np.ndarray) -> dict[str, Any]:
 
 def _range(panel: Panel) -> list[float] | None:
     """The panel's y range where its data span less than `least_span`; None leaves it to the data."""
-    finite = [line.values[np.isfinite(line.values)] for line in panel.lines]
-    values = np.concatenate(finite) if finite else np.zeros(0)
+    values = np.concatenate([line.values[np.isfinite(line.values)] for line in panel.lines] or [np.zeros(0)])
     if not values.size or np.ptp(values) >= panel.least_span:
         return None
     middle = (float(values.min()) + float(values.max())) / 2

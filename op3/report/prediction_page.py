@@ -94,23 +94,21 @@ def _page(score: PredictionScore, model: str, joints: Sequence[str]) -> Page:
     page.tile("logs", len(score.logs))
     _traces(page, score, model, joints)
     tail = ["90 % from", "to"]
-    page.section("Errors by channel")
-    rows = [[key, CHANNELS[normal_key(key)].unit, e.value, e.low, e.high] for key, e in score.channels.items()]
-    caption = f"Root mean square errors with 90 % intervals, from {score.clusters}."
-    page.table(["channel", "unit", "rms", *tail], rows, caption=caption)
-    page.section("Errors by joint")
-    rows = [
+    channels = [[key, CHANNELS[normal_key(key)].unit, e.value, e.low, e.high] for key, e in score.channels.items()]
+    joints_rows = [
         [key, words(name), CHANNELS[normal_key(key)].unit, e.value, e.low, e.high]
         for key, by in score.joints.items()
         for name, e in by.items()
     ]
-    header = ["channel", "joint or axis", "unit", "rms", *tail]
-    page.table(header, rows, caption="Root mean square errors with 90 % intervals.", digits=3)
-    page.section("Errors by trajectory")
-    rows = [[words(motion), e.value, e.low, e.high] for motion, e in score.trajectories.items()]
-    page.table(["trajectory", "error [mrad]", *tail], rows, caption="Mean absolute position error.")
-    rows = [[run_name(s.log), s.log.metadata.mount, s.error_mrad, s.paper_eq7, s.seen] for s in score.logs]
-    page.table(["log", "mount", "error [mrad]", "paper eq. (7)", "fitted"], rows, caption="Every log.")
+    trajectories = [[words(motion), e.value, e.low, e.high] for motion, e in score.trajectories.items()]
+    logs = [[run_name(s.log), s.log.metadata.mount, s.error_mrad, s.paper_eq7, s.seen] for s in score.logs]
+    tables = {
+        "channels": (["channel", "unit", "rms", *tail], channels),
+        "joints": (["channel", "joint or axis", "unit", "rms", *tail], joints_rows, 3),
+        "trajectories": (["trajectory", "error [mrad]", *tail], trajectories),
+        "logs": (["log", "mount", "error [mrad]", "paper eq. (7)", "fitted"], logs),
+    }
+    page.fill("prediction", None, tables, score=score)
     page.section("Files")
     page.files({"result.yaml": "all numbers of this page"})
     return page

@@ -70,14 +70,13 @@ def traces_figure(
 
 def body_figure(log: Rollout, predictions: Mapping[str, Channels]) -> go.Figure | None:
     """Roll, pitch and body rates; None for a log without them, such as one of the servo bench."""
-    grid: list[list[Panel | None]] = []
-    if ("imu", "orientation") in log:
-        names = ("roll", "pitch")
-        grid.append([_panel(log, predictions, ("imu", "orientation"), i, "", name) for i, name in enumerate(names)])
-    if ("imu", "angular_velocity") in log:
-        names = ("roll rate x", "pitch rate y", "yaw rate z")
-        key = ("imu", "angular_velocity")
-        grid.append([_panel(log, predictions, key, i, "", name) for i, name in enumerate(names)])
+    rates = ("roll rate x", "pitch rate y", "yaw rate z")
+    rows: dict[Key, Sequence[str]] = {("imu", "orientation"): ("roll", "pitch"), ("imu", "angular_velocity"): rates}
+    grid = [
+        [_panel(log, predictions, key, i, "", name) for i, name in enumerate(names)]
+        for key, names in rows.items()
+        if key in log
+    ]
     return panels_figure(grid, row_height=170) if grid else None
 
 
@@ -175,8 +174,7 @@ def _panel(
     time = time - time[0]
     lines = [Line(MEASURED, time, _drawn(key, log.array(key)[:, column]))]
     if key == ("joint", "position") and ("command", "position") in log:
-        command = _drawn(key, log.array("command/position")[:, column])
-        lines.insert(0, Line(COMMAND, time, command))
+        lines.insert(0, Line(COMMAND, time, _drawn(key, log.array("command/position")[:, column])))
     for label, channels in predictions.items():
         values = _simulated(label, channels, key)
         if values is None:
@@ -187,8 +185,7 @@ def _panel(
         lines.append(Line(label, time[: len(values)], _drawn(key, values[:, column])))
     unit = "deg" if key in _DEGREES else CHANNELS[key].unit
     what = what or key_name(key).split("/")[-1].replace("_", " ")
-    axis = f"{what} [{unit}]" if unit else what
-    return Panel(axis, lines, name, _LEAST_SPAN.get(key, 0.0), titled)
+    return Panel(f"{what} [{unit}]" if unit else what, lines, name, _LEAST_SPAN.get(key, 0.0), titled)
 
 
 def _simulated(label: str, channels: Channels, key: Key) -> np.ndarray | None:
@@ -198,8 +195,7 @@ def _simulated(label: str, channels: Channels, key: Key) -> np.ndarray | None:
     if key not in by_key:
         return None
     values = np.asarray(by_key[key], dtype=float)
-    if values.ndim == 3 and len(values) == 1:
-        values = values[0]
+    values = values[0] if values.ndim == 3 and len(values) == 1 else values
     if values.ndim != 2:
         problem = f"{key_name(key)} of {label!r} has the shape {list(values.shape)}"
         raise ValueError(f"{problem}; pick one candidate, so that it is [time, joint]")

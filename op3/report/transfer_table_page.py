@@ -66,25 +66,11 @@ def write_table(cells: Sequence[Transferred], folder: Path) -> tuple[Path, Path]
         }
         page.figure(boxes_figure(shares, "return, robot over simulation [-]"), "Each transfer, by robot.")
     page.section("Every transfer")
-    columns = ("task", "world", "condition", "provenance.seed", "rounds", "success")
-    rows = [
-        [*(cell[name] for name in columns), *(_last(cell, k) for k in ("expected", "actual", "upright"))]
-        for cell in cells
-    ]
-    page.table(
-        [
-            "task",
-            "robot",
-            "trained on",
-            "seed",
-            "learned from failures",
-            "success",
-            "promised",
-            "on the robot",
-            "upright",
-        ],
-        rows,
-    )
+    columns = {"task": "task", "world": "robot", "condition": "trained on", "provenance.seed": "seed"}
+    columns |= {"rounds": "learned from failures", "success": "success"}
+    last = {"expected": "promised", "actual": "on the robot", "upright": "upright"}
+    rows = [[*(cell[name] for name in columns), *(_last(cell, k) for k in last)] for cell in cells]
+    page.table([*columns.values(), *last.values()], rows)
     failed = {path.parent.name: path.read_text(encoding="utf-8").strip() for path in sorted(folder.glob(f"*/{FAILED}"))}
     if failed:
         page.table(["cell", "why it could not be run"], [[name, why] for name, why in failed.items()])
@@ -95,14 +81,8 @@ def write_table(cells: Sequence[Transferred], folder: Path) -> tuple[Path, Path]
 
 def _conditions(cells: Sequence[Transferred]) -> list[str]:
     """Conditions in the paper's order, then ours."""
-    return list(
-        dict.fromkeys(
-            [
-                *(n for n in PAPER["balance"] if any(c["condition"] == n for c in cells)),
-                *(c["condition"] for c in cells),
-            ]
-        )
-    )
+    there = list(dict.fromkeys(cell["condition"] for cell in cells))
+    return [*(name for name in PAPER["balance"] if name in there), *(n for n in there if n not in PAPER["balance"])]
 
 
 def _last(cell: Transferred, name: str) -> Any:
