@@ -31,7 +31,6 @@ from op3.identify.sweeper import sweep_or_report
 from op3.policy import PolicyBundle
 from op3.report import RunFolder, run_provenance
 from op3.report.reidentification_page import report_reidentification
-from op3.report.seeds_page import write_seeds
 from op3.rollout import read_logs
 from op3.sim import load_model, save_model
 
@@ -111,7 +110,7 @@ def main(cfg: DictConfig) -> Any:
         def report(study: optuna.Study) -> dict[str, Any]:
             found = replace(problem.finish(study, cfg.finalists), start_name=cfg.start_name)
             save_model(found.model, folder / "model.yaml")
-            numbers = report_reidentification(
+            return report_reidentification(
                 found,
                 study,
                 RunFolder(
@@ -130,9 +129,6 @@ def main(cfg: DictConfig) -> Any:
                 wall_seconds=time.monotonic() - started,
                 simulated_seconds=problem.simulated_seconds,
             )
-            if HydraConfig.get().mode == RunMode.MULTIRUN:
-                write_seeds(folder.parent)  # grows with every cell
-            return numbers
 
         def propose(count: int) -> list[dict[str, float]]:
             space = parse_search_space(plain(HydraConfig.get().sweeper.params))

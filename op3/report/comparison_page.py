@@ -11,7 +11,7 @@ import yaml
 
 from op3.report.page import Page
 from op3.report.result import read_result, write_result
-from op3.report.style import curves_figure, words
+from op3.report.style import bars_figure, curves_figure, words
 from op3.report.tables import Cell
 
 PAGE, NUMBERS = "comparison.html", "comparison.yaml"
@@ -26,6 +26,9 @@ QUANTITIES: Mapping[str, str] = {
     "evaluation.return": "return",
     "evaluation.success": "success",
     "evaluation.upright": "upright",
+    "distance.ratio": "distance of returns, re-identified by excitation only",
+    "fresh.ratio": "the same over fresh episodes",
+    "excitation.ratio": "excitation loss, re-identified by excitation only",
     "gap.joint/position.after": "gap in angle [rad]",
     "probability": "probability",
     "simulated_seconds": "simulated [s]",
@@ -38,6 +41,9 @@ HIGHER = ("evaluation.", "probability")
 
 MOST = 8
 """Numbers that are compared of runs that have none of these."""
+
+FOUND = ("parameters.", "normalised.")
+"""Beginnings of the keys of what was found."""
 
 _STORES = ("hydra.sweep", "hydra.sweeper.storage", "hydra.sweeper.study_name", "hydra.run", "population")
 """Overrides that only say where a run stores things."""
@@ -143,7 +149,7 @@ def write_comparison(runs: Sequence[Run], folder: str | Path) -> tuple[Path, Pat
 
 
 def _entry(name: str, members: Sequence[Run], columns: Mapping[str, str]) -> dict[str, Any]:
-    parameters = dict.fromkeys(key for run in members for key in run.numbers if key.startswith("parameters."))
+    parameters = dict.fromkeys(key for run in members for key in run.numbers if key.startswith(FOUND))
     return {
         "variant": name,
         "runs": [run.name for run in members],
@@ -175,14 +181,27 @@ def _page(runs: Sequence[Run], columns: Mapping[str, str], entries: Sequence[Map
         points = {name: tuple(zip(*pairs, strict=True)) for name, pairs in kept.items() if pairs}
         units = [title if "[" in title else f"{title} [-]" for title in (x_title, y_title)]
         page.figure(curves_figure(points, *units, 380, "markers"), "Every run.")
-    names = list(dict.fromkeys(key for entry in entries for key in entry if key.startswith("parameters.")))
+    names = list(dict.fromkeys(key for entry in entries for key in entry if key.startswith(FOUND)))
     if names:
         page.section("Parameters")
         header = ["parameter", *(part for entry in entries for part in (entry["variant"], "±"))]
         named = [
-            [words(n.removeprefix("parameters.")), *(c for e in entries for c in spread_cells(e.get(n)))] for n in names
+            [
+                words(n.removeprefix("parameters.").replace(".", " ")),
+                *(c for e in entries for c in spread_cells(e.get(n))),
+            ]
+            for n in names
         ]
         page.table(header, named, caption="Values found, and how they differ between seeds.")
+        places = [name for name in names if name.startswith("normalised.reidentified.")]
+        if places:
+            known = {e["variant"]: {n.split(".", 2)[2]: e[n] for n in places if e.get(n)} for e in entries}
+            bars, spreads = (
+                {label: {n: one[part] or 0.0 for n, one in by.items()} for label, by in known.items()}
+                for part in ("value", "deviation")
+            )
+            figure = bars_figure(bars, "share of the range [-]", spreads)
+            page.figure(figure, "Re-identified parameters normalised by Table I: mean and deviation over seeds.")
     page.section("Runs")
     rows = [
         [run.name, *(run.settings.get(key, "default") for key in keys), *(run.numbers.get(k) for k in columns)]

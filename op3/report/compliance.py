@@ -13,7 +13,7 @@ from op3.compliance.gains import Gains
 from op3.compliance.study import Measured
 from op3.report.page import Page
 from op3.report.result import RunFolder, publish
-from op3.report.style import PALETTE, SHADE, colours, dress, faded, words
+from op3.report.style import band, bars_figure, colours, dress, shade, words
 from op3.report.tables import Cell, TableRows
 from op3.robot import CONTROLLED_JOINTS, JOINTS
 from op3.tasks.evaluation import wilson_interval
@@ -54,7 +54,8 @@ def report_compliance(
     _tiles(page, first)
     figures = {
         "gains": _gain_figure(known) if known else None,
-        "back_drive": _back_drive_figure(measured),
+        "slope": _back_drive_figure(measured, "slope", "slope [N m/rad]"),
+        "break_away": _back_drive_figure(measured, "break_away", "break-away torque [N m]"),
         "pushes": _push_figure(measured),
         "led": _led_figure(measured) if first.led else None,
         "heat": _heat_figure(measured, standing),
@@ -163,23 +164,16 @@ def _gain_figure(known: Mapping[str, Gains]) -> go.Figure:
         subplot_titles=[words(joint) for joint in pairs],
     )  # fmt: skip
     looks, first = colours(list(known)), next(iter(known.values()))
-    half = 0.5 / len(first.phase)
     for number, joint in enumerate(pairs):
         place: Any = dict(row=number // 2 + 1, col=number % 2 + 1)
         row = CONTROLLED_JOINTS.index(joint)
         for label, gains in known.items():
-            look = dict(legendgroup=label, mode="lines", **place)
-            low, high = gains.profile_interval[row].T
+            band(figure, gains.phase, *gains.profile_interval[row].T, looks[label], legendgroup=label, **place)
             figure.add_scatter(
-                x=[*gains.phase, *gains.phase[::-1]], y=[*low, *high[::-1]], fill="toself", showlegend=False,
-                fillcolor=faded(looks[label], 0.18), line=dict(width=0), hoverinfo="skip", **look,
+                x=gains.phase, y=gains.profile[row], name=label, legendgroup=label, showlegend=not number, mode="lines",
+                line=dict(color=looks[label], width=1.8), **place,
             )  # fmt: skip
-            figure.add_scatter(
-                x=gains.phase, y=gains.profile[row], name=label, showlegend=not number,
-                line=dict(color=looks[label], width=1.8), **look,
-            )  # fmt: skip
-        for phase in first.phase[first.loaded[row] > 0.5]:
-            figure.add_vrect(x0=phase - half, x1=phase + half, fillcolor=SHADE, line_width=0, layer="below", **place)
+        shade(figure, first.phase[first.loaded[row] > 0.5], len(first.phase), **place)
     figure.update_xaxes(range=[0, 1])
     figure.update_xaxes(title_text="phase of the gait [cycles]", row=5)
     highest = max(float(np.nanmax(gains.profile_interval)) for gains in known.values())
@@ -188,18 +182,12 @@ def _gain_figure(known: Mapping[str, Gains]) -> go.Figure:
     return dress(figure, 980)
 
 
-def _back_drive_figure(measured: Sequence[Measured]) -> go.Figure:
-    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.08)
-    names = [words(joint) for joint in CONTROLLED_JOINTS]
-    for each, colour in zip(measured, colours([m.label for m in measured]).values(), strict=True):
-        for row, values in enumerate((each.back_drive.slope, each.back_drive.break_away), start=1):
-            figure.add_bar(
-                x=names, y=np.nanmedian(values, (0, 2)), name=each.label, marker_color=colour, row=row, col=1,
-                legendgroup=each.label, showlegend=row == 1,
-            )  # fmt: skip
-    figure.update_yaxes(title_text="slope [N m/rad]", row=1)
-    figure.update_yaxes(title_text="break-away torque [N m]", row=2)
-    return dress(figure, 560)
+def _back_drive_figure(measured: Sequence[Measured], name: str, axis: str) -> go.Figure:
+    bars = {}
+    for each in measured:
+        middle = np.nanmedian(getattr(each.back_drive, name), (0, 2))
+        bars[each.label] = dict(zip(CONTROLLED_JOINTS, middle.tolist(), strict=True))
+    return bars_figure(bars, axis)
 
 
 def _landings(measured: Sequence[Measured]) -> TableRows:
@@ -267,14 +255,10 @@ def _energies(measured: Sequence[Measured], standing: Mapping[str, Energy]) -> T
 
 
 def _heat_figure(measured: Sequence[Measured], standing: Mapping[str, Energy]) -> go.Figure:
-    figure = go.Figure()
     known = {each.label: each.energy for each in measured} | {f"{name}, standing": e for name, e in standing.items()}
-    for index, (label, energy) in enumerate(known.items()):
-        names = [words(joint) for joint in JOINTS]
-        figure.add_bar(x=names, y=energy.current, name=label, marker_color=PALETTE[index % len(PALETTE)])
-    figure.add_hline(y=measured[0].energy.continuous, line=dict(dash="dot", width=1), annotation_text="for ever")
-    figure.update_yaxes(title_text="current [A]")
-    return dress(figure, 400)
+    bars = {label: dict(zip(JOINTS, energy.current.tolist(), strict=True)) for label, energy in known.items()}
+    figure = bars_figure(bars, "current [A]")
+    return figure.add_hline(y=measured[0].energy.continuous, line=dict(dash="dot", width=1), annotation_text="for ever")
 
 
 def _numbers(

@@ -9,7 +9,7 @@ from plotly.subplots import make_subplots
 
 from op3.report.page import Page
 from op3.report.result import RunFolder, publish
-from op3.report.style import PALETTE, SHADE, boxes_figure, dress, faded, words
+from op3.report.style import PALETTE, band, boxes_figure, dress, shade, words
 from op3.report.traces import body_figure, traces_figure
 from op3.rollout import Rollout
 from op3.tasks.behaviour import GaitProfile
@@ -23,19 +23,13 @@ def gait_figure(profile: GaitProfile, joint: str) -> go.Figure:
         (profile.gain, profile.gain_deviation, "P gain [A/rad]"),
     )
     for row, (mean, deviation, axis) in enumerate(rows, start=1):
-        colour = PALETTE[row - 1]
-        band = dict(mode="lines", line=dict(width=0), showlegend=False, hoverinfo="skip")
-        figure.add_scatter(x=profile.phase, y=mean + deviation, **band, row=row, col=1)
+        colour, place = PALETTE[row - 1], dict(row=row, col=1)
+        band(figure, profile.phase, mean - deviation, mean + deviation, colour, **place)
         figure.add_scatter(
-            x=profile.phase, y=mean - deviation, fill="tonexty", fillcolor=faded(colour, 0.18), **band, row=row, col=1
+            x=profile.phase, y=mean, mode="lines", line=dict(color=colour, width=2.2), name=axis, **place
         )
-        figure.add_scatter(
-            x=profile.phase, y=mean, mode="lines", line=dict(color=colour, width=2.2), name=axis, row=row, col=1
-        )
-        figure.update_yaxes(title_text=axis, row=row, col=1)
-    half = 0.5 / len(profile.phase)
-    for phase in profile.phase[profile.stance]:
-        figure.add_vrect(x0=phase - half, x1=phase + half, fillcolor=SHADE, line_width=0, layer="below")
+        figure.update_yaxes(title_text=axis, **place)
+    shade(figure, profile.phase[profile.stance], len(profile.phase))
     figure.update_xaxes(
         title_text=f"phase of the gait [cycles]; shaded: stance of the {words(joint[:2]).strip()} foot", row=2
     )

@@ -103,6 +103,21 @@ def dress(figure: go.Figure, height: int, **layout: Any) -> go.Figure:
     return figure
 
 
+def band(figure: go.Figure, x: Any, low: Any, high: Any, colour: str, **more: Any) -> None:
+    """Fill what lies between two curves ``[point]``."""
+    figure.add_scatter(
+        x=[*x, *x[::-1]], y=[*low, *high[::-1]], fill="toself", fillcolor=faded(colour, 0.18), mode="lines",
+        line=dict(width=0), showlegend=False, hoverinfo="skip", **more,
+    )  # fmt: skip
+
+
+def shade(figure: go.Figure, phases: Any, count: int, **more: Any) -> None:
+    """Shade phases of a gait, of so many in a cycle, behind the curves."""
+    for phase in phases:
+        ends = dict(x0=phase - 0.5 / count, x1=phase + 0.5 / count)
+        figure.add_vrect(**ends, fillcolor=SHADE, line_width=0, layer="below", **more)
+
+
 Curves = Mapping[str, tuple[Any, Any]]
 """Abscissae and ordinates ``[point]`` by label."""
 

@@ -6,8 +6,8 @@ from optuna.distributions import FloatDistribution
 
 from op3.identify.reidentification import Candidate, Reidentified
 from op3.report import RunFolder, read_result
+from op3.report.comparison_page import read_runs, write_comparison
 from op3.report.reidentification_page import report_reidentification
-from op3.report.seeds_page import write_seeds
 from op3.sim import load_model
 
 NAME = "torque_constant"
@@ -88,24 +88,12 @@ def test_what_was_accepted_is_not_told_as_refused(tmp_path):
 
 
 def test_seeds_are_summed_up_by_mean_and_deviation(tmp_path):
-    """Places 0.5 and 0.6 of the range: mean 0.55, standard deviation 0.1 / sqrt(2)."""
+    """Places 0.5 and 0.6 of the range: mean 0.55, standard deviation 0.1 / sqrt(2); the distance is a fifth in both."""
     report(tmp_path / "0", 0.006)
     report(tmp_path / "1", 0.0066)
-    [(page, numbers)] = write_seeds(tmp_path)
-    found = read_result(numbers)[f"normalised.reidentified.{NAME}"]
-    assert found["value"] == pytest.approx(0.55)
-    assert found["deviation"] == pytest.approx(0.1 / 2**0.5)
-    assert "Over 2 seeds the distance of returns falls to 0.20" in page.read_text()
-
-
-def test_cells_that_differ_in_more_than_the_seed_are_not_pooled(tmp_path):
-    """Two groups of parameters, two seeds of one of them: a page for each, the second over a single seed."""
-    for name, groups, seed in (("0", "motor", 0), ("1", "motor", 1), ("2", "gear", 0)):
-        report(tmp_path / name, 0.006)
-        (tmp_path / name / ".hydra").mkdir()
-        (tmp_path / name / ".hydra" / "overrides.yaml").write_text(f"- groups={groups}\n- seed={seed}\n")
-    pages = [page.name for page, _ in write_seeds(tmp_path)]
-    assert pages == ["seeds-0.html", "seeds-2.html"]
-    assert read_result(tmp_path / "seeds-0.yaml")["runs"] == 2
-    assert read_result(tmp_path / "seeds-2.yaml")["runs"] == 1
-    assert "Settings: groups=gear" in (tmp_path / "seeds-2.html").read_text()
+    page, numbers = write_comparison(read_runs(tmp_path), tmp_path)
+    (found,) = read_result(numbers)["variants"]
+    assert found[f"normalised.reidentified.{NAME}"]["value"] == pytest.approx(0.55)
+    assert found[f"normalised.reidentified.{NAME}"]["deviation"] == pytest.approx(0.1 / 2**0.5)
+    assert found["distance.ratio"]["value"] == pytest.approx(0.2)
+    assert "normalised by Table I: mean and deviation over seeds" in page.read_text()
