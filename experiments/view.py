@@ -115,6 +115,7 @@ def run(cfg: DictConfig, folder: Path) -> None:
     elif out is None and has_screen():
         window(tracks, cfg.joint, speed)
     else:
+        print(f"drawing {int(tracks.duration / speed * RATE) + 1} pictures ...", file=sys.stderr, flush=True)
         try:
             print(write_film(pictures(tracks, cfg.joint, speed), out or folder / "view.mp4", RATE))
         except RenderError as error:

@@ -197,46 +197,32 @@ def errors_figure(
     columns = min(2, len(motions))
     rows = -(-len(motions) // columns)
     inner = 200 * rows + 100 * (rows - 1)
-    height = inner + 72 + 84
     figure = make_subplots(
         rows=rows, cols=columns, subplot_titles=[f"<b>{plain(words(m))}</b>" for m in motions], shared_yaxes="all",  # type: ignore[arg-type]
         horizontal_spacing=0.04, vertical_spacing=100 / inner if rows > 1 else 0,
     )  # fmt: skip
-    colour = colours(list(errors_mrad))
+    colour, hatch = colours(list(errors_mrad)), dict(fgcolor=GROUND, fillmode="overlay", size=5, solidity=0.5)
     order = sorted(range(len(logs)), key=lambda i: _sort_key(logs[i]))
     for m, motion in enumerate(motions):
         members = [i for i in order if (logs[i].metadata.motion or "runs") == motion]
-        place = dict(row=m // columns + 1, col=m % columns + 1)
         for label, errors in errors_mrad.items():
+            pattern = dict(shape=["/" if heldout[i] else "" for i in members], **hatch)
             figure.add_bar(
-                x=_categories([logs[i] for i in members]),
-                y=[errors[i] for i in members],
-                name=plain(label),
-                legendgroup=label,
-                showlegend=m == 0,
-                marker=dict(
-                    color=colour[label],
-                    line_width=0,
-                    pattern=dict(
-                        shape=["/" if heldout[i] else "" for i in members], fillmode="overlay", size=5, solidity=0.5,
-                        fgcolor=GROUND,
-                    ),
-                ),
+                x=_categories([logs[i] for i in members]), y=[errors[i] for i in members], name=plain(label),
+                legendgroup=label, showlegend=m == 0, marker=dict(color=colour[label], line_width=0, pattern=pattern),
                 customdata=["held out" if heldout[i] else "fitted" for i in members],
                 hovertemplate="%{y:.1f} mrad, %{customdata}<extra>" + plain(label) + "</extra>",
-                **place,
+                row=m // columns + 1, col=m % columns + 1,
             )  # fmt: skip
     if any(heldout):
-        pattern = dict(shape="/", fgcolor=GROUND, fillmode="overlay", size=5, solidity=0.5)
-        figure.add_bar(x=[None], y=[None], name="hatched: held out", marker=dict(color=MUTED, pattern=pattern))
-    dress(figure, height, barmode="group", bargap=0.25, margin=dict(l=70, r=16, t=72, b=84))
+        marker = dict(color=MUTED, pattern=dict(shape="/", **hatch))
+        figure.add_bar(x=[None], y=[None], name="hatched: held out", marker=marker)
+    dress(figure, inner + 72 + 84, barmode="group", bargap=0.25, margin=dict(l=70, r=16, t=72, b=84))
     figure.update_layout(legend_y=1 + 34 / inner)
     figure.update_yaxes(title_text="position error [mrad]", col=1)
     figure.update_xaxes(tickfont=dict(size=10), tickangle=0, showgrid=False, dividercolor=FRAME)
     figure.update_xaxes(title_text="gain kp [firmware units], by mass [kg] and length [m]", row=rows)
-    for annotation in figure.layout.annotations:
-        annotation.font = dict(size=13)
-    return figure
+    return figure.update_annotations(font_size=13)
 
 
 def _sort_key(log: Rollout) -> tuple[float, float, float, str]:

@@ -6,7 +6,7 @@ from plotly.subplots import make_subplots
 
 from op3.identify.identifiability import SHARE, WIDTH, Identifiability
 from op3.report.page import Page
-from op3.report.style import INK, PALETTE, dress, words
+from op3.report.style import GROUND, INK, PALETTE, dress, words
 from op3.report.tables import number
 
 
@@ -52,7 +52,8 @@ def identifiability_figure(known: Identifiability) -> go.Figure:
     figure.add_vline(x=SHARE / WIDTH, line=dict(color=INK, width=1, dash="dot"), row=1, col=1)  # type: ignore[arg-type]
     names = [words(name) for name in known.names]
     figure.add_heatmap(
-        z=known.correlation, x=names, y=names, zmin=-1, zmax=1, colorscale="RdBu", xgap=1, ygap=1,
+        z=known.correlation, x=names, y=names, zmin=-1, zmax=1, xgap=1, ygap=1,
+        colorscale=[[0, PALETTE[1]], [0.5, GROUND], [1, PALETTE[0]]],
         text=[[number(float(value), 2) for value in row] for row in known.correlation], texttemplate="%{text}",
         textfont=dict(size=9), colorbar=dict(title="correlation [-]", thickness=12), row=1, col=2,
         hovertemplate="%{y}, %{x}: %{z:.2f}<extra></extra>",
