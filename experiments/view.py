@@ -1,10 +1,10 @@
 """Look at a log, a policy, a model or a diagnosis: the robot solid, simulations as its ghosts, plots beside them.
 
-python experiments/view.py what=<log> [model=<model.yaml>]       # measured, and the model's prediction as a ghost
-python experiments/view.py what=<policy bundle>                  # an episode in simulation
-python experiments/view.py what=<model.yaml>                     # a squat: its commands solid, the model as a ghost
-python experiments/view.py what=<run of diagnose.py>             # measured, before and after what was named
-python experiments/view.py what=<log> out=film.mp4               # or out=log.rrd, out=rerun
+python experiments/view.py what=<log> [model=<model.yaml>]             # measured, and the model's prediction as a ghost
+python experiments/view.py what=<policy bundle, or run of train.py>    # an episode in simulation
+python experiments/view.py what=<model.yaml, or run of identify.py>    # a squat: commands solid, the model as a ghost
+python experiments/view.py what=<run of diagnose.py>                   # measured, before and after what was named
+python experiments/view.py what=<log> out=film.mp4                     # or out=log.rrd, out=rerun
 
 Without a screen an mp4 is written. As a command: op3 view <log>.
 """
@@ -23,7 +23,7 @@ from support import check_given, one_sentence, positive, whole
 from op3.command_line import launch
 from op3.envs import record_episodes
 from op3.envs.actors import Watched, find_actor
-from op3.policy.bundle import MANIFEST
+from op3.policy.bundle import MANIFEST, PolicyBundle
 from op3.report.frames import RenderError
 from op3.report.tracks import SHOWN, Tracks, of_diagnosis, predicted, scene_of
 from op3.report.video import write_film
@@ -51,13 +51,11 @@ def of_log(cfg: DictConfig) -> Tracks:
     return Tracks(shown, scene_of(log))
 
 
-def of_policy(cfg: DictConfig) -> Tracks:
+def of_policy(cfg: DictConfig, path: Path) -> Tracks:
     """An episode of a policy, in the simulation that it was trained in."""
-    from op3.policy import PolicyBundle
-
-    made = PolicyBundle.load(cfg.what).manifest
+    made = PolicyBundle.load(path).manifest
     task = find_task(made.task)
-    actor = find_actor(str(cfg.what), task)
+    actor = find_actor(str(path), task)
     model = cfg.model or made.training.model
     try:
         load_model(model)
@@ -80,14 +78,15 @@ def of_model(cfg: DictConfig) -> Tracks:
 def tracks_of(cfg: DictConfig) -> Tracks:
     """What is to be shown, by what it is."""
     path = Path(cfg.what)
-    if (path / MANIFEST).is_file():
-        return of_policy(cfg)
+    for policy in (path, path / "policy"):
+        if (policy / MANIFEST).is_file():
+            return of_policy(cfg, policy)
     if (path / SHOWN).is_dir():
         return of_diagnosis(path)
     if not path.exists() and cfg.what not in model_names():
         wanted = "a log, a policy bundle, a model.yaml, a name in conf/servo or the run of a diagnosis"
         raise ValueError(f"what={cfg.what}: there is no such file or folder; give {wanted}")
-    is_model = path.suffix in (".yaml", ".yml") or not path.exists()
+    is_model = path.suffix in (".yaml", ".yml") or not path.exists() or (path / "model.yaml").is_file()
     return of_model(cfg) if is_model else of_log(cfg)
 
 
