@@ -59,16 +59,17 @@ def _flat(prefix: str, content: Mapping[str, Any]) -> dict[str, Any]:
 
 def lead(verdict: Verdict) -> str:
     """The verdict; what was abstained from with the experiment that would settle it, in the first sentence."""
+    sentence = verdict.sentence.replace(" -)", ")")  # numbers without a unit
     if verdict.findings:
         rivals = [finding for finding in verdict.findings if finding.alternatives]
         settled = [f"What would tell {one.effect} from its rivals: {one.separate_by}." for one in rivals]
-        return " ".join([verdict.sentence, *settled])
+        return " ".join([sentence, *settled])
     if verdict.verdict == "nothing_missing" or not verdict.ranking:
-        return verdict.sentence
+        return sentence
     best = verdict.ranking[0]
     likeliest = f"{best['effect']} in {_where(best['joints'], best['shared'])}"
     experiment = effect_class(best["effect"]).separating_experiment
-    return f"Nothing is named; what would settle the likeliest, {likeliest}: {experiment}. {verdict.sentence}"
+    return f"Nothing is named; what would settle the likeliest, {likeliest}: {experiment}. {sentence}"
 
 
 def _save_shown(verdict: Verdict, folder: Path) -> None:

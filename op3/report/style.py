@@ -176,6 +176,6 @@ def bars_figure(
         error = dict(type="data", array=list(spreads[label].values()), thickness=1.2) if spreads else None
         places = [words(name) for name in values]
         figure.add_bar(x=places, y=list(values.values()), name=label, marker_color=colour[label], error_y=error)
-    dress(figure, 420, barmode="group", margin=dict(l=70, r=80, t=48, b=120))
+    dress(figure, 380, barmode="group", margin=dict(l=70, r=40, t=48, b=48)).update_xaxes(automargin=True)
     figure.update_yaxes(title_text=y)
     return figure
