@@ -93,13 +93,12 @@ def measure_energy(
     loss, (first, second) = np.mean(losses, 0), np.mean(halves, 0)
     make = load_servo(servo)
     limit, continuous = make.limits.temperature.si, make.continuous_current
-    own = make.motor.terminal_resistance.si
     return Energy(
         power=with_interval(powers),
         cost_of_transport=with_interval(costs) if costs else None,
         current=np.sqrt(loss / resistance),
         loss=loss,
-        temperature=temperature_after(loss, thermal_resistance(limit, continuous, own)),
+        temperature=temperature_after(loss, make.thermal_resistance),
         drift=float(second / first - 1) if first > 0 else 0.0,
         limit=limit,
         continuous=continuous,
@@ -111,20 +110,6 @@ def torque_per_current(model: RobotModel) -> Array:
     motor: Any = model.effect("motor")
     constant = model.tensors(JOINTS)["torque_constant"].numpy().reshape(-1)
     return np.broadcast_to(constant * motor.gear_ratio, len(JOINTS))
-
-
-def thermal_resistance(limit: float, continuous: float, resistance: float, ambient: float = AMBIENT) -> float:
-    """From winding to air [K/W], as a servo's data sheet implies it.
-
-    What it carries for ever, no longer, takes it just to the temperature at which it switches itself off.
-
-    Args:
-        limit: that temperature [C].
-        continuous: current that it carries for ever [A].
-        resistance: of its windings [ohm].
-        ambient: temperature of the air [C].
-    """
-    return (limit - ambient) / (resistance * continuous**2)
 
 
 def temperature_after(loss: Array, resistance: float, duration: float = HOUR, ambient: float = AMBIENT) -> Array:

@@ -106,8 +106,8 @@ class PolicyRunner:
 
     def command(self, action: Array) -> Command:
         """Commands of all joints: those that the policy does not command hold the stand pose."""
-        action_map = self.bundle.manifest.action_map
-        return Command.of(*action_map.commands(action), action_map.d_gain)
+        commands = self.bundle.manifest.action_map.commands(action)
+        return Command(commands["position_target"], commands["p_gain"], commands["d_gain"])
 
 
 class FollowPolicy:

@@ -13,6 +13,7 @@ from op3.deploy.bus import BOARD, FIRST_ANSWER, SLOW_ANSWER, Bus, BusError, NoAn
 from op3.deploy.limits import HIGH, LOW, Limits
 from op3.deploy.registers import OPEN_CR, XM430_W350, HardwareError
 from op3.deploy.state import State
+from op3.doctor import ADAPTERS, LATENCY, latency_timer
 from op3.robot import JOINTS
 from op3.robot.units import POSITION_UNIT, VOLTAGE_UNIT
 
@@ -72,9 +73,7 @@ class StartChecks:
         sysfs: where the kernel shows serial adapters.
     """
 
-    def __init__(
-        self, bus: Bus, writer: Writer | None, limits: Limits, *, sysfs: Path = Path("/sys/bus/usb-serial/devices")
-    ):
+    def __init__(self, bus: Bus, writer: Writer | None, limits: Limits, *, sysfs: Path = ADAPTERS):
         self._bus, self._writer, self._limits, self._sysfs = bus, writer, limits, sysfs
         self._models: dict[str, int] = {}
         self.state: State | None = None
@@ -119,14 +118,12 @@ class StartChecks:
         return results
 
     def _latency_timer(self) -> tuple[bool, str]:
-        name = Path(str(getattr(self._bus.port, "port_name", ""))).resolve().name
-        file = self._sysfs / name / "latency_timer"
-        if not name or not file.is_file():
+        file, value = latency_timer(str(getattr(self._bus.port, "port_name", "")), self._sysfs)
+        if value is None:
             return True, "no USB serial adapter with a latency timer"
-        value = int(file.read_text())
-        if value <= 1:
+        if value <= LATENCY:
             return True, f"{value} ms"
-        return False, f"{value} ms makes a tick take 15 to 20 ms; echo 1 | sudo tee {file}"
+        return False, f"{value} ms makes a tick take 15 to 20 ms; echo {LATENCY} | sudo tee {file}"
 
     def _power(self) -> tuple[bool, str]:
         bus = self._bus

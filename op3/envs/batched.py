@@ -209,7 +209,7 @@ class BatchedEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         action = tensordict["action"].double()
-        self.simulation.command(**self._scaled(self.rules.commands(action)))
+        self.simulation.command(**self._scaled(self.action_map.commands(action)))
         time = self.rules.time.numpy()
         self._whole_step.begin(self._sites)
         for tick in range(TICKS):

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from op3.robot import CONTROLLED_JOINTS, JOINTS, SOFT_LIMITS, indices, pose
+from op3.robot import load_robot
 from op3.settings import Listed, NotNegative, Number, Some, settings
 
 Array = TypeVar("Array", NDArray[Any], torch.Tensor)
@@ -59,15 +59,17 @@ class ActionMap:
     d_gain: NotNegative = D_GAIN
 
     def __post_init__(self):
-        indices(self.joints)
+        robot = load_robot()
+        limits = robot.limits[robot.indices(self.joints)]
         if len(set(self.joints)) != len(self.joints):
             raise ValueError(f"action map: joints must be named once each, got {', '.join(self.joints)}")
         for name in ("position_low", "position_high"):
             if len(getattr(self, name)) != len(self.joints):
                 given = len(getattr(self, name))
                 raise ValueError(f"action map: {name} has {given} angles for {len(self.joints)} joints")
-        for joint, low, high in zip(self.joints, self.position_low, self.position_high, strict=True):
-            lowest, highest = SOFT_LIMITS[joint]
+        for joint, (lowest, highest), low, high in zip(
+            self.joints, limits.tolist(), self.position_low, self.position_high, strict=True
+        ):
             if not lowest <= low < high <= highest:
                 raise ValueError(
                     f"action map: {joint} ranges from {low} to {high} rad; it must rise within [{lowest}, {highest}]"
@@ -76,15 +78,17 @@ class ActionMap:
             raise ValueError(f"action map: gains must not fall, got {self.gain_low} to {self.gain_high} A/rad")
 
     @classmethod
-    def around_stand(cls, span: float = SPAN, joints: tuple[str, ...] = CONTROLLED_JOINTS) -> "ActionMap":
+    def around_stand(cls, span: float = SPAN, joints: tuple[str, ...] | None = None) -> "ActionMap":
         """Targets within `span` [rad] of the stand pose, clipped to the soft limits.
 
         Args:
             span: largest distance from the stand pose [rad].
-            joints: the controlled joints.
+            joints: the controlled joints; None: those of the robot.
         """
-        stand = pose("stand")[indices(joints)]
-        low, high = np.array([SOFT_LIMITS[joint] for joint in joints]).T
+        robot = load_robot()
+        joints = robot.controlled if joints is None else joints
+        places = robot.indices(joints)
+        stand, (low, high) = robot.home[places], robot.limits[places].T
         return cls(
             tuple(joints),
             tuple(round(float(value), 9) for value in np.clip(stand - span, low, high)),
@@ -94,7 +98,7 @@ class ActionMap:
     @property
     def span(self) -> float:
         """How far a target may lie from the stand pose [rad]."""
-        stand = pose("stand")[indices(self.joints)]
+        stand = load_robot().home[self._places]
         return float(np.abs(np.array([self.position_low, self.position_high]) - stand).max())
 
     @property
@@ -120,22 +124,32 @@ class ActionMap:
         values = low + share * (high - low)
         return values[..., : len(self.joints)], values[..., len(self.joints) :]
 
-    def commands(self, action: Array) -> tuple[Array, Array]:
-        """Target angles and P gains of all the robot's joints; those not controlled hold the stand pose.
+    def commands(self, action: Array) -> dict[str, Array]:
+        """What servos are told of actions, for all the robot's joints; those not controlled hold the stand pose.
+
+        The one function with which tasks, environments and the robot carry out an action.
 
         Args:
             action: [..., 2 joint], numpy or torch.
 
         Returns:
-            position_target [..., robot joint] in rad and p_gain [..., robot joint] in A/rad, of the kind given.
+            position_target in rad, p_gain in A/rad and d_gain in A s/rad, each [..., robot joint] of the kind given.
         """
-        found = []
-        for values, rest in zip(self.targets(action), (pose("stand"), np.full(len(JOINTS), HELD_GAIN)), strict=True):
-            whole = np.broadcast_to(rest, (*values.shape[:-1], len(JOINTS))).copy()
-            full: Any = torch.from_numpy(whole).to(values) if isinstance(values, torch.Tensor) else whole
+        position, p_gain = self.targets(action)
+        robot = load_robot()
+        return {
+            "position_target": self._whole(robot.home, position),
+            "p_gain": self._whole(np.full(len(robot.joints), HELD_GAIN), p_gain),
+            "d_gain": self._whole(np.full(len(robot.joints), self.d_gain), position[..., :0]),
+        }
+
+    def _whole(self, rest: NDArray[np.float64], values: Any) -> Any:
+        """Values of the controlled joints among those of all joints at rest."""
+        whole = np.broadcast_to(rest, (*values.shape[:-1], len(rest))).copy()
+        full: Any = torch.from_numpy(whole).to(values) if isinstance(values, torch.Tensor) else whole
+        if values.shape[-1]:
             full[..., self._places] = values
-            found.append(full)
-        return found[0], found[1]
+        return full
 
     def action(self, position_target: Array, p_gain: Array) -> Array:
         """The action that commands these targets; the inverse of `targets`.
@@ -164,7 +178,7 @@ class ActionMap:
             p_gain: P gain of every joint [A/rad]; the highest where None.
         """
         gain = self.gain_high if p_gain is None else p_gain
-        return self.action(pose("stand")[indices(self.joints)], np.full(len(self.joints), gain))
+        return self.action(load_robot().home[self._places], np.full(len(self.joints), gain))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for a manifest."""
@@ -198,7 +212,7 @@ class ActionMap:
     @cached_property
     def _places(self) -> NDArray[np.int64]:
         """Place of each controlled joint among the robot's."""
-        return indices(self.joints)
+        return load_robot().indices(self.joints)
 
     def _bounds(self, like: Any) -> tuple[Any, Any]:
         if isinstance(like, torch.Tensor):

@@ -316,12 +316,17 @@ class Robot:
         return load_robot, (str(self.path),)
 
 
+@lru_cache(maxsize=1)
 def robot_files() -> dict[str, Path]:
     """The files of all robots that come with the project, by name."""
     return {path.stem: path.resolve() for path in sorted(asset_folder("robots").glob("*.yaml"))}
 
 
-def load_robot(name: str | Path | Robot) -> Robot:
+DEFAULT = "op3"
+"""The robot that is meant where none is named."""
+
+
+def load_robot(name: str | Path | Robot = DEFAULT) -> Robot:
     """A robot by its name in ``assets/robots`` or by the path of its file.
 
     Raises:

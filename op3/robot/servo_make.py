@@ -23,7 +23,7 @@ TO_SI: Mapping[str, Callable[[float], float]] = {
     "s/60deg": lambda value: pi / 3 / value,
     "%": lambda value: value / 100,
     **dict.fromkeys(
-        ("rad", "rad/s", "A", "V", "ohm", "N m", "N m/A", "kg m^2", "C", "s", "C/W", "1/rad", "counts"),
+        ("rad", "rad/s", "A", "V", "ohm", "N m", "N m/A", "kg m^2", "C", "s", "K/W", "1/rad", "counts"),
         lambda value: value,
     ),
 }
@@ -106,6 +106,7 @@ class Limits(Record):
         low_voltage: least supply [V].
         high_voltage: greatest supply [V].
         temperature: at which it switches itself off [C].
+        thermal_resistance: from windings to air [K/W].
     """
 
     stall_torque: Figure
@@ -115,6 +116,7 @@ class Limits(Record):
     temperature: Figure
     current: Figure | None = None
     continuous_current: Figure | None = None
+    thermal_resistance: Figure | None = None
 
 
 class PositionLaw(Record):
@@ -191,6 +193,17 @@ class ServoMake(Record):
         if limits.continuous_current is not None:
             return limits.continuous_current.si
         return 0.2 * (limits.current.si if limits.current else self.supply.si / self.motor.terminal_resistance.si)
+
+    @property
+    def thermal_resistance(self) -> float:
+        """From windings to air [K/W].
+
+        Where its file gives none: the greatest that lets it carry `continuous_current` for ever, in air of 25 C.
+        """
+        limits = self.limits
+        if limits.thermal_resistance is not None:
+            return limits.thermal_resistance.si
+        return (limits.temperature.si - 25.0) / (self.motor.terminal_resistance.si * self.continuous_current**2)
 
     @property
     def output_constant(self) -> float:

@@ -103,7 +103,7 @@ class LocomotionTask(composer.Task):
         del random_state
         self._whole_step.begin(physics.data.ptr.site_xpos[None])
         self._action = torch.as_tensor(action, dtype=torch.float64)[None]
-        self._commands = {name: value[0] for name, value in self.rules.commands(self._action).items()}
+        self._commands = {name: value[0] for name, value in self.rules.action_map.commands(self._action).items()}
         self._substep, self._start = 0, self.rules.time.numpy()
 
     def before_substep(self, physics: Any, action: Any, random_state: Any) -> None:

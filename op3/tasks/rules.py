@@ -78,15 +78,9 @@ class Rules:
         self.bank.reset(snapshot.readings, rows)
         return self._history.reset(self._observe(), rows)
 
-    def commands(self, action: Tensor) -> dict[str, Tensor]:
-        """Commands of actions ``[sim, action]`` for all joints: targets in rad and gains, ``[sim, joint]``."""
-        position, p_gain = self.action_map.commands(action)
-        return {"position_target": position, "p_gain": p_gain}
-
     def resting_commands(self, count: int) -> dict[str, Tensor]:
         """Commands that are in force when an episode begins, ``[count, joint]``."""
-        commands = self.commands(self._first_action.expand(count, -1))
-        return {**commands, "d_gain": torch.full_like(commands["p_gain"], self.action_map.d_gain)}
+        return self.action_map.commands(self._first_action.expand(count, -1))
 
     def finish(self, action: Tensor, snapshot: Snapshot, throughout: Throughout, failed: Tensor) -> Outcome:
         """A policy step is over.

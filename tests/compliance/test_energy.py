@@ -3,16 +3,19 @@
 import numpy as np
 import pytest
 
-from op3.compliance.energy import HOUR, measure_energy, temperature_after, thermal_resistance
-from op3.robot import JOINTS
+from op3.compliance.energy import HOUR, measure_energy, temperature_after
+from op3.robot import JOINTS, load_servo
 from op3.rollout import Metadata, Rollout
 from op3.sim import load_model
 
 
 def test_the_continuous_current_ends_at_the_limit():
-    """What a servo carries for ever brings it to its limit of 80 C and no further; 240 s bring it 63 % of the way."""
-    resistance = thermal_resistance(80.0, 0.46, 5.3)
-    loss = np.array([5.3 * 0.46**2])
+    """Without a figure of its own, the continuous current ends at the limit of 80 C; 240 s bring 63 % of the way."""
+    servo = load_servo("xm430-w350")
+    assert servo.thermal_resistance == 12.9
+    limits = servo.limits.model_copy(update={"thermal_resistance": None})
+    resistance = servo.model_copy(update={"limits": limits}).thermal_resistance
+    loss = np.array([5.3 * 0.45999**2])
     assert temperature_after(loss, resistance, 100 * HOUR) == pytest.approx(80.0)
     assert temperature_after(loss, resistance, 240.0) == pytest.approx(25 + 55 * (1 - np.exp(-1)))
 

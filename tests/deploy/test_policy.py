@@ -47,7 +47,7 @@ def test_commands_are_those_of_training(task):
     env = make_env(task, num_envs=1, seed=0, num_threads=1)
     runner = PolicyRunner(hold_policy(task))
     action = np.random.default_rng(0).uniform(-1, 1, 20)
-    command, wanted = runner.command(action), env.rules.commands(torch.from_numpy(action)[None])
+    command, wanted = runner.command(action), env.action_map.commands(torch.from_numpy(action)[None])
     assert np.array_equal(command.position, wanted["position_target"][0].numpy())
     assert np.array_equal(command.p_gain, wanted["p_gain"][0].numpy())
     assert (command.d_gain == 0.1).all()

@@ -106,13 +106,14 @@ def test_commands_of_all_joints():
     """Controlled joints get the action's targets, the others hold the stand pose; numpy and torch alike."""
     action_map = ActionMap.around_stand()
     action = np.random.default_rng(0).uniform(-1, 1, (3, action_map.size))
-    position, gain = action_map.commands(action)
+    found = action_map.commands(action)
+    position, gain = found["position_target"], found["p_gain"]
     places = indices(action_map.joints)
     held = np.setdiff1d(np.arange(len(JOINTS)), places)
     np.testing.assert_array_equal(position[:, places], action_map.targets(action)[0])
     np.testing.assert_array_equal(gain[:, places], action_map.targets(action)[1])
     np.testing.assert_array_equal(position[:, held], np.tile(pose("stand")[held], (3, 1)))
     assert (gain[:, held] == HELD_GAIN).all()
-    same = action_map.commands(torch.from_numpy(action))
-    np.testing.assert_array_equal(same[0], position)
-    np.testing.assert_array_equal(same[1], gain)
+    assert (found["d_gain"] == action_map.d_gain).all()
+    for name, values in action_map.commands(torch.from_numpy(action)).items():
+        np.testing.assert_array_equal(values, found[name])

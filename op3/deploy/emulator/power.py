@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+
+from op3.robot import load_servo
 
 Array = NDArray[np.float64]
 
@@ -53,12 +55,12 @@ class Windings:
 
     Attributes:
         ambient: [C].
-        resistance: winding to air [K/W] (inferred: 171 counts, the continuous current, end below the limit).
+        resistance: winding to air [K/W], one number or [joint]; see `ServoMake.thermal_resistance`.
         time: time constant [s] (inferred).
     """
 
     ambient: float = 28.0
-    resistance: float = 10.0
+    resistance: float | Array = field(default_factory=lambda: load_servo("xm430-w350").thermal_resistance)
     time: float = 240.0
 
     def start(self, count: int) -> Array:

@@ -156,7 +156,7 @@ def test_a_battery_sags_and_runs_down():
 
 def test_motors_warm_up_towards_their_losses():
     """After many time constants the rise is resistance times losses."""
-    windings = Windings()
+    windings = Windings(resistance=10.0)
     temperature = windings.start(2)
     for _ in range(4000):
         windings.step(temperature, np.array([0.0, 3.0]), 1.0)
