@@ -18,7 +18,6 @@ from support import one_sentence, positive, seeded_faults
 
 from op3.command_line import launch
 from op3.deploy import (
-    Calibration,
     Connection,
     ExitCode,
     FollowPolicy,
@@ -36,7 +35,7 @@ from op3.deploy import (
 from op3.deploy.bus import Unplugged
 from op3.deploy.deploy import EMULATED, HANG_SCALE, POLICY_RATE
 from op3.policy import PolicyBundle
-from op3.robot import pose
+from op3.robot import load_robot
 from op3.rollout import git_hash, read_log
 
 LOGS = ("approach", "run", "after")
@@ -52,12 +51,14 @@ def open_robot(cfg: DictConfig) -> Connection:
         emulation = {name: cfg[name] for name in ("world", "world_seed", "model", "battery", "seed", "scene")} | {
             "record": cfg.frames,
             "faults": seeded_faults(cfg.faults),
-            "joint_position": pose(cfg.pose) if cfg.mode == "calibrate" else None,  # as the person would hold it
+            # as the person would hold it
+            "joint_position": load_robot(cfg.robot).pose(cfg.pose) if cfg.mode == "calibrate" else None,
             "powered": cfg.mode in ("read_only", "calibrate"),  # these may not switch the supply on
         }
     mount = "stand" if cfg.mode == "hang" else cfg.mount
-    calibration = None if cfg.calibration is None or cfg.mode == "calibrate" else Calibration.load(cfg.calibration)
-    return connect(cfg.port, mount=mount, confirm=cfg.confirm, calibration=calibration, **emulation)
+    calibration = None if cfg.mode == "calibrate" else cfg.calibration
+    common = {"robot": cfg.robot, "mount": mount, "confirm": cfg.confirm, "calibration": calibration}
+    return connect(cfg.port, **common, **emulation)
 
 
 def load_runner(cfg: DictConfig) -> PolicyRunner | None:
@@ -109,7 +110,8 @@ def deploy(cfg: DictConfig) -> ExitCode:
 def run_on(connection: Connection, runner: PolicyRunner | None, plan: Plan, duration: float) -> Any:
     """Run the policy, or hold the stand pose."""
     if runner is None:
-        make = lambda: Hold(pose("stand"), duration=duration, log="run")  # noqa: E731
+        home = connection.bus.robot.home
+        make = lambda: Hold(home, duration=duration, log="run")  # noqa: E731
         return run(connection, make, plan, motion="hold", git_hash=git_hash())
     manifest = runner.bundle.manifest
     known = {"model_hash": manifest.training.model_hash or None, "git_hash": git_hash()}

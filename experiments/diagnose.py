@@ -38,7 +38,7 @@ from op3.identify.resolvers import chosen_model
 from op3.policy import PolicyBundle
 from op3.report import RunFolder, run_provenance
 from op3.report.diagnosis import report_diagnosis
-from op3.robot import MIRROR, leg_suite
+from op3.robot import DEFAULT, leg_suite
 from op3.rollout import Rollout, read_logs
 from op3.servo import effect_class
 from op3.sim import model_for, save_model
@@ -53,7 +53,7 @@ def planned_logs(cfg: DictConfig) -> list[Rollout]:
     if cfg.planned == "leg_suite":
         return planned_suite(model, leg_suite(cfg.seed))
     names = [cfg.planned] if isinstance(cfg.planned, str) else plain(cfg.planned)
-    return planned_motions(model, [library_motion(name, cfg.robot or "op3") for name in names])
+    return planned_motions(model, [library_motion(name, cfg.robot or DEFAULT) for name in names])
 
 
 def returns(cfg: DictConfig, verdict: Verdict) -> dict[str, Any]:
@@ -84,7 +84,7 @@ def diagnose(cfg: DictConfig, folder: Path) -> dict[str, Any]:
     diagnosis = Diagnosis(
         model,
         split,
-        mirror={joint: partner for joint, (partner, _) in MIRROR.items()},
+        mirror=logs[0].robot.partners,
         seed=cfg.seed,
         without=tuple(cfg.without),
         settings=Settings(windows=cfg.windows),

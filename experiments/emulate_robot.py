@@ -1,7 +1,8 @@
-"""An emulated ROBOTIS-OP3 on a serial port: prints the port, and serves until Ctrl-C or another signal to end.
+"""An emulated robot on a serial port: prints the port, and serves until Ctrl-C or another signal to end.
 
 python experiments/emulate_robot.py [world=eta_060] [scene=floor] [faults.lost=0.0026] [record=frames.txt]
 python experiments/emulate_robot.py model=paper scene=floor
+python experiments/emulate_robot.py robot=path/to/my_robot.yaml model=own
 """
 
 import signal
@@ -15,19 +16,10 @@ from omegaconf import DictConfig
 from support import one_sentence, seeded_faults
 
 from op3.command_line import launch
-from op3.deploy.emulator import (
-    Battery,
-    EmulatedRobot,
-    Physics,
-    SimPhysics,
-    StandInPhysics,
-    Timing,
-)
-from op3.deploy.emulator.pty_server import PtyServer
+from op3.deploy.emulated import physics_maker
+from op3.deploy.emulator import EmulatedRobot, PtyServer, Timing
 from op3.deploy.operator import told
-from op3.robot import pose
-from op3.sim import load_model
-from op3.stand_in import World
+from op3.robot import load_robot
 
 WATCH_EVERY = 0.5
 """Time between two looks at how far the emulation is behind [s]."""
@@ -36,20 +28,12 @@ LARGEST_LAG = 0.03
 """Lag that is worth a word [s]: by then the answers of a whole sync read have come too late."""
 
 
-def physics(cfg: DictConfig) -> Physics:
-    """The robot behind the bus."""
-    start = None if cfg.scene == "bench" else pose(cfg.pose)
-    if cfg.model is None:
-        world = World.find(cfg.world, cfg.world_seed)
-        return StandInPhysics(world, cfg.scene, seed=cfg.seed, joint_position=start)
-    battery = None if cfg.battery is None else Battery(charge=float(cfg.battery))
-    return SimPhysics(load_model(cfg.model), cfg.scene, seed=cfg.seed, joint_position=start, battery=battery)
-
-
 def robot(cfg: DictConfig) -> EmulatedRobot:
     """The robot, its bus and what goes wrong."""
+    chosen = {name: cfg[name] for name in ("world", "world_seed", "model", "seed", "battery")}
+    make, _ = physics_maker(cfg.robot, **chosen)
     return EmulatedRobot(
-        physics(cfg),
+        make(cfg.scene, None if cfg.scene == "bench" else load_robot(cfg.robot).pose(cfg.pose)),
         seed=cfg.seed,
         faults=seeded_faults(cfg.faults),
         timing=Timing(latency_timer=float(cfg.latency_timer)),
@@ -107,9 +91,10 @@ def main(cfg: DictConfig) -> None:
     with one_sentence():
         emulated = robot(cfg)
     failure = ""
-    with emulated.serve_pty(cfg.baud) as server:
+    with PtyServer(emulated, cfg.baud) as server:
         say(f"port: {server.path}")
-        say("the servos have power once 1 is written to register 24 of the OpenCR, id 200; Ctrl-C ends")
+        if load_robot(cfg.robot).file.board is not None:
+            say("the servos have power once 1 is written to register 24 of the OpenCR, id 200; Ctrl-C ends")
         ending.ends(server)
         try:
             watch(server, cfg.duration, say)

@@ -25,7 +25,7 @@ from op3.policy.actions import GAIN_HIGH, GAIN_LOW
 from op3.report import RunFolder, run_provenance
 from op3.report.evaluation_page import report_evaluation
 from op3.report.video import film
-from op3.robot import CONTROLLED_JOINTS
+from op3.robot import load_robot
 from op3.rollout import Rollout
 from op3.tasks.behaviour import gains, gait_profile, mean_tilt
 from op3.tasks.evaluation import evaluation_return, mean_interval, succeeded, wilson_interval
@@ -80,8 +80,8 @@ def run(cfg: DictConfig) -> dict[str, Any]:
         raise ValueError("policy is missing: add policy=<folder of a bundle>, or hold, zero, random or stiff")
     for name, least in (("episodes", 1), ("seed", 0), ("threads", 0)):
         whole(cfg, name, least)
-    if cfg.joint not in CONTROLLED_JOINTS:
-        raise ValueError(f"joint={cfg.joint}: choose {', '.join(CONTROLLED_JOINTS)}")
+    if cfg.joint not in load_robot().controlled:
+        raise ValueError(f"joint={cfg.joint}: choose {', '.join(load_robot().controlled)}")
     if not GAIN_LOW <= cfg.hold_gain <= GAIN_HIGH:
         raise ValueError(f"hold_gain must be between {GAIN_LOW} and {GAIN_HIGH} A/rad, got {cfg.hold_gain}")
     folder, task = Path(HydraConfig.get().runtime.output_dir), instantiate(cfg.task)

@@ -19,7 +19,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from op3.private import scrub
-from op3.robot import Motion, named_configs
+from op3.robot import DEFAULT, Motion, named_configs
 from op3.rollout import Metadata, Rollout
 from op3.rollout.files import write_text
 from op3.sim.model_file import find_model
@@ -171,7 +171,7 @@ def source_word(argument: str) -> str:
     return f"source={value}" if name == "robot" and set(value.split(",")) <= sources else argument
 
 
-def library_motion(name: str, robot: str = "op3") -> Motion:
+def library_motion(name: str, robot: str = DEFAULT) -> Motion:
     """A motion of the library by its name in `conf/motion`, for a robot if it is one for any.
 
     Raises:

@@ -15,10 +15,10 @@ import numpy as np
 import torch
 from dynamixel_sdk import GroupSyncRead, GroupSyncWrite, PacketHandler
 
-from op3.deploy.emulator import EmulatedRobot, Physics, SimPhysics, StandInPhysics
+from op3.deploy.emulator import EmulatedRobot, Physics, SimPhysics, StandInPhysics, VirtualPort
 from op3.deploy.registers import OPEN_CR_ID, POSITION_ZERO
 from op3.report import machine
-from op3.robot import JOINTS, SERVO_IDS, pose
+from op3.robot import load_robot
 from op3.robot.units import CURRENT_UNIT, POSITION_UNIT, VELOCITY_UNIT
 from op3.sim import load_model
 
@@ -27,15 +27,15 @@ ROUNDS = 5
 
 
 class Computer:
-    """The least that drives the robot: powered, in current mode, PD at the pose "stand"."""
+    """The least that drives the robot: powered, in current mode, PD at home."""
 
     def __init__(self, robot: EmulatedRobot):
         self.robot = robot
-        self.port, self.packets = robot.port_handler(), PacketHandler(2.0)
+        self.port, self.packets = VirtualPort(robot), PacketHandler(2.0)
         self.port.setBaudRate(2_000_000)
         self.packets.write1ByteTxRx(self.port, OPEN_CR_ID, 24, 1)
         robot.clock.sleep(0.2)
-        self.ids = [SERVO_IDS[joint] for joint in JOINTS]
+        self.ids = list(load_robot().bus_ids.values())
         self.reader = GroupSyncRead(self.port, self.packets, 126, 10)
         self.writer = GroupSyncWrite(self.port, self.packets, 102, 2)
         for number in self.ids:
@@ -43,7 +43,7 @@ class Computer:
                 self.packets.writeTxRx(self.port, number, address, size, list(value.to_bytes(size, "little")))
             self.reader.addParam(number)
             self.writer.addParam(number, [0, 0])
-        self.target = pose("stand")
+        self.target = load_robot().home
         self.start, self.ticks = robot.clock.now(), 0
 
     def tick(self) -> None:

@@ -28,7 +28,7 @@ from op3.identify.loss import TrajectoryLoss
 from op3.identify.search_space import parse_search_space
 from op3.identify.study import run_study
 from op3.report import Page, finish, run_provenance, write_result
-from op3.robot import CONTROLLED_JOINTS, Motion
+from op3.robot import Motion, load_robot
 from op3.robot.units import CURRENT_UNIT, POSITION_UNIT, VELOCITY_UNIT
 from op3.rollout import Rollout
 from op3.servo import RobotModel
@@ -80,8 +80,8 @@ def one_world(cfg: DictConfig, number: int, motions: list[Motion]) -> dict[str, 
         kept = [log for log in logs if log is not None]
         if len(kept) == len(motions):
             break
-    loss = TrajectoryLoss(CONTROLLED_JOINTS, skip=cfg.skip)
-    problem = Identification(base, kept, [], list(ranges), joints=CONTROLLED_JOINTS, loss=loss)
+    loss = TrajectoryLoss(load_robot().controlled, skip=cfg.skip)
+    problem = Identification(base, kept, [], list(ranges), joints=load_robot().controlled, loss=loss)
     space = parse_search_space({PREFIX + name: f"interval({p.low}, {p.high})" for name, p in ranges.items()})
     nominal = {PREFIX + name: p.nominal for name, p in ranges.items()}
     study = run_study(

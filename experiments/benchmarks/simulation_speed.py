@@ -12,7 +12,7 @@ import torch
 from mujoco.batch import Batch
 
 from op3.report import machine
-from op3.robot import JOINTS, hold, pose
+from op3.robot import hold, load_robot, pose
 from op3.servo import Servos
 from op3.sim import BatchSimulation, load_model
 from op3.tasks import Setup, playback_environment, squat_task
@@ -27,9 +27,9 @@ ROBOTS = (1, 32, 64, 600)
 def law_alone(robots: int) -> Callable[[], float]:
     """A call of the paper's full law, for some robots in motion [s]."""
     model = load_model("paper")
-    law = Servos(model.effects, JOINTS, robots, 0.001, 0.008)
-    law.set(model.tensors(JOINTS))
-    rng, shape = np.random.default_rng(0), (robots, len(JOINTS))
+    law = Servos(model.effects, load_robot().joints, robots, 0.001, 0.008)
+    law.set(model.tensors(load_robot().joints))
+    rng, shape = np.random.default_rng(0), (robots, len(load_robot().joints))
     for name, spread in (("position", 0.3), ("velocity", 2.0), ("load_torque", 0.5), ("position_target", 0.3)):
         setattr(law.signals, name, torch.from_numpy(rng.normal(0.0, spread, shape)))
     law.signals.torque_enable, law.signals.bus_voltage, law.signals.p_gain = 1.0, model.bus_voltage, 6.0

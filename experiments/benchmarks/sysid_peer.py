@@ -30,7 +30,7 @@ from op3.identify.loss import TrajectoryLoss
 from op3.identify.search_space import parse_search_space
 from op3.identify.study import run_study
 from op3.report import Page, finish, run_provenance, write_result
-from op3.robot import CONTROLLED_JOINTS, GEAR_RATIO, build_scene
+from op3.robot import build_scene, load_robot
 from op3.rollout import Rollout, read_logs
 from op3.sim import load_model
 
@@ -72,7 +72,7 @@ class Peer:
         kinds = {"position": mujoco.mjtSensor.mjSENS_JOINTPOS, "velocity": mujoco.mjtSensor.mjSENS_JOINTVEL}
         readings = []
         for log_name, name in zip(log.joints, self.joints, strict=True):
-            for kind, sensor in kinds.items() if log_name in CONTROLLED_JOINTS else ():
+            for kind, sensor in kinds.items() if log_name in load_robot().controlled else ():
                 measured = log.array(f"joint/{kind}")[:, log.joints.index(log_name)]
                 if measured.any():
                     what = {"name": f"{kind}_{log_name}", "type": sensor, "objname": name}
@@ -86,10 +86,10 @@ class Peer:
         if name == "torque_constant":
             for joint in self.joints:
                 actuator = spec.actuator(joint)
-                gain = GEAR_RATIO * value * self.p_gain
+                gain = load_robot().servos[0].motor.gear_ratio.si * value * self.p_gain
                 actuator.gainprm[0] = gain
                 actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-                actuator.biasprm[:3] = [0.0, -gain, -GEAR_RATIO * value * self.d_gain]
+                actuator.biasprm[:3] = [0.0, -gain, -load_robot().servos[0].motor.gear_ratio.si * value * self.d_gain]
         elif PEER[name] == "joints":
             field = {"armature": "armature", "viscous_friction": "damping", "coulomb_friction": "frictionloss"}[name]
             for joint in self.joints:
@@ -174,8 +174,8 @@ def error_mrad(peer: Peer, values: dict[str, float]) -> float:
     data = mujoco.MjData(model)
     data.qpos[:] = peer.initial
     joints = dict(zip(peer.log.joints, peer.joints, strict=True))
-    places = [int(model.joint(joints[name]).qposadr[0]) for name in CONTROLLED_JOINTS]
-    columns = [peer.log.joints.index(name) for name in CONTROLLED_JOINTS]
+    places = [int(model.joint(joints[name]).qposadr[0]) for name in load_robot().controlled]
+    columns = [peer.log.joints.index(name) for name in load_robot().controlled]
     errors = []
     measured, command = peer.log.array("joint/position")[:, columns], peer.log.array("command/position")
     steps = round(1.0 / (peer.log.metadata.rate * model.opt.timestep))
@@ -191,8 +191,8 @@ def fit_ours(cfg: DictConfig, log: Rollout, heldout: Rollout) -> dict[str, Any]:
     base = load_model(cfg.model)
     known = {name: base.parameters()[name] for name in cfg.parameters}
     weights = {("joint", "position"): 1.0, ("joint", "velocity"): 1.0}
-    loss = TrajectoryLoss(CONTROLLED_JOINTS, weights)
-    problem = Identification(base, [log], [heldout], list(known), joints=CONTROLLED_JOINTS, loss=loss)
+    loss = TrajectoryLoss(load_robot().controlled, weights)
+    problem = Identification(base, [log], [heldout], list(known), joints=load_robot().controlled, loss=loss)
     space = parse_search_space({PREFIX + name: f"interval({p.low}, {p.high})" for name, p in known.items()})
     nominal = {PREFIX + name: p.nominal for name, p in known.items()}
     began = time.monotonic()

@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from op3.robot import CONTROLLED_JOINTS, JOINTS
+from op3.robot import load_robot
 from op3.robot.units import POSITION_UNIT
 from op3.servo import RobotModel
 from op3.sim import BatchSimulation
@@ -55,7 +55,8 @@ def back_drive(model: RobotModel, position: Array, commands: Mapping[str, Array]
         num_threads: that step the physics.
     """
     setup = Setup.of_mount("stand")
-    turned = [JOINTS.index(joint) for joint in CONTROLLED_JOINTS]
+    robot = load_robot()
+    turned = robot.indices(robot.controlled)
     shape = (len(position), len(turned), 2)
     rows = np.prod(shape)
     state, which, way = (axis.reshape(-1) for axis in np.indices(shape))
@@ -67,7 +68,7 @@ def back_drive(model: RobotModel, position: Array, commands: Mapping[str, Array]
     simulation.reset(position[state], frozen)
     for _ in range(round(SETTLE / OP3_CONTROL_PERIOD)):
         simulation.advance()
-    joint, sign = np.array(turned)[which], np.where(way, -1.0, 1.0)
+    joint, sign = turned[which], np.where(way, -1.0, 1.0)
     angle = simulation.batch.bind("qpos")[:, simulation.ports.qpos]
     everyone = np.arange(rows)
     start, twist = angle[everyone, joint].copy(), _Twist(simulation, joint)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from op3.compliance.interval import with_interval
-from op3.robot import JOINTS, load_servo
+from op3.robot import load_robot, load_servo
 from op3.robot.units import GRAVITY
 from op3.rollout import Rollout
 from op3.servo import RobotModel
@@ -59,7 +59,7 @@ class Energy:
     @property
     def hottest(self) -> str:
         """The joint that gets hottest."""
-        return JOINTS[int(self.temperature.argmax())]
+        return load_robot().joints[int(self.temperature.argmax())]
 
 
 def measure_energy(
@@ -74,7 +74,7 @@ def measure_energy(
         travels: whether it walks, so that a cost of transport has a meaning.
         servo: make, of which limits and the current that it carries for ever are known.
     """
-    resistance = model.tensors(JOINTS)["terminal_resistance"].numpy().reshape(-1)
+    resistance = model.tensors(load_robot().joints)["terminal_resistance"].numpy().reshape(-1)
     constant = torque_per_current(model)
     powers, costs, losses, halves = [], [], [], []
     for log in logs:
@@ -108,8 +108,8 @@ def measure_energy(
 def torque_per_current(model: RobotModel) -> Array:
     """Torque of each motor at its gear's output [N m/A], [joint]: torque constant times gear ratio, without losses."""
     motor: Any = model.effect("motor")
-    constant = model.tensors(JOINTS)["torque_constant"].numpy().reshape(-1)
-    return np.broadcast_to(constant * motor.gear_ratio, len(JOINTS))
+    constant = model.tensors(load_robot().joints)["torque_constant"].numpy().reshape(-1)
+    return np.broadcast_to(constant * motor.gear_ratio, len(load_robot().joints))
 
 
 def temperature_after(loss: Array, resistance: float, duration: float = HOUR, ambient: float = AMBIENT) -> Array:

@@ -10,10 +10,10 @@ from op3.compliance.energy import torque_per_current
 from op3.compliance.interval import with_interval
 from op3.compliance.traces import TOUCHED, Traces, touchdowns
 from op3.policy.observation import WALK_LAYOUT, layout_slices
-from op3.robot import CONTROLLED_JOINTS, JOINTS
+from op3.robot import load_robot
 from op3.rollout import Rollout
 from op3.servo import RobotModel
-from op3.tasks.behaviour import SIDES, in_stance
+from op3.tasks.behaviour import foot_of, in_stance
 from op3.tasks.setups import OP3_CONTROL_PERIOD
 from op3.tasks.task import TICKS, Task
 
@@ -71,8 +71,8 @@ def measure_gains(logs: Sequence[Rollout], traces: Traces, task: Task, model: Ro
         task: that was attempted.
         model: of the robots, for the torque that a current gives.
     """
-    columns = [JOINTS.index(joint) for joint in CONTROLLED_JOINTS]
-    foot = np.array([SIDES.index(joint[:2]) for joint in CONTROLLED_JOINTS])
+    known = load_robot()
+    columns, foot = known.indices(known.controlled), np.array([foot_of(joint) for joint in known.controlled])
     means, profiles, loads = [], [], []
     situations: dict[str, list[Array]] = {name: [] for name in SITUATIONS}
     for robot, log in enumerate(logs):

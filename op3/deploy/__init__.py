@@ -6,8 +6,7 @@ from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command, Limits
 from op3.deploy.phases import FollowMotion, Hold
 from op3.deploy.players import Player
-from op3.deploy.policy_replay import PolicyReplay, replay_policy
-from op3.deploy.policy_runner import FollowPolicy, PolicyRunner
+from op3.deploy.policy_runner import FollowPolicy, PolicyReplay, PolicyRunner, replay_policy
 from op3.deploy.safety import Safety
 from op3.deploy.session import Outcome
 from op3.deploy.state import Calibration, State

@@ -3,7 +3,7 @@
 Reading needs nothing but a `Bus`. Writing needs the one `Writer` that a bus gives out, so that a single object
 decides what reaches the servos.
 
-What the SDK hides is done here: status packets are parsed one by one, so that the ALERT bit and the loss of a single
+What the SDK hides is done here. Status packets are parsed one by one, so that the ALERT bit and the loss of a single
 servo are seen; a wait ends a few milliseconds after the last byte and not after 34; a lock left behind by an
 interrupted call is cleared; a port that went away is one error, `Unplugged`.
 """
@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import termios
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import dynamixel_sdk
@@ -21,15 +21,14 @@ import numpy as np
 import serial
 from numpy.typing import ArrayLike
 
-from op3.deploy.blocks import BLOCKS, BOARD_ADDRESS, BOARD_LENGTH, Block, fast_answers, unpack_board
-from op3.deploy.clock import Clock
-from op3.deploy.protocol import ALERT, Instruction, Parser
-from op3.deploy.registers import OPEN_CR, OPEN_CR_ID, XM430_W350, Register
-from op3.deploy.state import Calibration, Counts, State, to_state
-from op3.robot import JOINTS, SERVO_IDS
+from op3.deploy.protocol import ALERT, Instruction, Parser, fast_answers
+from op3.deploy.registers import DYNAMIXEL_X, FIRST_INDIRECT_ADDRESS, OPEN_CR, OPEN_CR_ID, Register, Units
+from op3.deploy.state import BLOCKS, BOARD_ADDRESS, BOARD_LENGTH, POINTERS, Block, Calibration, State
+from op3.deploy.ticker import Clock
+from op3.robot import DEFAULT, Robot, load_robot
 
 BAUD_RATE = 2_000_000
-"""Of the OP3's bus [bit/s]."""
+"""Of the bus [bit/s]."""
 
 BOARD = "opencr"
 """Name of the board with IMU and power switch."""
@@ -64,32 +63,40 @@ class Unplugged(BusError):
 
 
 class Bus:
-    """Twenty servos and OpenCR.
+    """The servos of a robot, and its board if it has one.
 
     Args:
         port: a port handler of dynamixel-sdk or anything that behaves like one; opened here unless it is open.
         clock: that stamps the readings.
+        robot: whose joints, bus ids and board these are: a name in `assets/robots`, or the path of its file.
         calibration: offsets of the joints.
-        baud_rate: of the bus [bit/s].
+
+    Attributes:
+        ids: of all devices, by joint and `BOARD`.
+        board: whether there is one.
 
     Raises:
         Unplugged: if the port cannot be opened.
+        ValueError: if the robot has servos that this bus does not know.
     """
 
     def __init__(
-        self, port: Any, clock: Clock, *, calibration: Calibration | None = None, baud_rate: int = BAUD_RATE
+        self, port: Any, clock: Clock, robot: str | Robot = DEFAULT, *, calibration: Calibration | None = None
     ) -> None:
         # The SDK waits for two of these beyond the time on the wire; its 16 ms are those of an untuned adapter.
         dynamixel_sdk.port_handler.LATENCY_TIMER = 1
         self.port, self.clock = port, clock
-        self.calibration = calibration or Calibration.none()
-        self.ids: dict[str, int] = {**{name: SERVO_IDS[name] for name in JOINTS}, BOARD: OPEN_CR_ID}
+        self.robot = load_robot(robot)
+        self.units = Units(self.robot)
+        self.calibration = calibration or Calibration(robot=self.robot)
+        self.board = self.robot.file.board is not None
+        self.joints = self.robot.joints
+        self.ids = {**self.robot.bus_ids, **({BOARD: OPEN_CR_ID} if self.board else {})}
         self.names = {number: name for name, number in self.ids.items()}
         self.block: Block = BLOCKS[-1]
         self._sdk: Any = dynamixel_sdk.PacketHandler(2.0)
-        self._baud_rate = baud_rate
         self._writer: Writer | None = None
-        self._servo_ids = [self.ids[name] for name in JOINTS]
+        self._servo_ids = [self.ids[name] for name in self.joints]
         self._order = list(self._servo_ids)
         self._missed = False
         self._first_answer, self._gap = FIRST_ANSWER, GAP
@@ -102,15 +109,15 @@ class Bus:
         """Open the port, again if need be; raises `Unplugged`."""
         try:
             with self._plugged():
-                opened = self.port.setBaudRate(self._baud_rate)
+                opened = self.port.setBaudRate(BAUD_RATE)
         except Unplugged as error:
             raise Unplugged(f"the port {self._port_name} cannot be opened ({error.__cause__})") from error.__cause__
         if not opened:
-            raise Unplugged(f"the port {self._port_name} cannot be opened at {self._baud_rate} bit/s")
+            raise Unplugged(f"the port {self._port_name} cannot be opened at {BAUD_RATE} bit/s")
 
     def close(self) -> None:
         """Close the port."""
-        with self._quiet():
+        with suppress(Unplugged), self._plugged():
             self.port.closePort()
 
     @contextmanager
@@ -145,10 +152,8 @@ class Bus:
         """Model number of every device that answers, by name. Costs 4 ms per missing one, not the SDK's 0.8 s."""
         found = {}
         for name in self.ids:
-            try:
+            with suppress(NoAnswer):
                 found[name] = self.ping(name)
-            except NoAnswer:
-                continue
         return found
 
     def read(self, name: str, register: str, *, attempts: int = ATTEMPTS) -> int:
@@ -166,14 +171,9 @@ class Bus:
 
     def sync_read(self, register: str) -> dict[str, int]:
         """One register of all servos, sign included; those that do not answer are left out."""
-        entry = XM430_W350[register]
+        entry = DYNAMIXEL_X[register]
         data, _ = self._read_many(entry.address, entry.size, fast=False)
         return {self.names[number]: entry.decode(value) for number, value in data.items()}
-
-    def read_block_ids(self, address: int, length: int) -> dict[str, bytes]:
-        """Raw bytes of all servos from an address on; those that do not answer are left out."""
-        data, _ = self._read_many(address, length, fast=False)
-        return {self.names[number]: value for number, value in data.items()}
 
     def read_state(self) -> State:
         """Everything that one tick needs. What does not answer keeps its last values; see `State.answered`."""
@@ -188,30 +188,21 @@ class Bus:
             self._order.append(missing[0])
         answered = np.array([number in data for number in self._servo_ids])
         self._data.update(data)
-        imu = self._read_board()
+        imu = self.board and self._read_board()
         alert = np.array([number in alerts for number in self._servo_ids])
         registers = self.block.unpack([self._data.get(number, bytes(self.block.length)) for number in self._servo_ids])
         if "hardware_error" not in registers:
             registers["hardware_error"] = self._errors_of(alert)
-        supply, inertial = unpack_board(self._imu)
-        return to_state(
-            Counts(**registers, imu=inertial),
-            self.calibration,
-            time=self.clock.now(),
-            alert=alert,
-            answered=answered,
-            imu_answered=imu,
-            supply_counts=supply,
-        )
+        seen = {"time": self.clock.now(), "alert": alert, "answered": answered, "imu_answered": imu}
+        board = self._imu if self.board else None
+        return State.of(registers, self.units, self.calibration.offset, board, **seen)
 
     def _errors_of(self, alert: np.ndarray) -> np.ndarray:
         """Hardware errors [joint] where the block does not hold them: asked of those that raise the alert."""
-        errors = np.zeros(len(JOINTS), dtype=np.int64)
+        errors = np.zeros(len(self.joints), dtype=np.int64)
         for index in np.flatnonzero(alert):
-            try:
-                errors[index] = self.read(JOINTS[index], "hardware_error_status")
-            except BusError:
-                continue
+            with suppress(BusError):
+                errors[index] = self.read(self.joints[index], "hardware_error_status")
         return errors
 
     def _read_once(self, number: int, address: int, length: int) -> tuple[bytes, int, int]:
@@ -316,7 +307,7 @@ class Bus:
         raise NoAnswer(f"{name} (id {self.ids[name]}) did not answer {what}: {text}")
 
     def _register(self, name: str, register: str) -> Register:
-        return (OPEN_CR if name == BOARD else XM430_W350)[register]
+        return (OPEN_CR if name == BOARD else DYNAMIXEL_X)[register]
 
     @contextmanager
     def _plugged(self) -> Iterator[None]:
@@ -328,14 +319,6 @@ class Bus:
                 raise  # pyserial raises these on a closed port; anywhere else they are our own mistakes
             self.clear()
             raise Unplugged(f"the port {self._port_name} went away ({error}); check the USB cable") from error
-
-    @contextmanager
-    def _quiet(self) -> Iterator[None]:
-        try:
-            with self._plugged():
-                yield
-        except Unplugged:
-            pass
 
     @property
     def _port_name(self) -> str:
@@ -365,17 +348,15 @@ class Writer:
             register: its name.
             values: by joint name, or one value for all servos.
         """
-        entry = XM430_W350[register]
+        entry = DYNAMIXEL_X[register]
         if isinstance(values, int):
-            values = dict.fromkeys(JOINTS, values)
+            values = dict.fromkeys(self._bus.joints, values)
         self._send(entry.address, entry.size, ((name, entry.encode(value)) for name, value in values.items()))
 
     def write_currents(self, counts: ArrayLike) -> None:
         """Goal currents [joint] of all servos in counts, in one packet."""
-        entry = XM430_W350["goal_current"]
-        values = np.asarray(counts)
-        data = ((name, entry.encode(int(value))) for name, value in zip(JOINTS, values, strict=True))
-        self._send(entry.address, entry.size, data)
+        values = np.asarray(counts).astype(int).tolist()
+        self.sync_write("goal_current", dict(zip(self._bus.joints, values, strict=True)))
 
     def reboot(self, name: str) -> None:
         """Restart a servo: the only way out of a latched shutdown."""
@@ -391,23 +372,23 @@ class Writer:
         """
         bus = self._bus
         for block in BLOCKS:
-            if block.indirect and not self._point(block):
+            if block.indirect and not self._point():
                 continue
             for _ in range(ATTEMPTS):
                 data, _ = bus._read_many(block.address, block.length, fast=block.fast)
-                if len(data) == len(JOINTS):
+                if len(data) == len(bus.joints):
                     bus.block = block
                     bus._data.clear()
                     return block
         raise NoAnswer("the servos do not answer a sync read of any block; check cables and ids")
 
-    def _point(self, block: Block) -> bool:
-        """Set up the indirect addresses of a block; whether all servos have them. An answer may be lost."""
-        pointers = block.pointers()
+    def _point(self) -> bool:
+        """Set up the indirect addresses; whether all servos have them. An answer may be lost."""
+        joints, place = self._bus.joints, (FIRST_INDIRECT_ADDRESS, len(POINTERS))
         for _ in range(ATTEMPTS):
-            self._send(block.pointer_address, len(pointers), ((name, pointers) for name in JOINTS))
-            there = self._bus.read_block_ids(block.pointer_address, len(pointers))
-            if len(there) == len(JOINTS) and all(data == pointers for data in there.values()):
+            self._send(*place, ((name, POINTERS) for name in joints))
+            there, _ = self._bus._read_many(*place, fast=False)
+            if len(there) == len(joints) and all(data == POINTERS for data in there.values()):
                 return True
         return False
 

@@ -11,22 +11,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from op3.deploy.bus import Bus
-from op3.deploy.clock import MonotonicClock
 from op3.deploy.exit_codes import ExitCode, Stop
-from op3.deploy.limits import Command, Limits
+from op3.deploy.limits import Limits
 from op3.deploy.loop import Loop
 from op3.deploy.operator import Console, Operator, Yes
 from op3.deploy.panel import Panel
-from op3.deploy.phases import GainRamp, Hold, Move, Phase, Relax
+from op3.deploy.phases import GainRamp, Hold, Move, Phase, Relax, Watch
 from op3.deploy.policy_runner import FollowPolicy
-from op3.deploy.safety import Onlooker, Safety
+from op3.deploy.safety import Guard, Onlooker, Safety
 from op3.deploy.serial_port import SerialPort
 from op3.deploy.session import Logs, Outcome, Phases, Session
 from op3.deploy.start_checks import UNTOUCHED, StartChecks
-from op3.deploy.state import Calibration, State
-from op3.deploy.ticker import PERIOD, POLICY_TICKS
+from op3.deploy.state import Calibration
+from op3.deploy.ticker import PERIOD, POLICY_TICKS, MonotonicClock
 from op3.policy.actions import D_GAIN, HELD_GAIN
-from op3.robot import JOINTS, pose
+from op3.robot import DEFAULT, Robot, load_robot
 from op3.rollout import Metadata
 
 if TYPE_CHECKING:
@@ -41,6 +40,12 @@ HANG_SCALE = 0.5
 SETTLE_TIME = 1.5
 """How long the start pose is held before a motion or a policy begins [s]."""
 
+POLICY_RATE = 1 / (PERIOD * POLICY_TICKS)
+"""Policy steps per second [Hz]."""
+
+Report = Callable[[str], None]
+"""Takes a line for the operator."""
+
 
 @dataclass(frozen=True)
 class Connection:
@@ -49,7 +54,7 @@ class Connection:
     Attributes:
         bus: open.
         operator: who is asked.
-        robot: `real` or `emulated`, for the metadata.
+        kind: `real` or `emulated`, for the metadata.
         mount: `floor` or `stand`.
         extra: further metadata.
         seed: of an emulated robot.
@@ -58,7 +63,7 @@ class Connection:
 
     bus: Bus
     operator: Operator
-    robot: str
+    kind: str
     mount: str
     extra: dict[str, Any] = field(default_factory=dict)
     seed: int | None = None
@@ -74,20 +79,20 @@ class Connection:
 def connect(
     port: str,
     *,
+    robot: str | Robot = DEFAULT,
     mount: str = "floor",
     confirm: bool = True,
-    calibration: Calibration | None = None,
-    robot: str | None = None,
+    calibration: str | Path | None = None,
     **emulation: Any,
 ) -> Connection:
     """Open a robot's port.
 
     Args:
         port: a device such as /dev/ttyUSB0, a pty, or `emulated`.
+        robot: a name in `assets/robots`, or the path of its file.
         mount: what holds the robot: `floor` or `stand`.
         confirm: whether a person is asked before torque; an emulated robot holds itself.
-        calibration: offsets of the joints.
-        robot: `real` or `emulated`, for the metadata; by default as the port's name says.
+        calibration: file with the joints' offsets; None for none.
         emulation: options of `op3.deploy.emulated.emulate`, for `port="emulated"`.
 
     Raises:
@@ -96,16 +101,18 @@ def connect(
     """
     if mount not in ("floor", "stand"):
         raise ValueError(f"mount must be floor or stand, got {mount!r}")
+    known = load_robot(robot)
+    offsets = None if calibration is None else Calibration.load(calibration, known)
     if port == EMULATED:
-        from op3.deploy.emulated import emulate  # brings MuJoCo, which a robot's computer does not need
+        from op3.deploy.emulated import VirtualPort, emulate  # brings MuJoCo, which a robot's computer does not need
 
         scene = emulation.pop("scene", None) or mount
-        emulated, hands, identity = emulate(scene=scene, **emulation)
-        bus = Bus(emulated.port_handler(), emulated.clock, calibration=calibration)
+        emulated, hands, identity = emulate(robot=known, scene=scene, **emulation)
+        bus = Bus(VirtualPort(emulated), emulated.clock, known, calibration=offsets)
         seed = emulation.get("seed", 0)
         return Connection(bus, hands, "emulated", mount, {"world": identity}, seed, emulated)
-    kind = robot or ("emulated" if port.startswith("/dev/pts/") else "real")
-    bus = Bus(SerialPort(port), MonotonicClock(), calibration=calibration)
+    kind = "emulated" if port.startswith("/dev/pts/") else "real"
+    bus = Bus(SerialPort(port), MonotonicClock(), known, calibration=offsets)
     return Connection(bus, Console() if confirm else Yes(), kind, mount)
 
 
@@ -117,7 +124,7 @@ class Plan:
         limits: what the robot may do.
         dry: whether torque stays off; the loop runs and its currents go nowhere.
         current_scale: share of the peak currents that is allowed.
-        end_pose: pose in which the robot is let go; None for where it is.
+        end_pose: pose in which the robot is let go; None for its pose "rest", or home where it has none.
         folder: where logs are written; None for none.
         panel: whether to show the live view, where there is a terminal.
         only: names of the logs that are written; None for all.
@@ -141,7 +148,7 @@ def run(
     p_gain: ArrayLike = HELD_GAIN,
     d_gain: ArrayLike = D_GAIN,
     recording: str | None = None,
-    report: Callable[[str], None] | None = None,
+    report: Report | None = None,
     **metadata: Any,
 ) -> Outcome:
     """Check, energise, ramp, move to the start pose, wait for go, run, sit down, switch off.
@@ -150,17 +157,17 @@ def run(
         connection: the robot.
         make: makes the phase that the run is made for.
         plan: the rest.
-        start: pose [joint] in rad in which it begins; by default "stand".
+        start: pose [joint] in rad in which it begins; by default home.
         p_gain: P gains while getting there [A/rad].
         d_gain: D gains while getting there [A s/rad].
         recording: identity of the recording.
         report: where lines for the operator go; None for the terminal, above the live view.
         metadata: further fields of the log's metadata.
     """
-    plan = plan or Plan()
-    show = Panel() if plan.panel else None
-    say = report or (print if show is None else show.say)
-    first = pose("stand") if start is None else np.asarray(start, dtype=float)
+    plan, robot = plan or Plan(), connection.bus.robot
+    first = robot.home if start is None else np.asarray(start, dtype=float)
+    rest = robot.pose(plan.end_pose or ("rest" if "rest" in robot.file.poses else "home"))
+    screen = _Screen(robot, plan, report)
 
     def phases(loop: Loop) -> list[Phase]:
         driver = make()
@@ -172,95 +179,78 @@ def run(
         def last() -> Any:
             return loop.target
 
-        run_up: list[Phase] = [
+        return [
             GainRamp(p_gain, d_gain),
             Move(first, p_gain, d_gain, start=last),
-            Hold(first, p_gain, d_gain, until=lambda: connection.operator.said_go(say)),
+            Hold(first, p_gain, d_gain, until=lambda: connection.operator.said_go(screen.say)),
             Hold(first, p_gain, d_gain, duration=SETTLE_TIME),
+            driver,
+            Move(rest, start=last, log="after"),
+            Relax(rest),
         ]
-        rest = pose("stand") if plan.end_pose is None else pose(plan.end_pose)
-        return [*run_up, driver, Move(rest, start=last, log="after"), Relax(rest)]
 
-    safety = Safety(connection.bus, plan.limits, current_scale=plan.current_scale, torque=not plan.dry, report=say)
-    session = _session(connection, safety, plan, recording, say, show, metadata)
-    return _run(session, phases, show)
+    scale, torque = plan.current_scale, not plan.dry
+    safety = Safety(connection.bus, plan.limits, current_scale=scale, torque=torque, report=screen.say)
+    return screen.run(connection, safety, plan, phases, recording, metadata)
 
 
-def _run(session: Session, phases: Phases, show: Panel | None) -> Outcome:
-    try:
-        return session.run(phases)
-    finally:
-        if show is not None:
-            show.close()
+class _Screen:
+    """Where a run's lines and its live view go."""
 
+    def __init__(self, robot: Robot, plan: Plan, report: Report | None):
+        self._panel = Panel(robot) if plan.panel else None
+        self.say: Report = report or (print if self._panel is None else self._panel.say)
 
-def _session(
-    connection: Connection,
-    safety: Safety | Onlooker,
-    plan: Plan,
-    recording: str | None,
-    report: Callable[[str], None],
-    show: Panel | None,
-    metadata: dict[str, Any],
-) -> Session:
-    logs = None
-    if plan.folder is not None:
-        extra = {**connection.extra, **metadata.pop("extra", {}), "limits": vars(plan.limits)}
-        facts = Metadata(
-            joints=JOINTS,
-            robot=connection.robot,
-            mount=connection.mount,
-            rate=1 / PERIOD,
-            battery=11.1,
-            servo="xm430-w350",
-            recording=recording,
-            seed=connection.seed,
-            extra={**extra, "offset_rad": connection.bus.calibration.offset.tolist()},
-            **metadata,
-        )
-        logs = Logs(plan.folder, facts, plan.only)
-    return Session(connection.bus, safety, connection.operator, logs=logs, show=show, report=report)
-
-
-class Watch:
-    """A phase that asks for nothing: the measured pose without stiffness.
-
-    Args:
-        duration: of watching [s].
-    """
-
-    name = "watch"
-    log = "run"
-
-    def __init__(self, duration: float):
-        self._ticks = round(duration / PERIOD)
-
-    def command(self, elapsed: int, state: State) -> Command | None:
-        """Where it is."""
-        return Command.of(state.position, 0.0, 0.0) if elapsed < self._ticks else None
-
-    def channels(self) -> dict[Any, Any]:
-        """None."""
-        return {}
+    def run(
+        self,
+        connection: Connection,
+        safety: Guard,
+        plan: Plan,
+        phases: Phases,
+        recording: str | None,
+        metadata: dict[str, Any],
+    ) -> Outcome:
+        """A session with the logs that are asked for."""
+        bus, logs = connection.bus, None
+        if plan.folder is not None:
+            extra = {**connection.extra, **metadata.pop("extra", {}), "limits": vars(plan.limits)}
+            makes = {make.name for make in bus.robot.servos}
+            facts = Metadata(
+                joints=bus.joints,
+                robot=connection.kind,
+                robot_file=None if bus.robot.reference == DEFAULT else bus.robot.reference,
+                mount=connection.mount,
+                rate=1 / PERIOD,
+                battery=bus.robot.servos[0].supply.si,
+                servo=makes.pop() if len(makes) == 1 else None,
+                recording=recording,
+                seed=connection.seed,
+                extra={**extra, "offset_rad": bus.calibration.offset.tolist()},
+                **metadata,
+            )
+            logs = Logs(plan.folder, facts, plan.only)
+        try:
+            return Session(bus, safety, connection.operator, logs=logs, show=self._panel, report=self.say).run(phases)
+        finally:
+            if self._panel is not None:
+                self._panel.close()
 
 
 def read_only(
-    connection: Connection, duration: float, plan: Plan | None = None, *, report: Callable[[str], None] | None = None
+    connection: Connection, duration: float, plan: Plan | None = None, *, report: Report | None = None
 ) -> Outcome:
     """Show and record what the robot says; nothing at all is written to it."""
-    plan = plan or Plan()
-    show = Panel() if plan.panel else None
-    say = report or (print if show is None else show.say)
-    StartChecks(connection.bus, None, plan.limits).run(lambda check: say(str(check)))
-    session = _session(connection, Onlooker(plan.limits), plan, None, say, show, {})
-    return _run(session, lambda loop: [Watch(duration)], show)
+    plan, robot = plan or Plan(), connection.bus.robot
+    screen = _Screen(robot, plan, report)
+    StartChecks(connection.bus, None, plan.limits).run(lambda check: screen.say(str(check)))
+    return screen.run(connection, Onlooker(robot, plan.limits), plan, lambda loop: [Watch(duration)], None, {})
 
 
 SETTINGS = {"return_delay_time": 0, **UNTOUCHED}
 """Registers that a robot needs once."""
 
 
-def setup(connection: Connection, *, report: Callable[[str], None] = print) -> ExitCode:
+def setup(connection: Connection, *, report: Report = print) -> ExitCode:
     """Write the settings that the start checks ask for; torque is off meanwhile."""
     text = ", ".join(f"{name} = {value}" for name, value in SETTINGS.items())
     if not connection.operator.confirm(f"Torque goes off, and {text} is written to the EEPROM of all servos."):
@@ -268,22 +258,17 @@ def setup(connection: Connection, *, report: Callable[[str], None] = print) -> E
         return ExitCode.DECLINED
     safety = Safety(connection.bus, report=report)
     try:
-        safety.power_up()
+        safety.check_start(whole=False)
         safety.write_settings(SETTINGS)
     except Stop as stop:
         report(stop.reason)
         return stop.code
-    report(f"{text} on {len(JOINTS)} servos")
+    report(f"{text} on {len(connection.bus.joints)} servos")
     return ExitCode.OK
 
 
 def calibrate(
-    connection: Connection,
-    path: str | Path,
-    *,
-    pose_name: str = "zero",
-    samples: int = 50,
-    report: Callable[[str], None] = print,
+    connection: Connection, path: str | Path, *, pose_name: str = "zero", samples: int = 50, report: Report = print
 ) -> ExitCode:
     """Take the pose that the robot is held in as the given one, and write the joints' offsets.
 
@@ -295,29 +280,25 @@ def calibrate(
         report: where lines for the operator go.
     """
     bus = connection.bus
-    bus.calibration = Calibration.none()
+    held, bus.calibration = bus.robot.pose(pose_name), Calibration(robot=bus.robot)
     if not connection.operator.confirm(f"Hold the robot exactly in the pose {pose_name!r}."):
         report("not confirmed, nothing written")
         return ExitCode.DECLINED
     if on := [name for name, value in bus.sync_read("torque_enable").items() if value]:
         report(f"torque is on at {', '.join(on)}; switch the power off and on")
         return ExitCode.START_CHECK
-    sums, counts = np.zeros(len(JOINTS)), np.zeros(len(JOINTS))
+    sums, counts = np.zeros(len(held)), np.zeros(len(held))
     for _ in range(samples):
         state = bus.read_state()
         sums += np.where(state.answered, state.position, 0.0)
         counts += state.answered
         bus.clock.sleep_until(bus.clock.now() + PERIOD)
     if not counts.all():
-        silent = ", ".join(JOINTS[i] for i in np.flatnonzero(counts == 0))
+        silent = ", ".join(bus.joints[i] for i in np.flatnonzero(counts == 0))
         report(f"no answer from {silent}; check cables, and that the servos' supply is on")
         return ExitCode.START_CHECK
-    calibration = Calibration(pose(pose_name) - sums / counts)
+    calibration = Calibration(held - sums / counts, bus.robot)
     calibration.save(path)
     worst = int(np.abs(calibration.offset).argmax())
-    report(f"{path}: offsets up to {calibration.offset[worst]:+.4f} rad ({JOINTS[worst]})")
+    report(f"{path}: offsets up to {calibration.offset[worst]:+.4f} rad ({bus.joints[worst]})")
     return ExitCode.OK
-
-
-POLICY_RATE = 1 / (PERIOD * POLICY_TICKS)
-"""Policy steps per second [Hz]."""

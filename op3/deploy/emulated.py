@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,26 +14,25 @@ from op3.deploy.emulator import (
     EmulatedRobot,
     Faults,
     Physics,
-    Readings,
     SimPhysics,
     StandInPhysics,
     Timing,
+    VirtualPort,
 )
-from op3.deploy.emulator.firmware import Drive
 from op3.deploy.operator import Yes
-from op3.robot import BoardMotion, Waves, WeightSchedule, draw_tiles
-from op3.sim import load_model
+from op3.robot import DEFAULT, BoardMotion, Robot, Waves, WeightSchedule, build_scene, draw_tiles, load_robot
+from op3.sim import model_for
 from op3.stand_in import World
 from op3.tasks.beginning import board_of
 from op3.tasks.task import Task, find_task
 
-Array = NDArray[np.float64]
+__all__ = ["Hands", "Place", "VirtualPort", "emulate", "physics_maker"]
 
-MakePhysics = Callable[[str, Array | None], Physics]
+MakePhysics = Callable[[str, ArrayLike | None], Physics]
 """Makes a robot on a scene, at joint angles [joint] in rad."""
 
-LOOK_EVERY = 32
-"""Periods between two looks at how far the robot has got: once per policy step."""
+LOOK_EVERY = 0.032
+"""Time between two looks at how far the robot has got [s]: once per policy step."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +47,7 @@ class Place:
 
     scene: str = "floor"
     board: BoardMotion | WeightSchedule | None = None
-    tiles: Array | None = None
+    tiles: NDArray[np.float64] | None = None
 
     @classmethod
     def of_task(cls, task: str | Task, seed: int) -> Place:
@@ -66,120 +64,79 @@ class Place:
         return None if self.board is None else Waves.still()
 
 
-class HandHeld:
-    """A physics whose robot hangs from a hand until it is put down.
+class Hands(Yes):
+    """An operator who agrees to everything, holds the robot up, and puts it down when it is ready.
 
     A robot without torque collapses, so it is energised and brought to its start pose in the air. Putting it down
     puts it on the scene with the angles that its joints have, at rest.
 
     Args:
+        robot: hanging on the stand.
         make: the robot on a scene.
         place: where it is put down.
-        joint_position: [joint] in rad at the start; None for the pose "stand".
     """
 
-    def __init__(self, make: MakePhysics, place: Place, joint_position: ArrayLike | None = None):
-        self._make, self._place = make, place
-        self._periods = 0
+    def __init__(self, robot: EmulatedRobot, make: MakePhysics, place: Place):
+        self._robot, self._make, self._place = robot, make, place
+        self.holding = True
         self._origin: float | None = None
         self._reached = 0.0
-        start = None if joint_position is None else np.asarray(joint_position, dtype=float)
-        self._physics = make("stand", start)
-        self._drive: Drive | None = None
-        self.held = True
-        self.joints = self._physics.joints
-
-    def put_down(self) -> None:
-        """Let go; does nothing the second time."""
-        if not self.held:
-            return
-        self.held = False
-        supply = self._physics.supply
-        self._physics = self._make(self._place.scene, np.array(self._physics.position))
-        self._physics.supply = supply
-        self._physics.set_ground(self._place.waiting, self._place.tiles)
-        if self._drive is not None:
-            self._physics.drive(self._drive)
-
-    def begin(self) -> None:
-        """Set the ground in motion, and measure from here how far the robot gets."""
-        self._physics.set_ground(self._place.board)
-        self._origin = self._physics.foremost()
-        self._reached = self._origin
-
-    @property
-    def travelled(self) -> float | None:
-        """How much further the inner tip of the foremost foot has been since `begin` [m]; None before it."""
-        return None if self._origin is None else self._reached - self._origin
-
-    @property
-    def supply(self) -> float | None:
-        """Voltage of the supply [V], where it is not the robot's own battery."""
-        return self._physics.supply
-
-    @supply.setter
-    def supply(self, voltage: float | None) -> None:
-        self._physics.supply = voltage
-
-    @property
-    def position(self) -> Array:
-        """Joint angles [joint] in rad."""
-        return self._physics.position
-
-    @property
-    def velocity(self) -> Array:
-        """Joint velocities [joint] in rad/s."""
-        return self._physics.velocity
-
-    def drive(self, drive: Drive) -> None:
-        """What the drivers do from now on."""
-        self._drive = drive
-        self._physics.drive(drive)
-
-    def advance(self, steps: int) -> None:
-        """Let a number of periods pass."""
-        self._physics.advance(steps)
-        if self._origin is not None:
-            self._periods += steps
-            if self._periods >= LOOK_EVERY:
-                self._periods = 0
-                self._reached = max(self._reached, self._physics.foremost())
-
-    def set_ground(self, board: BoardMotion | WeightSchedule | None = None, tiles: ArrayLike | None = None) -> None:
-        """What the ground does from now on."""
-        self._physics.set_ground(board, tiles)
-
-    def foremost(self) -> float:
-        """How far ahead the inner tip of the foremost foot is [m]."""
-        return self._physics.foremost()
-
-    def read(self) -> Readings:
-        """What all sensors say now."""
-        return self._physics.read()
-
-
-class Hands(Yes):
-    """An operator who agrees to everything and puts the robot down when it is ready."""
-
-    def __init__(self, physics: HandHeld):
-        self._physics = physics
 
     def said_go(self, say: Callable[[str], None] = print) -> bool:
         """Put the robot down and say go."""
-        self._physics.put_down()
+        if self.holding:
+            self.holding = False
+            physics = self._make(self._place.scene, np.array(self._robot.physics.position))
+            physics.set_ground(self._place.waiting, self._place.tiles)
+            self._robot.replace(physics)
         return True
 
     def begins(self) -> None:
-        """Set the ground in motion."""
-        self._physics.begin()
+        """Set the ground in motion, and measure from here how far the robot gets."""
+        self._robot.physics.set_ground(self._place.board)
+        self._origin = self._reached = self._robot.physics.foremost()
+        self._look()
+
+    def _look(self) -> None:
+        self._reached = max(self._reached, self._robot.physics.foremost())
+        self._robot.at(self._robot.time + LOOK_EVERY, self._look)
 
     def travelled(self) -> float | None:
-        """What a tape measure says [m]."""
-        return self._physics.travelled
+        """How much further the inner tip of the foremost foot has been since the policy began [m]; None before it."""
+        return None if self._origin is None else self._reached - self._origin
+
+
+def physics_maker(
+    robot: str | Robot = DEFAULT,
+    *,
+    world: str = "default",
+    world_seed: int = 0,
+    model: str | Path | None = None,
+    seed: int = 0,
+    battery: float | None = 0.7,
+) -> tuple[MakePhysics, str]:
+    """What makes a robot on a scene, and what identifies it without telling its truth; see `emulate`."""
+    known = load_robot(robot)
+    if model is None:
+        truth = World.find(world, world_seed)
+
+        def stand_in(where: str, position: ArrayLike | None) -> Physics:
+            return StandInPhysics(truth, build_scene(where, robot=known), seed=seed, joint_position=position)
+
+        return stand_in, truth.identity
+    law = model_for(known, None if model == "own" else model)
+    source = None if battery is None else Battery(charge=float(battery))
+
+    def simulated(where: str, position: ArrayLike | None) -> Physics:
+        scene = build_scene(where, robot=known)
+        return SimPhysics(law, scene, seed=seed, joint_position=position, battery=source)
+
+    return simulated, str(model)
 
 
 def emulate(
     *,
+    robot: str | Robot = DEFAULT,
     world: str = "default",
     world_seed: int | None = None,
     model: str | Path | None = None,
@@ -197,13 +154,14 @@ def emulate(
     """An emulated robot in virtual time.
 
     Args:
+        robot: a name in `assets/robots`, or the path of its file.
         world: the stand-in's truth; see `op3.stand_in.World.find`. Ignored where a model is given.
         world_seed: which random world; None: as `seed`.
-        model: name or file of a model, instead of a stand-in.
+        model: name or file of a model, instead of a stand-in; "own" for that which its servos' makes give.
         scene: where it is put down: a name that `op3.robot.build_scene` knows.
         task: whose ground it is put down on, moving as in the episode of the seed; None for the scene.
         seed: of everything else that is random.
-        joint_position: [joint] in rad at the start.
+        joint_position: [joint] in rad at the start; None for home.
         faults: of the bus and the robot.
         timing: of the bus.
         settings: EEPROM of the servos.
@@ -214,24 +172,12 @@ def emulate(
     Returns:
         The robot, the operator who holds it, and what identifies the robot without telling its truth.
     """
-    if model is None:
-        truth = World.find(world, seed if world_seed is None else world_seed)
-        identity = truth.identity
-
-        def make(where: str, position: Array | None) -> Physics:
-            return StandInPhysics(truth, where, seed=seed, joint_position=position)
-    else:
-        law = load_model(str(model))
-        identity = str(model)
-        source = None if battery is None else Battery(charge=float(battery))
-
-        def make(where: str, position: Array | None) -> Physics:
-            return SimPhysics(law, where, seed=seed, joint_position=position, battery=source)
-
-    place = Place(scene) if task is None else Place.of_task(task, seed)
-    physics = HandHeld(make, place, joint_position)
-    held = cast(Physics, physics)  # the checker does not take a property for the attribute `supply`
-    robot = EmulatedRobot(held, seed=seed, faults=faults, timing=timing, settings=settings, record=record)
+    where, place = seed if world_seed is None else world_seed, Place(scene)
+    make, identity = physics_maker(robot, world=world, world_seed=where, model=model, seed=seed, battery=battery)
+    if task is not None:
+        place = Place.of_task(task, seed)
+    hanging = make("stand", joint_position)
+    emulated = EmulatedRobot(hanging, seed=seed, faults=faults, timing=timing, settings=settings, record=record)
     if powered:
-        robot.switch_on()
-    return robot, Hands(physics), identity
+        emulated.switch_on()
+    return emulated, Hands(emulated, make, place), identity

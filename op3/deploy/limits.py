@@ -14,23 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from op3.deploy.exit_codes import ExitCode, Stop
+from op3.deploy.registers import DYNAMIXEL_X, Units
 from op3.deploy.state import State
-from op3.robot import JOINTS, SOFT_LIMITS
-from op3.robot.units import CONTINUOUS_CURRENT_COUNTS, CURRENT_UNIT
+from op3.robot import Robot
 from op3.settings import Count, NotNegative, Positive, Whole, settings
 
 Array = NDArray[np.float64]
-
-LOW, HIGH = np.array([SOFT_LIMITS[name] for name in JOINTS]).T
-"""Soft limits of all joints [joint] in rad."""
-
-_LEG_PARTS = ("hip_yaw", "hip_roll", "hip_pitch", "knee", "ank_pitch", "ank_roll")
-IS_LEG = np.array([name[2:] in _LEG_PARTS for name in JOINTS])
-"""[joint] True for the twelve joints of the legs."""
-
-
-PeakCounts = Annotated[Count, Field(le=1193)]
-"""A goal current that the servo's register takes [2.69 mA]."""
+HIGHEST = DYNAMIXEL_X["goal_current"].high or 0
 
 
 @settings("limits")
@@ -38,9 +28,8 @@ class Limits:
     """What the robot may do.
 
     Attributes:
-        leg_current_counts: largest goal current of a leg joint [2.69 mA]; 855 is the stall current 2.3 A at 12 V.
-        arm_current_counts: of an arm or head joint [2.69 mA].
-        continuous_current_counts: what a servo carries for ever [2.69 mA]; 171 is a fifth of the stall current.
+        peak_current: largest goal current of any joint [A]; None: that of each joint as the robot's file says.
+        continuous_current: what a servo carries for ever [A]; None: as its make's file says.
         thermal_time: time constant with which the mean square of the current is formed [s].
         temperature: a servo at or above this ends the run [C].
         voltage: a supply at or below this ends the run [V].
@@ -55,9 +44,8 @@ class Limits:
         damp_time: how long joints are damped before torque goes off [s].
     """
 
-    leg_current_counts: PeakCounts = 855
-    arm_current_counts: PeakCounts = 430
-    continuous_current_counts: Count = CONTINUOUS_CURRENT_COUNTS
+    peak_current: Positive | None = None
+    continuous_current: Positive | None = None
     thermal_time: Positive = 60.0
     temperature: Positive = 72.0
     voltage: Positive = 10.0
@@ -72,19 +60,31 @@ class Limits:
     damp_time: NotNegative = 0.5
 
     def __post_init__(self):
-        for name in ("leg_current_counts", "arm_current_counts"):
-            if getattr(self, name) < self.continuous_current_counts:
-                low = self.continuous_current_counts
-                raise ValueError(
-                    f"limits: {name} must be at least continuous_current_counts ({low}), got {getattr(self, name)}"
-                )
         if self.start_voltage < self.voltage:
             raise ValueError(f"limits: start_voltage {self.start_voltage} V lies below voltage {self.voltage} V")
 
-    @property
-    def peak(self) -> Array:
-        """Peak goal current [joint] in counts."""
-        return np.where(IS_LEG, float(self.leg_current_counts), float(self.arm_current_counts))
+    def currents(self, robot: Robot) -> tuple[Array, Array]:
+        """Peak and continuous goal current [joint] in counts.
+
+        Raises:
+            ValueError: if a peak lies below what is carried for ever, or above what the register takes.
+        """
+        units = Units(robot)
+        peak, continuous = units.peak, units.continuous
+        if self.peak_current is not None:
+            peak = self.peak_current / units.current
+        if self.continuous_current is not None:
+            continuous = self.continuous_current / units.current
+        peak, continuous = np.floor(peak + 1e-9), np.round(continuous)
+        wrong = (peak < continuous) | (peak > HIGHEST)
+        if wrong.any():
+            joint = int(wrong.argmax())
+            low, high = units.current[joint] * continuous[joint], units.current[joint] * HIGHEST
+            raise ValueError(
+                f"limits: the peak current of {robot.joints[joint]} must be at least continuous_current ({low:.3g} A)"
+                f" and at most {high:.3g} A, got {peak[joint] * units.current[joint]:.3g} A"
+            )
+        return peak, continuous
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,14 +103,12 @@ class Command:
 
     @classmethod
     def of(cls, position: ArrayLike, p_gain: ArrayLike, d_gain: ArrayLike) -> Command:
-        """Broadcast numbers or arrays to all joints."""
-        count = len(JOINTS)
-        values = (
-            np.broadcast_to(np.asarray(value, dtype=float), (count,)).copy() for value in (position, p_gain, d_gain)
-        )
-        return cls(*values)
+        """Gains that are numbers are those of all joints."""
+        position = np.array(position, dtype=float)
+        gains = (np.broadcast_to(np.asarray(gain, dtype=float), position.shape).copy() for gain in (p_gain, d_gain))
+        return cls(position, *gains)
 
-    def limited(self) -> Command:
+    def limited(self, robot: Robot) -> Command:
         """The same with targets inside the soft limits.
 
         Raises:
@@ -121,12 +119,13 @@ class Command:
             bad = ~np.isfinite(values) | ((values < 0) if name != "position" else False)
             if bad.any():
                 joint = int(np.flatnonzero(bad)[0])
-                raise Stop(ExitCode.NON_FINITE, f"{name} of {JOINTS[joint]} is {values[joint]}; refused", damp=True)
-        return Command(self.position.clip(LOW, HIGH), self.p_gain, self.d_gain)
+                reason = f"{name} of {robot.joints[joint]} is {values[joint]}; refused"
+                raise Stop(ExitCode.NON_FINITE, reason, damp=True)
+        return Command(self.position.clip(*robot.limits.T), self.p_gain, self.d_gain)
 
     def damped(self, d_gain: float) -> Command:
         """The same without stiffness: only damping."""
-        return Command(self.position, np.zeros_like(self.p_gain), np.full_like(self.d_gain, d_gain))
+        return Command.of(self.position, 0.0, d_gain)
 
 
 class CurrentLimiter:
@@ -137,11 +136,12 @@ class CurrentLimiter:
     instead of hotter.
     """
 
-    def __init__(self, limits: Limits, period: float, scale: float = 1.0):
-        self._peak = np.maximum(scale * limits.peak, limits.continuous_current_counts)
-        self._continuous = float(limits.continuous_current_counts)
+    def __init__(self, limits: Limits, robot: Robot, period: float, scale: float = 1.0):
+        peak, self._continuous = limits.currents(robot)
+        self._robot, self._unit = robot, Units(robot).current
+        self._peak = np.maximum(scale * peak, self._continuous)
         self._blend = 1 - np.exp(-period / limits.thermal_time)
-        self._mean_square = np.zeros(len(JOINTS))
+        self._mean_square = np.zeros(len(robot.joints))
 
     @property
     def load(self) -> Array:
@@ -163,15 +163,16 @@ class CurrentLimiter:
         current = command.p_gain * (command.position - state.position) - command.d_gain * state.velocity
         if not np.isfinite(current).all():
             joint = int(np.flatnonzero(~np.isfinite(current))[0])
-            raise Stop(ExitCode.NON_FINITE, f"the current of {JOINTS[joint]} is {current[joint]}; refused", damp=True)
-        limit = np.floor(self.limit)
-        counts = np.round(current / CURRENT_UNIT).clip(-limit, limit)
+            reason = f"the current of {self._robot.joints[joint]} is {current[joint]}; refused"
+            raise Stop(ExitCode.NON_FINITE, reason, damp=True)
+        limit, (low, high) = np.floor(self.limit), self._robot.limits.T
+        counts = np.round(current / self._unit).clip(-limit, limit)
         # Beyond a soft limit only the way back is allowed.
-        counts = np.where(state.position > HIGH, np.minimum(counts, 0), counts)
-        counts = np.where(state.position < LOW, np.maximum(counts, 0), counts)
+        counts = np.where(state.position > high, np.minimum(counts, 0), counts)
+        counts = np.where(state.position < low, np.maximum(counts, 0), counts)
         return counts.astype(np.int64)
 
     def account(self, written: NDArray[np.int64], state: State) -> None:
         """Add one period with these goal currents [joint]; the larger of goal and measured current counts."""
-        carried = np.maximum(np.abs(written), np.abs(state.counts.current)).astype(float)
+        carried = np.maximum(np.abs(written), np.abs(state.raw["current"])).astype(float)
         self._mean_square += self._blend * (carried**2 - self._mean_square)

@@ -17,6 +17,11 @@ from op3.deploy.safety import Guard
 from op3.deploy.state import State
 from op3.deploy.ticker import PERIOD, Tick, Ticker, Timing
 
+RAW = ("current", "velocity", "position", "hardware_error", "imu")
+"""Registers that are kept as they came."""
+
+IMU = ("orientation", "angular_velocity", "linear_acceleration")
+
 LogRow = Callable[[str, dict[Any, Any]], None]
 """Takes the name of a log and a row of it."""
 
@@ -57,7 +62,7 @@ class Loop:
 
     def timing(self) -> Timing:
         """How well the deadlines have been kept so far."""
-        return Timing(0, 0, 0.0, 0.0, 0.0) if self._ticker is None else self._ticker.timing()
+        return Timing() if self._ticker is None else self._ticker.timing()
 
     def run(self, phases: Sequence[Phase]) -> None:
         """Run the phases to their end.
@@ -109,14 +114,13 @@ class Loop:
             except Stop as stop:
                 if not stop.damp:
                     raise reason from stop
-            counts = self._safety.damp(state)
-            target = state.position if self.target is None else self.target
-            self._keep(tick, state, Command.of(target, 0.0, limits.damp_gain), counts)
+            command = Command.of(state.position if self.target is None else self.target, 0.0, 0.0)
+            counts, issued = self._safety.write(state, command, Verdict(damp=True))
+            self._keep(tick, state, issued, counts)
 
     def _keep(self, tick: Tick, state: State, command: Command, counts: NDArray[np.int64]) -> None:
         if self._log is None:
             return
-        raw = state.counts
         row: dict[Any, Any] = {
             "time": tick.deadline + tick.lateness,
             ("command", "position"): command.position,
@@ -127,17 +131,11 @@ class Loop:
             ("joint", "current"): state.current,
             ("joint", "voltage"): state.voltage,
             ("joint", "temperature"): state.temperature,
-            ("imu", "orientation"): state.orientation,
-            ("imu", "angular_velocity"): state.angular_velocity,
-            ("imu", "linear_acceleration"): state.linear_acceleration,
             ("raw", "goal_current"): counts,
-            ("raw", "current"): raw.current,
-            ("raw", "velocity"): raw.velocity,
-            ("raw", "position"): raw.position,
-            ("raw", "hardware_error"): raw.hardware_error,
             ("raw", "answered"): state.answered,
-            ("raw", "imu"): raw.imu,
             ("raw", "lateness"): tick.lateness,
+            **{("raw", name): state.raw[name] for name in RAW if name in state.raw},
+            **{("imu", name): getattr(state, name) for name in IMU if state.orientation is not None},
             **self._channels,
         }
         if not self._safety.torque:

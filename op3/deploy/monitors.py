@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Limits
-from op3.deploy.registers import HardwareError
+from op3.deploy.registers import HardwareError, Units
 from op3.deploy.state import State
-from op3.robot import JOINTS
-from op3.robot.servo_make import load_servo
-from op3.robot.units import POSITION_UNIT
+from op3.robot import Robot
 
 CONFIRMED = 3
 """Readings in a row that confirm a temperature; a single reading may be a glitch."""
@@ -21,8 +18,8 @@ CONFIRMED = 3
 ALIVE_COUNTS = 50
 """A servo that answers has at least 5 V; one that says less has started anew and lost its indirect addresses."""
 
-FASTEST = 3.0 * load_servo("xm430-w350").limits.no_load_speed.si
-"""No joint moves this fast [rad/s], even when it is pushed: three times the servo's speed without load."""
+FASTEST = 3.0
+"""No joint moves faster than this many times its servo's speed without load, even when it is pushed."""
 
 LEAST_JUMP = 0.1
 """A position that differs by less from reading to reading has not jumped [rad]."""
@@ -37,12 +34,10 @@ class Verdict:
 
     Attributes:
         damp: whether the joints are damped instead of driven.
-        silent: how long the most silent servo or the IMU has not answered [ticks].
         note: what the operator should know, empty if all is well.
     """
 
     damp: bool = False
-    silent: int = 0
     note: str = ""
 
 
@@ -51,21 +46,21 @@ class Monitor:
 
     Args:
         limits: when to act.
+        robot: that is watched.
         period: of the loop [s].
     """
 
-    def __init__(self, limits: Limits, period: float):
-        self._limits = limits
+    def __init__(self, limits: Limits, robot: Robot, period: float):
+        self._limits, self._period = limits, period
+        self._joints = robot.joints
+        self._units = Units(robot)
         self._loss_ticks = round(limits.loss_time / period)
-        self._period = period
-        self._last_heard = np.full(len(JOINTS) + 1, -1)
-        self._last_position: NDArray[np.float64] | None = None
+        self._last_heard: np.ndarray | None = None
+        self._last_position: np.ndarray | None = None
         self._upright = 0.0
-        self._started = False
         self._block: bytes | None = None
         self._repeats = 1
-        self._hot = 0
-        self._low = 0
+        self._hot = self._low = 0
 
     def judge(self, tick: int, time: float, state: State) -> Verdict:
         """Judge the reading of one tick.
@@ -78,80 +73,75 @@ class Monitor:
         Raises:
             Stop: where the run has to end; `Stop.damp` says whether the joints are damped first.
         """
-        if not self._started:
-            self._started, self._upright = True, time
-            self._last_heard[:] = tick - 1
+        heard = state.answered if state.imu_answered is None else np.append(state.answered, state.imu_answered)
+        if self._last_heard is None:
+            self._upright, self._last_heard = time, np.full(len(heard), tick - 1)
         self._check_shutdown(state)
-        self._check_jump(tick, state)
-        verdict = self._check_silence(tick, state)
-        self._check_imu(state)
-        self._check_fall(time, state)
+        self._check_jump(tick - self._last_heard[: len(self._joints)], state)
+        self._last_heard[heard] = tick
+        verdict = self._check_silence(tick - self._last_heard)
+        if state.orientation is not None and state.imu_answered:
+            self._check_imu(state.raw["imu"].tobytes())
+        if state.orientation is not None:
+            self._check_fall(time, float(np.rad2deg(np.abs(state.orientation[:2]).max())))
         self._check_heat(state)
         self._check_supply(state)
         return verdict
 
-    def _check_shutdown(self, state: State) -> None:
-        bad = np.flatnonzero((state.hardware_error != 0) | state.alert)
-        if bad.size:
-            causes = [f"{JOINTS[i]} ({HardwareError.describe(int(state.hardware_error[i]))})" for i in bad]
-            if (state.hardware_error[bad] == HardwareError.INPUT_VOLTAGE).all():
-                # By itself this bit does not switch the servo off (register `shutdown`).
-                raise Stop(ExitCode.VOLTAGE, f"out of the voltage range: {', '.join(causes)}", damp=True)
-            raise Stop(
-                ExitCode.SERVO_SHUTDOWN,
-                f"shut down by itself: {', '.join(causes)}; mend the cause, then switch the power off and on",
-            )
-        fresh = np.flatnonzero(state.answered & (state.counts.voltage < ALIVE_COUNTS))
-        if fresh.size:
-            names = ", ".join(JOINTS[i] for i in fresh)
-            raise Stop(ExitCode.SERVO_SHUTDOWN, f"restarted by itself: {names}; check its cable and the battery")
+    def _named(self, which: np.ndarray) -> str:
+        return ", ".join(self._joints[i] for i in np.flatnonzero(which))
 
-    def _check_jump(self, tick: int, state: State) -> None:
+    def _check_shutdown(self, state: State) -> None:
+        errors = state.raw["hardware_error"]
+        bad = np.flatnonzero((errors != 0) | state.alert)
+        if bad.size:
+            causes = ", ".join(f"{self._joints[i]} ({HardwareError.describe(int(errors[i]))})" for i in bad)
+            if (errors[bad] == HardwareError.INPUT_VOLTAGE).all():
+                # By itself this bit does not switch the servo off (register `shutdown`).
+                raise Stop(ExitCode.VOLTAGE, f"out of the voltage range: {causes}", damp=True)
+            reason = f"shut down by itself: {causes}; mend the cause, then switch the power off and on"
+            raise Stop(ExitCode.SERVO_SHUTDOWN, reason)
+        fresh = state.answered & (state.raw["voltage"] < ALIVE_COUNTS)
+        if fresh.any():
+            reason = f"restarted by itself: {self._named(fresh)}; check its cable and the battery"
+            raise Stop(ExitCode.SERVO_SHUTDOWN, reason)
+
+    def _check_jump(self, silent: np.ndarray, state: State) -> None:
         """A controller that believes a position which cannot be drives the joint with all it has."""
         before, self._last_position = self._last_position, state.position
         if before is None:
             return
         jump = np.where(state.answered, state.position - before, 0.0)
-        limit = LEAST_JUMP + FASTEST * self._period * np.maximum(tick - self._last_heard[:-1], 1)
+        limit = LEAST_JUMP + FASTEST * self._units.fastest * self._period * np.maximum(silent, 1)
         if (np.abs(jump) > limit).any():
             joint = int((np.abs(jump) / limit).argmax())
+            counts = jump[joint] / self._units.position[joint]
             raise Stop(
                 ExitCode.POSITION_JUMP,
-                f"the position of {JOINTS[joint]} jumped by {jump[joint]:+.3f} rad ({jump[joint] / POSITION_UNIT:+.0f}"
-                " counts), faster than the servo can move: it lost a turn or its counter was reset; check its cable"
-                " and horn, then switch the power off and on",
+                f"the position of {self._joints[joint]} jumped by {jump[joint]:+.3f} rad ({counts:+.0f} counts), faster"
+                " than the servo can move: it lost a turn or its counter was reset; check its cable and horn, then"
+                " switch the power off and on",
             )
 
-    def _check_silence(self, tick: int, state: State) -> Verdict:
-        heard = np.append(state.answered, state.imu_answered)
-        self._last_heard[heard] = tick
-        silent = tick - self._last_heard
+    def _check_silence(self, silent: np.ndarray) -> Verdict:
         worst = int(silent.max())
         if worst == 0:
             return Verdict()
-        names = [*JOINTS, "the IMU"]
-        who = ", ".join(names[i] for i in np.flatnonzero(silent == worst)) if (silent == 0).any() else "nothing"
-        if who == "nothing":
-            note = f"no answer from anything on the bus for {worst} ticks"
-        else:
-            note = f"no answer from {who} for {worst} ticks"
+        names = [*self._joints, "the IMU"]
+        who = ", ".join(names[i] for i in np.flatnonzero(silent == worst))
+        note = f"no answer from {who if (silent == 0).any() else 'anything on the bus'} for {worst} ticks"
         if worst >= self._loss_ticks:
-            seconds = self._limits.loss_time
-            raise Stop(ExitCode.BUS_LOSS, f"{note} ({1e3 * seconds:.0f} ms); check cables and power")
-        return Verdict(damp=worst > self._limits.coast_ticks, silent=worst, note=note)
+            raise Stop(ExitCode.BUS_LOSS, f"{note} ({1e3 * self._limits.loss_time:.0f} ms); check cables and power")
+        return Verdict(damp=worst > self._limits.coast_ticks, note=note)
 
-    def _check_imu(self, state: State) -> None:
-        if not state.imu_answered:
-            return
-        block = state.counts.imu.tobytes()
+    def _check_imu(self, block: bytes) -> None:
         self._repeats = self._repeats + 1 if block == self._block else 1
         self._block = block
         if self._repeats >= self._limits.imu_repeats:
             reason = f"the IMU sent {self._repeats} identical blocks; it is frozen: switch the power off and on"
             raise Stop(ExitCode.IMU_FROZEN, reason, damp=True)
 
-    def _check_fall(self, time: float, state: State) -> None:
-        tilt = np.rad2deg(np.abs(state.orientation[:2]).max())
+    def _check_fall(self, time: float, tilt: float) -> None:
         if tilt <= self._limits.fall_angle_deg:
             self._upright = time
         elif time - self._upright >= self._limits.fall_time - 1e-9:
@@ -162,7 +152,7 @@ class Monitor:
         self._hot = self._hot + 1 if hot.any() else 0
         if self._hot >= CONFIRMED:
             joint = int(state.temperature.argmax())
-            reason = f"{JOINTS[joint]} has {state.temperature[joint]:.0f} C; let it cool"
+            reason = f"{self._joints[joint]} has {state.temperature[joint]:.0f} C; let it cool"
             raise Stop(ExitCode.TEMPERATURE, reason, damp=True)
 
     def _check_supply(self, state: State) -> None:

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from op3.deploy.limits import Command
 from op3.deploy.monitors import Verdict
+from op3.deploy.registers import Units
 from op3.deploy.state import State
 from op3.deploy.ticker import Ticker
-from op3.robot import JOINTS
-from op3.robot.units import CURRENT_UNIT
+from op3.robot import Robot
 
 RECENT = 1250
 """Ticks whose lateness is shown: the last ten seconds."""
@@ -30,11 +30,13 @@ class Panel:
     loop. What it has no time to show is skipped; what is said appears above the block and stays there.
 
     Args:
+        robot: that is shown.
         stream: where it is written.
         every: ticks between two refreshes.
     """
 
-    def __init__(self, stream: TextIO | None = None, every: int = 31):
+    def __init__(self, robot: Robot, stream: TextIO | None = None, every: int = 31):
+        self._joints, self._unit = robot.joints, Units(robot).current
         self._stream = stream or sys.stdout
         self._every = every
         self._ticks = 0
@@ -55,7 +57,7 @@ class Panel:
         self._ticks += 1
         if self._ticks % self._every != 1:
             return
-        self._next = text(phase, state, command, counts, verdict, ticker)
+        self._next = self.text(phase, state, command, counts * self._unit, verdict, ticker)
         self._wake()
 
     def say(self, line: str) -> None:
@@ -115,24 +117,29 @@ class Panel:
         except (OSError, ValueError):
             return 80, 24
 
+    def text(
+        self, phase: str, state: State, command: Command, goal: NDArray[Any], verdict: Verdict, ticker: Ticker
+    ) -> list[str]:
+        """The lines of the view: one row per joint, time and attitude above, deadlines and worries below.
 
-def text(
-    phase: str, state: State, command: Command, counts: NDArray[Any], verdict: Verdict, ticker: Ticker
-) -> list[str]:
-    """The lines of the view: one row per joint, time and attitude above, deadlines and worries below."""
-    timing = ticker.timing(last=RECENT)
-    roll, pitch = np.rad2deg(state.orientation[:2])
-    lines = [
-        f"{phase:8s} {timing.ticks * ticker.period:8.1f} s   roll {roll:6.1f} pitch {pitch:6.1f} deg   "
-        f"{state.supply_voltage:.1f} V",
-        f"{'joint':12s} {'target':>8s} {'angle':>8s} {'Kp':>6s} {'goal A':>7s} {'is A':>7s} {'C':>4s}",
-    ]
-    for i, name in enumerate(JOINTS):
-        lost = "" if state.answered[i] else "  no answer"
-        lines.append(
-            f"{name:12s} {command.position[i]:8.3f} {state.position[i]:8.3f} {command.p_gain[i]:6.2f} "
-            f"{counts[i] * CURRENT_UNIT:7.2f} {state.current[i]:7.2f} {state.temperature[i]:4.0f}{lost}"
-        )
-    late = f"late p99 {1e3 * timing.p99:.2f} max {1e3 * timing.max:.2f} ms, missed {timing.misses}"
-    lines.append(f"{late}: {verdict.note or 'all well'}")
-    return lines
+        Args:
+            phase: its name.
+            state: of the tick.
+            command: as it was carried out.
+            goal: goal currents [joint] in A.
+            verdict: on the state.
+            ticker: that counts.
+        """
+        timing, attitude = ticker.timing(last=RECENT), ""
+        if state.orientation is not None:
+            attitude = "roll {:6.1f} pitch {:6.1f} deg   ".format(*np.rad2deg(state.orientation[:2]))
+        lines = [
+            f"{phase:8s} {timing.ticks * ticker.period:8.1f} s   {attitude}{state.supply_voltage:.1f} V",
+            f"{'joint':12s} {'target':>8s} {'angle':>8s} {'Kp':>6s} {'goal A':>7s} {'is A':>7s} {'C':>4s}",
+        ]
+        columns = (command.position, state.position, command.p_gain, goal, state.current, state.temperature)
+        for name, answered, *row in zip(self._joints, state.answered, *columns, strict=True):
+            numbers = "{:8.3f} {:8.3f} {:6.2f} {:7.2f} {:7.2f} {:4.0f}".format(*row)
+            lines.append(f"{name:12s} {numbers}{'' if answered else '  no answer'}")
+        late = f"late p99 {1e3 * timing.p99:.2f} max {1e3 * timing.max:.2f} ms, missed {timing.misses}"
+        return [*lines, f"{late}: {verdict.note or 'all well'}"]

@@ -1,19 +1,19 @@
-"""What the robot is asked to do in turn: ramp up, wait, follow a motion or a policy, sit down."""
+"""What the robot is asked to do in turn: ramp up, wait, follow a motion, watch, sit down."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from op3.deploy.limits import HIGH, LOW, Command
+from op3.deploy.limits import Command
 from op3.deploy.state import State
 from op3.deploy.ticker import PERIOD
 from op3.policy.actions import D_GAIN, HELD_GAIN
-from op3.robot import JOINTS, Motion
-from op3.stand_in.play import sample
+from op3.robot import Motion, load_robot
+from op3.stand_in.play import check_targets, gain_rows, sample
 
 Array = NDArray[np.float64]
 
@@ -27,16 +27,16 @@ MOVE_SPEED = 1.0
 """Fastest speed of a joint on such a move [rad/s]; longer moves take longer."""
 
 
-class Phase(Protocol):
-    """Gives commands tick by tick.
+class Phase:
+    """Gives commands tick by tick. Targets outside the soft limits are clipped where they are carried out.
 
     Attributes:
         name: shown to the operator.
         log: name of the log that its ticks belong to.
     """
 
-    name: str
-    log: str
+    name = ""
+    log = "approach"
 
     def command(self, elapsed: int, state: State) -> Command | None:
         """The command of a tick, or None when the phase is over.
@@ -45,21 +45,10 @@ class Phase(Protocol):
             elapsed: deadlines since the phase began, skipped ones included.
             state: the reading of this tick.
         """
-        ...
+        raise NotImplementedError
 
     def channels(self) -> dict[Any, Array]:
         """Further channels of the log for the tick just commanded."""
-        ...
-
-
-class _Plain:
-    """A phase without channels of its own."""
-
-    name = ""
-    log = "approach"
-
-    def channels(self) -> dict[Any, Array]:
-        """None."""
         return {}
 
 
@@ -69,7 +58,7 @@ def minimum_jerk(share: float) -> float:
     return s**3 * (10 - 15 * s + 6 * s**2)
 
 
-class GainRamp(_Plain):
+class GainRamp(Phase):
     """Hold the pose in which the robot is found, from no stiffness to full."""
 
     name = "ramp"
@@ -81,18 +70,22 @@ class GainRamp(_Plain):
 
     def command(self, elapsed: int, state: State) -> Command | None:
         """The measured pose with rising gain."""
-        if self._pose is None:
-            self._pose = state.position.clip(LOW, HIGH)
+        self._pose = state.position if self._pose is None else self._pose
         if elapsed >= self._ticks:
             return None
         return Command.of(self._pose, self._p_gain * elapsed / self._ticks, self._d_gain)
 
 
-class Move(_Plain):
-    """A minimum-jerk move from where the targets are to a pose.
+class Move(Phase):
+    """A minimum-jerk move from where the targets are to a pose, so that targets never jump.
 
-    It starts from the measured pose, or from the target before it where the joints hang below theirs: `start` says
-    so, and the targets never jump.
+    Args:
+        pose: [joint] in rad.
+        p_gain: [A/rad].
+        d_gain: [A s/rad].
+        least_time: that it takes [s].
+        start: gives the targets before it; without it, or where there are none, it starts from the measured pose.
+        log: name of its log.
     """
 
     name = "move"
@@ -107,10 +100,9 @@ class Move(_Plain):
         start: Callable[[], Array | None] | None = None,
         log: str = "approach",
     ):
-        self._goal = np.asarray(pose, dtype=float).clip(LOW, HIGH)
+        self._goal = np.asarray(pose, dtype=float)
         self._p_gain, self._d_gain, self._least_time = p_gain, d_gain, least_time
-        self._given_start = start
-        self.log = log
+        self._given_start, self.log = start, log
         self._start: Array | None = None
         self._ticks = 0
 
@@ -118,7 +110,7 @@ class Move(_Plain):
         """The pose of this instant."""
         if self._start is None:
             given = None if self._given_start is None else self._given_start()
-            self._start = state.position.clip(LOW, HIGH) if given is None else given
+            self._start = state.position if given is None else given
             # The fastest instant of a minimum-jerk move has 1.875 times its mean speed.
             needed = 1.875 * float(np.abs(self._goal - self._start).max()) / MOVE_SPEED
             self._ticks = round(max(self._least_time, needed) / PERIOD)
@@ -128,7 +120,7 @@ class Move(_Plain):
         return Command.of(self._start + share * (self._goal - self._start), self._p_gain, self._d_gain)
 
 
-class Relax(_Plain):
+class Relax(Phase):
     """Hold a pose while the stiffness goes, so that the robot sinks instead of dropping."""
 
     name = "relax"
@@ -145,13 +137,16 @@ class Relax(_Plain):
         return Command.of(self._pose, self._p_gain * (1 - elapsed / self._ticks), 2 * D_GAIN)
 
 
-class Hold(_Plain):
+class Hold(Phase):
     """Hold a pose until someone says so, or for a time.
 
     Args:
         pose: [joint] in rad.
+        p_gain: [A/rad].
+        d_gain: [A s/rad].
         until: asked in every tick; True ends the phase. Raising `Stop` ends the run.
         duration: longest time [s].
+        log: name of its log.
     """
 
     name = "hold"
@@ -167,8 +162,7 @@ class Hold(_Plain):
         log: str = "approach",
     ):
         self._command = Command.of(pose, p_gain, d_gain)
-        self._until, self._duration = until, duration
-        self.log = log
+        self._until, self._duration, self.log = until, duration, log
 
     def command(self, elapsed: int, state: State) -> Command | None:
         """The pose."""
@@ -176,39 +170,41 @@ class Hold(_Plain):
         return None if over else self._command
 
 
-class FollowMotion(_Plain):
+class Watch(Phase):
+    """Ask for nothing: the measured pose without stiffness, for a time [s]."""
+
+    name = "watch"
+    log = "run"
+
+    def __init__(self, duration: float):
+        self._ticks = round(duration / PERIOD)
+
+    def command(self, elapsed: int, state: State) -> Command | None:
+        """Where it is."""
+        return Command.of(state.position, 0.0, 0.0) if elapsed < self._ticks else None
+
+
+class FollowMotion(Phase):
     """Follow a motion, as excitation for identification.
 
     Args:
-        motion: targets; joints that it does not name stay in the pose "stand".
+        motion: targets; joints that it does not name stay at home.
         p_gain: one number, [joint], or [row, joint] with one row per tick of 8 ms [A/rad].
         d_gain: the same [A s/rad].
+
+    Raises:
+        ValueError: if a target lies outside the soft limits, or gains have another shape.
     """
 
     name = "motion"
     log = "run"
 
     def __init__(self, motion: Motion, p_gain: ArrayLike = HELD_GAIN, d_gain: ArrayLike = D_GAIN):
-        self.targets = sample(motion, PERIOD)
-        self.p_gain, self.d_gain = (self._gain(n, v) for n, v in (("p_gain", p_gain), ("d_gain", d_gain)))
-        outside = (self.targets < LOW) | (self.targets > HIGH)
-        if outside.any():
-            row, joint = np.argwhere(outside)[0]
-            raise ValueError(
-                f"motion {motion.name!r} asks {JOINTS[joint]} for {self.targets[row, joint]:.3f} rad at"
-                f" {row * PERIOD:.3f} s; it may go from {LOW[joint]:.3f} to {HIGH[joint]:.3f} rad"
-            )
-
-    def _gain(self, name: str, value: ArrayLike) -> Array:
-        try:
-            gain = np.broadcast_to(np.asarray(value, dtype=float), self.targets.shape)
-        except ValueError:
-            rows, count = self.targets.shape
-            wanted = f"one number, one per joint ({count}) or one per row and joint ({rows}, {count})"
-            raise ValueError(f"{name} must be {wanted}, got shape {np.shape(value)}") from None
-        if not (np.isfinite(gain).all() and (gain >= 0).all()):
-            raise ValueError(f"{name} must be finite and at least 0")
-        return gain
+        robot = load_robot(motion.robot)
+        self.targets = sample(motion, PERIOD, robot.joints, robot.home)
+        check_targets(motion, robot.joints, robot.limits, self.targets)
+        self.p_gain = gain_rows("p_gain", p_gain, self.targets.shape)
+        self.d_gain = gain_rows("d_gain", d_gain, self.targets.shape)
 
     def command(self, elapsed: int, state: State) -> Command | None:
         """The row of this tick."""

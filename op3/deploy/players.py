@@ -14,9 +14,8 @@ from op3.deploy.limits import Limits
 from op3.deploy.phases import FollowMotion
 from op3.deploy.policy_runner import FollowPolicy, PolicyRunner
 from op3.deploy.session import Outcome
-from op3.deploy.state import Calibration
 from op3.policy import PolicyBundle
-from op3.robot import Motion
+from op3.robot import DEFAULT, Motion, Robot
 from op3.rollout import Rollout
 from op3.tasks.task import Task, find_task
 
@@ -29,6 +28,7 @@ class Player:
     Args:
         port: of the robot, or `emulated`.
         mount: `floor` or `stand`.
+        robot: a name in `assets/robots`, or the path of its file.
         folder: where the ticks of all runs are kept.
         limits: what the robot may do.
         calibration: file with the joints' offsets; None for none.
@@ -45,6 +45,7 @@ class Player:
         mount: str = "floor",
         *,
         folder: str | Path,
+        robot: str | Robot = DEFAULT,
         limits: Limits | None = None,
         calibration: str | Path | None = None,
         confirm: bool = True,
@@ -53,9 +54,8 @@ class Player:
         report: Callable[[str], None] | None = None,
         **emulation: Any,
     ):
-        self._port, self._mount, self._confirm = port, mount, confirm
+        self._port, self._common = port, dict(robot=robot, mount=mount, confirm=confirm, calibration=calibration)
         self._folder, self._limits, self._end_pose = Path(folder), limits or Limits(), end_pose
-        self._calibration = None if calibration is None else Calibration.load(calibration)
         self._seed, self._emulation, self._report = seed, emulation, report
         self._count = 0
 
@@ -65,7 +65,7 @@ class Player:
         """Follow a motion and record it.
 
         Args:
-            motion: targets; joints that it does not name stay in the pose "stand".
+            motion: targets; joints that it does not name stay at home.
             p_gain: one number, [joint], or [row, joint] with one row per tick of 8 ms [A/rad].
             d_gain: the same [A s/rad].
             recording: identity of the recording.
@@ -139,7 +139,7 @@ class Player:
         emulation: dict[str, Any] = {}
         if self._port == EMULATED:
             emulation = {**self._emulation, "seed": self._seed + self._count, "task": ground}
-        return connect(self._port, mount=self._mount, confirm=self._confirm, calibration=self._calibration, **emulation)
+        return connect(self._port, **self._common, **emulation)
 
 
 def _set_aside(ticks: Path) -> None:

@@ -1,8 +1,9 @@
-"""Running a policy on sensor readings: the same functions as in training, one robot at a time."""
+"""A policy on the readings of one robot, by the functions of training; and a log through it again."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,14 +12,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command
+from op3.deploy.phases import Phase
 from op3.deploy.state import State
 from op3.deploy.ticker import PERIOD, POLICY_TICKS
 from op3.policy import PolicyBundle
 from op3.policy.observation import BALANCE_LAYOUT, WALK_LAYOUT, History, observe
-from op3.robot import JOINTS, pose
+from op3.robot import load_robot
+from op3.rollout import Rollout
 from op3.tasks.task import POLICY_PERIOD, TASKS
 
 Array = NDArray[np.float64]
+
+TOLERANCE = 1e-5
+"""Largest difference of an action that counts as the same when a log is replayed."""
 
 
 class PolicyRunner:
@@ -38,21 +44,18 @@ class PolicyRunner:
         if layout not in (BALANCE_LAYOUT, WALK_LAYOUT):
             raise ValueError(f"field layout: this version observes {BALANCE_LAYOUT} and phase, the policy {layout}")
         manifest.check_fits(layout, manifest.history, 1 / PERIOD, 1 / (PERIOD * POLICY_TICKS))
-        self._phased = "phase" in layout
         if cycle is None and manifest.task in TASKS:
             cycle = TASKS[manifest.task].cycle
-        if self._phased and (cycle is None or cycle <= 0):
+        if "phase" in layout and (cycle is None or cycle <= 0):
             raise ValueError("the policy sees the phase of a gait; give cycle=<seconds>")
         self.bundle = bundle
-        self._cycle = cycle
-        self._warm_up()
+        self._cycle = cycle if "phase" in layout else None
+        # The first steps build tables and take a hundred times as long as later ones: not in a running loop.
         self.reset()
-
-    def _warm_up(self) -> None:
-        """The first steps build tables and take a hundred times as long as later ones: not in a running loop."""
-        self.reset()
+        home = load_robot().home
         for step in range(3):
-            self.act(self.observe(pose("stand"), np.zeros(len(JOINTS)), np.zeros(3), np.zeros(3), step))
+            self.act(self.observe(home, 0.0 * home, np.zeros(3), np.zeros(3), step))
+        self.reset()
 
     def reset(self) -> None:
         """Begin an episode: the robot has held the stand pose."""
@@ -83,18 +86,10 @@ class PolicyRunner:
             self._yaw = angles[2]
         # Yaw counts from where the episode began, and does not jump where the sensor's wraps around.
         angles[2] = np.remainder(angles[2] - self._yaw + np.pi, 2 * np.pi) - np.pi
-        phase = None
-        if self._phased:
-            assert self._cycle is not None
-            phase = torch.tensor(step * POLICY_PERIOD / self._cycle % 1.0, dtype=torch.float64)
-        now = observe(
-            torch.as_tensor(np.asarray(joint_position, dtype=float)),
-            torch.as_tensor(np.asarray(joint_velocity, dtype=float)),
-            torch.from_numpy(angles),
-            torch.as_tensor(np.asarray(angular_velocity, dtype=float)),
-            torch.from_numpy(self.previous),
-            phase,
-        )
+        seen = (joint_position, joint_velocity, angles, angular_velocity, self.previous)
+        cycle = self._cycle
+        phase = None if cycle is None else torch.tensor(step * POLICY_PERIOD / cycle % 1.0, dtype=torch.float64)
+        now = observe(*(torch.as_tensor(np.asarray(values, dtype=float)) for values in seen), phase)
         stacked = self._history.push(now) if self._begun else self._history.reset(now)
         self._begun = True
         return stacked.numpy()
@@ -105,12 +100,12 @@ class PolicyRunner:
         return self.previous
 
     def command(self, action: Array) -> Command:
-        """Commands of all joints: those that the policy does not command hold the stand pose."""
+        """Commands of all joints."""
         commands = self.bundle.manifest.action_map.commands(action)
         return Command(commands["position_target"], commands["p_gain"], commands["d_gain"])
 
 
-class FollowPolicy:
+class FollowPolicy(Phase):
     """The phase in which the policy commands, every fourth deadline.
 
     Args:
@@ -152,6 +147,8 @@ class FollowPolicy:
         if self.on_begin is not None:
             self.on_begin()
             self.on_begin = None
+        if state.orientation is None or state.angular_velocity is None:
+            raise Stop(ExitCode.NON_FINITE, "the policy needs an IMU, and the robot has none", damp=True)
         try:
             observation = self._runner.observe(
                 state.position, state.velocity, state.orientation, state.angular_velocity, step
@@ -167,3 +164,82 @@ class FollowPolicy:
     def channels(self) -> dict[Any, Array]:
         """Observation and action in force."""
         return self._channels
+
+
+@dataclass(frozen=True)
+class PolicyReplay:
+    """What came out when a log was fed to a policy again.
+
+    Attributes:
+        steps: policy steps compared.
+        action_difference: largest absolute difference of an action.
+        observation_difference: largest absolute difference of an observation; NaN where none was logged.
+        first: step of the first action beyond the tolerance; None if there is none.
+    """
+
+    steps: int
+    action_difference: float
+    observation_difference: float
+    first: int | None
+
+    @property
+    def ok(self) -> bool:
+        """Whether all actions are those that were taken."""
+        return self.action_difference < TOLERANCE
+
+    def __str__(self) -> str:
+        verdict = "the same actions" if self.ok else f"other actions from step {self.first} on"
+        return (
+            f"{self.steps} policy steps, {verdict}: largest |action difference| {self.action_difference:.2e}, "
+            f"largest |observation difference| {self.observation_difference:.2e}"
+        )
+
+
+def replay_policy(log: Rollout, runner: PolicyRunner) -> PolicyReplay:
+    """Feed a log's sensor readings to a policy and compare.
+
+    Args:
+        log: one episode with `policy/action`, rows at the loop's or at the policy's rate.
+        runner: the policy.
+
+    Raises:
+        ValueError: if the log lacks a channel, has another rate, or is of another kind of policy.
+    """
+    sensed = ("joint/position", "joint/velocity", "imu/orientation", "imu/angular_velocity")
+    for key in ("policy/action", *sensed):
+        if key not in log:
+            raise ValueError(f"the log has no {key}; give the folder `run` of a run with a policy")
+    if log.batched:
+        raise ValueError("the log has an episode axis; give one episode")
+    asked = runner.bundle.manifest
+    for what, size in (("action", asked.action_map.size), ("observation", asked.observation_size)):
+        if f"policy/{what}" in log and (logged := log.array(f"policy/{what}").shape[-1]) != size:
+            raise ValueError(
+                f"the log's {what}s have {logged} numbers and those of this policy {size}; give the policy that was run"
+            )
+    taken = log.array("policy/action")
+    seen = log.array("policy/observation") if "policy/observation" in log else np.full((log.rows, 1), np.nan)
+    readings = [log.array(key) for key in sensed]
+    runner.reset()
+    steps, rows = _steps(log)
+    actions, observations = [], []
+    for step, row in zip(steps, rows, strict=True):
+        observation = runner.observe(*(values[row] for values in readings), step)
+        actions.append(np.abs(runner.act(observation) - taken[row]).max())
+        observations.append(np.abs(observation - seen[row]).max())
+    beyond = [step for step, difference in zip(steps, actions, strict=True) if not difference < TOLERANCE]
+    return PolicyReplay(len(steps), float(max(actions)), float(max(observations)), beyond[0] if beyond else None)
+
+
+def _steps(log: Rollout) -> tuple[list[int], list[int]]:
+    """Numbers of the policy steps, and the row of each."""
+    if abs(log.metadata.rate * PERIOD * POLICY_TICKS - 1) < 0.05:
+        return list(range(log.rows)), list(range(log.rows))
+    if abs(log.metadata.rate * PERIOD - 1) > 0.05:
+        raise ValueError(f"the log has {log.metadata.rate:g} rows per second; the loop runs at {1 / PERIOD:g} Hz")
+    time = log.array("time")[:, 0]
+    if "raw/lateness" in log:
+        time = time - log.array("raw/lateness")[:, 0]
+    step = np.round((time - time[0]) / PERIOD).astype(int) // POLICY_TICKS
+    rows = np.flatnonzero(np.diff(step, prepend=-1) > 0)
+    return step[rows].tolist(), rows.tolist()

@@ -10,6 +10,7 @@ Source: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0".
 from __future__ import annotations
 
 from array import array
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from struct import unpack
@@ -162,6 +163,33 @@ def encode_fast_status(parts: list[tuple[int, int, bytes]]) -> list[bytes]:
     return sent
 
 
+def fast_answers(data: bytes, ids: Sequence[int], length: int) -> dict[int, tuple[int, bytes]]:
+    """Error and bytes by id of each device in such a packet.
+
+    Where a part is missing or damaged, the parts before it are still good and the rest is lost.
+
+    Args:
+        data: bytes that came.
+        ids: in the order asked.
+        length: bytes asked of each.
+    """
+    start = data.find(HEADER + bytes((BROADCAST_ID,)))
+    if start < 0:
+        return {}
+    end, crc, answers = start + 8, crc16(data[start : start + 8]), {}
+    for number in ids:
+        part = data[end : end + length + 4]
+        if len(part) < length + 4 or part[1] != number:
+            break
+        crc = crc16(part[:-2], crc)
+        if crc != part[-2] | part[-1] << 8:
+            break
+        answers[number] = part[0], part[2:-2]
+        crc = crc16(part[-2:], crc)
+        end += length + 4
+    return answers
+
+
 @dataclass(frozen=True, slots=True)
 class Packet:
     """One packet that arrived whole.
@@ -182,11 +210,6 @@ class Packet:
         return self.parameters[0] & ~ALERT
 
     @property
-    def alert(self) -> bool:
-        """Whether the device that sent this status packet has a hardware error."""
-        return bool(self.parameters[0] & ALERT)
-
-    @property
     def data(self) -> bytes:
         """What a status packet carries behind its error byte."""
         return self.parameters[1:]
@@ -200,22 +223,14 @@ class Parser:
 
     Attributes:
         crc_errors: how many packets with a wrong CRC there were.
-        skipped: how many bytes belonged to no packet.
     """
 
     def __init__(self) -> None:
         self._buffer = bytearray()
         self.crc_errors = 0
-        self.skipped = 0
-
-    @property
-    def pending(self) -> int:
-        """Bytes of a packet that has begun and not ended."""
-        return len(self._buffer)
 
     def reset(self) -> None:
         """Forget what has begun."""
-        self.skipped += len(self._buffer)
         self._buffer.clear()
 
     def feed(self, data: bytes) -> list[Packet]:
@@ -247,8 +262,6 @@ class Parser:
     def _begin(self) -> int:
         """Where a header begins, or could begin with the bytes to come."""
         buffer = self._buffer
-        if buffer.startswith(HEADER):
-            return 0
         at = buffer.find(HEADER)
         if at >= 0:
             return at
@@ -258,6 +271,4 @@ class Parser:
         return len(buffer)
 
     def _drop(self, count: int) -> None:
-        if count:
-            self.skipped += count
-            del self._buffer[:count]
+        del self._buffer[:count]

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +19,11 @@ from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command, CurrentLimiter, Limits
 from op3.deploy.monitors import Monitor, Verdict
 from op3.deploy.operator import told
-from op3.deploy.registers import OperatingMode
+from op3.deploy.registers import WATCHDOG_UNIT, OperatingMode
 from op3.deploy.start_checks import Check, StartChecks
 from op3.deploy.state import State
 from op3.deploy.ticker import PERIOD, Tick
-from op3.robot import JOINTS
-
-WATCHDOG_UNIT = 0.02
-"""Unit of the register `bus_watchdog` [s]."""
+from op3.robot import Robot
 
 WATCHDOG = 5
 """Bus watchdog in its unit: a servo that hears nothing for 100 ms lets go by itself."""
@@ -92,15 +88,15 @@ class Safety:
         if not 0 < current_scale <= 1:
             raise ValueError(f"current_scale must be above 0 and at most 1, got {current_scale}")
         self.bus, self.limits, self.torque = bus, limits or Limits(), torque
-        self._writer = bus.writer()
+        self._joints, self._writer = bus.joints, bus.writer()
         self._report = told(report)
         self._period = period
-        self._limiter = CurrentLimiter(self.limits, period, current_scale)
-        self._monitor = Monitor(self.limits, period)
+        self._limiter = CurrentLimiter(self.limits, bus.robot, period, current_scale)
+        self._monitor = Monitor(self.limits, bus.robot, period)
         self._energising = False
         self._gain_share = 1.0
         self._damped = False
-        self._written = np.zeros(len(JOINTS), dtype=np.int64)
+        self._written = np.zeros(len(bus.joints), dtype=np.int64)
         self._write_time: float | None = None
 
     @property
@@ -108,27 +104,18 @@ class Safety:
         """[joint] mean square current over what a servo carries for ever."""
         return self._limiter.load
 
-    def check_start(self, *, sysfs: Path | None = None) -> list[Check]:
-        """Run the start checks.
+    def check_start(self, *, sysfs: Path | None = None, whole: bool = True) -> list[Check]:
+        """Run the start checks, or only those without which nothing can be written.
 
         Raises:
             Stop: if one fails; nothing is energised.
         """
         options = {} if sysfs is None else {"sysfs": sysfs}
-        checks = StartChecks(self.bus, self._writer, self.limits, **options).run(lambda check: self._report(str(check)))
+        start = StartChecks(self.bus, self._writer, self.limits, **options)
+        checks = start.run(lambda check: self._report(str(check))) if whole else start.run_power()
         if failed := [check for check in checks if not check.ok]:
             raise Stop(ExitCode.START_CHECK, f"{failed[0].name}: {failed[0].detail}")
         return checks
-
-    def power_up(self) -> None:
-        """Switch on the servos' supply and see that all answer.
-
-        Raises:
-            Stop: if one does not.
-        """
-        checks = StartChecks(self.bus, self._writer, self.limits).run_power()
-        if failed := [check for check in checks if not check.ok]:
-            raise Stop(ExitCode.START_CHECK, f"{failed[0].name}: {failed[0].detail}")
 
     def prepare(self) -> None:
         """Choose how a tick is read; needs no torque."""
@@ -161,7 +148,7 @@ class Safety:
         """
         self._energising = True
         peak = np.floor(self._limiter.limit).astype(int)
-        current_limits = {name: int(value) for name, value in zip(JOINTS, peak, strict=True)}
+        current_limits = {name: int(value) for name, value in zip(self._joints, peak, strict=True)}
         try:
             self._set("torque_enable", 0)
             self._set("bus_watchdog", 0)
@@ -180,21 +167,18 @@ class Safety:
 
         EEPROM wears out, so a servo that has the value is left alone unless `always`.
         """
-        wanted = dict.fromkeys(JOINTS, values) if isinstance(values, int) else values
-        for attempt in range(2 * ATTEMPTS):
-            if attempt > 0 or not always:
-                there = self.bus.sync_read(register)
-                wrong = {name: value for name, value in wanted.items() if there.get(name) != value}
-                if not wrong:
-                    return
-            else:
-                wrong = wanted
-            self._writer.sync_write(register, wrong)
-        there = self.bus.sync_read(register)
-        wrong = {name: there.get(name) for name, value in wanted.items() if there.get(name) != value}
-        if wrong:
-            what = ", ".join(f"{name} ({'no answer' if value is None else value})" for name, value in wrong.items())
-            raise Stop(ExitCode.ENERGISE, f"{register} could not be set on {what}")
+        wanted = dict.fromkeys(self._joints, values) if isinstance(values, int) else values
+        if always:
+            self._writer.sync_write(register, wanted)
+        for attempt in range(2 * ATTEMPTS + 1):
+            there = self.bus.sync_read(register)
+            wrong = {name: value for name, value in wanted.items() if there.get(name) != value}
+            if not wrong:
+                return
+            if attempt < 2 * ATTEMPTS:
+                self._writer.sync_write(register, wrong)
+        what = ", ".join(f"{name} ({there.get(name, 'no answer')})" for name in wrong)
+        raise Stop(ExitCode.ENERGISE, f"{register} could not be set on {what}")
 
     def assess(self, tick: Tick, state: State) -> Verdict:
         """Judge a reading; raises `Stop` where the run has to end."""
@@ -232,7 +216,7 @@ class Safety:
             Stop: if a number is not finite; then nothing is written.
             Unplugged: if the port is gone.
         """
-        command = command.limited()
+        command = command.limited(self.bus.robot)
         if verdict.damp:
             self._gain_share = 0.0
             command = command.damped(self.limits.damp_gain)
@@ -242,12 +226,6 @@ class Safety:
         fresh = self._limiter.counts(state, command)
         silent = 0 if verdict.damp else self._written
         return self._send(np.where(state.answered, fresh, silent), state), command
-
-    def damp(self, state: State) -> NDArray[np.int64]:
-        """Goal currents that only brake; for the time between a reason to stop and torque off."""
-        command = Command.of(state.position, 0.0, self.limits.damp_gain)
-        fresh = self._limiter.counts(state, command)
-        return self._send(np.where(state.answered, fresh, 0), state)
 
     def _send(self, counts: NDArray[np.int64], state: State) -> NDArray[np.int64]:
         self._check_gap()
@@ -294,12 +272,14 @@ class Safety:
             self._attempt(lambda: self._writer.sync_write("torque_enable", 0))
         there: dict[str, int] = {}
         self._attempt(lambda: there.update(self.bus.sync_read("torque_enable")))
-        for name in JOINTS:
+        for name in self._joints:
             # A silent servo hides those behind it from a sync read.
             if name not in there:
                 self._attempt(lambda name=name: there.update({name: self.bus.read(name, "torque_enable", attempts=1)}))
-        failed = {name: "no answer" if name not in there else "still on" for name in JOINTS if there.get(name) != 0}
-        return Release(tuple(name for name in JOINTS if name not in failed), failed)
+        failed = {
+            name: "no answer" if name not in there else "still on" for name in self._joints if there.get(name) != 0
+        }
+        return Release(tuple(name for name in self._joints if name not in failed), failed)
 
     def _attempt(self, call: Callable[[], object]) -> None:
         """Do something on the bus; if the port has gone, try to open it again."""
@@ -314,43 +294,23 @@ class Safety:
             return
 
 
-class Guard(Protocol):
-    """What the loop needs of a safety object."""
-
-    limits: Limits
-    torque: bool
-
-    def assess(self, tick: Tick, state: State) -> Verdict:
-        """Judge a reading."""
-        ...
-
-    def write(self, state: State, command: Command, verdict: Verdict) -> tuple[NDArray[np.int64], Command]:
-        """Carry out a command."""
-        ...
-
-    def damp(self, state: State) -> NDArray[np.int64]:
-        """Brake."""
-        ...
-
-
 class Onlooker:
     """A guard that has no write handle: it judges nothing and writes nothing."""
 
     torque = False
 
-    def __init__(self, limits: Limits | None = None):
-        self.limits = limits or Limits()
-        self.load = np.zeros(len(JOINTS))
+    def __init__(self, robot: Robot, limits: Limits | None = None):
+        self.limits, self._joints = limits or Limits(), robot.joints
 
     def assess(self, tick: Tick, state: State) -> Verdict:
         """Everything is allowed, since nothing is done; losses are told."""
-        silent = [JOINTS[i] for i in np.flatnonzero(~state.answered)]
+        silent = [self._joints[i] for i in np.flatnonzero(~state.answered)]
         return Verdict(note=f"no answer from {', '.join(silent)}" if silent else "")
 
     def write(self, state: State, command: Command, verdict: Verdict) -> tuple[NDArray[np.int64], Command]:
         """Nothing is written."""
-        return np.zeros(len(JOINTS), dtype=np.int64), command
+        return np.zeros(len(self._joints), dtype=np.int64), command
 
-    def damp(self, state: State) -> NDArray[np.int64]:
-        """Nothing is written."""
-        return np.zeros(len(JOINTS), dtype=np.int64)
+
+Guard = Safety | Onlooker
+"""What the loop needs: one that assesses readings and carries out commands."""

@@ -10,18 +10,17 @@ from pathlib import Path
 import numpy as np
 
 from op3.deploy.bus import BOARD, FIRST_ANSWER, SLOW_ANSWER, Bus, BusError, NoAnswer, Writer
-from op3.deploy.limits import HIGH, LOW, Limits
-from op3.deploy.registers import OPEN_CR, XM430_W350, HardwareError
+from op3.deploy.limits import Limits
+from op3.deploy.registers import OPEN_CR_MODEL, HardwareError
 from op3.deploy.state import State
 from op3.doctor import ADAPTERS, LATENCY, latency_timer
-from op3.robot import JOINTS
-from op3.robot.units import POSITION_UNIT, VOLTAGE_UNIT
+from op3.robot.units import VOLTAGE_UNIT
 
 POWER_UP_TIME = 0.5
 """How long servos take to start after their supply is switched on [s]."""
 
 LEAST_FIRMWARE = 38
-"""First firmware of the XM430-W350 with the bus watchdog; ROBOTIS e-Manual."""
+"""First firmware of the XM430 with the bus watchdog; ROBOTIS e-Manual."""
 
 LONGEST_RETURN_DELAY = 1
 """In units of 2 us: with the factory value, 500 us, twenty answers do not fit into a tick."""
@@ -75,8 +74,7 @@ class StartChecks:
 
     def __init__(self, bus: Bus, writer: Writer | None, limits: Limits, *, sysfs: Path = ADAPTERS):
         self._bus, self._writer, self._limits, self._sysfs = bus, writer, limits, sysfs
-        self._models: dict[str, int] = {}
-        self.state: State | None = None
+        self._joints, self._models = bus.joints, {}
 
     def run(self, report: Callable[[Check], None] | None = None) -> list[Check]:
         """Run the checks; each is reported as it is made."""
@@ -94,7 +92,7 @@ class StartChecks:
             ("temperature", self._temperature),
             ("supply voltage", self._voltage),
             ("joint angles", self._angles),
-            ("IMU", self._imu),
+            *([("IMU", self._imu)] if self._bus.board else []),
         )
 
     def run_power(self, report: Callable[[Check], None] | None = None) -> list[Check]:
@@ -127,17 +125,18 @@ class StartChecks:
 
     def _power(self) -> tuple[bool, str]:
         bus = self._bus
+        first = BOARD if bus.board else self._joints[0]
         try:
-            bus.ping(BOARD)
+            bus.ping(first)
         except NoAnswer:
             with bus.patience(SLOW_ANSWER, SLOW_ANSWER):
-                bus.ping(BOARD)
+                bus.ping(first)
             port = Path(str(getattr(bus.port, "port_name", "ttyUSB0"))).name
             return False, (
                 f"answers come only after {FIRST_ANSWER:g} ms: the USB adapter's latency timer is about 16 ms and must"
                 f" be 1; echo 1 | sudo tee {self._sysfs}/{port}/latency_timer, or setserial /dev/{port} low_latency"
             )
-        if bus.read(BOARD, "dynamixel_power"):
+        if not bus.board or bus.read(BOARD, "dynamixel_power"):
             return True, "on"
         if self._writer is None:
             return (
@@ -154,11 +153,11 @@ class StartChecks:
         if missing:
             remedy = "check cables, power, ids, and that all are at 2 Mbps and speak protocol 2.0"
             return False, f"no answer from {', '.join(missing)}; {remedy}"
-        return True, f"{len(JOINTS)} servos and OpenCR answer"
+        return True, f"{len(self._joints)} servos{' and OpenCR' if self._bus.board else ''} answer"
 
     def _firmware(self) -> tuple[bool, str]:
         for name, model in self._models.items():
-            wanted = OPEN_CR.model_number if name == BOARD else XM430_W350.model_number
+            wanted = OPEN_CR_MODEL if name == BOARD else self._bus.units.models[name]
             if model != wanted:
                 return False, f"{name} is model {model}, expected {wanted}"
         versions = self._all("firmware_version")
@@ -166,7 +165,7 @@ class StartChecks:
         if old:
             return False, f"firmware without bus watchdog: {', '.join(old)}; update to {LEAST_FIRMWARE} or later"
         found = sorted(set(versions.values()))
-        return True, f"XM430-W350 with firmware {', '.join(map(str, found))}"
+        return True, f"as in the robot's file, with firmware {', '.join(map(str, found))}"
 
     def _return_delay(self) -> tuple[bool, str]:
         values = self._all("return_delay_time")
@@ -190,8 +189,9 @@ class StartChecks:
             return True, "normal"
         text = f"not normal: {', '.join(f'{name} {value}' for name, value in odd.items())}"
         if register == "homing_offset":
-            worst = max(odd.values(), key=abs)
-            text += f" (up to {worst * POSITION_UNIT:+.2f} rad), left behind by another program"
+            name, worst = max(odd.items(), key=lambda item: abs(item[1]))
+            angle = worst * self._bus.units.position[self._joints.index(name)]
+            text += f" (up to {angle:+.2f} rad), left behind by another program"
             remedy = f"or keep it with limits.homing_offset={abs(worst)} and calibrate with it"
             return False, f"{text}; write it once with mode=setup, then calibrate, {remedy}"
         return False, f"{text}; write it once with mode=setup, then calibrate"
@@ -232,19 +232,20 @@ class StartChecks:
     def _voltage(self) -> tuple[bool, str]:
         least = self._limits.start_voltage
         volts = {name: VOLTAGE_UNIT * value for name, value in self._all("present_input_voltage").items()}
-        volts[BOARD] = VOLTAGE_UNIT * self._bus.read(BOARD, "present_voltage")
+        if self._bus.board:
+            volts[BOARD] = VOLTAGE_UNIT * self._bus.read(BOARD, "present_voltage")
         name = min(volts, key=lambda key: volts[key])
         detail = f"{volts[name]:.1f} V at {name}, the lowest"
         return (True, detail) if volts[name] >= least - 1e-9 else (False, f"{detail}; charge to at least {least} V")
 
     def _angles(self) -> tuple[bool, str]:
-        state = self._read()
-        outside = np.maximum(LOW - state.position, state.position - HIGH)
+        position, (low, high) = self._read().position, self._bus.robot.limits.T
+        outside = np.maximum(low - position, position - high)
         worst = int(outside.argmax())
         if outside[worst] > MARGIN:
             return False, (
-                f"{JOINTS[worst]} is at {state.position[worst]:.2f} rad, outside its soft limits"
-                f" [{LOW[worst]:.2f}, {HIGH[worst]:.2f}]; move it by hand, or check its calibration and horn"
+                f"{self._joints[worst]} is at {position[worst]:.2f} rad, outside its soft limits"
+                f" [{low[worst]:.2f}, {high[worst]:.2f}]; move it by hand, or check its calibration and horn"
             )
         return True, "inside the soft limits"
 
@@ -253,12 +254,13 @@ class StartChecks:
         for _ in range(SAMPLES):
             state = bus.read_state()
             if state.imu_answered:
-                blocks.add(state.counts.imu.tobytes())
+                blocks.add(state.raw["imu"].tobytes())
             bus.clock.sleep_until(bus.clock.now() + 0.008)
         if len(blocks) < 2:
             return False, f"{SAMPLES} readings hold {len(blocks)} different block; switch the power off and on"
-        roll, pitch = np.rad2deg(state.orientation[:2])
-        force = state.linear_acceleration
+        assert state.orientation is not None
+        assert state.linear_acceleration is not None
+        (roll, pitch), force = np.rad2deg(state.orientation[:2]), state.linear_acceleration
         # Where gravity points, from the accelerometer alone; the attitude filter must agree with it.
         felt = np.rad2deg([np.arctan2(force[1], force[2]), np.arctan2(-force[0], np.hypot(force[1], force[2]))])
         detail = f"roll {round(roll)} deg, pitch {round(pitch)} deg, alive"
@@ -273,17 +275,16 @@ class StartChecks:
 
     def _read(self) -> State:
         """A reading to which everything has answered at some time."""
-        heard = np.zeros(len(JOINTS), dtype=bool)
+        heard = np.zeros(len(self._joints), dtype=bool)
         for _ in range(10):
             state = self._bus.read_state()
             heard |= state.answered
             if heard.all():
-                self.state = state
                 return state
-        silent = ", ".join(JOINTS[i] for i in np.flatnonzero(~heard))
+        silent = ", ".join(self._joints[i] for i in np.flatnonzero(~heard))
         raise BusError(f"no answer from {silent} to ten readings")
 
     def _all(self, register: str) -> dict[str, int]:
         """One register of all servos; those missed by the sync read are asked singly."""
         values = self._bus.sync_read(register)
-        return {name: values[name] if name in values else self._bus.read(name, register) for name in JOINTS}
+        return {name: values[name] if name in values else self._bus.read(name, register) for name in self._joints}

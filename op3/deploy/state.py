@@ -1,48 +1,100 @@
-"""What one tick reads from the robot, in SI units and as raw counts."""
+"""What one tick reads from the robot: the registers and how they lie in packets, in SI units and as raw counts."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from op3.deploy.registers import OPEN_CR, OPEN_CR_AXES, XM430_W350
-from op3.robot import JOINTS
+from op3.deploy.registers import (
+    DYNAMIXEL_X,
+    FIRST_INDIRECT_DATA,
+    OPEN_CR,
+    OPEN_CR_AXES,
+    POSITION_ZERO,
+    Units,
+)
+from op3.robot import DEFAULT, Robot, load_robot
+from op3.robot.units import ACCELERATION_UNIT, ANGLE_UNIT, GYRO_UNIT, VOLTAGE_UNIT
 from op3.settings import read_yaml
 
 Array = NDArray[np.float64]
+Counts = NDArray[np.int64]
+
+CONTENTS = {
+    "current": DYNAMIXEL_X["present_current"],
+    "velocity": DYNAMIXEL_X["present_velocity"],
+    "position": DYNAMIXEL_X["present_position"],
+    "hardware_error": DYNAMIXEL_X["hardware_error_status"],
+    "temperature": DYNAMIXEL_X["present_temperature"],
+    "voltage": DYNAMIXEL_X["present_input_voltage"],
+}
+"""What a tick needs of a servo: 14 bytes."""
+
+FIRST_PLAIN = CONTENTS["current"].address
+"""First address of the block that needs no indirect addresses ..."""
+
+PLAIN_LENGTH = CONTENTS["temperature"].end - FIRST_PLAIN
+"""... and its length: from present current to present temperature, 21 bytes."""
+
+POINTERS = np.array([at for entry in CONTENTS.values() for at in range(entry.address, entry.end)], "<u2").tobytes()
+"""What the indirect addresses hold, from `FIRST_INDIRECT_ADDRESS` on: the address of each byte of the block."""
+
+_INDIRECT = np.dtype([(name, entry.kind) for name, entry in CONTENTS.items()])
+_NEAR = {name: entry for name, entry in CONTENTS.items() if entry.address >= FIRST_PLAIN}
+_PLAIN = np.dtype(
+    {
+        "names": list(_NEAR),
+        "formats": [entry.kind for entry in _NEAR.values()],
+        "offsets": [entry.address - FIRST_PLAIN for entry in _NEAR.values()],
+        "itemsize": PLAIN_LENGTH,
+    }
+)
 
 
-@dataclass(frozen=True, eq=False)
-class Counts:
-    """Registers as they came, sign included; each [joint], and the IMU [9].
+@dataclass(frozen=True)
+class Block:
+    """A row of bytes that one (fast) sync read fetches from each servo.
 
     Attributes:
-        position: present position.
-        velocity: present velocity.
-        current: present current.
-        voltage: present input voltage.
-        temperature: present temperature.
-        hardware_error: hardware error status.
-        imu: gyro, accelerometer, roll-pitch-yaw.
+        address: of the first byte.
+        length: in bytes.
+        fast: whether the servos answer in one common packet.
+        indirect: whether the bytes are pointed to by indirect addresses.
     """
 
-    position: NDArray[np.int64]
-    velocity: NDArray[np.int64]
-    current: NDArray[np.int64]
-    voltage: NDArray[np.int64]
-    temperature: NDArray[np.int64]
-    hardware_error: NDArray[np.int64]
-    imu: NDArray[np.int64]
+    address: int
+    length: int
+    fast: bool
+    indirect: bool
+
+    def unpack(self, data: Sequence[bytes]) -> dict[str, Counts]:
+        """Registers by name, each [joint], sign included. A plain block lacks the hardware error."""
+        table = np.frombuffer(b"".join(data), dtype=_INDIRECT if self.indirect else _PLAIN)
+        return {name: table[name].astype(np.int64) for name in table.dtype.names or ()}
+
+
+BLOCKS = (
+    Block(FIRST_INDIRECT_DATA, _INDIRECT.itemsize, fast=True, indirect=True),
+    Block(FIRST_INDIRECT_DATA, _INDIRECT.itemsize, fast=False, indirect=True),
+    Block(FIRST_PLAIN, PLAIN_LENGTH, fast=False, indirect=False),
+)
+"""Ways to read a tick, best first. The last one needs nothing set up and nothing but a sync read."""
+
+BOARD_ADDRESS = OPEN_CR["button"].address
+"""First address of what a tick reads from an OpenCR ..."""
+
+BOARD_LENGTH = OPEN_CR["yaw"].end - BOARD_ADDRESS
+"""... and its length: buttons, voltage, gyro, accelerometer, roll-pitch-yaw, 20 bytes."""
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """One tick's reading. Where something did not answer, its last values stand.
+    """One tick's reading. Where something did not answer, its last values stand. Without an IMU its channels are None.
 
     Attributes:
         time: when reading ended [s, clock].
@@ -51,15 +103,15 @@ class State:
         current: [joint] in A.
         voltage: [joint] in V.
         temperature: [joint] in C.
-        hardware_error: [joint] bits.
         alert: [joint] whether the servo's status packet carried the ALERT bit.
         answered: [joint] whether the servo answered in this tick.
+        supply_voltage: at the board, or the lowest of the servos [V].
+        raw: registers as they came, sign included: those of `CONTENTS` [joint], and `imu` [9]: gyro, accelerometer,
+            roll-pitch-yaw.
+        imu_answered: whether the IMU answered in this tick; None where there is none.
         orientation: [3] roll, pitch, yaw in rad, R = Rz(yaw) Ry(pitch) Rx(roll).
-        angular_velocity: [3] in rad/s in the trunk's frame.
-        linear_acceleration: [3] specific force in m/s2 in the trunk's frame.
-        imu_answered: whether the IMU answered in this tick.
-        supply_voltage: at OpenCR [V].
-        counts: the same as raw registers.
+        angular_velocity: [3] in rad/s in the base's frame.
+        linear_acceleration: [3] specific force in m/s2 in the base's frame.
     """
 
     time: float
@@ -68,102 +120,118 @@ class State:
     current: Array
     voltage: Array
     temperature: Array
-    hardware_error: NDArray[np.int64]
     alert: NDArray[np.bool_]
     answered: NDArray[np.bool_]
-    orientation: Array
-    angular_velocity: Array
-    linear_acceleration: Array
-    imu_answered: bool
     supply_voltage: float
-    counts: Counts
+    raw: Mapping[str, Counts]
+    imu_answered: bool | None = None
+    orientation: Array | None = None
+    angular_velocity: Array | None = None
+    linear_acceleration: Array | None = None
+
+    @classmethod
+    def of(
+        cls,
+        raw: dict[str, Counts],
+        units: Units,
+        offset: Array,
+        board: bytes | None,
+        *,
+        time: float,
+        alert: NDArray[np.bool_],
+        answered: NDArray[np.bool_],
+        imu_answered: bool,
+    ) -> State:
+        """Registers in SI units, in the axes of the joints and of the base.
+
+        Args:
+            raw: registers of `CONTENTS`.
+            units: of them.
+            offset: added to the joints' angles [rad].
+            board: what the board said; None where there is none.
+            time: see above, and the rest.
+            alert: see above.
+            answered: see above.
+            imu_answered: whether the board did.
+        """
+        volts, seen = units.voltage * raw["voltage"], {}
+        supply = float(volts.min())
+        if board is not None:
+            supply = VOLTAGE_UNIT * board[OPEN_CR["present_voltage"].address - BOARD_ADDRESS]
+            first = OPEN_CR["gyro_x"].address - BOARD_ADDRESS
+            imu = np.frombuffer(board, dtype="<i2", offset=first, count=9).astype(np.int64)
+            raw = {**raw, "imu": imu}
+            gyro, force, angles = imu.reshape(3, 3) * OPEN_CR_AXES
+            seen = {
+                "orientation": ANGLE_UNIT * angles,
+                "angular_velocity": GYRO_UNIT * gyro,
+                "linear_acceleration": ACCELERATION_UNIT * force,
+                "imu_answered": imu_answered,
+            }
+        return cls(
+            time=time,
+            position=(raw["position"] - POSITION_ZERO) * units.position + offset,
+            velocity=raw["velocity"] * units.velocity,
+            current=raw["current"] * units.current,
+            voltage=volts,
+            temperature=raw["temperature"].astype(float),
+            alert=alert,
+            answered=answered,
+            supply_voltage=supply,
+            raw=raw,
+            **seen,
+        )
 
 
-@dataclass(frozen=True, eq=False)
 class Calibration:
     """What is added to a servo's angle to give the joint angle.
 
-    Attributes:
-        offset: [joint] in rad.
-    """
+    Args:
+        offset: [joint] in rad; None for none.
+        robot: whose joints these are.
 
-    offset: Array
+    Raises:
+        ValueError: if an offset is no number, or so large that the horn must be on the wrong tooth.
+    """
 
     LARGEST = 0.3
     """A larger offset [rad] means a horn mounted on the wrong tooth, not a calibration."""
 
-    def __post_init__(self):
-        offset = np.asarray(self.offset, dtype=float)
-        object.__setattr__(self, "offset", offset)
-        if offset.shape != (len(JOINTS),) or not np.isfinite(offset).all():
-            raise ValueError(f"calibration: needs one finite offset [rad] for each of the {len(JOINTS)} joints")
-        worst = int(np.abs(offset).argmax())
-        if abs(offset[worst]) > self.LARGEST:
+    def __init__(self, offset: ArrayLike | None = None, robot: str | Robot = DEFAULT):
+        self.robot = load_robot(robot)
+        joints = self.robot.joints
+        self.offset = np.zeros(len(joints)) if offset is None else np.asarray(offset, dtype=float)
+        if self.offset.shape != (len(joints),) or not np.isfinite(self.offset).all():
+            raise ValueError(f"calibration: needs one finite offset [rad] for each of the {len(joints)} joints")
+        worst = int(np.abs(self.offset).argmax())
+        if abs(self.offset[worst]) > self.LARGEST:
             raise ValueError(
-                f"calibration: {JOINTS[worst]} is off by {offset[worst]:.3f} rad, more than {self.LARGEST} rad; "
+                f"calibration: {joints[worst]} is off by {self.offset[worst]:.3f} rad, more than {self.LARGEST} rad; "
                 "check the pose and the mounting of that servo's horn"
             )
 
     @classmethod
-    def none(cls) -> Calibration:
-        """All offsets zero."""
-        return cls(np.zeros(len(JOINTS)))
-
-    @classmethod
-    def load(cls, path: str | Path) -> Calibration:
+    def load(cls, path: str | Path, robot: str | Robot = DEFAULT) -> Calibration:
         """Read ``offset_rad: {<joint>: <rad>}``; joints that are not named have no offset."""
-        path = Path(path)
+        path, known = Path(path), load_robot(robot)
         if not path.is_file():
             raise FileNotFoundError(f"there is no calibration file {path}; write one with mode=calibrate")
         offsets = read_yaml(path).get("offset_rad")
         if not isinstance(offsets, Mapping):
             raise ValueError(f"{path}: write `offset_rad:` and below it one line `<joint>: <rad>` per joint")
-        for name, value in offsets.items():
-            if name not in JOINTS:
-                raise ValueError(f"{path}: unknown joint {name!r}; the joints are {', '.join(JOINTS)}")
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise ValueError(f"{path}: the offset of {name} is {value!r}; write a number in rad")
         try:
-            return cls(np.array([float(offsets.get(name, 0.0)) for name in JOINTS]))
+            known.indices(offsets)
+            for name, value in offsets.items():
+                if isinstance(value, bool) or not isinstance(value, int | float):
+                    raise ValueError(f"the offset of {name} is {value!r}; write a number in rad")
+            return cls([float(offsets.get(name, 0.0)) for name in known.joints], known)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
 
     def save(self, path: str | Path) -> Path:
         """Write the file that `load` reads."""
         path = Path(path)
-        offsets = {name: round(float(value), 6) for name, value in zip(JOINTS, self.offset, strict=True)}
+        offsets = {name: round(float(value), 6) for name, value in zip(self.robot.joints, self.offset, strict=True)}
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(yaml.safe_dump({"offset_rad": offsets}, sort_keys=False), encoding="utf-8")
         return path
-
-
-def to_state(
-    counts: Counts,
-    calibration: Calibration,
-    *,
-    time: float,
-    alert: NDArray[np.bool_],
-    answered: NDArray[np.bool_],
-    imu_answered: bool,
-    supply_counts: int,
-) -> State:
-    """Registers in SI units, in the axes of the joints and of the trunk."""
-    gyro, force, angles = counts.imu.reshape(3, 3) * OPEN_CR_AXES
-    servo = XM430_W350
-    return State(
-        time=time,
-        position=servo["present_position"].to_si(counts.position) + calibration.offset,
-        velocity=servo["present_velocity"].to_si(counts.velocity),
-        current=servo["present_current"].to_si(counts.current),
-        voltage=servo["present_input_voltage"].to_si(counts.voltage),
-        temperature=counts.temperature.astype(float),
-        hardware_error=counts.hardware_error,
-        alert=alert,
-        answered=answered,
-        orientation=OPEN_CR["roll"].to_si(angles),
-        angular_velocity=OPEN_CR["gyro_x"].to_si(gyro),
-        linear_acceleration=OPEN_CR["acceleration_x"].to_si(force),
-        imu_answered=imu_answered,
-        supply_voltage=OPEN_CR["present_voltage"].to_si(supply_counts),
-        counts=counts,
-    )

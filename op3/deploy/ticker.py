@@ -1,19 +1,44 @@
-"""Absolute deadlines, and how well they were kept."""
+"""Absolute deadlines, how well they were kept, and the time that they are counted in."""
 
 from __future__ import annotations
 
 from array import array
 from dataclasses import dataclass
+from time import monotonic, sleep
+from typing import Protocol
 
 import numpy as np
-
-from op3.deploy.clock import Clock
 
 PERIOD = 0.008
 """Period of the control loop [s]: 125 Hz (paper Sec. robot setup)."""
 
 POLICY_TICKS = 4
 """Ticks per policy step: 31.25 Hz (paper Sec. robot setup)."""
+
+
+class Clock(Protocol):
+    """Seconds since some fixed instant, and the only way that anything here waits."""
+
+    def now(self) -> float:
+        """The time [s]; it never goes back."""
+        ...
+
+    def sleep_until(self, time: float) -> None:
+        """Wait until `now` is at least this [s]; return at once if it has passed."""
+        ...
+
+
+class MonotonicClock:
+    """The machine's monotonic clock. Waiting gives up the processor; there is no spinning."""
+
+    def now(self) -> float:
+        """Monotonic time [s]."""
+        return monotonic()
+
+    def sleep_until(self, time: float) -> None:
+        """Wait until then [s]."""
+        while (remaining := time - monotonic()) > 0:
+            sleep(remaining)
 
 
 @dataclass(frozen=True)
@@ -43,17 +68,15 @@ class Timing:
         max: worst lateness [s].
     """
 
-    ticks: int
-    misses: int
-    p50: float
-    p99: float
-    max: float
+    ticks: int = 0
+    misses: int = 0
+    p50: float = 0.0
+    p99: float = 0.0
+    max: float = 0.0
 
     def __str__(self) -> str:
-        p50, p99, worst = (1e3 * value for value in (self.p50, self.p99, self.max))
-        return (
-            f"{self.ticks} ticks, {self.misses} missed; lateness p50 {p50:.2f} ms, p99 {p99:.2f} ms, max {worst:.2f} ms"
-        )
+        late = "p50 {:.2f} ms, p99 {:.2f} ms, max {:.2f} ms".format(*(1e3 * t for t in (self.p50, self.p99, self.max)))
+        return f"{self.ticks} ticks, {self.misses} missed; lateness {late}"
 
 
 class Ticker:

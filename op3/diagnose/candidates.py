@@ -46,7 +46,7 @@ class Candidate:
         return self.place, tuple(sorted(self.secant.items())), repr(self.model.effect(self.effect.name))
 
     def label(self, names: Sequence[str]) -> str:
-        """Effect and joints, such as ``backlash@r_knee``."""
+        """Effect and joints, such as ``backlash@elbow``."""
         if self.joints is None:
             return self.effect.name
         return f"{self.effect.name}@{'+'.join(names[j] for j in self.joints)}"

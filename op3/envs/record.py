@@ -8,7 +8,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from op3.envs.batched import BatchedEnv
-from op3.robot import JOINTS, indices
+from op3.robot import load_robot
 from op3.rollout import Metadata, Rollout
 from op3.sim import model_hash
 from op3.tasks.setups import OP3_CONTROL_PERIOD
@@ -55,7 +55,7 @@ class _Tape:
     def fill(self, observation: Tensor, action: Tensor, reward: Tensor) -> None:
         """Add what the policy saw, did and got to the ticks of the step that is over."""
         if self._commander is not None:  # what it commanded, on the scale of actions, as if with the highest gain
-            made, legs = self._env.action_map, indices(self._env.action_map.joints)
+            made, legs = self._env.action_map, load_robot().indices(self._env.action_map.joints)
             target = self.ticks[-TICKS]["command", "position"][:, legs]
             action = made.action(target, torch.full_like(target, made.gain_high))
         for row in self.ticks[-TICKS:]:
@@ -136,7 +136,7 @@ def _log(
     drawn = {name: float(values[robot]) for name, values in env.parameters_drawn.items()}
     extra: Mapping[str, Any] = {"task": env.task.name, **({"parameters": drawn} if drawn else {})}
     metadata = Metadata(
-        joints=JOINTS,
+        joints=load_robot().joints,
         robot="simulated",
         mount=env.scene.mount,
         rate=1.0 / OP3_CONTROL_PERIOD,

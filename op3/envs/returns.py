@@ -11,7 +11,7 @@ from torch import Tensor
 
 from op3.envs.batched import BatchedEnv
 from op3.policy import PolicyBundle
-from op3.robot import JOINTS
+from op3.robot import load_robot
 from op3.servo import RobotModel
 from op3.tasks.evaluation import evaluation_terms, swayed, travel_term
 from op3.tasks.snapshot import Snapshot
@@ -89,7 +89,7 @@ class ReturnsBench:
         """
         numbers = range(self.episodes) if episodes is None else episodes
         given = {name: torch.as_tensor(v, dtype=torch.float64) for name, v in (parameters or {}).items()}
-        parameters = {name: self.model.for_joints(name, value, JOINTS) for name, value in given.items()}
+        parameters = {name: self.model.for_joints(name, value, load_robot().joints) for name, value in given.items()}
         total = candidates * len(numbers)
         env = self._environment(_rows(total))
         tally = _Tally(env, self.task, total)

@@ -139,7 +139,7 @@ def in_words(names: Sequence[str], direction: Array) -> str:
 
 
 def _spoken(name: str) -> str:
-    """``coulomb_friction@joint=l_knee`` as ``coulomb friction of l knee``."""
+    """``coulomb_friction@joint=elbow`` as ``coulomb friction of elbow``."""
     return name.replace("@joint=", " of ").replace("@", " at ").replace("_", " ")
 
 

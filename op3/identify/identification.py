@@ -109,7 +109,7 @@ class Identification:
         logs: what to fit.
         heldout: logs for testing only.
         names: parameters to search; one with a condition, such as ``encoder_offset@length=7e-2``, counts for the logs
-            that meet it, one such as ``coulomb_friction@joint=l_knee`` for that joint.
+            that meet it, one such as ``coulomb_friction@joint=elbow`` for that joint.
         joints: joints whose traces count; all of a log where empty.
         loss: what to minimise; by default paper eq. (7) with unit weights.
         label: what the model is called.

@@ -27,7 +27,7 @@ from op3.identify.polish import polish
 from op3.identify.problem import Problem
 from op3.identify.study import Outcome
 from op3.policy import PolicyBundle
-from op3.robot import CONTROLLED_JOINTS
+from op3.robot import load_robot
 from op3.rollout import Rollout
 from op3.servo import RobotModel
 from op3.sim import model_hash
@@ -188,7 +188,7 @@ class Reidentification:
         race: bool = True,
         seed: int = 0,
         processes: int = 1,
-        joints: Sequence[str] = CONTROLLED_JOINTS,
+        joints: Sequence[str] | None = None,
     ):
         if not episodes:
             raise ValueError("episodes: re-identification needs at least one episode of the policy on the robot")
@@ -204,7 +204,12 @@ class Reidentification:
         for log in episodes:
             check_episode(log, self.task, policy)
         self.actual = [evaluation_return(log, attempted) for log in episodes]
-        what = {"model": model, "excitation": list(excitation), "joints": tuple(joints), "policy": policy}
+        what = {
+            "model": model,
+            "excitation": list(excitation),
+            "joints": load_robot().controlled if joints is None else tuple(joints),
+            "policy": policy,
+        }
         what |= {"task": self.task, "repeats": repeats, "seed": seed, "num_threads": 0 if processes == 1 else 1}
         self._crew = Crew(Simulations, what, processes)
         self.simulations = self._crew.worker

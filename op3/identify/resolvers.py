@@ -31,7 +31,7 @@ def chosen_robot(config: DictConfig) -> Robot:
     if "data" in config and not OmegaConf.is_missing(config, "data"):
         data: Any = OmegaConf.to_container(config.data) if OmegaConf.is_config(config.data) else config.data
         return _robot_of(tuple(data) if isinstance(data, list) else data)
-    return load_robot("op3")
+    return load_robot()
 
 
 @lru_cache(maxsize=8)
@@ -39,7 +39,7 @@ def _robot_of(data: Any) -> Robot:
     try:
         return robot_of(data)
     except ValueError:  # that these are no logs is said where they are read
-        return load_robot("op3")
+        return load_robot()
 
 
 def chosen_model(config: DictConfig) -> RobotModel:

@@ -5,9 +5,7 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
-from op3.robot import KEY_POINTS, MIRROR
-
-_SWAP = {"l_": "r_", "r_": "l_"}
+from op3.robot import load_robot
 
 
 class Mirror:
@@ -25,17 +23,20 @@ class Mirror:
     """
 
     def __init__(self, layout: Mapping[str, int], history: int, joints: Sequence[str]):
-        if alone := [name for name in joints if MIRROR[name][0] not in joints]:
-            raise ValueError(f"{alone[0]} has no image: its partner {MIRROR[alone[0]][0]} is not controlled")
-        partner = [joints.index(MIRROR[name][0]) for name in joints]
-        sign = [float(MIRROR[name][1]) for name in joints]
-        count = len(joints)
-        self._action = torch.tensor([*partner, *(count + i for i in partner)])
-        self._action_sign = torch.tensor([*sign, *[1.0] * count])
-        points = [KEY_POINTS.index(_SWAP.get(name[:2], name[:2]) + name[2:]) for name in KEY_POINTS]
+        robot = load_robot()
+        images = robot.mirror
+        if alone := [name for name in joints if images[name][0] not in joints]:
+            raise ValueError(f"{alone[0]} has no image: its partner {images[alone[0]][0]} is not controlled")
+        partner = [joints.index(images[name][0]) for name in joints]
+        sign = [float(images[name][1]) for name in joints]
+        size = len(joints)
+        self._action = torch.tensor([*partner, *(size + i for i in partner)])
+        self._action_sign = torch.tensor([*sign, *[1.0] * size])
+        count = len(robot.file.key_points)
+        points = [(point + count // 2) % count for point in range(count)]  # of the left foot, then of the right
         coordinates = torch.tensor([3 * point + axis for point in points for axis in range(3)])
         # a rotation is an axial vector: the reflection keeps its part along y and reverses the others
-        images = {
+        seen = {
             "key_point_position": (coordinates, torch.tensor([1.0, -1.0, 1.0] * len(points))),
             "key_point_velocity": (coordinates, torch.tensor([1.0, -1.0, 1.0] * len(points))),
             "previous_action": (self._action, self._action_sign),
@@ -45,10 +46,10 @@ class Mirror:
         }
         index, signs, first = [], [], 0
         for name, size in layout.items():
-            if name not in images or len(images[name][0]) != size:
+            if name not in seen or len(seen[name][0]) != size:
                 raise ValueError(f"the observation's part {name!r} of {size} numbers has no known mirror image")
-            index.append(first + images[name][0])
-            signs.append(images[name][1])
+            index.append(first + seen[name][0])
+            signs.append(seen[name][1])
             first += size
         frame = torch.cat(index)
         self._observation = torch.cat([frame + first * k for k in range(history + 1)])

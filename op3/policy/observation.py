@@ -39,7 +39,7 @@ def observe(
     """One observation, without its history.
 
     Args:
-        joint_position: measured, ``[..., joint]`` in rad, in `op3.robot.JOINTS` order.
+        joint_position: measured, ``[..., joint]`` in rad, in the robot's order.
         joint_velocity: measured, ``[..., joint]`` in rad/s.
         orientation: roll, pitch and yaw of the trunk, ``[..., 3]`` in rad; yaw counts from where the episode began.
         angular_velocity: in the trunk's frame, ``[..., 3]`` in rad/s.

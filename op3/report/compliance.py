@@ -15,7 +15,7 @@ from op3.report.page import Page
 from op3.report.result import RunFolder, publish
 from op3.report.style import band, bars_figure, colours, dress, shade, words
 from op3.report.tables import Cell, TableRows
-from op3.robot import CONTROLLED_JOINTS, JOINTS
+from op3.robot import load_robot
 from op3.tasks.evaluation import wilson_interval
 from op3.tasks.pushes import DIRECTIONS
 
@@ -147,7 +147,7 @@ def _gains(known: Mapping[str, Gains]) -> dict[str, tuple]:
     """Gains of the first policy by joint, and of all by situation."""
     gains, names = next(iter(known.values())), ("support", "swing", "landed", "support_clock", "swing_clock")
     rows: list[list[Cell]] = []
-    for row, joint in enumerate(CONTROLLED_JOINTS):
+    for row, joint in enumerate(load_robot().controlled):
         stiff = [float(gains.by_situation[n][row, 0] * gains.stiffness[row]) for n in ("support", "swing")]
         rows.append([words(joint), *(_said(gains.by_situation[name][row]) for name in names), *stiff])
     header = ["joint", "support", "swing", "100 ms after touchdown", "support by the clock", "swing by the clock"]
@@ -158,7 +158,9 @@ def _gains(known: Mapping[str, Gains]) -> dict[str, tuple]:
 
 
 def _gain_figure(known: Mapping[str, Gains]) -> go.Figure:
-    pairs = [joint for side in zip(CONTROLLED_JOINTS[:5], CONTROLLED_JOINTS[5:], strict=True) for joint in side]
+    joints = load_robot().controlled
+    half_way = len(joints) // 2
+    pairs = [joint for side in zip(joints[:half_way], joints[half_way:], strict=True) for joint in side]
     figure = make_subplots(
         rows=5, cols=2, shared_xaxes=True, shared_yaxes=True, vertical_spacing=0.035, horizontal_spacing=0.04,
         subplot_titles=[words(joint) for joint in pairs],
@@ -166,7 +168,7 @@ def _gain_figure(known: Mapping[str, Gains]) -> go.Figure:
     looks, first = colours(list(known)), next(iter(known.values()))
     for number, joint in enumerate(pairs):
         place: Any = dict(row=number // 2 + 1, col=number % 2 + 1)
-        row = CONTROLLED_JOINTS.index(joint)
+        row = load_robot().controlled.index(joint)
         for label, gains in known.items():
             band(figure, gains.phase, *gains.profile_interval[row].T, looks[label], legendgroup=label, **place)
             figure.add_scatter(
@@ -186,7 +188,7 @@ def _back_drive_figure(measured: Sequence[Measured], name: str, axis: str) -> go
     bars = {}
     for each in measured:
         middle = np.nanmedian(getattr(each.back_drive, name), (0, 2))
-        bars[each.label] = dict(zip(CONTROLLED_JOINTS, middle.tolist(), strict=True))
+        bars[each.label] = dict(zip(load_robot().controlled, middle.tolist(), strict=True))
     return bars_figure(bars, axis)
 
 
@@ -247,7 +249,7 @@ def _energies(measured: Sequence[Measured], standing: Mapping[str, Energy]) -> T
     known = {each.label: each.energy for each in measured} | {f"{name}, standing": e for name, e in standing.items()}
     rows: list[list[Cell]] = []
     for label, energy in known.items():
-        hottest = JOINTS.index(energy.hottest)
+        hottest = load_robot().joints.index(energy.hottest)
         current, temperature = (float(values[hottest]) for values in (energy.current, energy.temperature))
         row = [label, _said(energy.power), _said(energy.cost_of_transport), words(energy.hottest)]
         rows.append([*row, current, temperature, energy.drift])
@@ -256,7 +258,7 @@ def _energies(measured: Sequence[Measured], standing: Mapping[str, Energy]) -> T
 
 def _heat_figure(measured: Sequence[Measured], standing: Mapping[str, Energy]) -> go.Figure:
     known = {each.label: each.energy for each in measured} | {f"{name}, standing": e for name, e in standing.items()}
-    bars = {label: dict(zip(JOINTS, energy.current.tolist(), strict=True)) for label, energy in known.items()}
+    bars = {label: dict(zip(load_robot().joints, energy.current.tolist(), strict=True)) for label, energy in known.items()}
     figure = bars_figure(bars, "current [A]")
     return figure.add_hline(y=measured[0].energy.continuous, line=dict(dash="dot", width=1), annotation_text="for ever")
 
@@ -273,7 +275,7 @@ def _numbers(
             share = {"success": passed.successes / passed.episodes, "success_interval": interval}
             found[f"walk.{label}.{ground}"] = {**share, "episodes": passed.episodes, "speed": passed.speed}
         if each.gains is not None:
-            gains, names = each.gains, CONTROLLED_JOINTS
+            gains, names = each.gains, load_robot().controlled
             found[f"gain.{label}"] = {
                 "mean": _finite(gains.mean), "support_minus_swing": _finite(gains.softening),
                 "landed_minus_swing": _finite(gains.landing),
@@ -282,7 +284,7 @@ def _numbers(
         slope, break_away = each.back_drive.slope, each.back_drive.break_away
         by_joint = {
             joint: {"slope": _median(slope[:, i]), "break_away": _median(break_away[:, i])}
-            for i, joint in enumerate(CONTROLLED_JOINTS)
+            for i, joint in enumerate(load_robot().controlled)
         }
         found[f"back_drive.{label}"] = {"slope": _median(slope), "break_away": _median(break_away), **by_joint}
         found[f"landing.{label}"] = {
@@ -310,8 +312,8 @@ def _energy_numbers(energy: Energy) -> dict[str, Any]:
     return {
         "power": _finite(energy.power),
         "cost_of_transport": _finite(energy.cost_of_transport),
-        "current": dict(zip(JOINTS, energy.current.tolist(), strict=True)),
-        "temperature": dict(zip(JOINTS, energy.temperature.tolist(), strict=True)),
+        "current": dict(zip(load_robot().joints, energy.current.tolist(), strict=True)),
+        "temperature": dict(zip(load_robot().joints, energy.temperature.tolist(), strict=True)),
         "drift": energy.drift,
     }
 

@@ -11,6 +11,7 @@ from op3.report.page import Page
 from op3.report.result import RunFolder, publish
 from op3.report.style import PALETTE, band, boxes_figure, dress, shade, words
 from op3.report.traces import body_figure, traces_figure
+from op3.robot import load_robot
 from op3.rollout import Rollout
 from op3.tasks.behaviour import GaitProfile
 
@@ -46,7 +47,7 @@ def report_evaluation(
     numbers: Mapping[str, Any],
     returns: Mapping[str, Sequence[float]],
     profile: GaitProfile | None = None,
-    joint: str = "r_ank_pitch",
+    joint: str | None = None,
     files: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
     """Write ``index.html`` and ``result.yaml`` and print the paths of both.
@@ -59,7 +60,7 @@ def report_evaluation(
         numbers: for ``result.yaml``.
         returns: R_eval of every episode by label, the policy's first and any baselines' after it.
         profile: of the gait, for walking.
-        joint: that the profile is of.
+        joint: that the profile is of; None: an ankle.
         files: that lie beside the page, with what is in them.
 
     Returns:
@@ -90,11 +91,12 @@ def report_evaluation(
     page.figure(boxes_figure(boxes, "R_eval per episode [-]"), "R_eval of every episode; the box spans the quartiles.")
     if profile is not None:
         page.section("Gait")
+        joint = load_robot().legs[1][-2] if joint is None else joint
         caption = f"The {words(joint)} over the gait: mean and standard deviation over all cycles and episodes."
         page.figure(gait_figure(profile, joint), caption)
     page.section("One episode")
     page.figure(body_figure(logs[0], {}), "The trunk in the first episode.")
-    joints = ["l_ank_pitch", "r_ank_pitch", "l_ank_roll", "r_ank_roll"]
+    joints = [leg[place] for place in (-2, -1) for leg in load_robot().legs]
     quantities = [key for key in ("joint/position", "command/p_gain", "joint/current") if key in logs[0]]
     page.figure(traces_figure(logs[0], {}, joints, quantities), "The ankles in the first episode.")
     page.side_files(files)

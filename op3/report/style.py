@@ -41,7 +41,7 @@ def colours(labels: Sequence[str]) -> dict[str, str]:
 
 
 def words(name: str) -> str:
-    """A name as people say it: ``l_ank_pitch`` becomes ``left ankle pitch``."""
+    """A name as people say it: ``l_wrist`` becomes ``left wrist``."""
     name, _, joint = name.partition("@joint=")
     parts = name.replace("@", " at ").split("_")
     spoken = " ".join(_WORDS.get(part, part) for part in parts)

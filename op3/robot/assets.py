@@ -8,38 +8,19 @@ _CANDIDATES = (_PACKAGE / "_files" / "assets", _PACKAGE.parent / "assets")
 
 
 def asset_path(name: str) -> Path:
-    """Absolute path of a data file.
+    """Absolute path of a file or folder of data.
 
     Args:
-        name: path relative to `assets/`, such as "op3/op3.xml".
+        name: path relative to `assets/`, such as "op3/op3.xml" or "servos".
 
     Raises:
         FileNotFoundError: naming the folders that were searched.
     """
     for folder in _CANDIDATES:
-        path = folder / name
-        if path.is_file():
-            return path
-    searched = " or ".join(str(folder) for folder in _CANDIDATES)
-    raise FileNotFoundError(
-        f"no asset {name!r} in {searched}; run from a checkout or install the wheel, which carries them"
-    )
-
-
-def asset_folder(name: str) -> Path:
-    """Absolute path of a folder of data files.
-
-    Args:
-        name: path relative to `assets/`, such as "servos".
-
-    Raises:
-        FileNotFoundError: naming the folders that were searched.
-    """
-    for folder in _CANDIDATES:
-        if (folder / name).is_dir():
+        if (folder / name).exists():
             return folder / name
     searched = " or ".join(str(folder) for folder in _CANDIDATES)
-    raise FileNotFoundError(f"no folder {name!r} in {searched}; run from a checkout or install the wheel")
+    raise FileNotFoundError(f"no asset {name!r} in {searched}; run from a checkout or install the wheel")
 
 
 def named_configs(group: str) -> dict[str, Path]:

@@ -62,7 +62,7 @@ class RobotEntity(composer.Entity):
                 inertial.inertial.pos = place
 
     def _build_observables(self) -> RobotObservables:
-        return RobotObservables(self)
+        return RobotObservables(self) if self.robot.file.imu is None else ObservablesWithImu(self)
 
     @property
     def mjcf_model(self) -> mjcf.RootElement:
@@ -79,6 +79,21 @@ class RobotEntity(composer.Entity):
     def joints(self) -> list[mjcf.Element]:
         """The hinge elements [joint] in the robot's order."""
         return [self._find("joint", name) for name in self.robot.joints]
+
+    @property
+    def key_points(self) -> list[mjcf.Element]:
+        """The sites on the soles, in the order of the file."""
+        return [self._find("site", name) for name in self.robot.file.key_points]
+
+    @property
+    def soles(self) -> list[mjcf.Element]:
+        """The boxes of the soles, in the order of the file."""
+        return [self._find("geom", name) for name in self.robot.file.soles]
+
+    @property
+    def ankles(self) -> list[mjcf.Element]:
+        """The last joint above each foot."""
+        return [self._find("joint", leg[-1]) for leg in self.robot.legs]
 
     @property
     def imu(self) -> mjcf.Element:
@@ -144,3 +159,39 @@ class RobotObservables(composer.Observables):
     def joint_velocities(self) -> observable.MJCFFeature:
         """Joint velocities [joint] in rad/s."""
         return observable.MJCFFeature("qvel", self._entity.joints)
+
+
+class ObservablesWithImu(RobotObservables):
+    """And what can be observed of one with an IMU."""
+
+    @composer.observable
+    def imu_orientation(self) -> observable.MJCFFeature:
+        """Orientation of the base, quaternion (w, x, y, z)."""
+        return observable.MJCFFeature("sensordata", self._entity.imu_orientation)
+
+    @composer.observable
+    def imu_gyro(self) -> observable.MJCFFeature:
+        """Angular velocity [xyz] in rad/s, in the base's frame."""
+        return observable.MJCFFeature("sensordata", self._entity.imu_gyro)
+
+    @composer.observable
+    def imu_accelerometer(self) -> observable.Generic:
+        """Specific force [xyz] in m/s^2, in the base's frame; +g upwards at rest, also in the stand."""
+        return observable.Generic(self._specific_force)
+
+    @composer.observable
+    def key_points(self) -> observable.Generic:
+        """Key points relative to the base, in the base's frame, [key point, xyz] in m."""
+        return observable.Generic(self._key_points)
+
+    def _specific_force(self, physics: mjcf.Physics) -> np.ndarray:
+        trunk = physics.bind(self._entity.trunk)
+        # MuJoCo's accelerometer reads zero on a body that cannot move, where a real one reads gravity.
+        if physics.model.body_weldid[trunk.element_id] == 0:
+            return -np.asarray(trunk.xmat).reshape(3, 3).T @ physics.model.opt.gravity
+        return np.array(physics.bind(self._entity.imu_accelerometer).sensordata)
+
+    def _key_points(self, physics: mjcf.Physics) -> np.ndarray:
+        trunk = physics.bind(self._entity.trunk)
+        points = physics.bind(self._entity.key_points).xpos - trunk.xpos
+        return points @ np.asarray(trunk.xmat).reshape(3, 3)

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from op3.robot.poses import SQUAT_KNEE_HIGH, SQUAT_KNEE_LOW, SQUAT_LEAN, squat_position
-from op3.robot.robot import load_robot
+from op3.robot.robot import DEFAULT, load_robot
 
 P_GAIN = 6.0
 """Gain of position of the paper's squat [A/rad]."""
@@ -40,7 +39,7 @@ class Motion:
     mounts: tuple[str, ...] = ("floor", "stand")
     p_gain: float | NDArray[np.float64] = P_GAIN
     d_gain: float = D_GAIN
-    robot: str = "op3"
+    robot: str = DEFAULT
 
     def __post_init__(self):
         """Refuse arrays that do not fit together."""
@@ -84,7 +83,7 @@ class Motion:
         return path
 
     @classmethod
-    def load(cls, path: str | Path, robot: str = "op3") -> "Motion":
+    def load(cls, path: str | Path, robot: str = DEFAULT) -> "Motion":
         """Read a motion that `save` wrote. A .csv takes its name from the file, and is made for the robot given."""
         path = Path(path)
         if path.suffix == ".npz":
@@ -122,38 +121,8 @@ def sample_times(duration: float, rate: float) -> NDArray[np.float64]:
     return np.arange(round(duration * rate)) / rate
 
 
-def squat(
-    knee_low: float = SQUAT_KNEE_LOW,
-    knee_high: float = SQUAT_KNEE_HIGH,
-    frequency: float = 0.5,
-    lean: float = SQUAT_LEAN,
-    duration: float = 5.0,
-    rate: float = 125.0,
-    name: str = "squat",
-) -> Motion:
-    """The squat that excites the robot for identification.
-
-    The paper: keeping a forward-leaning posture, the knee goes between 1.47 and 0.6 rad at about 0.5 Hz. Here
-    it follows a raised cosine from the low position, so both ends are passed at rest; hip and ankle keep the
-    soles level and the hips above the ankles; arms and head stay as in the pose "stand".
-
-    Args:
-        knee_low: knee angle at the start and at every lowest point, rad.
-        knee_high: knee angle at every highest point, rad.
-        frequency: full cycles per second.
-        lean: pitch of the trunk, rad, positive forward.
-        duration: length in s.
-        rate: rows per second; the default is the rate of the robot's PD loop.
-        name: what the motion is called.
-    """
-    time = sample_times(duration, rate)
-    crouch = (1 + np.cos(2 * np.pi * frequency * time)) / 2
-    knee = knee_high + (knee_low - knee_high) * crouch
-    return Motion(time, squat_position(knee, lean), name=name)
-
-
 def hold(
-    joint_position: ArrayLike, duration: float, rate: float = 125.0, name: str = "hold", robot: str = "op3"
+    joint_position: ArrayLike, duration: float, rate: float = 125.0, name: str = "hold", robot: str = DEFAULT
 ) -> Motion:
     """Stay at the angles `joint_position` [joint] in rad for `duration` [s], with `rate` rows per second."""
     time = sample_times(duration, rate)

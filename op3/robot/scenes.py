@@ -19,10 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from op3.robot.assets import asset_path
 from op3.robot.board import AXIS_HEIGHT, TILT, TOP_HEIGHT
 from op3.robot.entity import RobotEntity
-from op3.robot.kinematics import quaternion, rotation_matrix
-from op3.robot.op3_entity import OP3
-from op3.robot.poses import level_soles, pose, standing_height
-from op3.robot.robot import Robot, load_robot
+from op3.robot.kinematics import level_soles, quaternion, rotation_matrix, standing_height
+from op3.robot.robot import DEFAULT, Robot, checked_angles, load_robot
 from op3.robot.surfaces import add_bricks, add_tiles
 
 SCENES: tuple[str, ...] = (
@@ -75,7 +73,7 @@ class Scene:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of `joints` in the compiled model, such as "op3/l_knee"."""
+        """Names of `joints` in the compiled model, such as "arm/elbow"."""
         return tuple(str(joint.full_identifier) for joint in self.joints)
 
     @property
@@ -124,16 +122,12 @@ class Scene:
             [qpos]: with a free base the trunk's x, y, z in m, its quaternion (w, x, y, z), the joints, and then what
             moves besides the robot; otherwise the joints alone.
         """
-        position = np.asarray(joint_position, dtype=float)
-        if position.shape != (len(self.joints),):
-            raise ValueError(f"joint_position must have shape ({len(self.joints)},), got {position.shape}")
-        if not np.isfinite(position).all():
-            raise ValueError(f"joint_position must be finite, got {position}")
+        position = checked_angles(joint_position, len(self.joints))
         if self.floating:
-            level_roll, level_pitch = level_soles(position)
+            level_roll, level_pitch = level_soles(position, self.robot_file)
             roll = level_roll if roll is None else roll
             pitch = level_pitch if pitch is None else pitch
-            height = standing_height(position, roll, pitch)
+            height = standing_height(position, roll, pitch, self.robot_file)
             return np.concatenate([*self._on_ground(height, roll, pitch), position, self._others()])
         if roll or pitch:
             raise ValueError(
@@ -167,7 +161,7 @@ def build_scene(
     tilt_roll: float = 0.0,
     tilt_pitch: float = 0.0,
     joints: Sequence[str] | None = None,
-    robot: str | Robot = "op3",
+    robot: str | Robot = DEFAULT,
 ) -> Scene:
     """A new scene.
 
@@ -193,20 +187,16 @@ def build_scene(
         return build_bench()
     known = load_robot(robot)
     if name == "stand":
-        arena, entity = composer.Arena(xml_path=str(asset_path("scenes/stand.xml"))), _entity(known)
+        arena, entity = composer.Arena(xml_path=str(asset_path("scenes/stand.xml"))), RobotEntity(known)
         kept = _without_limbs(entity, known.joints if joints is None else joints)
         root: Any = arena.mjcf_model
         mount = root.find("site", "mount")
         mount.quat = quaternion(tilt_roll, tilt_pitch)
         arena.attach(entity, mount)
         return Scene(arena, entity, kept, name, name, tilt_roll, tilt_pitch)
-    if known.name != "op3":
-        raise ValueError(f"{known.name} does not walk: the scene {name!r} needs the soles of the OP3; choose the stand")
-    return _on_floor(name)
-
-
-def _entity(robot: Robot) -> RobotEntity:
-    return OP3(robot) if robot.name == "op3" else RobotEntity(robot)
+    if not known.file.soles:
+        raise ValueError(f"{known.name} does not walk: the scene {name!r} needs soles, and its file names none")
+    return _on_floor(name, known)
 
 
 def _without_limbs(entity: RobotEntity, wanted: Sequence[str]) -> tuple[mjcf.Element, ...]:
@@ -220,15 +210,15 @@ def _without_limbs(entity: RobotEntity, wanted: Sequence[str]) -> tuple[mjcf.Ele
     return tuple(joints[name] for name in kept)
 
 
-def _on_floor(name: str) -> Scene:
+def _on_floor(name: str, known: Robot) -> Scene:
     """The robot on the floor, and what is laid on it."""
-    arena, robot = composer.Arena(xml_path=str(asset_path("scenes/floor.xml"))), OP3()
+    arena, robot = composer.Arena(xml_path=str(asset_path("scenes/floor.xml"))), RobotEntity(known)
     root: Any = arena.mjcf_model
     board = name.startswith("board")
     height = AXIS_HEIGHT + TOP_HEIGHT if board else 0.0
     # The model's reference pose stands on the ground, legs straight: tracking cameras measure from it.
     frame: Any = arena.add_free_entity(robot)
-    frame.pos = [0.0, 0.0, height + standing_height(pose("zero"))]
+    frame.pos = [0.0, 0.0, height + standing_height(known.pose("zero"), robot=known)]
     ground = ["floor"]
     if name != "floor":
         # behind the robot, whose joints so stay the first

@@ -10,7 +10,7 @@ from typing import Literal
 
 from pydantic import model_validator
 
-from op3.robot.assets import asset_folder
+from op3.robot.assets import asset_path
 from op3.robot.data_file import DataFile, DataFileError, Record
 from op3.settings import nearest
 
@@ -151,6 +151,7 @@ class ServoMake(Record):
         limits: what the servo stands.
         position_law: of the firmware.
         model_number: what it answers to a ping, where it does.
+        bus: register table by which `op3.deploy` drives and emulates it, where it does.
         aliases: other names that recordings give it.
         recorded: channels of servo-bench recordings that were really read, beside position, speed and voltage; None
             where there are no such recordings of it.
@@ -167,6 +168,7 @@ class ServoMake(Record):
     limits: Limits
     position_law: PositionLaw | None = None
     model_number: int | None = None
+    bus: Literal["dynamixel-x"] | None = None
     aliases: tuple[str, ...] = ()
     recorded: tuple[Literal["load", "temp"], ...] | None = None
 
@@ -187,12 +189,16 @@ class ServoMake(Record):
         return figure.si
 
     @property
+    def peak_current(self) -> float:
+        """The largest [A]; where its file gives none, that of the stalled motor at its supply."""
+        limits = self.limits
+        return limits.current.si if limits.current else self.supply.si / self.motor.terminal_resistance.si
+
+    @property
     def continuous_current(self) -> float:
         """What it carries for ever [A]; a fifth of the largest current where its file gives none."""
         limits = self.limits
-        if limits.continuous_current is not None:
-            return limits.continuous_current.si
-        return 0.2 * (limits.current.si if limits.current else self.supply.si / self.motor.terminal_resistance.si)
+        return 0.2 * self.peak_current if limits.continuous_current is None else limits.continuous_current.si
 
     @property
     def thermal_resistance(self) -> float:
@@ -214,7 +220,7 @@ class ServoMake(Record):
 @lru_cache(maxsize=1)
 def servo_files() -> dict[str, Path]:
     """The files of all makes that come with the project, by name."""
-    return {path.stem: path for path in sorted(asset_folder("servos").glob("*.yaml"))}
+    return {path.stem: path for path in sorted(asset_path("servos").glob("*.yaml"))}
 
 
 @lru_cache(maxsize=64)

@@ -15,7 +15,7 @@ class LogError(ValueError):
         problem: What is wrong, with the offending value.
         remedy: How to mend it.
         source: The file or object the log came from.
-        column: Column name as in the wide CSV (`l_knee.position`), or a metadata field (`field rate`).
+        column: Column name as in the wide CSV (`elbow.position`), or a metadata field (`field rate`).
         row: Data row counted from 1, or the word `header`.
         episode: Episode counted from 0, for logs with an episode axis.
     """

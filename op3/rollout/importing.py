@@ -3,10 +3,10 @@
 Beside a log may lie a YAML file of its name (`run.yaml` for `run.csv`, `chirp.yaml` for the folder `chirp`), or
 one `columns.yaml` for all logs of a folder. It holds metadata and, where the file cannot say it,
 
-    columns: {knee_deg: {name: l_knee.position, unit: deg, sign: -1, offset: 0.1}}
-    scale: {l_knee.velocity: 0.0175}   # multiplies, after everything above
+    columns: {elbow_deg: {name: elbow.position, unit: deg, sign: -1, offset: 0.1}}
+    scale: {elbow.velocity: 0.0175}   # multiplies, after everything above
     unwrap: true                       # or joints: takes out jumps by a turn and a turn against the command
-    shift: {l_knee: -3.14159}          # added to positions and targets [rad], after unwrapping
+    shift: {elbow: -3.14159}          # added to positions and targets [rad], after unwrapping
     split: true                        # cuts where the clock jumps or rows are missing
 """
 

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 
-from op3.robot.robot import Robot, load_robot
+from op3.robot.robot import DEFAULT, Robot, load_robot
 from op3.rollout import files
 from op3.rollout.errors import LogError
 from op3.rollout.metadata import Metadata
@@ -92,7 +92,7 @@ class Rollout:
         Raises:
             LogError: if its file is not where the metadata says, or is wrong.
         """
-        name = self.metadata.robot_file or ("bench" if self.metadata.mount == "pendulum" else "op3")
+        name = self.metadata.robot_file or ("bench" if self.metadata.mount == "pendulum" else DEFAULT)
         try:
             return load_robot(name)
         except ValueError as error:
@@ -145,7 +145,7 @@ class Rollout:
         return self.data[name].detach().numpy()
 
     def column(self, name: str) -> np.ndarray:
-        """One column by its CSV name (`l_knee.position`, `imu.roll`), [time] or [episode, time]."""
+        """One column by its CSV name (`elbow.position`, `imu.roll`), [time] or [episode, time]."""
         for key in self.channels:
             columns = column_names(CHANNELS[key], self.joints, self.data[key].shape[-1])
             if name in columns:

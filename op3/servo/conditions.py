@@ -1,7 +1,7 @@
 """Parameters that differ by a condition of the recording, such as the arm of a bench that was mounted anew.
 
 Their names say when they hold: ``encoder_offset@length=7e-2`` is the encoder offset of logs whose metadata field
-``length`` is 0.07. (Config keys are split at dots, hence ``7e-2``.) ``coulomb_friction@joint=l_knee`` is that of one
+``length`` is 0.07. (Config keys are split at dots, hence ``7e-2``.) ``coulomb_friction@joint=elbow`` is that of one
 joint, in all logs.
 """
 

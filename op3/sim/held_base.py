@@ -9,8 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from op3.robot import build_scene, pose
-from op3.robot.joints import JOINTS
+from op3.robot import DEFAULT, build_scene, load_robot
 from op3.robot.units import GRAVITY
 from op3.servo import RobotModel
 from op3.servo.effects import LinkInertia, Motor
@@ -28,13 +27,13 @@ class FixedBase:
     Args:
         joints: of the logs.
         tilt: roll and pitch of the stand [rad].
+        robot: a name in `assets/robots`, or the path of its file.
     """
 
-    def __init__(self, joints: Sequence[str], tilt: tuple[float, float] = (0.0, 0.0)):
-        unknown = [joint for joint in joints if joint not in JOINTS]
-        if unknown:
-            raise ValueError(f"the robot has no joint {unknown[0]!r}: use the joint names of op3.robot")
-        scene = build_scene("stand", tilt_roll=tilt[0], tilt_pitch=tilt[1], joints=joints)
+    def __init__(self, joints: Sequence[str], tilt: tuple[float, float] = (0.0, 0.0), robot: str = DEFAULT):
+        known = load_robot(robot)
+        known.indices(joints)
+        scene = build_scene("stand", tilt_roll=tilt[0], tilt_pitch=tilt[1], joints=joints, robot=known)
         elements: dict[str, Any] = {str(element.name): element for element in scene.joints}
         moved = [elements[joint] for joint in joints]
         attach_servos(moved)
@@ -44,7 +43,7 @@ class FixedBase:
         self.ports = ServoPorts.find(self.mj_model, self.names)
         assert scene.robot is not None
         self.base = self.mj_model.body(scene.robot.trunk.full_identifier).id
-        standing = dict(zip(JOINTS, pose("stand"), strict=True))
+        standing = dict(zip(known.joints, known.home, strict=True))
         self.qpos = np.zeros(self.mj_model.nq)
         for i in range(self.mj_model.njnt):
             self.qpos[i] = standing[self.mj_model.joint(i).name.rsplit("/", 1)[-1]]
@@ -81,9 +80,9 @@ class FixedBase:
 
 
 @lru_cache(maxsize=64)
-def fixed_base(joints: tuple[str, ...], tilt: tuple[float, float] = (0.0, 0.0)) -> FixedBase:
+def fixed_base(joints: tuple[str, ...], tilt: tuple[float, float] = (0.0, 0.0), robot: str = DEFAULT) -> FixedBase:
     """The same, compiled once for logs of the same joints and tilt."""
-    return FixedBase(joints, tilt)
+    return FixedBase(joints, tilt, robot)
 
 
 @dataclass(frozen=True)

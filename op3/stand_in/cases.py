@@ -21,7 +21,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from op3.robot import Excitation
+from op3.robot import DEFAULT, Excitation
 from op3.robot.scenes import Scene
 from op3.rollout import Rollout
 from op3.stand_in.hidden import ALIAS_PAIRS, BASES, CATALOGUE, KINDS, OUTSIDERS, SEVERITIES, Hidden
@@ -93,7 +93,7 @@ class Case:
     world: World
     hidden: tuple[Hidden, ...]
     joints: tuple[str, ...]
-    robot: str = "op3"
+    robot: str = DEFAULT
 
     def answer(self) -> dict[str, Any]:
         """The sealed answer, as plain values."""
@@ -122,7 +122,7 @@ def draw_case(
     severity: str = "clear",
     effect: str | None = None,
     scale: float = 1.0,
-    robot: str = "op3",
+    robot: str = DEFAULT,
     ranges: Ranges = BENCH_RANGES,
 ) -> Case:
     """Decide what one case hides.

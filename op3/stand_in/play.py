@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,9 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 from op3.robot import Excitation, Motion, load_robot
 from op3.rollout import Metadata, Rollout
 from op3.stand_in.sensors import Sensors
-
-if TYPE_CHECKING:
-    from op3.stand_in.robot import StandIn
 
 CONTROL_PERIOD = 0.008
 """Period of the PD [s]; paper, 125 Hz."""
@@ -52,7 +49,7 @@ class Run(Excitation):
 
 
 def play(
-    robot: StandIn,
+    robot: Any,
     motion: Motion,
     p_gain: ArrayLike,
     d_gain: ArrayLike,
@@ -67,6 +64,7 @@ def play(
     """Follow a motion and record it; see `StandIn.play`.
 
     Args:
+        robot: a `StandIn`.
         still: whether the recording waits, after `settle`, until the joints are at rest.
         pushes: of the trunk, in the order of their times since the recording began.
         metadata: fields of the log that are not as usual.
@@ -75,8 +73,8 @@ def play(
     if not 0 <= settle < np.inf:
         raise ValueError(f"settle must be at least 0 s and finite, got {settle}")
     targets = sample(motion, CONTROL_PERIOD, robot.joints, robot.rest)
-    _check_limits(motion, robot, targets)
-    given = {name: _gain(name, value, targets.shape) for name, value in (("p_gain", p_gain), ("d_gain", d_gain))}
+    check_targets(motion, robot.joints, robot.limits, targets)
+    given = {name: gain_rows(name, value, targets.shape) for name, value in (("p_gain", p_gain), ("d_gain", d_gain))}
     robot.reset(targets[0], by_hand=True, **placed)
     _settle(robot, targets[0], given["p_gain"][0], given["d_gain"][0], settle, still)
     begin, due, time, readings = robot.time, list(pushes), [], []
@@ -93,7 +91,7 @@ def play(
     return _rollout(robot, motion, recording, np.array(time), readings, targets, gains, metadata or {})
 
 
-def _settle(robot: StandIn, target: Array, p_gain: Array, d_gain: Array, settle: float, still: bool) -> None:
+def _settle(robot: Any, target: Array, p_gain: Array, d_gain: Array, settle: float, still: bool) -> None:
     """Hold the first pose for `settle` [s], and on until all joints have read zero speed for `REST_TIME`."""
     quiet = 0.0
     while robot.time < settle - 0.5 * CONTROL_PERIOD or (
@@ -118,7 +116,8 @@ def sample(motion: Motion, period: float, joints: Sequence[str] = (), rest: Arra
     return targets
 
 
-def _gain(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+def gain_rows(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """A gain, one number, [joint] or [tick, joint], as [tick, joint]; a ValueError in one sentence if it is none."""
     try:
         gain = np.broadcast_to(np.asarray(value, dtype=float), shape).copy()
     except ValueError:
@@ -129,19 +128,26 @@ def _gain(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     return gain
 
 
-def _check_limits(motion: Motion, robot: StandIn, targets: Array) -> None:
-    """Refuse what a robot must not be told: servos in current mode enforce no limit themselves."""
-    low, high = robot.limits.T
+def check_targets(motion: Motion, joints: Sequence[str], limits: Array, targets: Array) -> None:
+    """Refuse what a robot must not be told: servos in current mode enforce no limit themselves.
+
+    Args:
+        motion: whose targets they are.
+        joints: of the robot.
+        limits: [joint, 2] in rad.
+        targets: [tick, joint] in rad, one row per `CONTROL_PERIOD`.
+    """
+    low, high = limits.T
     outside = (targets < low) | (targets > high)
     if outside.any():
         row, joint = np.argwhere(outside)[0]
         raise ValueError(
-            f"motion {motion.name!r} asks {robot.joints[joint]} for {targets[row, joint]:.3f} rad at"
+            f"motion {motion.name!r} asks {joints[joint]} for {targets[row, joint]:.3f} rad at"
             f" {row * CONTROL_PERIOD:.3f} s; it may go from {low[joint]:.3f} to {high[joint]:.3f} rad"
         )
 
 
-def _tick(robot: StandIn, target: Array, p_gain: Array, d_gain: Array) -> Sensors:
+def _tick(robot: Any, target: Array, p_gain: Array, d_gain: Array) -> Sensors:
     """Read, command, wait for the next tick."""
     sensors = robot.read_sensors()
     robot.send(target if robot.loops else p_gain * (target - sensors.position) - d_gain * sensors.velocity)
@@ -150,7 +156,7 @@ def _tick(robot: StandIn, target: Array, p_gain: Array, d_gain: Array) -> Sensor
 
 
 def _rollout(
-    robot: StandIn,
+    robot: Any,
     motion: Motion,
     recording: str | None,
     time: Array,

@@ -4,13 +4,13 @@ It reads `verdict.yaml` as a diagnosis writes it and knows nothing of how the ve
 
     findings:          # what the robot has and the model lacks; the empty list: nothing, or nothing that has a name
     - effect: backlash
-      joints: [r_knee]            # all joints of the robot, or none: everywhere
+      joints: [elbow]            # all joints of the robot, or none: everywhere
       probability: 0.93
       size: 0.004                 # with the catalogue's `parameter`, and its 90 % `interval`, where there are such
       interval: [0.003, 0.005]
       parameter: backlash_half_gap
       of_base: false              # whether it is a number that every base has, far from what is usual
-      alternatives: [{effect: compliance, joints: [r_knee], probability: 0.05}]
+      alternatives: [{effect: compliance, joints: [elbow], probability: 0.05}]
     gap: {<channel>: {before, after, floor}}
 """
 

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from op3.robot import (
-    LEG_JOINTS,
     Excitation,
     Motion,
     SinusoidalGait,
@@ -28,13 +27,12 @@ from op3.robot import (
     squat,
     sway,
 )
+from op3.robot.op3_suites import ARM_JOINTS, KNEE, LEG_JOINTS
 from op3.robot.scenes import Scene
 from op3.stand_in.play import Push, Run
 
 Array = NDArray[np.float64]
 Suite = Callable[[int], Sequence[Excitation]]
-
-ARMS: tuple[str, ...] = tuple(f"{side}_{name}" for side in "lr" for name in ("sho_pitch", "sho_roll", "el"))
 
 
 @dataclass(frozen=True)
@@ -82,7 +80,7 @@ def floor_suite(seed: int) -> list[Run]:
         return sway(float(draw(0.05, 0.09)), float(draw(0.3, 0.6)), 5.0, name=name)
 
     def arms(name: str) -> Motion:
-        return multisine({joint: float(draw(0.15, 0.4)) for joint in ARMS}, duration=5.0, name=name)
+        return multisine({joint: float(draw(0.15, 0.4)) for joint in ARM_JOINTS}, duration=5.0, name=name)
 
     def steps(name: str) -> Motion:
         gait = SinusoidalGait(period=float(draw(0.55, 0.7)), step=0.0, foot_height=float(draw(0.02, 0.035)))
@@ -128,7 +126,7 @@ def joint_suite(seed: int, robot: str = "bench", poor: bool = False) -> list[Exc
     """
     known = load_robot(robot)
     room = np.minimum(known.home - known.limits[:, 0], known.limits[:, 1] - known.home)
-    columns = [(LEG_JOINTS.index("r_knee") + number) % len(LEG_JOINTS) for number in range(len(room))]
+    columns = [(KNEE + number) % len(LEG_JOINTS) for number in range(len(room))]
     runs = []
     for run in (leg_walking if poor else leg_suite)(seed):
         away = run.motion.position[:, columns] - run.motion.position[:, columns].mean(0)

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.robot import KEY_POINTS, Scene
+from op3.robot import Scene
 
 Index = NDArray[np.int64]
 
@@ -45,13 +45,12 @@ class Addresses:
             raise ValueError(f"scene {scene.name!r} has no robot to look at")
         trunk = int(model.body(robot.trunk.full_identifier).id)
         root = model.jnt(int(model.body_jntadr[model.body_rootid[trunk]]))
-        ankles = [name for name in scene.joint_names if name.endswith("ank_roll")]
         points = [model.site(site.full_identifier).id for site in robot.key_points]
         return cls(
             trunk,
             int(root.qposadr[0]),
             int(root.dofadr[0]),
             int(model.sensor(robot.imu_accelerometer.full_identifier).adr[0]),
-            np.array([int(model.sensor(f"{name}_force").adr[0]) for name in ankles]),
-            np.array(points).reshape(2, len(KEY_POINTS) // 2),
+            np.array([int(model.sensor(f"{ankle.full_identifier}_force").adr[0]) for ankle in robot.ankles]),
+            np.array(points).reshape(2, -1),
         )

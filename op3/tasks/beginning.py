@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.robot import CONTROLLED_JOINTS, Scene, Tilts, Waves, WeightSchedule, draw_tiles, indices, pose
+from op3.robot import Scene, Tilts, Waves, WeightSchedule, draw_tiles
 from op3.tasks.pushes import Push
 from op3.tasks.task import Task
 
@@ -36,8 +36,8 @@ class Beginning:
 def begin(task: Task, scene: Scene, seed: int) -> Beginning:
     """The beginning of the episode of a seed: about the stand pose, on the ground, nearly at rest."""
     rng = np.random.default_rng([seed, 1])
-    scatter, legs = task.placement, indices(CONTROLLED_JOINTS)
-    position = pose("stand")
+    robot = scene.robot_file
+    scatter, legs, position = task.placement, robot.indices(robot.controlled), robot.home.copy()
     position[legs] += scatter.joint_position * rng.standard_normal(len(legs))
     qpos = scene.initial_qpos(position)
     # a free base and twenty joints first; what else the scene holds starts at rest

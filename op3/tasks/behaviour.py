@@ -6,12 +6,22 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from op3.robot import CONTROLLED_JOINTS
+from op3.robot import load_robot
 from op3.rollout import Rollout
 from op3.tasks.rewards import FOOT_OFFSETS, swing_probability
 from op3.tasks.task import Task, find_task
 
-SIDES = ("l_", "r_")
+
+def foot_of(joint: str) -> int:
+    """Number of the foot, left 0 and right 1, whose leg a joint of the robot is in.
+
+    Raises:
+        ValueError: if it is in no leg.
+    """
+    found = [foot for foot, leg in enumerate(load_robot().legs) if joint in leg]
+    if not found:
+        raise ValueError(f"{joint} is in no leg; a gait is of a leg's joints")
+    return found[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +63,9 @@ def gains(log: Rollout, task: str | Task) -> dict[str, float]:
     """
     p_gain, carries = log.array("command/p_gain"), in_stance(log, task)
     sums, counts = {True: 0.0, False: 0.0}, {True: 0, False: 0}
-    for side, prefix in enumerate(SIDES):
-        columns = [log.joints.index(joint) for joint in CONTROLLED_JOINTS if joint.startswith(prefix)]
+    robot = load_robot()
+    for side, leg in enumerate(robot.legs):
+        columns = [log.joints.index(joint) for joint in robot.controlled if joint in leg]
         for stance in (True, False):
             values = p_gain[carries[:, side] == stance][:, columns]
             sums[stance] += float(values.sum())
@@ -71,14 +82,14 @@ def mean_tilt(log: Rollout) -> float:
 
 
 def gait_profile(
-    logs: list[Rollout], task: str | Task, joint: str = "r_ank_pitch", bins: int = 25, skip: float = 1.0
+    logs: list[Rollout], task: str | Task, joint: str | None = None, bins: int = 25, skip: float = 1.0
 ) -> GaitProfile:
     """Target and P gain of one joint over the gait (paper, figure of the walking policy).
 
     Args:
         logs: episodes of walking; rows of one phase are put together.
         task: that was attempted.
-        joint: name.
+        joint: name; None: the last but one of the right leg, an ankle.
         bins: parts of the cycle; bins without a row are NaN.
         skip: time at the beginning that is left out [s].
 
@@ -88,7 +99,8 @@ def gait_profile(
     task = find_task(task)
     if task.cycle is None:
         raise ValueError(f"task {task.name!r} has no gait; a profile is of a walking task")
-    column, side = logs[0].joints.index(joint), SIDES.index(joint[:2])
+    joint = load_robot().legs[1][-2] if joint is None else joint
+    column, side = logs[0].joints.index(joint), foot_of(joint)
     phases, targets, stiffness = [], [], []
     for log in logs:
         time = log.array("time")[:, 0] - log.array("time")[0, 0]

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from op3.robot import LEG_JOINTS, Excitation, Motion, check_motion, pose
-from op3.robot.joints import JOINTS, whole_limbs
+from op3.robot import Excitation, Motion, check_motion
 from op3.rollout import Metadata, Rollout
 from op3.servo import RobotModel
 from op3.tasks.replay import Replay
@@ -30,12 +29,13 @@ SIMULATED = (("joint", "position"), ("joint", "velocity"), ("joint", "current"))
 
 
 def with_whole_limbs(log: Rollout) -> Rollout:
-    """A log of some joints on the stand as one of their limbs, whose other joints are held in the pose "stand"."""
-    joints = whole_limbs(log.joints)
+    """A log of some joints on the stand as one of their limbs, whose other joints are held at home."""
+    robot = log.robot
+    joints = robot.whole_limbs(log.joints)
     if log.metadata.mount != "stand" or log.joints == joints:
         return log
     columns = [joints.index(joint) for joint in log.joints]
-    standing, rows = pose("stand")[[JOINTS.index(joint) for joint in joints]], log.rows
+    standing, rows = robot.home[robot.indices(joints)], log.rows
     fill = {"position": standing, "p_gain": 6.0, "d_gain": 0.1, "torque_enable": 1.0, "temperature": 25.0}
     arrays: dict[Any, np.ndarray] = {}
     for key in log.channels:
@@ -116,7 +116,7 @@ def _command(run: Excitation, number: int, begin: datetime.datetime) -> Rollout:
         ("imu", "orientation"): np.tile([*run.tilt, 0.0], (len(target), 1)),
     }
     metadata = Metadata(
-        joints=LEG_JOINTS,
+        joints=run.motion.joints,
         robot="simulated",
         mount="stand",
         rate=round(1 / float(np.median(np.diff(run.motion.time))), 6),

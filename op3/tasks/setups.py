@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import torch
 
-from op3.robot import Robot, build_bench, build_scene, load_robot
+from op3.robot import DEFAULT, Robot, build_bench, build_scene, load_robot
 from op3.robot.scenes import Scene
 from op3.rollout import LogError, Rollout
 from op3.servo import RobotModel
@@ -46,7 +46,7 @@ class Setup:
         tilt: tuple[float, float] = (0.0, 0.0),
         joints: Sequence[str] | None = None,
         control_period: float = OP3_CONTROL_PERIOD,
-        robot: str | Robot = "op3",
+        robot: str | Robot = DEFAULT,
     ) -> "Setup":
         """The setup for logs of this mount.
 

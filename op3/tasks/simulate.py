@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from op3.robot import Motion, Robot, load_robot
+from op3.robot import DEFAULT, Motion, Robot, load_robot
 from op3.rollout import Metadata, Rollout
 from op3.servo import RobotModel
 from op3.sim import model_for, model_hash
@@ -88,7 +88,7 @@ class ModelRobot:
         seed: of the noise; every recording draws from its own stream.
     """
 
-    def __init__(self, robot: str = "op3", model: str | None = None, mount: str = "stand", seed: int = 0):
+    def __init__(self, robot: str = DEFAULT, model: str | None = None, mount: str = "stand", seed: int = 0):
         self.robot = load_robot(robot)
         self.model = model_for(self.robot, model)
         self._mount, self._seed, self._played = mount, seed, 0

@@ -12,13 +12,13 @@ import torch
 from torch import Tensor
 
 from op3.policy.leg_kinematics import leg_kinematics
-from op3.robot import KEY_POINTS, Scene
+from op3.robot import Scene, load_robot
 from op3.sim import ServoPorts
 from op3.tasks import rewards
 from op3.tasks.addresses import Addresses
 from op3.tasks.whole_step import Throughout
 
-_INNER_TIPS = [KEY_POINTS.index("l_sole_inner_tip"), KEY_POINTS.index("r_sole_inner_tip")]
+_INNER_TIPS = load_robot().inner_tips
 
 
 @dataclass(frozen=True, eq=False)

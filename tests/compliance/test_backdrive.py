@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from op3.compliance.backdrive import MOVED, back_drive
-from op3.robot import CONTROLLED_JOINTS, pose
+from op3.robot import pose
 from op3.servo import RobotModel
 from op3.sim import load_model
+from tests.op3_table import CONTROLLED_JOINTS
 
 
 def measured(model: RobotModel, gain: float) -> tuple[np.ndarray, np.ndarray]:

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from op3.compliance.energy import HOUR, measure_energy, temperature_after
-from op3.robot import JOINTS, load_servo
+from op3.robot import load_servo
 from op3.rollout import Metadata, Rollout
 from op3.sim import load_model
+from tests.op3_table import JOINTS
 
 
 def test_the_continuous_current_ends_at_the_limit():

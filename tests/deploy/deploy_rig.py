@@ -10,18 +10,19 @@ from typing import Any
 import numpy as np
 
 from op3.deploy.bus import Bus
-from op3.deploy.emulator import EmulatedRobot, Faults, Readings, Timing, read_frames
+from op3.deploy.emulator import EmulatedRobot, Faults, Readings, Timing, VirtualPort, read_frames
 from op3.deploy.emulator.firmware import Drive
 from op3.deploy.limits import Limits
 from op3.deploy.loop import Loop
 from op3.deploy.operator import Operator, Yes
 from op3.deploy.phases import GainRamp, Hold, Move, Phase
 from op3.deploy.protocol import Instruction, Packet, Parser
-from op3.deploy.registers import XM430_W350
+from op3.deploy.registers import DYNAMIXEL_X
 from op3.deploy.safety import Safety
 from op3.deploy.session import Logs, Outcome, Session
-from op3.robot import JOINTS, SERVO_IDS, pose
+from op3.robot import pose
 from op3.rollout import Metadata
+from tests.op3_table import JOINTS, OP3, SERVO_IDS
 
 NAMES = {number: name for name, number in SERVO_IDS.items()}
 
@@ -35,7 +36,7 @@ class CheapPhysics:
     constant, inertia, damping = 1.8, 0.02, 0.4  # N m/A, kg m^2, N m s/rad
 
     def __init__(self, position: np.ndarray | None = None, load: float = 0.3):
-        self.joints = JOINTS
+        self.known = OP3
         self.supply: float | None = None
         self.position = pose("stand") if position is None else np.array(position, dtype=float)
         self.velocity = np.zeros(len(JOINTS))
@@ -142,7 +143,7 @@ class Rig:
 
     def written(self, register: str) -> list[tuple[float, dict[str, int]]]:
         """Time and values by joint of every sync write of a register."""
-        entry = XM430_W350[register]
+        entry = DYNAMIXEL_X[register]
         result = []
         for time, packet in self.packets():
             if packet.instruction != Instruction.SYNC_WRITE:
@@ -174,4 +175,4 @@ def make_rig(
     )
     if prepare is not None:
         prepare(robot)
-    return Rig(physics, robot, Bus(robot.port_handler(), robot.clock), file)
+    return Rig(physics, robot, Bus(VirtualPort(robot), robot.clock), file)

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from deploy_rig import make_rig
 
-from op3.deploy.blocks import BLOCKS, CONTENTS, fast_answers
 from op3.deploy.bus import BOARD, NoAnswer, Refused, Unplugged
 from op3.deploy.emulator import Faults, Silent, Unplug
-from op3.deploy.protocol import ALERT, Instruction, encode_fast_status
+from op3.deploy.protocol import ALERT, Instruction, encode_fast_status, fast_answers
 from op3.deploy.registers import HardwareError
 from op3.deploy.safety import Safety
-from op3.deploy.state import Calibration
-from op3.robot import JOINTS, SERVO_IDS, pose
+from op3.deploy.state import BLOCKS, CONTENTS, Calibration
+from op3.robot import pose
+from tests.op3_table import JOINTS, SERVO_IDS
 
 
 @pytest.fixture
@@ -81,7 +81,7 @@ def test_indirect_block(rig):
     """The fast block is 14 bytes at indirect data, set up with the addresses of the six registers."""
     block = rig.writer.prepare_block()
     assert (block.length, block.fast, block.indirect) == (14, True, True)
-    assert sum(np.dtype(kind).itemsize for _, _, kind in CONTENTS) == 14
+    assert sum(entry.size for entry in CONTENTS.values()) == 14
     pointers = [rig.robot.servos["l_knee"].get(f"indirect_address_{i}") for i in range(1, 15)]
     assert pointers == [126, 127, 128, 129, 130, 131, 132, 133, 134, 135, 70, 146, 144, 145]
 
@@ -128,7 +128,7 @@ def test_imu_axes(rig):
     rig.robot.clock.sleep(0.05)
     state = rig.bus.read_state()
     assert state.orientation[0] == pytest.approx(np.deg2rad(60), abs=np.deg2rad(0.11))
-    assert state.counts.imu[6] in (-600, -599)
+    assert state.raw["imu"][6] in (-600, -599)
 
 
 def test_velocity_sign_and_unit(rig):
@@ -138,7 +138,7 @@ def test_velocity_sign_and_unit(rig):
     rig.physics.clamped = False
     rig.writer.prepare_block()
     state = rig.bus.read_state()
-    assert (state.counts.velocity == -83).all()
+    assert (state.raw["velocity"] == -83).all()
     assert np.allclose(state.velocity, -83 * 0.229 * 2 * np.pi / 60)
 
 
@@ -155,7 +155,7 @@ def test_calibration_file_round_trip(tmp_path):
     path = Calibration(offset).save(tmp_path / "calibration.yaml")
     assert np.allclose(Calibration.load(path).offset, offset, atol=1e-6)
     path.write_text("offset_rad: {l_kneee: 0.1}")
-    with pytest.raises(ValueError, match="unknown joint 'l_kneee'"):
+    with pytest.raises(ValueError, match="unknown joint 'l_kneee' of op3; the nearest is 'l_knee'"):
         Calibration.load(path)
     path.write_text("offset_rad: {l_knee: 0.9}")
     with pytest.raises(ValueError, match=r"l_knee is off by 0\.900 rad"):
@@ -170,7 +170,7 @@ def test_the_alert_bit_is_seen(rig):
         rig.bus.block = block
         state = rig.bus.read_state()
         assert [JOINTS[i] for i in np.flatnonzero(state.alert)] == ["r_knee"]
-        assert state.hardware_error[JOINTS.index("r_knee")] == HardwareError.OVERLOAD
+        assert state.raw["hardware_error"][JOINTS.index("r_knee")] == HardwareError.OVERLOAD
 
 
 def test_a_silent_servo_hides_the_others_for_one_tick_only(tmp_path):

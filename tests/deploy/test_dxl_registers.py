@@ -4,7 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from op3.deploy.registers import OPEN_CR, XM430_W350, HardwareError
+from op3.deploy.registers import DYNAMIXEL_X, OPEN_CR, OPEN_CR_MODEL, HardwareError, Units
+from op3.robot import load_robot
+from tests.op3_table import OP3
 
 # ROBOTIS e-Manual, XM430-W350: name, address, size, initial value
 MANUAL = [
@@ -36,7 +38,7 @@ MANUAL = [
 @pytest.mark.parametrize(("name", "address", "size", "initial"), MANUAL)
 def test_the_servo_has_the_registers_of_the_manual(name, address, size, initial):
     """Address, size and factory value are those of the manual."""
-    register = XM430_W350[name]
+    register = DYNAMIXEL_X[name]
     assert (register.address, register.size) == (address, size)
     assert initial is None or register.initial == initial
     assert register.eeprom == (address < 64 and name != "model_number")
@@ -46,10 +48,10 @@ def test_the_open_cr_has_the_registers_of_its_firmware():
     """IMU, power and voltage stand where the OP3's firmware has them."""
     places = {"dynamixel_power": 24, "button": 30, "present_voltage": 31, "gyro_x": 32, "acceleration_x": 38, "yaw": 48}
     assert {name: OPEN_CR[name].address for name in places} == places
-    assert OPEN_CR.model_number == 29696
+    assert OPEN_CR_MODEL == 29696
 
 
-@given(st.sampled_from([r for r in XM430_W350 if r.signed]), st.integers(-(2**15), 2**15 - 1))
+@given(st.sampled_from([r for r in DYNAMIXEL_X if r.signed]), st.integers(-(2**15), 2**15 - 1))
 def test_values_survive_the_wire(register, value):
     """What is encoded is decoded, sign and all."""
     if register.size == 1:
@@ -58,19 +60,23 @@ def test_values_survive_the_wire(register, value):
 
 
 def test_units_are_si():
-    """2048 counts are 0 rad, 100 units of current 0.269 A, one unit of velocity 0.229 rpm."""
-    assert XM430_W350["present_position"].to_si(2048) == 0
-    assert XM430_W350["present_position"].to_si(3072) == pytest.approx(1.5707963)
-    assert XM430_W350["goal_current"].to_si(100) == pytest.approx(0.269)
-    assert XM430_W350["present_velocity"].to_si(1) == pytest.approx(0.02398, abs=1e-5)
-    assert XM430_W350["goal_position"].from_si(1.5707963) == 3072
-    assert OPEN_CR["gyro_z"].to_si(16400) == pytest.approx(17.4533, abs=1e-4)
+    """A quarter turn is 1024 counts, 100 units of current 0.269 A, one unit of velocity 0.229 rpm."""
+    units = Units(OP3)
+    assert 1024 * units.position == pytest.approx(1.5707963)
+    assert 100 * units.current == pytest.approx(0.269)
+    assert units.velocity == pytest.approx(0.02398, abs=1e-5)
+
+
+def test_servos_of_another_bus_are_refused():
+    """A robot whose servos speak another protocol is told what the bus speaks to."""
+    with pytest.raises(ValueError, match=r"arm: the bus speaks to Dynamixel X servos.*the sts3215 of shoulder_pan"):
+        Units(load_robot("arm"))
 
 
 def test_a_value_that_does_not_fit_is_refused():
     """Nothing is cut off silently."""
     with pytest.raises(ValueError, match="goal_current"):
-        XM430_W350["goal_current"].encode(40_000)
+        DYNAMIXEL_X["goal_current"].encode(40_000)
 
 
 def test_hardware_errors_have_names():

@@ -15,7 +15,8 @@ from op3.deploy.emulator import EmulatedRobot, Faults, Silent
 from op3.deploy.emulator.pty_server import PtyServer
 from op3.deploy.exit_codes import ExitCode
 from op3.deploy.phases import GainRamp, Hold
-from op3.robot import SERVO_IDS, pose
+from op3.robot import pose
+from tests.op3_table import SERVO_IDS
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -6,11 +6,12 @@ from deploy_rig import make_rig
 
 from op3.deploy.emulator import BrownOut, Faults, FrozenImu, HardwareFault, Overheat, Silent, Timing, Unplug
 from op3.deploy.exit_codes import ExitCode, Stop
-from op3.deploy.limits import HIGH, LOW, Command, CurrentLimiter, Limits
+from op3.deploy.limits import Command, CurrentLimiter, Limits
 from op3.deploy.phases import GainRamp, Hold
 from op3.deploy.registers import HardwareError
-from op3.robot import JOINTS, SERVO_IDS, indices, pose
+from op3.robot import pose
 from op3.rollout import Rollout
+from tests.op3_table import HIGH, JOINTS, LOW, OP3, SERVO_IDS, indices
 
 KNEE, START = SERVO_IDS["l_knee"], 3.0
 """The servo that goes wrong, and when [s]; torque comes on at about 0.9 s."""
@@ -334,7 +335,7 @@ def limiter_state(rig):
 def test_peak_currents(tmp_path):
     """However far the target, a leg gets at most 855 counts and an arm 430."""
     state = limiter_state(faulty(tmp_path))
-    far = CurrentLimiter(Limits(), 0.008).counts(state, Command.of(state.position + 10.0, 6.0, 0.1))
+    far = CurrentLimiter(Limits(), OP3, 0.008).counts(state, Command.of(state.position + 10.0, 6.0, 0.1))
     assert far[JOINTS.index("l_knee")] == 855
     assert far[JOINTS.index("l_el")] == 430
     assert far[JOINTS.index("head_pan")] == 430
@@ -343,7 +344,7 @@ def test_peak_currents(tmp_path):
 def test_continuous_current(tmp_path):
     """855 counts are allowed for about 2.4 s, 171 for ever: the limit sinks to 171 and no further."""
     state = limiter_state(faulty(tmp_path))
-    limiter = CurrentLimiter(Limits(), 0.008)
+    limiter = CurrentLimiter(Limits(), OP3, 0.008)
     knee = JOINTS.index("l_knee")
     carried = []
     for _ in range(4000):
@@ -354,7 +355,7 @@ def test_continuous_current(tmp_path):
     assert np.flatnonzero(np.array(carried) < 855)[0] * 0.008 == pytest.approx(2.2, abs=0.05)
     assert 171 <= carried[-1] < 185
     assert limiter.load[knee] <= 1.0
-    steady = CurrentLimiter(Limits(), 0.008)
+    steady = CurrentLimiter(Limits(), OP3, 0.008)
     for _ in range(20000):
         steady.account(np.full(20, 160), state)
     assert steady.limit[knee] == 855
@@ -362,9 +363,9 @@ def test_continuous_current(tmp_path):
 
 def test_soft_limits(tmp_path):
     """Targets are clipped to the soft limits, and beyond one no current pushes further out."""
-    command = Command.of(np.full(20, 5.0), 6.0, 0.1).limited()
+    command = Command.of(np.full(20, 5.0), 6.0, 0.1).limited(OP3)
     assert np.array_equal(command.position, HIGH)
-    assert np.array_equal(Command.of(np.full(20, -5.0), 6.0, 0.1).limited().position, LOW)
+    assert np.array_equal(Command.of(np.full(20, -5.0), 6.0, 0.1).limited(OP3).position, LOW)
     position = pose("stand")
     position[indices(["l_knee"])] = HIGH[JOINTS.index("l_knee")] + 0.02
     rig = make_rig(tmp_path, position=position)
@@ -372,20 +373,18 @@ def test_soft_limits(tmp_path):
     # a moving joint whose damping term would push outwards
     rig.physics.velocity = np.full(20, -3.0)
     knee = JOINTS.index("l_knee")
-    outwards = CurrentLimiter(Limits(), 0.008).counts(state, Command.of(state.position + 0.5, 6.0, 0.1))
+    outwards = CurrentLimiter(Limits(), OP3, 0.008).counts(state, Command.of(state.position + 0.5, 6.0, 0.1))
     assert outwards[knee] == 0
     assert outwards[knee - 1] > 0
-    back = CurrentLimiter(Limits(), 0.008).counts(state, Command.of(state.position - 0.5, 6.0, 0.1))
+    back = CurrentLimiter(Limits(), OP3, 0.008).counts(state, Command.of(state.position - 0.5, 6.0, 0.1))
     assert back[knee] < 0
 
 
 def test_limits_that_contradict_each_other_are_refused():
     """A peak below the continuous current or above the servo's own, and a start below the stop, are refused by name."""
-    for name in ("leg_current_counts", "arm_current_counts"):
-        with pytest.raises(ValueError, match=name):
-            Limits(**{name: 100})
-        with pytest.raises(ValueError, match=name):
-            Limits(**{name: 2000})
+    for peak in (0.3, 5.0):
+        with pytest.raises(ValueError, match=rf"peak current of head_pan must be at least .*0.46 A.*got {peak:.1g}"):
+            Limits(peak_current=peak).currents(OP3)
     with pytest.raises(ValueError, match="start_voltage"):
         Limits(start_voltage=9.5)
 

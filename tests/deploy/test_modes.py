@@ -14,7 +14,7 @@ from policies import hold_policy
 
 from op3.deploy import Calibration, Connection, Plan, Player, calibrate, connect, read_only, replay_policy, run, setup
 from op3.deploy.bus import Unplugged
-from op3.deploy.emulator import OP3_SETTINGS, read_frames
+from op3.deploy.emulator import USUAL_SETTINGS, read_frames
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command, Limits
 from op3.deploy.monitors import Verdict
@@ -25,8 +25,9 @@ from op3.deploy.policy_runner import FollowPolicy, PolicyRunner
 from op3.deploy.protocol import Instruction, Parser
 from op3.deploy.ticker import Ticker
 from op3.policy import PolicyBundle
-from op3.robot import JOINTS, Motion, pose, squat
+from op3.robot import Motion, pose, squat
 from op3.rollout import Rollout
+from tests.op3_table import JOINTS, OP3
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -142,7 +143,7 @@ def test_read_only_and_calibrate_on_the_emulated_robot(tmp_path):
 
 def test_setup_makes_a_factory_robot_start(tmp_path):
     """A robot with the factory's return delay fails the start checks, and passes them after setup."""
-    rig = make_rig(tmp_path, settings={**OP3_SETTINGS, "return_delay_time": 250, "drive_mode": 1})
+    rig = make_rig(tmp_path, settings={**USUAL_SETTINGS, "return_delay_time": 250, "drive_mode": 1})
     assert setup(connected(rig), report=rig.lines.append) == ExitCode.OK
     assert rig.register("return_delay_time") == [0] * 20
     assert rig.register("drive_mode") == [0] * 20
@@ -203,7 +204,7 @@ def test_panel(tmp_path):
     ticker = Ticker(rig.robot.clock)
     ticker.wait()
     for stream in (terminal, file):
-        panel = Panel(stream, every=2)
+        panel = Panel(OP3, stream, every=2)
         for _ in range(3):
             time.sleep(0.1)  # the thread that writes
             panel("policy", state, Command.of(pose("stand"), 5.0, 0.1), np.zeros(20), Verdict(note="all odd"), ticker)
@@ -233,7 +234,7 @@ def test_what_is_said_stays_above_the_panel(tmp_path):
     """A question is not overwritten: the next block begins below it, and fits into 80 columns and 24 rows."""
     rig, window = make_rig(tmp_path), Window()
     switch_on(rig)
-    panel = Panel(window, every=2)
+    panel = Panel(OP3, window, every=2)
     panel.say("before")
     assert window.getvalue() == "before\n"
     for _ in range(3):
@@ -267,7 +268,7 @@ def test_a_stalled_terminal_does_not_hold_up_the_loop(tmp_path):
 
     rig = make_rig(tmp_path)
     switch_on(rig)
-    state, panel, ticker = rig.bus.read_state(), Panel(Stalled(), every=2), Ticker(rig.robot.clock)
+    state, panel, ticker = rig.bus.read_state(), Panel(OP3, Stalled(), every=2), Ticker(rig.robot.clock)
     ticker.wait()
     before = time.monotonic()
     for _ in range(20):
@@ -296,7 +297,7 @@ def test_a_run_that_ends_early_is_not_a_recording(tmp_path):
         "stand",
         folder=tmp_path,
         report=lambda line: None,
-        settings={**OP3_SETTINGS, "return_delay_time": 9},
+        settings={**USUAL_SETTINGS, "return_delay_time": 9},
     )
     with pytest.raises(Stop, match="return delay") as stop:
         player.play(squat(duration=0.1))
@@ -329,7 +330,7 @@ def test_deploy_script_and_replay(tmp_path):
     ("arguments", "code", "message"),
     [
         (
-            ("duration=nan", "limits.leg_current_counts=oops"),
+            ("duration=nan", "limits.peak_current=oops"),
             1,
             "duration must be a number of seconds above 0, got nan",
         ),
@@ -358,8 +359,8 @@ def test_a_log_is_not_written_over(tmp_path):
 @pytest.mark.parametrize("value", ["oops", float("nan"), True, None])
 def test_limits_are_numbers(value):
     """Text from a command line is refused before anything is compared with it."""
-    with pytest.raises(ValueError, match="limits: leg_current_counts must be a whole number, got"):
-        Limits(leg_current_counts=value)
+    with pytest.raises(ValueError, match=r"limits: thermal_time must be a (finite )?number, got"):
+        Limits(thermal_time=value)
 
 
 def test_replay_with_another_policy(tmp_path):

@@ -11,12 +11,11 @@ from policies import hold_policy
 from op3.deploy.emulator import Faults
 from op3.deploy.exit_codes import ExitCode
 from op3.deploy.phases import GainRamp
-from op3.deploy.policy_replay import replay_policy
-from op3.deploy.policy_runner import FollowPolicy, PolicyRunner
+from op3.deploy.policy_runner import FollowPolicy, PolicyRunner, replay_policy
 from op3.envs import make_env
 from op3.policy import PolicyBundle
-from op3.robot import JOINTS, indices
 from op3.rollout import Rollout
+from tests.op3_table import JOINTS, indices
 
 ORDER = ("joint_position", "joint_velocity", "orientation", "angular_velocity")
 

@@ -8,10 +8,10 @@ import tty
 import pytest
 
 from op3.deploy.bus import Bus, Unplugged
-from op3.deploy.clock import MonotonicClock
 from op3.deploy.limits import Limits
 from op3.deploy.safety import Safety
 from op3.deploy.serial_port import SerialPort
+from op3.deploy.ticker import MonotonicClock
 
 
 @pytest.fixture

@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from deploy_rig import make_rig
 
-from op3.deploy.emulator import OP3_SETTINGS, BrownOut, Faults, FrozenImu, Silent, Timing
+from op3.deploy.emulator import USUAL_SETTINGS, BrownOut, Faults, FrozenImu, Silent, Timing
 from op3.deploy.exit_codes import ExitCode
-from op3.deploy.limits import IS_LEG, Limits
+from op3.deploy.limits import Limits
 from op3.deploy.phases import GainRamp, Hold, minimum_jerk
 from op3.deploy.protocol import Error, Instruction
-from op3.deploy.registers import XM430_W350, HardwareError
-from op3.robot import JOINTS, SERVO_IDS, indices, pose
+from op3.deploy.registers import DYNAMIXEL_X, HardwareError
+from op3.robot import pose
 from op3.rollout import Rollout
+from tests.op3_table import IS_LEG, JOINTS, OP3, SERVO_IDS, indices
 
 
 def lean(robot):
@@ -81,7 +82,7 @@ FAILURES = {
     "opencr": (dict(faults=Faults(scheduled=(Silent(200),))), r"servo power: opencr \(id 200\) did not answer"),
     "model": (dict(prepare=other_model), "l_el is model 1060, expected 1020"),
     "firmware": (dict(prepare=old_firmware), "without bus watchdog: l_el 30"),
-    "delay": (dict(settings={**OP3_SETTINGS, "return_delay_time": 250}), "return delay: too long: head_pan 500 us"),
+    "delay": (dict(settings={**USUAL_SETTINGS, "return_delay_time": 250}), "return delay: too long: head_pan 500 us"),
     "error": (dict(prepare=overloaded), r"hardware errors: r_knee \(overload\)"),
     "voltage": (dict(faults=Faults(scheduled=(BrownOut(0.0, voltage=10.2),))), "10.2 V at .* charge to at least 10.5"),
     "angle": (dict(prepare=outside), "l_knee is at 2.40 rad, outside its soft limits"),
@@ -260,7 +261,7 @@ def test_a_goal_that_cannot_be_set_stops_before_torque(tmp_path):
 
     def stubborn(robot):
         servo = robot.servos["l_knee"]
-        write, goal = servo.write, XM430_W350["goal_current"].address
+        write, goal = servo.write, DYNAMIXEL_X["goal_current"].address
         servo.write = lambda address, data: Error.DATA_RANGE if address == goal else write(address, data)
 
     rig = make_rig(tmp_path, prepare=stubborn)
@@ -332,5 +333,5 @@ def test_ids_and_limits_belong_together():
     assert {name for name, leg in zip(JOINTS, IS_LEG, strict=True) if not leg} == {
         *("head_pan", "head_tilt", "l_sho_pitch", "l_sho_roll", "l_el", "r_sho_pitch", "r_sho_roll", "r_el")
     }
-    assert Limits().peak[JOINTS.index("l_el")] == 430
+    assert Limits().currents(OP3)[0].tolist() == np.where(IS_LEG, 855, 430).tolist()
     assert all(SERVO_IDS[name] % 2 == 1 for name in JOINTS if name.startswith("r_"))

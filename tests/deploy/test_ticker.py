@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from op3.deploy.clock import MonotonicClock
-from op3.deploy.ticker import PERIOD, Ticker
+from op3.deploy.ticker import PERIOD, MonotonicClock, Ticker
 
 
 class StandingClock:

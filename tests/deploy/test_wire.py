@@ -4,14 +4,15 @@ import numpy as np
 from deploy_rig import NAMES, make_rig
 from policies import hold_policy
 
-from op3.deploy.blocks import CONTENTS, fast_answers
 from op3.deploy.emulator import read_frames
 from op3.deploy.exit_codes import ExitCode
-from op3.deploy.limits import IS_LEG, Limits
+from op3.deploy.limits import Limits
 from op3.deploy.phases import GainRamp, Hold
 from op3.deploy.policy_runner import FollowPolicy, PolicyRunner
-from op3.deploy.protocol import Instruction, Parser
-from op3.robot import JOINTS, SERVO_IDS, pose
+from op3.deploy.protocol import Instruction, Parser, fast_answers
+from op3.deploy.state import CONTENTS
+from op3.robot import pose
+from tests.op3_table import IS_LEG, JOINTS, OP3, SERVO_IDS
 
 KINDS = {
     (Instruction.FAST_SYNC_READ, 224): "read servos",
@@ -52,7 +53,7 @@ def ticks_of(rig):
 def readings_of(tick):
     """Position [rad] and velocity [rad/s] by joint, from the bytes of a tick's answer and the manual's units."""
     answers = fast_answers(tick["answer"], tick["asked"], 14)
-    kind = np.dtype([(name, form) for name, _, form in CONTENTS])
+    kind = np.dtype([(name, entry.kind) for name, entry in CONTENTS.items()])
     rows = np.array([np.frombuffer(answers[SERVO_IDS[joint]][1], kind)[0] for joint in JOINTS])
     return (rows["position"] - 2048) * 2 * np.pi / 4096, rows["velocity"] * 0.229 * 2 * np.pi / 60
 
@@ -85,7 +86,7 @@ def test_goal_currents_are_the_pd_of_the_bytes_just_read(tmp_path):
     for row, tick in enumerate(written[first : first + log.rows]):
         position, velocity = readings_of(tick)
         current = kp[row] * (target[row] - position) - kd[row] * velocity
-        counts = np.clip(current / 0.00269, -Limits().peak, Limits().peak)
+        counts = np.clip(current / 0.00269, -Limits().currents(OP3)[0], Limits().currents(OP3)[0])
         assert np.abs(tick["goal"] - counts).max() <= 0.5 + 1e-6
         compared += 1
     assert compared == log.rows == 124

@@ -9,11 +9,12 @@ from op3.diagnose.coordinates import CHAIN, base_coordinates, other_forms, with_
 from op3.diagnose.reduction import Reduction
 from op3.diagnose.settings import SETTINGS
 from op3.diagnose.windows import WindowResiduals
-from op3.robot import LEG_JOINTS, leg_suite
+from op3.robot import leg_suite
 from op3.servo import catalogue
 from op3.servo.effect import parameter
 from op3.sim import load_model
 from op3.tasks.planned import planned_suite
+from tests.op3_table import LEG_JOINTS
 
 EVERY = [True] * len(LEG_JOINTS)
 

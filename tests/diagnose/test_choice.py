@@ -11,10 +11,11 @@ from op3.diagnose.show import choose, show
 from op3.diagnose.split import LogSplit
 from op3.diagnose.verdict import Finding, JointGap, Rival, Verdict
 from op3.diagnose.windows import WindowResiduals
-from op3.robot import LEG_JOINTS, leg_suite
+from op3.robot import leg_suite
 from op3.rollout import Rollout
 from op3.sim import load_model
 from op3.tasks.planned import planned_suite
+from tests.op3_table import LEG_JOINTS
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import pytest
 
 from op3.diagnose import WindowResiduals
 from op3.diagnose.coordinates import with_chain
-from op3.robot import LEG_JOINTS, leg_suite, squat
+from op3.robot import leg_suite, squat
 from op3.robot.units import CURRENT_UNIT
 from op3.rollout import Rollout
 from op3.servo import Estimate, RobotModel, effect_class
@@ -13,6 +13,7 @@ from op3.sim import load_model
 from op3.sim.held_base import PendulumBase
 from op3.tasks import simulate_motion
 from op3.tasks.planned import planned_suite
+from tests.op3_table import LEG_JOINTS
 
 FAULTS = {
     ("link_mass", "link_mass_offset", "r_ank_roll"): 0.09,

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from op3.identify.design import Candidate, choose, information, widths
-from op3.robot import CONTROLLED_JOINTS, chirp, hold, pose, triangle
+from op3.robot import chirp, hold, pose, triangle
 from op3.sim import load_model
+from tests.op3_table import CONTROLLED_JOINTS
 
 NAMES = ("friction", "gear", "mass")
 

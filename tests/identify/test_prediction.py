@@ -9,11 +9,12 @@ from scipy import stats
 
 from op3.identify.loss import TrajectoryLoss, position_error
 from op3.identify.prediction_score import bootstrap_interval, predict_logs, score_predictions
-from op3.robot import CONTROLLED_JOINTS, squat
+from op3.robot import squat
 from op3.rollout import Metadata, Rollout
 from op3.servo import Estimate
 from op3.sim import load_model
 from op3.tasks import Replay, play, squat_task
+from tests.op3_table import CONTROLLED_JOINTS
 
 
 def bench_log(mass: float = 0.3, length: float = 0.1, gain: float = 8.0, motion: str = "sine") -> Rollout:

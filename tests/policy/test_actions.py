@@ -11,7 +11,8 @@ from hypothesis.extra import numpy as hnp
 
 from op3.policy import ActionMap
 from op3.policy.actions import HELD_GAIN
-from op3.robot import CONTROLLED_JOINTS, JOINTS, SOFT_LIMITS, indices, pose
+from op3.robot import pose
+from tests.op3_table import CONTROLLED_JOINTS, JOINTS, SOFT_LIMITS, indices
 
 MAP = ActionMap.around_stand()
 ACTIONS = hnp.arrays(np.float64, (3, 20), elements=st.floats(-1, 1))

@@ -8,7 +8,7 @@ from op3.policy import ActionMap
 from op3.policy.leg_kinematics import leg_kinematics
 from op3.policy.mirror import Mirror
 from op3.policy.observation import WALK_LAYOUT, observe
-from op3.robot import CONTROLLED_JOINTS, mirror
+from tests.op3_table import CONTROLLED_JOINTS, mirror
 
 MIRROR = Mirror(WALK_LAYOUT, 3, CONTROLLED_JOINTS)
 

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from op3.policy.leg_kinematics import leg_kinematics
 from op3.policy.observation import BALANCE_LAYOUT, WALK_LAYOUT, History, layout_slices, observe
-from op3.robot import KEY_POINTS, asset_path, key_points
+from op3.robot import asset_path, key_points
+from tests.op3_table import KEY_POINTS
 
 angles = st.lists(st.floats(-1.2, 1.2), min_size=20, max_size=20).map(np.array)
 

@@ -12,7 +12,6 @@ from op3.robot import (
     check_motion,
     chirp,
     hold,
-    indices,
     motion_faults,
     multisine,
     pose,
@@ -23,7 +22,8 @@ from op3.robot import (
     triangle,
 )
 from op3.robot.kinematics import rotation_matrix, sole_normals
-from op3.robot.poses import SQUAT_LEAN
+from op3.robot.op3_motions import SQUAT_LEAN
+from tests.op3_table import indices
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
 LIBRARY = sorted(path.stem for path in (CONF / "motion").glob("*.yaml"))

@@ -5,17 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from op3.robot import (
-    JOINTS,
-    KEY_POINTS,
-    SOFT_LIMITS,
-    center_of_mass,
-    key_points,
-    mirror,
-    quaternion,
-    sole_corners,
-)
+from op3.robot import center_of_mass, key_points, quaternion, sole_corners
 from op3.robot.kinematics import rotation_matrix
+from tests.op3_table import JOINTS, KEY_POINTS, SOFT_LIMITS, mirror
 
 joint_positions = st.tuples(*(st.floats(*SOFT_LIMITS[name]) for name in JOINTS)).map(np.array)
 angles = st.floats(-3.0, 3.0)

@@ -3,21 +3,10 @@
 import numpy as np
 import pytest
 
-from op3.robot import (
-    JOINTS,
-    SOFT_LIMITS,
-    Motion,
-    asset_path,
-    center_of_mass,
-    hold,
-    indices,
-    mirror,
-    pose,
-    sole_corners,
-    squat,
-)
+from op3.robot import Motion, asset_path, center_of_mass, hold, pose, sole_corners, squat
 from op3.robot.kinematics import rotation_matrix, sole_normals
-from op3.robot.poses import SQUAT_LEAN
+from op3.robot.op3_motions import SQUAT_LEAN
+from tests.op3_table import JOINTS, SOFT_LIMITS, indices, mirror
 
 LIMITS = np.array([SOFT_LIMITS[name] for name in JOINTS])
 

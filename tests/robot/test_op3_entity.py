@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from dm_control import mjcf
 
-from op3.robot import JOINTS, KEY_POINTS, OP3, build_scene, key_points, pose
+from op3.robot import RobotEntity, build_scene, key_points, pose
 from op3.robot.kinematics import rotation_matrix
+from tests.op3_table import JOINTS, KEY_POINTS, OP3
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +22,7 @@ def tilted():
 
 def test_elements():
     """Joints, key points and soles come in the order of their names."""
-    robot = OP3()
+    robot = RobotEntity(OP3)
     assert [joint.name for joint in robot.joints] == list(JOINTS)
     assert [site.name for site in robot.key_points] == list(KEY_POINTS)
     assert [sole.name for sole in robot.soles] == ["l_sole_long", "l_sole_wide", "r_sole_long", "r_sole_wide"]
@@ -30,7 +31,7 @@ def test_elements():
 
 def test_nothing_is_actuated():
     """The entity brings no actuators: servos are attached by whoever models them."""
-    assert OP3().mjcf_model.find_all("actuator") == []
+    assert RobotEntity(OP3).mjcf_model.find_all("actuator") == []
 
 
 def test_joint_observables(tilted):

@@ -5,24 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from op3.robot import (
-    JOINTS,
-    POSES,
-    SOFT_LIMITS,
-    center_of_mass,
-    indices,
-    mirror,
-    pose,
-    sole_corners,
-    standing_height,
-)
-from op3.robot.kinematics import rotation_matrix, sole_normals
-from op3.robot.poses import leg_pitches, level_soles, squat_position
+from op3.robot import center_of_mass, pose, sole_corners, standing_height
+from op3.robot.kinematics import level_soles, rotation_matrix, sole_normals
+from op3.robot.op3_motions import leg_pitches, squat_position
+from tests.op3_table import JOINTS, OP3, SOFT_LIMITS, indices, mirror
 
 LIMITS = np.array([SOFT_LIMITS[name] for name in JOINTS])
 
 
-@pytest.mark.parametrize("name", POSES)
+@pytest.mark.parametrize("name", ["zero", "stand", *OP3.file.poses])
 def test_poses_are_symmetric_and_within_limits(name):
     """Every pose is its own mirror image and keeps to the soft limits."""
     position = pose(name)
@@ -39,7 +30,7 @@ def test_pose_is_a_fresh_array():
 
 def test_unknown_pose():
     """An unknown pose is named, with the ones that exist."""
-    with pytest.raises(ValueError, match=r"unknown pose 'sit'; the poses are zero, stand, squat_low, squat_high"):
+    with pytest.raises(ValueError, match=r"op3 has no pose 'sit'; it has home, stand, zero, rest, squat_low"):
         pose("sit")
 
 

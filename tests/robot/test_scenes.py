@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from op3.robot import JOINTS, SCENES, Scene, build_bench, build_scene, pose, standing_height
-from op3.robot.joints import LIMBS
+from op3.robot import SCENES, Scene, build_bench, build_scene, pose, standing_height
 from op3.robot.kinematics import rotation_matrix
-from op3.robot.poses import SQUAT_LEAN
+from op3.robot.op3_motions import SQUAT_LEAN
+from tests.op3_table import JOINTS, LIMBS
 
 joint_positions = st.lists(st.floats(-2.8, 2.8), min_size=20, max_size=20).map(np.array)
 

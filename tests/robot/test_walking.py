@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from op3.robot import JOINTS, MIRROR, SOFT_LIMITS, SinusoidalGait, indices, key_points
+from op3.robot import SinusoidalGait, key_points
 from op3.robot.kinematics import sole_normals
-from op3.robot.walking import leg_angles
+from op3.robot.op3_motions import leg_angles
+from tests.op3_table import JOINTS, MIRROR, SOFT_LIMITS, indices
 
 HIP = np.array([0.0001, 0.035, -0.0285])
 """Where roll and pitch axis of the left hip meet, relative to the trunk [m]."""

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from op3.robot import JOINTS, robot_suite
+from op3.robot import robot_suite
 from op3.rollout import Rollout, read_logs
 from op3.stand_in import (
     CATALOGUE,
@@ -24,6 +24,7 @@ from op3.stand_in import (
 )
 from op3.stand_in.cases import ALIAS_PAIRS, BASES, Case, answer_bytes, write_answer
 from op3.stand_in.settings import SETTINGS, Setting
+from tests.op3_table import JOINTS
 
 QUIET = World(
     joint_spread=0.0, friction_drift=0.0, torque_noise=0.0, current_offset=0.0, current_noise=0.0, latency_jitter=0.0,

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 import yaml
 
-from op3.robot import CONTROLLED_JOINTS, Motion, build_bench, hold, indices, pose, squat
+from op3.robot import Motion, build_bench, hold, pose, squat
 from op3.rollout import Rollout
 from op3.stand_in import StandIn, World
 from op3.stand_in.play import Push, play, sample
+from tests.op3_table import CONTROLLED_JOINTS, indices
 
 LEGS = indices(CONTROLLED_JOINTS)
 SHORT = squat(frequency=2.0, knee_high=1.2, duration=0.5)

@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio
 import pytest
 
-from op3.robot import JOINTS, build_bench, build_scene, pose, squat
+from op3.robot import build_bench, build_scene, pose, squat
 from op3.robot.units import (
     ACCELERATION_UNIT,
     ANGLE_UNIT,
@@ -16,6 +16,7 @@ from op3.robot.units import (
     VOLTAGE_UNIT,
 )
 from op3.stand_in import StandIn, World
+from tests.op3_table import JOINTS
 
 QUIET = World(
     joint_spread=0.0,

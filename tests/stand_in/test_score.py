@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import yaml
 
-from op3.robot import LEG_JOINTS
 from op3.stand_in.score import (
     MISSING,
     NOTHING,
@@ -23,6 +22,7 @@ from op3.stand_in.score import (
     summarise,
     wilson,
 )
+from tests.op3_table import LEG_JOINTS
 
 
 def answer(kind="single", *effects, severity="clear"):

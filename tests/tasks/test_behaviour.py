@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from op3.robot import CONTROLLED_JOINTS, JOINTS
 from op3.rollout import Metadata, Rollout
 from op3.tasks.behaviour import gains, gait_profile, in_stance, mean_tilt
+from tests.op3_table import CONTROLLED_JOINTS, JOINTS
 
 PERIOD = 0.008
 ROWS = 500

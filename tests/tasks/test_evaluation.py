@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from op3.robot import JOINTS
 from op3.rollout import LogError, Metadata, Rollout
 from op3.tasks.evaluation import (
     TRUNK_HEIGHT,
@@ -15,6 +14,7 @@ from op3.tasks.evaluation import (
     succeeded,
     wilson_interval,
 )
+from tests.op3_table import JOINTS
 
 RATE = 125.0
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from op3.robot import JOINTS, hold, pose, squat
+from op3.robot import hold, pose, squat
 from op3.servo import RobotModel, catalogue
 from op3.servo.effects import (
     CentreOfMassOffset,
@@ -18,6 +18,7 @@ from op3.servo.effects import (
     Viscous,
 )
 from op3.tasks import Setup, play, squat_task
+from tests.op3_table import JOINTS
 
 
 def middle_of_table_1(form: str = "passive") -> RobotModel:

@@ -5,13 +5,13 @@ import pytest
 import torch
 
 from op3.robot import squat
-from op3.robot.joints import JOINTS, LIMBS
 from op3.robot.motions import Motion
 from op3.rollout import LogError, Rollout
 from op3.servo import RobotModel
 from op3.servo.effects import Coulomb, EncoderOffset, Motor, PositionServo
 from op3.sim import load_model
 from op3.tasks import Replay, bench_task, play, squat_task
+from tests.op3_table import JOINTS, LIMBS
 
 SHORT = squat(duration=0.6)
 

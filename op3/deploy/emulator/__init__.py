@@ -1,4 +1,4 @@
-"""An emulated ROBOTIS-OP3 on a Dynamixel Protocol 2.0 bus, to the byte."""
+"""An emulated robot on a Dynamixel Protocol 2.0 bus, to the byte."""
 
 from op3.deploy.emulator.faults import (
     BrownOut,
@@ -9,17 +9,15 @@ from op3.deploy.emulator.faults import (
     Silent,
     Unplug,
 )
-from op3.deploy.emulator.frames import Frame, read_frames
-from op3.deploy.emulator.line import Timing
+from op3.deploy.emulator.line import Frame, Timing, read_frames
 from op3.deploy.emulator.physics import Physics, Readings, StandInPhysics
-from op3.deploy.emulator.port import Clock, VirtualPort
-from op3.deploy.emulator.power import Battery, Windings
+from op3.deploy.emulator.port import VirtualPort
 from op3.deploy.emulator.pty_server import PtyServer
-from op3.deploy.emulator.robot import OP3_SETTINGS, EmulatedRobot
-from op3.deploy.emulator.sim_physics import ImuNoise, SimPhysics
+from op3.deploy.emulator.robot import USUAL_SETTINGS, Clock, EmulatedRobot
+from op3.deploy.emulator.sim_physics import Battery, ImuNoise, SimPhysics, Windings
 
 __all__ = [
-    "OP3_SETTINGS",
+    "USUAL_SETTINGS",
     "Battery",
     "BrownOut",
     "Clock",

@@ -2,23 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from math import inf
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import AfterValidator
-
-from op3.deploy.registers import OPEN_CR_ID, HardwareError
+from op3.deploy.registers import HardwareError
 from op3.settings import Listed, NotNegative, Number, Share, Whole, settings
-
-
-def _on_the_bus(device: int) -> int:
-    if not (1 <= device <= 20 or device == OPEN_CR_ID):
-        raise ValueError(f"faults: device {device} is not on the bus; it has 1 to 20 and {OPEN_CR_ID}")
-    return device
-
-
-Device = Annotated[Whole, AfterValidator(_on_the_bus)]
-"""An id on the bus."""
 
 
 @settings("faults")
@@ -31,7 +20,7 @@ class Silent:
         end: until when [s].
     """
 
-    device: Device
+    device: Whole
     start: Number = 0.0
     end: float = inf
 
@@ -59,7 +48,7 @@ class Overheat:
         rate: [K/s].
     """
 
-    device: Device
+    device: Whole
     start: Number = 0.0
     rate: Number = 20.0
 
@@ -92,7 +81,7 @@ class HardwareFault:
         error: bits of `op3.deploy.registers.HardwareError`.
     """
 
-    device: Device
+    device: Whole
     start: Number
     error: int = HardwareError.OVERLOAD
 
@@ -147,3 +136,11 @@ class Faults:
             if not isinstance(fault, Scheduled):
                 kinds = ", ".join(kind.__name__ for kind in Scheduled.__args__)
                 raise ValueError(f"faults: what is scheduled is one of {kinds}; got {fault!r}")
+
+    def check_on(self, ids: Collection[int]) -> None:
+        """Refuse a fault of a device that is not on the bus with these ids."""
+        for fault in self.scheduled:
+            device = getattr(fault, "device", None)
+            if device is not None and device not in ids:
+                known = ", ".join(map(str, sorted(ids)))
+                raise ValueError(f"faults: device {device} is not on the bus; it has {known}")

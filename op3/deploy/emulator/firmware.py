@@ -15,8 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.deploy.registers import POSITION_ZERO, PWM_UNIT, OperatingMode
-from op3.robot.units import CURRENT_UNIT, POSITION_UNIT, VELOCITY_UNIT
+from op3.deploy.registers import POSITION_ZERO, PWM_UNIT, OperatingMode, Units
 
 PERIOD = 0.001
 """Period of the servos' own loops [s] (inferred: the register `realtime_tick` counts in it)."""
@@ -44,7 +43,7 @@ class Drive:
 
 
 class Firmware:
-    """The control loops of `count` servos.
+    """The control loops of servos with these units.
 
     Attributes:
         enabled: [servo], whether torque is on and nothing keeps the servo from using it.
@@ -53,18 +52,17 @@ class Firmware:
         loads: how often registers have been taken; tells whether something has been written besides goal currents.
     """
 
-    def __init__(self, count: int):
+    def __init__(self, units: Units):
+        count, self._units = len(units.current), units
         self.enabled = np.zeros(count, dtype=bool)
         self.looping = False
         self.changed = True
         self.loads = 0
         self._mode = np.full(count, OperatingMode.POSITION)
-        self._goal_current, self._goal_pwm = np.zeros(count), np.zeros(count)
-        self._goal_velocity, self._goal_position = np.zeros(count), np.zeros(count)
-        self._current_bound = np.zeros(count)
-        self._profile_velocity = np.zeros(count)
+        self._goal_current, self._goal_pwm, self._goal_velocity, self._goal_position = np.zeros((4, count))
+        self._current_bound, self._profile_velocity = np.zeros((2, count))
         self._gains = np.zeros((5, count))
-        self._followed, self._sum, self._last_error = np.zeros(count), np.zeros(count), np.zeros(count)
+        self._followed, self._sum, self._last_error = np.zeros((3, count))
         self._fresh = np.ones(count, dtype=bool)
         none = np.zeros(count)
         self.drive = Drive(self.enabled, none.copy(), none.copy(), np.zeros(count, dtype=bool), np.full(count, np.inf))
@@ -97,7 +95,7 @@ class Firmware:
         """The short way for the one register that changes in every tick."""
         bound = self._current_bound[index]
         self._goal_current[index] = max(-bound, min(bound, value))
-        self.drive.current[index] = self._goal_current[index] * CURRENT_UNIT
+        self.drive.current[index] = self._goal_current[index] * self._units.current[index]
         self.changed = True
 
     def _settle(self) -> None:
@@ -105,9 +103,9 @@ class Firmware:
         self.changed = True
         self.loads += 1
         drive.voltage[:] = mode != OperatingMode.CURRENT
-        drive.current[:] = self._goal_current * CURRENT_UNIT
+        drive.current[:] = self._goal_current * self._units.current
         by_current = mode == OperatingMode.CURRENT_BASED_POSITION
-        drive.limit[:] = np.where(by_current, np.abs(self._goal_current), self._current_bound) * CURRENT_UNIT
+        drive.limit[:] = np.where(by_current, np.abs(self._goal_current), self._current_bound) * self._units.current
         self.looping = bool((self.enabled & drive.voltage).any())
 
     def step(self, position: Array, velocity: Array) -> None:
@@ -118,11 +116,11 @@ class Firmware:
             velocity: [servo] in rad/s.
         """
         mode, (p, i, d, vp, vi) = self._mode, self._gains
-        counts = np.round(position / POSITION_UNIT) + POSITION_ZERO
-        units = np.round(velocity / VELOCITY_UNIT)
+        counts = np.round(position / self._units.position) + POSITION_ZERO
+        units = np.round(velocity / self._units.velocity)
         speed = mode == OperatingMode.VELOCITY
         self._followed[:] = np.where(self._fresh, counts, self._followed)
-        stride = self._profile_velocity * VELOCITY_UNIT * PERIOD / POSITION_UNIT
+        stride = self._profile_velocity * self._units.velocity * PERIOD / self._units.position
         step = self._goal_position - self._followed
         self._followed += np.where(self._profile_velocity > 0, np.clip(step, -stride, stride), step)
         error = np.where(speed, self._goal_velocity - units, self._followed - counts)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
 
-from op3.deploy.emulator.device import Device
-from op3.deploy.emulator.open_cr import INSTRUCTIONS as OPEN_CR_INSTRUCTIONS
+from op3.deploy.emulator.device import OPEN_CR_INSTRUCTIONS, Device
 from op3.deploy.emulator.servo import Servo
 from op3.deploy.protocol import (
     ALERT,
@@ -56,18 +56,9 @@ class Dispatcher:
     def answers(self, packet: Packet, now: float) -> list[Answer]:
         """Carry out an instruction at a time [s]."""
         instruction, parameters = packet.instruction, packet.parameters
-        if instruction == Instruction.SYNC_READ:
-            return self._chain(_sync_items(parameters))
-        if instruction == Instruction.SYNC_WRITE:
-            return self._write_all(_sync_write_items(parameters))
-        if instruction == Instruction.BULK_READ:
-            return self._chain(_bulk_items(parameters))
-        if instruction == Instruction.BULK_WRITE:
-            return self._write_all(_bulk_write_items(parameters))
-        if instruction == Instruction.FAST_SYNC_READ:
-            return self._fast(_sync_items(parameters))
-        if instruction == Instruction.FAST_BULK_READ:
-            return self._fast(_bulk_items(parameters))
+        if instruction in _OF_MANY:
+            handle, items = _OF_MANY[instruction]
+            return getattr(self, handle)(items(parameters))
         if instruction == Instruction.STATUS:
             return []
         if packet.device == BROADCAST_ID:
@@ -167,7 +158,7 @@ class Dispatcher:
                 silent = True
                 device = None
             error, data = (Error.NONE, b"") if device is None else device.read(address, length)
-            parts.append((error | (_alert(device) if device else 0), number, data.ljust(length, b"\0")))
+            parts.append((error | _alert(device), number, data.ljust(length, b"\0")))
             if not silent and device is not None:
                 pauses.append(FAST_GAP if pauses else self._pause(device))
         if not parts or sum(len(data) + 4 for _, _, data in parts) > LONGEST_FAST:
@@ -186,8 +177,8 @@ def _understands(device: Device, instruction: int) -> bool:
     return isinstance(device, Servo) or instruction in OPEN_CR_INSTRUCTIONS
 
 
-def _alert(device: Device) -> int:
-    return ALERT if device.alert else 0
+def _alert(device: Device | None) -> int:
+    return ALERT if device is not None and device.alert else 0
 
 
 def _level(instruction: int) -> int:
@@ -226,3 +217,14 @@ def _bulk_write_items(parameters: bytes) -> Iterator[tuple[int, int, bytes]]:
             return
         yield parameters[at], _word(parameters, at + 1), parameters[at + 5 : at + 5 + length]
         at += 5 + length
+
+
+_OF_MANY: dict[int, tuple[str, Callable[[bytes], Iterator[tuple[int, int, Any]]]]] = {
+    Instruction.SYNC_READ: ("_chain", _sync_items),
+    Instruction.BULK_READ: ("_chain", _bulk_items),
+    Instruction.FAST_SYNC_READ: ("_fast", _sync_items),
+    Instruction.FAST_BULK_READ: ("_fast", _bulk_items),
+    Instruction.SYNC_WRITE: ("_write_all", _sync_write_items),
+    Instruction.BULK_WRITE: ("_write_all", _bulk_write_items),
+}
+"""What is done with the items of an instruction for many devices, and how they are written in it."""

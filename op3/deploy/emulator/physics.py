@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from op3.deploy.emulator.firmware import PERIOD, Drive
-from op3.robot import BoardMotion, WeightSchedule
+from op3.robot import BoardMotion, Robot, WeightSchedule
 from op3.robot.scenes import Scene
 from op3.stand_in import StandIn, World
 
@@ -47,18 +47,12 @@ class Physics(Protocol):
     """A robot without its electronics. Time goes in steps of `op3.deploy.emulator.firmware.PERIOD`.
 
     Attributes:
-        joints: names of the joints, in the order of every [joint] array.
+        known: what its file says; its joints are in the order of every [joint] array.
+        supply: voltage of the supply [V]; None where the robot has its own battery.
     """
 
-    joints: tuple[str, ...]
-
-    @property
-    def supply(self) -> float | None:
-        """Voltage of the supply [V], where it is not the robot's own battery."""
-        ...
-
-    @supply.setter
-    def supply(self, voltage: float | None) -> None: ...
+    known: Robot
+    supply: float | None
 
     @property
     def position(self) -> Array:
@@ -110,7 +104,7 @@ class StandInPhysics:
         world: the truth.
         scene: a name that `op3.robot.build_scene` knows, or a scene.
         seed: of the sensors' noise and the servos' state.
-        joint_position: [joint] in rad at the start; by default the pose "stand", or zero on the bench.
+        joint_position: [joint] in rad at the start; by default home.
     """
 
     def __init__(
@@ -122,13 +116,13 @@ class StandInPhysics:
         joint_position: ArrayLike | None = None,
     ):
         self.robot = StandIn(world or World(), scene, seed=seed)
-        self.joints = self.robot.joints
+        self.known = self.robot.known
         self.robot.reset(self.robot.rest if joint_position is None else joint_position)
         self._sensors = self.robot.read_sensors()
 
     @property
-    def supply(self) -> float | None:
-        """Voltage of the supply [V], where it is not the robot's own battery."""
+    def supply(self) -> float | None:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Voltage of the supply [V]; None where the robot has its own battery."""
         return self.robot.supply
 
     @supply.setter
@@ -171,7 +165,7 @@ class StandInPhysics:
             velocity=sensors.velocity,
             current=sensors.current,
             duty=self.robot.servos.duty,
-            voltage=sensors.voltage if self.supply is None else np.full(len(self.joints), self.supply),
+            voltage=sensors.voltage if self.supply is None else np.full(len(sensors.voltage), self.supply),
             temperature=sensors.temperature,
             orientation=sensors.orientation,
             angular_velocity=sensors.angular_velocity,

@@ -1,39 +1,14 @@
-"""The computer's end of the line, in virtual time: a port for the unmodified dynamixel-sdk, and its clock."""
+"""The computer's end of the line, in virtual time: a port for the unmodified dynamixel-sdk."""
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 from dynamixel_sdk import PortHandler
 from serial import SerialException
 
-if TYPE_CHECKING:
-    from op3.deploy.emulator.robot import EmulatedRobot
+from op3.deploy.emulator.robot import EmulatedRobot
 
 POLL = 5e-5
 """How long a look at an empty port takes where nothing tells what is waited for [s]."""
-
-
-class Clock:
-    """Time of the emulated world."""
-
-    def __init__(self, robot: EmulatedRobot):
-        self._robot = robot
-        self._now = 0.0
-
-    def now(self) -> float:
-        """Time since the robot was made [s]."""
-        return self._now
-
-    def sleep(self, duration: float) -> None:
-        """Let time pass [s]."""
-        self.sleep_until(self._now + duration)
-
-    def sleep_until(self, time: float) -> None:
-        """Let time pass until then [s]; no time passes if that is over."""
-        if time > self._now:
-            self._now = time
-            self._robot.advance(time)
 
 
 class VirtualPort(PortHandler):
@@ -44,8 +19,7 @@ class VirtualPort(PortHandler):
 
     def __init__(self, robot: EmulatedRobot, name: str = "virtual"):
         super().__init__(name)
-        self._robot = robot
-        self._clock = robot.clock
+        self._robot, self._clock = robot, robot.clock
 
     def setupPort(self, cflag_baud: int) -> bool:
         """Open the port at a baud rate."""

@@ -11,10 +11,8 @@ import threading
 import time
 import tty
 from types import TracebackType
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from op3.deploy.emulator.robot import EmulatedRobot
+from op3.deploy.emulator.robot import EmulatedRobot
 
 PATIENCE = 0.002
 """Longest wait before the world is brought up to the wall clock [s]."""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from serial import SerialException
 
-from op3.deploy.emulator.device import Device
+from op3.deploy.emulator.device import BUTTONS, Device, OpenCR
 from op3.deploy.emulator.faults import (
     RESET_VOLTAGE,
     BrownOut,
@@ -24,26 +24,15 @@ from op3.deploy.emulator.faults import (
     Unplug,
 )
 from op3.deploy.emulator.firmware import PERIOD, Firmware
-from op3.deploy.emulator.frames import FrameRecorder
 from op3.deploy.emulator.instructions import Dispatcher
-from op3.deploy.emulator.line import Line, Timing
-from op3.deploy.emulator.open_cr import BUTTONS, OpenCR
+from op3.deploy.emulator.line import FrameRecorder, Line, Timing
 from op3.deploy.emulator.physics import Physics, Readings
-from op3.deploy.emulator.port import Clock, VirtualPort
-from op3.deploy.emulator.pty_server import PtyServer
 from op3.deploy.emulator.servo import BOOT_TIME, Servo
 from op3.deploy.protocol import BROADCAST_ID, Instruction, Packet
-from op3.deploy.registers import (
-    POSITION_ZERO,
-    PWM_UNIT,
-    XM430_W350,
-    HardwareError,
-)
-from op3.robot import SERVO_IDS
-from op3.robot.units import CURRENT_UNIT, POSITION_UNIT, VELOCITY_UNIT, VOLTAGE_UNIT
+from op3.deploy.registers import DYNAMIXEL_X, POSITION_ZERO, PWM_UNIT, HardwareError, Units
 
-OP3_SETTINGS: dict[str, int] = {"baud_rate": 4, "return_delay_time": 0}
-"""EEPROM of the OP3's servos where it differs from the factory's: 2 Mbit/s, no return delay."""
+USUAL_SETTINGS: dict[str, int] = {"baud_rate": 4, "return_delay_time": 0}
+"""EEPROM of a robot's servos where it differs from the factory's: 2 Mbit/s, no return delay."""
 
 CHECK_PERIOD = 0.01
 """How often servos look at their voltage and temperature [s] (inferred)."""
@@ -54,14 +43,8 @@ RESET_BUTTON_TIME = 0.1
 _WRITES = (Instruction.WRITE, Instruction.SYNC_WRITE, Instruction.BULK_WRITE)
 """Instructions that need no measurements; those that do ask for them."""
 
-_FIRST, _LAST = XM430_W350["realtime_tick"].address, XM430_W350["present_temperature"].end
-_PRESENT = np.dtype(
-    [
-        (register.name, f"<{'i' if register.signed else 'u'}{register.size}")
-        for register in XM430_W350
-        if _FIRST <= register.address < _LAST
-    ]
-)
+_FIRST, _LAST = DYNAMIXEL_X["realtime_tick"].address, DYNAMIXEL_X["present_temperature"].end
+_PRESENT = np.dtype([(register.name, register.kind) for register in DYNAMIXEL_X if _FIRST <= register.address < _LAST])
 
 
 def _shared_memory(servos: Sequence[Servo]) -> NDArray[np.uint8]:
@@ -72,26 +55,55 @@ def _shared_memory(servos: Sequence[Servo]) -> NDArray[np.uint8]:
     return memory
 
 
-class EmulatedRobot:
-    """A ROBOTIS-OP3 on its bus: 20 servos and the OpenCR, with a physics behind them.
-
-    The servos have no power until the OpenCR's register `dynamixel_power` is written. Nothing here looks at the wall
-    clock: equal seeds and equal calls give equal bytes.
+class Clock:
+    """Time of the emulated world.
 
     Args:
-        physics: the robot itself, see `op3.deploy.emulator.physics.Physics`.
+        advance: lets the world go on until a time [s].
+    """
+
+    def __init__(self, advance: Callable[[float], None]):
+        self._advance = advance
+        self._now = 0.0
+
+    def now(self) -> float:
+        """Time since the robot was made [s]."""
+        return self._now
+
+    def sleep(self, duration: float) -> None:
+        """Let time pass [s]."""
+        self.sleep_until(self._now + duration)
+
+    def sleep_until(self, time: float) -> None:
+        """Let time pass until then [s]; no time passes if that is over."""
+        if time > self._now:
+            self._now = time
+            self._advance(time)
+
+
+class EmulatedRobot:
+    """A robot on its bus: its servos and its OpenCR if it has one, with a physics behind them.
+
+    With an OpenCR the servos have no power until its register `dynamixel_power` is written. Nothing here looks at the
+    wall clock: equal seeds and equal calls give equal bytes.
+
+    Args:
+        physics: the robot itself with what its file says of its bus, see `op3.deploy.emulator.physics.Physics`.
         seed: of the faults.
         faults: what goes wrong; by default nothing.
         timing: how long things take on the way.
-        settings: EEPROM registers of all servos by name, in place of `OP3_SETTINGS`.
-        record: file for the frames on the wire; see `op3.deploy.emulator.frames`.
+        settings: EEPROM registers of all servos by name, in place of `USUAL_SETTINGS`.
+        record: file for the frames on the wire; see `FrameRecorder`.
 
     Attributes:
         physics: as given.
         clock: the emulated time.
         bus: the line.
         servos: by joint name.
-        open_cr: the OpenCR.
+        open_cr: the OpenCR; it is there for a robot without one too, and on no bus.
+
+    Raises:
+        ValueError: if the robot has servos that this bus does not know, or a fault is of none of its devices.
     """
 
     def __init__(
@@ -106,20 +118,25 @@ class EmulatedRobot:
     ):
         self.physics = physics
         self.faults, timing = faults or Faults(), timing or Timing()
-        self._firmware = Firmware(len(physics.joints))
-        eeprom = dict(OP3_SETTINGS if settings is None else settings)
+        known = physics.known
+        self._units = Units(known)
+        self._firmware = Firmware(self._units)
+        eeprom = dict(USUAL_SETTINGS if settings is None else settings)
         self.servos = {
-            joint: Servo(SERVO_IDS.get(joint, index + 1), index, self._firmware, eeprom)
-            for index, joint in enumerate(physics.joints)
+            joint: Servo(known.bus_ids[joint], index, self._firmware, self._units.models[joint], eeprom)
+            for index, joint in enumerate(known.joints)
         }
         for servo in self.servos.values():
             servo.measure = self._refresh
         self.open_cr = OpenCR()
+        board = known.file.board is not None
         self._all = tuple(self.servos.values())
         self._memory = _shared_memory(self._all)
-        self._dispatcher = Dispatcher((*self._all, self.open_cr), timing.turnaround, self._hears)
+        devices: list[Device] = [*self._all, *([self.open_cr] if board else [])]
+        self.faults.check_on([device.id for device in devices])
+        self._dispatcher = Dispatcher(devices, timing.turnaround, self._hears)
         self.recorder = None if record is None else FrameRecorder(record)
-        self.clock = Clock(self)
+        self.clock = Clock(self.advance)
         self.bus = Line(self._answers, timing, self.faults, np.random.default_rng([seed, 6]), self.recorder)
         self.time = 0.0
         self.unplugged = False
@@ -132,24 +149,13 @@ class EmulatedRobot:
         self._heat: dict[int, tuple[float, float]] = {}
         self._heard = 0.0
         self._present = np.zeros(len(self._all), dtype=_PRESENT)
-        self._pressed = 0
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._numbers = count()
         self._reconsider()
         self._schedule_faults()
         self.at(CHECK_PERIOD, self._check_servos)
-
-    def port_handler(self, name: str = "virtual") -> VirtualPort:
-        """A port for dynamixel-sdk, in virtual time."""
-        return VirtualPort(self, name)
-
-    def serve_pty(self, baud: int = 2_000_000) -> PtyServer:
-        """A pseudo-terminal for any program, in wall time: ``with robot.serve_pty() as server: print(server.path)``.
-
-        Args:
-            baud: speed of the line until a program sets one [bit/s].
-        """
-        return PtyServer(self, baud)
+        if not board:
+            self.switch_on()
 
     def close(self) -> None:
         """Finish the recording of frames, if there is one."""
@@ -207,6 +213,12 @@ class EmulatedRobot:
 
     # -- instructions
 
+    def replace(self, physics: Physics) -> None:
+        """Another physics behind the same bus, such as the same robot in another place."""
+        physics.supply = self.physics.supply
+        physics.drive(self._firmware.drive)
+        self.physics, self._stale, self._board_stale = physics, True, True
+
     def _hears(self, device: Device) -> bool:
         return (
             device.ready <= self.time
@@ -253,7 +265,6 @@ class EmulatedRobot:
     def press(self, button: str, duration: float = 0.05) -> None:
         """Press a button of the OpenCR for a while [s]; "reset", held for 0.1 s, cuts the servos' power."""
         self.open_cr.press(button, True)
-        self._pressed += 1
         self.at(self.time + duration, lambda: self.open_cr.press(button, False))
         if button == BUTTONS[-1] and duration > RESET_BUTTON_TIME:
             self.at(self.time + RESET_BUTTON_TIME, self._cut_power)
@@ -306,14 +317,15 @@ class EmulatedRobot:
             return
         self._stale, self._refreshed = False, self.time
         readings, present = self.physics.read(), self._present
-        velocity = np.rint(readings.velocity / VELOCITY_UNIT)
+        units = self._units
+        velocity = np.rint(readings.velocity / units.velocity)
         present["realtime_tick"] = (self._ticks - self._booted) % 32768
         present["moving"] = np.abs(velocity) > self._threshold
         present["present_pwm"] = np.rint(readings.duty / PWM_UNIT)
-        present["present_current"] = np.rint(readings.current / CURRENT_UNIT)
+        present["present_current"] = np.rint(readings.current / units.current)
         present["present_velocity"] = velocity
-        present["present_position"] = np.rint(readings.position / POSITION_UNIT) + self._zero
-        present["present_input_voltage"] = np.rint(readings.voltage / VOLTAGE_UNIT)
+        present["present_position"] = np.rint(readings.position / units.position) + self._zero
+        present["present_input_voltage"] = np.rint(readings.voltage / units.voltage)
         present["present_temperature"] = np.minimum(np.rint(self._temperature(readings)), 255)
         self._memory[:, _FIRST:_LAST] = present.view(np.uint8).reshape(len(self._all), -1)
 

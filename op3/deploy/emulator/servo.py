@@ -1,4 +1,4 @@
-"""One XM430-W350: what its registers do when they are written, and when something goes wrong.
+"""One XM430: what its registers do when they are written, and when something goes wrong.
 
 Rules of the ROBOTIS e-Manual ("XM430-W350", "DYNAMIXEL Protocol 2.0"). What it leaves open is decided for the worse of
 the plausible behaviours, and marked (inferred).
@@ -14,21 +14,19 @@ from op3.deploy.emulator.device import Device
 from op3.deploy.emulator.firmware import Firmware
 from op3.deploy.protocol import Error
 from op3.deploy.registers import (
+    DYNAMIXEL_X,
     FIRST_INDIRECT_ADDRESS,
     FIRST_INDIRECT_DATA,
     INDIRECT_COUNT,
     SECOND_INDIRECT_ADDRESS,
     SECOND_INDIRECT_DATA,
-    XM430_W350,
+    WATCHDOG_UNIT,
     OperatingMode,
     Register,
 )
 
 BOOT_TIME = 0.08
 """From power or a reboot to the first answer [s] (inferred: ROBOTIS' op3_manager waits 0.1 s)."""
-
-WATCHDOG_UNIT = 0.02
-"""Unit of the register `bus_watchdog` [s]."""
 
 WATCHDOG_ERROR = -1
 """Value of `bus_watchdog` once it has tripped."""
@@ -37,16 +35,12 @@ _GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
 _GAINS = ("position_p_gain", "position_i_gain", "position_d_gain", "velocity_p_gain", "velocity_i_gain")
 _FIRMWARE = {*_GOALS, *_GAINS, "profile_velocity", "torque_enable", "operating_mode", "current_limit", "pwm_limit"}
 _RESET_BY_MODE = (*_GAINS, "feedforward_1st_gain", "feedforward_2nd_gain", "profile_velocity", "profile_acceleration")
-_GOAL_CURRENT, _CURRENT_LIMIT = XM430_W350["goal_current"].address, XM430_W350["current_limit"].address
-_FULL_CURRENT = XM430_W350["goal_current"].high or 0
-_MODE, _WATCHDOG = XM430_W350["operating_mode"].address, XM430_W350["bus_watchdog"].address
-_TORQUE, _HARDWARE_ERROR = XM430_W350["torque_enable"].address, XM430_W350["hardware_error_status"].address
+_GOAL_CURRENT, _CURRENT_LIMIT = DYNAMIXEL_X["goal_current"].address, DYNAMIXEL_X["current_limit"].address
+_FULL_CURRENT = DYNAMIXEL_X["goal_current"].high or 0
+_MODE, _WATCHDOG = DYNAMIXEL_X["operating_mode"].address, DYNAMIXEL_X["bus_watchdog"].address
+_TORQUE, _HARDWARE_ERROR = DYNAMIXEL_X["torque_enable"].address, DYNAMIXEL_X["hardware_error_status"].address
 _END_FIRST_DATA = FIRST_INDIRECT_DATA + INDIRECT_COUNT
 _KEPT_BY_RESET = {0xFF: (), 0x01: ("id",), 0x02: ("id", "baud_rate")}
-
-
-def _nothing() -> None:
-    pass
 
 
 class Servo(Device):
@@ -56,6 +50,7 @@ class Servo(Device):
         device_id: its bus id.
         index: its place in the firmware's arrays.
         firmware: the control loops of all servos, which this one's registers feed.
+        model: its model number.
         settings: values of its EEPROM, by register name, where they differ from the factory's.
 
     Attributes:
@@ -64,23 +59,24 @@ class Servo(Device):
         measure: brings the registers that hold measurements up to date.
     """
 
-    def __init__(self, device_id: int, index: int, firmware: Firmware, settings: dict[str, int] | None = None):
-        super().__init__(XM430_W350, device_id)
+    def __init__(self, device_id: int, index: int, firmware: Firmware, model: int, settings: dict[str, int]):
+        super().__init__(DYNAMIXEL_X, device_id)
+        self.put("model_number", model)
         self.index = index
         self._firmware = firmware
-        for name, value in (settings or {}).items():
+        for name, value in settings.items():
             if not self.table[name].eeprom:
                 raise ValueError(f"servo settings are registers of the EEPROM, but {name} is not one")
             self.put(name, value)
         self.ready = inf
         self.watchdog = inf
         self.booted = 0.0
-        self.measure: Callable[[], None] = _nothing
+        self.measure: Callable[[], None] = lambda: None
         self._looked_up = b"", 0, 0
         self._places: tuple[int, ...] = ()
 
     @property
-    def alert(self) -> bool:
+    def alert(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Whether there is a hardware error."""
         return self.memory[_HARDWARE_ERROR] != 0
 
@@ -213,12 +209,8 @@ class Servo(Device):
         return self._check_limit(name, value)
 
     def _check_limit(self, name: str, value: int) -> int:
-        if name == "goal_current":
-            beyond = abs(value) > self.get("current_limit")
-        elif name == "goal_pwm":
-            beyond = abs(value) > self.get("pwm_limit")
-        elif name == "goal_velocity":
-            beyond = abs(value) > self.get("velocity_limit")
+        if name in ("goal_current", "goal_pwm", "goal_velocity"):
+            beyond = abs(value) > self.get(f"{name.removeprefix('goal_')}_limit")
         elif name == "goal_position" and self.get("operating_mode") == OperatingMode.POSITION:
             beyond = not self.get("min_position_limit") <= value <= self.get("max_position_limit")
         else:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -13,8 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from op3.deploy.emulator.firmware import PERIOD, Drive
 from op3.deploy.emulator.physics import Readings
-from op3.deploy.emulator.power import Battery, Windings
-from op3.deploy.emulator.sim_drive import UNBOUNDED, behind_bus
 from op3.robot import (
     BoardDrive,
     BoardMotion,
@@ -23,12 +21,12 @@ from op3.robot import (
     board_drive,
     build_scene,
     place_tiles,
-    pose,
     tile_ids,
 )
 from op3.robot.scenes import Scene
 from op3.robot.units import GRAVITY
-from op3.servo import RobotModel, Trunk
+from op3.servo import RobotModel, Stage, Trunk
+from op3.servo.effects import Motor
 from op3.sim import BatchSimulation, attach_servos
 from op3.stand_in.sensors import roll_pitch_yaw
 
@@ -42,6 +40,91 @@ GROUND_EVERY = 8
 
 IMU_EVERY = 5
 """The IMU's loop runs at 200 Hz: once in this many periods."""
+
+
+@dataclass
+class Battery:
+    """Three lithium-polymer cells behind a resistance.
+
+    Attributes:
+        full: voltage without load when full [V]; 3 x 4.2 V.
+        empty: voltage without load when empty [V]; 3 x 3.4 V.
+        capacity: [A s]; the OP3's battery has 1.8 Ah (ROBOTIS e-Manual).
+        resistance: of battery and harness [ohm].
+        idle: current of computer, boards and idle servos [A] (inferred: 20 W computer, 20 x 40 mA).
+        charge: share that is left, 1 for full.
+    """
+
+    full: float = 12.6
+    empty: float = 10.2
+    capacity: float = 6480.0
+    resistance: float = 0.2
+    idle: float = 2.5
+    charge: float = 0.7
+    voltage: float = 0.0
+
+    def __post_init__(self):
+        if not 0 <= self.charge <= 1:
+            raise ValueError(f"the charge of a battery lies between 0 and 1, got {self.charge}")
+        self.voltage = self._open - self.resistance * self.idle
+
+    @property
+    def _open(self) -> float:
+        return self.empty + (self.full - self.empty) * self.charge
+
+    def step(self, motor_power: float, duration: float) -> None:
+        """Deliver power to the motors [W] for a while [s]; what they feed back charges nothing."""
+        current = self.idle + max(motor_power, 0.0) / self.voltage
+        self.charge = max(0.0, self.charge - current * duration / self.capacity)
+        self.voltage = max(1.0, self._open - self.resistance * current)
+
+
+@dataclass
+class Windings:
+    """Temperatures of the motors: one heat capacity each, heated by the current's losses.
+
+    Attributes:
+        resistance: winding to air [K/W], one number or [joint]; see `ServoMake.thermal_resistance`.
+        ambient: [C].
+        time: time constant [s] (inferred).
+    """
+
+    resistance: float | Array
+    ambient: float = 28.0
+    time: float = 240.0
+
+    def step(self, temperature: Array, losses: Array, duration: float) -> None:
+        """Warm up or cool down in place.
+
+        Args:
+            temperature: [joint] in C.
+            losses: [joint] in W.
+            duration: [s].
+        """
+        temperature += duration / self.time * (self.ambient + self.resistance * losses - temperature)
+
+
+UNBOUNDED = 1e3
+"""Stands for a current without bound [A]."""
+
+BUS_EFFECTS = ("latency", "packet_drop")
+"""Effects that the emulated bus has by itself."""
+
+
+def behind_bus(model: RobotModel) -> RobotModel:
+    """A model as it stands behind the bus: without a PD and delays of its own, its motor driven by the registers.
+
+    Raises:
+        ValueError: if the model's motor does not regulate current.
+    """
+    motor = model.effect("motor")
+    if not isinstance(motor, Motor) or motor.drive != "current":
+        raise ValueError(
+            "the emulated servos regulate current, but this model's motor applies a voltage; give a model of servos"
+            " with `motor: {drive: current}`"
+        )
+    gone = [e.name for e in model.effects if e.stage in (Stage.COMMAND, Stage.CONTROLLER) or e.name in BUS_EFFECTS]
+    return model.without(*gone).with_effect(replace(motor, drive="registers"))  # pyright: ignore[reportArgumentType]
 
 
 @dataclass(frozen=True)
@@ -63,12 +146,12 @@ class SimPhysics(BatchSimulation):
     """One simulated robot with the law and the parameters of a model.
 
     Args:
-        model: of the OP3; see `op3.sim.load_model`.
+        model: of the robot; see `op3.sim.load_model`.
         scene: a name that `op3.robot.build_scene` knows, or a scene without servos attached.
         seed: of the IMU's noise.
-        joint_position: [joint] in rad at the start; by default the pose "stand", or zero on the bench.
+        joint_position: [joint] in rad at the start; by default home.
         battery: where the servos' voltage comes from; None for a supply at the model's `bus_voltage`.
-        windings: how the motors warm up.
+        windings: how the motors warm up; None: as the makes of the servos say.
         imu: noise and filter of the IMU.
     """
 
@@ -85,8 +168,7 @@ class SimPhysics(BatchSimulation):
     ):
         self.scene = build_scene(scene) if isinstance(scene, str) else scene
         attach_servos(self.scene.joints)
-        self.joints = tuple(str(joint.name) for joint in self.scene.joints)
-        robot = self.scene.robot
+        self.known, robot = self.scene.robot_file, self.scene.robot
         super().__init__(
             self.scene.compile(visual=False),
             self.scene.joint_names,
@@ -94,13 +176,14 @@ class SimPhysics(BatchSimulation):
             1,
             control_period=PERIOD,
             base_body=None if robot is None else robot.trunk.full_identifier,
-            joint_names=self.joints,
+            joint_names=self.known.joints,
             num_threads=1,
         )
-        self.battery, self._windings = battery, windings or Windings()
+        self.battery = battery
+        self._windings = windings or Windings(np.array([make.thermal_resistance for make in self.known.servos]))
         self.supply: float | None = None
-        count = len(self.joints)
-        self._temperature = self._windings.start(count)
+        count = len(self.known.joints)
+        self._temperature = np.full(count, self._windings.ambient)
         imu = imu or ImuNoise()
         self._imu_spread = np.repeat([imu.gyro, imu.accelerometer], 3)
         self._rng = np.random.default_rng([seed, 5])
@@ -109,7 +192,7 @@ class SimPhysics(BatchSimulation):
         self._board: BoardMotion | WeightSchedule | None = None
         self._board_drive: BoardDrive | WeightDrive | None = None
         if joint_position is None:
-            joint_position = np.zeros(count) if robot is None else pose("stand")
+            joint_position = self.known.home
         self.reset(self.scene.initial_qpos(joint_position), {"torque_enable": torch.zeros(1, count)})
         self.law.sense()
         self._voltage = self.model.bus_voltage if battery is None else battery.voltage
@@ -122,7 +205,7 @@ class SimPhysics(BatchSimulation):
     def _find_imu(self) -> None:
         robot = self.scene.robot
         self._attitude = None
-        if robot is None:
+        if robot is None or self.known.file.imu is None:
             return
         views = []
         for element in (robot.imu_orientation, robot.imu_gyro, robot.imu_accelerometer):
@@ -204,10 +287,10 @@ class SimPhysics(BatchSimulation):
             drive.apply(self._board, np.array([steps * PERIOD]), self._qpos.numpy(), self._qvel.numpy(), forces)
 
     def foremost(self) -> float:
-        """How far ahead the inner tip of the foremost foot is in the world [m]; 0 without a robot."""
-        if self.scene.robot is None:
-            return 0.0
+        """How far ahead the inner tip of the foremost foot is in the world [m]; 0 without feet."""
         model, (data, tips) = self.batch.model, self._soles
+        if not tips:
+            return 0.0
         data.qpos[:] = self._qpos[0].numpy()
         mujoco.mj_kinematics(model, data)
         return float(data.site_xpos[tips, 0].max())
@@ -215,9 +298,9 @@ class SimPhysics(BatchSimulation):
     @cached_property
     def _soles(self) -> tuple[mujoco.MjData, list[int]]:
         """Where positions are computed, and the ids of the soles' inner tips."""
-        model = self.batch.model
-        tips = [number for number in range(model.nsite) if model.site(number).name.endswith("sole_inner_tip")]
-        return mujoco.MjData(model), tips
+        model, robot = self.batch.model, self.scene.robot
+        sites = [] if robot is None else [robot.key_points[number] for number in self.known.inner_tips]
+        return mujoco.MjData(model), [model.site(site.full_identifier).id for site in sites]
 
     def _check(self) -> None:
         if bool(self.failed[0]):
@@ -250,7 +333,7 @@ class SimPhysics(BatchSimulation):
             velocity=self.velocity.copy(),
             current=self.signals.measured_current[0].numpy().copy(),
             duty=self.signals.duty[0].numpy().copy(),
-            voltage=np.full(len(self.joints), self._voltage),
+            voltage=np.full(len(self._temperature), self._voltage),
             temperature=self._temperature.copy(),
             orientation=orientation,
             angular_velocity=rates,

@@ -25,7 +25,7 @@ class Column:
     The SI value is ``sign * size of the unit * number + offset``.
 
     Attributes:
-        name: Column of the wide CSV (`l_knee.position`, `imu.gyro_x`, `time`); None where it is left out.
+        name: Column of the wide CSV (`elbow.position`, `imu.gyro_x`, `time`); None where it is left out.
         unit: Name of a unit, or its size in the SI unit; None for the SI unit.
         sign: 1 or -1.
         offset: Added at the end, in the SI unit.

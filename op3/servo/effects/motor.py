@@ -5,7 +5,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from op3.robot.joints import GEAR_RATIO
+from op3.robot import load_robot
 from op3.servo.effect import Effect, ModelEdit, Parameter, Stage, register
 from op3.servo.law import clip
 from op3.servo.machine_code import part
@@ -48,7 +48,7 @@ class Motor(Effect):
     constants: ClassVar[tuple[str, ...]] = ("constant",)
     edits: ClassVar[tuple[ModelEdit, ...]] = (ModelEdit("dof_armature", "joint_dof", "set", "armature"),)
 
-    gear_ratio: float = GEAR_RATIO
+    gear_ratio: float = load_robot().servos[0].motor.gear_ratio.si
     drive: Literal["current", "voltage", "registers"] = "current"
 
     @staticmethod

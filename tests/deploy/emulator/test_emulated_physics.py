@@ -7,10 +7,11 @@ from wheels import Bench
 
 from op3.deploy.emulator import Battery, SimPhysics, StandInPhysics, Windings
 from op3.deploy.emulator.firmware import Drive
-from op3.robot import JOINTS, build_scene, pose
+from op3.robot import build_scene, pose
 from op3.robot.units import VELOCITY_UNIT
 from op3.sim import BatchSimulation, attach_servos, load_model
 from op3.stand_in import StandIn, World
+from tests.op3_table import JOINTS
 
 KNEE = JOINTS.index("l_knee")
 
@@ -137,7 +138,7 @@ def test_any_scene_will_do(scene):
     ):
         physics.advance(5)
         assert (physics.read().orientation is None) == (scene == "bench")
-        assert len(physics.joints) == (1 if scene == "bench" else 20)
+        assert len(physics.known.joints) == (1 if scene == "bench" else 20)
 
 
 def test_a_battery_sags_and_runs_down():
@@ -157,7 +158,7 @@ def test_a_battery_sags_and_runs_down():
 def test_motors_warm_up_towards_their_losses():
     """After many time constants the rise is resistance times losses."""
     windings = Windings(resistance=10.0)
-    temperature = windings.start(2)
+    temperature = np.full(2, windings.ambient)
     for _ in range(4000):
         windings.step(temperature, np.array([0.0, 3.0]), 1.0)
     assert temperature == pytest.approx([28.0, 58.0], abs=0.1)

@@ -8,9 +8,9 @@ from dynamixel_sdk import GroupBulkRead, GroupSyncRead, GroupSyncWrite, PacketHa
 from serial import SerialException
 from wheels import Bench, Wheels
 
-from op3.deploy.emulator import EmulatedRobot, Faults, Unplug
+from op3.deploy.emulator import EmulatedRobot, Faults, PtyServer, Unplug
 from op3.deploy.registers import OPEN_CR_ID
-from op3.robot import SERVO_IDS
+from tests.op3_table import SERVO_IDS
 
 BY_ID = {number: name for name, number in SERVO_IDS.items()}
 
@@ -60,7 +60,7 @@ def any_bench(request):
         yield bench
     else:
         robot = EmulatedRobot(Wheels())
-        with robot.serve_pty() as server:
+        with PtyServer(robot) as server:
             bench = PtyBench(server, robot)
             bench.wait = time.sleep
             yield bench
@@ -157,7 +157,7 @@ def test_the_sdk_meets_the_watchdog(any_bench):
 def test_a_pulled_plug_reaches_the_program():
     """The SDK's port fails, with pyserial's exception or with that of the call that it makes of the terminal."""
     robot = EmulatedRobot(Wheels(), faults=Faults(scheduled=(Unplug(0.3),)))
-    with robot.serve_pty() as server:
+    with PtyServer(robot) as server:
         bench = PtyBench(server, robot)
         time.sleep(0.6)
         with pytest.raises((SerialException, OSError, termios.error)):
@@ -167,7 +167,7 @@ def test_a_pulled_plug_reaches_the_program():
 def test_closing_leaves_the_files_of_others_alone(tmp_path):
     """A server that has ended by itself has given its descriptors back: closing it must not close who has them now."""
     robot = EmulatedRobot(Wheels(), faults=Faults(scheduled=(Unplug(0.05),)))
-    server = robot.serve_pty().__enter__()
+    server = PtyServer(robot).__enter__()
     server.wait(20.0)
     with (tmp_path / "a").open("w") as first, (tmp_path / "b").open("w") as second:
         server.close()
@@ -179,7 +179,7 @@ def test_closing_leaves_the_files_of_others_alone(tmp_path):
 def test_a_program_at_another_speed_is_not_understood():
     """The terminal's speed is the line's."""
     robot = EmulatedRobot(Wheels())
-    with robot.serve_pty() as server:
+    with PtyServer(robot) as server:
         port, packets = PortHandler(server.path), PacketHandler(2.0)
         assert port.setBaudRate(1_000_000)
         assert packets.ping(port, OPEN_CR_ID)[1] != 0

@@ -3,16 +3,16 @@
 import numpy as np
 from dynamixel_sdk import PacketHandler
 
-from op3.deploy.emulator import EmulatedRobot, Readings
+from op3.deploy.emulator import EmulatedRobot, Readings, VirtualPort
 from op3.deploy.registers import OPEN_CR_ID
-from op3.robot import JOINTS
+from tests.op3_table import OP3
 
 
 class Wheels:
     """Twenty free wheels: inertia 0.01 kg m^2, 2 N m/A, 0.1 N m s/rad, and a trunk that hangs still."""
 
     def __init__(self):
-        self.joints, self.supply = JOINTS, None
+        self.known, self.supply = OP3, None
         self.position, self.velocity = np.zeros(20), np.zeros(20)
         self.current = np.zeros(20)
         self.temperature = np.full(20, 30.0)
@@ -55,7 +55,7 @@ class Bench:
         self.physics = physics or Wheels()
         self.robot = EmulatedRobot(self.physics, **options)
         self.clock = self.robot.clock
-        self.port, self.packets = self.robot.port_handler(), PacketHandler(2.0)
+        self.port, self.packets = VirtualPort(self.robot), PacketHandler(2.0)
         assert self.port.setBaudRate(2_000_000)
         if power:
             assert self.write(OPEN_CR_ID, 24, 1, 1) == (0, 0)

@@ -1,30 +1,36 @@
-"""What one leg on the stand is asked to do so that its servos show everything they hide.
+"""What one leg, or the whole OP3, is asked to do on the stand so that its servos show everything they hide.
 
 The suite takes about 100 s: slow triangles, multisines at high and low gain, squats, steps that exhaust the supply
 voltage, holds at two loads, two orientations of the stand, cold and warm servos, and commands that are repeated.
-`leg_walking` is the opposite, a leg that only walks, with which many effects cannot be told apart.
+`leg_walking` is the opposite, a leg that only walks, with which many effects cannot be told apart. The suites of the
+whole robot give the left leg another one, mirrored, and move arms and head beside them; whether limbs would meet is not
+looked at, so they are for simulated robots.
 """
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.robot.joints import SOFT_LIMITS, indices
+from op3.robot.excitations import RATE
 from op3.robot.motions import Motion
-from op3.robot.poses import pose, squat_position
+from op3.robot.op3_motions import OP3, squat_position
 
-LEG_JOINTS: tuple[str, ...] = ("r_hip_yaw", "r_hip_roll", "r_hip_pitch", "r_knee", "r_ank_pitch", "r_ank_roll")
-"""The six servo joints of the right leg, from the trunk outwards."""
+LEG_JOINTS = OP3.legs[1]
+"""The six servo joints of the right leg, from the trunk outwards: hip yaw, roll and pitch, knee, ankle pitch, roll."""
+
+ARM_JOINTS = (*OP3.limbs[1], *OP3.limbs[2])
+"""The joints of both arms."""
+
+KNEE = 3
+"""Place of the knee among the joints of a leg."""
 
 RUN_DURATION = 4.0
 """Length of one run [s]."""
-
-RATE = 125.0
-"""Rows per second of the targets [Hz], the rate of the robot's PD."""
 
 UPRIGHT = (0.0, 0.0)
 """Roll and pitch of the stand [rad]."""
@@ -35,6 +41,9 @@ TILTED = (0.5, 0.8)
 SLOW_RATES = (0.02, 0.05, 0.1, 0.2, 0.3, 0.15)
 """Speeds of the slow triangles [rad/s]; each joint meets several of them."""
 
+OTHER_LEG = 500_000
+"""What is added to the seed for the left leg."""
+
 Array = NDArray[np.float64]
 
 
@@ -43,7 +52,7 @@ class Excitation:
     """One run of a suite.
 
     Attributes:
-        motion: targets of `LEG_JOINTS`; runs that send the same commands carry the same name.
+        motion: targets; runs that send the same commands carry the same name.
         p_gain: proportional gain of all joints [A/rad].
         d_gain: derivative gain of all joints [A s/rad].
         tilt: roll and pitch of the stand [rad].
@@ -72,7 +81,7 @@ def leg_suite(seed: int, duration: float = RUN_DURATION) -> list[Excitation]:
 
     first = run("repeated_multisine", _multisine, 0.9, gain=4.0)
     second = run("repeated_squat", _squat, 1.0, tilt=TILTED)
-    plan = [
+    return [
         first,
         run("slow_triangles_1", _triangles, 0),
         run("multisine_high_gain_1", _multisine, 1.0),
@@ -100,7 +109,6 @@ def leg_suite(seed: int, duration: float = RUN_DURATION) -> list[Excitation]:
         run("squats_3", _squat, 1.0, warm=True),
         run("multisine_high_gain_4", _multisine, 1.0, tilt=TILTED, warm=True),
     ]
-    return plan
 
 
 def leg_walking(seed: int, duration: float = RUN_DURATION, runs: int = 26) -> list[Excitation]:
@@ -119,14 +127,53 @@ def leg_walking(seed: int, duration: float = RUN_DURATION, runs: int = 26) -> li
     ]
 
 
+def robot_suite(seed: int, duration: float = RUN_DURATION) -> list[Excitation]:
+    """The rich suite for all joints: kinds and conditions as in `leg_suite`."""
+    return _both(leg_suite(seed, duration), leg_suite(seed + OTHER_LEG, duration), seed)
+
+
+def robot_walking(seed: int, duration: float = RUN_DURATION) -> list[Excitation]:
+    """The poor suite for all joints: both legs walk in the air, see `leg_walking`."""
+    return _both(leg_walking(seed, duration), leg_walking(seed + OTHER_LEG, duration), seed)
+
+
+def _both(right: list[Excitation], left: list[Excitation], seed: int) -> list[Excitation]:
+    """Runs of two legs as runs of the robot; runs that repeated a command still do."""
+    return [
+        Excitation(_whole(one.motion, other.motion, seed), one.p_gain, one.d_gain, one.tilt, one.warm)
+        for one, other in zip(right, left, strict=True)
+    ]
+
+
+def _whole(right: Motion, left: Motion, seed: int) -> Motion:
+    time = right.time
+    position = np.tile(OP3.home, (len(time), 1))
+    position[:, OP3.indices(LEG_JOINTS)] = left.position
+    position = OP3.mirrored(position)
+    position[:, OP3.indices(LEG_JOINTS)] = right.position
+    upper = [joint for joint in OP3.joints if not any(joint in leg for leg in OP3.legs)]
+    rng = np.random.default_rng([seed, 22, zlib.crc32(right.name.encode())])
+    position[:, OP3.indices(upper)] += _sway(time, rng, len(upper))
+    low, high = OP3.limits.T
+    return Motion(time, np.clip(position, low + 0.01, high - 0.01), name=right.name)
+
+
+def _sway(time: Array, rng: np.random.Generator, count: int) -> Array:
+    """Three sines per joint of arms and head, slow and fast."""
+    frequency = np.array([0.15, 0.6, 2.0])[:, None] * rng.uniform(0.8, 1.25, (3, count))
+    phase = rng.uniform(0, 2 * np.pi, (3, count))
+    waves = np.array([0.2, 0.15, 0.06])[:, None] * np.sin(2 * np.pi * frequency * time[:, None, None] + phase)
+    return waves.sum(1)
+
+
 def _motion(time: Array, position: Array, name: str) -> Motion:
-    low, high = np.array([SOFT_LIMITS[joint] for joint in LEG_JOINTS]).T
+    low, high = OP3.limits[OP3.indices(LEG_JOINTS)].T
     return Motion(time, np.clip(position, low + 0.01, high - 0.01), LEG_JOINTS, name)
 
 
 def _centre() -> Array:
-    """The leg bent as in the pose "stand" [joint]."""
-    return pose("stand")[indices(LEG_JOINTS)]
+    """The leg bent as at home [joint]."""
+    return OP3.home[OP3.indices(LEG_JOINTS)]
 
 
 def _triangles(time: Array, rng: np.random.Generator, shift: float) -> Array:
@@ -151,7 +198,7 @@ def _squat(time: Array, rng: np.random.Generator, scale: float) -> Array:
     """Knee bends with hip and ankle, and slow sways of the other joints."""
     frequency = rng.uniform(0.45, 0.8)
     knee = 1.05 - 0.45 * scale * np.cos(2 * np.pi * frequency * time)
-    position = squat_position(knee, 0.3)[:, indices(LEG_JOINTS)]
+    position = squat_position(knee, 0.3)[:, OP3.indices(LEG_JOINTS)]
     sway = rng.uniform(0.05, 0.2, 3) * np.sin(2 * np.pi * rng.uniform(0.3, 0.7, 3) * time[:, None] + [0.0, 1.0, 2.0])
     position[:, [0, 1, 5]] += sway
     return position

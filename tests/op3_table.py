@@ -1,0 +1,18 @@
+"""The OP3's joints as its file gives them, for tests that are about the OP3."""
+
+import numpy as np
+
+from op3.robot import load_robot
+
+OP3 = load_robot("op3")
+JOINTS = OP3.joints
+SERVO_IDS = OP3.bus_ids
+CONTROLLED_JOINTS = OP3.controlled
+SOFT_LIMITS = {name: (float(low), float(high)) for name, (low, high) in zip(JOINTS, OP3.limits, strict=True)}
+LOW, HIGH = OP3.limits.T
+MIRROR = OP3.mirror
+KEY_POINTS = OP3.file.key_points
+LEG_JOINTS = OP3.legs[1]
+LIMBS = OP3.limbs
+IS_LEG = np.array([any(joint in leg for leg in OP3.legs) for joint in JOINTS])
+indices, mirror = OP3.indices, OP3.mirrored
