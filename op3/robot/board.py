@@ -52,16 +52,15 @@ WEIGHT_DISTANCE = 0.23
 class BoardMotion(Protocol):
     """Roll and pitch of a board over time."""
 
-    def at(self, time: ArrayLike) -> tuple[Array, Array, Array]:
-        """Angle [rad], rate [rad/s] and acceleration [rad/s^2], each ``[..., 2]`` (roll, pitch), at times [s]."""
+    def at(self, time: ArrayLike) -> tuple[Array, Array]:
+        """Angle [rad] and rate [rad/s], each ``[..., 2]`` (roll, pitch), at times [s]."""
         ...
 
 
-def _smooth_step(x: Array) -> tuple[Array, Array, Array]:
-    """Minimum-jerk step from 0 to 1 over x in [0, 1], with its first two derivatives."""
+def _smooth_step(x: Array) -> tuple[Array, Array]:
+    """Minimum-jerk step from 0 to 1 over x in [0, 1], with its derivative."""
     x = np.clip(x, 0.0, 1.0)
-    value = x**3 * (10 - 15 * x + 6 * x**2)
-    return value, 30 * x**2 * (1 - x) ** 2, 60 * x * (1 - x) * (1 - 2 * x)
+    return x**3 * (10 - 15 * x + 6 * x**2), 30 * x**2 * (1 - x) ** 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,20 +92,14 @@ class Waves:
         zeros = np.zeros((2, 1))
         return cls(zeros, zeros, zeros)
 
-    def at(self, time: ArrayLike) -> tuple[Array, Array, Array]:
+    def at(self, time: ArrayLike) -> tuple[Array, Array]:
         """See `BoardMotion`."""
         time = np.asarray(time, dtype=float)[..., None]
         speed = 2 * np.pi * self.frequency
         angle = speed * time[..., None] + self.phase
-        sine, cosine = self.amplitude * np.sin(angle), self.amplitude * np.cos(angle)
-        wave, rate, bend = sine.sum(-1), (speed * cosine).sum(-1), -(speed**2 * sine).sum(-1)
-        grown, growth, surge = _smooth_step(time / RAMP)
-        growth, surge = growth / RAMP, surge / RAMP**2
-        return (
-            grown * wave,
-            grown * rate + growth * wave,
-            grown * bend + 2 * growth * rate + surge * wave,
-        )
+        wave, rate = (self.amplitude * np.sin(angle)).sum(-1), (speed * self.amplitude * np.cos(angle)).sum(-1)
+        grown, growth = _smooth_step(time / RAMP)
+        return grown * wave, grown * rate + growth / RAMP * wave
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,18 +123,16 @@ class Tilts:
         side = rng.choice([-1.0, 1.0])
         return cls(np.array(side), np.array(rng.uniform(0.6, 1.0)), np.array(rng.uniform(2.0, 3.0)))
 
-    def at(self, time: ArrayLike) -> tuple[Array, Array, Array]:
+    def at(self, time: ArrayLike) -> tuple[Array, Array]:
         """See `BoardMotion`."""
         since = np.asarray(time, dtype=float) - 1.0
         change = np.maximum(np.floor(since / self.period), 0.0)
         # the first change starts level, later ones from the other side
         height = np.where(change == 0, 1.0, 2.0) * TILT * self.side * np.where(change % 2 == 0, 1.0, -1.0)
         start = np.where(change == 0, 0.0, TILT * self.side * np.where(change % 2 == 1, 1.0, -1.0))
-        grown, growth, surge = _smooth_step((since - change * self.period) / self.transition)
-        pitch = (start + height * grown, height * growth / self.transition, height * surge / self.transition**2)
-        still = np.zeros_like(pitch[0])
-        angle, rate, bend = (np.stack([still, value], -1) for value in pitch)
-        return angle, rate, bend
+        grown, growth = _smooth_step((since - change * self.period) / self.transition)
+        pitch, rate = start + height * grown, height * growth / self.transition
+        return np.stack([0.0 * pitch, pitch], -1), np.stack([0.0 * rate, rate], -1)
 
 
 M = TypeVar("M")
@@ -174,8 +165,8 @@ class BoardDrive:
     def apply(self, motion: BoardMotion, time: ArrayLike, qpos: Array, qvel: Array, qfrc_applied: Array) -> None:
         """Write the board's state at the times, and the force until the next tick, into arrays ``[..., nq | nv]``."""
         time = np.asarray(time, dtype=float)
-        angle, rate, _ = motion.at(time)
-        _, later, _ = motion.at(time + self._period)
+        angle, rate = motion.at(time)
+        _, later = motion.at(time + self._period)
         qpos[..., self._qpos] = angle
         qvel[..., self._dof] = rate
         qfrc_applied[..., self._dof] = self._inertia * (later - rate) / self._period

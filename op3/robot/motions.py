@@ -1,9 +1,6 @@
-"""Motions as arrays: what the joints are asked to do over time, and the files they are shared in."""
+"""Motions as arrays: what the joints are asked to do over time."""
 
-import csv
-import dataclasses
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -64,54 +61,6 @@ class Motion:
     def duration(self) -> float:
         """Time from the first to the last row [s]."""
         return float(self.time[-1] - self.time[0])
-
-    def save(self, path: str | Path) -> Path:
-        """Write the motion to `path`: exact binary for .npz, a table for .csv (rounded to 1e-9 s and rad).
-
-        A table holds no gains and mounts.
-        """
-        path = Path(path)
-        if path.suffix == ".npz":
-            arrays = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-            np.savez(path, **arrays)
-        elif path.suffix == ".csv":
-            table = np.column_stack([self.time, self.position])
-            header = ",".join(("time", *self.joints))
-            np.savetxt(path, table, fmt="%.9f", delimiter=",", header=header, comments="")
-        else:
-            raise ValueError(f"a motion is saved as .npz or .csv, got {path.name!r}")
-        return path
-
-    @classmethod
-    def load(cls, path: str | Path, robot: str = DEFAULT) -> "Motion":
-        """Read a motion that `save` wrote. A .csv takes its name from the file, and is made for the robot given."""
-        path = Path(path)
-        if path.suffix == ".npz":
-            with np.load(path) as file:
-                values = {name: file[name] if file[name].ndim else file[name].item() for name in file.files}
-                names = {key: tuple(str(name) for name in values[key]) for key in ("joints", "mounts") if key in values}
-                return cls(**{**values, **names})
-        if path.suffix == ".csv":
-            return _load_csv(path, robot)
-        raise ValueError(f"a motion is read from .npz or .csv, got {path.name!r}")
-
-
-def _load_csv(path: Path, robot: str) -> Motion:
-    with path.open(newline="") as file:
-        rows = list(csv.reader(file))
-    if not rows:
-        raise ValueError(f"{path} is empty: it holds no header")
-    header = rows.pop(0)
-    if header[:1] != ["time"]:
-        raise ValueError(f"{path}: the first column must be 'time', got {header[:1]}")
-    for number, row in enumerate(rows, start=2):
-        if len(row) != len(header):
-            raise ValueError(f"{path}, line {number}: expected {len(header)} columns, got {len(row)}")
-    try:
-        table = np.array(rows, dtype=float).reshape(len(rows), len(header))
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
-    return Motion(table[:, 0], table[:, 1:], tuple(header[1:]), path.stem, robot=robot)
 
 
 def sample_times(duration: float, rate: float) -> NDArray[np.float64]:

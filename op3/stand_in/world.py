@@ -204,7 +204,7 @@ class World:
         """Read a YAML file of `name: value` lines; what it does not name is as in `World()`.
 
         A line `draw: seed` starts from the random world of that seed instead, so that the file does not tell the truth
-        to whoever glances at it. `hidden` lists effects, such as `{name: backlash, size: 0.004, joints: [l_knee]}`.
+        to whoever glances at it. `hidden` lists effects, such as `{name: backlash, size: 0.004, joints: [elbow]}`.
         """
         values = read_yaml(path)
         drawn = values.pop("draw", None)

@@ -13,11 +13,9 @@ TIMES = np.linspace(0.0, 10.0, 20001)
 
 @pytest.mark.parametrize("motion", [Waves.draw(0), Waves.draw(5), Tilts.draw(0), Tilts.draw(3)])
 def test_derivatives(motion):
-    """Rate and acceleration are the derivatives of the angle, by central differences."""
-    angle, rate, bend = motion.at(TIMES)
-    step = TIMES[1]
-    np.testing.assert_allclose(np.gradient(angle, step, axis=0)[1:-1], rate[1:-1], atol=1e-4)
-    np.testing.assert_allclose(np.gradient(rate, step, axis=0)[2:-2], bend[2:-2], atol=2e-2)
+    """The rate is the derivative of the angle, by central differences."""
+    angle, rate = motion.at(TIMES)
+    np.testing.assert_allclose(np.gradient(angle, TIMES[1], axis=0)[1:-1], rate[1:-1], atol=1e-4)
 
 
 def test_waves_are_bounded_and_start_level():
@@ -35,7 +33,7 @@ def test_waves_are_bounded_and_start_level():
 def test_tilts_reach_six_degrees_to_both_sides():
     """The board is level for a second, then rests at +-6 degrees of pitch, and never rolls."""
     for seed in range(10):
-        angle, _, _ = Tilts.draw(seed).at(TIMES)
+        angle, _ = Tilts.draw(seed).at(TIMES)
         assert np.abs(angle[TIMES <= 1.0]).max() == 0.0
         assert angle[:, 1].max() == pytest.approx(TILT, rel=1e-9)
         assert angle[:, 1].min() == pytest.approx(-TILT, rel=1e-9)
@@ -62,7 +60,7 @@ def test_board_is_driven():
     for tick in range(250):
         drive.apply(motion, tick * PERIOD, data.qpos, data.qvel, data.qfrc_applied)
         mujoco.mj_step(model, data, 8)
-        angle, rate, _ = motion.at((tick + 1) * PERIOD)
+        angle, rate = motion.at((tick + 1) * PERIOD)
         np.testing.assert_allclose(data.qpos[[28, 27]], angle, atol=5e-4)
         np.testing.assert_allclose(data.qvel[[27, 26]], rate, atol=0.05)
     assert data.ncon > 0

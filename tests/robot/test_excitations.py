@@ -117,14 +117,6 @@ def test_soften_lowers_the_gain_and_raises_it_again():
     assert gain.min() == pytest.approx(2.5, rel=1e-3)
 
 
-def test_gains_and_mounts_survive_a_file(tmp_path):
-    """A motion with a gain of its own per row is the same after npz."""
-    motion = soften()
-    loaded = Motion.load(motion.save(tmp_path / "soften.npz"))
-    np.testing.assert_array_equal(loaded.p_gain, motion.p_gain)
-    assert (loaded.mounts, loaded.d_gain, loaded.name) == (("floor",), 0.1, "soften")
-
-
 @pytest.mark.parametrize(
     ("motion", "mount", "message"),
     [

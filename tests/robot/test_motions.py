@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from op3.robot import Motion, asset_path, center_of_mass, hold, pose, sole_corners, squat
+from op3.robot import Motion, center_of_mass, hold, pose, sole_corners, squat
 from op3.robot.kinematics import rotation_matrix, sole_normals
 from op3.robot.op3_motions import SQUAT_LEAN
 from tests.op3_table import JOINTS, SOFT_LIMITS, indices, mirror
@@ -73,14 +73,6 @@ def test_squat_arguments():
     np.testing.assert_allclose(0.1 + hip + knee - ankle, 0.0, atol=1e-12)
 
 
-def test_squat_file(motion):
-    """The squat that is shipped as a table is the one the function makes."""
-    shipped = Motion.load(asset_path("motions/squat.csv"))
-    assert shipped.joints == JOINTS
-    np.testing.assert_allclose(shipped.time, motion.time, atol=1e-9)
-    np.testing.assert_allclose(shipped.position, motion.position, atol=1e-9)
-
-
 def test_hold():
     """A hold repeats its pose at the rate asked for."""
     motion = hold(pose("stand"), duration=1.0, rate=50.0)
@@ -88,47 +80,23 @@ def test_hold():
     np.testing.assert_array_equal(motion.position, np.tile(pose("stand"), (50, 1)))
 
 
-def test_npz_is_exact(motion, tmp_path):
-    """A saved and loaded motion is the same to the last bit."""
-    loaded = Motion.load(motion.save(tmp_path / "motion.npz"))
-    np.testing.assert_array_equal(loaded.time, motion.time)
-    np.testing.assert_array_equal(loaded.position, motion.position)
-    assert (loaded.joints, loaded.name) == (JOINTS, "squat")
-
-
-def test_csv_of_some_joints(tmp_path):
-    """A table of two joints comes back with these two, named after its file."""
-    motion = Motion(np.array([0.0, 0.5]), np.array([[0.1, 0.2], [0.3, 0.4]]), ("l_knee", "r_knee"), "knees")
-    loaded = Motion.load(motion.save(tmp_path / "knees.csv"))
-    np.testing.assert_allclose(loaded.position, motion.position)
-    assert (loaded.joints, loaded.name) == (("l_knee", "r_knee"), "knees")
-
-
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("time", "position", "joints", "message"),
     [
-        ("t,l_knee\n0,0\n", "first column must be 'time'"),
-        ("time,l_knee\n0\n", "line 2: expected 2 columns, got 1"),
-        ("time,l_knee\n0,high\n", "could not convert"),
-        ("time,l_knie\n0,0\n", "unknown joint 'l_knie'"),
-        ("time,l_knee\n0,0\n0,0\n", "time does not increase at row 1"),
-        ("time,l_knee\n0,nan\n", "not finite"),
-        ("", "holds no header"),
+        ([0.0], [[0.0]], ("l_knie",), "unknown joint 'l_knie'"),
+        ([0.0, 0.0], [[0.0], [0.0]], ("l_knee",), "time does not increase at row 1"),
+        ([0.0], [[np.nan]], ("l_knee",), "not finite"),
     ],
 )
-def test_bad_tables(tmp_path, text, message):
-    """A table that cannot be a motion is refused with the reason."""
-    path = tmp_path / "bad.csv"
-    path.write_text(text)
+def test_what_is_no_motion(time, position, joints, message):
+    """Arrays that cannot be a motion are refused with the reason."""
     with pytest.raises(ValueError, match=message):
-        Motion.load(path)
+        Motion(np.array(time), np.array(position), joints)
 
 
-def test_bad_arguments(tmp_path, motion):
-    """Wrong shapes, durations and file types are refused with the offending value."""
+def test_bad_arguments():
+    """Wrong shapes and durations are refused with the offending value."""
     with pytest.raises(ValueError, match=r"\(2, 20\), got \(3, 20\)"):
         Motion(np.arange(2.0), np.zeros((3, 20)))
     with pytest.raises(ValueError, match="must be positive"):
         hold(pose("stand"), duration=0.0)
-    with pytest.raises(ValueError, match=r"saved as .npz or .csv, got 'motion.txt'"):
-        motion.save(tmp_path / "motion.txt")
