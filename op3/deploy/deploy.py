@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 from op3.deploy.bus import Bus
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Limits
-from op3.deploy.loop import Loop
-from op3.deploy.operator import Console, Operator, Yes
+from op3.deploy.operator import Console, Operator
 from op3.deploy.panel import Panel
 from op3.deploy.phases import GainRamp, Hold, Move, Phase, Relax, Watch
 from op3.deploy.policy_runner import FollowPolicy
@@ -113,7 +112,7 @@ def connect(
         return Connection(bus, hands, "emulated", mount, {"world": identity}, seed, emulated)
     kind = "emulated" if port.startswith("/dev/pts/") else "real"
     bus = Bus(SerialPort(port), MonotonicClock(), known, calibration=offsets)
-    return Connection(bus, Console() if confirm else Yes(), kind, mount)
+    return Connection(bus, Console() if confirm else Operator(), kind, mount)
 
 
 @dataclass(frozen=True)
@@ -169,7 +168,7 @@ def run(
     rest = robot.pose(plan.end_pose or ("rest" if "rest" in robot.file.poses else "home"))
     screen = _Screen(robot, plan, report)
 
-    def phases(loop: Loop) -> list[Phase]:
+    def phases(session: Session) -> list[Phase]:
         driver = make()
         if isinstance(driver, FollowPolicy):
             driver.on_begin = connection.operator.begins
@@ -177,7 +176,7 @@ def run(
             return [driver]
 
         def last() -> Any:
-            return loop.target
+            return session.target
 
         return [
             GainRamp(p_gain, d_gain),
@@ -243,7 +242,7 @@ def read_only(
     plan, robot = plan or Plan(), connection.bus.robot
     screen = _Screen(robot, plan, report)
     StartChecks(connection.bus, None, plan.limits).run(lambda check: screen.say(str(check)))
-    return screen.run(connection, Onlooker(robot, plan.limits), plan, lambda loop: [Watch(duration)], None, {})
+    return screen.run(connection, Onlooker(robot, plan.limits), plan, lambda session: [Watch(duration)], None, {})
 
 
 SETTINGS = {"return_delay_time": 0, **UNTOUCHED}

@@ -19,7 +19,7 @@ from op3.deploy.emulator import (
     Timing,
     VirtualPort,
 )
-from op3.deploy.operator import Yes
+from op3.deploy.operator import Operator
 from op3.robot import DEFAULT, BoardMotion, Robot, Waves, WeightSchedule, build_scene, draw_tiles, load_robot
 from op3.sim import model_for
 from op3.stand_in import World
@@ -64,7 +64,7 @@ class Place:
         return None if self.board is None else Waves.still()
 
 
-class Hands(Yes):
+class Hands(Operator):
     """An operator who agrees to everything, holds the robot up, and puts it down when it is ready.
 
     A robot without torque collapses, so it is energised and brought to its start pose in the air. Putting it down

@@ -7,15 +7,14 @@ import sys
 import termios
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Protocol
 
 
-class Operator(Protocol):
-    """Someone who answers."""
+class Operator:
+    """Someone who answers; this one agrees to everything at once, for the emulated robot and for tests."""
 
     def confirm(self, text: str) -> bool:
         """Ask, and wait for the answer."""
-        ...
+        return True
 
     def said_go(self, say: Callable[[str], None] = print) -> bool:
         """Whether go was said since the last call; never waits.
@@ -23,18 +22,17 @@ class Operator(Protocol):
         Args:
             say: shows a line to the person while the loop runs.
         """
-        ...
+        return True
 
     def begins(self) -> None:
         """The policy begins now: set the ground in motion."""
-        ...
 
     def travelled(self) -> float | None:
-        """How far the robot has got since then [m]; None where nobody measured it."""
-        ...
+        """How far the robot has got since then [m]; None where nobody measured it, as a person does by hand."""
+        return None
 
 
-class Console:
+class Console(Operator):
     """A person at the terminal."""
 
     def __init__(self) -> None:
@@ -61,32 +59,6 @@ class Console:
         """An Enter from before the question is no answer to it."""
         with suppress(OSError, ValueError, termios.error):
             termios.tcflush(sys.stdin.fileno(), termios.TCIFLUSH)
-
-    def begins(self) -> None:
-        """A person sees it."""
-
-    def travelled(self) -> float | None:
-        """A person measures it and writes `travelled_distance` into the log's metadata."""
-        return None
-
-
-class Yes:
-    """Agrees to everything at once; for the emulated robot and for tests."""
-
-    def confirm(self, text: str) -> bool:
-        """Yes."""
-        return True
-
-    def said_go(self, say: Callable[[str], None] = print) -> bool:
-        """Yes."""
-        return True
-
-    def begins(self) -> None:
-        """Nothing moves."""
-
-    def travelled(self) -> float | None:
-        """Nobody measures."""
-        return None
 
 
 def told(report: Callable[[str], None]) -> Callable[[str], None]:

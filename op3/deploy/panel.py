@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import sys
 import threading
-from collections import deque
 from contextlib import suppress
+from queue import Queue
 from typing import Any, TextIO
 
 import numpy as np
@@ -39,12 +39,8 @@ class Panel:
         self._joints, self._unit = robot.joints, Units(robot).current
         self._stream = stream or sys.stdout
         self._every = every
-        self._ticks = 0
-        self._lines = 0
-        self._next: list[str] | None = None
-        self._said: deque[str] = deque()
-        self._due = threading.Event()
-        self._closing = False
+        self._ticks = self._lines = 0
+        self._waiting: Queue[list[str] | str | None] = Queue()
         self._thread: threading.Thread | None = None
         self.enabled = self._stream.isatty()
 
@@ -52,54 +48,42 @@ class Panel:
         self, phase: str, state: State, command: Command, counts: NDArray[Any], verdict: Verdict, ticker: Ticker
     ) -> None:
         """Show a tick, if it is time to."""
-        if not self.enabled:
-            return
         self._ticks += 1
-        if self._ticks % self._every != 1:
-            return
-        self._next = self.text(phase, state, command, counts * self._unit, verdict, ticker)
-        self._wake()
+        if self.enabled and self._ticks % self._every == 1 and self._waiting.empty():
+            self._put(self.text(phase, state, command, counts * self._unit, verdict, ticker))
 
     def say(self, line: str) -> None:
         """Print a line that stays; while nothing is shown in place, at once."""
         if self._thread is None:
-            self._stream.write(line + "\n")
-            self._stream.flush()
-            return
-        self._said.append(line)
-        self._wake()
+            self._print(line)
+        else:
+            self._put(line)
 
     def close(self, patience: float = 1.0) -> None:
         """Write what is left, if the terminal takes it within a time [s]."""
-        if self._thread is None:
-            return
-        self._closing = True
-        self._due.set()
-        self._thread.join(patience)
-        if not self._thread.is_alive():
-            self._thread = None
+        if self._thread is not None:
+            self._waiting.put(None)
+            self._thread.join(patience)
+            self._thread = self._thread if self._thread.is_alive() else None
 
-    def _wake(self) -> None:
+    def _put(self, item: list[str] | str) -> None:
         if self._thread is None:
             self._thread = threading.Thread(target=self._serve, daemon=True)
             self._thread.start()
-        self._due.set()
+        self._waiting.put(item)
 
     def _serve(self) -> None:
         with suppress(OSError, ValueError):  # the terminal is gone
-            while True:
-                self._due.wait()
-                self._due.clear()
-                last = self._closing
-                lines, self._next = self._next, None
-                if lines is not None:
-                    self._write(lines)
-                while self._said:
-                    self._stream.write(self._said.popleft() + "\n")
-                    self._stream.flush()
+            for item in iter(self._waiting.get, None):
+                if isinstance(item, str):
+                    self._print(item)
                     self._lines = 0  # the next block begins below
-                if last:
-                    return
+                else:
+                    self._write(item)
+
+    def _print(self, line: str) -> None:
+        self._stream.write(line + "\n")
+        self._stream.flush()
 
     def _write(self, lines: list[str]) -> None:
         # A line that is wrapped, or one above the top of the window, could not be rewritten in place.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from enum import IntEnum, IntFlag
 from itertools import pairwise
 from typing import Any
 
@@ -275,7 +276,7 @@ class Units:
         self.continuous = np.array([make.continuous_current for make in makes]) / self.current
 
 
-class OperatingMode:
+class OperatingMode(IntEnum):
     """Values of the register `operating_mode`."""
 
     CURRENT = 0
@@ -285,10 +286,8 @@ class OperatingMode:
     CURRENT_BASED_POSITION = 5
     PWM = 16
 
-    ALL = (CURRENT, VELOCITY, POSITION, EXTENDED_POSITION, CURRENT_BASED_POSITION, PWM)
 
-
-class HardwareError:
+class HardwareError(IntFlag):
     """Bits of the registers `hardware_error_status` and `shutdown`."""
 
     INPUT_VOLTAGE = 0x01
@@ -297,15 +296,7 @@ class HardwareError:
     ELECTRICAL_SHOCK = 0x10
     OVERLOAD = 0x20
 
-    NAMES: dict[int, str] = {
-        INPUT_VOLTAGE: "input voltage",
-        OVERHEATING: "overheating",
-        MOTOR_ENCODER: "motor encoder",
-        ELECTRICAL_SHOCK: "electrical shock",
-        OVERLOAD: "overload",
-    }
-
     @classmethod
     def describe(cls, status: int) -> str:
         """The errors of a status in words; "none" for 0."""
-        return ", ".join(name for bit, name in cls.NAMES.items() if status & bit) or "none"
+        return ", ".join(str(bit.name).lower().replace("_", " ") for bit in cls if status & bit) or "none"

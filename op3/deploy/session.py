@@ -1,4 +1,7 @@
-"""A run from start checks to torque off, whatever happens in between."""
+"""A run from start checks to torque off, whatever happens in between.
+
+Its loop reads all, judges, takes the command, computes PD and limits, and writes - in every tick, in this order.
+"""
 
 from __future__ import annotations
 
@@ -15,21 +18,27 @@ from types import FrameType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from op3.deploy.bus import Bus, BusError, Unplugged
 from op3.deploy.exit_codes import ExitCode, Stop
-from op3.deploy.loop import Loop
+from op3.deploy.limits import Command
+from op3.deploy.monitors import Verdict
 from op3.deploy.operator import Operator, told
 from op3.deploy.phases import Phase
 from op3.deploy.safety import Guard, Release, Safety
-from op3.deploy.ticker import Timing
+from op3.deploy.state import State
+from op3.deploy.ticker import PERIOD, Tick, Ticker, Timing
 from op3.rollout import LogError, Metadata, Recorder, Rollout
 
 LOG_NAMES = ("approach", "run", "after")
 """Logs that a run can leave."""
 
-Phases = Callable[[Loop], Sequence[Phase]]
-"""Makes the phases of a run; the loop is there for those that go on from its last targets."""
+RAW = ("current", "velocity", "position", "hardware_error", "imu")
+"""Registers that are logged as they came."""
+
+IMU = ("orientation", "angular_velocity", "linear_acceleration")
+"""And what else is of a robot with an IMU."""
 
 
 @dataclass(frozen=True)
@@ -166,9 +175,12 @@ class Session:
         safety: the guard that writes, or an onlooker that only reads.
         operator: asked before torque goes on.
         logs: takes every tick; None for no log.
-        show: live panel; see `Loop`.
+        show: called at the end of every tick with phase, state, command, goal currents [joint], verdict and ticker.
         report: where lines for the operator go.
         sysfs: where the kernel shows serial adapters.
+
+    Attributes:
+        target: of the last tick [joint] in rad.
     """
 
     def __init__(
@@ -183,10 +195,18 @@ class Session:
         sysfs: Path | None = None,
     ):
         self._bus, self._safety, self._operator = bus, safety, operator
-        self._logs, self._report, self._sysfs = logs, told(report), sysfs
+        self._logs, self._show, self._report, self._sysfs = logs, show, told(report), sysfs
         self._signals = StopSignals()
-        self._loop = Loop(bus, safety, log=logs, show=show, check=self._signals.check)
         self._release: Release | None = None
+        self._ticker: Ticker | None = None
+        self._log, self._channels = LOG_NAMES[0], {}
+        self._ended_in: str | None = None
+        self.target: NDArray[np.float64] | None = None
+
+    @property
+    def timing(self) -> Timing:
+        """How well the deadlines have been kept so far."""
+        return Timing() if self._ticker is None else self._ticker.timing()
 
     def run(self, phases: Phases) -> Outcome:
         """Check, energise, run the phases, switch off; whatever ends it is in the outcome.
@@ -214,15 +234,15 @@ class Session:
                 # A signal may have come between the end of the work and `hush`; only the first one raises.
                 self._let_go()
             logs = self._close_logs(code, reason)
-        if code in (ExitCode.UNPLUGGED, ExitCode.BUS_LOSS) and not self._loop.timing().ticks and self._release is None:
+        timing = self.timing
+        if code in (ExitCode.UNPLUGGED, ExitCode.BUS_LOSS) and not timing.ticks and self._release is None:
             code = ExitCode.START_CHECK  # the bus failed on the way to the first tick, with nothing energised
         if self._release is not None and not self._release.ok:
             code, reason = ExitCode.NOT_VERIFIED, f"{reason}; {self._release}"
-        timing = self._loop.timing()
         if timing.ticks:
             self._report(str(timing))
         self._report(f"{code.name.lower()} ({int(code)}): {reason}")
-        return Outcome(code, reason, self._release, timing, logs, self._loop.ended_in)
+        return Outcome(code, reason, self._release, timing, logs, self._ended_in)
 
     def _work(self, phases: Phases) -> None:
         safety = self._safety
@@ -233,7 +253,7 @@ class Session:
             if armed and not self._operator.confirm("The robot is about to move. Hold it, keep hands off its joints."):
                 raise Stop(ExitCode.DECLINED, "not confirmed")
         # Whatever takes time is done before torque: from then on the watchdogs allow no pause of 100 ms.
-        made = phases(self._loop)
+        made = phases(self)
         if self._logs is not None:
             self._logs.open()
         self._read_all()
@@ -242,18 +262,89 @@ class Session:
                 assert isinstance(safety, Safety)
                 self._signals.check()
                 safety.energise()
-            self._loop.run(made)
+            try:
+                self._loop(made)
+            except Stop as stop:
+                self._ended_in = self._log
+                if stop.damp and safety.torque:
+                    self._damp(stop)
+                raise
 
     def _read_all(self) -> None:
         """Readings until everything has answered once, so that no value is made up."""
-        heard, imu = None, False
+        heard: Any = False
         for _ in range(20):
             state = self._bus.read_state()
-            heard = state.answered if heard is None else heard | state.answered
-            imu = imu or state.imu_answered
-            if heard.all() and imu:
+            heard = heard | np.append(state.answered, state.imu_answered is not False)
+            if heard.all():
                 return
         raise Stop(ExitCode.START_CHECK, "not everything on the bus answers a reading; check cables and power")
+
+    def _loop(self, phases: Sequence[Phase]) -> None:
+        """Run the phases to their end, without a break between them."""
+        self._ticker = Ticker(self._bus.clock)
+        waiting = list(phases)
+        phase, began = waiting.pop(0), 0
+        while True:
+            tick = self._ticker.wait()
+            self._signals.check()
+            state = self._bus.read_state()
+            verdict = self._safety.assess(tick, state)
+            command = phase.command(tick.index - began, state)
+            while command is None:
+                if not waiting:
+                    return
+                phase, began = waiting.pop(0), tick.index
+                command = phase.command(0, state)
+            self._log, self._channels = phase.log, phase.channels()
+            counts, issued = self._carry_out(tick, state, command, verdict)
+            self.target = issued.position
+            if self._show is not None:
+                self._show(phase.name, state, issued, counts, verdict, self._ticker)
+
+    def _damp(self, reason: Stop) -> None:
+        """Brake for a while before torque goes off; a graver reason in between cuts it short."""
+        assert self._ticker is not None
+        self._log, self._channels = "after", {}
+        for _ in range(round(self._safety.limits.damp_time / PERIOD)):
+            tick = self._ticker.wait()
+            state = self._bus.read_state()
+            try:
+                self._safety.assess(tick, state)
+            except Stop as stop:
+                if not stop.damp:
+                    raise reason from stop
+            command = Command.of(state.position if self.target is None else self.target, 0.0, 0.0)
+            self._carry_out(tick, state, command, Verdict(damp=True))
+
+    def _carry_out(
+        self, tick: Tick, state: State, command: Command, verdict: Verdict
+    ) -> tuple[NDArray[np.int64], Command]:
+        """Write a command and log the tick; goal currents [joint] in counts, and the command as it was carried out."""
+        counts, issued = self._safety.write(state, command, verdict)
+        if self._logs is None:
+            return counts, issued
+        row: dict[Any, Any] = {
+            "time": tick.deadline + tick.lateness,
+            ("command", "position"): issued.position,
+            ("command", "p_gain"): issued.p_gain,
+            ("command", "d_gain"): issued.d_gain,
+            ("joint", "position"): state.position,
+            ("joint", "velocity"): state.velocity,
+            ("joint", "current"): state.current,
+            ("joint", "voltage"): state.voltage,
+            ("joint", "temperature"): state.temperature,
+            ("raw", "goal_current"): counts,
+            ("raw", "answered"): state.answered,
+            ("raw", "lateness"): tick.lateness,
+            **{("raw", name): state.raw[name] for name in RAW if name in state.raw},
+            **{("imu", name): getattr(state, name) for name in IMU if state.orientation is not None},
+            **self._channels,
+        }
+        if not self._safety.torque:
+            row["command", "torque_enable"] = np.zeros(len(counts))
+        self._logs(self._log, row)
+        return counts, issued
 
     def _let_go(self) -> None:
         if isinstance(self._safety, Safety) and self._safety.touched and self._release is None:
@@ -263,19 +354,17 @@ class Session:
     def _close_logs(self, code: ExitCode, reason: str) -> dict[str, Rollout]:
         if self._logs is None:
             return {}
-        timing = self._loop.timing()
-        extra: dict[str, Any] = {
-            "exit": code.name.lower(),
-            "reason": reason,
-            "ticks": timing.ticks,
-            "missed_ticks": timing.misses,
-            "lateness_p50": timing.p50,
-            "lateness_p99": timing.p99,
-            "lateness_max": timing.max,
-        }
+        timing = self.timing
+        extra: dict[str, Any] = {"exit": code.name.lower(), "reason": reason, "ticks": timing.ticks}
+        extra |= {"missed_ticks": timing.misses}
+        extra |= {f"lateness_{name}": getattr(timing, name) for name in ("p50", "p99", "max")}
         if isinstance(self._safety, Safety):
             extra["largest_load"] = float(np.max(self._safety.load))
-        return self._logs.close(self._loop.ended_in if code == ExitCode.FALL else None, extra)
+        return self._logs.close(self._ended_in if code == ExitCode.FALL else None, extra)
+
+
+Phases = Callable[[Session], Sequence[Phase]]
+"""Makes the phases of a run; the session is there for those that go on from its last targets."""
 
 
 @contextmanager

@@ -37,6 +37,7 @@ class Sensors:
         orientation: [3] roll, pitch, yaw in rad, R = Rz(yaw) Ry(pitch) Rx(roll); None without an IMU.
         angular_velocity: [3] in rad/s in the trunk's frame; None without an IMU.
         linear_acceleration: [3] specific force in m/s^2 in the trunk's frame; None without an IMU.
+        duty: [joint] of the drivers, -1 to 1, where it is read.
     """
 
     position: Array
@@ -47,6 +48,7 @@ class Sensors:
     orientation: Array | None = None
     angular_velocity: Array | None = None
     linear_acceleration: Array | None = None
+    duty: Array | None = None
 
 
 def quantise(value: Array, unit: float | Array) -> Array:

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from op3.deploy.bus import Bus
-from op3.deploy.emulator import EmulatedRobot, Faults, Readings, Timing, VirtualPort, read_frames
+from op3.deploy.emulator import EmulatedRobot, Faults, Timing, VirtualPort, read_frames
 from op3.deploy.emulator.firmware import Drive
 from op3.deploy.limits import Limits
-from op3.deploy.loop import Loop
-from op3.deploy.operator import Operator, Yes
+from op3.deploy.operator import Operator
 from op3.deploy.phases import GainRamp, Hold, Move, Phase
 from op3.deploy.protocol import Instruction, Packet, Parser
 from op3.deploy.registers import DYNAMIXEL_X
@@ -22,6 +21,7 @@ from op3.deploy.safety import Safety
 from op3.deploy.session import Logs, Outcome, Session
 from op3.robot import pose
 from op3.rollout import Metadata
+from op3.stand_in.sensors import Sensors
 from tests.op3_table import JOINTS, OP3, SERVO_IDS
 
 NAMES = {number: name for name, number in SERVO_IDS.items()}
@@ -64,11 +64,11 @@ class CheapPhysics:
         self.position = self.position + final * duration + (self.velocity - final) * (1 - decay) / rate
         self.velocity = final + (self.velocity - final) * decay
 
-    def read(self) -> Readings:
+    def read(self) -> Sensors:
         count = len(JOINTS)
         roll = self.tilt if self.time >= self.tilt_from else 0.0
         volts = 12.0 if self.supply is None else self.supply
-        return Readings(
+        return Sensors(
             position=self.position,
             velocity=self.velocity,
             current=self._current,
@@ -105,7 +105,7 @@ class Rig:
 
     def run(
         self,
-        phases: Sequence[Phase] | Callable[[Loop], Sequence[Phase]] | None = None,
+        phases: Sequence[Phase] | Callable[[Session], Sequence[Phase]] | None = None,
         *,
         limits: Limits | None = None,
         operator: Operator | None = None,
@@ -121,9 +121,10 @@ class Rig:
         if folder is not None:
             logs = Logs(folder, Metadata(joints=JOINTS, robot="emulated", mount="stand", rate=125.0))
         self.safety = Safety(self.bus, limits, current_scale=current_scale, torque=torque, report=self.lines.append)
-        session = Session(self.bus, self.safety, operator or Yes(), logs=logs, report=self.lines.append, sysfs=sysfs)
+        who, say = operator or Operator(), self.lines.append
+        session = Session(self.bus, self.safety, who, logs=logs, report=say, sysfs=sysfs)
 
-        def make(loop: Loop) -> Sequence[Phase]:
+        def make(loop: Session) -> Sequence[Phase]:
             if phases is None:
                 move = Move(stand, start=lambda: loop.target)
                 return [GainRamp(), move, Hold(stand, duration=duration, log="run")]

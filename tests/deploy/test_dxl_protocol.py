@@ -33,8 +33,6 @@ MANUAL = {
     ),
     "write status": (encode_status(1, 0), "FF FF FD 00 01 04 00 55 00 A1 0C"),
     "reboot": (encode(1, Instruction.REBOOT), "FF FF FD 00 01 03 00 08 2F 4E"),
-    "factory reset": (encode(1, Instruction.FACTORY_RESET, b"\x01"), "FF FF FD 00 01 04 00 06 01 A1 E6"),
-    "clear": (encode(1, Instruction.CLEAR, b"\x01DXL\x22"), "FF FF FD 00 01 08 00 10 01 44 58 4C 22 B1 DC"),
     "sync read": (
         encode(BROADCAST_ID, Instruction.SYNC_READ, b"\x84\x00\x04\x00\x01\x02"),
         "FF FF FD 00 FE 09 00 82 84 00 04 00 01 02 CE FA",

@@ -18,7 +18,7 @@ from op3.deploy.emulator import USUAL_SETTINGS, read_frames
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command, Limits
 from op3.deploy.monitors import Verdict
-from op3.deploy.operator import Yes
+from op3.deploy.operator import Operator
 from op3.deploy.panel import Panel
 from op3.deploy.phases import FollowMotion
 from op3.deploy.policy_runner import FollowPolicy, PolicyRunner
@@ -33,7 +33,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def connected(rig):
-    return Connection(rig.bus, Yes(), "emulated", "stand", {"world": "none"}, 0)
+    return Connection(rig.bus, Operator(), "emulated", "stand", {"world": "none"}, 0)
 
 
 def switch_on(rig):

@@ -10,7 +10,7 @@ from op3.deploy.emulator.faults import (
     Unplug,
 )
 from op3.deploy.emulator.line import Frame, Timing, read_frames
-from op3.deploy.emulator.physics import Physics, Readings, StandInPhysics
+from op3.deploy.emulator.physics import Physics, StandInPhysics
 from op3.deploy.emulator.port import VirtualPort
 from op3.deploy.emulator.pty_server import PtyServer
 from op3.deploy.emulator.robot import USUAL_SETTINGS, Clock, EmulatedRobot
@@ -30,7 +30,6 @@ __all__ = [
     "Overheat",
     "Physics",
     "PtyServer",
-    "Readings",
     "Silent",
     "SimPhysics",
     "StandInPhysics",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from op3.deploy.emulator.physics import Readings
 from op3.deploy.protocol import Error, Instruction
 from op3.deploy.registers import (
     BAUD_RATES,
@@ -16,6 +15,7 @@ from op3.deploy.registers import (
     Register,
 )
 from op3.robot.units import ACCELERATION_UNIT, ANGLE_UNIT, GYRO_UNIT, VOLTAGE_UNIT
+from op3.stand_in.sensors import Sensors
 
 OPEN_CR_INSTRUCTIONS = (
     Instruction.PING,
@@ -28,11 +28,8 @@ OPEN_CR_INSTRUCTIONS = (
 )
 """What the board understands."""
 
-BUTTONS: tuple[str, ...] = ("mode", "start", "user", "reset")
-"""Names of the board's buttons by their bit. Held for 0.1 s, the last one cuts the servos' power."""
-
 _IMU = slice(OPEN_CR["gyro_x"].address, OPEN_CR["yaw"].end)
-_VOLTAGE, _BUTTON = OPEN_CR["present_voltage"].address, OPEN_CR["button"].address
+_VOLTAGE = OPEN_CR["present_voltage"].address
 _UNITS = np.repeat([GYRO_UNIT, ACCELERATION_UNIT, ANGLE_UNIT], 3)
 # The firmware cuts off the fraction of an angle; a reading on the grid must not fall below it by rounding.
 _COUNTS_PER_SI = np.tile(OPEN_CR_AXES, 3) / _UNITS * np.repeat([1.0, 1.0, 1 + 1e-9], 3)
@@ -45,7 +42,6 @@ class Device:
         table: its registers.
         memory: their bytes.
         ready: time from which it answers [s]; infinite while it has no power.
-        pending: a registered write that waits for an action: address and data.
     """
 
     alert = False
@@ -55,7 +51,6 @@ class Device:
         self.table = table
         self.memory: bytearray | memoryview = bytearray(table.size)
         self.ready = 0.0
-        self.pending: tuple[int, bytes] | None = None
         self._slices = {register.name: slice(register.address, register.end) for register in table}
         self._baud_at = table["baud_rate"].address
         self._delay_at = table["return_delay_time"].address
@@ -156,11 +151,10 @@ class Device:
 
 
 class OpenCR(Device):
-    """IMU, buttons, battery voltage, and the switch that gives the servos power.
+    """IMU, battery voltage, and the switch that gives the servos power.
 
     After the OP3's firmware of the board (`opencr_op3`, ROBOTIS-GIT/OpenCR): it answers pings, reads and writes, sync
-    and bulk ones too, and no fast reads, registered writes, reboots or resets; writes to read-only bytes are accepted
-    and do nothing.
+    and bulk ones too, and no fast reads or reboots; writes to read-only bytes are accepted and do nothing.
 
     Attributes:
         frozen: whether the IMU has stopped; its registers keep what they hold.
@@ -176,18 +170,7 @@ class OpenCR(Device):
         """Whether the servos have power."""
         return self.get("dynamixel_power") == 1
 
-    def press(self, button: str, held: bool) -> None:
-        """Hold a button, or let go of it.
-
-        Raises:
-            ValueError: if there is no such button.
-        """
-        if button not in BUTTONS:
-            raise ValueError(f"there is no button {button!r}; the buttons are {', '.join(BUTTONS)}")
-        bit = 1 << BUTTONS.index(button)
-        self.memory[_BUTTON] = self.memory[_BUTTON] | bit if held else self.memory[_BUTTON] & ~bit
-
-    def feel(self, readings: Readings, voltage: float) -> None:
+    def feel(self, readings: Sensors, voltage: float) -> None:
         """Take what the sensors say, and the battery's voltage [V]."""
         self.memory[_VOLTAGE] = max(0, min(255, round(voltage / VOLTAGE_UNIT)))
         if self.frozen or readings.orientation is None:

@@ -1,4 +1,7 @@
-"""What goes wrong on the bus and in the robot, at random or at a given time."""
+"""What goes wrong on the bus and in the robot, at random or at a given time: from `start` to `end` [s].
+
+`device` is an id on the bus.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +15,7 @@ from op3.settings import Listed, NotNegative, Number, Share, Whole, settings
 
 @settings("faults")
 class Silent:
-    """A device says nothing and hears nothing, as with a cable pulled.
-
-    Attributes:
-        device: its id.
-        start: from when [s].
-        end: until when [s].
-    """
+    """A device says nothing and hears nothing, as with a cable pulled."""
 
     device: Whole
     start: Number = 0.0
@@ -27,12 +24,7 @@ class Silent:
 
 @settings("faults")
 class FrozenImu:
-    """The IMU's registers keep what they hold.
-
-    Attributes:
-        start: from when [s].
-        end: until when [s].
-    """
+    """The IMU's registers keep what they hold."""
 
     start: Number = 0.0
     end: float = inf
@@ -43,8 +35,6 @@ class Overheat:
     """A servo's temperature rises beyond what its current explains.
 
     Attributes:
-        device: its id.
-        start: from when [s].
         rate: [K/s].
     """
 
@@ -61,8 +51,6 @@ class BrownOut:
     memory and start anew once it is back.
 
     Attributes:
-        start: from when [s].
-        end: until when [s].
         voltage: of the supply meanwhile [V].
     """
 
@@ -76,8 +64,6 @@ class HardwareFault:
     """A servo reports a hardware error.
 
     Attributes:
-        device: its id.
-        start: when [s].
         error: bits of `op3.deploy.registers.HardwareError`.
     """
 
@@ -88,11 +74,7 @@ class HardwareFault:
 
 @settings("faults")
 class Unplug:
-    """The USB plug is pulled.
-
-    Attributes:
-        start: when [s].
-    """
+    """The USB plug is pulled."""
 
     start: Number
 

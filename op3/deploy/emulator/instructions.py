@@ -88,43 +88,21 @@ class Dispatcher:
             if len(parameters) != 4:
                 return Error.DATA_LENGTH, b""
             return device.read(_word(parameters, 0), _word(parameters, 2))
-        if instruction in (Instruction.WRITE, Instruction.REG_WRITE):
+        if instruction == Instruction.WRITE:
             if len(parameters) < 3:
                 return Error.DATA_LENGTH, b""
-            address, data = _word(parameters, 0), parameters[2:]
-            if instruction == Instruction.WRITE:
-                return device.write(address, data), b""
-            device.pending = address, data
-            device.put("registered_instruction", 1)
+            return device.write(_word(parameters, 0), parameters[2:]), b""
+        if instruction == Instruction.REBOOT and isinstance(device, Servo):
+            device.power(True, now)
             return Error.NONE, b""
-        if instruction == Instruction.ACTION:
-            if device.pending is None:
-                return Error.INSTRUCTION, b""
-            (address, data), device.pending = device.pending, None
-            device.put("registered_instruction", 0)
-            return device.write(address, data), b""
-        return self._restart(device, packet, now), b""
-
-    def _restart(self, device: Device, packet: Packet, now: float) -> int:
-        if isinstance(device, Servo):
-            if packet.instruction == Instruction.REBOOT:
-                device.reboot(now)
-                return Error.NONE
-            if packet.instruction == Instruction.FACTORY_RESET:
-                return device.factory_reset(packet.parameters[0], now) if packet.parameters else Error.DATA_LENGTH
-            if packet.instruction == Instruction.CLEAR:
-                return Error.NONE if packet.parameters == b"\x01\x44\x58\x4c\x22" else Error.DATA_RANGE
-        return Error.INSTRUCTION
+        return Error.INSTRUCTION, b""
 
     def _broadcast(self, packet: Packet, now: float) -> list[Answer]:
         """An instruction for all devices; only a ping is answered."""
         if packet.instruction == Instruction.PING:
             return self._ping_all()
-        everything = packet.instruction == Instruction.FACTORY_RESET and packet.parameters == b"\xff"
-        if packet.instruction == Instruction.READ or everything:
-            return []
         for device in self._devices:
-            if isinstance(device, Servo) and self._hears(device):
+            if packet.instruction != Instruction.READ and isinstance(device, Servo) and self._hears(device):
                 self._single(device, packet, now)
         return []
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -12,35 +12,9 @@ from op3.deploy.emulator.firmware import PERIOD, Drive
 from op3.robot import BoardMotion, Robot, WeightSchedule
 from op3.robot.scenes import Scene
 from op3.stand_in import StandIn, World
+from op3.stand_in.sensors import Sensors
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class Readings:
-    """What the sensors feel, in SI units; the registers round it.
-
-    Attributes:
-        position: [joint] in rad.
-        velocity: [joint] in rad/s.
-        current: [joint] in A.
-        duty: [joint] of the drivers, -1 to 1.
-        voltage: [joint] in V.
-        temperature: [joint] in C.
-        orientation: roll, pitch, yaw of the trunk [rad]; None without an IMU.
-        angular_velocity: [xyz] in rad/s in the trunk's axes; None without an IMU.
-        linear_acceleration: [xyz] specific force in m/s^2 in the trunk's axes; None without an IMU.
-    """
-
-    position: Array
-    velocity: Array
-    current: Array
-    duty: Array
-    voltage: Array
-    temperature: Array
-    orientation: Array | None = None
-    angular_velocity: Array | None = None
-    linear_acceleration: Array | None = None
 
 
 class Physics(Protocol):
@@ -76,8 +50,8 @@ class Physics(Protocol):
         """
         ...
 
-    def read(self) -> Readings:
-        """What all sensors say now."""
+    def read(self) -> Sensors:
+        """What all sensors say now in SI units, which the registers round; `duty` too, the IMU where there is one."""
         ...
 
     def set_ground(self, board: BoardMotion | WeightSchedule | None = None, tiles: ArrayLike | None = None) -> None:
@@ -157,17 +131,8 @@ class StandInPhysics:
         """How far ahead the inner tip of the foremost foot is in the world [m]; 0 without a robot."""
         return self.robot.foremost()
 
-    def read(self) -> Readings:
-        """What all sensors say now."""
-        sensors = self._sensors
-        return Readings(
-            position=sensors.position,
-            velocity=sensors.velocity,
-            current=sensors.current,
-            duty=self.robot.servos.duty,
-            voltage=sensors.voltage if self.supply is None else np.full(len(sensors.voltage), self.supply),
-            temperature=sensors.temperature,
-            orientation=sensors.orientation,
-            angular_velocity=sensors.angular_velocity,
-            linear_acceleration=sensors.linear_acceleration,
-        )
+    def read(self) -> Sensors:
+        """What all sensors say now, the drivers' duty too."""
+        sensors, supply = self._sensors, self.supply
+        voltage = sensors.voltage if supply is None else np.full_like(sensors.voltage, supply)
+        return replace(sensors, voltage=voltage, duty=self.robot.servos.duty)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from serial import SerialException
 
-from op3.deploy.emulator.device import BUTTONS, Device, OpenCR
+from op3.deploy.emulator.device import Device, OpenCR
 from op3.deploy.emulator.faults import (
     RESET_VOLTAGE,
     BrownOut,
@@ -26,19 +26,17 @@ from op3.deploy.emulator.faults import (
 from op3.deploy.emulator.firmware import PERIOD, Firmware
 from op3.deploy.emulator.instructions import Dispatcher
 from op3.deploy.emulator.line import FrameRecorder, Line, Timing
-from op3.deploy.emulator.physics import Physics, Readings
+from op3.deploy.emulator.physics import Physics
 from op3.deploy.emulator.servo import BOOT_TIME, Servo
 from op3.deploy.protocol import BROADCAST_ID, Instruction, Packet
 from op3.deploy.registers import DYNAMIXEL_X, POSITION_ZERO, PWM_UNIT, HardwareError, Units
+from op3.stand_in.sensors import Sensors
 
 USUAL_SETTINGS: dict[str, int] = {"baud_rate": 4, "return_delay_time": 0}
 """EEPROM of a robot's servos where it differs from the factory's: 2 Mbit/s, no return delay."""
 
 CHECK_PERIOD = 0.01
 """How often servos look at their voltage and temperature [s] (inferred)."""
-
-RESET_BUTTON_TIME = 0.1
-"""How long the reset button is held before it cuts the servos' power [s]; firmware of the OpenCR."""
 
 _WRITES = (Instruction.WRITE, Instruction.SYNC_WRITE, Instruction.BULK_WRITE)
 """Instructions that need no measurements; those that do ask for them."""
@@ -262,17 +260,6 @@ class EmulatedRobot:
         self._switch(True)
         self.clock.sleep(2 * BOOT_TIME)
 
-    def press(self, button: str, duration: float = 0.05) -> None:
-        """Press a button of the OpenCR for a while [s]; "reset", held for 0.1 s, cuts the servos' power."""
-        self.open_cr.press(button, True)
-        self.at(self.time + duration, lambda: self.open_cr.press(button, False))
-        if button == BUTTONS[-1] and duration > RESET_BUTTON_TIME:
-            self.at(self.time + RESET_BUTTON_TIME, self._cut_power)
-
-    def _cut_power(self) -> None:
-        self.open_cr.put("dynamixel_power", 0)
-        self._switch(False)
-
     # -- watchdogs
 
     def _last_heard(self, servo: Servo) -> float:
@@ -329,7 +316,7 @@ class EmulatedRobot:
         present["present_temperature"] = np.minimum(np.rint(self._temperature(readings)), 255)
         self._memory[:, _FIRST:_LAST] = present.view(np.uint8).reshape(len(self._all), -1)
 
-    def _temperature(self, readings: Readings) -> NDArray[np.float64]:
+    def _temperature(self, readings: Sensors) -> NDArray[np.float64]:
         if not self._heat:
             return readings.temperature
         temperature = np.array(readings.temperature, dtype=float)

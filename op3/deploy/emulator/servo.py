@@ -40,7 +40,6 @@ _FULL_CURRENT = DYNAMIXEL_X["goal_current"].high or 0
 _MODE, _WATCHDOG = DYNAMIXEL_X["operating_mode"].address, DYNAMIXEL_X["bus_watchdog"].address
 _TORQUE, _HARDWARE_ERROR = DYNAMIXEL_X["torque_enable"].address, DYNAMIXEL_X["hardware_error_status"].address
 _END_FIRST_DATA = FIRST_INDIRECT_DATA + INDIRECT_COUNT
-_KEPT_BY_RESET = {0xFF: (), 0x01: ("id",), 0x02: ("id", "baud_rate")}
 
 
 class Servo(Device):
@@ -86,26 +85,12 @@ class Servo(Device):
         return self.memory[_TORQUE] != 0
 
     def power(self, on: bool, now: float) -> None:
-        """Give it power, or take it away."""
+        """Give it power, or take it away: the RAM area forgets everything, indirect addresses and errors too."""
         self.ready = inf
         self._start()
         if on:
             self.ready = now + BOOT_TIME
             self.booted = now
-
-    def reboot(self, now: float) -> None:
-        """Start anew: the RAM area forgets everything, indirect addresses and hardware errors too."""
-        self.power(True, now)
-
-    def factory_reset(self, option: int, now: float) -> int:
-        """Put the EEPROM back to the factory's values and start anew; returns the error."""
-        if option not in _KEPT_BY_RESET:
-            return Error.DATA_RANGE
-        for register in self.table:
-            if register.eeprom and register.initial is not None and register.name not in _KEPT_BY_RESET[option]:
-                self.put(register.name, register.initial)
-        self.reboot(now)
-        return Error.NONE
 
     def _start(self) -> None:
         for register in self.table:
@@ -113,7 +98,6 @@ class Servo(Device):
                 self.put(register.name, register.initial)
         self.put("goal_current", self.get("current_limit"))
         self.put("goal_pwm", self.get("pwm_limit"))
-        self.pending = None
         self.watchdog = inf
         self._inform()
 
@@ -202,7 +186,7 @@ class Servo(Device):
         tripped = self.get("bus_watchdog") == WATCHDOG_ERROR
         if tripped and (name in _GOALS or (name == "bus_watchdog" and value != 0)):
             return Error.DATA_RANGE
-        if name == "operating_mode" and value not in OperatingMode.ALL:
+        if name == "operating_mode" and value not in set(OperatingMode):
             return Error.DATA_RANGE
         if name == "torque_enable" and value and self.memory[_HARDWARE_ERROR] & self.get("shutdown"):
             return Error.RESULT_FAIL  # (inferred) only a reboot brings torque back; the manual names no error

@@ -12,7 +12,6 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from op3.deploy.emulator.firmware import PERIOD, Drive
-from op3.deploy.emulator.physics import Readings
 from op3.robot import (
     BoardDrive,
     BoardMotion,
@@ -28,7 +27,7 @@ from op3.robot.units import GRAVITY
 from op3.servo import RobotModel, Stage, Trunk
 from op3.servo.effects import Motor
 from op3.sim import BatchSimulation, attach_servos
-from op3.stand_in.sensors import roll_pitch_yaw
+from op3.stand_in.sensors import Sensors, roll_pitch_yaw
 
 Array = NDArray[np.float64]
 
@@ -319,7 +318,7 @@ class SimPhysics(BatchSimulation):
         self._windings.step(self._temperature, self._resistance * current**2, duration)
         signals.bus_voltage, signals.temperature = self._voltage, torch.from_numpy(self._temperature)
 
-    def read(self) -> Readings:
+    def read(self) -> Sensors:
         """What all sensors say now."""
         orientation, rates, force = None, None, None
         if self._attitude is not None:
@@ -328,7 +327,7 @@ class SimPhysics(BatchSimulation):
             seen = self.law.sense_trunk(Trunk(torch.from_numpy(quaternion)[None], torch.from_numpy(rates)[None]))
             quaternion, rates = seen.quaternion[0].numpy(), seen.angular_velocity[0].numpy()
             orientation = roll_pitch_yaw(quaternion)
-        return Readings(
+        return Sensors(
             position=self.position.copy(),
             velocity=self.velocity.copy(),
             current=self.signals.measured_current[0].numpy().copy(),

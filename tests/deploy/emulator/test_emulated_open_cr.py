@@ -1,7 +1,6 @@
 """The OpenCR: it gives the servos power, and tells attitude, rates and voltage in its own axes."""
 
 import numpy as np
-import pytest
 from dynamixel_sdk import COMM_RX_TIMEOUT, GroupSyncRead
 from wheels import Bench
 
@@ -88,20 +87,3 @@ def test_the_board_knows_no_fast_reads():
     reader = GroupSyncRead(bench.port, bench.packets, 32, 18)
     reader.addParam(200)
     assert reader.fastSyncRead() == COMM_RX_TIMEOUT
-
-
-def test_buttons_show_and_the_last_one_cuts_power():
-    """A pressed button is a bit; reset, held for 0.1 s, takes the servos' power."""
-    bench = Bench()
-    bench.robot.press("start", 0.1)
-    assert bench.read(200, 30, 1) == 2
-    bench.clock.sleep(0.2)
-    assert bench.read(200, 30, 1) == 0
-    bench.robot.press("reset", 0.05)
-    bench.clock.sleep(0.2)
-    assert bench.read(200, POWER, 1) == 1
-    bench.robot.press("reset", 0.2)
-    bench.clock.sleep(0.2)
-    assert bench.read(200, POWER, 1) == 0
-    with pytest.raises(ValueError, match="no button"):
-        bench.robot.press("stop")

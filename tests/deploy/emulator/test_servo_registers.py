@@ -129,26 +129,6 @@ def test_a_reboot_forgets_ram_and_keeps_eeprom(bench):
     assert bench.read(ID, 64, 1) == 0
 
 
-def test_a_factory_reset_can_keep_the_id(bench):
-    """Option 1 keeps the id and resets the baud rate with all else."""
-    assert bench.packets.factoryReset(bench.port, ID, 2) == (0, 0)
-    bench.clock.sleep(0.1)
-    assert bench.read(ID, 9, 1) == 250
-    bench.packets.factoryReset(bench.port, ID, 1)
-    bench.clock.sleep(0.1)
-    assert bench.packets.ping(bench.port, ID)[1] == COMM_RX_TIMEOUT
-    bench.port.setBaudRate(57_600)
-    assert bench.packets.ping(bench.port, ID)[:2] == (1020, 0)
-
-
-def test_a_registered_write_waits_for_its_action(bench):
-    """Reg write stores, action acts."""
-    bench.packets.regWriteTxRx(bench.port, ID, 65, 1, [1])
-    assert (bench.read(ID, 65, 1), bench.read(ID, 69, 1)) == (0, 1)
-    bench.packets.action(bench.port, 254)
-    assert (bench.read(ID, 65, 1), bench.read(ID, 69, 1)) == (1, 0)
-
-
 def test_status_return_level_silences_answers(bench):
     """Level 1 answers reads and no writes, level 0 pings alone."""
     assert bench.write(ID, 68, 1, 1) == (0, 0)

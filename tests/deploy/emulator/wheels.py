@@ -3,8 +3,9 @@
 import numpy as np
 from dynamixel_sdk import PacketHandler
 
-from op3.deploy.emulator import EmulatedRobot, Readings, VirtualPort
+from op3.deploy.emulator import EmulatedRobot, VirtualPort
 from op3.deploy.registers import OPEN_CR_ID
+from op3.stand_in.sensors import Sensors
 from tests.op3_table import OP3
 
 
@@ -35,16 +36,16 @@ class Wheels:
     def read(self):
         voltage = np.full(20, 12.0 if self.supply is None else self.supply)
         duty = (5 * self.current + 2 * self.velocity) / 12
-        return Readings(
+        return Sensors(
             self.position,
             self.velocity,
             self.current,
-            duty,
             voltage,
             self.temperature,
             self.tilt,
             self.rates,
             self.force,
+            duty,
         )
 
 
