@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import struct
 import threading
 import zlib
 from collections.abc import Mapping
@@ -24,11 +23,10 @@ from tensordict import TensorDictBase
 from op3.rollout import files
 from op3.rollout.errors import LogError
 from op3.rollout.metadata import Metadata
+from op3.rollout.recorded_rows import CHUNK, MARK, read_rows
 from op3.rollout.rollout import DATA_FOLDER, METADATA_FILE, ROWS_FILE, Rollout
 from op3.rollout.schema import CHANNELS, Key, column_names, key_name, normal_key
 
-_CHUNK = struct.Struct("<4sIII")  # mark, rows, bytes, CRC-32 of the bytes
-_MARK = b"rows"
 _WIDEST = {"scalar": 1, "imu3": 3}
 
 
@@ -201,7 +199,7 @@ class Recorder:
             widths = [[key_name(key), last - first] for key, first, last in self._layout]
             header = json.dumps(widths).encode() + b"\n"
         try:
-            chunk = header + _CHUNK.pack(_MARK, count, len(payload), zlib.crc32(payload)) + payload
+            chunk = header + CHUNK.pack(MARK, count, len(payload), zlib.crc32(payload)) + payload
             while chunk:
                 chunk = chunk[self._stream.write(chunk) or 0 :]
             os.fsync(self._stream.fileno())
@@ -240,31 +238,3 @@ class Recorder:
         files.write_text(self.folder / METADATA_FILE, metadata.to_yaml())
         (self.folder / ROWS_FILE).unlink()
         return Rollout.load(self.folder)
-
-
-def read_rows(path: str | Path) -> dict[Key, np.ndarray]:
-    """Every whole chunk of a recording's `rows.bin`, by channel [time, last axis]."""
-    raw = Path(path).read_bytes()
-    line, _, body = raw.partition(b"\n")
-    rows: list[np.ndarray] = []
-    try:
-        layout = [(normal_key(name), int(width)) for name, width in json.loads(line)]
-        width = sum(w for _, w in layout)
-        offset = 0
-        while offset + _CHUNK.size <= len(body):
-            mark, count, size, check = _CHUNK.unpack_from(body, offset)
-            payload = body[offset + _CHUNK.size : offset + _CHUNK.size + size]
-            if mark != _MARK or zlib.crc32(payload) != check:
-                break
-            rows.append(np.frombuffer(payload).reshape(count, width))
-            offset += _CHUNK.size + size
-    except (ValueError, TypeError, struct.error):
-        rows = rows or []
-    if not rows:
-        remedy = "nothing reached the disk, record again"
-        raise LogError("the interrupted recording holds no rows", remedy, source=path)
-    table, columns, start = np.concatenate(rows), {}, 0
-    for key, entries in layout:
-        columns[key] = table[:, start : start + entries]
-        start += entries
-    return columns

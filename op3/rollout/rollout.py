@@ -18,6 +18,7 @@ from op3.robot.robot import DEFAULT, Robot, load_robot
 from op3.rollout import files
 from op3.rollout.errors import LogError
 from op3.rollout.metadata import Metadata
+from op3.rollout.recorded_rows import read_rows
 from op3.rollout.schema import CHANNELS, Key, column_names, key_name, normal_key, vector_column
 from op3.rollout.validate import check_schema, check_values
 
@@ -262,8 +263,6 @@ class Rollout:
             data = files.map_tensordict(folder / DATA_FOLDER)
             check_schema(data, metadata, folder)
             return cls(data, metadata)
-        from op3.rollout.recorder import read_rows  # the recorder builds rollouts, so it imports this module
-
         return cls.from_arrays(read_rows(folder / ROWS_FILE), metadata.replace(complete=False), folder)
 
     def to_csv(self, path: str | Path, overwrite: bool = False) -> Path:

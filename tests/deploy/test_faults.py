@@ -5,7 +5,7 @@ import pytest
 from deploy_rig import make_rig
 
 from op3.deploy.emulator import BrownOut, Faults, FrozenImu, HardwareFault, Overheat, Silent, Timing, Unplug
-from op3.deploy.exit_codes import ExitCode, Stop
+from op3.deploy.exit_codes import ExitCode
 from op3.deploy.limits import Command, CurrentLimiter, Limits
 from op3.deploy.phases import GainRamp, Hold
 from op3.deploy.registers import HardwareError
@@ -170,14 +170,6 @@ def test_voltage_out_of_the_servos_range(tmp_path):
     assert "out of the voltage range: head_pan (input voltage)" in outcome.reason
     assert_released(rig, outcome)
     assert_damped(rig, torque_off(rig))
-
-
-def test_a_restart_in_the_run_is_seen(tmp_path):
-    """Servos that lost power for 30 ms boot for 80 ms more, so everything is silent for 96 ms: off."""
-    rig = faulty(tmp_path, BrownOut(START, START + 0.03, voltage=3.0))
-    outcome = go(rig)
-    assert outcome.code == ExitCode.BUS_LOSS
-    assert_released(rig, outcome)
 
 
 def test_one_servo_that_restarts_is_named(tmp_path):
@@ -387,12 +379,6 @@ def test_limits_that_contradict_each_other_are_refused():
             Limits(peak_current=peak).currents(OP3)
     with pytest.raises(ValueError, match="start_voltage"):
         Limits(start_voltage=9.5)
-
-
-def test_a_stop_carries_code_and_reason():
-    """`Stop` is what every layer raises to end a run."""
-    stop = Stop(ExitCode.FALL, "fallen", damp=True)
-    assert (stop.code, str(stop), stop.damp) == (ExitCode.FALL, "fallen", True)
 
 
 @pytest.mark.parametrize(("counts", "jump"), [(4096, "+6.283 rad (+4096 counts)"), (-150, "-0.2")])

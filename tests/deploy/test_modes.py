@@ -36,11 +36,6 @@ def connected(rig):
     return Connection(rig.bus, Operator(), "emulated", "stand", {"world": "none"}, 0)
 
 
-def switch_on(rig):
-    """The servos' supply, as a mode that may not do so finds it on a running robot."""
-    rig.robot.switch_on()
-
-
 def test_a_whole_run(tmp_path):
     """Approach, run and what comes after are three logs that identification reads; metadata tells how it went."""
     rig = make_rig(tmp_path)
@@ -92,7 +87,7 @@ def test_dry_run(tmp_path):
 def test_read_only_writes_nothing(tmp_path):
     """Not one write instruction leaves the computer; the log holds what the robot said."""
     rig = make_rig(tmp_path)
-    switch_on(rig)
+    rig.robot.switch_on()
     outcome = read_only(connected(rig), 0.5, Plan(folder=tmp_path / "logs"), report=rig.lines.append)
     assert outcome.code == ExitCode.OK
     sent = {packet.instruction for _, packet in rig.packets()}
@@ -126,21 +121,6 @@ def test_hang(tmp_path):
     assert values == {427, 215}
 
 
-@pytest.mark.slow
-def test_read_only_and_calibrate_on_the_emulated_robot(tmp_path):
-    """Someone has pressed its power button: both modes can be rehearsed, and the last frame is an answer."""
-    common = ("deploy.py", "port=emulated", "model=paper", "mount=stand", "panel=false")
-    frames = tmp_path / "frames.txt"
-    look = script(*common, "mode=read_only", "duration=0.1", f"frames={frames}", f"hydra.run.dir={tmp_path / 'look'}")
-    assert look.returncode == 0, look.stdout + look.stderr
-    assert "FAIL" not in look.stdout
-    assert read_frames(frames)[-1].direction == "<"
-    file = tmp_path / "op3.yaml"
-    held = script(*common, "mode=calibrate", f"calibration_out={file}", f"hydra.run.dir={tmp_path / 'c'}")
-    assert held.returncode == 0, held.stdout + held.stderr
-    assert np.abs(Calibration.load(file).offset).max() < 0.01
-
-
 def test_setup_makes_a_factory_robot_start(tmp_path):
     """A robot with the factory's return delay fails the start checks, and passes them after setup."""
     rig = make_rig(tmp_path, settings={**USUAL_SETTINGS, "return_delay_time": 250, "drive_mode": 1})
@@ -156,7 +136,7 @@ def test_calibrate(tmp_path):
     """The robot is held in the zero pose with servos that are off by up to 0.1 rad; afterwards angles read zero."""
     off = np.linspace(-0.1, 0.1, 20)
     rig = make_rig(tmp_path, position=off)
-    switch_on(rig)
+    rig.robot.switch_on()
     path = tmp_path / "calibration.yaml"
     assert calibrate(connected(rig), path, report=rig.lines.append) == ExitCode.OK
     rig.bus.calibration = Calibration.load(path)
@@ -167,7 +147,7 @@ def test_calibrate(tmp_path):
 def test_calibrate_refuses_a_robot_with_torque(tmp_path):
     """A pose that servos hold themselves says nothing about it."""
     rig = make_rig(tmp_path)
-    switch_on(rig)
+    rig.robot.switch_on()
     rig.robot.servos["l_knee"].put("torque_enable", 1)
     assert calibrate(connected(rig), tmp_path / "c.yaml", report=rig.lines.append) == ExitCode.START_CHECK
     assert "torque is on at l_knee" in rig.lines[-1]
@@ -191,88 +171,60 @@ def test_a_port_that_is_not_there():
         connect("/dev/ttyNOWHERE", mount="ceiling")
 
 
-def test_panel(tmp_path):
-    """In a terminal there is one line per joint, rewritten in place; without one there is nothing."""
-
-    class Terminal(io.StringIO):
-        def isatty(self):
-            return True
-
-    rig = make_rig(tmp_path)
-    switch_on(rig)
-    state, terminal, file = rig.bus.read_state(), Terminal(), io.StringIO()
-    ticker = Ticker(rig.robot.clock)
-    ticker.wait()
-    for stream in (terminal, file):
-        panel = Panel(OP3, stream, every=2)
-        for _ in range(3):
-            time.sleep(0.1)  # the thread that writes
-            panel("policy", state, Command.of(pose("stand"), 5.0, 0.1), np.zeros(20), Verdict(note="all odd"), ticker)
-    time.sleep(0.3)
-    assert file.getvalue() == ""
-    lines = terminal.getvalue().splitlines()
-    assert len(lines) == 2 * 23
-    assert sum("l_knee" in line for line in lines) == 2
-    assert "all odd" in lines[-1]
-    assert "\x1b[23A" in lines[23]
-
-
 class Window(io.StringIO):
-    """A terminal of 80 columns and 24 rows that keeps what was written."""
+    """A terminal of 80 columns and 24 rows that keeps what was written, some time later."""
+
+    delay = 0.0
 
     def isatty(self):
         return True
 
+    def write(self, text):
+        time.sleep(self.delay)
+        return super().write(text)
 
-def shown(panel, rig):
+
+def shown(panel, rig, times):
+    """Ticks in the panel, each after what was shown before is written."""
     state, ticker = rig.bus.read_state(), Ticker(rig.robot.clock)
     ticker.wait()
-    panel("hold", state, Command.of(pose("stand"), 5.0, 0.1), np.zeros(20), Verdict(), ticker)
+    for _ in range(times):
+        panel("hold", state, Command.of(pose("stand"), 5.0, 0.1), np.zeros(20), Verdict(note="all odd"), ticker)
+        deadline = time.monotonic() + 10
+        while not (panel._waiting.empty() or panel._stream.delay or time.monotonic() > deadline):
+            time.sleep(0.01)
 
 
 def test_what_is_said_stays_above_the_panel(tmp_path):
-    """A question is not overwritten: the next block begins below it, and fits into 80 columns and 24 rows."""
-    rig, window = make_rig(tmp_path), Window()
-    switch_on(rig)
-    panel = Panel(OP3, window, every=2)
+    """One line per joint, rewritten in place; a question stays, and the next block begins below it, in 80 columns."""
+    rig, window, file = make_rig(tmp_path), Window(), io.StringIO()
+    rig.robot.switch_on()
+    silent, panel = Panel(OP3, file, every=2), Panel(OP3, window, every=2)
+    shown(silent, rig, 3)
+    assert file.getvalue() == ""  # no terminal
     panel.say("before")
     assert window.getvalue() == "before\n"
-    for _ in range(3):
-        shown(panel, rig)
-        time.sleep(0.05)
+    shown(panel, rig, 3)
     panel.say("press Enter")
-    deadline = time.monotonic() + 10
-    while "press Enter" not in window.getvalue() and time.monotonic() < deadline:
-        time.sleep(0.01)
-    for _ in range(2):
-        shown(panel, rig)
+    shown(panel, rig, 2)
     panel.close()
     lines = window.getvalue().splitlines()
     at = lines.index("press Enter")
+    assert sum("l_knee" in line for line in lines[:at]) == 2
     assert any(line.startswith("\x1b[23A") for line in lines[:at])
     assert not any("\x1b[23A" in line for line in lines[at : at + 23])
     assert len(lines[at + 1 :]) >= 23
+    assert "all odd" in lines[-1]
     assert max(len(line.replace("\x1b[23A", "").replace("\x1b[2K", "")) for line in lines) < 80
 
 
 def test_a_stalled_terminal_does_not_hold_up_the_loop(tmp_path):
     """A terminal that takes no more text costs the loop nothing but the text."""
-
-    class Stalled(io.StringIO):
-        def isatty(self):
-            return True
-
-        def write(self, text):
-            time.sleep(5.0)
-            return len(text)
-
-    rig = make_rig(tmp_path)
-    switch_on(rig)
-    state, panel, ticker = rig.bus.read_state(), Panel(OP3, Stalled(), every=2), Ticker(rig.robot.clock)
-    ticker.wait()
+    rig, window = make_rig(tmp_path), Window()
+    window.delay = 5.0
+    rig.robot.switch_on()
     before = time.monotonic()
-    for _ in range(20):
-        panel("policy", state, Command.of(pose("stand"), 5.0, 0.1), np.zeros(20), Verdict(), ticker)
+    shown(Panel(OP3, window, every=2), rig, 20)
     assert time.monotonic() - before < 2.0
 
 

@@ -6,13 +6,15 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from op3.rollout.errors import LogError
-from op3.rollout.rollout import Rollout
 from op3.rollout.schema import CHANNELS, Key, column_names
+
+if TYPE_CHECKING:
+    from op3.rollout.rollout import Rollout
 
 ERROR, WARNING = "error", "warning"
 """An error cannot be right and refuses the log; a warning is suspicious and lets it pass."""

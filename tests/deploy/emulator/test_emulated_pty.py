@@ -4,7 +4,7 @@ import termios
 import time
 
 import pytest
-from dynamixel_sdk import GroupBulkRead, GroupSyncRead, GroupSyncWrite, PacketHandler, PortHandler
+from dynamixel_sdk import GroupSyncRead, GroupSyncWrite, PacketHandler, PortHandler
 from serial import SerialException
 from wheels import Bench, Wheels
 
@@ -94,48 +94,6 @@ def powered(bench):
     assert bench.write(OPEN_CR_ID, 24, 1, 1) == 0
     bench.wait(0.2)
     return bench
-
-
-def test_the_sdk_reads_blocks_and_the_board(any_bench):
-    """Indirect addresses, fast sync read, bulk read with the board among the servos, attitude at rest."""
-    bench = powered(any_bench)
-    for number, target in enumerate((132, 133, 134, 135, 146, 70)):
-        for device in (7, 8):
-            assert bench.write(device, 168 + 2 * number, 2, target) == 0
-    fast = GroupSyncRead(bench.port, bench.packets, 224, 6)
-    bulk = GroupBulkRead(bench.port, bench.packets)
-    for number in (7, 8):
-        fast.addParam(number)
-        bulk.addParam(number, 224, 6)
-    bulk.addParam(OPEN_CR_ID, 32, 18)
-    assert patiently(lambda: True if fast.fastSyncRead() == 0 else None)
-    assert patiently(lambda: True if bulk.txRxPacket() == 0 else None)
-    for number in (7, 8):
-        assert fast.getData(number, 224, 4) == bulk.getData(number, 224, 4) == 2048
-        assert (fast.getData(number, 228, 1), fast.getData(number, 229, 1)) == (30, 0)
-    assert bulk.getData(OPEN_CR_ID, 42, 2) == 16384
-
-
-def test_the_sdk_sees_errors_and_reboots(any_bench):
-    """A shutdown latches and raises the alert; a reboot forgets the RAM."""
-    bench = powered(any_bench)
-
-    def ping():
-        def attempt():
-            found = bench.packets.ping(bench.port, 9)
-            return found if found[1] == 0 else None
-
-        return patiently(attempt)
-
-    bench.robot.at(0.0, lambda: bench.robot.servos[BY_ID[9]].fail(0x20))
-    bench.wait(0.1)
-    assert ping() == (1020, 0, 0x80)
-    assert bench.write(9, 64, 1, 1) == 0x81
-    assert bench.write(9, 65, 1, 1) == 0x80
-    assert patiently(lambda: True if bench.packets.reboot(bench.port, 9)[0] == 0 else None)
-    bench.wait(0.2)
-    assert ping() == (1020, 0, 0)
-    assert bench.read(9, 65, 1) == 0
 
 
 def test_the_sdk_meets_the_watchdog(any_bench):

@@ -1,0 +1,46 @@
+"""The house: no import circles, and the OP3's names in two files."""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from op3.robot import load_robot
+
+ROOT = Path(__file__).resolve().parents[1]
+FILES = {
+    ".".join(p.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): p for p in ROOT.glob("op3/**/*.py")
+}
+
+
+def imports(name: str) -> set[str]:
+    """Modules of the house that a module imports, in its functions too; what only the type checker sees is left out."""
+
+    def walk(node: ast.AST) -> Iterator[ast.AST]:
+        for child in ast.iter_child_nodes(node):
+            if not (isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test)):
+                yield child
+                yield from walk(child)
+
+    found = set()
+    for node in walk(ast.parse(FILES[name].read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            whole = [f"{node.module}.{alias.name}" for alias in node.names]
+            found |= {one if one in FILES else node.module for one in whole}
+    return (found & set(FILES)) - {name}
+
+
+def test_no_module_imports_itself_by_a_detour():
+    """Modules that can be taken away one after the other, each once nothing it imports is left, hold no circle."""
+    left = {name: imports(name) for name in FILES}
+    while ready := [name for name, needs in left.items() if not needs & set(left)]:
+        for name in ready:
+            del left[name]
+    assert not left
+
+
+def test_the_op3_is_data():
+    """Its joints are named, and its own motions are made, in at most five files of the house."""
+    names = "|".join(load_robot("op3").joints)
+    nailed = rf"\b({names})\b|op3_motions|op3_suites"
+    assert len([path for path in FILES.values() if re.search(nailed, path.read_text())]) <= 5
