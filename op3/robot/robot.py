@@ -124,10 +124,9 @@ class Robot:
 
     def _above(self, body: int) -> tuple[str, ...]:
         """Joints that move a body, from the base outwards."""
-        bodies = {int(self.bare_model.joint(name).bodyid[0]): name for name in self.joints}
-        found = []
+        found: list[str] = []
         while body:
-            found += [bodies[body]] if body in bodies else []
+            found += [name for name in self.joints[::-1] if self.bare_model.joint(name).bodyid[0] == body]
             body = int(self.bare_model.body_parentid[body])
         return tuple(found[::-1])
 

@@ -324,15 +324,6 @@ def limiter_state(rig):
     return rig.bus.read_state()
 
 
-def test_peak_currents(tmp_path):
-    """However far the target, a leg gets at most 855 counts and an arm 430."""
-    state = limiter_state(faulty(tmp_path))
-    far = CurrentLimiter(Limits(), OP3, 0.008).counts(state, Command.of(state.position + 10.0, 6.0, 0.1))
-    assert far[JOINTS.index("l_knee")] == 855
-    assert far[JOINTS.index("l_el")] == 430
-    assert far[JOINTS.index("head_pan")] == 430
-
-
 def test_continuous_current(tmp_path):
     """855 counts are allowed for about 2.4 s, 171 for ever: the limit sinks to 171 and no further."""
     state = limiter_state(faulty(tmp_path))

@@ -14,7 +14,7 @@ from policies import hold_policy
 
 from op3.deploy import Calibration, Connection, Plan, Player, calibrate, connect, read_only, replay_policy, run, setup
 from op3.deploy.bus import Unplugged
-from op3.deploy.emulator import USUAL_SETTINGS, read_frames
+from op3.deploy.emulator import USUAL_SETTINGS
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command, Limits
 from op3.deploy.monitors import Verdict
@@ -22,7 +22,7 @@ from op3.deploy.operator import Operator
 from op3.deploy.panel import Panel
 from op3.deploy.phases import FollowMotion
 from op3.deploy.policy_runner import FollowPolicy, PolicyRunner
-from op3.deploy.protocol import Instruction, Parser
+from op3.deploy.protocol import Instruction
 from op3.deploy.ticker import Ticker
 from op3.policy import PolicyBundle
 from op3.robot import Motion, pose, squat
@@ -105,20 +105,6 @@ def test_read_only_tells_that_the_supply_is_off(tmp_path):
     assert outcome.code == ExitCode.START_CHECK
     assert any("the servos' supply is off" in line for line in rig.lines)
     assert not rig.robot.open_cr.power
-
-
-def test_hang(tmp_path):
-    """From the command line: the servos' current limits are halved on the wire."""
-    frames = tmp_path / "frames.txt"
-    result = script(
-        *("deploy.py", "port=emulated", "model=paper", "mode=hang", "duration=0.1", "panel=false"),
-        *(f"frames={frames}", f"hydra.run.dir={tmp_path / 'run'}"),
-    )
-    assert result.returncode == 0, result.stdout + result.stderr
-    packets = [p for f in read_frames(frames) if f.direction == ">" for p in Parser().feed(f.data)]
-    limits = [p.parameters[4:] for p in packets if p.instruction == Instruction.SYNC_WRITE and p.parameters[0] == 38]
-    values = {int.from_bytes(limits[0][i + 1 : i + 3], "little") for i in range(0, len(limits[0]), 3)}
-    assert values == {427, 215}
 
 
 def test_setup_makes_a_factory_robot_start(tmp_path):

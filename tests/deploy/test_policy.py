@@ -13,9 +13,8 @@ from op3.deploy.exit_codes import ExitCode
 from op3.deploy.phases import GainRamp
 from op3.deploy.policy_runner import FollowPolicy, PolicyRunner, replay_policy
 from op3.envs import make_env
-from op3.policy import PolicyBundle
 from op3.rollout import Rollout
-from tests.op3_table import JOINTS, indices
+from tests.op3_table import indices
 
 ORDER = ("joint_position", "joint_velocity", "orientation", "angular_velocity")
 
@@ -146,14 +145,3 @@ def test_a_policy_for_another_loop_is_refused():
     bundle.manifest = dataclasses.replace(hold_policy("walk").manifest, task="hop")
     with pytest.raises(ValueError, match="give cycle"):
         PolicyRunner(bundle)
-
-
-def test_bundles_from_disk(tmp_path):
-    """A saved bundle runs as the one in memory, and the logs say which policy rate and joints it had."""
-    folder = hold_policy(feedback=0.2).save(tmp_path / "bundle")
-    (tmp_path / "a").mkdir()
-    (tmp_path / "b").mkdir()
-    _, first = run_policy(tmp_path / "a", PolicyBundle.load(folder))
-    _, second = run_policy(tmp_path / "b", hold_policy(feedback=0.2))
-    assert np.array_equal(first.logs["run"].array("policy/action"), second.logs["run"].array("policy/action"))
-    assert first.logs["run"].joints == JOINTS

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
+from op3.identify.design import information
 from op3.identify.identification import Identification
 from op3.identify.prediction_score import predict_logs
 from op3.robot import check_motion, load_robot, multisine
@@ -45,6 +46,21 @@ def test_friction_of_another_robot_is_found(tmp_path):
     values = np.array([0.3, 1.0, 3.0]) * true
     losses = [o.values for o in problem.evaluate([{"parameters.coulomb_friction": v} for v in values.tolist()])]
     assert np.argmin(losses) == 1
+
+
+def test_a_motion_of_another_robot_is_judged(tmp_path):
+    """What a motion tells about friction is a number for any robot, and more of it tells more."""
+    path = write_robot(tmp_path, "dog")
+    told = [
+        information(
+            servo_model(load_robot(path)),
+            multisine(duration=seconds, robot=str(path)),
+            "stand",
+            {"coulomb_friction": (0.0, 0.3)},
+        )[0, 0]
+        for seconds in (1.0, 2.0)
+    ]
+    assert 0 < told[0] < told[1]
 
 
 def test_a_foreign_table_is_read_in_the_robots_terms(tmp_path):
