@@ -165,9 +165,8 @@ class Bus:
             attempts: how often silence is tried again.
         """
         entry = self._register(name, register)
-        call = lambda: self._read_once(self.ids[name], entry.address, entry.size)  # noqa: E731
-        data = self._try(name, f"a read of {register}", call, attempts)
-        return entry.decode(data)
+        place = (self.ids[name], entry.address, entry.size)
+        return entry.decode(self._try(name, f"a read of {register}", lambda: self._read_once(*place), attempts))
 
     def sync_read(self, register: str) -> dict[str, int]:
         """One register of all servos, sign included; those that do not answer are left out."""

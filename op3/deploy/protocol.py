@@ -216,14 +216,10 @@ class Parser:
 
     A packet is accepted if its header, id and length are possible and its CRC is right; otherwise the search goes on
     one byte behind its header, so that a packet behind a damaged one is found.
-
-    Attributes:
-        crc_errors: how many packets with a wrong CRC there were.
     """
 
     def __init__(self) -> None:
         self._buffer = bytearray()
-        self.crc_errors = 0
 
     def reset(self) -> None:
         """Forget what has begun."""
@@ -246,7 +242,6 @@ class Parser:
             if len(buffer) < end:
                 return found
             if crc16(buffer[: end - 2]) != buffer[end - 2] | buffer[end - 1] << 8:
-                self.crc_errors += 1
                 self._drop(3)
                 continue
             body, device = bytes(buffer[7 : end - 2]), buffer[4]

@@ -7,7 +7,6 @@ from typing import Any
 import mujoco
 import numpy as np
 from dm_control import composer, mjcf
-from dm_control.composer.observation import observable
 
 from op3.robot.robot import Robot, read_spec
 
@@ -60,9 +59,6 @@ class RobotEntity(composer.Entity):
                 place = np.array(inertial.inertial.pos, dtype=float)
                 place["xyz".index(one.sets[-1])] = value
                 inertial.inertial.pos = place
-
-    def _build_observables(self) -> RobotObservables:
-        return RobotObservables(self) if self.robot.file.imu is None else ObservablesWithImu(self)
 
     @property
     def mjcf_model(self) -> mjcf.RootElement:
@@ -143,55 +139,3 @@ def _read(robot: Robot) -> Any:
         if joint.tag == "freejoint" or joint.type == "free":
             joint.remove()
     return root
-
-
-class RobotObservables(composer.Observables):
-    """What can be observed of a robot. Every observable is off until a task enables it."""
-
-    _entity: Any
-
-    @composer.observable
-    def joint_positions(self) -> observable.MJCFFeature:
-        """Joint angles [joint] in rad."""
-        return observable.MJCFFeature("qpos", self._entity.joints)
-
-    @composer.observable
-    def joint_velocities(self) -> observable.MJCFFeature:
-        """Joint velocities [joint] in rad/s."""
-        return observable.MJCFFeature("qvel", self._entity.joints)
-
-
-class ObservablesWithImu(RobotObservables):
-    """And what can be observed of one with an IMU."""
-
-    @composer.observable
-    def imu_orientation(self) -> observable.MJCFFeature:
-        """Orientation of the base, quaternion (w, x, y, z)."""
-        return observable.MJCFFeature("sensordata", self._entity.imu_orientation)
-
-    @composer.observable
-    def imu_gyro(self) -> observable.MJCFFeature:
-        """Angular velocity [xyz] in rad/s, in the base's frame."""
-        return observable.MJCFFeature("sensordata", self._entity.imu_gyro)
-
-    @composer.observable
-    def imu_accelerometer(self) -> observable.Generic:
-        """Specific force [xyz] in m/s^2, in the base's frame; +g upwards at rest, also in the stand."""
-        return observable.Generic(self._specific_force)
-
-    @composer.observable
-    def key_points(self) -> observable.Generic:
-        """Key points relative to the base, in the base's frame, [key point, xyz] in m."""
-        return observable.Generic(self._key_points)
-
-    def _specific_force(self, physics: mjcf.Physics) -> np.ndarray:
-        trunk = physics.bind(self._entity.trunk)
-        # MuJoCo's accelerometer reads zero on a body that cannot move, where a real one reads gravity.
-        if physics.model.body_weldid[trunk.element_id] == 0:
-            return -np.asarray(trunk.xmat).reshape(3, 3).T @ physics.model.opt.gravity
-        return np.array(physics.bind(self._entity.imu_accelerometer).sensordata)
-
-    def _key_points(self, physics: mjcf.Physics) -> np.ndarray:
-        trunk = physics.bind(self._entity.trunk)
-        points = physics.bind(self._entity.key_points).xpos - trunk.xpos
-        return points @ np.asarray(trunk.xmat).reshape(3, 3)

@@ -30,9 +30,6 @@ CONTINUOUS_CURRENT_COUNTS = round(_SERVO.continuous_current / CURRENT_UNIT)
 VOLTAGE_UNIT = _SERVO.counts.voltage.si
 """One unit of input voltage [V]."""
 
-TEMPERATURE_UNIT = _SERVO.unit("temperature")
-"""One unit of temperature [C]."""
-
 ANGLE_UNIT = radians(0.1)
 """One unit of roll, pitch and yaw [rad]."""
 

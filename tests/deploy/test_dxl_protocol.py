@@ -126,7 +126,6 @@ def test_a_packet_behind_a_damaged_one_is_found():
     parser = Parser()
     found = parser.feed(bytes(damaged) + good * 4)
     assert found.count(Packet(7, Instruction.PING, b"")) >= 2
-    assert parser.crc_errors == 1
 
 
 def test_a_packet_that_is_too_long_is_refused():
