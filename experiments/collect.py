@@ -42,7 +42,7 @@ from support import (
 
 from op3.command_line import launch
 from op3.deploy import Stop
-from op3.deploy.bus import Unplugged
+from op3.deploy.dynamixel_bus import Unplugged
 from op3.deploy.exit_codes import ExitCode
 from op3.policy import PolicyBundle
 from op3.robot import Motion, check_motion, load_robot

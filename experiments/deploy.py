@@ -32,8 +32,8 @@ from op3.deploy import (
     run,
     setup,
 )
-from op3.deploy.bus import Unplugged
 from op3.deploy.deploy import EMULATED, HANG_SCALE, POLICY_RATE
+from op3.deploy.dynamixel_bus import Unplugged
 from op3.policy import PolicyBundle
 from op3.robot import load_robot
 from op3.rollout import git_hash, read_log

@@ -1,7 +1,7 @@
 """Running a policy on the robot: the bus, safety, the 125 Hz loop, and an emulated robot that speaks the same bytes."""
 
-from op3.deploy.bus import Bus
 from op3.deploy.deploy import Connection, Plan, calibrate, connect, read_only, run, setup
+from op3.deploy.dynamixel_bus import Bus
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command, Limits
 from op3.deploy.phases import FollowMotion, Hold

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from op3.deploy.bus import Bus
+from op3.deploy.dynamixel_bus import Bus
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Limits
 from op3.deploy.operator import Console, Operator

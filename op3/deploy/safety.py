@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.deploy.bus import ATTEMPTS, FIRST_ANSWER, GAP, SLOW_ANSWER, Bus, BusError, Unplugged
+from op3.deploy.dynamixel_bus import ATTEMPTS, FIRST_ANSWER, GAP, SLOW_ANSWER, Bus, BusError, Unplugged
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command, CurrentLimiter, Limits
 from op3.deploy.monitors import Monitor, Verdict

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.deploy.bus import Bus, BusError, Unplugged
+from op3.deploy.dynamixel_bus import Bus, BusError, Unplugged
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command
 from op3.deploy.monitors import Verdict

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from op3.deploy.bus import BOARD, FIRST_ANSWER, SLOW_ANSWER, Bus, BusError, NoAnswer, Writer
+from op3.deploy.dynamixel_bus import BOARD, FIRST_ANSWER, SLOW_ANSWER, Bus, BusError, NoAnswer, Writer
 from op3.deploy.limits import Limits
 from op3.deploy.registers import OPEN_CR_MODEL, HardwareError
 from op3.deploy.state import State

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from op3.deploy.bus import Bus
+from op3.deploy.dynamixel_bus import Bus
 from op3.deploy.emulator import EmulatedRobot, Faults, Timing, VirtualPort, read_frames
 from op3.deploy.emulator.firmware import Drive
 from op3.deploy.limits import Limits

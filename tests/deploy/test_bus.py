@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from deploy_rig import make_rig
 
-from op3.deploy.bus import BOARD, NoAnswer, Refused, Unplugged
+from op3.deploy.dynamixel_bus import BOARD, NoAnswer, Refused, Unplugged
 from op3.deploy.emulator import Faults, Silent, Unplug
 from op3.deploy.protocol import ALERT, encode_fast_status, fast_answers
 from op3.deploy.registers import HardwareError

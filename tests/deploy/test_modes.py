@@ -13,7 +13,7 @@ from deploy_rig import make_rig
 from policies import hold_policy
 
 from op3.deploy import Calibration, Connection, Plan, Player, calibrate, connect, read_only, replay_policy, run, setup
-from op3.deploy.bus import Unplugged
+from op3.deploy.dynamixel_bus import Unplugged
 from op3.deploy.emulator import USUAL_SETTINGS
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command, Limits

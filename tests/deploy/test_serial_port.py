@@ -7,7 +7,7 @@ import tty
 
 import pytest
 
-from op3.deploy.bus import Bus, Unplugged
+from op3.deploy.dynamixel_bus import Bus, Unplugged
 from op3.deploy.limits import Limits
 from op3.deploy.safety import Safety
 from op3.deploy.serial_port import SerialPort

@@ -1,5 +1,6 @@
 """An emulated robot on a Dynamixel Protocol 2.0 bus, to the byte."""
 
+from op3.deploy.emulator.emulated_robot import USUAL_SETTINGS, Clock, EmulatedRobot
 from op3.deploy.emulator.faults import (
     BrownOut,
     Faults,
@@ -13,7 +14,6 @@ from op3.deploy.emulator.line import Frame, Timing, read_frames
 from op3.deploy.emulator.physics import Physics, StandInPhysics
 from op3.deploy.emulator.port import VirtualPort
 from op3.deploy.emulator.pty_server import PtyServer
-from op3.deploy.emulator.robot import USUAL_SETTINGS, Clock, EmulatedRobot
 from op3.deploy.emulator.sim_physics import Battery, ImuNoise, SimPhysics, Windings
 
 __all__ = [

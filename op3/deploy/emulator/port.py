@@ -5,7 +5,7 @@ from __future__ import annotations
 from dynamixel_sdk import PortHandler
 from serial import SerialException
 
-from op3.deploy.emulator.robot import EmulatedRobot
+from op3.deploy.emulator.emulated_robot import EmulatedRobot
 
 POLL = 5e-5
 """How long a look at an empty port takes where nothing tells what is waited for [s]."""

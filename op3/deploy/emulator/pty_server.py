@@ -12,7 +12,7 @@ import time
 import tty
 from types import TracebackType
 
-from op3.deploy.emulator.robot import EmulatedRobot
+from op3.deploy.emulator.emulated_robot import EmulatedRobot
 
 PATIENCE = 0.002
 """Longest wait before the world is brought up to the wall clock [s]."""
