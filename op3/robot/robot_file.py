@@ -158,7 +158,7 @@ def check_names(file: DataFile, content: RobotFile, model: mujoco.MjModel) -> No
         DataFileError: with file, line and the nearest valid name.
     """
     names = {
-        kind: [getattr(model, kind)(number).name for number in range(count)]
+        kind: [name for number in range(count) if (name := getattr(model, kind)(number).name)]
         for kind, count in (("body", model.nbody), ("site", model.nsite), ("geom", model.ngeom))
     }
     names["joint"] = list(content.joints)

@@ -108,6 +108,14 @@ def test_robots_travel_between_processes(tmp_path):
             "write j0, j1, j2, j3",
         ),
         ({"joints:": "joints: ["}, r"is no valid YAML"),
+        ({"{bus_id: 1}": "{bus_id: 200}", "servo:": "board: opencr\nservo:"}, r"bus_id is 200, as that of the opencr"),
+        ({"{bus_id: 1}": "{home: 0}"}, r"line 8: joints.j0 has no bus_id, where other joints have one"),
+        (
+            {"servo:": "poses: {up: {j5: 1}}\nservo:"},
+            r"line 6: poses.up.j5 names the joint 'j5', which there is not; there are j0",
+        ),
+        ({"servo:": "soles: [foot]\nservo:"}, r"line 6: soles.0 names the geom 'foot', which there is not"),
+        ({"{bus_id: 1}": "{bus_id: 1, peak_current: 0}"}, r"line 8: joints.j0.peak_current is 0, but input should be"),
     ],
 )
 def test_a_wrong_file_is_refused_in_one_sentence(tmp_path, change, sentence):
