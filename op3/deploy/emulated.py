@@ -20,6 +20,7 @@ from op3.deploy.emulator import (
     VirtualPort,
 )
 from op3.deploy.operator import Operator
+from op3.deploy.registers import Units
 from op3.robot import DEFAULT, BoardMotion, Robot, Waves, WeightSchedule, build_scene, draw_tiles, load_robot
 from op3.sim import model_for
 from op3.stand_in import World
@@ -172,6 +173,7 @@ def emulate(
     Returns:
         The robot, the operator who holds it, and what identifies the robot without telling its truth.
     """
+    Units(load_robot(robot))  # refuses servos of another bus before anything is made of them
     where, place = seed if world_seed is None else world_seed, Place(scene)
     make, identity = physics_maker(robot, world=world, world_seed=where, model=model, seed=seed, battery=battery)
     if task is not None:
