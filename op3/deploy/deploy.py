@@ -103,7 +103,9 @@ def connect(
     known = load_robot(robot)
     offsets = None if calibration is None else Calibration.load(calibration, known)
     if port == EMULATED:
-        from op3.deploy.emulated import VirtualPort, emulate  # brings MuJoCo, which a robot's computer does not need
+        # These bring MuJoCo, which a robot's computer does not need.
+        from op3.deploy.emulated import emulate
+        from op3.deploy.emulator import VirtualPort
 
         scene = emulation.pop("scene", None) or mount
         emulated, hands, identity = emulate(robot=known, scene=scene, **emulation)

@@ -17,7 +17,6 @@ from op3.deploy.emulator import (
     SimPhysics,
     StandInPhysics,
     Timing,
-    VirtualPort,
 )
 from op3.deploy.operator import Operator
 from op3.deploy.registers import Units
@@ -26,8 +25,6 @@ from op3.sim import model_for
 from op3.stand_in import World
 from op3.tasks.beginning import board_of
 from op3.tasks.task import Task, find_task
-
-__all__ = ["Hands", "Place", "VirtualPort", "emulate", "physics_maker"]
 
 MakePhysics = Callable[[str, ArrayLike | None], Physics]
 """Makes a robot on a scene, at joint angles [joint] in rad."""

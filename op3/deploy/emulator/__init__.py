@@ -14,7 +14,7 @@ from op3.deploy.emulator.line import Frame, Timing, read_frames
 from op3.deploy.emulator.physics import Physics, StandInPhysics
 from op3.deploy.emulator.port import VirtualPort
 from op3.deploy.emulator.pty_server import PtyServer
-from op3.deploy.emulator.sim_physics import Battery, ImuNoise, SimPhysics, Windings
+from op3.deploy.emulator.sim_physics import Battery, SimPhysics
 
 __all__ = [
     "USUAL_SETTINGS",
@@ -26,7 +26,6 @@ __all__ = [
     "Frame",
     "FrozenImu",
     "HardwareFault",
-    "ImuNoise",
     "Overheat",
     "Physics",
     "PtyServer",
@@ -36,6 +35,5 @@ __all__ = [
     "Timing",
     "Unplug",
     "VirtualPort",
-    "Windings",
     "read_frames",
 ]

@@ -37,6 +37,18 @@ SLOW_EVERY = 10
 GROUND_EVERY = 8
 """A board is driven once in this many periods, as in the environments."""
 
+AMBIENT = 28.0
+"""Temperature of the air [C]."""
+
+WARMING = 240.0
+"""Time constant with which a motor warms up: one heat capacity, heated by the current's losses [s] (inferred)."""
+
+GYRO_NOISE, ACCELEROMETER_NOISE = 0.0015, 0.02
+"""Standard deviations of a reading [rad/s], [m/s^2]; about those of the stand-in."""
+
+IMU_BANDWIDTH = 45.0
+"""Corner frequency of the IMU's low-pass [Hz]."""
+
 IMU_EVERY = 5
 """The IMU's loop runs at 200 Hz: once in this many periods."""
 
@@ -78,31 +90,6 @@ class Battery:
         self.voltage = max(1.0, self._open - self.resistance * current)
 
 
-@dataclass
-class Windings:
-    """Temperatures of the motors: one heat capacity each, heated by the current's losses.
-
-    Attributes:
-        resistance: winding to air [K/W], one number or [joint]; see `ServoMake.thermal_resistance`.
-        ambient: [C].
-        time: time constant [s] (inferred).
-    """
-
-    resistance: float | Array
-    ambient: float = 28.0
-    time: float = 240.0
-
-    def step(self, temperature: Array, losses: Array, duration: float) -> None:
-        """Warm up or cool down in place.
-
-        Args:
-            temperature: [joint] in C.
-            losses: [joint] in W.
-            duration: [s].
-        """
-        temperature += duration / self.time * (self.ambient + self.resistance * losses - temperature)
-
-
 UNBOUNDED = 1e3
 """Stands for a current without bound [A]."""
 
@@ -126,21 +113,6 @@ def behind_bus(model: RobotModel) -> RobotModel:
     return model.without(*gone).with_effect(replace(motor, drive="registers"))  # pyright: ignore[reportArgumentType]
 
 
-@dataclass(frozen=True)
-class ImuNoise:
-    """Noise and filter of the IMU; the noise is about that of the stand-in.
-
-    Attributes:
-        gyro: standard deviation of a reading [rad/s].
-        accelerometer: standard deviation of a reading [m/s^2].
-        bandwidth: corner frequency of the low-pass [Hz].
-    """
-
-    gyro: float = 0.0015
-    accelerometer: float = 0.02
-    bandwidth: float = 45.0
-
-
 class SimPhysics(BatchSimulation):
     """One simulated robot with the law and the parameters of a model.
 
@@ -150,8 +122,6 @@ class SimPhysics(BatchSimulation):
         seed: of the IMU's noise.
         joint_position: [joint] in rad at the start; by default home.
         battery: where the servos' voltage comes from; None for a supply at the model's `bus_voltage`.
-        windings: how the motors warm up; None: as the makes of the servos say.
-        imu: noise and filter of the IMU.
     """
 
     def __init__(
@@ -162,8 +132,6 @@ class SimPhysics(BatchSimulation):
         seed: int = 0,
         joint_position: ArrayLike | None = None,
         battery: Battery | None = None,
-        windings: Windings | None = None,
-        imu: ImuNoise | None = None,
     ):
         self.scene = build_scene(scene) if isinstance(scene, str) else scene
         attach_servos(self.scene.joints)
@@ -179,14 +147,13 @@ class SimPhysics(BatchSimulation):
             num_threads=1,
         )
         self.battery = battery
-        self._windings = windings or Windings(np.array([make.thermal_resistance for make in self.known.servos]))
+        self._thermal_resistance = np.array([make.thermal_resistance for make in self.known.servos])
         self.supply: float | None = None
         count = len(self.known.joints)
-        self._temperature = np.full(count, self._windings.ambient)
-        imu = imu or ImuNoise()
-        self._imu_spread = np.repeat([imu.gyro, imu.accelerometer], 3)
+        self._temperature = np.full(count, AMBIENT)
+        self._imu_spread = np.repeat([GYRO_NOISE, ACCELEROMETER_NOISE], 3)
         self._rng = np.random.default_rng([seed, 5])
-        self._blend = 1 - np.exp(-2 * np.pi * imu.bandwidth * PERIOD * IMU_EVERY)
+        self._blend = 1 - np.exp(-2 * np.pi * IMU_BANDWIDTH * PERIOD * IMU_EVERY)
         self._steps = self._board_since = 0
         self._board: BoardMotion | WeightSchedule | None = None
         self._board_drive: BoardDrive | WeightDrive | None = None
@@ -244,11 +211,7 @@ class SimPhysics(BatchSimulation):
         row["current_bound"] = np.minimum(drive.limit, UNBOUNDED)
 
     def advance(self, steps: int = 1) -> None:
-        """Let a number of periods pass.
-
-        Raises:
-            RuntimeError: if the physics has diverged; within `SLOW_EVERY` periods.
-        """
+        """Let a number of periods pass; a divergence is seen within `SLOW_EVERY` of them."""
         for _ in range(steps):
             if self._board_drive is not None:
                 self._move_board()
@@ -257,21 +220,14 @@ class SimPhysics(BatchSimulation):
             if self._attitude is not None and self._steps % IMU_EVERY == 0:
                 self._latch_imu()
             if self._steps % SLOW_EVERY == 0:
-                self._check()
+                if bool(self.failed[0]):
+                    raise RuntimeError(f"the simulated robot's physics diverged at {self._steps * PERIOD:.3f} s")
                 self._step_slow()
         self._read()
         self.law.report()
 
     def set_ground(self, board: BoardMotion | WeightSchedule | None = None, tiles: ArrayLike | None = None) -> None:
-        """What the ground does from now on; its time counts from this call.
-
-        Args:
-            board: what moves the board of the scene; None: nothing does.
-            tiles: heights of the tiles of the scene "terrain" [m]; None: as they are.
-
-        Raises:
-            ValueError: if the scene has no such board.
-        """
+        """What the ground does from now on."""
         model = self.batch.model
         self._board_drive = None if board is None else board_drive(model, board, GROUND_EVERY * PERIOD)
         self._board, self._board_since = board, self._steps
@@ -301,10 +257,6 @@ class SimPhysics(BatchSimulation):
         sites = [] if robot is None else [robot.key_points[number] for number in self.known.inner_tips]
         return mujoco.MjData(model), [model.site(site.full_identifier).id for site in sites]
 
-    def _check(self) -> None:
-        if bool(self.failed[0]):
-            raise RuntimeError(f"the simulated robot's physics diverged at {self._steps * PERIOD:.3f} s")
-
     def _step_slow(self) -> None:
         signals, duration = self.signals, SLOW_EVERY * PERIOD
         current = signals.current[0].numpy()
@@ -315,7 +267,8 @@ class SimPhysics(BatchSimulation):
             self._voltage = self.supply
         elif self.battery is None:
             self._voltage = self.model.bus_voltage
-        self._windings.step(self._temperature, self._resistance * current**2, duration)
+        rise = self._thermal_resistance * self._resistance * current**2
+        self._temperature += duration / WARMING * (AMBIENT + rise - self._temperature)
         signals.bus_voltage, signals.temperature = self._voltage, torch.from_numpy(self._temperature)
 
     def read(self) -> Sensors:

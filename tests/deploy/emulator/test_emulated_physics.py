@@ -5,7 +5,7 @@ import pytest
 import torch
 from wheels import Bench
 
-from op3.deploy.emulator import Battery, SimPhysics, StandInPhysics, Windings
+from op3.deploy.emulator import Battery, SimPhysics, StandInPhysics
 from op3.deploy.emulator.firmware import Drive
 from op3.robot import build_scene, pose
 from op3.robot.units import VELOCITY_UNIT
@@ -155,13 +155,14 @@ def test_a_battery_sags_and_runs_down():
         Battery(charge=2.0)
 
 
-def test_motors_warm_up_towards_their_losses():
-    """After many time constants the rise is resistance times losses."""
-    windings = Windings(resistance=10.0)
-    temperature = np.full(2, windings.ambient)
-    for _ in range(4000):
-        windings.step(temperature, np.array([0.0, 3.0]), 1.0)
-    assert temperature == pytest.approx([28.0, 58.0], abs=0.1)
+def test_motors_warm_up_with_their_losses():
+    """At 1 A for a second: thermal resistance times R I^2 times 1 s over the time constant of 240 s."""
+    physics = hanging("sim")
+    physics.drive(drive(current=1.0))
+    physics.advance(1000)
+    resistance = physics.parameters["terminal_resistance"][0].numpy()
+    rise = (physics.read().temperature - 28.0)[physics.read().current > 0.99]
+    assert rise == pytest.approx(12.9 * resistance.max() / 240.0, rel=0.1)
 
 
 def test_low_supply_limits_the_current():
