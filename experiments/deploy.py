@@ -114,7 +114,7 @@ def run_on(connection: Connection, runner: PolicyRunner | None, plan: Plan, dura
         make = lambda: Hold(home, duration=duration, log="run")  # noqa: E731
         return run(connection, make, plan, motion="hold", git_hash=git_hash())
     manifest = runner.bundle.manifest
-    known = {"model_hash": manifest.training.model_hash or None, "git_hash": git_hash()}
+    known: dict[str, Any] = {"model_hash": manifest.training.model_hash or None, "git_hash": git_hash()}
     make = lambda: FollowPolicy(runner, duration)  # noqa: E731
     return run(connection, make, plan, motion=manifest.task, policy_rate=POLICY_RATE, **known)
 

@@ -89,7 +89,7 @@ class PolicyRunner:
         seen = (joint_position, joint_velocity, angles, angular_velocity, self.previous)
         cycle = self._cycle
         phase = None if cycle is None else torch.tensor(step * POLICY_PERIOD / cycle % 1.0, dtype=torch.float64)
-        now = observe(*(torch.as_tensor(np.asarray(values, dtype=float)) for values in seen), phase)
+        now = observe(*(torch.as_tensor(np.asarray(values, dtype=float)) for values in seen), phase=phase)
         stacked = self._history.push(now) if self._begun else self._history.reset(now)
         self._begun = True
         return stacked.numpy()
@@ -224,7 +224,7 @@ def replay_policy(log: Rollout, runner: PolicyRunner) -> PolicyReplay:
     steps, rows = _steps(log)
     actions, observations = [], []
     for step, row in zip(steps, rows, strict=True):
-        observation = runner.observe(*(values[row] for values in readings), step)
+        observation = runner.observe(*(values[row] for values in readings), step=step)
         actions.append(np.abs(runner.act(observation) - taken[row]).max())
         observations.append(np.abs(observation - seen[row]).max())
     beyond = [step for step, difference in zip(steps, actions, strict=True) if not difference < TOLERANCE]

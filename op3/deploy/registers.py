@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from op3.robot import Robot
 from op3.robot.robot_file import BOARD_ID
 
+Array = NDArray[np.float64]
+
 POSITION_ZERO = 2048
 """Reading of the encoder where a joint's angle is zero."""
 
@@ -267,12 +269,12 @@ class Units:
                 )
             self.models[name] = make.model_number
         makes = robot.servos
-        self.position = np.array([make.position_unit for make in makes])
-        self.velocity = np.array([make.unit("velocity") for make in makes])
-        self.current = np.array([make.unit("current") for make in makes])
-        self.voltage = np.array([make.unit("voltage") for make in makes])
-        self.fastest = np.array([make.limits.no_load_speed.si for make in makes])
-        self.peak: NDArray[np.float64] = robot.peak_currents / self.current
+        self.position: Array = np.array([make.position_unit for make in makes])
+        self.velocity: Array = np.array([make.unit("velocity") for make in makes])
+        self.current: Array = np.array([make.unit("current") for make in makes])
+        self.voltage: Array = np.array([make.unit("voltage") for make in makes])
+        self.fastest: Array = np.array([make.limits.no_load_speed.si for make in makes])
+        self.peak: Array = robot.peak_currents / self.current
         self.continuous = np.array([make.continuous_current for make in makes]) / self.current
 
 

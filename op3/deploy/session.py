@@ -248,7 +248,7 @@ class Session:
         safety = self._safety
         armed = isinstance(safety, Safety) and safety.torque
         if isinstance(safety, Safety):
-            safety.check_start(**({} if self._sysfs is None else {"sysfs": self._sysfs}))
+            safety.check_start(sysfs=self._sysfs)
             safety.prepare()
             if armed and not self._operator.confirm("The robot is about to move. Hold it, keep hands off its joints."):
                 raise Stop(ExitCode.DECLINED, "not confirmed")

@@ -171,8 +171,8 @@ class State:
         return cls(
             time=time,
             position=(raw["position"] - POSITION_ZERO) * units.position + offset,
-            velocity=raw["velocity"] * units.velocity,
-            current=raw["current"] * units.current,
+            velocity=units.velocity * raw["velocity"],
+            current=units.current * raw["current"],
             voltage=volts,
             temperature=raw["temperature"].astype(float),
             alert=alert,

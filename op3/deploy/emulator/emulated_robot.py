@@ -308,7 +308,7 @@ class EmulatedRobot:
         velocity = np.rint(readings.velocity / units.velocity)
         present["realtime_tick"] = (self._ticks - self._booted) % 32768
         present["moving"] = np.abs(velocity) > self._threshold
-        present["present_pwm"] = np.rint(readings.duty / PWM_UNIT)
+        present["present_pwm"] = np.rint(np.asarray(readings.duty) / PWM_UNIT)
         present["present_current"] = np.rint(readings.current / units.current)
         present["present_velocity"] = velocity
         present["present_position"] = np.rint(readings.position / units.position) + self._zero

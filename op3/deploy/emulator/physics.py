@@ -22,11 +22,17 @@ class Physics(Protocol):
 
     Attributes:
         known: what its file says; its joints are in the order of every [joint] array.
-        supply: voltage of the supply [V]; None where the robot has its own battery.
     """
 
     known: Robot
-    supply: float | None
+
+    @property
+    def supply(self) -> float | None:
+        """Voltage of the supply [V]; None where the robot has its own battery."""
+        ...
+
+    @supply.setter
+    def supply(self, voltage: float | None) -> None: ...
 
     @property
     def position(self) -> Array:
@@ -95,7 +101,7 @@ class StandInPhysics:
         self._sensors = self.robot.read_sensors()
 
     @property
-    def supply(self) -> float | None:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def supply(self) -> float | None:
         """Voltage of the supply [V]; None where the robot has its own battery."""
         return self.robot.supply
 
