@@ -25,7 +25,7 @@ from op3.envs.actors import Watched, find_actor
 from op3.report.frames import RenderError, draw_frames
 from op3.report.style import PALETTE, words
 from op3.report.video import film
-from op3.robot import CONTROLLED_JOINTS
+from op3.robot import load_robot
 from op3.rollout import Rollout
 from op3.tasks.behaviour import GaitProfile, gait_profile
 from op3.tasks.task import find_task
@@ -121,8 +121,8 @@ def run(cfg: DictConfig) -> None:
     whole(cfg, "seed", 0)
     whole(cfg, "episodes", 1)
     seconds = positive(cfg, "film_seconds", "s")
-    if cfg.joint not in CONTROLLED_JOINTS:
-        raise ValueError(f"joint={cfg.joint}: choose {', '.join(CONTROLLED_JOINTS)}")
+    if cfg.joint not in load_robot().controlled:
+        raise ValueError(f"joint={cfg.joint}: choose {', '.join(load_robot().controlled)}")
     folder = Path(cfg.folder)
     folder.mkdir(parents=True, exist_ok=True)
     label = Path(cfg.policy).name

@@ -258,7 +258,9 @@ def _energies(measured: Sequence[Measured], standing: Mapping[str, Energy]) -> T
 
 def _heat_figure(measured: Sequence[Measured], standing: Mapping[str, Energy]) -> go.Figure:
     known = {each.label: each.energy for each in measured} | {f"{name}, standing": e for name, e in standing.items()}
-    bars = {label: dict(zip(load_robot().joints, energy.current.tolist(), strict=True)) for label, energy in known.items()}
+    bars = {
+        label: dict(zip(load_robot().joints, energy.current.tolist(), strict=True)) for label, energy in known.items()
+    }
     figure = bars_figure(bars, "current [A]")
     return figure.add_hline(y=measured[0].energy.continuous, line=dict(dash="dot", width=1), annotation_text="for ever")
 
