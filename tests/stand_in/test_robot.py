@@ -11,7 +11,6 @@ from op3.robot.units import (
     CURRENT_UNIT,
     GYRO_UNIT,
     POSITION_UNIT,
-    TEMPERATURE_UNIT,
     VELOCITY_UNIT,
     VOLTAGE_UNIT,
 )
@@ -86,7 +85,7 @@ def test_readings_lie_on_the_registers_grids():
         "velocity": VELOCITY_UNIT,
         "current": CURRENT_UNIT,
         "voltage": VOLTAGE_UNIT,
-        "temperature": TEMPERATURE_UNIT,
+        "temperature": 1.0,
         "orientation": ANGLE_UNIT,
         "angular_velocity": GYRO_UNIT,
         "linear_acceleration": ACCELERATION_UNIT,
