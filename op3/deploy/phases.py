@@ -13,6 +13,7 @@ from op3.deploy.state import State
 from op3.deploy.ticker import PERIOD
 from op3.policy.actions import D_GAIN, HELD_GAIN
 from op3.robot import Motion, load_robot
+from op3.robot.motions import minimum_jerk
 from op3.stand_in.play import check_targets, gain_rows, sample
 
 Array = NDArray[np.float64]
@@ -50,12 +51,6 @@ class Phase:
     def channels(self) -> dict[Any, Array]:
         """Further channels of the log for the tick just commanded."""
         return {}
-
-
-def minimum_jerk(share: float) -> float:
-    """Share of a move that is done at a share of its time, 0 to 1 each: no speed and no acceleration at its ends."""
-    s = min(max(share, 0.0), 1.0)
-    return s**3 * (10 - 15 * s + 6 * s**2)
 
 
 class GainRamp(Phase):

@@ -149,7 +149,7 @@ class State:
             units: of them.
             offset: added to the joints' angles [rad].
             board: what the board said; None where there is none.
-            time: see above, and the rest.
+            time: as the rest, see above.
             alert: see above.
             answered: see above.
             imu_answered: whether the board did.

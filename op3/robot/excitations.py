@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from op3.robot.motion_checks import motion_faults
-from op3.robot.motions import Motion, sample_times
+from op3.robot.motions import Motion, minimum_jerk, sample_times
 from op3.robot.robot import DEFAULT, Robot, load_robot
 
 RATE = 125.0
@@ -198,8 +198,7 @@ def _stroke(start: float, end: float, speed: float, acceleration: float) -> Arra
 
 def levels_over_time(levels: Sequence[float], ramp: float, rest: float) -> Array:
     """Holds at levels with jerk-limited ramps between (quintic, at rest at both ends), [time]."""
-    u = sample_times(ramp, RATE) / ramp
-    smooth = u**3 * (10 - 15 * u + 6 * u**2)
+    smooth = minimum_jerk(sample_times(ramp, RATE) / ramp)
     stay = np.ones(round(rest * RATE))
     parts = [levels[0] * stay]
     for a, b in pairwise(levels):

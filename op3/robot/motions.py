@@ -77,3 +77,9 @@ def hold(
     time = sample_times(duration, rate)
     position = load_robot(robot).position(joint_position)
     return Motion(time, np.tile(position, (len(time), 1)), name=name, robot=robot)
+
+
+def minimum_jerk(share: ArrayLike) -> NDArray[np.float64]:
+    """Share of a move that is done at a share of its time, 0 to 1 each: no speed and no acceleration at its ends."""
+    s = np.clip(share, 0.0, 1.0)
+    return s**3 * (10 - 15 * s + 6 * s**2)

@@ -14,7 +14,6 @@ from op3.deploy.phases import GainRamp
 from op3.deploy.policy_runner import FollowPolicy, PolicyRunner, replay_policy
 from op3.envs import make_env
 from op3.rollout import Rollout
-from tests.op3_table import indices
 
 ORDER = ("joint_position", "joint_velocity", "orientation", "angular_velocity")
 
@@ -67,21 +66,6 @@ def run_policy(tmp_path, bundle, duration=1.0, **options):
     runner = PolicyRunner(bundle)
     outcome = rig.run([GainRamp(), FollowPolicy(runner, duration)], folder=tmp_path / "logs")
     return rig, outcome
-
-
-def test_every_fourth_tick(tmp_path):
-    """In the log, observation and action change at most every fourth row, and targets follow the action at once."""
-    _, outcome = run_policy(tmp_path, hold_policy(feedback=0.2))
-    assert outcome.code == ExitCode.OK
-    log = outcome.logs["run"].check()
-    action = log.array("policy/action")
-    changed = np.flatnonzero((np.diff(action, axis=0) != 0).any(1)) + 1
-    assert len(changed) > 20
-    assert (changed % 4 == 0).all()
-    target, gain = hold_policy().manifest.action_map.targets(action)
-    controlled = indices(hold_policy().manifest.action_map.joints)
-    assert np.array_equal(log.array("command/position")[:, controlled], target)
-    assert np.array_equal(log.array("command/p_gain")[:, controlled], gain)
 
 
 @pytest.mark.parametrize("faults", [0.0, 0.02])

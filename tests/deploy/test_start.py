@@ -8,7 +8,7 @@ from deploy_rig import make_rig
 
 from op3.deploy.emulator import USUAL_SETTINGS, BrownOut, Faults, FrozenImu, Silent, Timing
 from op3.deploy.exit_codes import ExitCode
-from op3.deploy.phases import GainRamp, Hold, minimum_jerk
+from op3.deploy.phases import GainRamp, Hold
 from op3.deploy.protocol import Error, Instruction
 from op3.deploy.registers import DYNAMIXEL_X, HardwareError
 from op3.robot import pose
@@ -308,11 +308,3 @@ def test_a_long_move_is_slowed(tmp_path):
     assert (moving[-1] - moving[0] + 2) * 0.008 == pytest.approx(2.12, abs=0.1)
     assert np.abs(np.diff(target, axis=0)).max() / 0.008 <= 1.01
     assert np.allclose(target[-1], pose("stand"))
-
-
-def test_minimum_jerk():
-    """From 0 to 1, half way at half time, at rest at both ends."""
-    shares = np.array([minimum_jerk(s) for s in np.linspace(0, 1, 1001)])
-    assert (shares[0], shares[500], shares[-1]) == (0, 0.5, 1)
-    assert np.diff(shares)[[0, -1]].max() < 1e-7
-    assert np.diff(shares).max() == pytest.approx(1.875e-3, rel=1e-3)

@@ -5,6 +5,7 @@ import pytest
 
 from op3.robot import Motion, center_of_mass, hold, pose, sole_corners, squat
 from op3.robot.kinematics import rotation_matrix, sole_normals
+from op3.robot.motions import minimum_jerk
 from op3.robot.op3_motions import SQUAT_LEAN
 from tests.op3_table import JOINTS, SOFT_LIMITS, indices, mirror
 
@@ -100,3 +101,11 @@ def test_bad_arguments():
         Motion(np.arange(2.0), np.zeros((3, 20)))
     with pytest.raises(ValueError, match="must be positive"):
         hold(pose("stand"), duration=0.0)
+
+
+def test_minimum_jerk():
+    """From 0 to 1, half way at half time, at rest at both ends."""
+    shares = minimum_jerk(np.linspace(0, 1, 1001))
+    assert (shares[0], shares[500], shares[-1]) == (0, 0.5, 1)
+    assert np.diff(shares)[[0, -1]].max() < 1e-7
+    assert np.diff(shares).max() == pytest.approx(1.875e-3, rel=1e-3)

@@ -170,18 +170,17 @@ class Line:
 
     def _spoil(self, answer: bytes, begin: float) -> bytes:
         """What reaches the adapter of an answer."""
-        faults, chance = self.faults, self._rng.random()
-        if chance < faults.lost:
+        faults, rng = self.faults, self._rng
+        shares = np.cumsum([faults.lost, faults.corrupt, faults.truncated, faults.late])
+        kind = int(np.searchsorted(shares, rng.random(), side="right"))
+        if kind == 0:
             return b""
-        chance -= faults.lost
-        if 0 <= chance < faults.corrupt:
-            at, other = int(self._rng.integers(len(answer))), int(self._rng.integers(1, 256))
+        if kind == 1:
+            at, other = int(rng.integers(len(answer))), int(rng.integers(1, 256))
             return answer[:at] + bytes((answer[at] ^ other,)) + answer[at + 1 :]
-        chance -= faults.corrupt
-        if 0 <= chance < faults.truncated:
-            return answer[: int(self._rng.integers(1, len(answer)))]
-        chance -= faults.truncated
-        if 0 <= chance < faults.late:
+        if kind == 2:
+            return answer[: int(rng.integers(1, len(answer)))]
+        if kind == 3:
             self._held_until = begin + faults.delay
         return answer
 

@@ -44,7 +44,7 @@ def assert_ended(process):
     assert "Traceback" not in errors
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_signals_right_behind_the_port_and_again(tmp_path, number):
     """A signal may come while the first lines are printed, and others while it ends."""
     process, _ = serve(tmp_path, tmp_path / "frames.txt")
