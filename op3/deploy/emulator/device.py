@@ -142,7 +142,7 @@ class Device:
         """The error of writing a value to a register; `Error.NONE` if it may be written."""
         if not register.writable:
             return Error.ACCESS
-        if (register.low is not None and value < register.low) or (register.high is not None and value > register.high):
+        if not (register.low or 0) <= value <= (register.high or 0):
             return Error.DATA_RANGE
         return Error.NONE
 
