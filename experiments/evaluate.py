@@ -6,6 +6,7 @@ python experiments/evaluate.py -m policy=<bundle>,hold,random task=balance_eval,
 python experiments/evaluate.py -m policy=<bundle>,stiff task=walk,walk_bricks_a,walk_bricks_b,walk_bricks_c
 """
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from support import one_sentence, positive, whole
+from support import model_file, one_sentence, plain, positive, whole
 
 from op3.command_line import launch
 from op3.envs import BatchedEnv, record_episodes
@@ -128,7 +129,14 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     long_enough = [log for log in logs if log.duration > 1.5 and not stiff]
     return report_evaluation(
         logs,
-        RunFolder(folder, run_provenance(seed=cfg.seed)),
+        RunFolder(
+            folder,
+            run_provenance(seed=cfg.seed),
+            plain(cfg),
+            os.environ.get("WANDB_MODE", cfg.wandb),
+            used=[("policy", cfg.policy), *model_file(cfg)],
+            made=[("log", folder / "logs")] if cfg.logs else [],
+        ),
         label=label,
         task=task.name,
         numbers=numbers,

@@ -41,6 +41,14 @@ def test_misspelt_names_are_answered_with_the_nearest(arguments, sentence, tmp_p
     assert not list(tmp_path.iterdir())
 
 
+def test_what_cannot_be_viewed_is_said_in_one_sentence(tmp_path):
+    """The word after `view` is what is to be seen, whatever it is."""
+    done = op3("view", "nothing-here", cwd=tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.startswith("what=nothing-here: there is no such file or folder; give a log, a policy bundle")
+    assert done.stderr.count("\n") == 1
+
+
 def test_a_path_may_have_any_character(tmp_path):
     """A file whose name holds a blank, an equals sign and parentheses is looked for by that name."""
     done = op3("predict", "model=paper", "data=runs/kp=8 (2).csv", cwd=tmp_path)

@@ -170,7 +170,8 @@ def _gain_figure(known: Mapping[str, Gains]) -> go.Figure:
         place: Any = dict(row=number // 2 + 1, col=number % 2 + 1)
         row = load_robot().controlled.index(joint)
         for label, gains in known.items():
-            band(figure, gains.phase, *gains.profile_interval[row].T, looks[label], legendgroup=label, **place)
+            low, high = gains.profile_interval[row].T
+            band(figure, gains.phase, low, high, looks[label], legendgroup=label, **place)
             figure.add_scatter(
                 x=gains.phase, y=gains.profile[row], name=label, legendgroup=label, showlegend=not number, mode="lines",
                 line=dict(color=looks[label], width=1.8), **place,

@@ -24,7 +24,7 @@ def gait_figure(profile: GaitProfile, joint: str) -> go.Figure:
         (profile.gain, profile.gain_deviation, "P gain [A/rad]"),
     )
     for row, (mean, deviation, axis) in enumerate(rows, start=1):
-        colour, place = PALETTE[row - 1], dict(row=row, col=1)
+        colour, place = PALETTE[row - 1], dict[str, Any](row=row, col=1)
         band(figure, profile.phase, mean - deviation, mean + deviation, colour, **place)
         figure.add_scatter(
             x=profile.phase, y=mean, mode="lines", line=dict(color=colour, width=2.2), name=axis, **place

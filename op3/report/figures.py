@@ -36,42 +36,28 @@ def history_figure(
     for label, losses in trials.items():
         values = np.array([np.nan if value is None else value for value in losses], dtype=float)
         values[~np.isfinite(values)] = np.nan
-        number_of = np.arange(1, len(values) + 1)
+        count, look = np.arange(1, len(values) + 1), dict(name=plain(label), legendgroup=label, row=1, col=1)
         some = np.flatnonzero(np.isfinite(values))[:: max(1, len(values) // MOST_DOTS)]
+        dot = dict(color=faded(colour[label], 0.22), size=4)
         figure.add_scatter(
-            x=number_of[some], y=values[some], mode="markers", name=plain(label), legendgroup=label, showlegend=False,
-            marker=dict(color=faded(colour[label], 0.22), size=4), hoverinfo="skip", row=1, col=1,
-        )  # fmt: skip
-        best = np.fmin.accumulate(values) if len(values) else values
-        figure.add_scatter(
-            x=number_of, y=best, mode="lines", name=plain(label), legendgroup=label,
-            line=dict(color=colour[label], width=2.4, shape="hv"), hovertemplate="best %{y:.4g}", row=1, col=1,
-        )  # fmt: skip
+            x=count[some], y=values[some], mode="markers", showlegend=False, marker=dot, hoverinfo="skip", **look
+        )
+        line, best = (
+            dict(color=colour[label], width=2.4, shape="hv"),
+            np.fmin.accumulate(values) if len(values) else values,
+        )
+        figure.add_scatter(x=count, y=best, mode="lines", line=line, hovertemplate="best %{y:.4g}", **look)
     for label, losses in refined.items():
         figure.add_scatter(
             x=np.arange(len(losses)), y=np.array(losses, dtype=float), mode="lines+markers", name=plain(label),
             legendgroup=label, showlegend=label not in trials, line=dict(color=colour[label], width=2.4),
             marker=dict(size=5), hovertemplate="%{y:.4g}", row=1, col=2,
         )  # fmt: skip
-    dress(figure, 360, hovermode="x unified")
-    ticks = _log_ticks([*trials.values(), *refined.values()])
-    figure.update_yaxes(type="log", tickvals=ticks, ticktext=[number(tick) for tick in ticks])
-    figure.update_xaxes(rangemode="tozero", col=1)
-    figure.update_yaxes(title_text=loss, col=1)
-    figure.update_xaxes(title_text="trial [-]", col=1)
-    if refined:
         figure.update_xaxes(title_text="round or iteration [-]", col=2)
-    return figure
-
-
-def _log_ticks(losses: Sequence[Sequence[float | None]]) -> list[float]:
-    """Round numbers over the range of the losses: 1, 2, 5 of each decade, of many decades only the powers of ten."""
-    values = [value for series in losses for value in series if value is not None and 0 < value < np.inf]
-    if not values:
-        return [1.0]
-    first, last = int(np.floor(np.log10(min(values)))), int(np.ceil(np.log10(max(values))))
-    steps = (1, 2, 5) if last - first < 4 else (1,)
-    return [float(f"{step}e{power}") for power in range(first, last + 1) for step in steps]
+    dress(figure, 360, hovermode="x unified")
+    figure.update_yaxes(type="log", dtick="D2", exponentformat="power")
+    figure.update_xaxes(rangemode="tozero", title_text="trial [-]", col=1)
+    return figure.update_yaxes(title_text=loss, col=1)
 
 
 def ranges_figure(
@@ -98,52 +84,40 @@ def ranges_figure(
     shown = list(names) or [name for name in known if any(name in m.estimates for m in models.values())]
     if not shown:
         raise ValueError("no model has an estimate of a parameter; name the parameters to show")
-    for name in shown:
-        if name not in known:
-            raise ValueError(f"no model has the parameter {name!r}; they have {', '.join(known)}")
-    figure = go.Figure()
-    colour = colours(list(models))
+    if unknown := [name for name in shown if name not in known]:
+        raise ValueError(f"no model has the parameter {unknown[0]!r}; they have {', '.join(known)}")
+    figure, colour = go.Figure(), colours(list(models))
     lanes = np.linspace(-0.2, 0.2, len(models)) if len(models) > 1 else [0.0]
     for row, name in enumerate(shown):
         _range_bar(figure, known[name], row)
         for lane, (label, model) in zip(lanes, models.items(), strict=True):
             if split_name(name)[0] in model.parameters():
-                estimate = model.estimate(name)
-                searched = name in (bounds or {})
-                _estimate(figure, known[name], estimate, row + lane, label, colour[label], searched)
-    for label in models:
-        figure.add_scatter(
-            x=[None], y=[None], mode="markers", name=plain(label), marker=dict(color=colour[label], size=10)
-        )
-    figure.add_scatter(
-        x=[None], y=[None], mode="markers", name="start",
-        marker=dict(symbol="line-ns", size=13, line=dict(color=INK, width=2)),
-    )  # fmt: skip
+                place = (row + lane, plain(label), colour[label])
+                _estimate(figure, known[name], model.estimate(name), *place, name in (bounds or {}))
+    start = dict(symbol="line-ns", size=13, line=dict(color=INK, width=2))
+    for label, marker in {**{plain(k): dict(color=c, size=10) for k, c in colour.items()}, "start": start}.items():
+        figure.add_scatter(x=[None], y=[None], mode="markers", name=label, marker=marker)
     dress(figure, 110 + 52 * len(shown), margin=dict(l=340, r=320, t=48, b=48), hovermode="closest")
     titles = [f"{words(name)} [{unit_text(known[name].unit)}]" for name in shown]
     figure.update_yaxes(
         tickvals=list(range(len(shown))), ticktext=titles, range=[len(shown) - 0.45, -0.55], showgrid=False,
         showline=False, ticks="", tickfont=dict(size=13, color=INK), ticklabelstandoff=58,
     )  # fmt: skip
-    figure.update_xaxes(
+    return figure.update_xaxes(
         range=[-0.005, 1.005], tickvals=[0, 0.25, 0.5, 0.75, 1], tickformat=".0%", showgrid=False, showline=False,
         title_text="place in the parameter's range [%]",
     )  # fmt: skip
-    return figure
 
 
 def _range_bar(figure: go.Figure, known: Parameter, row: int) -> None:
-    figure.add_shape(
-        type="rect", x0=0, x1=1, y0=row - 0.34, y1=row + 0.34, fillcolor=SHADE, line_width=0, layer="below"
-    )
+    ends = dict(y0=row - 0.34, y1=row + 0.34)
+    figure.add_shape(type="rect", x0=0, x1=1, fillcolor=SHADE, line_width=0, layer="below", **ends)
     nominal = (known.nominal - known.low) / (known.high - known.low)
     if 0.0 <= nominal <= 1.0:
-        tick = dict(x0=nominal, x1=nominal, y0=row - 0.34, y1=row + 0.34)
-        figure.add_shape(type="line", line=dict(color=INK, width=2), **tick)
+        figure.add_shape(type="line", line=dict(color=INK, width=2), x0=nominal, x1=nominal, **ends)
     for x, value, anchor in ((0, known.low, "right"), (1, known.high, "left")):
-        figure.add_annotation(
-            x=x, y=row, text=number(value, 3), xanchor=anchor, showarrow=False, font=dict(size=11, color=MUTED)
-        )
+        text = dict(text=number(value, 3), xanchor=anchor, showarrow=False, font=dict(size=11, color=MUTED))
+        figure.add_annotation(x=x, y=row, **text)
 
 
 def _estimate(
@@ -152,29 +126,26 @@ def _estimate(
     def place(value: float) -> float:
         return (value - known.low) / (known.high - known.low)
 
-    text = number(estimate.value, 4)
+    text, quiet = number(estimate.value, 4), dict(showlegend=False)
     if searched and at_bound(place(estimate.value)):
         text += "  at its bound"
     if estimate.low is not None and estimate.high is not None:
         text += f"  ({number(estimate.low, 3)} to {number(estimate.high, 3)})"
-        figure.add_scatter(
-            x=[place(estimate.low), place(estimate.high)], y=[y, y], mode="lines", showlegend=False,
-            line=dict(color=faded(colour, 0.4), width=7), hoverinfo="skip",
-        )  # fmt: skip
+        ends, line = [place(estimate.low), place(estimate.high)], dict(color=faded(colour, 0.4), width=7)
+        figure.add_scatter(x=ends, y=[y, y], mode="lines", line=line, hoverinfo="skip", **quiet)
     if estimate.joints:
+        told = [[words(joint), value] for joint, value in estimate.joints.items()]
         figure.add_scatter(
-            x=[place(value) for value in estimate.joints.values()], y=[y] * len(estimate.joints), mode="markers",
-            marker=dict(color=GROUND, size=7, line=dict(color=colour, width=1.4)), showlegend=False,
-            customdata=[[words(joint), value] for joint, value in estimate.joints.items()],
-            hovertemplate="%{customdata[0]}: %{customdata[1]:.4g}<extra></extra>",
+            x=[place(value) for _, value in told], y=[y] * len(told), mode="markers", customdata=told,
+            marker=dict(color=GROUND, size=7, line=dict(color=colour, width=1.4)),
+            hovertemplate="%{customdata[0]}: %{customdata[1]:.4g}<extra></extra>", **quiet,
         )  # fmt: skip
     figure.add_scatter(
-        x=[place(estimate.value)], y=[y], mode="markers", showlegend=False, marker=dict(color=colour, size=10),
-        cliponaxis=False, hovertemplate=f"{plain(label)}: {text} {unit_text(known.unit)}<extra></extra>",
+        x=[place(estimate.value)], y=[y], mode="markers", marker=dict(color=colour, size=10), cliponaxis=False,
+        hovertemplate=f"{label}: {text} {unit_text(known.unit)}<extra></extra>", **quiet,
     )  # fmt: skip
-    figure.add_annotation(
-        x=1, xshift=60, y=y, text=text, xanchor="left", showarrow=False, font=dict(size=11.5, color=colour)
-    )
+    font = dict(size=11.5, color=colour)
+    figure.add_annotation(x=1, xshift=60, y=y, text=text, xanchor="left", showarrow=False, font=font)
 
 
 def errors_figure(

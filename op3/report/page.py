@@ -104,7 +104,8 @@ class Page:
             elif found[1] == "figure":
                 self.figure((figures or {}).get(found[2]), " ".join((found[3] or "").split()))
             elif (given := (tables or {}).get(found[2])) and given[1]:
-                self.table(*given[:2], " ".join((found[3] or "").split()), *given[2:])
+                header, rows, *digits = given
+                self.table(header, rows, " ".join((found[3] or "").split()), *digits)
 
     def films(self, films: Sequence[tuple[str, str]]) -> None:
         """Add films, as paths from the page with a caption each, side by side where there is room."""

@@ -176,8 +176,7 @@ def story(
     if fit:
         figures["fit"], tables["fit"] = _fit(fit)
     if learning:
-        axes = ("environment steps [-]", "mean return [-]")
-        figures["learning"] = curves_figure(learning, *axes, 320, "lines+markers")
+        figures["learning"] = curves_figure(learning, "environment steps [-]", "mean return [-]", 320, "lines+markers")
     for i, each in numbers.items():
         figures[f"lesson_{i}"], tables[f"lesson_{i}"] = _lesson(each)
     page.fill("transfer", figures, tables, first=first, last=last, remarks=remarks, rounds=rounds, named=sentences,
