@@ -17,7 +17,7 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from support import model_file, one_sentence, plain, positive, whole
+from support import Progress, model_file, one_sentence, plain, positive, whole
 
 from op3.command_line import launch
 from op3.envs import BatchedEnv, record_episodes
@@ -36,6 +36,25 @@ FRAME_EVERY = 3
 """Policy steps between two frames of the film."""
 
 
+class Told(Watched):
+    """A policy that says how far its episodes are.
+
+    Args:
+        policy: as of `Watched`.
+        env: its robots.
+        steps: of an episode, at most.
+    """
+
+    def __init__(self, policy: Any, env: BatchedEnv, steps: int):
+        super().__init__(policy, env)
+        self._say, self._steps = Progress(), steps
+
+    def act(self, observation: torch.Tensor) -> torch.Tensor:
+        """The policy's action."""
+        self._say("episodes", min(len(self.states) / self._steps, 1.0))
+        return super().act(observation)
+
+
 def play(cfg: DictConfig, task: Task, name: str, field: str = "policy") -> tuple[list[Rollout], Watched, BatchedEnv]:
     """The episodes of the seed, which begin alike for every policy; and who acted where."""
     scale = positive(cfg, "gain_scale", "a factor")
@@ -43,7 +62,7 @@ def play(cfg: DictConfig, task: Task, name: str, field: str = "policy") -> tuple
     actor = find_actor(name, task, **known)
     options = dict(num_threads=cfg.threads, randomisation=cfg.randomisation, gain_scale=scale)
     env = actor.environment(task, cfg.model, cfg.episodes, cfg.seed, **options)
-    watched = Watched(actor.policy, env)
+    watched = Told(actor.policy, env, task.steps)
     return record_episodes(env, watched, cfg.episodes, recording=f"{task.name}-{cfg.seed}"), watched, env
 
 

@@ -80,6 +80,9 @@ def test_multirun_is_one_study_per_cell(log, tmp_path):
         "-m", f"data={log}", "seed=0,1", "groups=[gear]", "ablate=[]", f"hydra.sweep.dir={tmp_path}", *SMALL
     )
     assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-3:] == [
+        str(tmp_path / "comparison.html"), str(tmp_path / "comparison.yaml"), "variants: all runs"
+    ]  # fmt: skip
     comparison = read_result(tmp_path / "comparison.yaml")
     assert comparison["runs"] == 2
     assert [entry["runs"] for entry in comparison["variants"]] == [["0", "1"]]
