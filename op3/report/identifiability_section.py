@@ -5,39 +5,24 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from op3.identify.identifiability import SHARE, WIDTH, Identifiability
-from op3.report.page import Page
 from op3.report.style import GROUND, INK, PALETTE, dress, words
-from op3.report.tables import number
+from op3.report.tables import Cell, number
 
 
-def identifiability_section(page: Page, known: Identifiability) -> None:
-    """Add a section with the combinations that the logs do not tell, their figure, and a row per parameter."""
-    page.section("What the logs tell")
-    says = {
-        name: "at its bound" if name in known.at_bound else "identifiable" if known.identifiable[name] else "not told"
-        for name in known.names
-    }
-    meanings = {
-        "identifiable": f"Identifiable (90 % interval below {SHARE:.0%} of the range)",
-        "at its bound": "At its bound, where the range searched ended and not the data",
-        "not told": "Not identifiable",
-    }
-    sentences = []
-    for verdict, meaning in meanings.items():
-        named = [words(name) for name in known.names if says[name] == verdict]
-        if named or verdict == "identifiable":
-            sentences.append(f"{meaning}: {', '.join(named) or 'none'}.")
-    page.text(" ".join(sentences))
-    for sentence in known.unknown:
-        page.text(sentence[0].upper() + sentence[1:] + ".")
-    page.figure(
-        identifiability_figure(known),
-        "Left: how well each combination of parameters is known, one standard deviation against the ranges searched;"
-        f" right of the line a 90 % interval is wider than {SHARE:.0%} of them. Right: correlation of the estimates.",
-    )
-    rows = [[words(name), 100 * known.widths[name], says[name]] for name in known.names]
-    header = ["parameter", "width of the interval [% of the range]", "verdict"]
-    page.table(header, rows, caption="Parameters by what the logs tell of them.", digits=3)
+def verdicts(known: Identifiability) -> dict[str, list[str]]:
+    """Parameters by what the logs tell of them: ``identifiable``, ``at its bound`` or ``not told``."""
+    told: dict[str, list[str]] = {"identifiable": [], "at its bound": [], "not told": []}
+    for name in known.names:
+        bound = name in known.at_bound
+        told["at its bound" if bound else "identifiable" if known.identifiable[name] else "not told"].append(name)
+    return told
+
+
+def widths_table(known: Identifiability) -> tuple[list[str], list[list[Cell]], int]:
+    """Width of every parameter's interval, and what it is called for it."""
+    says = {name: verdict for verdict, names in verdicts(known).items() for name in names}
+    rows: list[list[Cell]] = [[words(name), 100 * known.widths[name], says[name]] for name in known.names]
+    return ["parameter", "width of the interval [% of the range]", "verdict"], rows, 3
 
 
 def identifiability_figure(known: Identifiability) -> go.Figure:

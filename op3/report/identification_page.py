@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from op3.identify.identifiability import SHARE
 from op3.identify.identification import Fit, Score
 from op3.report.figures import history_figure, ranges_figure
-from op3.report.identifiability_section import identifiability_numbers, identifiability_section
+from op3.report.identifiability_section import identifiability_figure, identifiability_numbers, verdicts, widths_table
 from op3.report.page import Page
 from op3.report.result import RunFolder, finite, publish
 from op3.report.style import words
@@ -100,8 +101,8 @@ def abstained(fit: Fit) -> str:
     known = fit.identifiability
     if known is None:
         return ""
-    bound = [words(name) for name in known.at_bound]
-    untold = [name for name in known.names if not known.identifiable[name] and name not in known.at_bound]
+    told = verdicts(known)
+    bound, untold = [words(name) for name in told["at its bound"]], told["not told"]
     said = f"; at its bound: {', '.join(bound)}" if bound else ""
     if untold:
         said += f"; these logs do not tell {', '.join(map(words, untold))}, and"
@@ -122,29 +123,23 @@ def _page(fits: Sequence[Fit], joints: Sequence[str], wall_seconds: float) -> Pa
         bench_sections(page, [p.log for p in predictions[fit.label]], predictions, errors, heldout)
     else:
         _robot_traces(page, fits, joints)
-    page.section("Loss")
-    page.figure(
-        history_figure(
-            {f.label: list(f.trials) for f in fits}, {f.label: list(f.refined) for f in fits if f.refined} or None
-        ),
-        "Best so far as a line, single trials as dots, then rounds of the surrogate and iterations of least squares.",
-    )
+    refined, known = {f.label: list(f.refined) for f in fits if f.refined}, fit.identifiability
     terms = {"fit": {f.label: {**f.fit.terms, EQ7: f.fit.paper_eq7} for f in fits}}
     if fit.heldout is not None:
         terms["held out"] = {f.label: {**f.heldout.terms, EQ7: f.heldout.paper_eq7} for f in fits if f.heldout}
-    page.table(*loss_table(terms, EQ7), caption="Terms of the loss, unweighted.")
-    page.section("Parameters")
     models = {f.label: f.model for f in fits}
-    page.figure(
-        ranges_figure(models, fit.found, fit.bounds, fit.starts),
-        "Parameters in the ranges searched, with 90 % intervals from the data.",
-    )
-    page.table(
-        *parameter_table(models, bounds=fit.bounds, starts=fit.starts),
-        caption="All parameters; those without an interval were not searched.",
-    )
-    if fit.identifiability is not None:
-        identifiability_section(page, fit.identifiability)
+    figures = {
+        "history": history_figure({f.label: list(f.trials) for f in fits}, refined or None),
+        "ranges": ranges_figure(models, fit.found, fit.bounds, fit.starts),
+        "identifiability": None if known is None else identifiability_figure(known),
+    }
+    tables = {
+        "loss": loss_table(terms, EQ7),
+        "parameters": parameter_table(models, bounds=fit.bounds, starts=fit.starts),
+        **({} if known is None else {"widths": widths_table(known)}),
+    }
+    told = {} if known is None else {verdict: [words(n) for n in each] for verdict, each in verdicts(known).items()}
+    page.fill("identification", figures, tables, known=known, told=told, share=SHARE)
     page.section("Files")
     page.files({"result.yaml": "all numbers of this page", "model.yaml": "the identified model"})
     return page

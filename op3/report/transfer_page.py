@@ -151,10 +151,9 @@ def story(
     first, last = transfers[0], transfers[-1]
     page = Page("From simulation to the robot", f"{_lead(transfers, condition, spared)} {what}".strip())
     for one, name in ((first, "first transfer"), (last, "last transfer"))[: len(transfers)]:
-        if one.walked is None:
-            page.tile(name, 100 * one.share, "%", f"of the promised return; {one.span}")
-        else:
-            page.tile(name, f"{sum(one.walked)} of {len(one.walked)}", "", f"walked to their end; {one.span}")
+        judged = "of the promised return" if one.walked is None else "walked to their end"
+        value = 100 * one.share if one.walked is None else f"{sum(one.walked)} of {len(one.walked)}"
+        page.tile(name, value, "%" if one.walked is None else "", "; ".join(filter(None, (judged, one.span))))
     note = f"{last.afterwards} fell on the way to the end pose" if last.afterwards else ""
     page.tile("episodes upright", f"{sum(last.upright)} of {len(last.upright)}", "", note)
     page.tile("time", sum(seconds.values()), "s", f"budget {budget}")
