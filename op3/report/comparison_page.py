@@ -178,7 +178,7 @@ def _page(runs: Sequence[Run], columns: Mapping[str, str], entries: Sequence[Map
         of = {run.name: run.numbers for run in runs}
         shown = {e["variant"]: [(of[n].get(x), of[n].get(y)) for n in e["runs"]] for e in entries}
         kept = {name: [pair for pair in pairs if None not in pair] for name, pairs in shown.items()}
-        points = {name: tuple(zip(*pairs, strict=True)) for name, pairs in kept.items() if pairs}
+        points = {name: ([a for a, _ in pairs], [b for _, b in pairs]) for name, pairs in kept.items()}
         x_title, y_title = (title if "[" in title else f"{title} [-]" for title in (x_title, y_title))
         page.figure(curves_figure(points, x_title, y_title, 380, "markers"), "Every run.")
     names = list(dict.fromkeys(key for entry in entries for key in entry if key.startswith(FOUND)))
