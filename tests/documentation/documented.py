@@ -65,10 +65,11 @@ class Command:
         """The experiment that ``python experiments/<name>.py`` or ``op3 <command>`` starts; None of another program."""
         from op3.command_line import COMMANDS, script
 
-        program, first = (*self.words, "")[:2]
-        if program == "python" and first.startswith("experiments/"):
-            return ROOT / first
-        return script(first) if program == "op3" and first in COMMANDS else None
+        program, *rest = self.words
+        if program == "python" and self.ours:
+            return ROOT / rest[0]
+        named = [" ".join(rest[:count]) for count in (2, 1) if " ".join(rest[:count]) in COMMANDS]
+        return script(named[0]) if program == "op3" and named else None
 
 
 def commands(page: Path) -> Iterator[Command]:

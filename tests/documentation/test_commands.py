@@ -14,7 +14,6 @@ from documented import PAGES, ROOT, STANDS_FOR, Command, commands, files
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from omegaconf import OmegaConf
 
 from op3.command_line import main
 
@@ -22,7 +21,21 @@ MAKES = re.compile(r"(?:^|[._])(dir|out|record|frames|storage)$")
 """Settings that name what a command writes."""
 
 
-ELSEWHERE = [".", "echo", "sudo", "systemctl", "chrt", "ssh", "scp", "apt", "usermod", "wandb", "optuna-dashboard"]
+ELSEWHERE = [
+    "pip",
+    "python3",
+    ".",
+    "echo",
+    "sudo",
+    "systemctl",
+    "chrt",
+    "ssh",
+    "scp",
+    "apt",
+    "usermod",
+    "wandb",
+    "optuna-dashboard",
+]
 """The shell's own commands, and programs of the reader's machine or robot, which need not be on this one."""
 
 
@@ -43,11 +56,12 @@ def accept(monkeypatch, tmp_path):
 
     def run_hydra(args, task_function, config_path, config_name, **_):
         folder = (Path(task_function.__code__.co_filename).parent / config_path).resolve()
-        for overrides in variants(args.overrides, args.multirun):
+        jobs = variants(args.overrides)
+        for overrides in jobs:
             GlobalHydra.instance().clear()
             with initialize_config_dir(str(folder), version_base="1.3"):
                 config = compose(config_name, overrides, return_hydra_config=True)
-            del OmegaConf.create(config).hydra
+            assert args.multirun or len(jobs) == 1 or config.hydra.mode, "several values take -m"
 
     monkeypatch.setattr(argparse.ArgumentParser, "parse_args", parse)
     monkeypatch.setattr(sys.modules["hydra.main"], "_run_hydra", run_hydra)
@@ -58,13 +72,12 @@ def accept(monkeypatch, tmp_path):
         (tmp_path / name).symlink_to(ROOT / name)
 
 
-def variants(overrides: list[str], multirun: bool) -> list[list[str]]:
+def variants(overrides: list[str]) -> list[list[str]]:
     """What a multirun's jobs get: every value of every sweep at least once."""
     columns = []
     for override in OverridesParser.create().parse_overrides(overrides):
         name, value = override.input_line.split("=", 1)
         sweep = override.is_sweep_override() and not override.is_hydra_override()
-        assert multirun or not sweep, f"{override.input_line}: several values take -m"
         columns.append([f"{name}={one}" for one in override.sweep_string_iterator()] if sweep else [f"{name}={value}"])
     longest = max(map(len, columns), default=1)
     return [list(row) for row in zip_longest(*(c + c[-1:] * (longest - len(c)) for c in columns))] or [[]]

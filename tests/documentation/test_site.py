@@ -1,5 +1,7 @@
 """The site builds from the pages, the README and the classes, and its gallery shows what its commands make."""
 
+import os
+import re
 import runpy
 import subprocess
 import sys
@@ -9,6 +11,7 @@ from documented import ROOT
 
 from op3.servo import catalogue
 
+GALLERY = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
 PAGES = runpy.run_path(str(ROOT / "docs" / "site.py"))
 
 
@@ -38,6 +41,27 @@ def test_every_effect_has_a_section(site):
         assert effect.source in sections[name]
         assert all(f"| `{parameter.name}` |" in sections[name] for parameter in effect.parameters)
         assert f'id="{name}"' in (site / "catalogue.html").read_text(encoding="utf-8")
+
+
+def test_every_picture_stands_beside_the_command_that_made_it():
+    """About a dozen, ours, each small enough for a repository."""
+    shown = re.findall(
+        r"!\[[^\]]+\]\((images/(\w+)\.webp)\)\n.*?```sh\npython experiments/gallery.py (\w+)\n", GALLERY, re.DOTALL
+    )
+    assert len(shown) == GALLERY.count("![") >= 12
+    for path, name, asked in shown:
+        assert name == asked
+        assert (ROOT / "docs" / path).stat().st_size < 100_000
+
+
+def test_a_picture_is_drawn_by_its_command(tmp_path):
+    """The one that takes a second."""
+    command = [sys.executable, "experiments/gallery.py", "gear", "--out", str(tmp_path)]
+    done = subprocess.run(
+        command, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "gear.webp").stat().st_size > 5_000
 
 
 def test_bars_in_equations_do_not_break_a_row():

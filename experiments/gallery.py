@@ -1,0 +1,316 @@
+"""Draw the pictures of the gallery, docs/gallery.md, and the README's.
+
+python experiments/gallery.py <picture> ... [--out docs/images]
+"""
+
+import argparse
+import io
+import math
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from PIL import Image
+
+from op3.diagnose import Diagnosis, diagnosed_mount, split_logs, suited
+from op3.envs import BatchedEnv, record_episodes
+from op3.policy import PolicyBundle
+from op3.report.frames import draw_frames
+from op3.report.style import INK, MUTED, PALETTE
+from op3.report.video import states_of_log
+from op3.robot import Motion, build_scene, chirp, multisine, pose, squat, staircase, triangle
+from op3.rollout import Rollout, read_logs
+from op3.servo import RobotModel, Servos, law
+from op3.sim import load_model, model_for
+from op3.stand_in import StandIn, World, draw_case, make_case
+from op3.tasks.task import find_task
+
+matplotlib.use("Agg")
+
+from matplotlib import pyplot as plt
+
+IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
+QUALITY = 82
+"""Of WebP, which keeps every picture below 100 kB."""
+
+PICTURES: dict[str, Callable[[], Image.Image]] = {}
+"""What draws each picture, by name."""
+
+STYLE = {
+    "axes.prop_cycle": matplotlib.cycler(color=PALETTE),
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": INK,
+    "figure.dpi": 120,
+    "figure.constrained_layout.use": True,
+    "font.size": 9,
+    "legend.frameon": False,
+    "lines.linewidth": 1.4,
+}
+
+
+def picture(draw: Callable[[], Image.Image]) -> Callable[[], Image.Image]:
+    """Enter a function under its name."""
+    PICTURES[draw.__name__] = draw
+    return draw
+
+
+def panels(rows: int = 1, columns: int = 1, height: float = 3.0, **options):
+    """A figure 8 inches wide, and its axes."""
+    return plt.subplots(rows, columns, figsize=(8.0, height), **options)
+
+
+def drawn(figure: plt.Figure) -> Image.Image:
+    """A figure as a picture."""
+    data = io.BytesIO()
+    figure.savefig(data)
+    plt.close(figure)
+    return Image.open(data).convert("RGB")
+
+
+def above(axis: plt.Axes) -> None:
+    """A legend in one row over an axis, where it hides nothing."""
+    axis.legend(ncol=4, loc="lower center", bbox_to_anchor=(0.5, 0.98))
+
+
+def strip(frames: np.ndarray) -> Image.Image:
+    """Frames ``[frame, height, width, 3]`` side by side, without their empty margins."""
+    return Image.fromarray(np.concatenate([frame[40:440, 90:390] for frame in frames], axis=1))
+
+
+def episode(task: str, policy: str, seed: int = 501) -> Rollout:
+    """One episode of a shipped policy in simulation."""
+    bundle = PolicyBundle.load(f"assets/policies/{policy}")
+    env = BatchedEnv(find_task(task), load_model("paper"), 1, seed, action_map=bundle.manifest.action_map)
+    return record_episodes(env, bundle)[0]
+
+
+def still(log: Rollout, scene: str, times: Sequence[float]) -> Image.Image:
+    """What a log tells of a robot at some times [s]."""
+    place = build_scene(scene)
+    states = states_of_log(log, place, log.metadata.rate or 125.0)
+    rows = [int(np.searchsorted(log.array("time")[:, 0], time)) for time in times]
+    return strip(draw_frames(place.compile(), states[rows]))
+
+
+@picture
+def poses() -> Image.Image:
+    """The OP3 in three poses."""
+    scene = build_scene("floor")
+    return strip(
+        draw_frames(
+            scene.compile(), np.stack([scene.initial_qpos(pose(n)) for n in ("stand", "squat_high", "squat_low")])
+        )
+    )
+
+
+@picture
+def balance() -> Image.Image:
+    """The shipped policy on the board that decides transfers."""
+    return still(episode("balance_eval", "balance"), "board", (0.5, 2.6, 4.6, 6.6))
+
+
+@picture
+def walk() -> Image.Image:
+    """The shipped walk, a fifth of a second apart."""
+    return still(episode("walk", "walk"), "floor", (2.0, 2.2, 2.4, 2.6))
+
+
+@picture
+def gains() -> Image.Image:
+    """What the walk commands: P gains of the left leg over three cycles."""
+    log = episode("walk", "walk")
+    time = log.array("time")[:, 0]
+    rows = (time > 3.0) & (time < 5.0)
+    figure, axes = panels(2, 1, 4.0, sharex=True)
+    for joint in ("l_hip_pitch", "l_knee", "l_ank_pitch", "l_ank_roll"):
+        axes[0].plot(time[rows], log.column(f"{joint}.p_gain")[rows], label=joint)
+        axes[1].plot(time[rows], log.column(f"{joint}.current")[rows])
+    axes[0].set(ylabel="P gain [A/rad]", ylim=(0, None))
+    above(axes[0])
+    axes[1].set(ylabel="current [A]", xlabel="time [s]")
+    return drawn(figure)
+
+
+@picture
+def named_effect() -> Image.Image:
+    """A leg whose gear loses more than the model knows: measured, simulated before, and after a diagnosis named it."""
+    case = draw_case(7, "single", "strong", "dte", robot="leg")
+    with tempfile.TemporaryDirectory() as folder:
+        logs, _ = diagnosed_mount(read_logs(make_case(case, folder, Path(folder) / "answers") / "data"))
+    model = suited(model_for(logs[0].robot, case.base), logs)
+    verdict = Diagnosis(model, split_logs(logs, seed=0), seed=0).run()
+    pairs = list(zip(verdict.shown["before"], verdict.shown["after"], strict=True))
+
+    def angles(prediction, joint: str) -> tuple[np.ndarray, np.ndarray]:
+        column = prediction.log.joints.index(joint)
+        simulated = prediction.channels["joint", "position"][0, :, column].numpy()
+        return np.degrees(simulated), np.degrees(prediction.log.array("joint/position")[: len(simulated), column])
+
+    def won(pair, joint: str) -> float:
+        before, after = (np.abs(np.subtract(*angles(prediction, joint))).mean() for prediction in pair)
+        return before - after
+
+    pair, joint = max(((p, j) for p in pairs for j in logs[0].joints), key=lambda place: won(*place))
+    time = pair[0].log.array("time")[:, 0]
+    figure, axes = panels(2, 1, 4.2, sharex=True, height_ratios=(2, 1))
+    for prediction, label, colour in zip(
+        pair, ("simulated before", "simulated after"), (PALETTE[1], PALETTE[0]), strict=True
+    ):
+        simulated, measured = angles(prediction, joint)
+        axes[0].plot(time[: len(simulated)], simulated, color=colour, label=label)
+        axes[1].plot(time[: len(simulated)], simulated - measured, color=colour)
+    axes[0].plot(time[: len(measured)], measured, color=INK, linestyle=":", label="measured")
+    print(verdict.sentence)
+    axes[0].set(ylabel=f"{joint} [deg]")
+    above(axes[0])
+    axes[1].set(ylabel="error [deg]", xlabel="time [s]")
+    return drawn(figure)
+
+
+@picture
+def gear() -> Image.Image:
+    """Directional efficiency: between which motor torques a loaded joint rests."""
+    load = np.linspace(-3, 3, 241)
+    figure, axes = panels(1, 3, 2.8, sharey=True)
+    for axis, efficiency in zip(axes, (1.0, 0.8, 0.6), strict=True):
+        motor, outside = np.meshgrid(load, load)
+        loss = np.vectorize(law.dte_passive_loss)(motor, outside, 1.0, efficiency)
+        axis.contourf(load, load, (np.abs(motor + outside) <= loss + 0.15).T, levels=[0.5, 1.5], colors=[PALETTE[4]])
+        axis.set(title=f"backward efficiency {efficiency:g}", xlabel="torque of the load [N m]")
+    axes[0].set_ylabel("torque of the motor [N m]")
+    return drawn(figure)
+
+
+def friction_bound(model: RobotModel, velocity: np.ndarray, load: float) -> np.ndarray:
+    """Bound of friction of a servo that carries a load at some speeds [N m]."""
+    servos = Servos(model.effects, ["servo"], len(velocity), 0.001, 0.008)
+    servos.set(model.tensors(["servo"]))
+    servos.signals.velocity, servos.signals.load_torque = velocity[:, None], load
+    servos.reset()
+    servos.tick()
+    servos.step()
+    return servos.signals.friction_bound[:, 0].numpy().copy()
+
+
+@picture
+def friction() -> Image.Image:
+    """What the models of the STS3032 say of its friction, without load and with."""
+    velocity = np.linspace(0.0, 6.0, 121)
+    figure, axes = panels(1, 2, 2.8, sharey=True)
+    for axis, load in zip(axes, (0.0, 0.5), strict=True):
+        for name in ("rhoban_m1", "rhoban_m4", "rhoban_m6", "sts3032"):
+            axis.plot(velocity, friction_bound(load_model(name), velocity, load), label=name)
+        axis.set(title=f"load {load:g} N m", xlabel="speed [rad/s]")
+    axes[0].set(ylabel="friction [N m]", ylim=(0, None))
+    axes[0].legend()
+    return drawn(figure)
+
+
+@picture
+def worlds() -> Image.Image:
+    """One squat, commanded alike, of four hidden robots."""
+    figure, axes = panels(2, 1, 4.0, sharex=True)
+    for name in ("default", "eta_060", "eta_080", "robot_5"):
+        log = StandIn(World.find(name), "floor", seed=0).play(squat(duration=4.0), p_gain=6.0, d_gain=0.1)
+        time = log.array("time")[:, 0]
+        error = np.degrees(log.column("l_knee.position") - log.column("l_knee.target"))
+        axes[0].plot(time, error, label=name)
+        axes[1].plot(time, log.column("l_knee.current"))
+    axes[0].set(ylabel="left knee off its target [deg]")
+    above(axes[0])
+    axes[1].set(ylabel="its current [A]", xlabel="time [s]")
+    return drawn(figure)
+
+
+@picture
+def excitations() -> Image.Image:
+    """Motions that make parameters visible."""
+    knee = {"l_knee": 0.4}
+    motions: dict[str, Motion] = {
+        "chirp": chirp(knee, low=0.3, high=4.0, duration=8.0),
+        "triangle": triangle(knee, speed=0.4),
+        "multisine": multisine(knee, duration=8.0),
+        "staircase": staircase(knee),
+    }
+    figure, axes = panels(len(motions), 1, 5.0)
+    for axis, (name, motion) in zip(axes, motions.items(), strict=True):
+        column = np.argmax(np.ptp(motion.position, axis=0))
+        axis.plot(motion.time, np.degrees(motion.position[:, column]), color=PALETTE[0])
+        axis.set(ylabel=f"{name}\n[deg]", xlim=(0, 8))
+    axes[-1].set_xlabel("time [s]")
+    return drawn(figure)
+
+
+@picture
+def voltage() -> Image.Image:
+    """What an XM430-W350 can still pull at speed: the supply's voltage less the motor's own."""
+    speed = np.linspace(0, 6, 121)
+    model = load_model("paper")
+    constant = 353.5 * model.value("torque_constant")
+    figure, axis = panels(height=2.8)
+    for supply in (10.0, 11.1, 12.6):
+        current = np.clip((supply - constant * speed) / model.value("terminal_resistance"), -2.3, 2.3)
+        axis.plot(speed, constant * current, label=f"{supply:g} V")
+    axis.set(xlabel="speed [rad/s]", ylabel="torque before friction [N m]", ylim=(0, None))
+    axis.legend()
+    return drawn(figure)
+
+
+@picture
+def bus() -> Image.Image:
+    """Two ticks on the robot's bus: who speaks when."""
+    from op3.deploy import Hold, Plan, connect, run
+    from op3.deploy.emulator import read_frames
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "frames.txt"
+        robot = connect("emulated", mount="stand", record=file)
+        run(robot, lambda: Hold(pose("stand"), duration=0.5, log="run"), Plan(folder=Path(folder) / "run"))
+        frames = read_frames(file)
+    middle = frames[len(frames) // 2].time
+    figure, axis = panels(height=2.2)
+    for frame in frames:
+        begin = 1e3 * (frame.time - middle)
+        if 0 <= begin < 16:
+            axis.barh(
+                frame.direction == "<",
+                1e3 * len(frame.data) * 10 / 2e6,
+                left=begin,
+                color=PALETTE[frame.direction == "<"],
+            )
+    axis.set(yticks=[0, 1], yticklabels=["computer", "servos, OpenCR"], xlabel="time [ms]", xlim=(0, 16))
+    return drawn(figure)
+
+
+@picture
+def bricks() -> Image.Image:
+    """The grounds that the walk is judged on, with the robot put down among their bricks."""
+    frames = []
+    for name in ("bricks_a", "bricks_b", "bricks_c", "bricks_d"):
+        scene = build_scene(name)
+        state = scene.initial_qpos(pose("stand"))
+        state[0], state[2] = state[0] + 0.8, state[2] + 0.005
+        frames.append(draw_frames(scene.compile(), state[None])[0])
+    return strip(np.stack(frames))
+
+
+def main() -> None:
+    """Draw the pictures that are asked for."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("pictures", nargs="+", choices=sorted(PICTURES), help="which")
+    parser.add_argument("--out", type=Path, default=IMAGES, help="folder")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    with plt.rc_context(STYLE):
+        for name in options.pictures:
+            path = options.out / f"{name}.webp"
+            PICTURES[name]().save(path, quality=QUALITY, method=6)
+            print(f"{path}, {math.ceil(path.stat().st_size / 1000)} kB")
+
+
+if __name__ == "__main__":
+    main()
