@@ -76,9 +76,9 @@ def above(axis: plt.Axes) -> None:
     axis.legend(ncol=4, loc="lower center", bbox_to_anchor=(0.5, 0.98))
 
 
-def strip(frames: np.ndarray) -> Image.Image:
-    """Frames ``[frame, height, width, 3]`` side by side, without their empty margins."""
-    return Image.fromarray(np.concatenate([frame[40:440, 90:390] for frame in frames], axis=1))
+def strip(frames: np.ndarray, top: int = 40) -> Image.Image:
+    """Frames ``[frame, height, width, 3]`` side by side, without their empty margins, from a row on."""
+    return Image.fromarray(np.concatenate([frame[top : top + 400, 90:390] for frame in frames], axis=1))
 
 
 def episode(task: str, policy: str, seed: int = 501) -> Rollout:
@@ -295,7 +295,7 @@ def bricks() -> Image.Image:
         state = scene.initial_qpos(pose("stand"))
         state[0], state[2] = state[0] + 0.8, state[2] + 0.005
         frames.append(draw_frames(scene.compile(), state[None])[0])
-    return strip(np.stack(frames))
+    return strip(np.stack(frames), top=80)
 
 
 def main() -> None:
