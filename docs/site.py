@@ -123,7 +123,7 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     if page.file.src_uri != "index.md":
         return markdown
     markdown = markdown.replace("](docs/", "](").replace("](CHANGELOG.md)", "](changelog.md)")
-    return markdown.replace("[LICENSE](LICENSE)", "LICENSE")
+    return re.sub(r"\[([^\]]+)\]\((?!https?:|#|\w+\.md|images/)([^)]+)\)", r"\1 (`\2`)", markdown)
 
 
 def on_page_content(content: str, **_: Any) -> str:
