@@ -4,9 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
-from scipy import special
+from scipy import optimize, special
 
-from op3.identify.box_step import box_step
 from op3.identify.sensitivity import Array, Residuals, Sensitivity
 
 EDGE = 0.02
@@ -121,9 +120,9 @@ def _step_left(sensitivity: Sensitivity, hessian: Array) -> Array:
     step, unit = np.zeros(len(hessian)), sensitivity.unit[seen]
     if not len(seen):
         return step
-    inner, gradient = hessian[np.ix_(seen, seen)], (sensitivity.jacobian.T @ sensitivity.residual)[seen]
-    scale = max(1e-12, np.diag(inner).max())  # the solver refuses small pivots
-    step[seen] = box_step(inner / scale, gradient / scale, -unit, 1.0 - unit)
+    root, gradient = np.linalg.cholesky(hessian[np.ix_(seen, seen)]), sensitivity.jacobian.T @ sensitivity.residual
+    target = -np.linalg.solve(root, gradient[seen])
+    step[seen] = optimize.lsq_linear(root.T, target, (-unit, 1.0 - unit), method="bvls").x
     return step
 
 

@@ -26,6 +26,15 @@ class SamplerError(ValueError):
 
 _STATEFUL = (optuna.samplers.QMCSampler, optuna.samplers.GridSampler, optuna.samplers.BruteForceSampler)
 
+_BY_NAME: Mapping[str, type[BaseSampler]] = {
+    "tpe": optuna.samplers.TPESampler,
+    "cmaes": optuna.samplers.CmaEsSampler,
+    "nsga2": optuna.samplers.NSGAIISampler,
+    "nsga2+surrogate": LevelSetSampler,
+    "gp": optuna.samplers.GPSampler,
+    "random": optuna.samplers.RandomSampler,
+}
+
 
 def make_sampler_factory(
     sampler: str | Mapping[str, Any] | SamplerFactory,
@@ -39,8 +48,7 @@ def make_sampler_factory(
     Args:
         sampler: a name (`tpe`, `cmaes`, `nsga2`, `nsga2+surrogate`, `gp`, `random`); a mapping
             `{name: tpe, **options}` or `{_target_: optuna.samplers.TPESampler, **options}`; or a function from a seed
-            to a sampler. The options `crossover` (uniform, blx, sbx, spx, undx, vsbx) and `mutation` (polynomial) of
-            nsga2 may be names.
+            to a sampler.
         population: how many trials are asked at once. CMA-ES and NSGA-II take a generation of 7/8 of it,
             so that a few failed trials do not cost a generation.
         directions: number of objectives.
@@ -56,24 +64,26 @@ def make_sampler_factory(
         return sampler
     options = {"name": sampler} if isinstance(sampler, str) else {str(key): sampler[key] for key in sampler}
     options.pop("seed", None)
-    target, name = options.pop("_target_", None), options.pop("name", None)
+    target, name = options.pop("_target_", None), str(options.pop("name", ""))
     if target is not None:
-        build, name = _locate(target), str(target)
+        name = str(target).removeprefix("optuna.samplers.")
+        build = getattr(optuna.samplers, name, None)
     elif name in _BY_NAME:
-        build, defaults = _BY_NAME[name]
-        options = {**defaults(population, nominal), **options}
+        build = _BY_NAME[name]
+        options = _defaults(name, population, nominal) | options
     else:
         raise SamplerError(
             f"The sampler {name!r} is unknown: use one of {', '.join(_BY_NAME)}, "
             "or {_target_: optuna.samplers.<class>}."
         )
-    if directions > 1 and build in (optuna.samplers.CmaEsSampler,):
+    if not (isinstance(build, type) and issubclass(build, BaseSampler)):
+        raise SamplerError(f"The sampler {name!r} is not a class of optuna.samplers.")
+    if build in _STATEFUL:
+        raise SamplerError(
+            f"{name} counts its points outside the trials, so it would repeat them: use one of {', '.join(_BY_NAME)}."
+        )
+    if directions > 1 and build is optuna.samplers.CmaEsSampler:
         raise SamplerError(f"The sampler {name!r} takes one objective, the study has {directions}: use nsga2.")
-    for kind, known in _OPERATORS.items():
-        if isinstance(options.get(kind), str):
-            if options[kind] not in known:
-                raise SamplerError(f"The {kind} {options[kind]!r} is unknown: use one of {', '.join(known)}.")
-            options[kind] = _quiet(known[options[kind]])
     factory = functools.partial(_build, build, options)
     try:
         factory(0)
@@ -83,103 +93,29 @@ def make_sampler_factory(
 
 
 def _build(build: Callable[..., BaseSampler], options: Mapping[str, Any], seed: int) -> BaseSampler:
-    return _quiet(functools.partial(build, seed=seed, **options))
-
-
-def _quiet(make: Callable[[], Any]) -> Any:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
         # CmaEsSampler's x0 is deprecated without a replacement for the version that this project is pinned to
         warnings.filterwarnings("ignore", message=".*`x0` has been deprecated.*", category=FutureWarning)
-        return make()
+        made = {key: value() if isinstance(value, type) else value for key, value in options.items()}
+        return build(seed=seed, **made)
 
 
-def _locate(target: Any) -> Callable[..., BaseSampler]:
-    name = str(target).removeprefix("optuna.samplers.")
-    found = getattr(optuna.samplers, name, None)
-    if not (isinstance(found, type) and issubclass(found, BaseSampler)):
-        raise SamplerError(f"The sampler {target!r} is not a class of optuna.samplers.")
-    if found in _STATEFUL:
-        raise SamplerError(
-            f"{name} counts its points outside the trials, so it would repeat them: use one of {', '.join(_BY_NAME)}."
-        )
-    return found
-
-
-class _PopulationTPE(optuna.samplers.TPESampler):
-    """TPE that fits its densities once for a population, whose trials are all asked of the same finished ones.
-
-    It asks the same trials as Optuna's, in half the time. Where Optuna renames what is overridden, it is Optuna's.
-    """
-
-    def __init__(self, **options: Any):
-        super().__init__(**options)
-        self._fitted: dict[tuple[Any, ...], Any] = {}
-
-    def _build_parzen_estimator(self, study: Any, search_space: Any, trials: Any, handle_below: bool) -> Any:
-        key = (handle_below, tuple(search_space), tuple(trial.number for trial in trials))
-        if key not in self._fitted:
-            self._fitted[key] = super()._build_parzen_estimator(study, search_space, trials, handle_below)
-        return self._fitted[key]
-
-
-def _generation(population: int) -> int:
-    return max(2, population - population // 8)
-
-
-def _no_defaults(population: int, nominal: Mapping[str, Any] | None) -> dict[str, Any]:
-    return {}
-
-
-def _tpe_defaults(population: int, nominal: Mapping[str, Any] | None) -> dict[str, Any]:
-    # Multivariate TPE models the parameters together and costs a third of the default. Penalising the
-    # points of the same population (constant_liar) found nothing better on an 11-parameter bowl with
-    # populations of 64, and costs a fifth more.
-    return {"multivariate": True, "constant_liar": False}
-
-
-def _cmaes_defaults(population: int, nominal: Mapping[str, Any] | None) -> dict[str, Any]:
-    numbers = nominal and all(isinstance(v, int | float) and not isinstance(v, bool) for v in nominal.values())
-    # Below 5, cmaes has no selection to speak of; None lets it choose by the dimension.
-    popsize = _generation(population) if population >= 6 else None
-    return {
-        "x0": dict(nominal) if nominal and numbers else None,
-        "popsize": popsize,
-        "warn_independent_sampling": False,
-    }
-
-
-def _nsga2_defaults(population: int, nominal: Mapping[str, Any] | None) -> dict[str, Any]:
-    return {"population_size": _generation(population) if population >= 16 else 50}
-
-
-def _level_set_defaults(population: int, nominal: Mapping[str, Any] | None) -> dict[str, Any]:
-    return {**_nsga2_defaults(population, nominal), "proposals": population // 2}
-
-
-def _gp_defaults(population: int, nominal: Mapping[str, Any] | None) -> dict[str, Any]:
-    return {"warn_independent_sampling": False}
-
-
-_OPERATORS: Mapping[str, Mapping[str, Callable[[], Any]]] = {
-    "crossover": {
-        "uniform": nsgaii.UniformCrossover,
-        "blx": nsgaii.BLXAlphaCrossover,
-        "sbx": nsgaii.SBXCrossover,
-        "spx": nsgaii.SPXCrossover,
-        "undx": nsgaii.UNDXCrossover,
-        "vsbx": nsgaii.VSBXCrossover,
-    },
-    "mutation": {"polynomial": nsgaii.PolynomialMutation},
-}
-"""Operators of NSGA-II by the names that a config may give."""
-
-_Defaults = Callable[[int, Mapping[str, Any] | None], dict[str, Any]]
-_BY_NAME: dict[str, tuple[Callable[..., BaseSampler], _Defaults]] = {
-    "tpe": (_PopulationTPE, _tpe_defaults),
-    "cmaes": (optuna.samplers.CmaEsSampler, _cmaes_defaults),
-    "nsga2": (optuna.samplers.NSGAIISampler, _nsga2_defaults),
-    "nsga2+surrogate": (LevelSetSampler, _level_set_defaults),
-    "gp": (optuna.samplers.GPSampler, _gp_defaults),
-    "random": (optuna.samplers.RandomSampler, _no_defaults),
-}
+def _defaults(name: str, population: int, nominal: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Options of a sampler where none are given."""
+    generation = max(2, population - population // 8)
+    if name == "tpe":
+        # Multivariate TPE models the parameters together and costs a third of the default. Penalising the points of
+        # the same population (constant_liar) found nothing better on an 11-parameter bowl with populations of 64.
+        return {"multivariate": True, "constant_liar": False}
+    if name == "cmaes":
+        numbers = nominal and all(isinstance(v, int | float) and not isinstance(v, bool) for v in nominal.values())
+        # Below 5, cmaes has no selection to speak of; None lets it choose by the dimension.
+        popsize = generation if population >= 6 else None
+        return {"x0": dict(nominal or {}) if numbers else None, "popsize": popsize, "warn_independent_sampling": False}
+    if name.startswith("nsga2"):
+        # the real-coded operators of Deb et al. (2002)
+        operators = {"crossover": nsgaii.SBXCrossover, "mutation": nsgaii.PolynomialMutation}
+        size = {"population_size": generation if population >= 16 else 50}
+        return operators | size | ({"proposals": population // 2} if name == "nsga2+surrogate" else {})
+    return {"warn_independent_sampling": False} if name == "gp" else {}

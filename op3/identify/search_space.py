@@ -66,21 +66,13 @@ def parse_search_space(params: Mapping[str, Any] | None) -> SearchSpace:
 
 def parse_range(key: str, text: Any) -> BaseDistribution:
     """Read one range, such as `interval(0.003, 0.009)`, of the config key `key`."""
-    if not isinstance(text, str):
-        raise SearchSpaceError(f"{key}: {text!r} is a value, not a range: {_REMEDY}.")
     try:
         # The key is checked against the config elsewhere; a fixed name keeps odd keys out of the grammar.
-        value = OverridesParser.create().parse_override(f"x={text}")._value
-    except HydraException as error:
+        sweep = OverridesParser.create().parse_override(f"x={text}")._value if isinstance(text, str) else text
+        return _distribution(sweep)
+    except (HydraException, ValueError) as error:
         reason = str(error).strip().splitlines()[0]
-        raise SearchSpaceError(f"{key}: {text!r} is not a range ({reason}): {_REMEDY}.") from error
-    if isinstance(value, IntervalSweep):
-        return _interval(key, text, value)
-    if isinstance(value, RangeSweep):
-        return _range(key, text, value)
-    if isinstance(value, ChoiceSweep):
-        return _choice(key, text, value)
-    raise SearchSpaceError(f"{key}: {text!r} is a value, not a range: {_REMEDY}.")
+        raise SearchSpaceError(f"{key}: {reason}, and so {text!r} is not a range: {_REMEDY}.") from error
 
 
 def check_nominal(search_space: Mapping[str, BaseDistribution], nominal: Mapping[str, Any]) -> dict[str, Any]:
@@ -106,23 +98,12 @@ def check_nominal(search_space: Mapping[str, BaseDistribution], nominal: Mapping
             inside = False
         if not inside:
             raise SearchSpaceError(
-                f"{key}: the nominal value {value!r} lies outside {describe(distribution)}: widen the range, "
+                f"{key}: the nominal value {value!r} lies outside {_ends(distribution)}: widen the range, "
                 "change the nominal value, or start without one by nominal=false."
             )
         # An integer such as 1 in a float range would make the stored trial differ in type from its peers.
         checked[key] = float(value) if isinstance(distribution, FloatDistribution) else value
     return checked
-
-
-def describe(distribution: BaseDistribution) -> str:
-    """Write a distribution the way the user wrote it."""
-    if isinstance(distribution, CategoricalDistribution):
-        return f"choice({', '.join(str(choice) for choice in distribution.choices)})"
-    if not isinstance(distribution, FloatDistribution | IntDistribution):
-        return str(distribution)
-    text = f"interval({distribution.low:g}, {distribution.high:g})"
-    text = f"tag(log, {text})" if distribution.log else text
-    return f"int({text})" if isinstance(distribution, IntDistribution) else text
 
 
 def search_space_to_json(search_space: Mapping[str, BaseDistribution]) -> str:
@@ -141,52 +122,45 @@ def _flatten(params: Mapping[Any, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def _interval(key: str, text: str, sweep: IntervalSweep) -> BaseDistribution:
-    low, high = sweep.start, sweep.end
+def _ends(distribution: BaseDistribution) -> str:
+    if isinstance(distribution, FloatDistribution | IntDistribution):
+        return f"interval({distribution.low:g}, {distribution.high:g})"
+    return str(distribution)
+
+
+def _distribution(sweep: Any) -> BaseDistribution:
+    """The distribution that a parsed range means.
+
+    Raises:
+        ValueError: if it is none.
+    """
+    tags = set(getattr(sweep, "tags", ()))
+    if tags - ({"log"} if isinstance(sweep, IntervalSweep) else set()):
+        raise ValueError(f"of tags only `log` of an interval is known, not {', '.join(sorted(tags))}")
+    if isinstance(sweep, IntervalSweep):
+        return _interval(sweep.start, sweep.end, "log" in tags)
+    if isinstance(sweep, RangeSweep):
+        values = list(sweep.range()) if sweep.step else []
+        if len(values) < 2 or sweep.step < 0:
+            raise ValueError(f"it holds {len(values)} values and needs at least two, counted upwards")
+        if all(isinstance(value, int) for value in values):
+            return IntDistribution(int(values[0]), int(values[-1]), step=int(sweep.step))
+        return FloatDistribution(float(values[0]), float(values[-1]), step=float(sweep.step))
+    if isinstance(sweep, ChoiceSweep):
+        choices: list[Any] = [item.text if isinstance(item, QuotedString) else item for item in sweep.list]
+        if not all(isinstance(choice, bool | int | float | str) for choice in choices):
+            raise ValueError("a choice is a number, a text or a boolean; sweep over lists on the command line")
+        return CategoricalDistribution(choices)
+    raise ValueError("it is a value, not a range")
+
+
+def _interval(low: Any, high: Any, log: bool) -> BaseDistribution:
     if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
-        raise SearchSpaceError(f"{key}: the ends of {text!r} must be finite numbers.")
-    log = _log_tag(key, text, sweep.tags)
+        raise ValueError("the ends must be finite numbers")
     if low >= high:
-        raise SearchSpaceError(
-            f"{key}: the lower end {low:g} of {text!r} is not below the upper end {high:g}: swap or widen them."
-        )
+        raise ValueError(f"the lower end {low:g} is not below the upper end {high:g}")
     if log and low <= 0:
-        raise SearchSpaceError(
-            f"{key}: {text!r} is sampled in the logarithm, so its lower end must be above 0, not {low:g}."
-        )
+        raise ValueError(f"a logarithm needs a lower end above 0, not {low:g}")
     if isinstance(low, int) and isinstance(high, int):
         return IntDistribution(low, high, log=log)
     return FloatDistribution(float(low), float(high), log=log)
-
-
-def _range(key: str, text: str, sweep: RangeSweep) -> BaseDistribution:
-    _log_tag(key, text, sweep.tags, allowed=False)
-    values = list(sweep.range()) if sweep.step else []
-    if len(values) < 2 or sweep.step < 0:
-        raise SearchSpaceError(f"{key}: {text!r} holds {len(values)} values, it needs at least two, counted upwards.")
-    if all(isinstance(value, int) for value in values):
-        return IntDistribution(int(values[0]), int(values[-1]), step=int(sweep.step))
-    return FloatDistribution(float(values[0]), float(values[-1]), step=float(sweep.step))
-
-
-def _choice(key: str, text: str, sweep: ChoiceSweep) -> BaseDistribution:
-    _log_tag(key, text, sweep.tags, allowed=False)
-    choices: list[bool | int | float | str] = []
-    for item in sweep.list:
-        value = item.text if isinstance(item, QuotedString) else item
-        if not isinstance(value, bool | int | float | str):
-            raise SearchSpaceError(
-                f"{key}: {text!r} offers {value!r}; a choice must be a number, a text or a boolean. "
-                "To compare lists or groups, sweep over them on the command line: one study each."
-            )
-        choices.append(value)
-    return CategoricalDistribution(choices)
-
-
-def _log_tag(key: str, text: str, tags: set[str], allowed: bool = True) -> bool:
-    known = {"log"} if allowed else set()
-    unknown = sorted(tags - known)
-    if unknown:
-        hint = "only `log` is known" if allowed else "tags belong to intervals"
-        raise SearchSpaceError(f"{key}: {text!r} has the tag {unknown[0]!r}; {hint}.")
-    return "log" in tags

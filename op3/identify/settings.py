@@ -43,6 +43,8 @@ class PopulationSweeperConf:
     population: int = 64
     # jobs launched together, for launchers that run jobs side by side
     parallel_populations: int = 1
+    # number of this process where several share a study's storage
+    worker: int = 0
     # whether the config's own values are the first trial
     nominal: bool = True
     # trials that the experiment itself proposes after that, before the sampler; 0: none
@@ -74,6 +76,7 @@ class StudySettings:
     parallel_populations: Count
     seed: Whole | None
     starts: Whole = 0
+    worker: Whole = 0
 
     def check(self) -> None:
         """Find out before the first trial whether the sampler and the storage can be used."""
@@ -99,6 +102,7 @@ class StudySettings:
             nominal=self.nominal,
             starts=starts,
             seed=self.seed,
+            worker=self.worker,
         )
 
     def split(self, population: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
@@ -132,7 +136,7 @@ def read_settings(config: DictConfig, sweeper: DictConfig, folder: Path, cell: s
         directions=(direction,) if isinstance(direction, str) else tuple(direction),
         storage=_storage_address(storage, folder),
         study_name=f"{name}/{cell}" if storage and cell else name,
-        **{key: plain[key] for key in ("n_trials", "population", "parallel_populations", "seed", "starts")},
+        **{key: plain[key] for key in ("n_trials", "population", "parallel_populations", "seed", "starts", "worker")},
     )
 
 

@@ -10,7 +10,6 @@ from optuna.storages.journal import JournalFileBackend
 from optuna.storages.journal._file import BaseJournalFileLock
 
 JOURNAL_SUFFIXES = (".journal", ".log")
-_FIRST_BYTES = b'{"op_code"'
 
 
 class StorageError(ValueError):
@@ -42,9 +41,12 @@ def open_storage(storage: str | os.PathLike[str] | BaseStorage | None) -> BaseSt
     path = Path(name).absolute()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(path.with_name(path.name + ".flock"))
-        with lock, open(path, "ab"):
+        lock = _FileLock(path.with_name(path.name + ".flock"))
+        lock.acquire()
+        try:
             _cut_torn_record(path)
+        finally:
+            lock.release()
         return JournalStorage(JournalFileBackend(str(path), lock_obj=lock))
     except OSError as error:
         raise StorageError(
@@ -57,41 +59,22 @@ def open_storage(storage: str | os.PathLike[str] | BaseStorage | None) -> BaseSt
         ) from error
 
 
-class FileLock(BaseJournalFileLock):
-    """A lock on a file that the kernel gives back when its holder dies.
-
-    Optuna's own locks are files that outlive a killed process and block every other worker until
-    they are found to be old. It has a name of its own, so that a program which opens the journal with
-    plain Optuna is not blocked; such a program should only read.
-    """
+class _FileLock(BaseJournalFileLock):
+    """A lock that the kernel gives back when its holder dies; Optuna's own are files that outlive a killed process."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._descriptor: int | None = None
+        self._descriptor = -1
 
     def acquire(self) -> bool:
         """Wait for the lock."""
-        descriptor = os.open(self._path, os.O_CREAT | os.O_RDWR, 0o666)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
-        except BaseException:
-            os.close(descriptor)
-            raise
-        self._descriptor = descriptor
+        self._descriptor = os.open(self._path, os.O_CREAT | os.O_RDWR, 0o666)
+        fcntl.flock(self._descriptor, fcntl.LOCK_EX)
         return True
 
     def release(self) -> None:
         """Give the lock back."""
-        descriptor, self._descriptor = self._descriptor, None
-        if descriptor is not None:
-            os.close(descriptor)
-
-    def __enter__(self) -> "FileLock":
-        self.acquire()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.release()
+        os.close(self._descriptor)
 
 
 def _open_database(url: str) -> BaseStorage:
@@ -106,23 +89,12 @@ def _open_database(url: str) -> BaseStorage:
 
 
 def _cut_torn_record(path: Path) -> None:
-    """Remove an unfinished last line, which a full disk or a power cut leaves behind.
+    """Remove an unfinished last line, as a full disk or a power cut leaves it: the next record would be lost with it.
 
-    The next record would be written onto the same line and make the journal unreadable. A file that does
-    not begin as a journal does is left alone.
+    A file that does not begin as a journal does is left alone.
     """
-    with open(path, "r+b") as file:
-        if file.read(len(_FIRST_BYTES)) != _FIRST_BYTES:
-            return
-        end = file.seek(0, os.SEEK_END)
-        keep = end
-        while keep > 0:
-            start = max(0, keep - 65536)
-            file.seek(start)
-            newline = file.read(keep - start).rfind(b"\n")
-            if newline >= 0:
-                keep = start + newline + 1
-                break
-            keep = start
-        if keep < end:
-            file.truncate(keep)
+    with open(path, "a+b") as file:
+        file.seek(0)
+        content = file.read()
+        if content.startswith(b'{"op_code"'):
+            file.truncate(content.rfind(b"\n") + 1)

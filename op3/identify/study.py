@@ -13,9 +13,10 @@ import logging
 import math
 import re
 import secrets
-import time
+import sys
 import traceback
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -27,18 +28,22 @@ from optuna.samplers import BaseGASampler
 from optuna.storages import BaseStorage
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, Trial, TrialState
+from tqdm import tqdm
 
-from op3.identify.progress import TrialProgress
 from op3.identify.samplers import SamplerFactory, make_sampler_factory
 from op3.identify.search_space import check_nominal, search_space_to_json
 from op3.identify.storage import open_storage
-from op3.identify.workers import Worker
 
 log = logging.getLogger(__name__)
 
-POLL_SECONDS = 0.2
 FUTILE_POPULATIONS = 3
 FINISHED = (TrialState.COMPLETE, TrialState.FAIL, TrialState.PRUNED)
+
+LINE_SECONDS = 15.0
+"""Least time between two lines of progress where standard error is no terminal [s]."""
+
+_OPTIMIZER_STATE = re.compile(r"(sepcma|cmawm|cma):optimizer")
+_SCRATCH = re.compile(r"(tpe|gp):relative_params")
 
 
 class StudyError(RuntimeError):
@@ -61,19 +66,6 @@ class Outcome:
     error: str | None = None
 
 
-@dataclass(frozen=True)
-class Given:
-    """A trial whose parameters are not the sampler's to propose.
-
-    Attributes:
-        mark: user attribute by which the stored trial is known again.
-        values: its parameters.
-    """
-
-    mark: Mapping[str, Any]
-    values: Mapping[str, Any]
-
-
 Evaluate = Callable[[list[dict[str, Any]]], Sequence[float | Sequence[float] | Outcome | None]]
 """Evaluates a population: parameters of each trial -> result of each trial, in the same order."""
 
@@ -91,14 +83,15 @@ def run_study(
     nominal: Mapping[str, Any] | None = None,
     starts: Sequence[Mapping[str, Any]] = (),
     seed: int | None = None,
+    worker: int = 0,
     progress: bool = True,
 ) -> optuna.Study:
     """Run a study, or go on with a stored one, until it has `n_trials` finished trials.
 
     The same seed gives the same trials on the same machine, also if the study is interrupted and
-    resumed in between, as long as one worker runs it. Several workers may run the same call on the
-    same storage at once, on one machine or many: they share the trials between them. A trial whose
-    evaluation raises or is not finite is stored as failed, with its parameters, and the study goes on.
+    resumed in between. Several processes may run the same call on the same storage at once, on one machine
+    or many, each as another worker: they share the trials between them. A trial whose evaluation raises or is
+    not finite is stored as failed, with its parameters, and the study goes on.
 
     Args:
         evaluate: evaluates a population. If it raises, the population is halved until the trial that
@@ -108,12 +101,14 @@ def run_study(
         directions: `minimize` or `maximize` for each objective.
         storage: see `op3.identify.storage`; None keeps the study in memory.
         study_name: name of the study in the storage.
-        n_trials: finished trials, complete or failed, that the study shall have in all.
+        n_trials: finished trials, complete or failed, that the study shall have in all; each further worker may add a
+            population.
         population: trials asked and evaluated together.
         nominal: parameters of the first trial, the baseline; None starts without one.
-        starts: parameters of the trials that follow it, before the sampler proposes any; each is
-            evaluated once, also over interruptions and among workers. A resumed study needs the same.
+        starts: parameters of the trials that follow it, before the sampler proposes any; a resumed study needs the
+            same.
         seed: seed of the study; None keeps the stored seed, or draws one for a new study.
+        worker: number of this process among those that share the study. Worker 0 evaluates baseline and starts.
         progress: show trials, best value, rate and time left.
 
     Returns:
@@ -121,7 +116,8 @@ def run_study(
 
     Raises:
         StudyError: if the settings contradict each other or the stored study, if results do not match
-            the population, or if no trial completes and `FUTILE_POPULATIONS` in a row raise.
+            the population, if another process asks the same points, or if no trial completes and
+            `FUTILE_POPULATIONS` in a row raise.
         op3.identify.samplers.SamplerError: if the sampler is unknown or does not fit the study.
         op3.identify.storage.StorageError: if the storage cannot be used.
         op3.identify.search_space.SearchSpaceError: if nominal parameters or starts are outside the ranges.
@@ -129,72 +125,32 @@ def run_study(
     if population < 1 or n_trials < 1:
         raise StudyError(f"population={population} and n_trials={n_trials} must both be at least 1.")
     baseline = None if nominal is None else check_nominal(search_space, nominal)
-    given = [] if baseline is None else [Given({"nominal": True}, baseline)]
-    given += [Given({"start": number}, check_nominal(search_space, values)) for number, values in enumerate(starts)]
+    given = [] if baseline is None else [({"nominal": True}, baseline)]
+    given += [({"start": number}, check_nominal(search_space, values)) for number, values in enumerate(starts)]
     factory = make_sampler_factory(sampler, population=population, directions=len(directions), nominal=baseline)
     study = _open_study(storage, study_name, directions, search_space, seed)
-    session = _Session(study, search_space, factory, given)
-    session.pull()
-    if session.finished >= n_trials:
-        return study
-    with TrialProgress(n_trials, session.finished, enabled=progress) as shown:
-        _run(session, evaluate, n_trials, population, shown)
-    return study
-
-
-def _run(session: "_Session", evaluate: Evaluate, n_trials: int, population: int, shown: TrialProgress) -> None:
-    worker = Worker(session.study)
-    futile = 0
-    worker.start()
-    try:
-        while True:
-            session.pull()
-            shown.update(session.finished, session.best_value())
-            if session.finished >= n_trials:
-                return
-            others = worker.others()
-            free = n_trials - session.finished - sum(record["trials"] for record in others)
-            if free <= 0:
-                # The last trials are with another worker: take them over if it dies.
-                time.sleep(POLL_SECONDS)
-                continue
-            size = min(free, population)
-            given = _takes_given(session, worker, size)
-            trials = session.ask(size, given, worker.name, shared=bool(others))
+    session = _Session(study, search_space, factory, worker)
+    if worker == 0:
+        session.enqueue(given)
+    futile, terminal = 0, sys.stderr.isatty()
+    with tqdm(
+        total=n_trials, initial=min(session.finished, n_trials), unit="trial", disable=not progress, dynamic_ncols=True,
+        mininterval=0.1 if terminal else LINE_SECONDS,
+    ) as shown:  # fmt: skip
+        while session.finished < n_trials:
+            trials = session.ask(min(n_trials - session.finished, population))
             outcomes = evaluate_population(evaluate, [dict(trial.params) for trial in trials])
             session.tell(trials, outcomes)
-            worker.claim(0, [])
+            shown.set_postfix(session.best(), refresh=False)
+            shown.update(session.finished - shown.n)
             raised = all(outcome.error for outcome in outcomes)
-            futile = futile + 1 if raised and not session.any_complete() else 0
+            futile = futile + 1 if raised and not session.complete() else 0
             if futile >= FUTILE_POPULATIONS:
                 raise StudyError(
                     f"No trial has completed and the last {futile} populations all raised; the last error "
                     f"is: {outcomes[-1].error} Mend it and start a new study (another study_name or storage)."
                 )
-    finally:
-        worker.stop()
-
-
-def _takes_given(session: "_Session", worker: Worker, size: int) -> list[int]:
-    """Claim `size` trials, among them the given ones that are due and no other worker has; return their numbers.
-
-    Claims are written before those of the others are read, so of two that claim in the same moment at
-    least one sees the other and gives way. Where both see each other the first by name looks again.
-    """
-    given = session.due(worker.taken())[:size]
-    worker.claim(size, given)
-    if not given:
-        return []
-    rivals = worker.rivals(given)
-    if rivals and worker.name < min(rivals):
-        time.sleep(POLL_SECONDS)
-        rivals = worker.rivals(given)
-    # A rival that claims no more may have stored its trials meanwhile.
-    session.pull()
-    own = [] if rivals else [number for number in session.due(()) if number in given]
-    if own != given:
-        worker.claim(size, own)
-    return own
+    return study
 
 
 def evaluate_population(evaluate: Evaluate, population: list[dict[str, Any]]) -> list[Outcome]:
@@ -208,17 +164,14 @@ def evaluate_population(evaluate: Evaluate, population: list[dict[str, Any]]) ->
     except (StudyError, ChildProcessError):
         raise  # of no trial's making
     except Exception as error:
-        results, message = None, _describe_error(error)
-        log.debug("A population of %d raised.", len(population), exc_info=True)
-    else:
-        message = ""
-    if results is None and len(population) == 1:
+        if len(population) > 1:
+            middle = len(population) // 2
+            halves = (population[:middle], population[middle:])
+            return [outcome for half in halves for outcome in evaluate_population(evaluate, half)]
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        message = f"{type(error).__name__}: {error} ({Path(frame.filename).name}:{frame.lineno} in {frame.name})"
         log.warning("The trial %s raised %s", population[0], message)
         return [Outcome(None, error=message)]
-    if results is None:
-        middle = len(population) // 2
-        halves = (population[:middle], population[middle:])
-        return [outcome for half in halves for outcome in evaluate_population(evaluate, half)]
     if len(results) != len(population):
         raise StudyError(
             f"evaluate returned {len(results)} results for a population of {len(population)}: "
@@ -227,20 +180,12 @@ def evaluate_population(evaluate: Evaluate, population: list[dict[str, Any]]) ->
     return [as_outcome(result) for result in results]
 
 
-def _describe_error(error: Exception) -> str:
-    """Name an error and the line that raised it, in one line that fits a trial's record."""
-    frame = traceback.extract_tb(error.__traceback__)[-1]
-    return f"{type(error).__name__}: {error} ({Path(frame.filename).name}:{frame.lineno} in {frame.name})"
-
-
 def as_outcome(result: Any) -> Outcome:
     """Read one result of an evaluation: a number, several numbers, None, or an `Outcome`."""
     if result is None or isinstance(result, Outcome):
         return result or Outcome(None)
     try:
-        if isinstance(result, Sequence) or np.ndim(result) == 1:
-            return Outcome(tuple(float(value) for value in result))
-        return Outcome((float(result),))
+        return Outcome(tuple(float(value) for value in np.atleast_1d(result)))
     except (TypeError, ValueError) as error:
         raise StudyError(
             f"evaluate returned {result!r} for a trial: return a number, a tuple of numbers, None or an Outcome."
@@ -251,90 +196,76 @@ class _Session:
     """One process's view of a study: the stored one, and the copy in memory that the sampler sees."""
 
     def __init__(
-        self,
-        study: optuna.Study,
-        search_space: Mapping[str, BaseDistribution],
-        factory: SamplerFactory,
-        given: Sequence[Given],
+        self, study: optuna.Study, search_space: Mapping[str, BaseDistribution], factory: SamplerFactory, worker: int
     ) -> None:
         self.study = study
-        self._search_space = dict(search_space)
-        self._factory = factory
-        self._given = list(given)
-        self._open = set(range(len(self._given)))
-        self._seed: int = study.user_attrs["seed"]
-        self._own_name: str | None = None
+        self._search_space, self._factory, self._worker = dict(search_space), factory, worker
+        self._name = f"{worker}:{secrets.token_hex(4)}"
         self._pulled: set[int] = set()
         with _quiet_optuna():
             self._mirror = optuna.create_study(directions=study.directions, sampler=factory(0))
+        self._pull()
 
     @property
     def finished(self) -> int:
         """Finished trials in the study, as far as this process knows."""
-        return len(self._trials())
+        return len(self._trials(FINISHED))
 
-    def pull(self) -> None:
-        """Take over the trials that other workers, or earlier runs, have finished."""
-        for trial in self.study.get_trials(deepcopy=False, states=FINISHED):
-            if trial.number in self._pulled:
-                continue
-            self._pulled.add(trial.number)
-            if self._own_name is None or trial.user_attrs.get("worker") != self._own_name:
-                self._mirror.add_trial(trial)
+    def complete(self) -> list[FrozenTrial]:
+        """Trials that have a value."""
+        return self._trials((TrialState.COMPLETE,))
 
-    def any_complete(self) -> bool:
-        """Say whether any trial has a value."""
-        return any(trial.state == TrialState.COMPLETE for trial in self._trials())
+    def best(self) -> dict[str, str]:
+        """Best value so far; nothing without one, or with several objectives."""
+        single = len(self.study.directions) == 1 and self.complete()
+        return {"best": f"{self._mirror.best_value:.6g}"} if single else {}
 
-    def best_value(self) -> float | None:
-        """Best value so far; None without one, or with several objectives."""
-        if len(self.study.directions) > 1 or not self.any_complete():
-            return None
-        return self._mirror.best_value
+    def enqueue(self, given: Sequence[tuple[dict[str, Any], dict[str, Any]]]) -> None:
+        """Ask for these trials first, each a mark and parameters, but for those that are in the study already."""
+        known = [trial.user_attrs for trial in self._trials(FINISHED)]
+        for mark, values in given:
+            if not any(attributes.get(key) == number for attributes in known for key, number in mark.items()):
+                self._mirror.enqueue_trial(values, user_attrs=mark)
 
-    def due(self, claimed: Collection[int]) -> list[int]:
-        """Numbers of the given trials that are neither finished nor claimed by another worker."""
-        if self._open:
-            found = [t.user_attrs for t in self._trials()]
-            done = {key: {attributes.get(key) for attributes in found} for key in ("nominal", "start")}
-            self._open = {
-                number
-                for number in self._open
-                if not any(value in done[key] for key, value in self._given[number].mark.items())
-            }
-        return sorted(self._open - set(claimed))
-
-    def ask(self, size: int, given: Sequence[int], worker: str, shared: bool) -> list[Trial]:
-        """Ask for a population; given trials, by number, come first."""
-        self._own_name = worker
-        # Two workers that have seen the same trials must not propose the same points.
-        entropy = [self._seed, self.finished, *(worker.encode() if shared else b"")]
+    def ask(self, size: int) -> list[Trial]:
+        """Ask for a population."""
+        # workers that have seen the same trials must not propose the same points
+        entropy = [self.study.user_attrs["seed"], self.finished, *([self._worker] if self._worker else ())]
         self._mirror.sampler = self._factory(int(np.random.SeedSequence(entropy).generate_state(1)[0] >> 1))
-        for number in given:
-            one = self._given[number]
-            self._mirror.enqueue_trial(dict(one.values), user_attrs=dict(one.mark))
         trials = [self._mirror.ask(self._search_space) for _ in range(size)]
+        frozen = self._mirror.get_trials(deepcopy=False)
         for trial in trials:
-            trial.set_user_attr("worker", worker)
-        sampler = self._mirror.sampler
-        if isinstance(sampler, BaseGASampler):
-            # Optuna leaves trials with given parameters out of every generation, so that they would have no children.
-            frozen = self._mirror.get_trials(deepcopy=False)
-            for trial in trials[: len(given)]:
+            trial.set_user_attr("worker", self._name)
+            sampler = self._mirror.sampler
+            if isinstance(sampler, BaseGASampler) and not {"nominal", "start"}.isdisjoint(trial.user_attrs):
+                # Optuna leaves given trials out of every generation, so that they would have no children
                 sampler.get_trial_generation(self._mirror, frozen[trial.number])
         return trials
 
     def tell(self, trials: Sequence[Trial], outcomes: Sequence[Outcome]) -> None:
-        """Finish a population, in memory and in the storage."""
+        """Finish a population, in memory and in the storage, and take over what others have finished meanwhile."""
         for trial, outcome in zip(trials, outcomes, strict=True):
             values = self._judge(trial, outcome)
-            state = TrialState.FAIL if values is None else TrialState.COMPLETE
-            self._mirror.tell(trial, values, state)
+            self._mirror.tell(trial, values, TrialState.FAIL if values is None else TrialState.COMPLETE)
         frozen = self._mirror.get_trials(deepcopy=False)
         told = [frozen[trial.number] for trial in trials]
+        if any(other.params == one.params for other in self._pull() for one in told):
+            raise StudyError(
+                f"Another process asks the same points as worker {self._worker}: give each process that shares the"
+                " study a number of its own, hydra.sweeper.worker=1 and so on."
+            )
         state_holder = next((t for t in reversed(told) if t.state == TrialState.COMPLETE), None)
         for trial in told:
             self.study.add_trial(_to_store(trial, keep_state=trial is state_holder))
+
+    def _pull(self) -> list[FrozenTrial]:
+        """Take over the trials that others, or earlier runs, have finished; return them."""
+        stored = self.study.get_trials(deepcopy=False, states=FINISHED)
+        new = [t for t in stored if t.number not in self._pulled and t.user_attrs.get("worker") != self._name]
+        self._pulled.update(trial.number for trial in stored)
+        for trial in new:
+            self._mirror.add_trial(trial)
+        return new
 
     def _judge(self, trial: Trial, outcome: Outcome) -> list[float] | None:
         """Record what is to be known about a trial; return its values if it has succeeded."""
@@ -355,8 +286,8 @@ class _Session:
         trial.set_user_attr("failed_values", [str(value) for value in values])
         return None
 
-    def _trials(self) -> list[FrozenTrial]:
-        return self._mirror.get_trials(deepcopy=False, states=FINISHED)
+    def _trials(self, states: tuple[TrialState, ...]) -> list[FrozenTrial]:
+        return self._mirror.get_trials(deepcopy=False, states=states)
 
 
 def _open_study(
@@ -373,17 +304,11 @@ def _open_study(
     opened = open_storage(storage)
     with _quiet_optuna():
         study = optuna.create_study(storage=opened, study_name=name, directions=wanted, load_if_exists=True)
-    if study.directions != wanted:
-        stored = [direction.name.lower() for direction in study.directions]
-        raise StudyError(
-            f"The stored study {name!r} has the directions {stored}, not {list(directions)}: "
-            "give the new one another study_name or storage."
-        )
     space, attributes = search_space_to_json(search_space), study.user_attrs
-    if attributes.get("search_space", space) != space:
+    if study.directions != wanted or attributes.get("search_space", space) != space:
         raise StudyError(
-            f"The stored study {name!r} searches other parameters or ranges than the ones given: "
-            "give the new one another study_name or storage, or restore the ranges."
+            f"The stored study {name!r} has other directions, parameters or ranges than the ones given: "
+            "give the new one another study_name or storage, or restore them."
         )
     if "search_space" not in attributes:
         study.set_user_attr("search_space", space)
@@ -392,10 +317,6 @@ def _open_study(
     if attributes.get("seed") != seed:
         study.set_user_attr("seed", seed)
     return study
-
-
-_OPTIMIZER_STATE = re.compile(r"(sepcma|cmawm|cma):optimizer")
-_SCRATCH = re.compile(r"(tpe|gp):relative_params")
 
 
 def _to_store(trial: FrozenTrial, keep_state: bool) -> FrozenTrial:
@@ -426,12 +347,12 @@ def _plain(key: str, value: Any) -> Any:
     raise StudyError(f"The attribute {key!r} holds a {type(value).__name__}: give numbers, texts, lists or dicts.")
 
 
-class _quiet_optuna:
+@contextmanager
+def _quiet_optuna() -> Iterator[None]:
     """Keep Optuna from announcing each study it opens, without changing what the user has set."""
-
-    def __enter__(self) -> None:
-        self._level = optuna.logging.get_verbosity()
-        optuna.logging.set_verbosity(max(self._level, optuna.logging.WARNING))
-
-    def __exit__(self, *_: object) -> None:
-        optuna.logging.set_verbosity(self._level)
+    level = optuna.logging.get_verbosity()
+    optuna.logging.set_verbosity(max(level, optuna.logging.WARNING))
+    try:
+        yield
+    finally:
+        optuna.logging.set_verbosity(level)

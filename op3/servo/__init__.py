@@ -1,5 +1,6 @@
 """What a servo does in one millisecond, and the catalogue of effects it is made of."""
 
+from op3.servo import effects as _registered  # noqa: F401
 from op3.servo.effect import (
     Effect,
     ModelEdit,
@@ -13,7 +14,6 @@ from op3.servo.effect import (
     register,
     secant_values,
 )
-from op3.servo.effects import *  # noqa: F403  (registers the effects)
 from op3.servo.robot_model import Estimate, RobotModel
 from op3.servo.servos import Servos, Signals
 

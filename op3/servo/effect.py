@@ -5,10 +5,10 @@ diagnosis and training; adding an effect is one class here and one test.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, is_dataclass
 from enum import IntEnum
 from math import inf, isfinite
-from typing import ClassVar, Literal, get_args, get_origin, get_type_hints
+from typing import ClassVar, Literal, TypeVar, dataclass_transform, get_args, get_origin, get_type_hints
 
 from torch import Tensor
 
@@ -184,7 +184,7 @@ Scope = Literal["robot", "shared", "joint", "side"]
 
 
 class Effect:
-    """Base class of everything in the catalogue; subclasses are frozen dataclasses of their options.
+    """Base class of everything in the catalogue; `register` makes subclasses frozen dataclasses of their options.
 
     The law of an effect is a few scalar functions of one joint, compiled with those of all others into one kernel. Each
     is a static method of ``(s, p)``: ``s`` holds the `SIGNALS` and the effect's own ``memory``, ``p`` the parameters of
@@ -309,8 +309,12 @@ class Effect:
 _CATALOGUE: dict[str, type[Effect]] = {}
 
 
-def register(effect: type[Effect]) -> type[Effect]:
-    """Class decorator that puts an effect into the catalogue.
+Registered = TypeVar("Registered", bound=type[Effect])
+
+
+@dataclass_transform(frozen_default=True)
+def register(effect: Registered) -> Registered:
+    """Class decorator that makes an effect a frozen dataclass of its options, and puts it into the catalogue.
 
     Raises:
         ValueError: if its name, or the name of one of its parameters, is taken.
@@ -321,8 +325,9 @@ def register(effect: type[Effect]) -> type[Effect]:
     clash = taken & {parameter.name for parameter in effect.parameters}
     if clash:
         raise ValueError(f"effect {effect.name!r}: parameter names {sorted(clash)} are taken by other effects")
-    _CATALOGUE[effect.name] = effect
-    return effect
+    made = effect if is_dataclass(effect) else dataclass(frozen=True)(effect)
+    _CATALOGUE[effect.name] = made
+    return made
 
 
 def catalogue() -> dict[str, type[Effect]]:

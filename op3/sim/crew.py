@@ -6,11 +6,10 @@ The simulations of a batch leave processors idle between the steps of the physic
 import multiprocessing
 import os
 import pickle
-import traceback
-import weakref
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from multiprocessing.connection import Connection
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from typing import Any, Generic, TypeVar
 
 import torch
@@ -38,7 +37,7 @@ class Crew(Generic[T]):
         self.size = size or processors()
         self._recipe = pickle.dumps((make, dict(arguments))) if self.size > 1 else b""
         self.worker = make(**arguments)
-        self._others: list[_Other] = []
+        self._others: ProcessPoolExecutor | None = None
 
     def run(self, method: str, parts: Sequence[Mapping[str, Any]]) -> list[Any]:
         """Call a method once per part, at most `size` of them, side by side.
@@ -55,101 +54,43 @@ class Crew(Generic[T]):
         """
         if not 0 < len(parts) <= self.size:
             raise ValueError(f"a crew of {self.size} cannot do {len(parts)} parts at once")
-        if len(parts) > 1 and not self._others:
-            self._others = [_Other(self._recipe) for _ in range(self.size - 1)]
-            weakref.finalize(self, _dismiss, self._others)
-        busy = self._others[: len(parts) - 1]
+        if len(parts) > 1 and self._others is None:
+            spawn = multiprocessing.get_context("spawn")  # a fork has the locks of threads without the threads
+            self._others = ProcessPoolExecutor(self.size - 1, spawn, _begin, (self._recipe,))
         try:
-            for other, part in zip(busy, parts[1:], strict=True):
-                other.tell((method, part))
+            # pickled plainly: torch would share the memory of every tensor, and keep a file open for each
+            asked = [self._others.submit(_do, pickle.dumps((method, part))) for part in parts[1:] if self._others]
             own = getattr(self.worker, method)(**parts[0])
-            answers = [other.hear() for other in busy]
-        except BaseException:
-            _dismiss(self._others)  # what they still have to say belongs to no later call
-            self._others = []
-            raise
-        for error, _ in answers:
-            if error is not None:
-                raise error
-        return [own, *(result for _, result in answers)]
+            return [own, *(pickle.loads(one.result()) for one in asked)]
+        except BrokenProcessPool as error:
+            self._others = None
+            raise ChildProcessError(
+                "a process that shared the work has ended, which happens where memory runs out; the same command goes"
+                " on, with processes=1 in this process alone"
+            ) from error
 
 
-class _Other:
-    """A process with an object of its own; it imports what it needs while this process begins its part.
-
-    What is said is pickled plainly: torch would share the memory of every tensor, and keep a file open for each.
-
-    Args:
-        recipe: of the object, pickled.
-    """
-
-    def __init__(self, recipe: bytes):
-        # a fork would have the locks of this process's threads without the threads; children of a fork server would
-        # be no children of this process, which counts their processor time
-        context = multiprocessing.get_context("spawn")
-        self.line, there = context.Pipe()
-        self.process = context.Process(target=_serve, args=(there, recipe), daemon=True)
-        self.process.start()
-        there.close()
-
-    def tell(self, what: tuple[str, Mapping[str, Any]]) -> None:
-        """Ask for a call."""
-        said = pickle.dumps(what)
-        with _listening():
-            self.line.send_bytes(said)
-
-    def hear(self) -> tuple[Exception | None, Any]:
-        """What came of it."""
-        with _listening():
-            said = self.line.recv_bytes()
-        return pickle.loads(said)
+_here: dict[str, Any] = {}
+"""This process's object, and before the first part how it is made, where it is one of a crew."""
 
 
-@contextmanager
-def _listening() -> Iterator[None]:
-    """A broken line means that the process at its other end has gone."""
-    try:
-        yield
-    except (EOFError, OSError) as error:
-        raise ChildProcessError(
-            "a process that shared the work has ended, which happens where memory runs out; the same command goes on,"
-            " with processes=1 in this process alone"
-        ) from error
-
-
-def _dismiss(others: Sequence[_Other]) -> None:
-    for other in others:
-        other.line.close()
-        other.process.terminate()
-        other.process.join()
-
-
-def _serve(line: Connection, recipe: bytes) -> None:
-    """Do what is asked until the other end is closed, which the end of that process does too."""
+def _begin(recipe: bytes) -> None:
     torch.set_num_threads(1)
-    worker, broken = None, None
-    try:
-        make, arguments = pickle.loads(recipe)
-        worker = make(**arguments)
-    except Exception as error:
-        broken = error
-    with suppress(EOFError, OSError, KeyboardInterrupt):
-        while True:
-            method, part = pickle.loads(line.recv_bytes())
-            try:
-                if broken is not None:
-                    raise broken
-                answer = pickle.dumps((None, getattr(worker, method)(**part)))
-            except Exception as error:
-                answer = pickle.dumps((_sendable(error), None))
-            line.send_bytes(answer)
+    _here["recipe"] = recipe
+    threading.Thread(target=_follow, daemon=True).start()
 
 
-def _sendable(error: Exception) -> Exception:
-    """An error that can be raised in another process, with where it was raised in this one."""
-    try:
-        sent = pickle.loads(pickle.dumps(error))
-    except Exception:
-        sent = RuntimeError(f"{type(error).__name__}: {error}")
-    sent.add_note("In a process that shared the work:\n" + "".join(traceback.format_exception(error)))
-    return sent
+def _follow() -> None:
+    """End with the process that asks, however that ends."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _do(said: bytes) -> bytes:
+    if "worker" not in _here:
+        make, arguments = pickle.loads(_here["recipe"])
+        _here["worker"] = make(**arguments)
+    method, part = pickle.loads(said)
+    return pickle.dumps(getattr(_here["worker"], method)(**part))

@@ -51,7 +51,7 @@ def test_four_processes_on_one_journal(tmp_path):
     """Four programs on one journal file: all trials are stored once, none is asked twice, each has worked."""
     arguments = ["seconds=0.3", "hydra.sweeper.n_trials=96", "hydra.sweeper.population=4"]
     arguments.append(f"hydra.sweeper.storage={tmp_path / 'shared.journal'}")
-    programs = [start(tmp_path, *arguments, f"hydra.run.dir=run{i}") for i in range(4)]
+    programs = [start(tmp_path, *arguments, f"hydra.run.dir=run{i}", f"hydra.sweeper.worker={i}") for i in range(4)]
     for program in programs:
         output, _ = program.communicate(timeout=300)
         assert program.returncode == 0, output

@@ -65,7 +65,7 @@ def study(sampler: str, trials: int, **more) -> optuna.Study:
     return run_study(
         evaluate,
         SPACE,
-        sampler={"name": sampler, "crossover": "sbx", "mutation": "polynomial"},
+        sampler=sampler,
         directions=("minimize", "minimize"),
         n_trials=trials,
         population=32,

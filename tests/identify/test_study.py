@@ -5,10 +5,8 @@ import math
 import os
 import random
 import signal
-import socket
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
@@ -20,10 +18,9 @@ from optuna.trial import TrialState
 
 from op3.identify.results import summarize
 from op3.identify.samplers import SamplerError
-from op3.identify.search_space import SearchSpaceError, parse_search_space
+from op3.identify.search_space import SearchSpaceError
 from op3.identify.storage import StorageError, open_storage
 from op3.identify.study import Outcome, StudyError, run_study
-from op3.identify.workers import STALE_SECONDS, Worker, is_alive
 
 SPACE = {"a.x": FloatDistribution(0, 1), "a.y": FloatDistribution(0.1, 10, log=True)}
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -121,7 +118,7 @@ def test_starts_have_children():
     def valley(population):
         return [sum((value - 0.3) ** 2 for value in p.values()) for p in population]
 
-    sampler = {"name": "nsga2", "population_size": 10, "crossover": "sbx", "mutation": "polynomial"}
+    sampler = {"name": "nsga2", "population_size": 10}
     study = quick_study(valley, space, sampler=sampler, starts=starts, n_trials=36, population=12)
     assert np.median([trial.value for trial in study.trials[24:]]) < 0.02
 
@@ -219,7 +216,7 @@ def test_a_torn_last_record_is_cut_off(tmp_path):
 
 
 def test_an_interrupt_stores_what_is_finished_and_nothing_else(tmp_path):
-    """Ctrl-C in the third population leaves two whole populations and no worker's record."""
+    """Ctrl-C in the third population leaves two whole populations."""
     path, calls = tmp_path / "study.journal", []
 
     def evaluate(population):
@@ -232,7 +229,6 @@ def test_an_interrupt_stores_what_is_finished_and_nothing_else(tmp_path):
         quick_study(evaluate, storage=path)
     study = optuna.load_study(study_name="study", storage=open_storage(path))
     assert [trial.state for trial in study.trials] == [TrialState.COMPLETE] * 8
-    assert not any(value for key, value in study.user_attrs.items() if key.startswith("worker:"))
     assert points(quick_study(storage=path)) == points(quick_study())
 
 
@@ -241,7 +237,7 @@ import json, sys, time
 from optuna.distributions import FloatDistribution
 from op3.identify.study import run_study
 
-storage, log, n_trials, seconds = sys.argv[1], sys.argv[2], int(sys.argv[3]), float(sys.argv[4])
+storage, log, n_trials, seconds, worker = *sys.argv[1:3], int(sys.argv[3]), float(sys.argv[4]), int(sys.argv[5])
 
 def evaluate(population):
     with open(log, "a") as file:
@@ -250,14 +246,15 @@ def evaluate(population):
     return [p["x"] for p in population]
 
 run_study(evaluate, {"x": FloatDistribution(0, 1)}, storage=storage, n_trials=n_trials, population=8,
-          nominal={"x": 0.5}, sampler="random", seed=1, progress=False)
+          nominal={"x": 0.5}, sampler="random", seed=1, worker=worker, progress=False)
 """
 
 
-def start_worker(storage, log, n_trials, seconds):
+def start_worker(storage, log, n_trials, seconds, worker=0):
     """Start a process that works on a study and writes down what it evaluates."""
     environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
-    return subprocess.Popen([sys.executable, "-c", WORKER, storage, log, str(n_trials), str(seconds)], env=environment)
+    arguments = [storage, log, str(n_trials), str(seconds), str(worker)]
+    return subprocess.Popen([sys.executable, "-c", WORKER, *arguments], env=environment)
 
 
 def load(storage):
@@ -297,7 +294,7 @@ def test_killing_a_worker_loses_and_repeats_only_what_is_in_flight(delay_seed, t
 def test_two_workers_share_a_study(tmp_path):
     """Two processes on one journal reach n_trials together: no point twice, both at work."""
     storage, log = tmp_path / "study.journal", tmp_path / "log"
-    workers = [start_worker(storage, log, 120, 0.05) for _ in range(2)]
+    workers = [start_worker(storage, log, 120, 0.05, number) for number in range(2)]
     assert [worker.wait() for worker in workers] == [0, 0]
     trials = load(storage).trials
     assert 120 <= len(trials) <= 128
@@ -306,69 +303,17 @@ def test_two_workers_share_a_study(tmp_path):
     assert len({trial.user_attrs["worker"] for trial in trials}) == 2
 
 
-@pytest.mark.parametrize("first", [True, False], ids=["first by name", "second by name"])
-def test_rivals_for_the_baseline_agree(tmp_path, monkeypatch, first):
-    """Two that claim the baseline in the same moment: the first by name takes it once the other has given way."""
-    study = quick_study(storage=tmp_path / "study.journal", n_trials=8, nominal=None)
-    rival = Worker(study)
-    rival.name = "zzz" if first else ""
-    claim = Worker.claim
-
-    def claim_together(worker, trials, given):
-        """Write the rival's claim just before this worker's, and let it give way soon after."""
-        if given and worker is not rival:
-            claim(rival, 0, [0])
-            threading.Timer(0.05, claim, (rival, 0, [])).start()
-        claim(worker, trials, given)
-
-    monkeypatch.setattr(Worker, "claim", claim_together)
-    trials = quick_study(storage=tmp_path / "study.journal", n_trials=16, nominal={"a.x": 0.5, "a.y": 1.0}).trials
-    rival.stop()
-    assert [bool(trial.user_attrs.get("nominal")) for trial in trials[8:]] == [first] + 7 * [False]
-
-
-def test_trials_of_a_dead_worker_are_taken_over(tmp_path):
-    """A record that claims all trials, left by a process that is gone, holds nobody up."""
+def test_two_workers_of_one_number_are_told(tmp_path):
+    """Both would ask the same points: the second says so, and stores none of them."""
     path = tmp_path / "study.journal"
-    study = quick_study(storage=path, n_trials=4)
-    gone = {"trials": 8, "given": [], "host": socket.gethostname(), "pid": 2**22 + 1, "started": 5}
-    study.set_user_attr("worker:gone", {**gone, "seen": time.time()})
-    assert len(quick_study(storage=path).trials) == 12
 
+    def meanwhile(population):
+        quick_study(storage=path, n_trials=4)
+        return bowl(population)
 
-def test_the_last_trials_are_awaited_from_a_living_worker(tmp_path):
-    """A worker with nothing left to ask returns when the study is whole, not before."""
-    path = tmp_path / "study.journal"
-    study = quick_study(storage=path, n_trials=8)
-    other = Worker(study)
-    other.start()
-    other.claim(4, [])
-
-    def finish():
-        time.sleep(0.5)
-        for trial in quick_study(n_trials=12).trials[8:]:
-            study.add_trial(trial)
-
-    thread = threading.Thread(target=finish)
-    thread.start()
-    asked = []
-    assert len(quick_study(lambda population: asked.append(population), storage=path).trials) == 12
-    thread.join()
-    other.stop()
-    assert asked == []
-
-
-def test_a_record_from_another_machine_ages():
-    """Elsewhere's process table cannot be read, so the record's age decides."""
-    record = {"host": "elsewhere.example", "pid": 1, "started": 5, "seen": time.time()}
-    assert is_alive(record)
-    assert not is_alive({**record, "seen": time.time() - STALE_SECONDS - 1})
-
-
-def test_a_reused_process_id_is_not_the_old_worker():
-    """The start time tells this process from an older one with the same id."""
-    record = {"host": socket.gethostname(), "pid": os.getpid(), "started": 5, "seen": time.time()}
-    assert not is_alive(record)
+    with pytest.raises(StudyError, match=r"hydra\.sweeper\.worker=1"):
+        quick_study(meanwhile, storage=path)
+    assert points(load(path)) == points(quick_study(n_trials=4))
 
 
 @pytest.mark.parametrize(
@@ -445,18 +390,3 @@ def test_keeping_the_study_costs_little_beside_the_evaluation(tmp_path):
         storage=tmp_path / "study.journal",
     )
     assert (time.monotonic() - start) / 20 < 0.05 * 5.0
-
-
-def test_tpe_for_populations_asks_what_optunas_own_asks():
-    """Fitting the densities once for a population changes nothing but the time."""
-    space = parse_search_space({"a": "interval(0.0, 1.0)", "b": "interval(-2.0, 3.0)"})
-
-    def bowl(population: list[dict]) -> list[float]:
-        return [(trial["a"] - 0.3) ** 2 + trial["b"] ** 2 for trial in population]
-
-    own = {"_target_": "optuna.samplers.TPESampler", "multivariate": True, "constant_liar": False}
-    asked = [
-        [t.params for t in run_study(bowl, space, sampler=s, n_trials=80, population=16, seed=1, progress=False).trials]
-        for s in ("tpe", own)
-    ]
-    assert asked[0] == asked[1]

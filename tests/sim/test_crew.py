@@ -1,6 +1,5 @@
 """Work shared among processes."""
 
-import gc
 import os
 import signal
 import subprocess
@@ -11,13 +10,6 @@ from pathlib import Path
 import pytest
 
 from op3.sim.crew import Crew
-
-
-class Awkward(Exception):
-    """Cannot be pickled: it keeps one text of two arguments."""
-
-    def __init__(self, value: int, when: str):
-        super().__init__(f"no {value} {when}")
 
 
 class Worker:
@@ -36,16 +28,6 @@ class Worker:
         if value == 2:
             raise ValueError(f"{value} is refused")
         return value
-
-    def balk(self, value: int) -> int:
-        if value == 2:
-            raise Awkward(value, "today")
-        return value
-
-    def linger(self, value: int) -> int:
-        if value != 2:
-            time.sleep(100)
-        return self.refuse(value)
 
     def end(self, value: int) -> int:
         if value == 2:
@@ -79,39 +61,11 @@ def test_an_error_elsewhere_is_raised_here_and_the_crew_works_on():
     assert crew.run("refuse", [{"value": 3}, {"value": 4}]) == [3, 4]
 
 
-def test_an_error_that_cannot_be_sent_is_told():
-    """An error that takes other arguments than it keeps arrives as its text, with where it was raised."""
-    crew = Crew(Worker, {"offset": 0}, 2)
-    with pytest.raises(RuntimeError, match="Awkward: no 2 today") as caught:
-        crew.run("balk", [{"value": 1}, {"value": 2}])
-    assert "in balk" in caught.value.__notes__[0]
-
-
 def test_a_process_that_cannot_begin_says_why():
     """An object that another process cannot make fails the first call with the reason."""
     crew = Crew(Worker, {"offset": 0, "home": os.getpid()}, 2)
     with pytest.raises(ValueError, match="not at home"):
         crew.run("add", [{"value": 1}, {"value": 2}])
-
-
-def test_dismissed_processes_end():
-    """Processes of a call that failed here do not go on with their part."""
-    crew = Crew(Worker, {"offset": 0}, 2)
-    crew.run("add", [{"value": 0}] * 2)
-    (other,) = crew._others
-    with pytest.raises(ValueError, match="2 is refused"):
-        crew.run("linger", [{"value": 2}, {"value": 1}])
-    assert not other.process.is_alive()
-
-
-def test_a_crew_that_nobody_holds_ends():
-    """Its processes go with it."""
-    crew = Crew(Worker, {"offset": 0}, 2)
-    crew.run("add", [{"value": 0}] * 2)
-    (other,) = crew._others
-    del crew
-    gc.collect()
-    assert not other.process.is_alive()
 
 
 def test_an_error_here_does_not_leave_an_answer_for_the_next_call():

@@ -1,3 +1,4 @@
+# ruff: noqa: F401
 """The catalogue of effects; importing it registers them all."""
 
 from op3.servo.effects.body import CentreOfMassOffset, LinkCentreOfMass, LinkInertia, LinkMass, Payload
@@ -22,49 +23,3 @@ from op3.servo.effects.sensing import EncoderNonlinearity, EncoderOffset, Veloci
 from op3.servo.effects.transmission import Backlash, Compliance
 from op3.servo.effects.trunk import GyroBias, ImuMount
 from op3.servo.effects.variation import FrictionDrift, LeftRightAsymmetry
-
-__all__ = [
-    "AntagonisticFriction",
-    "AsymmetricFriction",
-    "Backlash",
-    "BearingFriction",
-    "CableSpring",
-    "CentreOfMassOffset",
-    "Cogging",
-    "Compliance",
-    "Coulomb",
-    "CurrentLag",
-    "CurrentOffset",
-    "CurrentPD",
-    "DirectionalEfficiency",
-    "DirectionalFriction",
-    "EncoderNonlinearity",
-    "EncoderOffset",
-    "FootCompliance",
-    "FootFriction",
-    "FrictionDrift",
-    "GroundTilt",
-    "GyroBias",
-    "ImuMount",
-    "Latency",
-    "LeftRightAsymmetry",
-    "LinkCentreOfMass",
-    "LinkInertia",
-    "LinkMass",
-    "LoadFriction",
-    "LuGre",
-    "MinimumDuty",
-    "Motor",
-    "PacketDrop",
-    "Payload",
-    "PositionFriction",
-    "PositionServo",
-    "QuadraticDrag",
-    "Stribeck",
-    "TerminalResistance",
-    "TorqueConstant",
-    "TorqueConstantTemperature",
-    "VelocityFilter",
-    "Viscous",
-    "VoltageSag",
-]

@@ -1,12 +1,10 @@
 """What is lost on the servos' bus."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
-from op3.servo.effect import Effect, Parameter, Scope, Stage, register
+from op3.servo.effect import Effect, Parameter, Stage, register
 from op3.servo.machine_code import scalar
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
@@ -26,7 +24,6 @@ def chance(seed, number):
 
 
 @register
-@dataclass(frozen=True)
 class PacketDrop(Effect):
     """Some command packets do not arrive; the servos then hold their last command.
 
@@ -40,23 +37,21 @@ class PacketDrop(Effect):
         signal: what is held: the current of a current-driven servo, or the goal of a position servo.
     """
 
-    name: ClassVar[str] = "packet_drop"
-    stage: ClassVar[Stage] = Stage.TRANSPORT
-    rank: ClassVar[int] = -1
-    equation: ClassVar[str] = "u_k = u_{k-1} with probability p"
-    source: ClassVar[str] = "half-duplex bus, checksum errors: 0 to 3 % of packets"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("drop_probability", "-", 0.0, 0.1, 0.0, 0.0, "p", per_joint=False, least=0.0, most=1.0),
-    )
-    memory: ClassVar[tuple[str, ...]] = ("held", "number")
-    size: ClassVar[str] = "drop_probability"
-    smallest: ClassVar[float] = 0.01
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"drop_probability": 0.05}, {"drop_probability": 0.2})
-    fingerprint: ClassVar[str] = "bursts one period long in all joints at once; more variance, the same mean"
-    confounders: ClassVar[tuple[str, ...]] = ("latency", "current_lag")
-    separating_experiment: ClassVar[str] = "count gaps in the servos' own tick registers"
-    alias_class: ClassVar[str] = "timing"
-    scopes: ClassVar[tuple[Scope, ...]] = ("robot",)
+    name = "packet_drop"
+    stage = Stage.TRANSPORT
+    rank = -1
+    equation = "u_k = u_{k-1} with probability p"
+    source = "half-duplex bus, checksum errors: 0 to 3 % of packets"
+    parameters = (Parameter("drop_probability", "-", 0.0, 0.1, 0.0, 0.0, "p", per_joint=False, least=0.0, most=1.0),)
+    memory = ("held", "number")
+    size = "drop_probability"
+    smallest = 0.01
+    secants = ({"drop_probability": 0.05}, {"drop_probability": 0.2})
+    fingerprint = "bursts one period long in all joints at once; more variance, the same mean"
+    confounders = ("latency", "current_lag")
+    separating_experiment = "count gaps in the servos' own tick registers"
+    alias_class = "timing"
+    scopes = ("robot",)
 
     seed: int = 0
     signal: Literal["target_current", "goal"] = "target_current"

@@ -1,14 +1,14 @@
 """Who closes the position loop, and how late its commands arrive."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import ceil, exp
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from torch import Tensor
 
-from op3.servo.effect import Clock, Effect, Parameter, Scope, Stage, register
+from op3.servo.effect import Clock, Effect, Parameter, Stage, register
 from op3.servo.law import acted, clip, lifted_voltage
 
 CURRENT = 0
@@ -16,7 +16,6 @@ CURRENT = 0
 
 
 @register
-@dataclass(frozen=True)
 class CurrentPD(Effect):
     """Variable-gain PD on the robot's computer, commanding current, held between control ticks.
 
@@ -25,11 +24,11 @@ class CurrentPD(Effect):
         resolution: step of the register that takes the target current [A]; 0 for none.
     """
 
-    name: ClassVar[str] = "current_pd"
-    stage: ClassVar[Stage] = Stage.COMMAND
-    equation: ClassVar[str] = "I* = clip(Kp (q* - q) - Kd w, -I_max, I_max)"
-    source: ClassVar[str] = "paper, section 'Variable Gain PD'; stall current 2.3 A at 12 V, ROBOTIS e-Manual"
-    commands: ClassVar[tuple[str, ...]] = ("p_gain", "d_gain")
+    name = "current_pd"
+    stage = Stage.COMMAND
+    equation = "I* = clip(Kp (q* - q) - Kd w, -I_max, I_max)"
+    source = "paper, section 'Variable Gain PD'; stall current 2.3 A at 12 V, ROBOTIS e-Manual"
+    commands = ("p_gain", "d_gain")
 
     current_limit: float = 2.3
     resolution: float = 0.0
@@ -44,7 +43,6 @@ class CurrentPD(Effect):
 
 
 @register
-@dataclass(frozen=True)
 class Latency(Effect):
     """Commands act late by a constant time, which need not be a whole number of steps.
 
@@ -53,30 +51,24 @@ class Latency(Effect):
         signal: what is late: the current of a current-driven servo, or the goal of a position servo.
     """
 
-    name: ClassVar[str] = "latency"
-    stage: ClassVar[Stage] = Stage.TRANSPORT
-    equation: ClassVar[str] = "u(t) -> u(t - d)"
-    source: ClassVar[str] = "sensor to torque on a 2 Mbit/s bus: about 6 ms sequential, 10 ms pipelined"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    name = "latency"
+    stage = Stage.TRANSPORT
+    equation = "u(t) -> u(t - d)"
+    source = "sensor to torque on a 2 Mbit/s bus: about 6 ms sequential, 10 ms pipelined"
+    parameters = (
         Parameter("command_latency", "s", 0.0, 0.016, 0.006, 0.0, "time from reading sensors to torque", least=0.0),
     )
-    constants: ClassVar[tuple[str, ...]] = ("steps", "steps_per_tick")
-    size: ClassVar[str] = "command_latency"
-    smallest: ClassVar[float] = 0.0005
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = (
-        {"command_latency": 0.001},
-        {"command_latency": -0.001},
-        {"command_latency": 0.004},
-    )
-    fingerprint: ClassVar[str] = (
-        "in proportion to the rate of the command; a shift of the same length at every frequency"
-    )
-    confounders: ClassVar[tuple[str, ...]] = ("current_lag", "velocity_filter", "packet_drop")
-    separating_experiment: ClassVar[str] = (
+    constants = ("steps", "steps_per_tick")
+    size = "command_latency"
+    smallest = 0.0005
+    secants = ({"command_latency": 0.001}, {"command_latency": -0.001}, {"command_latency": 0.004})
+    fingerprint = "in proportion to the rate of the command; a shift of the same length at every frequency"
+    confounders = ("current_lag", "velocity_filter", "packet_drop")
+    separating_experiment = (
         "chirp of the command above 20 Hz: a shift has linear phase, a lag rolls off; low and high gain"
     )
-    alias_class: ClassVar[str] = "timing"
-    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint")
+    alias_class = "timing"
+    scopes = ("shared", "joint")
 
     longest: float = 0.024
     signal: Literal["target_current", "goal"] = "target_current"
@@ -140,7 +132,6 @@ class Latency(Effect):
 
 
 @register
-@dataclass(frozen=True)
 class PositionServo(Effect):
     """A servo's own position loop, which sets the duty cycle of its driver once per simulation step.
 
@@ -151,25 +142,25 @@ class PositionServo(Effect):
         goal_filter: time constant of the filter on the goal's derivative [s].
     """
 
-    name: ClassVar[str] = "position_servo"
-    stage: ClassVar[Stage] = Stage.CONTROLLER
-    equation: ClassVar[str] = "V = V_bus clip(c kp g (goal - q) + kd (d goal/dt - w), -d_max, d_max)"
-    source: ClassVar[str] = "Feetech STS3032 and Dynamixel XL330 as recorded on Rhoban's servo bench"
-    memory: ClassVar[tuple[str, ...]] = ("goal", "goal_rate")
-    constants: ClassVar[tuple[str, ...]] = ("stride", "forget")
-    commands: ClassVar[tuple[str, ...]] = ("firmware_gain",)
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    name = "position_servo"
+    stage = Stage.CONTROLLER
+    equation = "V = V_bus clip(c kp g (goal - q) + kd (d goal/dt - w), -d_max, d_max)"
+    source = "Feetech STS3032 and Dynamixel XL330 as recorded on Rhoban's servo bench"
+    memory = ("goal", "goal_rate")
+    constants = ("stride", "forget")
+    commands = ("firmware_gain",)
+    parameters = (
         Parameter("controller_gain", "-", 0.6, 1.4, 1.0, 1.0, "factor c on the firmware's nominal gain"),
         Parameter("derivative_gain", "s/rad", 0.0, 0.06, 0.0, 0.0, "duty per rad/s of the error's rate, kd"),
     )
-    size: ClassVar[str] = "controller_gain"
-    smallest: ClassVar[float] = 0.02
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"controller_gain": 0.1}, {"derivative_gain": 0.005})
-    fingerprint: ClassVar[str] = "in proportion to the position error, in the duty as well as in the torque"
-    confounders: ClassVar[tuple[str, ...]] = ("encoder_offset", "torque_constant", "minimum_duty")
-    separating_experiment: ClassVar[str] = "read the duty register: two gains, a hold against a known weight"
-    alias_class: ClassVar[str] = "controller"
-    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint")
+    size = "controller_gain"
+    smallest = 0.02
+    secants = ({"controller_gain": 0.1}, {"derivative_gain": 0.005})
+    fingerprint = "in proportion to the position error, in the duty as well as in the torque"
+    confounders = ("encoder_offset", "torque_constant", "minimum_duty")
+    separating_experiment = "read the duty register: two gains, a hold against a known weight"
+    alias_class = "controller"
+    scopes = ("shared", "joint")
 
     error_gain: float = 0.166
     max_duty: float = 0.97
@@ -201,7 +192,6 @@ class PositionServo(Effect):
 
 
 @register
-@dataclass(frozen=True)
 class MinimumDuty(Effect):
     """Firmware or driver that raises small duties, so that the motor starts in spite of its friction.
 
@@ -209,27 +199,22 @@ class MinimumDuty(Effect):
     that regulates current.
     """
 
-    name: ClassVar[str] = "minimum_duty"
-    stage: ClassVar[Stage] = Stage.DRIVER
-    equation: ClassVar[str] = "V += V_bus d0 sign(V) (1 - exp(-|V| / (V_bus d1))), |V| <= V_bus"
-    source: ClassVar[str] = (
-        "start-up duty of the Feetech STS3032 (its registers have one); seen on Rhoban's servo bench"
-    )
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    name = "minimum_duty"
+    stage = Stage.DRIVER
+    equation = "V += V_bus d0 sign(V) (1 - exp(-|V| / (V_bus d1))), |V| <= V_bus"
+    source = "start-up duty of the Feetech STS3032 (its registers have one); seen on Rhoban's servo bench"
+    parameters = (
         Parameter("minimum_duty", "-", 0.0, 0.15, 0.03, 0.0, "duty added, d0", least=0.0),
         Parameter("minimum_duty_fade", "-", 0.01, 0.3, 0.08, None, "duty over which the lift sets in, d1", least=1e-4),
     )
-    size: ClassVar[str] = "minimum_duty"
-    smallest: ClassVar[float] = 0.005
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = (
-        {"minimum_duty": 0.02, "minimum_duty_fade": 0.03},
-        {"minimum_duty": 0.02, "minimum_duty_fade": 0.15},
-    )
-    fingerprint: ClassVar[str] = "in proportion to the sign of the duty near zero duty, none at large duties"
-    confounders: ClassVar[tuple[str, ...]] = ("coulomb", "stribeck", "terminal_resistance")
-    separating_experiment: ClassVar[str] = "small steps of the goal around rest at two bus voltages"
-    alias_class: ClassVar[str] = "supply"
-    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint")
+    size = "minimum_duty"
+    smallest = 0.005
+    secants = ({"minimum_duty": 0.02, "minimum_duty_fade": 0.03}, {"minimum_duty": 0.02, "minimum_duty_fade": 0.15})
+    fingerprint = "in proportion to the sign of the duty near zero duty, none at large duties"
+    confounders = ("coulomb", "stribeck", "terminal_resistance")
+    separating_experiment = "small steps of the goal around rest at two bus voltages"
+    alias_class = "supply"
+    scopes = ("shared", "joint")
 
     @staticmethod
     def apply(s, p):

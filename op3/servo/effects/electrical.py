@@ -1,13 +1,12 @@
 """What the motor's circuit does beyond the model: its constants, its supply and its current loop."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from math import exp, inf
-from typing import ClassVar, Literal
+from typing import Literal
 
 from torch import Tensor
 
-from op3.servo.effect import Effect, Parameter, Scope, Stage, register
+from op3.servo.effect import Effect, Parameter, Stage, register
 from op3.servo.law import clip, lags_per_step
 
 CURRENT = 0
@@ -18,7 +17,6 @@ REFERENCE_TEMPERATURE = 25.0
 
 
 @register
-@dataclass(frozen=True)
 class TorqueConstant(Effect):
     """Relative error of the torque constant, and with it of the back-EMF.
 
@@ -26,21 +24,19 @@ class TorqueConstant(Effect):
     the same factor.
     """
 
-    name: ClassVar[str] = "torque_constant"
-    stage: ClassVar[Stage] = Stage.MOTOR
-    equation: ClassVar[str] = "Kt *= 1 + e"
-    source: ClassVar[str] = "XM430: 1.79 N m/A loaded (ROBOTIS graph) against 2.35 V s/rad from its no-load speed"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("torque_constant_error", "-", -0.25, 0.25, 0.0, 0.0, "e, relative", least=-0.9),
-    )
-    size: ClassVar[str] = "torque_constant_error"
-    smallest: ClassVar[float] = 0.03
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"torque_constant_error": 0.05},)
-    fingerprint: ClassVar[str] = "in proportion to current, the same whether the motor drives or is driven"
-    confounders: ClassVar[tuple[str, ...]] = ("payload", "link_mass", "torque_constant_temperature", "dte")
-    separating_experiment: ClassVar[str] = "a known added mass, or a force gauge at the foot"
-    alias_class: ClassVar[str] = "torque_scale"
-    scopes: ClassVar[tuple[Scope, ...]] = ("joint", "shared", "side")
+    name = "torque_constant"
+    stage = Stage.MOTOR
+    equation = "Kt *= 1 + e"
+    source = "XM430: 1.79 N m/A loaded (ROBOTIS graph) against 2.35 V s/rad from its no-load speed"
+    parameters = (Parameter("torque_constant_error", "-", -0.25, 0.25, 0.0, 0.0, "e, relative", least=-0.9),)
+    size = "torque_constant_error"
+    smallest = 0.03
+    secants = ({"torque_constant_error": 0.05},)
+    fingerprint = "in proportion to current, the same whether the motor drives or is driven"
+    confounders = ("payload", "link_mass", "torque_constant_temperature", "dte")
+    separating_experiment = "a known added mass, or a force gauge at the foot"
+    alias_class = "torque_scale"
+    scopes = ("joint", "shared", "side")
 
     def adjust(self, values: Mapping[str, Tensor], sides: Tensor) -> Mapping[str, Tensor]:
         """Scale the motor's parameter."""
@@ -48,30 +44,26 @@ class TorqueConstant(Effect):
 
 
 @register
-@dataclass(frozen=True)
 class TerminalResistance(Effect):
     """Relative error of the terminal resistance, and its growth with temperature."""
 
-    name: ClassVar[str] = "terminal_resistance"
-    stage: ClassVar[Stage] = Stage.DRIVER
-    equation: ClassVar[str] = "R *= (1 + e) (1 + a (T - 25 C))"
-    source: ClassVar[str] = "copper: 0.0039 per K (IEC 60228)"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    name = "terminal_resistance"
+    stage = Stage.DRIVER
+    equation = "R *= (1 + e) (1 + a (T - 25 C))"
+    source = "copper: 0.0039 per K (IEC 60228)"
+    parameters = (
         Parameter("terminal_resistance_error", "-", -0.3, 0.3, 0.0, 0.0, "e, relative", least=-0.9),
         Parameter("resistance_temperature_coefficient", "1/K", 0.0, 0.006, 0.0, 0.0, "a, per measured K", least=0.0),
     )
-    reads: ClassVar[tuple[str, ...]] = ("temperature",)
-    size: ClassVar[str] = "terminal_resistance_error"
-    smallest: ClassVar[float] = 0.05
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = (
-        {"terminal_resistance_error": 0.1},
-        {"resistance_temperature_coefficient": 0.004},
-    )
-    fingerprint: ClassVar[str] = "only where the bus voltage limits the current; the slope of current over speed there"
-    confounders: ClassVar[tuple[str, ...]] = ("voltage_sag", "torque_constant", "minimum_duty")
-    separating_experiment: ClassVar[str] = "saturation at two speeds and two bus voltages"
-    alias_class: ClassVar[str] = "supply"
-    scopes: ClassVar[tuple[Scope, ...]] = ("joint", "shared", "side")
+    reads = ("temperature",)
+    size = "terminal_resistance_error"
+    smallest = 0.05
+    secants = ({"terminal_resistance_error": 0.1}, {"resistance_temperature_coefficient": 0.004})
+    fingerprint = "only where the bus voltage limits the current; the slope of current over speed there"
+    confounders = ("voltage_sag", "torque_constant", "minimum_duty")
+    separating_experiment = "saturation at two speeds and two bus voltages"
+    alias_class = "supply"
+    scopes = ("joint", "shared", "side")
 
     def adjust(self, values: Mapping[str, Tensor], sides: Tensor) -> Mapping[str, Tensor]:
         """Scale the motor's parameter."""
@@ -84,26 +76,23 @@ class TerminalResistance(Effect):
 
 
 @register
-@dataclass(frozen=True)
 class TorqueConstantTemperature(Effect):
     """Magnets weaken with temperature; the measured one of each servo, 25 C where none is measured."""
 
-    name: ClassVar[str] = "torque_constant_temperature"
-    stage: ClassVar[Stage] = Stage.DRIVER
-    equation: ClassVar[str] = "Kt *= 1 - a (T - 25 C)"
-    source: ClassVar[str] = "remanence of NdFeB falls 0.0011 per K, of ferrite 0.002 per K"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("magnet_temperature_coefficient", "1/K", 0.0, 0.004, 0.0, 0.0, "a, per measured K"),
-    )
-    reads: ClassVar[tuple[str, ...]] = ("temperature",)
-    size: ClassVar[str] = "magnet_temperature_coefficient"
-    smallest: ClassVar[float] = 5e-4
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"magnet_temperature_coefficient": 0.001},)
-    fingerprint: ClassVar[str] = "in proportion to current times the temperature above the reference"
-    confounders: ClassVar[tuple[str, ...]] = ("torque_constant", "payload", "friction_drift")
-    separating_experiment: ClassVar[str] = "the same motion cold (25 C) and hot (55 C or more)"
-    alias_class: ClassVar[str] = "temperature"
-    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint")
+    name = "torque_constant_temperature"
+    stage = Stage.DRIVER
+    equation = "Kt *= 1 - a (T - 25 C)"
+    source = "remanence of NdFeB falls 0.0011 per K, of ferrite 0.002 per K"
+    parameters = (Parameter("magnet_temperature_coefficient", "1/K", 0.0, 0.004, 0.0, 0.0, "a, per measured K"),)
+    reads = ("temperature",)
+    size = "magnet_temperature_coefficient"
+    smallest = 5e-4
+    secants = ({"magnet_temperature_coefficient": 0.001},)
+    fingerprint = "in proportion to current times the temperature above the reference"
+    confounders = ("torque_constant", "payload", "friction_drift")
+    separating_experiment = "the same motion cold (25 C) and hot (55 C or more)"
+    alias_class = "temperature"
+    scopes = ("shared", "joint")
 
     @staticmethod
     def apply(s, p):
@@ -112,7 +101,6 @@ class TorqueConstantTemperature(Effect):
 
 
 @register
-@dataclass(frozen=True)
 class VoltageSag(Effect):
     """The supply's voltage falls with the current of all servos, through battery and harness.
 
@@ -124,23 +112,21 @@ class VoltageSag(Effect):
         least_voltage: the bus falls no further [V].
     """
 
-    name: ClassVar[str] = "voltage_sag"
-    stage: ClassVar[Stage] = Stage.TRANSPORT
-    equation: ClassVar[str] = "V_bus = V0 - Rb sum |I|"
-    source: ClassVar[str] = "inner resistance of a 3S pack with harness, 0.1 to 0.6 ohm"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("supply_resistance", "ohm", 0.0, 0.6, 0.0, 0.0, "Rb", per_joint=False, least=0.0),
-    )
-    memory: ClassVar[tuple[str, ...]] = ("drawn",)
-    constants: ClassVar[tuple[str, ...]] = ("keep",)
-    size: ClassVar[str] = "supply_resistance"
-    smallest: ClassVar[float] = 0.05
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"supply_resistance": 0.1}, {"supply_resistance": 0.3})
-    fingerprint: ClassVar[str] = "only in saturation, and in proportion to the currents of the other joints"
-    confounders: ClassVar[tuple[str, ...]] = ("terminal_resistance", "minimum_duty")
-    separating_experiment: ClassVar[str] = "saturate one joint alone and all joints together; measured bus voltage"
-    alias_class: ClassVar[str] = "supply"
-    scopes: ClassVar[tuple[Scope, ...]] = ("robot",)
+    name = "voltage_sag"
+    stage = Stage.TRANSPORT
+    equation = "V_bus = V0 - Rb sum |I|"
+    source = "inner resistance of a 3S pack with harness, 0.1 to 0.6 ohm"
+    parameters = (Parameter("supply_resistance", "ohm", 0.0, 0.6, 0.0, 0.0, "Rb", per_joint=False, least=0.0),)
+    memory = ("drawn",)
+    constants = ("keep",)
+    size = "supply_resistance"
+    smallest = 0.05
+    secants = ({"supply_resistance": 0.1}, {"supply_resistance": 0.3})
+    fingerprint = "only in saturation, and in proportion to the currents of the other joints"
+    confounders = ("terminal_resistance", "minimum_duty")
+    separating_experiment = "saturate one joint alone and all joints together; measured bus voltage"
+    alias_class = "supply"
+    scopes = ("robot",)
 
     time_constant: float = 0.002
     least_voltage: float = 1.0
@@ -164,7 +150,6 @@ class VoltageSag(Effect):
 
 
 @register
-@dataclass(frozen=True)
 class CurrentLag(Effect):
     """The current follows its command as a first-order lag, integrated exactly.
 
@@ -175,29 +160,27 @@ class CurrentLag(Effect):
             the lag of its windings' inductance.
     """
 
-    name: ClassVar[str] = "current_lag"
-    stage: ClassVar[Stage] = Stage.DRIVER
-    rank: ClassVar[int] = 1
-    equation: ClassVar[str] = "dI/dt = (u - I) / Tc"
-    source: ClassVar[str] = "closed current loop of a servo, 0.5 to 5 ms"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("current_time_constant", "s", 0.0, 0.01, 0.0, 0.0, "Tc", least=0.0),
-    )
-    memory: ClassVar[tuple[str, ...]] = ("end", "wanted")
-    constants: ClassVar[tuple[str, ...]] = ("rate", "left")
-    size: ClassVar[str] = "current_time_constant"
-    smallest: ClassVar[float] = 0.0005
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = (
+    name = "current_lag"
+    stage = Stage.DRIVER
+    rank = 1
+    equation = "dI/dt = (u - I) / Tc"
+    source = "closed current loop of a servo, 0.5 to 5 ms"
+    parameters = (Parameter("current_time_constant", "s", 0.0, 0.01, 0.0, 0.0, "Tc", least=0.0),)
+    memory = ("end", "wanted")
+    constants = ("rate", "left")
+    size = "current_time_constant"
+    smallest = 0.0005
+    secants = (
         {"current_time_constant": 0.001, "command_latency": -0.001},
         {"current_time_constant": 0.003, "command_latency": -0.003},
         {"current_time_constant": 0.008, "command_latency": -0.008},
         {"current_time_constant": 0.001},
     )
-    fingerprint: ClassVar[str] = "measured current lags its command by a fraction of a sample and is rounded off"
-    confounders: ClassVar[tuple[str, ...]] = ("latency", "velocity_filter", "packet_drop")
-    separating_experiment: ClassVar[str] = "chirp of the command above 20 Hz: a shift has linear phase, a lag rolls off"
-    alias_class: ClassVar[str] = "timing"
-    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint")
+    fingerprint = "measured current lags its command by a fraction of a sample and is rounded off"
+    confounders = ("latency", "velocity_filter", "packet_drop")
+    separating_experiment = "chirp of the command above 20 Hz: a shift has linear phase, a lag rolls off"
+    alias_class = "timing"
+    scopes = ("shared", "joint")
 
     signal: Literal["target_current", "voltage"] = "target_current"
 
@@ -234,28 +217,25 @@ class CurrentLag(Effect):
 
 
 @register
-@dataclass(frozen=True)
 class CurrentOffset(Effect):
     """The servo's current sensor reads too much by a constant, which a current loop regulates away.
 
     So the motor carries that much less than commanded: a constant torque. A servo driven by voltage only reports it.
     """
 
-    name: ClassVar[str] = "current_offset"
-    stage: ClassVar[Stage] = Stage.DRIVER
-    equation: ClassVar[str] = "I_measured = I + o; regulated: I = I* - o"
-    source: ClassVar[str] = "current unit of the XM430 2.69 mA; offsets of 5 to 30 mA"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("current_offset", "A", -0.05, 0.05, 0.0, 0.0, "o, reading without current"),
-    )
-    size: ClassVar[str] = "current_offset"
-    smallest: ClassVar[float] = 0.005
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"current_offset": 0.01},)
-    fingerprint: ClassVar[str] = "a constant torque in all poses, in both directions and at rest"
-    confounders: ClassVar[tuple[str, ...]] = ("asymmetric_friction", "cable_spring", "link_com", "encoder_offset")
-    separating_experiment: ClassVar[str] = "turn the base: gravity turns, the offset stays; the reading with torque off"
-    alias_class: ClassVar[str] = "torque_bias"
-    scopes: ClassVar[tuple[Scope, ...]] = ("joint", "shared", "side")
+    name = "current_offset"
+    stage = Stage.DRIVER
+    equation = "I_measured = I + o; regulated: I = I* - o"
+    source = "current unit of the XM430 2.69 mA; offsets of 5 to 30 mA"
+    parameters = (Parameter("current_offset", "A", -0.05, 0.05, 0.0, 0.0, "o, reading without current"),)
+    size = "current_offset"
+    smallest = 0.005
+    secants = ({"current_offset": 0.01},)
+    fingerprint = "a constant torque in all poses, in both directions and at rest"
+    confounders = ("asymmetric_friction", "cable_spring", "link_com", "encoder_offset")
+    separating_experiment = "turn the base: gravity turns, the offset stays; the reading with torque off"
+    alias_class = "torque_bias"
+    scopes = ("joint", "shared", "side")
 
     @staticmethod
     def apply(s, p):

@@ -4,14 +4,12 @@ Each adds to one bound, ``tau_fric = fc + s (fs - fc) + kv |w|``, which MuJoCo r
 in every step: a friction that can hold the joint still and always opposes its motion.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from math import inf
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
-from op3.servo.effect import Effect, Parameter, Scope, Stage, register
+from op3.servo.effect import Effect, Parameter, Stage, register
 from op3.servo.law import clip, stribeck_fade
 
 GAUSSIAN = 1
@@ -19,28 +17,25 @@ GAUSSIAN = 1
 
 
 @register
-@dataclass(frozen=True)
 class Coulomb(Effect):
     """Friction that is the same at every speed."""
 
-    name: ClassVar[str] = "coulomb"
-    stage: ClassVar[Stage] = Stage.FRICTION
-    equation: ClassVar[str] = "tau_fric += fc"
-    source: ClassVar[str] = "paper eq. (4); range from Table I"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("coulomb_friction", "N m", 0.01, 0.25, 0.1, 0.0, "fc", least=0.0),
-    )
-    size: ClassVar[str] = "coulomb_friction"
-    smallest: ClassVar[float] = 0.01
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"coulomb_friction": 0.02},)
-    fingerprint: ClassVar[str] = (
+    name = "coulomb"
+    stage = Stage.FRICTION
+    equation = "tau_fric += fc"
+    source = "paper eq. (4); range from Table I"
+    parameters = (Parameter("coulomb_friction", "N m", 0.01, 0.25, 0.1, 0.0, "fc", least=0.0),)
+    size = "coulomb_friction"
+    smallest = 0.01
+    secants = ({"coulomb_friction": 0.02},)
+    fingerprint = (
         "odd in velocity, the same at every speed and load; a hysteresis loop of constant width 2 fc in "
         "torque over angle"
     )
-    confounders: ClassVar[tuple[str, ...]] = ("asymmetric_friction", "current_offset", "dte")
-    separating_experiment: ClassVar[str] = "slow triangle both ways at two loads"
-    alias_class: ClassVar[str] = "coulomb"
-    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
+    confounders = ("asymmetric_friction", "current_offset", "dte")
+    separating_experiment = "slow triangle both ways at two loads"
+    alias_class = "coulomb"
+    scopes = ("shared", "joint", "side")
 
     @staticmethod
     def apply(s, p):
@@ -49,7 +44,6 @@ class Coulomb(Effect):
 
 
 @register
-@dataclass(frozen=True)
 class Stribeck(Effect):
     """Friction that is higher near rest and fades with speed.
 
@@ -57,37 +51,29 @@ class Stribeck(Effect):
         fade: how it fades: ``exponential`` as in the paper, or ``gaussian``.
     """
 
-    name: ClassVar[str] = "stribeck"
-    stage: ClassVar[Stage] = Stage.FRICTION
-    equation: ClassVar[str] = "tau_fric += (fs - fc) exp(-|w| / w_static)"
-    source: ClassVar[str] = "paper eq. (4), the exponential corrected; range of fs - fc from Table I"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    name = "stribeck"
+    stage = Stage.FRICTION
+    equation = "tau_fric += (fs - fc) exp(-|w| / w_static)"
+    source = "paper eq. (4), the exponential corrected; range of fs - fc from Table I"
+    parameters = (
         Parameter("static_friction_excess", "N m", 0.0, 0.25, 0.05, 0.0, "fs - fc", least=0.0),
         Parameter(
-            "stribeck_velocity",
-            "rad/s",
-            0.02,
-            3.0,
-            0.1,
-            None,
-            "w_static; the paper gives no value",
-            least=1e-4,
-            searched=False,
+            "stribeck_velocity", "rad/s", 0.02, 3.0, 0.1, None, "w_static, not in the paper", least=1e-4, searched=False
         ),
     )
-    size: ClassVar[str] = "static_friction_excess"
-    smallest: ClassVar[float] = 0.01
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = (
+    size = "static_friction_excess"
+    smallest = 0.01
+    secants = (
         {"static_friction_excess": 0.03, "stribeck_velocity": 0.05},
         {"static_friction_excess": 0.03, "stribeck_velocity": 0.15},
         {"static_friction_excess": 0.03, "stribeck_velocity": 0.5},
         {"static_friction_excess": 0.03, "stribeck_velocity": 1.5},
     )
-    fingerprint: ClassVar[str] = "odd in velocity and only below w_static; stick-slip and limit cycles near rest"
-    confounders: ClassVar[tuple[str, ...]] = ("viscous", "lugre", "backlash", "load_friction")
-    separating_experiment: ClassVar[str] = "slow sweeps at 0.02, 0.05, 0.1 and 0.2 rad/s at two loads"
-    alias_class: ClassVar[str] = "near_rest"
-    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
+    fingerprint = "odd in velocity and only below w_static; stick-slip and limit cycles near rest"
+    confounders = ("viscous", "lugre", "backlash", "load_friction")
+    separating_experiment = "slow sweeps at 0.02, 0.05, 0.1 and 0.2 rad/s at two loads"
+    alias_class = "near_rest"
+    scopes = ("shared", "joint", "side")
 
     fade: Literal["exponential", "gaussian"] = "exponential"
 
@@ -99,30 +85,22 @@ class Stribeck(Effect):
 
 
 @register
-@dataclass(frozen=True)
 class Viscous(Effect):
     """Friction in proportion to speed, as a term of the bound like the others."""
 
-    name: ClassVar[str] = "viscous"
-    stage: ClassVar[Stage] = Stage.FRICTION
-    equation: ClassVar[str] = "tau_fric += kv |w|"
-    source: ClassVar[str] = "paper eq. (4); range from Table I"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("viscous_friction", "N m s/rad", 0.0025, 0.15, 0.03, 0.0, "kv", least=0.0),
-    )
-    size: ClassVar[str] = "viscous_friction"
-    smallest: ClassVar[float] = 0.005
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"viscous_friction": 0.01},)
-    fingerprint: ClassVar[str] = "odd in velocity and in proportion to it"
-    confounders: ClassVar[tuple[str, ...]] = (
-        "quadratic_drag",
-        "bearing_friction",
-        "terminal_resistance",
-        "torque_constant",
-    )
-    separating_experiment: ClassVar[str] = "three speeds, one of them fast; two temperatures"
-    alias_class: ClassVar[str] = "speed_friction"
-    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
+    name = "viscous"
+    stage = Stage.FRICTION
+    equation = "tau_fric += kv |w|"
+    source = "paper eq. (4); range from Table I"
+    parameters = (Parameter("viscous_friction", "N m s/rad", 0.0025, 0.15, 0.03, 0.0, "kv", least=0.0),)
+    size = "viscous_friction"
+    smallest = 0.005
+    secants = ({"viscous_friction": 0.01},)
+    fingerprint = "odd in velocity and in proportion to it"
+    confounders = ("quadratic_drag", "bearing_friction", "terminal_resistance", "torque_constant")
+    separating_experiment = "three speeds, one of them fast; two temperatures"
+    alias_class = "speed_friction"
+    scopes = ("shared", "joint", "side")
 
     @staticmethod
     def apply(s, p):
@@ -131,26 +109,23 @@ class Viscous(Effect):
 
 
 @register
-@dataclass(frozen=True)
 class BearingFriction(Effect):
     """Viscous friction of the output's bearing, in proportion to the radial force that the shaft carries."""
 
-    name: ClassVar[str] = "bearing_friction"
-    stage: ClassVar[Stage] = Stage.FRICTION
-    equation: ClassVar[str] = "tau_fric += kb F_r |w|"
-    source: ClassVar[str] = "plain bearing under load; on Rhoban's servo bench, damping grows with the weight carried"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("bearing_friction", "m s/rad", 0.0, 0.001, 0.0001, 0.0, "kb, per radial force", least=0.0),
-    )
-    reads: ClassVar[tuple[str, ...]] = ("radial_force",)
-    size: ClassVar[str] = "bearing_friction"
-    smallest: ClassVar[float] = 1e-05
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"bearing_friction": 5e-5},)
-    fingerprint: ClassVar[str] = "odd in velocity, in proportion to speed and to the weight carried"
-    confounders: ClassVar[tuple[str, ...]] = ("viscous", "quadratic_drag", "load_friction")
-    separating_experiment: ClassVar[str] = "one speed at two loads"
-    alias_class: ClassVar[str] = "speed_friction"
-    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
+    name = "bearing_friction"
+    stage = Stage.FRICTION
+    equation = "tau_fric += kb F_r |w|"
+    source = "plain bearing under load; on Rhoban's servo bench, damping grows with the weight carried"
+    parameters = (Parameter("bearing_friction", "m s/rad", 0.0, 0.001, 0.0001, 0.0, "kb, per radial force", least=0.0),)
+    reads = ("radial_force",)
+    size = "bearing_friction"
+    smallest = 1e-05
+    secants = ({"bearing_friction": 5e-5},)
+    fingerprint = "odd in velocity, in proportion to speed and to the weight carried"
+    confounders = ("viscous", "quadratic_drag", "load_friction")
+    separating_experiment = "one speed at two loads"
+    alias_class = "speed_friction"
+    scopes = ("shared", "joint", "side")
 
     @staticmethod
     def apply(s, p):
@@ -159,7 +134,6 @@ class BearingFriction(Effect):
 
 
 @register
-@dataclass(frozen=True)
 class AsymmetricFriction(Effect):
     """Coulomb friction that is higher in one direction of motion, and as much lower in the other.
 
@@ -170,25 +144,22 @@ class AsymmetricFriction(Effect):
         rest: below this speed a joint counts as resting [rad/s].
     """
 
-    name: ClassVar[str] = "asymmetric_friction"
-    stage: ClassVar[Stage] = Stage.FRICTION
-    rank: ClassVar[int] = 2  # what is less than nothing has to be known
-    equation: ClassVar[str] = "tau_fric += sign(w) a / 2, not below 0"
-    source: ClassVar[str] = "skewed teeth, worms and preloaded seals; differences of 0.01 to 0.1 N m"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    name = "asymmetric_friction"
+    stage = Stage.FRICTION
+    rank = 2  # what is less than nothing has to be known
+    equation = "tau_fric += sign(w) a / 2, not below 0"
+    source = "skewed teeth, worms and preloaded seals; differences of 0.01 to 0.1 N m"
+    parameters = (
         Parameter("asymmetric_friction", "N m", -0.15, 0.15, 0.0, 0.0, "a, friction for w > 0 less that for w < 0"),
     )
-    size: ClassVar[str] = "asymmetric_friction"
-    smallest: ClassVar[float] = 0.01
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = (
-        {"asymmetric_friction": 0.03},
-        {"asymmetric_friction": -0.03},
-    )
-    fingerprint: ClassVar[str] = "even in velocity and constant, like a current offset but only in motion"
-    confounders: ClassVar[tuple[str, ...]] = ("current_offset", "coulomb", "link_com")
-    separating_experiment: ClassVar[str] = "slow triangle both ways in two attitudes; torque at rest"
-    alias_class: ClassVar[str] = "torque_bias"
-    scopes: ClassVar[tuple[Scope, ...]] = ("joint", "shared", "side")
+    size = "asymmetric_friction"
+    smallest = 0.01
+    secants = ({"asymmetric_friction": 0.03}, {"asymmetric_friction": -0.03})
+    fingerprint = "even in velocity and constant, like a current offset but only in motion"
+    confounders = ("current_offset", "coulomb", "link_com")
+    separating_experiment = "slow triangle both ways in two attitudes; torque at rest"
+    alias_class = "torque_bias"
+    scopes = ("joint", "shared", "side")
 
     rest: float = 0.001
 
@@ -201,25 +172,22 @@ class AsymmetricFriction(Effect):
 
 
 @register
-@dataclass(frozen=True)
 class QuadraticDrag(Effect):
     """Friction that grows with the square of speed: churned grease, air."""
 
-    name: ClassVar[str] = "quadratic_drag"
-    stage: ClassVar[Stage] = Stage.FRICTION
-    equation: ClassVar[str] = "tau_fric += c w^2"
-    source: ClassVar[str] = "churning loss of a gear box; 0.001 to 0.03 N m s2/rad2"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("quadratic_drag", "N m s^2/rad^2", 0.0, 0.03, 0.0, 0.0, "c", least=0.0),
-    )
-    size: ClassVar[str] = "quadratic_drag"
-    smallest: ClassVar[float] = 0.001
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"quadratic_drag": 0.005},)
-    fingerprint: ClassVar[str] = "odd in velocity and growing faster than in proportion to it"
-    confounders: ClassVar[tuple[str, ...]] = ("viscous", "stribeck", "bearing_friction")
-    separating_experiment: ClassVar[str] = "three speeds, one of them fast"
-    alias_class: ClassVar[str] = "speed_friction"
-    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
+    name = "quadratic_drag"
+    stage = Stage.FRICTION
+    equation = "tau_fric += c w^2"
+    source = "churning loss of a gear box; 0.001 to 0.03 N m s2/rad2"
+    parameters = (Parameter("quadratic_drag", "N m s^2/rad^2", 0.0, 0.03, 0.0, 0.0, "c", least=0.0),)
+    size = "quadratic_drag"
+    smallest = 0.001
+    secants = ({"quadratic_drag": 0.005},)
+    fingerprint = "odd in velocity and growing faster than in proportion to it"
+    confounders = ("viscous", "stribeck", "bearing_friction")
+    separating_experiment = "three speeds, one of them fast"
+    alias_class = "speed_friction"
+    scopes = ("shared", "joint", "side")
 
     @staticmethod
     def apply(s, p):

@@ -1,23 +1,18 @@
 """Losses of the gear train that depend on load."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
-from op3.servo.effect import Effect, Parameter, Scope, Stage, register
+from op3.servo.effect import Effect, Parameter, Stage, register
 from op3.servo.effects.presliding import deflection
 from op3.servo.law import dte_brake, dte_passive_loss, dte_power_loss, motor_leads, zones
 
 PASSIVE, POWER = 0, 2
 """Places of the forms in their list."""
 
-_SHARE: dict[str, Any] = {"least": 0.0, "most": 1.0}
-
 
 @register
-@dataclass(frozen=True)
 class DirectionalEfficiency(Effect):
     """Directional transmission efficiency (DTE): a gear is harder to drive from its output.
 
@@ -29,56 +24,29 @@ class DirectionalEfficiency(Effect):
             the brake torque of paper eq. (3).
     """
 
-    name: ClassVar[str] = "dte"
-    stage: ClassVar[Stage] = Stage.GEAR
-    equation: ClassVar[str] = (
-        "tau_loss = (1 - eta_fw) |tau_m| where the motor leads, (1 - eta_bw) |tau_a| where the load leads"
-    )
-    source: ClassVar[str] = "paper eq. (3), its second condition corrected; ranges from Table I"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    name = "dte"
+    stage = Stage.GEAR
+    equation = "tau_loss = (1 - eta_fw) |tau_m| where the motor leads, (1 - eta_bw) |tau_a| where the load leads"
+    source = "paper eq. (3), its second condition corrected; ranges from Table I"
+    parameters = (
         Parameter(
-            "forward_efficiency",
-            "-",
-            0.6,
-            1.0,
-            1.0,
-            1.0,
-            "torque that arrives when the motor drives",
-            least=0.0,
-            most=1.0,
-            searched=False,
+            "forward_efficiency", "-", 0.6, 1.0, 1.0, 1.0, "of the motor's torque", least=0.0, most=1.0, searched=False
         ),
-        Parameter(
-            "backward_efficiency",
-            "-",
-            0.6,
-            1.0,
-            0.8,
-            1.0,
-            "torque that arrives when the load drives",
-            least=0.0,
-            most=1.0,
-        ),
+        Parameter("backward_efficiency", "-", 0.6, 1.0, 0.8, 1.0, "of the load's torque", least=0.0, most=1.0),
     )
-    size: ClassVar[str] = "backward_efficiency"
-    smallest: ClassVar[float] = 0.03
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"backward_efficiency": -0.05}, {"backward_efficiency": -0.2})
-    fingerprint: ClassVar[str] = (
+    size = "backward_efficiency"
+    smallest = 0.03
+    secants = ({"backward_efficiency": -0.05}, {"backward_efficiency": -0.2})
+    fingerprint = (
         "in proportion to the load where the load drives (lowering, braking, landing), none where the motor drives"
     )
-    confounders: ClassVar[tuple[str, ...]] = (
-        "load_friction",
-        "directional_friction",
-        "antagonistic_friction",
-        "torque_constant",
-        "payload",
-    )
-    separating_experiment: ClassVar[str] = (
+    confounders = ("load_friction", "directional_friction", "antagonistic_friction", "torque_constant", "payload")
+    separating_experiment = (
         "hold test: creep the load up and down at rest; the hysteresis of the current grows with load for "
         "friction; two loads"
     )
-    alias_class: ClassVar[str] = "load_loss"
-    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
+    alias_class = "load_loss"
+    scopes = ("shared", "joint", "side")
 
     form: Literal["passive", "printed", "power"] = "passive"
 

@@ -1,69 +1,62 @@
 """Feet and floor."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import ClassVar
 
 from torch import Tensor
 
-from op3.servo.effect import Effect, ModelEdit, Parameter, Scope, Stage, Trunk, register
+from op3.servo.effect import Effect, ModelEdit, Parameter, Stage, Trunk, register
 from op3.servo.effects.trunk import about, product
 
 
 @register
-@dataclass(frozen=True)
 class FootFriction(Effect):
     """Relative error of the sliding friction between feet and ground, written to the geoms of both."""
 
-    name: ClassVar[str] = "foot_friction"
-    stage: ClassVar[Stage] = Stage.GROUND
-    equation: ClassVar[str] = "mu *= 1 + e"
-    source: ClassVar[str] = "aluminium and rubber soles on floors: mu 0.3 to 1.1"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    name = "foot_friction"
+    stage = Stage.GROUND
+    equation = "mu *= 1 + e"
+    source = "aluminium and rubber soles on floors: mu 0.3 to 1.1"
+    parameters = (
         Parameter("foot_friction_error", "-", -0.65, 0.4, 0.0, 0.0, "e, relative", per_joint=False, least=-0.99),
     )
-    edits: ClassVar[tuple[ModelEdit, ...]] = (
+    edits = (
         ModelEdit("geom_friction", "foot_geom", "scale", "foot_friction_error", column=0),
         ModelEdit("geom_friction", "ground_geom", "scale", "foot_friction_error", column=0),
     )
-    size: ClassVar[str] = "foot_friction_error"
-    smallest: ClassVar[float] = 0.1
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"foot_friction_error": -0.2}, {"foot_friction_error": -0.5})
-    fingerprint: ClassVar[str] = "only in stance, as slip: the foot's pose drifts"
-    confounders: ClassVar[tuple[str, ...]] = ("foot_compliance", "ground_tilt")
-    separating_experiment: ClassVar[str] = "pull a foot over the floor with a spring balance"
-    alias_class: ClassVar[str] = "foot_friction"
-    scopes: ClassVar[tuple[Scope, ...]] = ("robot",)
+    size = "foot_friction_error"
+    smallest = 0.1
+    secants = ({"foot_friction_error": -0.2}, {"foot_friction_error": -0.5})
+    fingerprint = "only in stance, as slip: the foot's pose drifts"
+    confounders = ("foot_compliance", "ground_tilt")
+    separating_experiment = "pull a foot over the floor with a spring balance"
+    alias_class = "foot_friction"
+    scopes = ("robot",)
 
 
 @register
-@dataclass(frozen=True)
 class FootCompliance(Effect):
     """Softer contact between feet and ground: the time in which a contact gives way and returns."""
 
-    name: ClassVar[str] = "foot_compliance"
-    stage: ClassVar[Stage] = Stage.GROUND
-    equation: ClassVar[str] = "T_contact += dT"
-    source: ClassVar[str] = "MuJoCo solref, 4 to 20 ms; stiffness falls with its square"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("contact_time_added", "s", 0.0, 0.02, 0.0, 0.0, "dT", per_joint=False, least=0.0),
-    )
-    edits: ClassVar[tuple[ModelEdit, ...]] = (
+    name = "foot_compliance"
+    stage = Stage.GROUND
+    equation = "T_contact += dT"
+    source = "MuJoCo solref, 4 to 20 ms; stiffness falls with its square"
+    parameters = (Parameter("contact_time_added", "s", 0.0, 0.02, 0.0, 0.0, "dT", per_joint=False, least=0.0),)
+    edits = (
         ModelEdit("geom_solref", "foot_geom", "add", "contact_time_added", column=0),
         ModelEdit("geom_solref", "ground_geom", "add", "contact_time_added", column=0),
     )
-    size: ClassVar[str] = "contact_time_added"
-    smallest: ClassVar[float] = 0.002
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"contact_time_added": 0.004}, {"contact_time_added": 0.012})
-    fingerprint: ClassVar[str] = "only in stance: peak of the impact and settling"
-    confounders: ClassVar[tuple[str, ...]] = ("compliance", "latency", "foot_friction")
-    separating_experiment: ClassVar[str] = "drop the robot by a centimetre with its legs held"
-    alias_class: ClassVar[str] = "foot_compliance"
-    scopes: ClassVar[tuple[Scope, ...]] = ("robot",)
+    size = "contact_time_added"
+    smallest = 0.002
+    secants = ({"contact_time_added": 0.004}, {"contact_time_added": 0.012})
+    fingerprint = "only in stance: peak of the impact and settling"
+    confounders = ("compliance", "latency", "foot_friction")
+    separating_experiment = "drop the robot by a centimetre with its legs held"
+    alias_class = "foot_compliance"
+    scopes = ("robot",)
 
 
 @register
-@dataclass(frozen=True)
 class GroundTilt(Effect):
     """The floor, or the stand, is tilted: R_floor = Ry(pitch) Rx(roll).
 
@@ -71,26 +64,26 @@ class GroundTilt(Effect):
     gravity and sees the tilt.
     """
 
-    name: ClassVar[str] = "ground_tilt"
-    stage: ClassVar[Stage] = Stage.GROUND
-    equation: ClassVar[str] = "g = R_floor' g_0, R_measured = R_floor R"
-    source: ClassVar[str] = "floors of buildings, 0 to 2 degrees"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    name = "ground_tilt"
+    stage = Stage.GROUND
+    equation = "g = R_floor' g_0, R_measured = R_floor R"
+    source = "floors of buildings, 0 to 2 degrees"
+    parameters = (
         Parameter("ground_roll", "rad", -0.05, 0.05, 0.0, 0.0, "about the x axis of the scene", per_joint=False),
         Parameter("ground_pitch", "rad", -0.05, 0.05, 0.0, 0.0, "about its y axis", per_joint=False),
     )
-    edits: ClassVar[tuple[ModelEdit, ...]] = (
+    edits = (
         ModelEdit("opt.gravity", "option", "turn", "ground_pitch", column=1),
         ModelEdit("opt.gravity", "option", "turn", "ground_roll", column=0),
     )
-    size: ClassVar[str] = "ground_pitch"
-    smallest: ClassVar[float] = 0.005
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"ground_roll": 0.02}, {"ground_pitch": 0.02})
-    fingerprint: ClassVar[str] = "a bias of roll, pitch and of all gravity torques, on this floor only"
-    confounders: ClassVar[tuple[str, ...]] = ("imu_mount", "com_offset", "left_right_asymmetry", "encoder_offset")
-    separating_experiment: ClassVar[str] = "turn the robot by 180 degrees on the spot"
-    alias_class: ClassVar[str] = "level"
-    scopes: ClassVar[tuple[Scope, ...]] = ("robot",)
+    size = "ground_pitch"
+    smallest = 0.005
+    secants = ({"ground_roll": 0.02}, {"ground_pitch": 0.02})
+    fingerprint = "a bias of roll, pitch and of all gravity torques, on this floor only"
+    confounders = ("imu_mount", "com_offset", "left_right_asymmetry", "encoder_offset")
+    separating_experiment = "turn the robot by 180 degrees on the spot"
+    alias_class = "level"
+    scopes = ("robot",)
 
     def sense_trunk(self, trunk: Trunk, values: Mapping[str, Tensor]) -> None:
         """Measure against gravity."""

@@ -6,11 +6,9 @@ M1 is `coulomb` and `viscous`, M2 adds `stribeck`, M3 `load_friction` without ex
 what the output transmits to its link, as for every effect. Friction near rest fades as the effect `stribeck` says.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
-from op3.servo.effect import Effect, Parameter, Scope, Stage, register
+from op3.servo.effect import Effect, Parameter, Stage, register
 from op3.servo.law import antagonistic_friction, load_friction
 
 SUM = 0
@@ -20,7 +18,6 @@ SOURCE = "Duclusaud et al. (2024), Extended Friction Models for the Physics Simu
 
 
 @register
-@dataclass(frozen=True)
 class LoadFriction(Effect):
     """Friction in proportion to the torque that the gear passes on between motor and load.
 
@@ -31,27 +28,27 @@ class LoadFriction(Effect):
             but for what is lost. At a share of a half a motor cannot move this gear.
     """
 
-    name: ClassVar[str] = "load_friction"
-    stage: ClassVar[Stage] = Stage.LOAD
-    equation: ClassVar[str] = (
+    name = "load_friction"
+    stage = Stage.LOAD
+    equation = (
         "tau_fric += (l + s ls) |tau_m - tau_a|, s = exp(-|w| / w_static); form `motor`: 2 |tau_m| in place of the"
         " difference"
     )
-    source: ClassVar[str] = f"{SOURCE}, models M3 and M4"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    source = f"{SOURCE}, models M3 and M4"
+    parameters = (
         Parameter("load_friction", "-", 0.0, 0.9, 0.1, 0.0, "friction per torque passed on, l", least=0.0),
         Parameter("load_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "more of it near rest, ls", least=0.0),
     )
-    size: ClassVar[str] = "load_friction"
-    smallest: ClassVar[float] = 0.03
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"load_friction": 0.05}, {"load_friction": 0.2})
-    fingerprint: ClassVar[str] = "odd in velocity; the width of the hysteresis loop grows in proportion to the load"
-    confounders: ClassVar[tuple[str, ...]] = ("dte", "directional_friction", "antagonistic_friction", "torque_constant")
-    separating_experiment: ClassVar[str] = (
+    size = "load_friction"
+    smallest = 0.03
+    secants = ({"load_friction": 0.05}, {"load_friction": 0.2})
+    fingerprint = "odd in velocity; the width of the hysteresis loop grows in proportion to the load"
+    confounders = ("dte", "directional_friction", "antagonistic_friction", "torque_constant")
+    separating_experiment = (
         "hold test at two loads: the torque constant moves the centre of the loop, friction its width"
     )
-    alias_class: ClassVar[str] = "load_loss"
-    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
+    alias_class = "load_loss"
+    scopes = ("shared", "joint", "side")
 
     form: Literal["sum", "motor"] = "sum"
 
@@ -66,34 +63,29 @@ class LoadFriction(Effect):
 
 
 @register
-@dataclass(frozen=True)
 class DirectionalFriction(Effect):
     """Friction to which the motor's torque and the load's contribute different shares."""
 
-    name: ClassVar[str] = "directional_friction"
-    stage: ClassVar[Stage] = Stage.LOAD
-    equation: ClassVar[str] = "tau_fric += |lm tau_m - le tau_a| + s |lms tau_m - les tau_a|, s = exp(-|w| / w_static)"
-    source: ClassVar[str] = f"{SOURCE}, model M5"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    name = "directional_friction"
+    stage = Stage.LOAD
+    equation = "tau_fric += |lm tau_m - le tau_a| + s |lms tau_m - les tau_a|, s = exp(-|w| / w_static)"
+    source = f"{SOURCE}, model M5"
+    parameters = (
         Parameter("motor_friction", "-", 0.0, 0.9, 0.1, 0.0, "share of the motor's torque, lm", least=0.0),
         Parameter("external_friction", "-", 0.0, 0.9, 0.1, 0.0, "share of the load's torque, le", least=0.0),
+        Parameter("motor_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "of the motor's torque near rest, lms", least=0.0),
         Parameter(
-            "motor_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "share of the motor's torque near rest, lms", least=0.0
-        ),
-        Parameter(
-            "external_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "share of the load's torque near rest, les", least=0.0
+            "external_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "of the load's torque near rest, les", least=0.0
         ),
     )
-    size: ClassVar[str] = "motor_friction"
-    smallest: ClassVar[float] = 0.03
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"motor_friction": 0.1}, {"external_friction": 0.1})
-    fingerprint: ClassVar[str] = (
-        "odd in velocity; one width of the loop where the motor leads, another where the load leads"
-    )
-    confounders: ClassVar[tuple[str, ...]] = ("dte", "load_friction", "antagonistic_friction")
-    separating_experiment: ClassVar[str] = "hold test at two loads, raising and lowering; motion with the torque off"
-    alias_class: ClassVar[str] = "load_loss"
-    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
+    size = "motor_friction"
+    smallest = 0.03
+    secants = ({"motor_friction": 0.1}, {"external_friction": 0.1})
+    fingerprint = "odd in velocity; one width of the loop where the motor leads, another where the load leads"
+    confounders = ("dte", "load_friction", "antagonistic_friction")
+    separating_experiment = "hold test at two loads, raising and lowering; motion with the torque off"
+    alias_class = "load_loss"
+    scopes = ("shared", "joint", "side")
 
     @staticmethod
     def apply(s, p):
@@ -105,31 +97,28 @@ class DirectionalFriction(Effect):
 
 
 @register
-@dataclass(frozen=True)
 class AntagonisticFriction(Effect):
     """Friction near rest that grows with the square of the weaker torque where motor and load oppose each other."""
 
-    name: ClassVar[str] = "antagonistic_friction"
-    stage: ClassVar[Stage] = Stage.LOAD
-    equation: ClassVar[str] = (
+    name = "antagonistic_friction"
+    stage = Stage.LOAD
+    equation = (
         "where tau_m tau_a < 0: tau_fric += s qe tau_a^2 if |tau_m| > |tau_a|, else s qm tau_m^2;"
         " s = exp(-|w| / w_static)"
     )
-    source: ClassVar[str] = f"{SOURCE}, model M6"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    source = f"{SOURCE}, model M6"
+    parameters = (
         Parameter("motor_square", "1/(N m)", 0.0, 5.0, 0.0, 0.0, "qm, where the load is the stronger", least=0.0),
         Parameter("external_square", "1/(N m)", 0.0, 5.0, 0.0, 0.0, "qe, where the motor is the stronger", least=0.0),
     )
-    size: ClassVar[str] = "external_square"
-    smallest: ClassVar[float] = 0.05
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"external_square": 0.2}, {"motor_square": 0.2})
-    fingerprint: ClassVar[str] = (
-        "near rest only, growing with the square of the weaker torque where motor and load oppose each other"
-    )
-    confounders: ClassVar[tuple[str, ...]] = ("dte", "load_friction", "directional_friction", "stribeck")
-    separating_experiment: ClassVar[str] = "hold test at three loads: the width of the hysteresis bends with load"
-    alias_class: ClassVar[str] = "load_loss"
-    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
+    size = "external_square"
+    smallest = 0.05
+    secants = ({"external_square": 0.2}, {"motor_square": 0.2})
+    fingerprint = "near rest only, growing with the square of the weaker torque where motor and load oppose each other"
+    confounders = ("dte", "load_friction", "directional_friction", "stribeck")
+    separating_experiment = "hold test at three loads: the width of the hysteresis bends with load"
+    alias_class = "load_loss"
+    scopes = ("shared", "joint", "side")
 
     @staticmethod
     def apply(s, p):

@@ -1,7 +1,6 @@
 """The DC motor behind its gear ratio."""
 
-from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -21,7 +20,6 @@ LEAST_VOLTAGE = 1.0
 
 
 @register
-@dataclass(frozen=True)
 class Motor(Effect):
     """DC motor with a current controller, or driven by voltage, paper eqs. (1) and (2).
 
@@ -35,18 +33,18 @@ class Motor(Effect):
             (``by_voltage``, ``goal_duty`` and ``current_bound`` of the signals).
     """
 
-    name: ClassVar[str] = "motor"
-    stage: ClassVar[Stage] = Stage.MOTOR
-    equation: ClassVar[str] = "tau_m = N Kt I, I = (V - N Kt w) / R, V = clip(R I* + N Kt w, -V_bus, V_bus)"
-    source: ClassVar[str] = "paper eqs. (1), (2); ranges from Table I; gear ratio 353.5, ROBOTIS e-Manual"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    name = "motor"
+    stage = Stage.MOTOR
+    equation = "tau_m = N Kt I, I = (V - N Kt w) / R, V = clip(R I* + N Kt w, -V_bus, V_bus)"
+    source = "paper eqs. (1), (2); ranges from Table I; gear ratio 353.5, ROBOTIS e-Manual"
+    parameters = (
         Parameter("torque_constant", "N m/A", 0.003, 0.009, 0.006, None, "at the motor shaft", least=0.0),
         Parameter("terminal_resistance", "ohm", 4.0, 9.0, 6.5, None, "of the motor and its driver", least=1e-3),
         Parameter("armature", "kg m^2", 0.0025, 0.011, 0.00675, None, "rotor inertia seen at the joint", least=0.0),
     )
-    memory: ClassVar[tuple[str, ...]] = ("wanted", "bus_voltage")
-    constants: ClassVar[tuple[str, ...]] = ("constant",)
-    edits: ClassVar[tuple[ModelEdit, ...]] = (ModelEdit("dof_armature", "joint_dof", "set", "armature"),)
+    memory = ("wanted", "bus_voltage")
+    constants = ("constant",)
+    edits = (ModelEdit("dof_armature", "joint_dof", "set", "armature"),)
 
     gear_ratio: float = load_robot().servos[0].motor.gear_ratio.si
     drive: Literal["current", "voltage", "registers"] = "current"

@@ -1,13 +1,10 @@
 """How friction takes hold: through bristles that bend before they slip."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from math import exp, expm1, sqrt
-from typing import ClassVar
 
 import numpy as np
 
-from op3.servo.effect import Effect, Parameter, Scope, Stage, register
+from op3.servo.effect import Effect, Parameter, Stage, register
 from op3.servo.law import clip
 from op3.servo.machine_code import part
 
@@ -22,7 +19,6 @@ def deflection(s):
 
 
 @register
-@dataclass(frozen=True)
 class LuGre(Effect):
     """Presliding: all friction of the joint acts through an elastic bristle (LuGre) instead of gripping rigidly.
 
@@ -37,25 +33,21 @@ class LuGre(Effect):
         damping_ratio: of the rotor alone on its bristle; without damping a held joint rings like a bell.
     """
 
-    name: ClassVar[str] = "lugre"
-    stage: ClassVar[Stage] = Stage.TRANSMISSION
-    equation: ClassVar[str] = (
-        "tau_fric = z / s + sigma_1 dz/dt, dz/dt = w - |w| z / (s F), sigma_1 = 2 zeta sqrt(Ja / s)"
-    )
-    source: ClassVar[str] = "Canudas de Wit et al. (1995), sigma_0 = 1 / s; F from the other effects"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("bristle_compliance", "rad/(N m)", 0.0, 0.05, 0.0, 0.0, "s; 20 to 200 N m/rad", least=0.0),
-    )
-    memory: ClassVar[tuple[str, ...]] = ("bent", "left", "gain", "velocity")
-    constants: ClassVar[tuple[str, ...]] = ("stiffness", "rate")
-    size: ClassVar[str] = "bristle_compliance"
-    smallest: ClassVar[float] = 0.003
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"bristle_compliance": 0.005}, {"bristle_compliance": 0.02})
-    fingerprint: ClassVar[str] = "a smooth, nearly elastic start of motion over 1 to 3 mrad after each reversal"
-    confounders: ClassVar[tuple[str, ...]] = ("stribeck", "compliance", "backlash")
-    separating_experiment: ClassVar[str] = "torque steps below break-away: elastic give with hysteresis"
-    alias_class: ClassVar[str] = "near_rest"
-    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint", "side")
+    name = "lugre"
+    stage = Stage.TRANSMISSION
+    equation = "tau_fric = z / s + sigma_1 dz/dt, dz/dt = w - |w| z / (s F), sigma_1 = 2 zeta sqrt(Ja / s)"
+    source = "Canudas de Wit et al. (1995), sigma_0 = 1 / s; F from the other effects"
+    parameters = (Parameter("bristle_compliance", "rad/(N m)", 0.0, 0.05, 0.0, 0.0, "s; 20 to 200 N m/rad", least=0.0),)
+    memory = ("bent", "left", "gain", "velocity")
+    constants = ("stiffness", "rate")
+    size = "bristle_compliance"
+    smallest = 0.003
+    secants = ({"bristle_compliance": 0.005}, {"bristle_compliance": 0.02})
+    fingerprint = "a smooth, nearly elastic start of motion over 1 to 3 mrad after each reversal"
+    confounders = ("stribeck", "compliance", "backlash")
+    separating_experiment = "torque steps below break-away: elastic give with hysteresis"
+    alias_class = "near_rest"
+    scopes = ("shared", "joint", "side")
 
     damping_ratio: float = 0.2
 

@@ -1,11 +1,9 @@
 """What the servo's sensors say that is not so."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from math import cos, exp, pi, sin
-from typing import ClassVar, Literal
+from typing import Literal
 
-from op3.servo.effect import Effect, Parameter, Scope, Stage, register
+from op3.servo.effect import Effect, Parameter, Stage, register
 from op3.servo.law import lags_per_step
 
 BENT = 0
@@ -13,35 +11,24 @@ BENT = 0
 
 
 @register
-@dataclass(frozen=True)
 class EncoderOffset(Effect):
     """The encoder's zero is not the joint's zero."""
 
-    name: ClassVar[str] = "encoder_offset"
-    stage: ClassVar[Stage] = Stage.SENSING
-    equation: ClassVar[str] = "q_measured = q + b"
-    source: ClassVar[str] = "homing of a servo horn; Rhoban's servo bench fits -0.126 rad on its STS3032"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("encoder_offset", "rad", -0.2, 0.2, 0.0, 0.0, "reading at the joint's true zero"),
-    )
-    size: ClassVar[str] = "encoder_offset"
-    smallest: ClassVar[float] = 0.003
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"encoder_offset": 0.01},)
-    fingerprint: ClassVar[str] = (
+    name = "encoder_offset"
+    stage = Stage.SENSING
+    equation = "q_measured = q + b"
+    source = "homing of a servo horn; Rhoban's servo bench fits -0.126 rad on its STS3032"
+    parameters = (Parameter("encoder_offset", "rad", -0.2, 0.2, 0.0, 0.0, "reading at the joint's true zero"),)
+    size = "encoder_offset"
+    smallest = 0.003
+    secants = ({"encoder_offset": 0.01},)
+    fingerprint = (
         "a constant angle: gravity of the links acts in another phase; foot pose and IMU disagree with the joint angles"
     )
-    confounders: ClassVar[tuple[str, ...]] = (
-        "link_com",
-        "com_offset",
-        "cable_spring",
-        "current_offset",
-        "encoder_nonlinearity",
-    )
-    separating_experiment: ClassVar[str] = (
-        "turn the base: gravity terms turn with it; compare the IMU with forward kinematics"
-    )
-    alias_class: ClassVar[str] = "gravity_phase"
-    scopes: ClassVar[tuple[Scope, ...]] = ("joint", "shared", "side")
+    confounders = ("link_com", "com_offset", "cable_spring", "current_offset", "encoder_nonlinearity")
+    separating_experiment = "turn the base: gravity terms turn with it; compare the IMU with forward kinematics"
+    alias_class = "gravity_phase"
+    scopes = ("joint", "shared", "side")
 
     @staticmethod
     def sense(s, p):
@@ -50,7 +37,6 @@ class EncoderOffset(Effect):
 
 
 @register
-@dataclass(frozen=True)
 class EncoderNonlinearity(Effect):
     """The encoder's reading bends with the angle: a magnet that sits off its axis.
 
@@ -59,25 +45,25 @@ class EncoderNonlinearity(Effect):
             sensor, or corrects it, and the angle alone bends.
     """
 
-    name: ClassVar[str] = "encoder_nonlinearity"
-    stage: ClassVar[Stage] = Stage.SENSING
-    equation: ClassVar[str] = "q_measured = q + a sin(q + p)"
-    source: ClassVar[str] = "AS5045 class of magnetic encoders: up to 9 to 25 mrad by a magnet off centre"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    name = "encoder_nonlinearity"
+    stage = Stage.SENSING
+    equation = "q_measured = q + a sin(q + p)"
+    source = "AS5045 class of magnetic encoders: up to 9 to 25 mrad by a magnet off centre"
+    parameters = (
         Parameter("encoder_nonlinearity", "rad", -0.03, 0.03, 0.0, 0.0, "a", least=-0.5, most=0.5),
         Parameter("encoder_nonlinearity_phase", "rad", -pi, pi, 0.0, None, "p"),
     )
-    size: ClassVar[str] = "encoder_nonlinearity"
-    smallest: ClassVar[float] = 0.003
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = (
+    size = "encoder_nonlinearity"
+    smallest = 0.003
+    secants = (
         {"encoder_nonlinearity": 0.01, "encoder_nonlinearity_phase": 0.0},
         {"encoder_nonlinearity": 0.01, "encoder_nonlinearity_phase": pi / 2},
     )
-    fingerprint: ClassVar[str] = "an error of the angle that repeats every turn; IMU against kinematics over the angle"
-    confounders: ClassVar[tuple[str, ...]] = ("encoder_offset", "link_com", "cable_spring", "cogging")
-    separating_experiment: ClassVar[str] = "slow sweep over the whole range, IMU against forward kinematics"
-    alias_class: ClassVar[str] = "gravity_phase"
-    scopes: ClassVar[tuple[Scope, ...]] = ("joint",)
+    fingerprint = "an error of the angle that repeats every turn; IMU against kinematics over the angle"
+    confounders = ("encoder_offset", "link_com", "cable_spring", "cogging")
+    separating_experiment = "slow sweep over the whole range, IMU against forward kinematics"
+    alias_class = "gravity_phase"
+    scopes = ("joint",)
 
     velocity: Literal["bent", "apart"] = "bent"
 
@@ -91,31 +77,25 @@ class EncoderNonlinearity(Effect):
 
 
 @register
-@dataclass(frozen=True)
 class VelocityFilter(Effect):
     """The servo filters the velocity that it reports; first order, exact for a velocity that changes linearly."""
 
-    name: ClassVar[str] = "velocity_filter"
-    stage: ClassVar[Stage] = Stage.SENSING
-    rank: ClassVar[int] = 1
-    equation: ClassVar[str] = "dw_measured/dt = (w - w_measured) / Tw"
-    source: ClassVar[str] = "velocity estimate of a servo's firmware, 2 to 15 ms"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("velocity_time_constant", "s", 0.0, 0.02, 0.0, 0.0, "Tw", least=0.0),
-    )
-    memory: ClassVar[tuple[str, ...]] = ("filtered", "velocity", "now", "knows")
-    constants: ClassVar[tuple[str, ...]] = ("left", "behind")
-    size: ClassVar[str] = "velocity_time_constant"
-    smallest: ClassVar[float] = 0.001
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = (
-        {"velocity_time_constant": 0.002},
-        {"velocity_time_constant": 0.008},
-    )
-    fingerprint: ClassVar[str] = "reported velocity lags the derivative of the reported angle; no torque beyond Kd"
-    confounders: ClassVar[tuple[str, ...]] = ("latency", "current_lag", "terminal_resistance")
-    separating_experiment: ClassVar[str] = "compare reported velocity with the derivative of the angle"
-    alias_class: ClassVar[str] = "timing"
-    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint")
+    name = "velocity_filter"
+    stage = Stage.SENSING
+    rank = 1
+    equation = "dw_measured/dt = (w - w_measured) / Tw"
+    source = "velocity estimate of a servo's firmware, 2 to 15 ms"
+    parameters = (Parameter("velocity_time_constant", "s", 0.0, 0.02, 0.0, 0.0, "Tw", least=0.0),)
+    memory = ("filtered", "velocity", "now", "knows")
+    constants = ("left", "behind")
+    size = "velocity_time_constant"
+    smallest = 0.001
+    secants = ({"velocity_time_constant": 0.002}, {"velocity_time_constant": 0.008})
+    fingerprint = "reported velocity lags the derivative of the reported angle; no torque beyond Kd"
+    confounders = ("latency", "current_lag", "terminal_resistance")
+    separating_experiment = "compare reported velocity with the derivative of the angle"
+    alias_class = "timing"
+    scopes = ("shared", "joint")
 
     @staticmethod
     def prepare(p):

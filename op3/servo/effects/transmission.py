@@ -7,14 +7,11 @@ encoder sits on the output, as in the Dynamixel X series. What lies behind the p
 with the link: a light foot that rattles within the play does so at another rate with it.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from math import copysign, sqrt
-from typing import ClassVar
 
 import numpy as np
 
-from op3.servo.effect import Effect, Parameter, Scope, Stage, register
+from op3.servo.effect import Effect, Parameter, Stage, register
 from op3.servo.machine_code import part
 
 STEADY = 0.25
@@ -136,7 +133,6 @@ def balance_rotor(s, p, half_gap, stiffness, torque, rests):
 
 
 @register
-@dataclass(frozen=True)
 class Backlash(Effect):
     """Play between gear and link: the rotor crosses the gap freely when the transmitted torque changes sign.
 
@@ -144,52 +140,32 @@ class Backlash(Effect):
         damping_ratio: of the rotor on the stiffness of the contact, against a link at rest; half of the loss factor.
     """
 
-    name: ClassVar[str] = "backlash"
-    stage: ClassVar[Stage] = Stage.TRANSMISSION
-    rank: ClassVar[int] = 1
-    equation: ClassVar[str] = "tau = K dz(q_rotor - q, delta), dz(x, delta) = sign(x) max(|x| - delta, 0)"
-    source: ClassVar[str] = "X series: 15 arcmin in all, delta = 2.2 mrad when new (ROBOTIS e-Manual)"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    name = "backlash"
+    stage = Stage.TRANSMISSION
+    rank = 1
+    equation = "tau = K dz(q_rotor - q, delta), dz(x, delta) = sign(x) max(|x| - delta, 0)"
+    source = "X series: 15 arcmin in all, delta = 2.2 mrad when new (ROBOTIS e-Manual)"
+    parameters = (
         Parameter("backlash_half_gap", "rad", 0.0, 0.012, 0.0, 0.0, "delta, half of the play", least=0.0),
-        Parameter(
-            "contact_stiffness",
-            "N m/rad",
-            100.0,
-            500.0,
-            300.0,
-            None,
-            "K, of teeth and shafts",
-            least=1.0,
-            searched=False,
-        ),
-        Parameter(
-            "output_inertia",
-            "kg m2",
-            0.0,
-            0.001,
-            0.0,
-            None,
-            "J_o, part of the armature that turns with the link",
-            least=0.0,
-            searched=False,
-        ),
+        Parameter("contact_stiffness", "N m/rad", 100.0, 500.0, 300.0, None, "K, of teeth", least=1.0, searched=False),
+        Parameter("output_inertia", "kg m2", 0.0, 0.001, 0.0, None, "J_o, behind the play", least=0.0, searched=False),
     )
-    constants: ClassVar[tuple[str, ...]] = ("stiffness", "friction")
-    stiff: ClassVar[bool] = True
-    size: ClassVar[str] = "backlash_half_gap"
-    smallest: ClassVar[float] = 0.001
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = tuple(
+    constants = ("stiffness", "friction")
+    stiff = True
+    size = "backlash_half_gap"
+    smallest = 0.001
+    secants = tuple(
         {"backlash_half_gap": gap, "contact_stiffness": 300.0, "output_inertia": 0.0005}
         for gap in (0.0015, 0.003, 0.006, 0.010)
     )
-    fingerprint: ClassVar[str] = (
+    fingerprint = (
         "after a sign change of the transmitted torque: free flight, a jump of velocity, ringing at 20 to 60 Hz; none"
         " while the torque keeps its sign"
     )
-    confounders: ClassVar[tuple[str, ...]] = ("stribeck", "lugre", "compliance", "latency")
-    separating_experiment: ClassVar[str] = "hold two loads of opposite sign: a step of the angle by the play"
-    alias_class: ClassVar[str] = "transmission"
-    scopes: ClassVar[tuple[Scope, ...]] = ("joint", "shared", "side")
+    confounders = ("stribeck", "lugre", "compliance", "latency")
+    separating_experiment = "hold two loads of opposite sign: a step of the angle by the play"
+    alias_class = "transmission"
+    scopes = ("joint", "shared", "side")
 
     damping_ratio: float = 0.04
 
@@ -232,7 +208,6 @@ class Backlash(Effect):
 
 
 @register
-@dataclass(frozen=True)
 class Compliance(Effect):
     """Elasticity of gear train and bracket between rotor and link.
 
@@ -242,40 +217,30 @@ class Compliance(Effect):
         damping_ratio: of the rotor on the gear train's stiffness, against a link at rest; half of the loss factor.
     """
 
-    name: ClassVar[str] = "compliance"
-    stage: ClassVar[Stage] = Stage.TRANSMISSION
-    rank: ClassVar[int] = 1
-    equation: ClassVar[str] = "tau = (q_rotor - q) / c"
-    source: ClassVar[str] = "gear train and bracket, 50 to 500 N m/rad, loss factor 0.02 to 0.1"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    name = "compliance"
+    stage = Stage.TRANSMISSION
+    rank = 1
+    equation = "tau = (q_rotor - q) / c"
+    source = "gear train and bracket, 50 to 500 N m/rad, loss factor 0.02 to 0.1"
+    parameters = (
         Parameter("gear_compliance", "rad/(N m)", 0.0, 0.02, 0.0, 0.0, "c = 1 / K", least=0.0),
-        Parameter(
-            "wheel_inertia",
-            "kg m2",
-            0.0,
-            0.001,
-            0.0,
-            None,
-            "J_o, part of the armature that turns with the link; of a loose gear `output_inertia` does",
-            least=0.0,
-            searched=False,
-        ),
+        Parameter("wheel_inertia", "kg m2", 0.0, 0.001, 0.0, None, "J_o, behind the spring", least=0.0, searched=False),
     )
-    constants: ClassVar[tuple[str, ...]] = ("stiffness", "friction")
-    stiff: ClassVar[bool] = True
-    size: ClassVar[str] = "gear_compliance"
-    smallest: ClassVar[float] = 0.002
+    constants = ("stiffness", "friction")
+    stiff = True
+    size = "gear_compliance"
+    smallest = 0.002
     # the inertia behind the gears moves the resonance too, and no refit crosses from one period of it to the next
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = (
+    secants = (
         {"gear_compliance": 0.004, "wheel_inertia": 0.0005},
         {"gear_compliance": 0.008, "wheel_inertia": 0.0008},
         {"gear_compliance": 0.015, "wheel_inertia": 0.0005},
     )
-    fingerprint: ClassVar[str] = "an extra resonance at sqrt(1 / (c J)); IMU against kinematics in proportion to load"
-    confounders: ClassVar[tuple[str, ...]] = ("backlash", "lugre", "current_lag", "link_inertia")
-    separating_experiment: ClassVar[str] = "static ladder of loads with IMU or camera; chirp up to the resonance"
-    alias_class: ClassVar[str] = "transmission"
-    scopes: ClassVar[tuple[Scope, ...]] = ("joint", "shared", "side")
+    fingerprint = "an extra resonance at sqrt(1 / (c J)); IMU against kinematics in proportion to load"
+    confounders = ("backlash", "lugre", "current_lag", "link_inertia")
+    separating_experiment = "static ladder of loads with IMU or camera; chirp up to the resonance"
+    alias_class = "transmission"
+    scopes = ("joint", "shared", "side")
 
     damping_ratio: float = 0.04
 

@@ -1,37 +1,34 @@
 """What the trunk's IMU says that is not so."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import ClassVar
 
 import torch
 from torch import Tensor
 
-from op3.servo.effect import Effect, Parameter, Scope, Stage, Trunk, register
+from op3.servo.effect import Effect, Parameter, Stage, Trunk, register
 
 
 @register
-@dataclass(frozen=True)
 class ImuMount(Effect):
     """The IMU is mounted turned: R_imu = Rz(yaw) Ry(pitch) Rx(roll) in the trunk."""
 
-    name: ClassVar[str] = "imu_mount"
-    stage: ClassVar[Stage] = Stage.SENSING
-    equation: ClassVar[str] = "R_measured = R R_imu, w_measured = R_imu' w"
-    source: ClassVar[str] = "assembly tolerance of a board on two screws, 1 to 3 degrees"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    name = "imu_mount"
+    stage = Stage.SENSING
+    equation = "R_measured = R R_imu, w_measured = R_imu' w"
+    source = "assembly tolerance of a board on two screws, 1 to 3 degrees"
+    parameters = (
         Parameter("imu_roll", "rad", -0.06, 0.06, 0.0, 0.0, "about the trunk's x axis, forwards", per_joint=False),
         Parameter("imu_pitch", "rad", -0.06, 0.06, 0.0, 0.0, "about its y axis, to the left", per_joint=False),
         Parameter("imu_yaw", "rad", -0.06, 0.06, 0.0, 0.0, "about its z axis, upwards", per_joint=False),
     )
-    size: ClassVar[str] = "imu_pitch"
-    smallest: ClassVar[float] = 0.005
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"imu_roll": 0.02}, {"imu_pitch": 0.02}, {"imu_yaw": 0.02})
-    fingerprint: ClassVar[str] = "a constant error of the direction of gravity in all poses; rates leak across axes"
-    confounders: ClassVar[tuple[str, ...]] = ("ground_tilt", "left_right_asymmetry", "com_offset", "gyro_bias")
-    separating_experiment: ClassVar[str] = "turn the robot by 180 degrees on the spot: a tilted floor changes sign"
-    alias_class: ClassVar[str] = "level"
-    scopes: ClassVar[tuple[Scope, ...]] = ("robot",)
+    size = "imu_pitch"
+    smallest = 0.005
+    secants = ({"imu_roll": 0.02}, {"imu_pitch": 0.02}, {"imu_yaw": 0.02})
+    fingerprint = "a constant error of the direction of gravity in all poses; rates leak across axes"
+    confounders = ("ground_tilt", "left_right_asymmetry", "com_offset", "gyro_bias")
+    separating_experiment = "turn the robot by 180 degrees on the spot: a tilted floor changes sign"
+    alias_class = "level"
+    scopes = ("robot",)
 
     def sense_trunk(self, trunk: Trunk, values: Mapping[str, Tensor]) -> None:
         """Read in the frame of the mount."""
@@ -42,32 +39,27 @@ class ImuMount(Effect):
 
 
 @register
-@dataclass(frozen=True)
 class GyroBias(Effect):
     """The gyroscope reads a rate at rest."""
 
-    name: ClassVar[str] = "gyro_bias"
-    stage: ClassVar[Stage] = Stage.SENSING
-    rank: ClassVar[int] = 1
-    equation: ClassVar[str] = "w_measured = w + b"
-    source: ClassVar[str] = "MEMS gyroscope before calibration, 0.2 to 2 degrees/s"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    name = "gyro_bias"
+    stage = Stage.SENSING
+    rank = 1
+    equation = "w_measured = w + b"
+    source = "MEMS gyroscope before calibration, 0.2 to 2 degrees/s"
+    parameters = (
         Parameter("gyro_bias_x", "rad/s", -0.035, 0.035, 0.0, 0.0, "forwards", per_joint=False),
         Parameter("gyro_bias_y", "rad/s", -0.035, 0.035, 0.0, 0.0, "to the left", per_joint=False),
         Parameter("gyro_bias_z", "rad/s", -0.035, 0.035, 0.0, 0.0, "upwards", per_joint=False),
     )
-    size: ClassVar[str] = "gyro_bias_y"
-    smallest: ClassVar[float] = 0.003
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = (
-        {"gyro_bias_x": 0.01},
-        {"gyro_bias_y": 0.01},
-        {"gyro_bias_z": 0.01},
-    )
-    fingerprint: ClassVar[str] = "a constant rate, at rest as well; no torque"
-    confounders: ClassVar[tuple[str, ...]] = ("imu_mount",)
-    separating_experiment: ClassVar[str] = "read the gyroscope at rest"
-    alias_class: ClassVar[str] = "gyro_bias"
-    scopes: ClassVar[tuple[Scope, ...]] = ("robot",)
+    size = "gyro_bias_y"
+    smallest = 0.003
+    secants = ({"gyro_bias_x": 0.01}, {"gyro_bias_y": 0.01}, {"gyro_bias_z": 0.01})
+    fingerprint = "a constant rate, at rest as well; no torque"
+    confounders = ("imu_mount",)
+    separating_experiment = "read the gyroscope at rest"
+    alias_class = "gyro_bias"
+    scopes = ("robot",)
 
     def sense_trunk(self, trunk: Trunk, values: Mapping[str, Tensor]) -> None:
         """Add the bias."""

@@ -1,13 +1,11 @@
 """How a servo's parameters differ from side to side and change with time."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from math import expm1
-from typing import ClassVar
 
 from torch import Tensor
 
-from op3.servo.effect import Effect, Parameter, Scope, Stage, register
+from op3.servo.effect import Effect, Parameter, Stage, register
 from op3.servo.effects.electrical import scaled
 
 FRICTION = ("coulomb_friction", "viscous_friction", "static_friction_excess")
@@ -15,31 +13,30 @@ FRICTION = ("coulomb_friction", "viscous_friction", "static_friction_excess")
 
 
 @register
-@dataclass(frozen=True)
 class FrictionDrift(Effect):
     """Friction without load falls while the grease warms up, and comes to rest at a share of what it was."""
 
-    name: ClassVar[str] = "friction_drift"
-    stage: ClassVar[Stage] = Stage.FRICTION
-    rank: ClassVar[int] = 1
-    equation: ClassVar[str] = "tau_fric -= c (1 - exp(-t / T)) (fc + kv |w|)"
-    source: ClassVar[str] = "warm-up of grease: c 0.2 to 0.6 within 1 to 10 minutes"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    name = "friction_drift"
+    stage = Stage.FRICTION
+    rank = 1
+    equation = "tau_fric -= c (1 - exp(-t / T)) (fc + kv |w|)"
+    source = "warm-up of grease: c 0.2 to 0.6 within 1 to 10 minutes"
+    parameters = (
         Parameter("friction_drift", "-", -0.6, 0.6, 0.0, 0.0, "c, share of the friction that is lost", most=1.0),
         Parameter("friction_drift_time", "s", 30.0, 600.0, 180.0, None, "T", least=1e-3),
     )
-    reads: ClassVar[tuple[str, ...]] = ("time",)
-    size: ClassVar[str] = "friction_drift"
-    smallest: ClassVar[float] = 0.05
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = (
+    reads = ("time",)
+    size = "friction_drift"
+    smallest = 0.05
+    secants = (
         {"friction_drift": 0.2, "friction_drift_time": 60.0},
         {"friction_drift": 0.2, "friction_drift_time": 300.0},
     )
-    fingerprint: ClassVar[str] = "odd in velocity, changing slowly within and across runs with time since the start"
-    confounders: ClassVar[tuple[str, ...]] = ("torque_constant_temperature", "coulomb", "viscous")
-    separating_experiment: ClassVar[str] = "the same slow triangle cold, after 5 and after 15 minutes"
-    alias_class: ClassVar[str] = "temperature"
-    scopes: ClassVar[tuple[Scope, ...]] = ("shared", "joint")
+    fingerprint = "odd in velocity, changing slowly within and across runs with time since the start"
+    confounders = ("torque_constant_temperature", "coulomb", "viscous")
+    separating_experiment = "the same slow triangle cold, after 5 and after 15 minutes"
+    alias_class = "temperature"
+    scopes = ("shared", "joint")
 
     @staticmethod
     def apply(s, p):
@@ -50,7 +47,6 @@ class FrictionDrift(Effect):
 
 
 @register
-@dataclass(frozen=True)
 class LeftRightAsymmetry(Effect):
     """The servos of one side differ from those of the other: friction and torque, each by its antisymmetric part.
 
@@ -58,22 +54,22 @@ class LeftRightAsymmetry(Effect):
     that of `coulomb`, `viscous` and `stribeck`, torque the torque constant.
     """
 
-    name: ClassVar[str] = "left_right_asymmetry"
-    stage: ClassVar[Stage] = Stage.FRICTION
-    equation: ClassVar[str] = "fc, kv, fs - fc *= 1 +- a; Kt *= 1 +- b; + left, - right"
-    source: ClassVar[str] = "unit-to-unit spread and wear, 5 to 30 %"
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    name = "left_right_asymmetry"
+    stage = Stage.FRICTION
+    equation = "fc, kv, fs - fc *= 1 +- a; Kt *= 1 +- b; + left, - right"
+    source = "unit-to-unit spread and wear, 5 to 30 %"
+    parameters = (
         Parameter("friction_asymmetry", "-", -0.4, 0.4, 0.0, 0.0, "a", per_joint=False, least=-1.0, most=1.0),
         Parameter("torque_asymmetry", "-", -0.2, 0.2, 0.0, 0.0, "b", per_joint=False, least=-0.9, most=0.9),
     )
-    size: ClassVar[str] = "friction_asymmetry"
-    smallest: ClassVar[float] = 0.05
-    secants: ClassVar[tuple[Mapping[str, float], ...]] = ({"friction_asymmetry": 0.15}, {"torque_asymmetry": 0.05})
-    fingerprint: ClassVar[str] = "mirrored motions leave residuals that differ, and whose sum is zero"
-    confounders: ClassVar[tuple[str, ...]] = ("imu_mount", "ground_tilt", "coulomb", "torque_constant")
-    separating_experiment: ClassVar[str] = "mirrored motions, and the robot turned by 180 degrees on the spot"
-    alias_class: ClassVar[str] = "asymmetry"
-    scopes: ClassVar[tuple[Scope, ...]] = ("robot",)
+    size = "friction_asymmetry"
+    smallest = 0.05
+    secants = ({"friction_asymmetry": 0.15}, {"torque_asymmetry": 0.05})
+    fingerprint = "mirrored motions leave residuals that differ, and whose sum is zero"
+    confounders = ("imu_mount", "ground_tilt", "coulomb", "torque_constant")
+    separating_experiment = "mirrored motions, and the robot turned by 180 degrees on the spot"
+    alias_class = "asymmetry"
+    scopes = ("robot",)
 
     def adjust(self, values: Mapping[str, Tensor], sides: Tensor) -> Mapping[str, Tensor]:
         """Scale friction and torque constants by side."""
