@@ -189,10 +189,7 @@ class Identification:
         """Losses of trials whose parameters are config keys, as the study asks them."""
         self._evaluated += len(population)
         stripped = [{key.removeprefix(PREFIX): value for key, value in trial.items()} for trial in population]
-        return [
-            Outcome(None if e.loss is None else (e.loss,), dict(e.terms), None if e.loss is not None else "diverged")
-            for e in self.problem.evaluate(stripped)
-        ]
+        return self.problem.evaluate(stripped)
 
     def finish(
         self,

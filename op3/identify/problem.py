@@ -1,32 +1,19 @@
 """An identification problem: logs, a model to start from, and the parameters to find."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from op3.identify.loss import TrajectoryLoss
+from op3.identify.study import Outcome
 from op3.rollout import Rollout
 from op3.servo import RobotModel
 from op3.tasks import Prediction, Replay
 
 KEPT = 128
 """Evaluated parameter sets whose residuals are kept, the latest ones."""
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """What one parameter set is worth.
-
-    Attributes:
-        loss: what the optimiser minimises; None where the simulation failed.
-        terms: unweighted loss by channel.
-    """
-
-    loss: float | None
-    terms: Mapping[str, float]
 
 
 class Problem:
@@ -62,8 +49,8 @@ class Problem:
         }
         return self.replay.run(self.model, given, candidates)
 
-    def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[Evaluation]:
-        """The loss of every parameter set.
+    def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[Outcome]:
+        """The loss of every parameter set, its unweighted terms by channel beside it.
 
         Args:
             population: parameter sets, all with the same names.
@@ -77,14 +64,13 @@ class Problem:
         self._keep(population, self.loss.residuals(predictions))
         terms = [self.loss.terms(prediction) for prediction in predictions]
         keys = {key for term in terms for key in term}
-        evaluations = []
+        outcomes = []
         for i, loss in enumerate(losses.tolist()):
-            failed = loss != loss
             means = {
                 "/".join(key): float(torch.stack([t[key][i] for t in terms if key in t]).mean()) for key in sorted(keys)
             }
-            evaluations.append(Evaluation(None if failed else loss, {} if failed else means))
-        return evaluations
+            outcomes.append(Outcome((loss,), means) if loss == loss else Outcome(None, error="diverged"))
+        return outcomes
 
     def _keep(self, population: Sequence[Mapping[str, float]], residual: Tensor) -> None:
         for member, row in list(zip(population, residual, strict=True))[-KEPT:]:

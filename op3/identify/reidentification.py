@@ -6,14 +6,13 @@ that a policy got on the robot and those that it gets in simulation.
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from math import ceil
 from typing import Any
 
 import numpy as np
 import optuna
 import torch
-from numpy.typing import NDArray
 from scipy.stats import wasserstein_distance
 from torch import Tensor
 
@@ -25,6 +24,7 @@ from op3.identify.level_set_sampler import IMAGE, MISFIT, quantile_misfit, resid
 from op3.identify.loss import TrajectoryLoss
 from op3.identify.polish import polish
 from op3.identify.problem import Problem
+from op3.identify.reidentified import Array, Candidate, Reidentified, better_half, chance_distances, unbeaten
 from op3.identify.study import Outcome
 from op3.policy import PolicyBundle
 from op3.robot import load_robot
@@ -34,8 +34,6 @@ from op3.sim import model_hash
 from op3.sim.crew import Crew
 from op3.tasks.evaluation import evaluation_return
 from op3.tasks.task import POLICY_PERIOD, Task, find_task
-
-Array = NDArray[np.float64]
 
 PLAUSIBLE = 2.0
 """Candidates whose excitation loss is more than so many times that of the start are not worth an episode."""
@@ -55,61 +53,6 @@ CHANCE = 0.9
 
 RISES = (0.1, 0.25, 0.6)
 """How much the excitation loss of the first candidates is expected to be above that of the start, as shares of it."""
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A point of the Pareto front, or the start.
-
-    Attributes:
-        values: parameter values by name.
-        excitation: loss of the excitation, paper eq. (7).
-        distance: Wasserstein-1 distance of the returns.
-        returns: of the policy in simulation.
-        told: what a sampler may learn from, see `op3.identify.level_set_sampler`.
-    """
-
-    values: Mapping[str, float]
-    excitation: float
-    distance: float
-    returns: Sequence[float] = field(default_factory=tuple)
-    told: Mapping[str, Sequence[float]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, eq=False)
-class Reidentified:
-    """What a re-identification found.
-
-    Attributes:
-        model: with the chosen candidate's values.
-        start: the model that the policy was trained on.
-        chosen: see `Reidentification.finish`.
-        front: the Pareto front, by rising excitation loss.
-        actual: returns on the robot.
-        fresh_start: the start over episodes that neither the search nor the choice has seen.
-        fresh_chosen: the chosen candidate over the same.
-        noise: distance to be expected between the robot's returns and as many simulated ones if the chosen model were
-            the robot: what chance alone leaves.
-        at_chance: whether the start's returns are as close to the robot's as chance would leave them, so that there is
-            nothing to learn from them.
-        start_name: what the start is called: how it was found.
-    """
-
-    model: RobotModel
-    start: Candidate
-    chosen: Candidate
-    front: Sequence[Candidate]
-    actual: Sequence[float]
-    fresh_start: Candidate
-    fresh_chosen: Candidate
-    noise: float
-    at_chance: bool = False
-    start_name: str = "excitation only"
-
-    @property
-    def accepted(self) -> bool:
-        """Whether the chosen candidate is another than the start."""
-        return self.chosen is not self.start
 
 
 class Simulations:
@@ -292,7 +235,7 @@ class Reidentification:
         self, trials: Sequence[Mapping[str, float]], plausible: float = np.inf, race: bool = False
     ) -> list[Candidate]:
         """Both objectives; beyond a plausible excitation loss the distance is larger than any that episodes have."""
-        values = {name: torch.tensor([trial[name] for trial in trials], dtype=torch.float64) for name in self.names}
+        values = self._columns(trials)
         seen = self._shared("losses", values, len(trials))
         losses, images = seen[:, 0], seen[:, 1:].numpy()
         worth = (losses <= plausible).nonzero()[:, 0]
@@ -309,7 +252,7 @@ class Reidentification:
             elif not np.isfinite(own).all():
                 measured.append(Candidate(trial, float("nan"), worthless))
             else:
-                told[MISFIT] = _short(quantile_misfit(self._foreseen(own), self.actual))
+                told[MISFIT] = _short(quantile_misfit(self._foresee(own), self.actual))
                 measured.append(Candidate(trial, loss, self._distance(own), tuple(own.tolist()), told))
         return measured
 
@@ -327,8 +270,8 @@ class Reidentification:
         returns = self._shared("returns", values, count, episodes=range(first)).numpy()
         if first == episodes:
             return list(returns)
-        foreseen = [self._distance(self._foresee(own)) for own in returns]
-        chosen = _better_half(losses.numpy(), np.array(foreseen), (self.start.excitation, self.start.distance))
+        foreseen = [self._distance(own) for own in returns]
+        chosen = better_half(losses.numpy(), np.array(foreseen), (self.start.excitation, self.start.distance))
         chosen = chosen[losses.numpy()[chosen] <= TOLERATED * self.start.excitation]
         result = list(returns)
         if len(chosen):
@@ -341,15 +284,14 @@ class Reidentification:
 
     def _foresee(self, first: Array) -> Array:
         """All returns of a candidate, those not played as the start's would have to be to differ alike."""
+        if len(first) == self.episodes:
+            return first
         start = np.array(self.start.returns)
         return np.concatenate([first, start[len(first) :] + (first - start[: len(first)]).mean()])
 
     def _distance(self, returns: Array) -> float:
         """Wasserstein-1 distance to the robot's returns; where only the first were played, as far as foreseen."""
-        return self._distance_over(self._foreseen(returns))
-
-    def _foreseen(self, returns: Array) -> Array:
-        return returns if len(returns) == self.episodes else self._foresee(returns)
+        return self._distance_over(self._foresee(returns))
 
     def finish(self, study: optuna.Study, finalists: int = 8) -> Reidentified:
         """Choose a point of the front, and look at it with other random numbers.
@@ -372,7 +314,7 @@ class Reidentification:
         played = [self._candidate(trial) for trial in complete if trial.user_attrs.get("episodes", 0)]
         whole = [one for one in played if one.returns]
         # of those that played the first episodes alone, the ones that may be on the front play the others
-        whole += self._played_out([one for one in _unbeaten(played) if not one.returns])
+        whole += self._played_out([one for one in unbeaten(played) if not one.returns])
         near = [one for one in whole if one.excitation <= TOLERATED * self.start.excitation]
         # the study holds the start as its nominal trial
         near = [one for one in near if dict(one.values) != dict(self.start.values)]
@@ -389,7 +331,7 @@ class Reidentification:
             model=self.model.moved(dict(chosen.values)),
             start=self.start,
             chosen=chosen,
-            front=sorted(_unbeaten(whole), key=lambda one: one.excitation),
+            front=sorted(unbeaten(whole), key=lambda one: one.excitation),
             actual=self.actual,
             fresh_start=fresh_start,
             fresh_chosen=fresh_chosen,
@@ -415,15 +357,16 @@ class Reidentification:
 
     def _replay(self, candidates: Sequence[Candidate], times: int) -> list[Candidate]:
         """The candidates over further episodes; `times` sets of episodes lie before them."""
-        values = {
-            name: torch.tensor([one.values[name] for one in candidates], dtype=torch.float64) for name in self.names
-        }
+        values = self._columns([one.values for one in candidates])
         numbers = range(times * self.episodes, (times + 1) * self.episodes)
         returns = self._shared("returns", values, len(candidates), episodes=numbers).numpy()
         return [
             replace(one, returns=tuple(own.tolist()), distance=self._distance_over(own))
             for one, own in zip(candidates, returns, strict=True)
         ]
+
+    def _columns(self, trials: Sequence[Mapping[str, float]]) -> dict[str, Tensor]:
+        return {name: torch.tensor([trial[name] for trial in trials], dtype=torch.float64) for name in self.names}
 
     def _distance_over(self, returns: Sequence[float] | Array) -> float:
         known = np.asarray(returns)
@@ -435,41 +378,6 @@ class Reidentification:
         return Candidate(values, excitation, distance, tuple(trial.user_attrs.get("returns", ())))
 
 
-def chance_distances(returns: Array, actual: int, simulated: int, draws: int = 400) -> Array:
-    """Wasserstein-1 distances of two samples of the same returns, whose mean no model can be expected to undercut.
-
-    Args:
-        returns: to draw from, with replacement.
-        actual: size of one sample.
-        simulated: size of the other.
-        draws: pairs of samples.
-    """
-    rng = np.random.default_rng(0)
-    known = returns[np.isfinite(returns)]
-    return np.array(
-        [wasserstein_distance(rng.choice(known, actual), rng.choice(known, simulated)) for _ in range(draws)]
-    )
-
-
 def _short(vector: Array) -> list[float]:
     """Numbers as a study keeps them, to six digits."""
     return [float(f"{number:.6g}") for number in vector]
-
-
-def _beats(one: Candidate, other: Candidate) -> bool:
-    """Whether a candidate is nowhere worse than another, and better in one objective."""
-    pairs = ((one.excitation, other.excitation), (one.distance, other.distance))
-    return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
-
-
-def _unbeaten(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Those that no other is better than."""
-    return [one for one in candidates if not any(_beats(other, one) for other in candidates)]
-
-
-def _better_half(losses: Array, distances: Array, start: tuple[float, float]) -> NDArray[np.int64]:
-    """Indices, rising, of the candidates that fewest others beat in both objectives; none that the start beats."""
-    beaten = (losses[None] < losses[:, None]) & (distances[None] < distances[:, None])
-    hopeless = (losses > start[0]) & (distances >= start[1])
-    order = np.lexsort((distances, beaten.sum(1)))[: (len(losses) + 1) // 2]
-    return np.sort(order[~hopeless[order] & np.isfinite(distances[order])])

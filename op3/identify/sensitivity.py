@@ -83,10 +83,6 @@ class Arms:
         """What jumps do to the squared residual, of the middle direction."""
         return float(np.median(np.square(self.jumps).sum(1)))
 
-    def reach(self, step: Array) -> bool:
-        """Whether no arm is shorter than the step is along it: what was found along them is taken to hold there too."""
-        return bool((np.abs(self.axes.T @ step) <= self.lengths).all())
-
     def long_enough(self, loss: float) -> bool:
         """Whether no arm should be more than twice as long, by what they found."""
         information = np.einsum("pd,pq,qd->d", self.axes, self.curvature, self.axes)

@@ -1,7 +1,7 @@
 """The settings of a study: Hydra's config under `hydra.sweeper`, and what is read from it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -90,20 +90,11 @@ class StudySettings:
 
     def run(self, evaluate: Evaluate, starts: Sequence[Mapping[str, Any]] = ()) -> optuna.Study:
         """Run the study, or go on with it, from these starts."""
-        return run_study(
-            evaluate,
-            self.search_space,
-            sampler=self.sampler,
-            directions=self.directions,
-            storage=self.storage,
-            study_name=self.study_name,
-            n_trials=self.n_trials,
-            population=self.population * self.parallel_populations,
-            nominal=self.nominal,
-            starts=starts,
-            seed=self.seed,
-            worker=self.worker,
-        )
+        given = {
+            field.name: getattr(self, field.name) for field in fields(self) if field.name != "parallel_populations"
+        }
+        given |= {"population": self.population * self.parallel_populations, "starts": starts}
+        return run_study(evaluate, **given)
 
     def split(self, population: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
         """Cut what was asked into the populations of single jobs."""

@@ -8,7 +8,8 @@ import optuna
 import plotly.graph_objects as go
 
 from op3.identify.intervals import at_bound
-from op3.identify.reidentification import TOLERATED, Candidate, Reidentified
+from op3.identify.reidentification import TOLERATED
+from op3.identify.reidentified import Candidate, Reidentified
 from op3.report.figures import ranges_figure
 from op3.report.page import Page
 from op3.report.result import RunFolder, finite, publish

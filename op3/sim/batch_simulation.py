@@ -80,9 +80,9 @@ class BatchSimulation:
 
     def _bind(self) -> None:
         batch, self._at = self.batch, self.ports.table
-        self._state = batch.bind("qpos"), batch.bind("qvel"), batch.bind("sensordata")
+        self._state = tuple(batch.bind(name) for name in ("qpos", "qvel", "sensordata", "qfrc_applied"))
         self._handed = batch.bind("ctrl"), batch.expand("dof_armature"), batch.expand("dof_frictionloss")
-        self._qpos, self._qvel, self._sensors = map(_torch_view, self._state)
+        self._qpos, self._qvel, self._sensors = map(_torch_view, self._state[:3])
         _, self._armature, self._friction = map(_torch_view, self._handed)
         if self._base is not None:
             self._base_quaternion = _torch_view(batch.bind("xquat"))[:, self._base.body]
@@ -158,45 +158,28 @@ class BatchSimulation:
         Raises:
             ValueError: if `rows` is given together with what only all simulations can start from.
         """
-        if rows is not None:
-            if measured or load_torque is not None or current is not None or time:
-                raise ValueError("measured, load_torque, current and time can start all simulations only: omit rows")
-            self._reset_rows(np.asarray(rows, dtype=np.int64), qpos, commands or {}, qvel)
+        if rows is not None and (measured or load_torque is not None or current is not None or time):
+            raise ValueError("measured, load_torque, current and time can start all simulations only: omit rows")
+        if rows is not None and not len(rows):
             return
-        self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
-        self._qpos[...] = torch.as_tensor(qpos, dtype=torch.float64)
+        which, some = (slice(None), ()) if rows is None else (rows, (np.asarray(rows, dtype=np.int64),))
+        self.batch.reset(*some, stage=mujoco.mjtStage.mjSTAGE_NONE)
+        self._qpos[which] = torch.as_tensor(qpos, dtype=torch.float64)
         if measured:
             self._undo_sensing()
-        self._qvel[...] = torch.as_tensor(qvel, dtype=torch.float64)
-        self._friction[:, self.ports.dof] = 0.0
-        self._armature[:, self.ports.dof] = self._rotor
-        self.batch.forward()
-        self.batch.warning[...] = 0
-        self.failed = torch.zeros(self.num_sims, dtype=torch.bool)
-        self._read()
-        default_commands(self.signals, self.model)
-        self.command(**(commands or {}))
-        set_start(self.signals, load_torque, current, time)
-        self.law.reset()
-
-    def _reset_rows(self, rows: np.ndarray, qpos: Any, commands: Mapping[str, Tensor], qvel: Any) -> None:
-        if not len(rows):
-            return
-        self.batch.reset(rows, stage=mujoco.mjtStage.mjSTAGE_NONE)
-        self._qpos[rows] = torch.as_tensor(qpos, dtype=torch.float64)
-        self._qvel[rows] = torch.as_tensor(qvel, dtype=torch.float64)
-        for array, value in ((self._friction, 0.0), (self._armature, self._rotor[rows])):
-            block = array[rows]
+        self._qvel[which] = torch.as_tensor(qvel, dtype=torch.float64)
+        for array, value in ((self._friction, 0.0), (self._armature, self._rotor[which])):
+            block = array[which]
             block[:, self.ports.dof] = value
-            array[rows] = block
-        self.batch.forward(rows)
-        self.batch.warning[rows] = 0
-        self.failed[rows] = False
+            array[which] = block
+        self.batch.forward(*some)
+        self.batch.warning[which] = 0
+        self.failed[which] = False
         self._read()
-        default_commands(self.signals, self.model, rows)
-        set_commands(self.signals, commands, rows)
-        set_start(self.signals, rows=rows)
-        self.law.reset(rows)
+        default_commands(self.signals, self.model, which)
+        set_commands(self.signals, commands or {}, which)
+        set_start(self.signals, load_torque, current, time, which)
+        self.law.reset(*some)
 
     def _undo_sensing(self) -> None:
         """Move the joints until their sensors read what the joints' positions were."""
@@ -221,12 +204,12 @@ class BatchSimulation:
         set_commands(self.signals, commands)
 
     def push(self, torque: np.ndarray) -> None:
-        """Torque on the joints beside what their servos give, held until the next call or reset.
+        """Torque on the links, which their servos feel as load, held until the next call or reset.
 
         Args:
             torque: [N m], ``[sim, joint]``.
         """
-        self.batch.bind("qfrc_applied")[:, self.ports.dof] = torque
+        self._state[3][:, self.ports.dof] = torque
 
     def advance(self) -> None:
         """One control period: a tick of the law, then its simulation steps."""

@@ -9,13 +9,16 @@ from op3.servo.machine_code import entry
 
 
 @entry
-def read(s, at, forces, qpos, qvel, sensordata):
-    """Joint state, what the outputs transmitted, and `forces` if asked for, into the signals ``[sim, joint]``."""
+def read(s, at, forces, qpos, qvel, sensordata, applied):
+    """Joint state, what the outputs transmitted, and `forces` if asked for, into the signals ``[sim, joint]``.
+
+    What the sensors find in a joint is the servo's and what is `applied` beside it; that is a load on the servo.
+    """
     for i in range(s.shape[0]):
         for j in range(s.shape[1]):
             one, force = s[i, j], at[4, j]
             one.position, one.velocity = qpos[i, at[0, j]], qvel[i, at[1, j]]
-            one.load_torque = -sensordata[i, at[3, j]]
+            one.load_torque = applied[i, at[1, j]] - sensordata[i, at[3, j]]
             if forces:
                 one.radial_force = np.hypot(sensordata[i, force], sensordata[i, force + 1])
 

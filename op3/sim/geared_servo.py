@@ -125,4 +125,5 @@ class GearedServo:
             data.qpos[None],
             data.qvel[None],
             data.sensordata[None],
+            data.qfrc_applied[None],
         )

@@ -48,7 +48,7 @@ class MeasuredMotion:
         position: estimate of the true joint angles, without noise [rad], ``[tick, joint]``.
         velocity: estimate of the joint velocities [rad/s].
         acceleration: estimate of the joint accelerations [rad/s2].
-        read_position: what the controller read [rad].
+        read_position: what the controller read [rad]; NaN where the loop is closed in the servo, on what it senses.
         read_velocity: what the controller read [rad/s].
         current: in the motors, as far as known [A].
         time: since the start of the recording [s], ``[tick, 1]``.
@@ -200,34 +200,12 @@ class WindowSimulation:
             joints, entries = len(self.joints), self._along.shape[1]
             room = np.zeros(joints, law.kernel.signals)
             simulate(
-                begin,
-                end,
-                room,
-                room.view(np.float64),
-                law.past[0].copy(),
-                law.parameters,
-                law.on,
-                self._motion,
-                self._along,
-                self._damping,
-                self._starts,
-                self._dynamics_starts,
-                edits,
-                weights,
-                misread,
-                offsets,
-                self.limbs,
-                np.empty(entries),
-                np.empty(entries),
-                np.empty(len(edits)),
-                np.empty((2, joints, joints)),
-                np.zeros((SLOTS, joints)),
-                self.preroll,
-                round(self.period / self.timestep),
-                self.timestep,
-                self._supply_resistance,
-                out,
-            )
+                begin, end, room, room.view(np.float64), law.past[0].copy(), law.parameters, law.on, self._motion,
+                self._along, self._damping, self._starts, self._dynamics_starts, edits, weights, misread, offsets,
+                self.limbs, np.empty(entries), np.empty(entries), np.empty(len(edits)), np.empty((2, joints, joints)),
+                np.zeros((SLOTS, joints)), self.preroll, round(self.period / self.timestep), self.timestep,
+                self._supply_resistance, out,
+            )  # fmt: skip
 
         ends = np.linspace(0, shape[0], min(self.num_threads, shape[0]) + 1).astype(int).tolist()
         if len(ends) == 2:

@@ -28,10 +28,10 @@ SWEEPS = 3
 REST = 0.03
 """Speed below which a measured joint is taken to rest [rad/s]; half of it is the noise of its estimate."""
 
-SHIFT, ACCOUNTED, PULL, CHANGE, TOTAL, FORCE, BOUND, OWN, SPEED, ACCELERATION, ROOMS = range(11)
+SHIFT, ACCOUNTED, AWAY, FASTER, CHANGE, TOTAL, FORCE, BOUND, OWN, SPEED, ACCELERATION, ROOMS = range(12)
 SLOTS = ROOMS + 2
-"""Rooms of a window: how far joints stand from their readings and how far the dynamics know; how the bias changes; the
-change of velocity; what a step solves; the acceleration."""
+"""Rooms of a window: how far joints stand from their readings and how far the dynamics know; how far they are from the
+measurement; the change of velocity; what a step solves; the acceleration."""
 
 
 @part
@@ -123,46 +123,48 @@ def let_go(s, p, on, motion, here, work, row, offset, step):
 
 
 @part
-def pull_back(s, motion, here, damping, limbs, work):
-    """How the bias changes, to first order, where a window has left the measurement; all at one tick."""
-    joints = len(s)
-    gradient = joints * joints + joints
-    for limb in range(len(limbs)):
-        for i in range(limbs[limb, 0], limbs[limb, 1]):
-            work[PULL, i] = 0.0
-            for k in range(limbs[limb, 0], limbs[limb, 1]):
-                away = s[k].position - work[ACCOUNTED, k] - motion[k].position
-                faster = s[k].velocity - motion[k].velocity
-                work[PULL, i] += here[gradient + i * joints + k] * away + damping[i, k] * faster
+def move(s, p, now, then, here, there, damping, share, limbs, matrix, work, step):
+    """Step all joints under what the law hands over.
 
+    The bias changes, to first order, where a window has left the measurement; with velocities it does so at the end of
+    the step, else gyroscopic torques would throw about a foot that rattles in its play.
 
-@part
-def move(s, p, here, there, share, limbs, matrix, work, step):
-    """Step all joints under what the law hands over; `matrix` are two rooms ``[2, joint, joint]``."""
+    Args:
+        now, then: the measured motion at this tick and the next.
+        damping: derivative of the bias by velocities at this tick.
+        matrix: two rooms ``[2, joint, joint]``.
+    """
     joints = len(s)
-    mass = matrix[0]
+    whole, gradient = matrix[0], joints * joints + joints
     for i in range(joints):
-        one, b = s[i], joints * joints + i
-        for k in range(joints):
-            m = i * joints + k
-            mass[i, k] = here[m] + share * (there[m] - here[m])
-        work[OWN, i] = here[b] + share * (there[b] - here[b]) + work[PULL, i]
-        work[TOTAL, i] = mass[i, i] + (p[i].armature + step * one.damping)
-        work[FORCE, i] = step * (one.applied_torque - work[OWN, i])
-        work[BOUND, i], work[SPEED, i] = step * one.friction_bound, one.velocity
+        one, measured = s[i], now[i].position + share * (then[i].position - now[i].position)
+        work[AWAY, i] = one.position - work[ACCOUNTED, i] - measured
+        work[FASTER, i] = one.velocity - (now[i].velocity + share * (then[i].velocity - now[i].velocity))
     for limb in range(len(limbs)):
         first, last = limbs[limb, 0], limbs[limb, 1]
         dry = False
         for i in range(first, last):
+            one, b = s[i], joints * joints + i
+            own = here[b] + share * (there[b] - here[b])
+            for k in range(first, last):
+                m = i * joints + k
+                own += here[gradient + m] * work[AWAY, k] + damping[i, k] * work[FASTER, k]
+                whole[i, k] = here[m] + share * (there[m] - here[m]) + step * damping[i, k]
+            work[OWN, i] = own
+            work[TOTAL, i] = whole[i, i] + (p[i].armature + step * one.damping)
+            work[FORCE, i] = step * (one.applied_torque - own)
+            work[BOUND, i], work[SPEED, i] = step * one.friction_bound, one.velocity
             dry = dry or work[BOUND, i] != 0.0
         if dry:
-            solve_dry(mass, work[TOTAL], work[SPEED], work[FORCE], work[BOUND], work[CHANGE], work[ROOMS:], first, last)
+            solve_dry(
+                whole, work[TOTAL], work[SPEED], work[FORCE], work[BOUND], work[CHANGE], work[ROOMS:], first, last
+            )
         else:
-            solve_linear(mass, work[TOTAL], work[FORCE], work[CHANGE], matrix[1], first, last)
+            solve_linear(whole, work[TOTAL], work[FORCE], work[CHANGE], matrix[1], first, last)
         for i in range(first, last):
             load = work[OWN, i]
             for k in range(first, last):
-                load += mass[i, k] * work[CHANGE, k] / step
+                load += whole[i, k] * work[CHANGE, k] / step
             s[i].load_torque = -load
             s[i].velocity += work[CHANGE, i]
             s[i].position += step * s[i].velocity
@@ -203,7 +205,7 @@ def solve_dry(mass, total, velocity, force, bound, change, rooms, first, last):
             faster = speed - change[i]
             change[i] = speed
             for k in range(first, last):
-                left[k] -= mass[i, k] * faster
+                left[k] -= mass[k, i] * faster
             left[i] = impulse
     for i in range(first, last):
         change[i] -= velocity[i]
@@ -306,15 +308,17 @@ def simulate(
                     read[2] = s[j].measured_current
                 if tick == preroll + ticks - 1:
                     break
-                pull_back(s, motion[row], here, damping[at + tick], limbs, work)
             command(s, motion[row])
-            for j in range(len(s)):  # the controller gets the readings of the log
-                s[j].measured_position = motion[row, j].read_position
-                s[j].measured_velocity = motion[row, j].read_velocity
+            for j in range(len(s)):  # a controller on the computer gets the readings of the log
+                if np.isfinite(motion[row, j].read_position):
+                    s[j].measured_position = motion[row, j].read_position
+                    s[j].measured_velocity = motion[row, j].read_velocity
             rows.tick_robot(s, own, past, on)
             for phase in range(substeps):
                 if leading and phase > 0:
                     lead(s, own, motion, here, there, work, row, phase / substeps)
                 rows.step_robot(s, own, past, on)
                 if not leading:
-                    move(s, own, here, there, (phase + 0.5) / substeps, limbs, matrix, work, step)
+                    part_of_tick = (phase + 0.5) / substeps
+                    now, then = motion[row], motion[row + 1]
+                    move(s, own, now, then, here, there, damping[at + tick], part_of_tick, limbs, matrix, work, step)

@@ -290,10 +290,13 @@ def _fallback(command: str, log: Rollout) -> float:
         return 1.0
     if command == "bus_voltage" and log.metadata.battery is not None:
         return log.metadata.battery
-    first = log.robot.servos[0]
-    if command == "firmware_gain" and first.loop == "firmware" and first.position_law is not None:
-        return log.metadata.firmware_gain or first.position_law.gain.si
-    return float("nan")
+    return gain_of(log) if command == "firmware_gain" else float("nan")
+
+
+def gain_of(log: Rollout) -> float:
+    """Of the servos' own position loop: the log's, else that of the make; NaN where the servos have none."""
+    law = log.robot.servos[0].position_law
+    return float("nan") if law is None else log.metadata.firmware_gain or law.gain.si
 
 
 def _interpolate(values: Tensor, recorded: np.ndarray, time: np.ndarray) -> Tensor:

@@ -97,12 +97,12 @@ def test_residuals_of_trials_are_those_of_a_simulation(identification):
     """Residuals that were kept equal simulated ones, and only missing ones cost simulated time."""
     problem = identification.problem
     known, missing = {**TRUTH, "torque_constant": 0.005}, {**TRUTH, "torque_constant": 0.006}
-    loss = problem.evaluate([known])[0].loss
+    loss = problem.evaluate([known])[0].values[0]
     before = problem.simulated_seconds
     residual = problem.residuals_of([missing, known])
     assert problem.simulated_seconds - before == pytest.approx(problem.replay.seconds)
     assert float(residual[1].square().sum()) == pytest.approx(loss)
-    assert float(residual[0].square().sum()) == pytest.approx(problem.evaluate([missing])[0].loss)
+    assert float(residual[0].square().sum()) == pytest.approx(problem.evaluate([missing])[0].values[0])
 
 
 def test_nonsense_settings_of_the_search_are_refused(identification, study):

@@ -3,11 +3,8 @@
 import json
 import math
 import os
-import random
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -267,30 +264,6 @@ def evaluated(log):
     return [json.loads(line) for line in Path(log).read_text().splitlines()]
 
 
-@pytest.mark.parametrize("delay_seed", [0, 1])
-def test_killing_a_worker_loses_and_repeats_only_what_is_in_flight(delay_seed, tmp_path):
-    """After kill -9 at a random moment every stored trial stays, and only one population runs again."""
-    storage, log = tmp_path / "study.journal", tmp_path / "log"
-    process = start_worker(storage, log, 400, 0.02)
-    while not log.exists():
-        time.sleep(0.01)
-    time.sleep(random.Random(delay_seed).uniform(0.05, 0.4))
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    before, asked_before = points(load(storage)), evaluated(log)
-    assert 0 <= len(asked_before) * 8 - len(before) <= 8
-    assert len(before) < 400
-
-    assert start_worker(storage, log, len(before) + 16, 0.0).wait() == 0
-    after = points(load(storage))
-    assert after[: len(before)] == before
-    assert len(after) == len(before) + 16
-    xs = [params["x"] for params, _, _ in after]
-    assert len(set(xs)) == len(xs)
-    asked = [x for population in evaluated(log) for x in population]
-    assert len(asked) - len(set(asked)) <= 8
-
-
 def test_two_workers_share_a_study(tmp_path):
     """Two processes on one journal reach n_trials together: no point twice, both at work."""
     storage, log = tmp_path / "study.journal", tmp_path / "log"
@@ -375,18 +348,3 @@ def test_unusable_storages_get_a_sentence(tmp_path):
     with pytest.raises(StorageError, match="not an Optuna journal"):
         open_storage(foreign)
     assert foreign.read_text().endswith("half a li")
-
-
-@pytest.mark.slow
-def test_keeping_the_study_costs_little_beside_the_evaluation(tmp_path):
-    """Storing 1280 trials of 11 parameters costs under 5 % of 5 s per population of 64."""
-    space = {f"p{i}": FloatDistribution(0, 1) for i in range(11)}
-    start = time.monotonic()
-    quick_study(
-        lambda population: [sum(p.values()) for p in population],
-        space,
-        n_trials=1280,
-        population=64,
-        storage=tmp_path / "study.journal",
-    )
-    assert (time.monotonic() - start) / 20 < 0.05 * 5.0

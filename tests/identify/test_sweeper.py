@@ -1,6 +1,5 @@
 """The Hydra sweeper, run as its users run it: a program started from the command line."""
 
-import importlib.util
 import json
 import os
 import re
@@ -151,20 +150,6 @@ def test_a_killed_sweep_goes_on_where_it_was(mode, tmp_path):
     assert (journal.parent / "report.txt").read_text() == f"study {total}\n"
 
 
-def test_an_interrupted_sweep_leaves_whole_trials_only(tmp_path):
-    """Ctrl-C ends the sweep; what is stored is finished."""
-    process = start(tmp_path, "-m", "seconds=0.05", "hydra.sweeper.n_trials=400")
-    journal = tmp_path / "out" / "0" / "study.journal"
-    while not (journal.exists() and journal.read_text().count('"op_code":4') > 20):
-        assert process.poll() is None, process.communicate()[0]
-        time.sleep(0.01)
-    process.send_signal(signal.SIGINT)
-    process.communicate()
-    assert process.returncode != 0
-    study = load(journal.parent)
-    assert {trial.state for trial in study.trials} == {TrialState.COMPLETE}
-
-
 @pytest.mark.parametrize("fail", ["value", "raise"])
 def test_failed_trials_are_recorded_and_the_study_goes_on(fail, tmp_path):
     """Trials beyond x = 0.5 fail, as NaN or by exception; all others complete."""
@@ -196,54 +181,6 @@ def test_a_report_that_raises_does_not_cost_the_other_studies(tmp_path):
     assert process.returncode != 0
     assert "no paper" in output
     assert [study["n_trials"] for study in results(tmp_path / "out")["studies"]] == [4, 4]
-
-
-def test_two_objectives_give_a_front(tmp_path):
-    """NSGA-II over two objectives: the results file holds the Pareto front."""
-    run(
-        tmp_path,
-        "-m",
-        "objectives=2",
-        "groups=deep",
-        "hydra.sweeper.sampler=nsga2",
-        "hydra.sweeper.direction=[minimize,maximize]",
-    )
-    solutions = results(tmp_path / "out")["solutions"]
-    assert len(solutions) > 1
-    assert all(len(solution["values"]) == 2 for solution in solutions)
-
-
-def test_two_sweepers_share_one_study(tmp_path):
-    """Two programs in one folder on one storage: 48 trials together, no job folder used twice."""
-    arguments = ["-m", "seconds=0.2", "hydra.sweeper.n_trials=48"]
-    both = [start(tmp_path, *arguments, f"hydra.sweeper.worker={number}") for number in range(2)]
-    for process in both:
-        output, _ = process.communicate(timeout=120)
-        assert process.returncode == 0, output
-    study = load(tmp_path / "out" / "0")
-    assert 48 <= len(study.trials) <= 56
-    assert len({trial.user_attrs["worker"] for trial in study.trials}) == 2
-    assert len({trial.params["bowl.x"] for trial in study.trials}) == len(study.trials)
-    folders = (tmp_path / "out" / "0" / "populations").iterdir()
-    asked = [p for folder in folders for p in json.loads((folder / "population.json").read_text())]
-    assert len(asked) == len(study.trials)
-
-
-@pytest.mark.skipif(
-    importlib.util.find_spec("hydra_plugins") is None
-    or importlib.util.find_spec("hydra_plugins.hydra_joblib_launcher") is None,
-    reason="hydra-joblib-launcher is not installed",
-)
-def test_populations_run_side_by_side_through_joblib(tmp_path):
-    """Two populations at once in two processes, and the trials are those of one process asking 16."""
-    arguments = ["hydra.sweeper.parallel_populations=2", "hydra.sweeper.n_trials=32", "seconds=0.5"]
-    run(tmp_path, "-m", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", *arguments)
-    run(tmp_path, *arguments, "hydra.run.dir=single")
-    study = load(tmp_path / "out" / "0")
-    assert points(study) == points(load(tmp_path / "single"))
-    assert len({trial.user_attrs["pid"] for trial in study.trials}) > 1
-    jobs = {folder.name for folder in (tmp_path / "out" / "0" / "populations").iterdir()}
-    assert jobs == {"0", "1", "2", "3"}
 
 
 @pytest.mark.parametrize("mode", [[], ["-m"]])

@@ -4,7 +4,7 @@ import optuna
 import pytest
 from optuna.distributions import FloatDistribution
 
-from op3.identify.reidentification import Candidate, Reidentified
+from op3.identify.reidentified import Candidate, Reidentified
 from op3.report import RunFolder, read_result
 from op3.report.comparison_page import read_runs, write_comparison
 from op3.report.reidentification_page import report_reidentification

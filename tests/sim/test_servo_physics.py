@@ -10,7 +10,6 @@ from op3.servo.effects import (
     Coulomb,
     CurrentPD,
     DirectionalEfficiency,
-    EncoderOffset,
     Latency,
     Motor,
     PositionServo,
@@ -130,6 +129,17 @@ def test_resistance_is_recovered_from_saturated_motion(hinge, gear, efficiency, 
     assert candidates[error.argmin()] == pytest.approx(5.0, rel=tolerance)
 
 
+def test_a_push_on_the_link_is_a_load_on_its_servo(hinge):
+    """Held against half a newton metre, the servo feels and gives that much."""
+    sim = simulation(compiled(hinge, gravity=False), [CurrentPD(), Motor()], IDEAL)
+    sim.reset([0.0], {"p_gain": 6.0, "d_gain": 0.5})
+    sim.push(np.array([[0.5]]))
+    for _ in range(100):
+        sim.advance()
+    assert sim.signals.load_torque.item() == pytest.approx(0.5, rel=1e-3)
+    assert sim.signals.motor_torque.item() == pytest.approx(-0.5, rel=1e-3)
+
+
 def test_load_torque_of_two_links_solved_by_hand(hinge):
     """At rest the servo transmits what holds the link, m g l sin(q) plus the second link's, and bears the weight."""
     xml = """<mujoco><worldbody><body name="a"><inertial pos="0 0 -0.1" mass="0.3" diaginertia="1e-4 1e-4 1e-4"/>
@@ -216,35 +226,6 @@ def test_defaults_of_mujoco_would_creep(hinge):
     for _ in range(625):
         sim.advance()
     assert (sim.signals.position[0, 0] - 1.0).abs() > 0.02
-
-
-NEUTRAL = [
-    (DirectionalEfficiency(), {"forward_efficiency": 1.0, "backward_efficiency": 1.0}),
-    (DirectionalEfficiency(form="printed"), {"forward_efficiency": 1.0, "backward_efficiency": 1.0}),
-    (Coulomb(), {"coulomb_friction": 0.0}),
-    (Stribeck(), {"static_friction_excess": 0.0}),
-    (Viscous(), {"viscous_friction": 0.0}),
-    (Latency(), {"command_latency": 0.0}),
-    (EncoderOffset(), {"encoder_offset": 0.0}),
-]
-
-
-@pytest.mark.parametrize(("effect", "values"), NEUTRAL, ids=lambda x: getattr(x, "name", ""))
-def test_neutral_effects_change_nothing_bit_for_bit(hinge, effect, values):
-    """An effect at its neutral value leaves the trajectory identical to the last bit."""
-    base = [e for e in friction_effects() if e.name != effect.name]
-
-    def run(effects, extra):
-        sim = simulation(compiled(hinge), effects, extra)
-        sim.reset([0.3], {"p_gain": 3.0, "d_gain": 0.1})
-        trace = []
-        for tick in range(100):
-            sim.command(position_target=np.sin(0.1 * tick))
-            sim.advance()
-            trace.append(torch.cat([sim.signals.position, sim.signals.velocity, sim.signals.current]))
-        return torch.stack(trace)
-
-    assert torch.equal(run(base, {}), run([*base, effect], values))
 
 
 def test_latency_delays_the_current_by_its_amount(hinge):

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from op3.robot import pose
-from op3.servo import catalogue, secant_values
+from op3.servo import RobotModel, catalogue, secant_values
+from op3.servo.effects import CurrentPD, Motor
 from op3.servo.machine_code import scalar
 from op3.sim import (
     BatchSimulation,
@@ -155,6 +156,31 @@ def test_motions_with_other_inputs_share_their_dynamics(recorded):
     for place, one in enumerate((motion, other)):
         alone = WindowSimulation(model, [one], windows[:1], 10, LEG).run()[key]
         assert torch.equal(both[:, place], alone[:, 0])
+
+
+def test_gyroscopic_torques_do_not_throw_light_joints_about():
+    """Two joints of 1 g dm^2 that turn each other at 200 rad/s keep the speed that they are off by, or lose it."""
+    none, light = np.zeros((60, 2)), np.tile(1e-4 * np.eye(2) + 1e-6, (60, 1, 1))
+    turning = np.tile(np.array([[0.0, 0.02], [-0.02, 0.0]]), (60, 1, 1))
+    dynamics = TrajectoryDynamics(light, none, 0 * light, turning, none)
+    inputs = {"p_gain": none, "d_gain": none, "bus_voltage": none + 11.1}
+    motion = MeasuredMotion(PERIOD, *[none] * 6, np.arange(60)[:, None] * PERIOD, inputs, dynamics, {})
+    model = RobotModel((CurrentPD(), Motor())).with_values({"armature": 0.0})
+    off = torch.full((1, 2), 0.5, dtype=torch.float64)
+    windows = WindowSimulation(model, [motion], [Window(0, 10)], 40, ("one", "other"))
+    speed = windows.run(velocity_offset=off)["joint", "velocity"][0, 0].norm(dim=-1)
+    assert speed[0] == pytest.approx(0.5**0.5, rel=1e-3)
+    assert (speed <= 1.01 * speed[0]).all()
+
+
+def test_a_loop_in_the_servo_gets_what_the_servo_senses(recorded):
+    """Where no reading is given the joints of a wrong log are not drawn towards it."""
+    model, motion = recorded
+    wrong = replace(motion, read_position=motion.position + 0.1)
+    unread = replace(motion, read_position=np.full_like(motion.position, np.nan))
+    ends = [WindowSimulation(model, [m], [Window(0, 40)], 25, LEG).run() for m in (motion, unread, wrong)]
+    angles = [end["joint", "position"][0, 0, -1] for end in ends]
+    assert (angles[1] - angles[0]).abs().max() < 0.1 * (angles[2] - angles[0]).abs().max()
 
 
 def test_window_must_fit(recorded):
