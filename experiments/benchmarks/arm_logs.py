@@ -51,8 +51,8 @@ SHARED: Mapping[str, tuple[float, float]] = {
 OWN: Mapping[str, tuple[float, float]] = {"encoder_offset": (-0.4, 0.4), "coulomb_friction": (0.0, 0.3)}
 """Ranges of what each joint has of its own; the zeros of the robot's file are approximate."""
 
-PLAIN = ("controller_gain", "viscous_friction", "command_latency", "encoder_offset", "coulomb_friction")
-"""What the plain model of Coulomb and viscous friction searches of these."""
+PLAIN = ("viscous_friction", "command_latency", "coulomb_friction")
+"""What the plain model of Coulomb and viscous friction searches of these, with the gain and the zeros of the files."""
 
 
 def whole_model() -> RobotModel:
@@ -113,7 +113,9 @@ class Windows:
 
     def residuals(self, values: Mapping[str, Tensor], candidates: int) -> Tensor:
         """What is left of every log, robust, ``[candidate, residual]``."""
-        moved = {**values, "encoder_offset": values["encoder_offset"] - torch.from_numpy(self.zeros)}
+        moved = dict(values)
+        if "encoder_offset" in moved:
+            moved["encoder_offset"] = moved["encoder_offset"] - torch.from_numpy(self.zeros)
         parts = []
         for simulation, motion in zip(self.simulations, self.motions, strict=True):
             angle = simulation.run(moved, candidates)["joint", "position"][:, 0]
@@ -168,7 +170,8 @@ def main() -> None:
     whole = whole_model()
     plain = whole.without("dte", "stribeck", "minimum_duty").with_values({"derivative_gain": 0.0})
     for label, model, searched in (
-        ("Coulomb and viscous friction", plain, PLAIN),
+        ("Coulomb and viscous friction", plain.with_values({"controller_gain": 1.0}), PLAIN),
+        ("the same, gain and zeros too", plain, (*PLAIN, "controller_gain", "encoder_offset")),
         ("whole law", whole, (*SHARED, *OWN)),
     ):
         started = time.process_time()
@@ -183,9 +186,7 @@ def main() -> None:
         for log, error in zip(withheld, errors, strict=True):
             print(f"  {log.metadata.recording:20s}" + "".join(f"{1e3 * one:7.1f}" for one in error))
         mean = 1e3 * np.mean(errors, 0)
-        print(
-            "  withheld runs, mrad   " + ", ".join(f"{j} {e:.1f}" for j, e in zip(logs[0].joints, mean, strict=True))
-        )
+        print("  withheld runs, mrad   " + ", ".join(f"{j} {e:.1f}" for j, e in zip(logs[0].joints, mean, strict=True)))
         print(f"  mean {mean.mean():.1f} mrad", flush=True)
 
 

@@ -197,7 +197,6 @@ class Identification:
         *,
         starts: int = 0,
         max_iterations: int = 25,
-        race: int | None = None,
         rounds: int = 0,
         batch: int = 12,
         polish: int = 0,
@@ -210,7 +209,6 @@ class Identification:
             study: finished.
             starts: how many of the best trials least squares starts from; 0 for no refinement.
             max_iterations: of least squares.
-            race: iterations after which only the best start goes on; None: all go on.
             rounds: of a search with a surrogate of the residuals, before least squares; it begins with the trials.
             batch: points simulated per round.
             polish: Gauss-Newton steps along combinations of parameters, last of all.
@@ -254,9 +252,7 @@ class Identification:
             candidates = [dict(zip(self.names, (low + u * span).tolist(), strict=True)) for u in found.points]
             values = candidates[0]
         if starts:
-            result = refine(
-                residuals, bounds, candidates[:starts], max_iterations=max_iterations, race=race, progress=progress
-            )
+            result = refine(residuals, bounds, candidates[:starts], max_iterations=max_iterations, progress=progress)
             refined += result.history[1:] if rounds else result.history
             if result.loss < best:
                 values, there = result.values, None

@@ -24,14 +24,12 @@ class Refinement:
         values: parameters by name, of the best start.
         loss: squared length of the residual there.
         history: best loss after every iteration, the first before any.
-        ends: parameters and loss at the end of every start, best first.
         evaluations: parameter sets simulated.
     """
 
     values: Mapping[str, float]
     loss: float
     history: Sequence[float]
-    ends: Sequence[tuple[Mapping[str, float], float]]
     evaluations: int
 
 
@@ -42,7 +40,6 @@ def refine(
     *,
     max_iterations: int = 25,
     tolerance: float = 2e-3,
-    race: int | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> Refinement:
     """Least squares from several starts.
@@ -53,7 +50,6 @@ def refine(
         starts: values to start from; those outside the bounds are clipped.
         max_iterations: at most so many Jacobians of a start.
         tolerance: a start has converged when an iteration lowers its loss by less than this share.
-        race: iterations after which only the best start goes on; None: all go on until each has converged.
         progress: called with iteration and best loss.
 
     Raises:
@@ -80,21 +76,16 @@ def refine(
         if progress is not None:
             progress(len(history) - 1, history[-1])
 
-    def descend(unit: Array, iterations: int) -> tuple[float, Array]:
+    def descend(unit: Array) -> tuple[float, Array]:
         residual = simulate(counted, unit[None])[0]
         history[0] = min(history[0], float(residual @ residual)) if len(history) == 1 else history[0]
         unit, residual = least_squares(
-            counted, unit, residual, differences, steps=iterations, tolerance=tolerance, progress=note
+            counted, unit, residual, differences, steps=max_iterations, tolerance=tolerance, progress=note
         )
         return float(residual @ residual), unit
 
-    ends = [descend(unit, race or max_iterations) for unit in units]
-    if race is not None and race < max_iterations:
-        first = min(range(len(ends)), key=lambda i: ends[i][0])
-        ends[first] = descend(ends[first][1], max_iterations - race)
-    ends.sort(key=lambda end: end[0])
-    named = [(dict(zip(bounds, (low + unit * span).tolist(), strict=True)), loss) for loss, unit in ends]
-    return Refinement(*named[0], history, named, evaluations)
+    loss, unit = min((descend(unit) for unit in units), key=lambda end: end[0])
+    return Refinement(dict(zip(bounds, (low + unit * span).tolist(), strict=True)), loss, history, evaluations)
 
 
 def simulate(residuals: Residuals, points: Array) -> Array:

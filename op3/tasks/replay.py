@@ -277,11 +277,11 @@ def _mount(log: Rollout) -> tuple[str, float, float]:
 def _control_period(log: Rollout) -> float:
     """Time between commands to a robot [s], by the metadata; the usual one if it is nearly that, or of a bench.
 
-    Logs are simulated together where it is the same.
+    Logs are simulated together where it is the same, to a hundredth of a millisecond: a command counts by its stamp.
     """
     period = 1.0 / float(log.metadata.extra.get("control_rate", log.metadata.rate))
     usual = abs(period - OP3_CONTROL_PERIOD) < SAME_RATE * period
-    return OP3_CONTROL_PERIOD if usual or log.metadata.mount == "pendulum" else round(period, 6)
+    return OP3_CONTROL_PERIOD if usual or log.metadata.mount == "pendulum" else round(period, 5)
 
 
 def _fallback(command: str, log: Rollout) -> float:

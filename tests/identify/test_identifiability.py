@@ -14,13 +14,13 @@ MIDDLE = {name: 0.5 for name in NAMES}
 BLOCKS = np.split(np.arange(400), 10)
 
 
-def analyse(design: np.ndarray, noise: np.ndarray, channels=None):
-    """Identifiability of a regression around the middle of the box."""
+def analyse(design: np.ndarray, noise: np.ndarray, channels=None, at=MIDDLE):
+    """Identifiability of a regression around the middle of the box, or another point."""
 
     def residuals(unit: torch.Tensor) -> torch.Tensor:
         return torch.from_numpy((unit.numpy() - 0.5) @ design.T + noise)
 
-    sensitivity = polish(residuals, BOX, MIDDLE, steps=0).sensitivity
+    sensitivity = polish(residuals, BOX, at, steps=0).sensitivity
     channels = channels or {"joint/position": np.arange(400)}
     return identifiability(sensitivity, BLOCKS, channels, intervals_of(sensitivity, BLOCKS))
 
@@ -72,6 +72,14 @@ def test_noise_that_lasts_counts_for_fewer_samples():
     assert noise_scale(white, index, BLOCKS) == pytest.approx(1.0, rel=0.3)
     expected = np.sqrt(np.mean(lasting**2) * 40)
     assert noise_scale(lasting, index, BLOCKS) == pytest.approx(expected)
+
+
+def test_a_parameter_that_ended_at_its_bound_is_no_finding():
+    """However narrow its interval, the range ended there and not the data."""
+    rng = np.random.default_rng(4)
+    known = analyse(rng.normal(size=(400, 3)), 0.01 * rng.normal(size=400), at={**MIDDLE, "armature": 0.995})
+    assert known.at_bound == ["armature"]
+    assert known.identifiable == {"backward_efficiency": True, "coulomb_friction": True, "armature": False}
 
 
 def test_one_parameter_alone_is_said_so():

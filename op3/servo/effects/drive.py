@@ -150,7 +150,7 @@ class PositionServo(Effect):
     constants = ("stride", "forget")
     commands = ("firmware_gain",)
     parameters = (
-        Parameter("controller_gain", "-", 0.6, 1.4, 1.0, 1.0, "factor c on the firmware's nominal gain"),
+        Parameter("controller_gain", "-", 0.2, 1.4, 1.0, 1.0, "factor c on the firmware's nominal gain"),
         Parameter("derivative_gain", "s/rad", 0.0, 0.06, 0.0, 0.0, "duty per rad/s of the error's rate, kd"),
     )
     size = "controller_gain"
@@ -180,7 +180,6 @@ class PositionServo(Effect):
 
     @staticmethod
     def apply(s, p):
-        """Follow the goal and set the voltage."""
         move = clip(s.goal - s.position_servo_goal, -p.position_servo_stride, p.position_servo_stride)
         s.position_servo_goal += move
         s.position_servo_goal_rate += p.position_servo_forget * (move / p.timestep - s.position_servo_goal_rate)
@@ -218,5 +217,4 @@ class MinimumDuty(Effect):
 
     @staticmethod
     def apply(s, p):
-        """Raise the voltage."""
         s.voltage = lifted_voltage(s.voltage, s.bus_voltage, p.minimum_duty, p.minimum_duty_fade)

@@ -39,7 +39,6 @@ class TorqueConstant(Effect):
     scopes = ("joint", "shared", "side")
 
     def adjust(self, values: Mapping[str, Tensor], sides: Tensor) -> Mapping[str, Tensor]:
-        """Scale the motor's parameter."""
         return scaled(values, "torque_constant", values["torque_constant_error"])
 
 
@@ -66,7 +65,6 @@ class TerminalResistance(Effect):
     scopes = ("joint", "shared", "side")
 
     def adjust(self, values: Mapping[str, Tensor], sides: Tensor) -> Mapping[str, Tensor]:
-        """Scale the motor's parameter."""
         return scaled(values, "terminal_resistance", values["terminal_resistance_error"])
 
     @staticmethod
@@ -143,7 +141,6 @@ class VoltageSag(Effect):
 
     @staticmethod
     def apply(s, p):
-        """Lower the bus voltage of this step."""
         s.voltage_sag_drawn = s.drawn + p.voltage_sag_keep * (s.voltage_sag_drawn - s.drawn)
         fallen = s.bus_voltage - p.supply_resistance * s.voltage_sag_drawn
         s.bus_voltage = clip(fallen, p.voltage_sag_least_voltage, inf)
@@ -244,7 +241,6 @@ class CurrentOffset(Effect):
 
     @staticmethod
     def report(s, p):
-        """Shift the reading."""
         s.measured_current += p.current_offset
 
 

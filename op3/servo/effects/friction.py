@@ -39,7 +39,6 @@ class Coulomb(Effect):
 
     @staticmethod
     def apply(s, p):
-        """Raise the bound by fc."""
         s.friction_bound += p.coulomb_friction
 
 
@@ -104,7 +103,6 @@ class Viscous(Effect):
 
     @staticmethod
     def apply(s, p):
-        """Raise the bound in proportion to speed."""
         s.friction_bound += p.viscous_friction * s.speed
 
 
@@ -129,7 +127,6 @@ class BearingFriction(Effect):
 
     @staticmethod
     def apply(s, p):
-        """Raise the bound in proportion to radial force and speed."""
         s.friction_bound += p.bearing_friction * s.radial_force * s.speed
 
 
@@ -165,7 +162,6 @@ class AsymmetricFriction(Effect):
 
     @staticmethod
     def apply(s, p):
-        """Raise the bound in one direction and lower it in the other."""
         pushed = s.motor_torque + s.load_torque
         direction = np.sign(s.velocity if s.speed > p.asymmetric_friction_rest else pushed)
         s.friction_bound = clip(s.friction_bound + 0.5 * direction * p.asymmetric_friction, 0.0, inf)
@@ -191,5 +187,4 @@ class QuadraticDrag(Effect):
 
     @staticmethod
     def apply(s, p):
-        """Raise the bound with the square of speed."""
         s.friction_bound += p.quadratic_drag * (s.speed * s.speed)

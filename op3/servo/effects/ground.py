@@ -86,6 +86,5 @@ class GroundTilt(Effect):
     scopes = ("robot",)
 
     def sense_trunk(self, trunk: Trunk, values: Mapping[str, Tensor]) -> None:
-        """Measure against gravity."""
         floor = product(about(1, values["ground_pitch"]), about(0, values["ground_roll"]))
         trunk.quaternion = product(floor, trunk.quaternion)

@@ -54,7 +54,6 @@ class LoadFriction(Effect):
 
     @staticmethod
     def apply(s, p):
-        """Raise the bound."""
         share = p.load_friction + s.fade * p.load_friction_excess
         if p.load_friction_form == SUM:
             s.friction_bound += load_friction(s.motor_torque, s.load_torque, share, share)
@@ -89,7 +88,6 @@ class DirectionalFriction(Effect):
 
     @staticmethod
     def apply(s, p):
-        """Raise the bound."""
         motor, load = s.motor_torque, s.load_torque
         steady = load_friction(motor, load, p.motor_friction, p.external_friction)
         excess = load_friction(motor, load, p.motor_friction_excess, p.external_friction_excess)
@@ -122,6 +120,5 @@ class AntagonisticFriction(Effect):
 
     @staticmethod
     def apply(s, p):
-        """Raise the bound."""
         bound = antagonistic_friction(s.motor_torque, s.load_torque, p.motor_square, p.external_square)
         s.friction_bound += s.fade * bound

@@ -51,7 +51,6 @@ class Motor(Effect):
 
     @staticmethod
     def prepare(p):
-        """Torque constant on the joint side."""
         p.motor_constant = p.torque_constant * p.motor_gear_ratio
 
     @staticmethod

@@ -33,7 +33,6 @@ class Cogging(Effect):
 
     @staticmethod
     def apply(s, p):
-        """Add the ripple."""
         s.applied_torque += p.cogging_amplitude * sin(p.cogging_periods * s.position + p.cogging_phase)
 
 
@@ -67,7 +66,6 @@ class CableSpring(Effect):
 
     @staticmethod
     def apply(s, p):
-        """Pull."""
         s.applied_torque += s.cable_spring_pull
 
 
@@ -102,6 +100,5 @@ class PositionFriction(Effect):
 
     @staticmethod
     def apply(s, p):
-        """Raise the bound."""
         wave = cos(p.position_friction_periods * (s.position - p.position_friction_angle))
         s.friction_bound += 0.5 * p.position_friction * (1.0 + wave)

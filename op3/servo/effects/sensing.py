@@ -32,7 +32,6 @@ class EncoderOffset(Effect):
 
     @staticmethod
     def sense(s, p):
-        """Shift the reading."""
         s.measured_position += p.encoder_offset
 
 
@@ -121,5 +120,4 @@ class VelocityFilter(Effect):
 
     @staticmethod
     def finish(s, p):
-        """Renew the memory."""
         s.velocity_filter_filtered, s.velocity_filter_velocity = s.measured_velocity, s.velocity_filter_now

@@ -246,7 +246,6 @@ class Compliance(Effect):
 
     @staticmethod
     def prepare(p):
-        """Stiffness and damping."""
         p.compliance_stiffness = 1.0 / max(p.gear_compliance, LEAST_COMPLIANCE)
         p.compliance_friction = contact_friction(p, p.compliance_stiffness, p.compliance_damping_ratio)
 

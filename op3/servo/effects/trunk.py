@@ -31,7 +31,6 @@ class ImuMount(Effect):
     scopes = ("robot",)
 
     def sense_trunk(self, trunk: Trunk, values: Mapping[str, Tensor]) -> None:
-        """Read in the frame of the mount."""
         turns = [about(axis, values[f"imu_{name}"]) for axis, name in enumerate(("roll", "pitch", "yaw"))]
         mount = product(product(turns[2], turns[1]), turns[0])
         trunk.quaternion = product(trunk.quaternion, mount)
@@ -62,7 +61,6 @@ class GyroBias(Effect):
     scopes = ("robot",)
 
     def sense_trunk(self, trunk: Trunk, values: Mapping[str, Tensor]) -> None:
-        """Add the bias."""
         bias = torch.cat([values[f"gyro_bias_{axis}"] for axis in "xyz"], -1)
         trunk.angular_velocity = trunk.angular_velocity + bias
 

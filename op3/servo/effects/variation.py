@@ -72,7 +72,6 @@ class LeftRightAsymmetry(Effect):
     scopes = ("robot",)
 
     def adjust(self, values: Mapping[str, Tensor], sides: Tensor) -> Mapping[str, Tensor]:
-        """Scale friction and torque constants by side."""
         sides = sides.to(values["friction_asymmetry"])  # the precision is that of the parameters
         for name in FRICTION:
             values = scaled(values, name, values["friction_asymmetry"] * sides)
