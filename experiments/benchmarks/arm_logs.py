@@ -94,7 +94,7 @@ class Windows:
         dynamics = TrajectoryDynamics(*(_between(field, rows, len(angle)) for field in fields))
         none = [np.zeros_like(field) for field in (dynamics.mass, dynamics.bias, dynamics.gradient, dynamics.damping)]
         # a joint whose encoder reads more stands at a smaller angle
-        turned = {
+        turned: dict[tuple[str, int | None], TrajectoryDynamics] = {
             ("encoder_offset", j): TrajectoryDynamics(
                 none[0], -dynamics.gradient[:, :, j].copy(), none[2], none[3], none[1]
             )

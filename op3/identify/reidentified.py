@@ -70,8 +70,8 @@ class Reidentified:
 def unbeaten(candidates: Sequence[Candidate]) -> list[Candidate]:
     """Those that no other is better than: nowhere worse, and better in one objective."""
     pairs = np.array([(one.excitation, one.distance) for one in candidates]).reshape(-1, 2)
-    beaten = (pairs[None] <= pairs[:, None]).all(-1) & (pairs[None] < pairs[:, None]).any(-1)
-    return [one for one, lost in zip(candidates, beaten.any(1), strict=True) if not lost]
+    beaten = [((pairs <= own).all(axis=-1) & (pairs < own).any(axis=-1)).any() for own in pairs]
+    return [one for one, lost in zip(candidates, beaten, strict=True) if not lost]
 
 
 def better_half(losses: Array, distances: Array, start: tuple[float, float]) -> NDArray[np.int64]:

@@ -162,8 +162,9 @@ class BatchSimulation:
             raise ValueError("measured, load_torque, current and time can start all simulations only: omit rows")
         if rows is not None and not len(rows):
             return
-        which, some = (slice(None), ()) if rows is None else (rows, (np.asarray(rows, dtype=np.int64),))
-        self.batch.reset(*some, stage=mujoco.mjtStage.mjSTAGE_NONE)
+        ids = None if rows is None else np.asarray(rows, dtype=np.int64)
+        which = slice(None) if ids is None else ids
+        self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
         self._qpos[which] = torch.as_tensor(qpos, dtype=torch.float64)
         if measured:
             self._undo_sensing()
@@ -172,14 +173,14 @@ class BatchSimulation:
             block = array[which]
             block[:, self.ports.dof] = value
             array[which] = block
-        self.batch.forward(*some)
+        self.batch.forward(ids)
         self.batch.warning[which] = 0
         self.failed[which] = False
         self._read()
         default_commands(self.signals, self.model, which)
         set_commands(self.signals, commands or {}, which)
         set_start(self.signals, load_torque, current, time, which)
-        self.law.reset(*some)
+        self.law.reset(ids)
 
     def _undo_sensing(self) -> None:
         """Move the joints until their sensors read what the joints' positions were."""
