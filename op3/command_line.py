@@ -289,8 +289,14 @@ def quoted(argument: str) -> str:
             return argument
     except HydraException:
         pass
-    escaped = value.replace("\\", "\\\\").replace("'", "\\'")
-    return f"{name}='{escaped}'"
+    if value.startswith("[") and value.endswith("]"):  # a list, such as of overrides with equals signs of their own
+        return f"{name}=[{','.join(map(_in_quotes, value[1:-1].split(',')))}]"
+    return f"{name}={_in_quotes(value)}"
+
+
+def _in_quotes(text: str) -> str:
+    escaped = text.strip(" '\"").replace("\\", "\\\\").replace("'", "\\'")
+    return f"'{escaped}'"
 
 
 def missing(error: Any) -> str:

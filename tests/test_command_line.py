@@ -63,6 +63,7 @@ def test_a_path_may_have_any_character(tmp_path):
         ("seed=0,1,2", "seed=0,1,2"),
         ("groups=[motor,friction]", "groups=[motor,friction]"),
         ("data=a b(1).csv", "data='a b(1).csv'"),
+        ("budgets.demo.train=[train.steps=3,seed=1]", "budgets.demo.train=['train.steps=3','seed=1']"),
         ("data=it's.csv", r"data='it\'s.csv'"),
         ("-m", "-m"),
     ],

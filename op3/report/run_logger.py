@@ -8,7 +8,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import numpy as np
 import plotly.graph_objects as go
 
 from op3.private import scrub
@@ -104,10 +103,6 @@ class RunLogger:
     def figure(self, name: str, figure: go.Figure, step: int | None = None) -> None:
         """Log a plotly figure."""
         self._run.log({name: self._wandb.Plotly(figure)}, step=step)
-
-    def image(self, name: str, image: np.ndarray, step: int | None = None) -> None:
-        """Log an image, uint8 ``[height, width, 3]``."""
-        self._run.log({name: self._wandb.Image(image)}, step=step)
 
     def summary(self, values: Mapping[str, Any]) -> None:
         """Set the numbers that stand for the whole run in wandb's tables."""

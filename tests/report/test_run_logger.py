@@ -3,7 +3,6 @@
 import time
 from pathlib import Path
 
-import numpy as np
 import plotly.graph_objects as go
 import pytest
 
@@ -12,13 +11,12 @@ from op3.report.run_logger import artifact_name
 
 
 def test_an_offline_run_is_written_with_group_and_values(tmp_path, monkeypatch, capfd):
-    """The run's file holds group, name, config, values and summary; figure and image lie beside it; all is quiet."""
+    """The run's file holds group, name, config, values and summary; the figure lies beside it; all is quiet."""
     monkeypatch.setenv("WANDB_MODE", "offline")
     with RunLogger(tmp_path / "sweep" / "0", group="squat-sweep", name="job-0", config={"budget": 2000}) as logger:
         logger.log({"loss": 0.5}, step=0)
         logger.log({"loss": 0.25}, step=7)
         logger.figure("history", go.Figure(go.Scatter(y=[1, 2])))
-        logger.image("frame", np.zeros((4, 6, 3), dtype=np.uint8))
         logger.summary({"error_mrad": 11.5})
     (folder,) = (tmp_path / "sweep" / "0" / "wandb").glob("offline-run-*")
     assert logger.folder is not None
@@ -27,7 +25,7 @@ def test_an_offline_run_is_written_with_group_and_values(tmp_path, monkeypatch, 
     record = record_of(tmp_path / "sweep" / "0", *expected)
     assert all(part in record for part in expected)
     media = {path.suffix for path in (folder / "files" / "media").rglob("*") if path.is_file()}
-    assert media == {".json", ".png"}
+    assert media == {".json"}
     assert capfd.readouterr() == ("", "")
 
 
