@@ -188,12 +188,13 @@ def story(
 
 
 def _fit(fit: Mapping[str, Prediction]) -> tuple[go.Figure, TableRows]:
-    """The knees of the squat that was fitted, measured and as the models say."""
+    """The two joints that moved most in what was fitted, measured and as the models say."""
     log, rows = next(iter(fit.values())).log, []
     for label, one in fit.items():
         simulated = one.channels["joint", "position"][0].numpy()
         rows.append([label, 1e3 * float(np.abs(simulated - log.array("joint/position")[: len(simulated)]).mean())])
-    figure = traces_figure(log, fit, ["l_knee", "r_knee"])
+    moved = np.sort(np.argsort(np.ptp(log.array("joint/position"), axis=0))[-2:])
+    figure = traces_figure(log, fit, [log.joints[number] for number in moved])
     return figure, (["model", "mean error of the joints' angles [mrad]"], rows)
 
 
