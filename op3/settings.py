@@ -189,8 +189,10 @@ class _Loader(yaml.SafeLoader):
         lines: dict[str, int] = {}
         for key, _ in node.value:
             line = key.start_mark.line + 1
-            if isinstance(key, yaml.ScalarNode) and lines.setdefault(key.value, line) != line:
-                raise _Twice(key.value[:60], lines[key.value], line)
+            if isinstance(key, yaml.ScalarNode):
+                if key.value in lines:
+                    raise _Twice(key.value[:60], lines[key.value], line)
+                lines[key.value] = line
         return self.construct_mapping(node, deep=True)
 
 

@@ -166,7 +166,8 @@ def position_error(predictions: Sequence[Prediction], joints: Sequence[str] = ()
     for prediction in predictions:
         simulated = prediction.channels[("joint", "position")]
         measured = torch.from_numpy(prediction.log.array("joint/position")[: simulated.shape[1]])
-        error = (simulated - measured)[..., focus.columns(prediction.log)].abs().mean((1, 2))
+        kept = [column for column in focus.columns(prediction.log) if prediction.log.measured("joint/position")[column]]
+        error = (simulated - measured)[..., kept].abs().mean((1, 2))
         errors.append(torch.where(prediction.failed, torch.nan, error))
     return torch.stack(errors, 1)
 

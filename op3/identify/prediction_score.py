@@ -154,8 +154,14 @@ def _cut(loss: TrajectoryLoss, prediction: Prediction, stretches: int) -> _Cut |
     number = np.minimum(np.arange(rows) * stretches // rows, stretches - 1)
     members = [number == block for block in range(stretches) if (number == block).any()]
     squares = {key: np.array([np.square(d[m]).mean(0) for m in members]) for key, d in differences.items()}
-    joints = [log.joints[column] for column in loss.columns(log)]
+    columns = loss.columns(log)
     axes = {"imu/orientation": ["roll", "pitch"], "imu/angular_velocity": ["x", "y", "z"]}
+    for key in [key for key in squares if key.startswith("joint/")]:
+        kept = log.measured(key)[columns]  # what was set aside is no error of 0
+        axes[key] = [log.joints[column] for column, good in zip(columns, kept, strict=True) if good]
+        squares[key] = squares[key][:, kept]
+        differences[key] = differences[key][:, kept]
+    squares = {key: values for key, values in squares.items() if values.shape[1]}
     # eq. (7) takes the body's vectors by their length and the joints on average
     terms = [s.sum(1) if key.startswith("imu") else s.mean(1) for key, s in squares.items()]
     return _Cut(
@@ -164,7 +170,7 @@ def _cut(loss: TrajectoryLoss, prediction: Prediction, stretches: int) -> _Cut |
         np.array([1e3 * np.abs(differences["joint/position"][m]).mean() for m in members]),
         np.sum(terms, axis=0),
         squares,
-        {key: axes.get(key, joints) for key in squares},
+        {key: axes[key] for key in squares},
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from op3.diagnose import LogSplit, Verdict
+from op3.report.log_section import log_section
 from op3.report.page import Page
 from op3.report.result import RunFolder, publish
 from op3.report.style import bars_figure
@@ -108,6 +109,7 @@ def _page(verdict: Verdict, split: LogSplit, content: Mapping[str, Any], folder:
     tables = _tables(verdict, split, content)
     page.fill("diagnosis", figures, tables, verdict=verdict, content=content, folder=folder, joint=joint,
               shown=shown is not None, effect=effect_class)  # fmt: skip
+    log_section(page, split.logs)
     page.section("Files")
     page.files(
         {"verdict.yaml": "the verdict as data", "model.yaml": "the model that predicts best, for every other command"}

@@ -9,6 +9,7 @@ from op3.identify.identifiability import SHARE
 from op3.identify.identification import Fit, Score
 from op3.report.figures import history_figure, ranges_figure
 from op3.report.identifiability_section import identifiability_figure, identifiability_numbers, verdicts, widths_table
+from op3.report.log_section import log_section
 from op3.report.page import Page
 from op3.report.result import RunFolder, finite, publish
 from op3.report.style import words
@@ -140,6 +141,7 @@ def _page(fits: Sequence[Fit], joints: Sequence[str], wall_seconds: float) -> Pa
     }
     told = {} if known is None else {verdict: [words(n) for n in each] for verdict, each in verdicts(known).items()}
     page.fill("identification", figures, tables, known=known, told=told, share=SHARE)
+    log_section(page, (prediction.log for score in _scores(fit) for prediction in score.predictions))
     page.section("Files")
     page.files({"result.yaml": "all numbers of this page", "model.yaml": "the identified model"})
     return page

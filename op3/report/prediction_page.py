@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from op3.identify.prediction_score import PredictionScore
+from op3.report.log_section import log_section
 from op3.report.page import Page
 from op3.report.result import RunFolder, publish
 from op3.report.style import words
@@ -109,6 +110,7 @@ def _page(score: PredictionScore, model: str, joints: Sequence[str]) -> Page:
         "logs": (["log", "mount", "error [mrad]", "paper eq. (7)", "fitted"], logs),
     }
     page.fill("prediction", None, tables, score=score)
+    log_section(page, (entry.log for entry in score.logs))
     page.section("Files")
     page.files({"result.yaml": "all numbers of this page"})
     return page

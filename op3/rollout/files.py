@@ -117,8 +117,8 @@ def _map_folder(folder: Path) -> dict[str, Any]:
         if "dtype" not in entry:
             entries[name] = _map_folder(folder / name)
             continue
-        path, dtype, shape = folder / f"{name}.memmap", _DTYPES.get(entry["dtype"]), entry.get("shape")
-        if dtype is None or not isinstance(shape, list):
+        path, dtype, shape = folder / f"{name}.memmap", _DTYPES.get(str(entry["dtype"])), entry.get("shape")
+        if dtype is None or not isinstance(shape, list) or not all(type(n) is int and n >= 0 for n in shape):
             return _broken(folder / "meta.json", f"channel {name} has dtype {entry['dtype']} and shape {shape}")
         size = path.stat().st_size if path.is_file() else -1
         wanted = math.prod(shape) * dtype.itemsize

@@ -165,6 +165,11 @@ def _one_clock(streams: Sequence[Stream], path: Path) -> tuple[np.ndarray, dict[
     at most half a row and nothing on average.
     """
     first, *others = streams
+    for stream in streams:
+        for name, values in stream.columns.items():
+            if values.shape != stream.time.shape:
+                problem = f"the column has {len(values)} rows and its clock {len(stream.time)}"
+                raise LogError(problem, "record the file again, or export it whole", source=path, column=name)
     for stream in others:
         check_clock(stream.time, path)
     if not others:

@@ -15,7 +15,7 @@ from op3.rollout.importing import place, read_side
 from op3.rollout.read import find_reader
 from op3.rollout.readers.csv_table import recording as csv_recording
 from op3.rollout.readers.reader import Column, Recording
-from op3.rollout.readers.text import ending, read_text
+from op3.rollout.readers.text import ending
 
 _TURNED = {"target": 1.0, "position": 1.0, "velocity": 1.0, "current": 0.0, "duty": 0.0, "load": 0.0}
 """Channels that take the sign of a joint's log, and whether its unit of angle applies to them."""
@@ -31,7 +31,7 @@ def propose(path: Path, robot: str | None = None) -> tuple[dict[str, Any], dict[
     reader = find_reader(path)
     if reader is None:
         raise LogError("no reader knows this log", "name a file or folder of a known format", source=path)
-    found = csv_recording(read_text(path), path) if ending(path) == ".csv" else reader.read(path)[0]
+    found = csv_recording(path) if ending(path) == ".csv" else reader.read(path)[0]
     if not isinstance(found, Recording):
         return found.metadata.to_dict(), {}
     known = load_robot(robot) if robot else None

@@ -79,12 +79,12 @@ def read_episodes(path: str | Path, options: Mapping[str, Any] | None = None, ch
     for found in reader.read(path):
         if isinstance(found, Recording):
             side = side or with_options(read_side(path), options or {})
-            logs += [log.check(path) if check else log for log in roll_out(found, side, path)]
+            logs += roll_out(found, side, path)
         else:
             logs.append(found)
     if not logs:
         raise LogError("it holds no recording", "record at least one episode", source=path)
-    return logs
+    return [log.check(path) for log in logs] if check else logs
 
 
 def read_logs(paths: str | Path | Iterable[str | Path], robot: str | Path | Robot | None = None) -> list[Rollout]:

@@ -167,7 +167,7 @@ class Rollout:
         names = ("travelled_distance", "episode_duration", "fallen")
         values = {name: getattr(self.metadata, name) for name in names}
         picked = {name: v[index] if isinstance(v, tuple) else v for name, v in values.items()}
-        return Rollout(self.data[index], self.metadata.replace(**picked))
+        return dataclasses.replace(self, data=self.data[index], metadata=self.metadata.replace(**picked))
 
     def between(self, start: float, end: float) -> Rollout:
         """The rows with start <= time < end [s] of a log without an episode axis; shares its memory."""
@@ -179,7 +179,7 @@ class Rollout:
             problem = f"no row lies between {start:g} s and {end:g} s"
             remedy = f"the log runs from {time[0]:g} s to {time[-1]:g} s"
             raise LogError(problem, remedy, source=self.metadata.recording, column="time")
-        return Rollout(self.data[int(first) : int(last)], self.metadata)
+        return dataclasses.replace(self, data=self.data[int(first) : int(last)])
 
     def check(self, source: str | Path | None = None) -> Rollout:
         """Raise `LogError` where the log cannot be right, as importers do.
@@ -208,8 +208,8 @@ class Rollout:
     def _without(self, aside: set[str]) -> Rollout:
         """The log with these columns set aside.
 
-        In their place stand the derivative of position for a velocity, and the middle of the other joints for the
-        rest, so that no consumer meets a hole.
+        In their place stand the command for a position, the derivative of position for a velocity, and the middle of
+        the other joints for the rest, so that no consumer meets a hole.
         """
         if not aside:
             return self
@@ -220,7 +220,9 @@ class Rollout:
                 del data[key]
             elif bad.any():
                 values = self.array(key).copy()
-                if key == ("joint", "velocity"):
+                if key == ("joint", "position"):
+                    values[..., bad] = self.array("command/position")[..., bad]
+                elif key == ("joint", "velocity"):
                     for where in np.ndindex(values.shape[:-2]):
                         time, position = (self.array(k)[where] for k in ("time", "joint/position"))
                         values[where][:, bad] = np.gradient(position[:, bad], time[:, 0], axis=0)

@@ -40,7 +40,7 @@ UNITS: dict[str, dict[str, float]] = {
     "V": {"V": 1.0, "0.1 V": 0.1, "mV": 1e-3},
     "C": {"C": 1.0, "K": 1.0, "F": 5 / 9},
     "m/s2": {"m/s2": 1.0, "g": 9.80665, "mg": 9.80665e-3},
-    "kg": {"kg": 1.0, "g": 1e-3, "lb": 0.4536, "t": 1e3},
+    "kg": {"kg": 1.0, "g": 1e-3, "mg": 1e-6, "t": 1e3, "lb": 0.4536},
     "m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254, "km": 1e3},
     "A/rad": {"A/rad": 1.0, "mA/rad": 1e-3, "A/deg": 1 / _DEG},
     "A s/rad": {"A s/rad": 1.0, "mA s/rad": 1e-3, "A s/deg": 1 / _DEG},
@@ -94,13 +94,15 @@ def likely_unit(ratio: float, si_unit: str, tolerance: float = 0.12) -> str | No
         si_unit: Key of `UNITS`.
         tolerance: Largest relative difference between the ratio and the unit's.
     """
+    if not 1e-12 < abs(ratio) < 1e12:
+        return None
     others = {name: abs(math.log(abs(ratio) * size)) for name, size in UNITS.get(si_unit, {}).items() if size != 1}
-    name = min(others, key=others.__getitem__, default=None) if ratio else None
+    name = min(others, key=others.__getitem__, default=None)
     return name if name is not None and others[name] < tolerance else None
 
 
 def plausible_unit(value: float, si_unit: str, typical: float) -> tuple[str, float] | None:
     """The unit that brings a number nearest to a typical one, with the number in SI; None where none comes near."""
-    sizes = UNITS[si_unit].items()
+    sizes = [item for item in UNITS[si_unit].items() if item[0] not in ("in", "lb")]
     name, size = min(sizes, key=lambda item: abs(math.log(abs(value) * item[1] / typical)))
     return (name, value * size) if 0.02 < abs(value) * size / typical < 50 and size != 1 else None

@@ -135,6 +135,26 @@ def put(column: str, row: int, value: float) -> Change:
     return change
 
 
+def add(column: str, value: float, first: int = 0) -> Change:
+    """A number is added from a row on."""
+
+    def change(table: Table) -> None:
+        table[column][first:] += value
+
+    return change
+
+
+def repeated(first: int, last: int) -> Change:
+    """The recorder writes one reading of the sensors again and again."""
+
+    def change(table: Table) -> None:
+        for name in table:
+            if name != "time" and not name.endswith((".target", ".firmware_gain")):
+                table[name][first:last] = table[name][first]
+
+    return change
+
+
 REFUSED: dict[str, tuple[Change, str]] = {
     "clock set forward": (clock_forward(3600), r"row 501, column time: time jumps .* the clock was set here; split"),
     "clock set by a second": (clock_forward(1.0), r"row 501, column time: time jumps .* the clock was set here"),
@@ -147,9 +167,16 @@ REFUSED: dict[str, tuple[Change, str]] = {
     ),
     "two turns": (wrapped(2), r"position jumps by 2 turns"),
     "around pi": (swings_around_pi, r"position jumps by one turn .*unwrap: true.*shift"),
-    "a turn off": (scale("none", 1), ""),
+    "a turn off": (
+        add("joint_0.position", 2 * np.pi),
+        r"position is \+6\.\d+ rad away from the command, about \+1 turn",
+    ),
     "position in degrees": (scale(".*position", 6.5), r"position: the position moves 6\.\d+ times as far"),
-    "small degrees": (scale(".*(position|target)", 0.1), ""),
+    "both in degrees": (
+        scale(".*(position|target|velocity)", 57.29578),
+        r"in steps of 0\.08789.* as if they were in deg",
+    ),
+    "position in counts": (scale(".*position", 4096 / 2 / np.pi), r"as if it were in counts of 4096 a turn"),
     "gyroscope in degrees": (scale("imu.gyro_.", 57.3), r"gyro_x: the gyroscope reads 57\.\d times .* in deg/s"),
     "gyroscope turned": (turned("imu.gyro_y"), r"gyro_y: the gyroscope reads -(1|0.99\d*) .* sign turned round"),
     "gyroscope's axes": (swap("imu.gyro_x", "imu.gyro_y"), r"axes are swapped"),
@@ -158,9 +185,12 @@ REFUSED: dict[str, tuple[Change, str]] = {
     "velocity in rpm": (scale(".*velocity", 9.549), r"in rpm"),
     "velocity turned": (turned(".*velocity"), r"velocity is -(1|0.99\d*) times .* sign turned round"),
     "position turned": (turned(".*(position|velocity)"), r"position moves against its command"),
-    "a spike": (put("joint_0.position", 300, 2.9), r"row 301, .* position jumps by \+\d"),
+    "a spike": (put("joint_0.position", 300, 2.9), r"row 301, .* position jumps by \+\d.* in one row and back"),
+    "a dead sensor": (scale("joint_0.position", 0), r"position stands at 0 rad while its command moves by"),
+    "repeated rows": (repeated(400, 440), r"row 401, column time: all sensors keep their numbers for 40 rows"),
+    "milliseconds": (scale("time", 1e3), r"the time looks like milliseconds"),
+    "gravity in g": (scale("imu.acc_.", 1 / 9.81), r"looks like g"),
 }
-del REFUSED["a turn off"], REFUSED["small degrees"]
 
 
 @pytest.mark.parametrize("case", REFUSED)
@@ -183,16 +213,81 @@ def test_small_degrees_without_velocity(tmp_path):
         read_log(write(tmp_path, change))
 
 
-def test_swapped_joints(tmp_path):
-    """Two joints whose positions were exchanged follow each other's commands."""
-    with pytest.raises(LogError, match="follows the command of joint_"):
-        read_log(write(tmp_path, swap("joint_0.position", "joint_2.position"), joints=3))
+def test_a_clock_without_a_rate_beside_it(tmp_path):
+    """Where the metadata do not tell the rate, one that no robot has tells the unit."""
+    path = write(tmp_path, scale("time", 1e6))
+    sidecar = path.with_suffix(".yaml")
+    sidecar.write_text(sidecar.read_text().replace("rate: 125.0\n", ""))
+    with pytest.raises(LogError, match=r"interval of 8000 s is that of no robot; the time looks like microseconds"):
+        read_log(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (swap("joint_0.position", "joint_2.position"), r"follows the command of joint_\d: the columns .* swapped"),
+        (
+            lambda t: t.update({"joint_1.position": t["joint_0.position"]}),
+            r"joint_1.position: every row has the numbers",
+        ),
+    ],
+)
+def test_positions_of_other_joints(tmp_path, change, expected):
+    """Joints whose positions were exchanged follow each other's commands; a copy is named."""
+    with pytest.raises(LogError, match=expected):
+        read_log(write(tmp_path, change, joints=3))
+
+
+def test_one_bad_row_in_a_register(tmp_path):
+    """16-bit numbers read without their sign, and a single wrong reading, are named as what they are."""
+    step = 0.024
+    for number, (change, expected) in enumerate(
+        (
+            (
+                lambda t: t.update({v: np.where(t[v] < 0, t[v] + 65536 * step, t[v]) for v in t if "velocity" in v}),
+                "16-bit",
+            ),
+            (put("joint_0.velocity", 300, 40.0), r"a single reading of 40 stands between"),
+        )
+    ):
+        (folder := tmp_path / str(number)).mkdir()
+        assert re.search(expected, read_log(write(folder, change)).findings[0].problem)
+
+
+def test_a_lost_sensor_of_the_trunk_is_not_used(tmp_path):
+    """An accelerometer without gravity, and a gyroscope that stands while the robot tilts, are set aside."""
+    assert "imu/linear_acceleration" not in read_log(write(tmp_path, scale("imu.acc_.", 0)))
+    (folder := tmp_path / "gyro").mkdir()
+    assert "imu/angular_velocity" not in read_log(write(folder, scale("imu.gyro_.", 0)))
+
+
+@pytest.mark.parametrize("value", [0.25, -0.3, np.pi])
+def test_another_zero_is_a_warning(tmp_path, value):
+    """One joint of several that stands off its command in every pose."""
+    (finding,) = read_log(write(tmp_path, add("joint_2.position", value), joints=5)).findings
+    assert (finding.column, finding.check, finding.set_aside) == ("joint_2.position", "constant offset", False)
+
+
+def test_a_dead_position_of_one_joint_is_set_aside(tmp_path):
+    """The command stands in its place, and the joint does not count as measured."""
+    log = read_log(write(tmp_path, scale("joint_1.position", 0), joints=3))
+    assert log.measured("joint/position").tolist() == [True, False, True]
+
+
+def test_lost_rows_are_a_warning(tmp_path):
+    """A third of the rows missing singly is said with its share."""
+    keep = np.random.default_rng(0).random(1000) > 0.3
+    log = read_log(write(tmp_path, lambda table: [table.__setitem__(n, v[keep]) for n, v in table.items()]))
+    assert any("of the rows are missing, singly" in finding.problem for finding in log.findings)
 
 
 SIDES = {
     "grams": ("mass: 535\n", r"field mass: 535 kg cannot be; 535 g would be 0\.535 kg; write mass: 0\.535"),
     "millimetres": ("length: 150\n", r"field length: 150 m cannot be; 150 mm would be 0\.15 m"),
     "millivolts": ("battery: 7400\n", r"field battery: 7400 V cannot be; 7400 mV would be 7\.4 V"),
+    "centimetres": ("length: 15\n", r"field length: 15 m cannot be; 15 cm would be 0\.15 m"),
+    "milligrams": ("mass: 535000\n", r"535000 mg would be 0\.535 kg"),
+    "a key twice in one line": ("extra: {a: 1, a: 2}\n", r"field a: the key stands at line \d+ and again"),
     "two batteries": (
         "battery: 11.1\nbattery: 12\n",
         r"field battery: the key stands at line \d+ and again at line \d+",
@@ -302,13 +397,57 @@ def test_scale(tmp_path):
     )
 
 
-def test_other_forms_of_csv(tmp_path):
-    """Semicolons with decimal commas, and tabs, are read as they are."""
+FORMS: dict[str, Callable[[str], bytes]] = {
+    "semicolons and decimal commas": lambda text: _marks(text, ";").encode(),
+    "tabs and decimal commas": lambda text: _marks(text, "\t").encode(),
+    "tabs": lambda text: text.replace(",", "\t").encode(),
+    "spaces": lambda text: text.replace(",", " ").encode(),
+    "quoted decimal commas": lambda text: _marks(text, '","', '"').encode(),
+    "UTF-16": lambda text: text.encode("utf-16"),
+    "a byte order mark": lambda text: b"\xef\xbb\xbf" + text.encode(),
+    "remarks": lambda text: ("# made on a Monday\n" + text + "# end\n").encode(),
+    "a header of numpy": lambda text: ("# " + text).encode(),
+    "a line for Excel": lambda text: ("sep=,\n" + text).encode(),
+    "row numbers of pandas": lambda text: _numbered(text).encode(),
+    "commas at the end": lambda text: text.replace("\n", ",\n").encode(),
+    "carriage returns": lambda text: text.replace("\n", "\r").encode(),
+}
+
+
+def _marks(text: str, mark: str, quote: str = "") -> str:
+    header, *rows = text.splitlines()
+    lines = [quote + row.replace(",", ";").replace(".", ",").replace(";", mark) + quote for row in rows]
+    return "\n".join([quote + header.replace(",", mark) + quote, *lines])
+
+
+def _numbered(text: str) -> str:
+    return "\n".join(("" if n == 0 else str(n - 1)) + "," + line for n, line in enumerate(text.splitlines()))
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_other_forms_of_csv(tmp_path, form):
+    """What spreadsheets, numpy and pandas write is read as it is."""
     path = write(tmp_path)
-    text = path.read_text()
-    for other in (
-        text.replace(",", ";").replace(".", ",").replace("joint_0,", "joint_0.").replace("imu,", "imu."),
-        text.replace(",", "\t"),
-    ):
-        path.write_text(other)
-        assert np.array_equal(read_log(path).array("joint/position"), bench_log().array("joint/position"))
+    path.write_bytes(FORMS[form](path.read_text()))
+    assert np.array_equal(read_log(path).array("joint/position"), bench_log().array("joint/position"))
+
+
+def test_a_table_without_a_header(tmp_path):
+    """Its first row is numbers, and the sentence says so."""
+    path = write(tmp_path)
+    path.write_text(path.read_text().partition("\n")[2])
+    with pytest.raises(LogError, match=r"row 1: there is no header, the first row holds numbers"):
+        read_log(path)
+
+
+def test_folders_are_checked_too(tmp_path):
+    """A rollout folder with a fault is refused as a CSV is, and a bad channel set aside."""
+    log = bench_log(3)
+    arrays = {key: log.array(key).copy() for key in log.channels}
+    arrays["joint", "velocity"][:, 1] = 0
+    Rollout.from_arrays(arrays, log.metadata).save(tmp_path / "a")
+    assert read_log(tmp_path / "a").metadata.set_aside == ("joint_1.velocity",)
+    arrays["joint", "position"] *= 57.3
+    Rollout.from_arrays(arrays, log.metadata).save(tmp_path / "b")
+    with pytest.raises(LogError, match=r"as if it were in deg"):
+        read_log(tmp_path / "b")

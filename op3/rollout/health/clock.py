@@ -7,12 +7,16 @@ from collections.abc import Iterator
 import numpy as np
 
 from op3.rollout.health.finding import ERROR, WARNING, Finding, View, check
-from op3.rollout.health.match import delayed
+from op3.rollout.health.match import delayed, longest_run
 from op3.rollout.importing import holes
 
 RATE_TOLERANCE = 0.1
 """Largest relative difference between the clock and the metadata's rate."""
 
+SLOWEST, FASTEST = 2.0, 20e3
+"""No log of a robot has fewer rows per second, or more [Hz]."""
+
+_UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 _SPLIT = "split the file there, or write `split: true` into its YAML to read the parts"
 
 
@@ -32,8 +36,7 @@ def jumps(view: View) -> Iterator[Finding]:
 
 def _goes_on(view: View, row: int) -> bool:
     """Whether the joints move across a jump no further than from row to row beside it, while they move."""
-    positions = [v for v in (view.get(("joint", "position")), view.get(("command", "position"))) if v is not None]
-    table = np.concatenate(positions, axis=1)
+    table = np.concatenate([view.position, view.command], axis=1)
     near = np.abs(np.diff(table[max(0, row - 11) : row + 10], axis=0))
     across, usual = np.abs(table[row] - table[row - 1]).sum(), np.median(near.sum(1))
     return bool(usual > 1e-3 and across < 3 * usual)
@@ -41,54 +44,88 @@ def _goes_on(view: View, row: int) -> bool:
 
 @check("rate")
 def rate(view: View) -> Iterator[Finding]:
-    """The rows come at another rate than the metadata says."""
-    if len(view.time) < 2:
+    """The rows come at another rate than the metadata says, or at one that no robot has."""
+    if len(view.time) < 3:
         return
     steps, said = np.diff(view.time), view.metadata.rate
+    row, unit = 1, None
     # The mean suits a clock that alternates between two intervals, the median one with gaps.
-    if min(abs(view.interval * said - 1), abs(float(steps.mean()) * said - 1)) <= RATE_TOLERANCE:
+    if min(abs(view.interval * said - 1), abs(float(steps.mean()) * said - 1)) > RATE_TOLERANCE:
+        problem = f"the median interval of {view.interval:.6g} s is {1 / view.interval:.6g} Hz, but the metadata says "
+        problem += f"rate: {said:g} Hz"
+        unit = next((name for scale, name in _UNITS.items() if 0.5 < view.interval * said / scale < 2), None)
+        row = int(np.argmax(np.abs(steps * said - 1) > RATE_TOLERANCE)) + 1
+    elif not SLOWEST < 1 / view.interval < FASTEST:
+        problem = f"the median interval of {view.interval:.6g} s is that of no robot"
+        unit = next((name for scale, name in _UNITS.items() if SLOWEST < scale / view.interval < FASTEST), None)
+    else:
         return
-    ratio = view.interval * said
-    unit = next((u for scale, u in ((1e3, "milli"), (1e6, "micro"), (1e9, "nano")) if 0.5 < ratio / scale < 2), None)
-    problem = (
-        f"the median interval of {view.interval:.6g} s is {1 / view.interval:.6g} Hz, but the metadata says rate: "
-    )
-    problem += f"{said:g} Hz"
-    remedy = f"the time looks like {unit}seconds, convert it to seconds" if unit else "correct the rate or the time"
-    row = int(np.argmax(np.abs(steps * said - 1) > RATE_TOLERANCE)) + 1
+    remedy = f"the time looks like {unit}, convert it to seconds" if unit else "correct the rate or the time"
     yield Finding(ERROR, problem, remedy, "time", **view.where(row))
 
 
 @check("uneven rows")
 def uneven(view: View) -> Iterator[Finding]:
-    """Many intervals are several times the usual one."""
+    """Many rows are missing, or many intervals are several times the usual one."""
     steps = np.diff(view.time)
-    long = steps > 4 * view.interval
-    if len(steps) > 50 and long.mean() > 0.02:
-        row = int(steps.argmax()) + 1
+    if len(steps) <= 50:
+        return
+    long, lost = steps > 4 * view.interval, 1 - view.interval * len(steps) / float(steps.sum())
+    row, remedy = int(steps.argmax()) + 1, "record with a clock that keeps its rate"
+    if long.mean() > 0.02:
         problem = (
             f"{long.sum()} intervals are over four times the usual {view.interval:.4g} s, up to {steps.max():.4g} s"
         )
-        yield Finding(WARNING, problem, "record with a clock that keeps its rate", "time", **view.where(row))
+        yield Finding(WARNING, problem, remedy, "time", **view.where(row))
+    elif lost > 0.12 and (np.abs(steps / view.interval - np.round(steps / view.interval)) < 0.1).mean() > 0.9:
+        problem = f"about {lost:.0%} of the rows are missing, singly"
+        yield Finding(WARNING, problem, "look what loses them on the way", "time", **view.where(row))
+
+
+@check("repeated rows")
+def repeated(view: View) -> Iterator[Finding]:
+    """All sensors keep their numbers while a joint moves: the recorder wrote one reading again and again."""
+    sensors = [view.log.array(key) for key in view.log.channels if key[0] in ("joint", "imu")]
+    same = (np.diff(np.concatenate(sensors, axis=1), axis=0) == 0).all(1)
+    (start,), (length,) = longest_run(same[:, None])
+    if length < 8 or length * view.interval < 0.15 or length == len(same):
+        return
+    first, last = int(start), int(start + length)
+    steps = np.abs(np.diff(view.position, axis=0)).sum(1)
+    out = max((steps[row] for row in (first - 1, last) if 0 <= row < len(steps)), default=0.0)
+    moving = np.median(steps[steps > 0]) if steps.any() else np.inf
+    velocity = view.get(("joint", "velocity"))
+    fast = velocity is not None and np.abs(velocity[first]).max() > 0.15 and length < 0.9 * len(same)
+    if fast or out > max(5 * moving, 0.03 * length * view.interval):
+        problem = f"all sensors keep their numbers for {last - first + 1} rows, while the robot moves"
+        remedy = "leave these rows out; the recorder had no new reading"
+        yield Finding(ERROR, problem, remedy, "time", **view.where(first, last))
 
 
 @check("two clocks")
 def two_clocks(view: View) -> Iterator[Finding]:
-    """The delay between command and position grows: they were stamped by clocks that run apart."""
-    command, position = view.get(("command", "position")), view.get(("joint", "position"))
+    """Command and position were stamped by different clocks: their delay is long, or grows."""
     third = len(view.time) // 3
-    if command is None or position is None or third * view.interval < 3:
+    if third * view.interval < 1:
         return
-    joint = int(np.ptp(command, axis=0).argmax())
+    joint = int(np.ptp(view.command, axis=0).argmax())
     lags = range(0, round(0.8 / view.interval), max(1, round(0.02 / view.interval)))
-    best = []
+    best, near = [], []
     for part in (slice(0, third), slice(-third, None)):
-        pair = position[part, joint : joint + 1], command[part, joint : joint + 1]
-        found = [float(delayed(*pair, rows)[0]) for rows in lags]
+        pair = view.position[part, joint : joint + 1], view.command[part, joint : joint + 1]
+        found = [float(delayed(*pair, rows)[0]) for rows in lags if rows < third // 2]
         best.append((max(found, default=0.0), lags[int(np.argmax(found))] * view.interval if found else 0.0))
+        near.append(max(found[:8], default=1.0))
     (sure, early), (sure_too, late) = best
-    if min(sure, sure_too) > 0.98 and abs(late - early) > 0.2:
+    where, remedy = view.column(("joint", "position"), joint), "stamp both by one clock"
+    if min(sure, sure_too) < 0.98:
+        return
+    if abs(late - early) > 0.2 and third * view.interval >= 3:
         problem = f"the position follows the command by {early:.2f} s at the beginning and {late:.2f} s at the end"
         problem += ": they were stamped by clocks that run apart"
-        remedy = "stamp both by one clock, or cut the log into short parts"
-        yield Finding(WARNING, problem, remedy, view.column(("joint", "position"), joint))
+        yield Finding(WARNING, problem, f"{remedy}, or cut the log into short parts", where)
+    elif min(early, late) > 0.25 and abs(late - early) < 0.06 and max(near) < 0.9:
+        problem = (
+            f"the position follows the command by {early:.2f} s throughout: their clocks differ, or one is shifted"
+        )
+        yield Finding(WARNING, problem, remedy, where)

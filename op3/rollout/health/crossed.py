@@ -13,23 +13,25 @@ from op3.rollout.units import likely_unit
 SURE = 0.9
 """Correlation above which a factor and a sign mean something."""
 
-_POSITION, _VELOCITY, _COMMAND = ("joint", "position"), ("joint", "velocity"), ("command", "position")
+_VELOCITY = ("joint", "velocity")
 
 
-def _says(ratio: float, unit: str) -> str:
-    """What a factor means, in words."""
+def _says(ratio: float) -> str:
+    """What a factor between velocity and the change of position means, in words."""
     if abs(ratio + 1) < 0.25:
         return " with the sign turned round"
-    name = likely_unit(ratio, unit)
-    if name is None and unit == "rad/s" and likely_unit(1 / ratio, "rad") == "deg":
-        return ", as if the position were in deg"
-    return f", as if it were in {name}{' with the sign turned round' if ratio < 0 else ''}" if name else ""
+    turned = " with the sign turned round" if ratio < 0 else ""
+    # registers count in steps of a velocity, a derivative of positions in their unit per second
+    for unit, whose, size in (("rad/s", "it", ratio), ("rad", "the position", 1 / ratio)):
+        if name := likely_unit(size, unit, 0.05) or likely_unit(size, unit):
+            return f", as if {whose} were in {name}{turned}"
+    return turned
 
 
 @check("velocity against position")
 def velocity(view: View) -> Iterator[Finding]:
     """Velocity and the derivative of position differ in factor, sign or delay, or belong to different joints."""
-    rate, angle = view.get(_VELOCITY), view.log.array(_POSITION)
+    rate, angle = view.get(_VELOCITY), view.position
     if rate is None or len(view.time) < 20:
         return
     first, last = windows(view.time)
@@ -63,20 +65,29 @@ def _judge(
 ) -> tuple[str, float | None, int] | None:
     """What is wrong with a joint's velocity, and the factor where it is one."""
     own, ratio = found.correlation[joint, joint], float(found.ratio[joint, joint])
+    sure = np.abs(found.correlation[joint])
+    fits = sure > 0.97 if abs(own) < SURE or ratio < 0 else np.zeros(len(sure), bool)
+    other = next((int(k) for k in np.argsort(-sure) if k != joint and fits[k] and found.ratio[joint, k] > 0), None)
     if found.size_a[joint] < 0.02 * found.size_b[joint] and abs(own) < SURE:
         return "velocity stands still while the joint moves", None, joint
     if abs(own) > SURE:
         if 0.6 < ratio < 1.6:
             return None
-        text = f"the velocity is {ratio:.3g} times the change of position per second{_says(ratio, 'rad/s')}"
+        whose = f", or it is that of {view.joints[other]}" if other is not None else ""
+        text = f"the velocity is {ratio:.3g} times the change of position per second{_says(ratio)}{whose}"
         return text, ratio, joint
+    if summed[:, joint].min() >= 0 and np.corrcoef(np.abs(turned[:, joint]), summed[:, joint])[0, 1] > SURE:
+        return "velocity has lost its sign", None, joint
+    # a joint that shakes faster than the windows are long, seen through a filter
+    rate, change = view.log.array(_VELOCITY)[:, [joint]], np.gradient(view.position[:, [joint]], view.time, axis=0)
+    if max(float(delayed(rate, change, n)[0]) for n in range(round(0.05 / view.interval) + 1)) > 0.85:
+        return None
     stride = span / 2
     lags = range(1, round(1.0 / stride))
     late = [float(delayed(summed[:, [joint]], turned[:, [joint]], n)[0]) for n in lags if n < len(summed) // 2]
     if late and max(late) > max(0.95, own + 0.1):
         return f"velocity comes {(int(np.argmax(late)) + 1) * stride:.2g} s after the position's change", None, joint
-    other = int(np.abs(found.correlation[joint]).argmax())
-    if other != joint and abs(found.correlation[joint, other]) > 0.97 and abs(own) < 0.7:
+    if other is not None and abs(own) < 0.7:
         return f"velocity is that of {view.joints[other]}", None, joint
     if abs(own) < 0.3:
         return f"velocity does not follow the position (correlation {own:.2f})", None, joint
@@ -86,24 +97,30 @@ def _judge(
 @check("current against position error")
 def drive(view: View) -> Iterator[Finding]:
     """Current or duty drives away from the target, or is in another unit than gain times error says."""
-    gain, error = view.get(("command", "p_gain")), view.log.array(_COMMAND) - view.log.array(_POSITION)
+    gain, error = view.get(("command", "p_gain")), view.command - view.position
+    rows = view.driven.all(1)
     for key in (("joint", "current"), ("joint", "duty")):
         values = view.get(key)
-        if values is None or len(view.time) < 20:
+        if values is None or rows.sum() < 20:
             continue
-        wanted = error * gain if gain is not None and key[1] == "current" else error
-        rows = view.driven.all(1)
-        if rows.sum() < 20:
-            continue
-        found = match(values[rows], wanted[rows])
+        known = gain is not None and key[1] == "current"
+        wanted = (error * gain if known else error)[rows]
+        values = values[rows]
+        found, sizes = match(values, wanted), match(np.abs(values), np.abs(wanted))
         sure, ratio = np.diag(found.correlation), np.diag(found.ratio)
         moving = (found.size_b > 0.01) & (found.size_a > 0)
-        against = np.flatnonzero(moving & (sure < -SURE))
-        off = np.flatnonzero(moving & (sure > SURE) & ((ratio > 20) | (ratio < 0.01)) & (wanted is not error))
-        for joint in (*against, *off):
-            if joint in against:
-                problem, remedy = f"{key[1]} drives away from the target", "turn its sign round"
-            else:
-                problem = f"current is {ratio[joint]:.3g} times gain times error{_says(float(ratio[joint]), 'A')}"
-                remedy = "convert it to A"
-            yield Finding(WARNING, problem, remedy, view.column(key, int(joint)), set_aside=True)
+        signless = moving & (values.min(0) >= 0) & (wanted.min(0) < -0.3 * wanted.max(0))
+        signless &= np.diag(sizes.correlation) > np.maximum(0.8, sure + 0.2)
+        against = moving & (sure < -0.8) & ~signless
+        off = moving & (sure > 0.8) & known & ((ratio > 20) | (ratio < 0.01))
+        words = {
+            f"{key[1]} has lost its sign": (signless, "record it with its sign"),
+            f"{key[1]} drives away from the target": (against, "turn its sign round"),
+            f"current is {np.median(ratio[off]) if off.any() else 0:.3g} times gain times error, as mA or counts of a "
+            "register would be": (off, "convert it to A"),
+        }
+        for problem, (wrong, remedy) in words.items():
+            # what most joints show that show anything is the channel's, not a joint's
+            all_of_them = 2 * wrong.sum() > (moving & (np.abs(sure) > 0.5) | wrong).sum() and wrong.sum() > 1
+            for joint in np.flatnonzero(wrong | all_of_them) if wrong.any() else ():
+                yield Finding(WARNING, problem, remedy, view.column(key, int(joint)), set_aside=True)

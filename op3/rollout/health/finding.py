@@ -64,7 +64,8 @@ class View:
 
     def __init__(self, log: Rollout):
         self.log, self.metadata, self.joints = log, log.metadata, log.joints
-        self.time = log.array("time")[:, 0]
+        self.time, self.position = log.array("time")[:, 0], log.array(("joint", "position"))
+        self.command = log.array(("command", "position"))
 
     def get(self, key: Key) -> np.ndarray | None:
         """A channel [time, name], None where it is absent."""
@@ -109,7 +110,8 @@ def check(name: str) -> Callable[[Check], Check]:
 
 def examine(log: Rollout) -> tuple[Finding, ...]:
     """Everything that the checks find in a log, errors first."""
-    found = [finding for episode in log.episodes() for finding in _findings(View(episode))]
+    with np.errstate(all="ignore"):  # what overflows is refused by its bound
+        found = [finding for episode in log.episodes() for finding in _findings(View(episode))]
     return tuple(sorted(found, key=lambda finding: finding.severity != ERROR))
 
 
@@ -117,7 +119,7 @@ def _findings(view: View) -> Iterator[Finding]:
     aside: set[str | None] = set()
     for name, function in CHECKS.items():
         for finding in function(view):
-            if finding.set_aside and finding.column in aside:
+            if finding.column in aside:
                 continue  # why it is not used has been said
             if finding.set_aside:
                 aside.add(finding.column)

@@ -7,15 +7,15 @@ from collections.abc import Iterator
 import numpy as np
 
 from op3.rollout.health.finding import ERROR, WARNING, Finding, View, check
-from op3.rollout.units import plausible_unit
+from op3.rollout.units import likely_unit, plausible_unit
 
-_PLAUSIBLE = {"mass": ("kg", 1e-3, 50.0, 0.4), "length": ("m", 5e-3, 3.0, 0.12), "battery": ("V", 2.0, 100.0, 11.0)}
+_PLAUSIBLE = {"mass": ("kg", 1e-3, 50.0, 0.4), "length": ("m", 5e-3, 3.0, 0.12), "battery": ("V", 2.0, 60.0, 11.0)}
 """Unit, smallest, largest and a typical value of what a bench's sidecar says."""
 
 
 @check("plausible metadata")
 def plausible(view: View) -> Iterator[Finding]:
-    """Mass, length or battery is far from that of any robot or bench; the likely unit is named."""
+    """Mass, length or battery is far from that of any robot or bench, or from the voltage; the likely unit is named."""
     for name, (unit, least, most, typical) in _PLAUSIBLE.items():
         value = getattr(view.metadata, name)
         if value is None or least <= value <= most:
@@ -24,6 +24,12 @@ def plausible(view: View) -> Iterator[Finding]:
         guess = f"; {value:g} {likely[0]} would be {likely[1]:.4g} {unit}" if likely else ""
         remedy = f"write {name}: {likely[1]:.4g}" if likely else f"write {name} in {unit}"
         yield Finding(ERROR, f"{value:g} {unit} cannot be{guess}", remedy, f"field {name}")
+    volts, battery = view.get(("joint", "voltage")), view.metadata.battery
+    if battery and volts is not None and (median := float(np.median(volts))) > 2:
+        unit = likely_unit(battery / median, "V", 0.3)
+        if unit:
+            problem = f"{battery:g} V does not fit the measured {median:.4g} V; it looks like {unit}"
+            yield Finding(ERROR, problem, f"write battery: {median:.3g}", "field battery")
 
 
 @check("firmware gain")
@@ -45,7 +51,7 @@ def supply(view: View) -> Iterator[Finding]:
     battery = view.metadata.battery
     for joint in range(len(view.joints)):
         median = 0.0 if volts is None else float(np.median(volts[:, joint]))
-        if battery and volts is not None and not 0.4 < median / battery < 1.8:
+        if battery and volts is not None and median and not 0.4 < median / battery < 1.8:
             problem = f"the median voltage {median:.4g} V does not fit the battery of {battery:g} V"
             remedy = "convert it to volts, or correct `battery`"
             column = view.column(("joint", "voltage"), joint)

@@ -76,6 +76,12 @@ def gravity(view: View) -> Iterator[Finding]:
         problem = f"the median specific force is {size:.4g} m/s2, which looks like {unit}"
         yield Finding(ERROR, problem, "convert to m/s2 (a robot at rest reads 9.81)", where, **view.where(0))
         return
+    if size <= 0.5 and np.ptp(force, axis=0).any():
+        problem = f"the median specific force is {size:.3g} m/s2: gravity was taken out of it"
+        for axis in range(3):
+            remedy = "record it with gravity; until then it is not used"
+            yield Finding(WARNING, problem, remedy, view.column(_FORCE, axis), set_aside=True)
+        return
     if angles is None or not 7 < size < 13:
         return
     roll, pitch = angles[:, 0], angles[:, 1]

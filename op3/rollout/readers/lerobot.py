@@ -36,23 +36,19 @@ class LeRobot:
         info = _json(path / "meta" / "info.json")
         names = {feature: _names(info, feature, path) for feature in _FEATURES}
         table = _parquet(path, ["timestamp", "episode_index", *_FEATURES])
-        wide = {f: _matrix(table[f], names[f], path / "data", f) for f in _FEATURES}
-        columns = {
-            prefix + name: wide[feature][:, i]
-            for feature, prefix in _FEATURES.items()
-            for i, name in enumerate(names[feature])
-        }
+        time, episode = (_matrix(table, name, 1, path)[:, 0] for name in ("timestamp", "episode_index"))
+        columns = {}
+        for feature, prefix in _FEATURES.items():
+            wide = _matrix(table, feature, len(names[feature]), path)
+            columns |= {prefix + name: wide[:, i] for i, name in enumerate(names[feature])}
         meanings = guess_all(columns)
         _units(columns, meanings, path)
         about = dict(robot="real", mount="stand", servo=None, extra={"lerobot": str(info.get("robot_type"))})
-        episode = np.asarray(table["episode_index"])
-        time = np.asarray(table["timestamp"], dtype=float)
         recordings = []
         for number in np.unique(episode):
             rows = np.flatnonzero(episode == number)
-            part = {name: values[rows] for name, values in columns.items()}
-            name = f"{path.name}/episode_{int(number):06d}"
-            recordings.append(Recording([Stream(time[rows], part)], dict(about), meanings, name))
+            part = Stream(time[rows], {name: values[rows] for name, values in columns.items()})
+            recordings.append(Recording([part], dict(about), meanings, f"{path.name}/episode_{number:06.0f}"))
         return recordings
 
 
@@ -97,14 +93,16 @@ def _parquet(path: Path, columns: list[str]) -> dict[str, Any]:
         raise LogError(problem, "copy the dataset again", source=path / "data") from None
 
 
-def _matrix(rows: list[Any], names: list[str], path: Path, column: str) -> np.ndarray:
+def _matrix(content: dict[str, Any], column: str, width: int, path: Path) -> np.ndarray:
+    """A column's finite numbers [row, width]."""
+    rows = content.get(column, [])
     try:
         table = np.array(rows, dtype=float).reshape(len(rows), -1)
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, OverflowError):
         table = np.zeros((0, 0))
-    if table.shape != (len(rows), len(names)) or not len(rows):
-        problem = f"the rows do not hold the {len(names)} numbers that meta/info.json names"
-        raise LogError(problem, "copy the dataset again", source=path, column=column)
+    if table.shape != (len(rows), width) or not len(rows) or not np.isfinite(table).all():
+        problem = f"the rows do not hold {width} finite number{'s' if width > 1 else ''}, as meta/info.json says"
+        raise LogError(problem, "copy the dataset again", source=path / "data", column=column)
     return table
 
 

@@ -6,7 +6,6 @@ import json
 import zipfile
 import zlib
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,8 +14,13 @@ from op3.rollout.guess import guess_all
 from op3.rollout.readers.reader import Column, Recording, Stream
 
 _TIMES, _JOINTS = ("time", "times", "t", "timestamp"), ("joints", "joint_names", "names")
-_STATE_POSITION, _STATE_VELOCITY, _CONTROL = 2, 3, 5
-"""Kinds of signal in `mujoco.sysid`, its `SignalType`."""
+_SIGNALS = {2: ("_qpos", "position"), 3: ("_qvel", "velocity"), 5: ("_ctrl", "target")}
+"""Kinds of signal in `mujoco.sysid`, its `SignalType`: ending of their names, and ours."""
+
+_DAMAGED = (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, AttributeError, TypeError)
+_DAMAGED += (NotImplementedError, MemoryError, SyntaxError, RuntimeError, OverflowError)
+
+Content = dict[str, np.ndarray]
 
 
 class Npz:
@@ -27,10 +31,10 @@ class Npz:
 
     def claims(self, path: Path) -> bool:
         """By the ending, or a folder of time series that make one recording."""
-        if path.is_dir():
-            files = sorted(path.glob("*.npz"))
-            return 1 < len(files) < 6 and all(_series(file) for file in files) and not any(map(_complete, files))
-        return path.suffix == ".npz"
+        if not path.is_dir():
+            return path.suffix == ".npz"
+        files = sorted(path.glob("*.npz"))
+        return 1 < len(files) < 6 and all(map(_partial, files))
 
     def read(self, path: Path) -> list[Recording]:
         """One recording."""
@@ -39,89 +43,73 @@ class Npz:
         streams, metadata = [], {}
         for file in files:
             content = _load(file)
-            time = _time(content, file)
-            named = _signals(content, file) if "signal_mapping" in content else _arrays(content, len(time), file)
-            columns, known, joints = named
-            streams.append(Stream(time, columns))
+            time = next((content[name] for name in _TIMES if name in content), np.zeros(()))
+            if time.ndim not in (1, 2) or time.dtype.kind not in "fiu" or time.size != len(time):
+                raise LogError("there is no array of times", "save `time` [s], one per row", source=file, column="time")
+            listed = next((content[n] for n in _JOINTS if n in content and content[n].dtype.kind == "U"), np.array([]))
+            joints = [str(name) for name in listed.reshape(-1)]
+            if "signal_mapping" in content:
+                columns, known = _signals(content, file)
+            else:
+                columns = _arrays(content, len(time), joints)
+                known = guess_all(columns, joints)
+            streams.append(Stream(time.reshape(-1).astype(float), columns))
             meanings |= known
             metadata |= {"joints": joints} if joints else {}
         streams.sort(key=lambda s: not any(str(meanings[n].name).endswith(".position") for n in s.columns))
         return [Recording(streams, {"robot": "real", "mount": "stand", **metadata}, meanings)]
 
 
-def _load(path: Path) -> dict[str, np.ndarray]:
+def _load(path: Path) -> Content:
     try:
         with np.load(path, allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, AttributeError, TypeError):
+    except _DAMAGED:
         remedy = "copy the file again, or save it with numpy.savez and without objects"
         raise LogError("the file is no readable npz archive", remedy, source=path) from None
-    except (NotImplementedError, MemoryError, SyntaxError, RuntimeError, OverflowError):
-        raise LogError("the npz archive is damaged", "copy the file again", source=path) from None
 
 
-def _series(path: Path) -> bool:
+def _partial(path: Path) -> bool:
+    """Whether a file is a time series with only states, or only controls."""
     try:
-        return {"times", "data"} <= set(_load(path))
+        content = _load(path)
+        names = {str(column.name).rpartition(".")[2] for column in _signals(content, path)[1].values()}
     except LogError:
         return False
+    return "times" in content and not {"target", "position"} <= names
 
 
-def _complete(path: Path) -> bool:
-    try:
-        names = {str(column.name).rpartition(".")[2] for column in _signals(_load(path), path)[1].values()}
-    except LogError:
-        return False
-    return {"target", "position"} <= names
-
-
-def _time(content: dict[str, np.ndarray], path: Path) -> np.ndarray:
-    time = next((content[name] for name in _TIMES if name in content), np.zeros(()))
-    if time.ndim not in (1, 2) or time.dtype.kind not in "fiu" or time.size != len(time):
-        raise LogError("there is no array of times", "save `time` [s], one per row", source=path, column="time")
-    return time.reshape(-1).astype(float)
-
-
-def _signals(content: dict[str, np.ndarray], path: Path) -> tuple[dict[str, np.ndarray], dict[str, Column], list[str]]:
+def _signals(content: Content, path: Path) -> tuple[Content, dict[str, Column]]:
     """Signals of `mujoco.sysid`: positions, velocities and controls by their kind, sensors by their name."""
     data = content.get("data", np.zeros(0))
     try:
-        mapping = {
-            n: (int(kind), [int(i) for i in index])
-            for n, (kind, index) in json.loads(str(content["signal_mapping"])).items()
-        }
-        columns = {n: data[:, index[0]].astype(float) for n, (_, index) in mapping.items() if len(index) == 1}
-    except (KeyError, ValueError, TypeError, IndexError, AttributeError, RecursionError):
+        mapping = json.loads(str(content["signal_mapping"])).items()
+        kinds = {name: int(kind) for name, (kind, index) in mapping if len(index) == 1}
+        numbers = data.astype(float) if data.dtype.kind in "fiub" else np.zeros(0)
+        columns = {name: numbers[:, int(index[0])] for name, (_, index) in mapping if name in kinds}
+    except (KeyError, ValueError, TypeError, IndexError, AttributeError, RecursionError, OverflowError):
         remedy = "save it again with TimeSeries.save_to_disk"
         raise LogError("the signal mapping does not fit the data", remedy, source=path) from None
-    endings: dict[int, Any] = {_STATE_POSITION: ("_qpos", "position"), _STATE_VELOCITY: ("_qvel", "velocity")}
-    endings[_CONTROL] = ("_ctrl", "target")
     meanings = guess_all(columns)
-    for name, (kind, _) in mapping.items():
-        if kind in endings and name in columns:
-            ending, ours = endings[kind]
+    for name in columns:
+        if kinds[name] in _SIGNALS:
+            ending, ours = _SIGNALS[kinds[name]]
             meanings[name] = Column(f"{name.removesuffix(ending)}.{ours}")
-    return columns, meanings, []
+    return columns, meanings
 
 
-def _arrays(
-    content: dict[str, np.ndarray], rows: int, path: Path
-) -> tuple[dict[str, np.ndarray], dict[str, Column], list[str]]:
+def _arrays(content: Content, rows: int, joints: list[str]) -> Content:
     """Arrays by name; the last axis of two-dimensional ones is the joints."""
-    listed = next((content[name] for name in _JOINTS if name in content and content[name].dtype.kind == "U"), None)
-    joints = [] if listed is None else [str(name) for name in listed.reshape(-1)]
-    columns: dict[str, np.ndarray] = {}
+    columns: Content = {}
     for name, array in content.items():
         if array.dtype.kind not in "fiub" or name in _TIMES or array.ndim not in (1, 2) or len(array) != rows:
             continue
         table = array.reshape(rows, -1).astype(float)
         axes = joints if len(joints) == table.shape[1] else [f"joint_{i}" for i in range(table.shape[1])]
+        kind = name.replace("command/position", "target").replace("/", "_")
         if table.shape[1] == 3 and any(word in name for word in ("imu", "gyro", "acc")):
             axes = ["roll", "pitch", "yaw"] if "orient" in name or "rpy" in name else ["x", "y", "z"]
-            columns |= {f"{name.replace('/', '_')}_{axis}": table[:, i] for i, axis in enumerate(axes)}
-        elif array.ndim == 1:
-            columns[name] = table[:, 0]
+            columns |= {f"{kind}_{axis}": table[:, i] for i, axis in enumerate(axes)}
         else:
-            kind = name.replace("command/position", "target").replace("/", "_")
-            columns |= {f"{axis}.{kind}": table[:, i] for i, axis in enumerate(axes)}
-    return columns, guess_all(columns, joints), joints
+            columns |= {f"{axis}.{kind}" if array.ndim == 2 else name: table[:, i] for i, axis in enumerate(axes)}
+    return columns
