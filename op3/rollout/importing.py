@@ -201,6 +201,9 @@ def check_clock(time: np.ndarray, path: Path, column: str = "time") -> None:
     """Refuse a clock with no or unordered readings."""
     if not len(time):
         raise LogError("there is no row", "record at least one", source=path, row="row 1")
+    if not np.isfinite(time).all():
+        row = int(np.isfinite(time).argmin()) + 1
+        raise LogError("the time is not a finite number", "leave out the row", source=path, column=column, row=row)
     steps = np.diff(time)
     if not (steps > 0).all():
         row = int(np.argmax(~(steps > 0)))

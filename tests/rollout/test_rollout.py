@@ -40,7 +40,7 @@ def rollouts(draw: st.DrawFn) -> Rollout:
             values[key] = generator.uniform(20, 60, (rows, width))
         else:
             # angles do not jump from row to row
-            scale = 0.15 if channel.quantity.unit == "rad" else min(channel.quantity.bound, 1e3)
+            scale = 0.05 if channel.quantity.unit == "rad" else min(channel.quantity.bound, 1e3)
             values[key] = generator.uniform(0 if channel.quantity.nonnegative else -scale, scale, (rows, width))
             values[key][0, 0] = draw(st.sampled_from([0.0, 5e-324, 1e-7, 0.1 + 0.2, scale, 1 / 3]))
     about = Metadata(

@@ -81,7 +81,9 @@ def stands_still(view: View) -> Iterator[Finding]:
         first, last = int(start[joint]), int(start[joint] + length[joint])
         moved = float(np.abs(np.diff(view.command[first : last + 1, joint])).sum())
         if moved > 1.2 and view.driven[first : last + 1, joint].all():
-            problem = f"position stands at {position[first, joint] + 0.0:.4g} rad while its command moves by {moved:.3g} rad"
+            problem = (
+                f"position stands at {position[first, joint] + 0.0:.4g} rad while its command moves by {moved:.3g} rad"
+            )
             dead, alone = last - first >= len(position) - 2, len(view.joints) == 1
             severity = ERROR if dead and (alone or (length >= len(position) - 2).all()) else WARNING
             remedy = "look whether the joint is blocked or its sensor dead"

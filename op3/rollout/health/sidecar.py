@@ -51,13 +51,13 @@ def supply(view: View) -> Iterator[Finding]:
     battery = view.metadata.battery
     for joint in range(len(view.joints)):
         median = 0.0 if volts is None else float(np.median(volts[:, joint]))
-        if battery and volts is not None and median and not 0.4 < median / battery < 1.8:
+        if battery and volts is not None and 0 < median <= 30 and not 0.4 < median / battery < 1.8:
             problem = f"the median voltage {median:.4g} V does not fit the battery of {battery:g} V"
             remedy = "convert it to volts, or correct `battery`"
             column = view.column(("joint", "voltage"), joint)
             yield Finding(WARNING, problem, remedy, column, set_aside=True)
         median = 40.0 if heat is None else float(np.median(heat[:, joint]))
-        if not -10 <= median <= 95:
+        if not -10 <= median <= 95 and median <= 150:  # beyond that its bound speaks
             problem = f"the median temperature {median:.4g} C is none of a working servo"
             remedy = "convert it to degrees Celsius"
             column = view.column(("joint", "temperature"), joint)
