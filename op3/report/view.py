@@ -106,7 +106,9 @@ class Strip:
             draw.text((self._left - 12, y), f"{value:.3g}", MUTED, _font(22), anchor="rm")
         for label, seconds, values in lines:
             y = top + height * (high - np.nan_to_num(values, nan=low)) / (high - low)
-            draw.line(list(np.stack([self._x(seconds), y], 1).ravel()), colours[label], 3 if label == COMMAND else 5)
+            # the first, measured, lies beneath, so it is the wider one
+            width = 3 if label == COMMAND else 9 if colours[label] == INK else 4
+            draw.line(list(np.stack([self._x(seconds), y], 1).ravel()), colours[label], width)
 
     def at(self, seconds: float) -> NDArray[np.uint8]:
         """The plots at a time [s], ``[height, width, 3]``."""
