@@ -7,7 +7,7 @@ predicted open loop through MuJoCo. The fit runs whole logs as windows around th
 times as fast: twice, the second time around the zeros that the first has found.
 """
 
-import sys
+import argparse
 import time
 from collections.abc import Mapping, Sequence
 
@@ -163,9 +163,12 @@ def fit(model: RobotModel, logs: Sequence[Rollout], searched: Sequence[str]) -> 
 def main() -> None:
     """Fit, predict, print."""
     torch.set_num_threads(1)
-    logs = read_logs(sys.argv[1], "arm")
-    first = int(sys.argv[2]) if len(sys.argv) > 2 else 0
-    fitted, withheld = logs[first::2], logs[1 - first :: 2]
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("logs", help="folder of SAGE pairs of an SO-101")
+    parser.add_argument("first", type=int, nargs="?", default=0, choices=(0, 1), help="first run that is fitted")
+    given = parser.parse_args()
+    logs = read_logs(given.logs, "arm")
+    fitted, withheld = logs[given.first :: 2], logs[1 - given.first :: 2]
     print("fitted: " + ", ".join(log.metadata.recording or "" for log in fitted))
     whole = whole_model()
     plain = whole.without("dte", "stribeck", "minimum_duty").with_values({"derivative_gain": 0.0})
