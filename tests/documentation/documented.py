@@ -21,7 +21,7 @@ STANDS_FOR: Mapping[str, str] = {
     "runs": "given/runs",
     "sts3032": "../shared/data/servo_bench/sts3032",
     "xl330": "../shared/data/servo_bench/xl330",
-    "servo log": "given/servo.csv",
+    "sage pairs": "../shared/data/foreign/so101",
     "task": "walk",
     "world": "robot_4",
     "partition": "cpu",

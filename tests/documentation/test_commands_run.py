@@ -26,7 +26,7 @@ SEARCH = "hydra.sweeper.n_trials=4 hydra.sweeper.population=4 wandb=disabled"
 SMALL = {
     "collect": "repeats=1 confirm=false",
     "compare_runs": "",
-    "deploy": "duration=1 confirm=false panel=false",
+    "deploy": "duration=1 confirm=false panel=false pose=stand",  # in which the emulated robot hangs
     "design_excitation": "seconds=10 motions=[squat]",
     "diagnose": "windows=12 without=[backlash,compliance,lugre] episodes=2 wandb=disabled",
     "emulate_robot": "duration=0.2",
