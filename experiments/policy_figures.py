@@ -28,7 +28,7 @@ from op3.report.video import film
 from op3.robot import load_robot
 from op3.rollout import Rollout
 from op3.tasks.behaviour import GaitProfile, gait_profile
-from op3.tasks.task import find_task
+from op3.tasks.task import TICKS, find_task
 from op3.train.checkpoint import load_checkpoint
 
 matplotlib.use("Agg")
@@ -96,8 +96,7 @@ def play(cfg: DictConfig, name: str, episodes: int) -> tuple[list[Rollout], Any,
     env = actor.environment(task, cfg.model, episodes, cfg.seed)
     watched = Watched(actor.policy, env)
     logs = record_episodes(env, watched, episodes)
-    steps = round((logs[0].metadata.episode_duration or 0.0) / env.policy_period)
-    return logs, env.scene, np.stack(watched.states[:steps])
+    return logs, env.scene, np.stack(watched.states[: logs[0].rows // TICKS])
 
 
 def snapshots(scene: Any, states: np.ndarray, path: Path) -> Path | None:
