@@ -83,8 +83,9 @@ def cost() -> None:
         log.save(f"{place}/run")
         log.to_csv(f"{place}/run.csv")
         for name in ("run", "run.csv"):
-            code = "import resource, sys, time; from op3.rollout import read_log; import op3.rollout.health\n"
-            code += "used = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024\n"
+            code = "import sys, time; from op3.rollout import read_log; import op3.rollout.health\n"
+            # the peak of this process, where ru_maxrss begins with its parent's
+            code += "used = lambda: int(open('/proc/self/status').read().split('VmHWM:')[1].split()[0]) / 1024\n"
             code += "before, start = used(), time.process_time(); read_log(sys.argv[1])\n"
             code += "print(f'{sys.argv[1][-7:]}: {time.process_time() - start:.2f} s, {used() - before:.0f} MB')"
             subprocess.run([sys.executable, "-c", code, f"{place}/{name}"], check=True, cwd=ROOT)
