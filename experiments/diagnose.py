@@ -84,7 +84,6 @@ def diagnose(cfg: DictConfig, folder: Path) -> dict[str, Any]:
     diagnosis = Diagnosis(
         model,
         split,
-        mirror=logs[0].robot.partners,
         seed=cfg.seed,
         without=tuple(cfg.without),
         settings=Settings(windows=cfg.windows),

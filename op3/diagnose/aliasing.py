@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from op3.diagnose.base import base_numbers
-from op3.diagnose.candidates import separating
 from op3.diagnose.diagnosis import Diagnosis
 from op3.diagnose.findings import Stage
 from op3.diagnose.judge import Judge, evidence
+from op3.diagnose.verdict import separating
 from op3.servo.effect import parameter
 
 ALIKE = 0.7
@@ -40,7 +40,7 @@ def aliasing(diagnosis: Diagnosis, most: int = 60, *, planned: bool = False) -> 
     left, whole = _left_by_base(stage.judge, stage, own)
     strength = np.sqrt(np.maximum(np.diag(left), 0.0))
     visibility = strength / np.sqrt(np.maximum(np.diag(whole), 1e-12))
-    smallest = _smallest(stage, own)
+    smallest = _smallest(stage)
     best: dict[str, int] = {}
     for i, one in enumerate(stage.found):
         label = one.label(joints)
@@ -63,32 +63,31 @@ def aliasing(diagnosis: Diagnosis, most: int = 60, *, planned: bool = False) -> 
 def _left_by_base(judge: Judge, stage: Stage, own: int) -> tuple[np.ndarray, np.ndarray]:
     """Products of the candidates' columns that the base does not imitate, and all of them."""
     products = judge.products(stage.fit.state)
-    prior = 1.0 / base_numbers(stage.base.coordinates, stage.base.point).spike ** 2
+    prior = 1.0 / base_numbers(stage.base.coordinates, stage.base.point).deviation ** 2
     inner, across = products[:own, :own] + np.diag(prior), products[:own, own:]
-    whole = products[own:, own:]
+    sums = judge.sums(range(len(judge.numbers.members)))[own:]
+    whole = sums.T @ products[own:, own:] @ sums
+    across = across @ sums
     return whole - across.T @ np.linalg.solve(inner, across), whole
 
 
-def _smallest(stage: Stage, own: int) -> np.ndarray:
+def _smallest(stage: Stage) -> np.ndarray:
     """Share of each candidate's secant from which on its expected log odds reach the alarm; infinite if none does."""
     n, settings = stage.judge.numbers, stage.judge.settings
-    _, curvature = stage.judge.likelihoods(stage.fit)
+    _, h = stage.judge.of_candidates(stage.fit)
     result = np.full(len(stage.found), np.inf)
-    h, slab, spike, place = curvature[own:], n.slab[own:], n.spike[own:], n.place[own:]
-    low, high = n.low[own:], n.high[own:]
     for size in SIZES[::-1]:
-        share = np.where(high > 0, size, -size)
-        odds = evidence(h * share, h, 0.0, slab, low, high) - evidence(h * share, h, 0.0, spike) + place
-        named = (odds > settings.alarm) & (share <= high) & (share >= low)
+        share = np.where(n.high > 0, size, -size)
+        odds = evidence(h * share, h, 0.0, n.slab, n.low, n.high) + n.place
+        named = (odds > settings.alarm) & (share <= n.high) & (share >= n.low)
         result = np.where(named, size, result)
     return result
 
 
 def _size(stage: Stage, i: int, share: float) -> dict[str, Any] | None:
-    if not np.isfinite(share):
-        return None
     known = parameter(stage.found[i].sized)
-    return {"size": float(f"{abs(share * stage.found[i].secant[known.name]):.3g}"), "unit": known.unit}
+    size = float(f"{abs(share * stage.found[i].secant[known.name]):.3g}")
+    return {"size": size, "unit": known.unit} if np.isfinite(share) else None
 
 
 def _pairs(

@@ -27,13 +27,13 @@ SHARES = (1.0, 0.6, 0.3, 0.1)
 """Parts of a step that are tried at once."""
 
 SETTLED = 8.0
-"""Gain in minus two log likelihood below which a base no longer moves."""
+"""Gain in minus two log posterior below which a base no longer moves."""
 
 AT_BOUND = 0.001
 """Share of its range within which a number is at its bound."""
 
 SAME_OPTIMUM, APART = 20.0, 0.15
-"""Bases apart by less in minus two log likelihood, and by more of a shared number's range, are two optima."""
+"""Bases apart by less in minus two log evidence, and by more of a shared number's range, are two optima."""
 
 UNTOLD = 0.8
 """Share of its prior standard deviation that a shared number keeps if the logs do not tell it."""
@@ -46,7 +46,7 @@ class Base:
     Attributes:
         linear: the windows around it.
         fit: of the judge, its numbers alone.
-        misfit: minus two log likelihood with the priors, but for constants.
+        misfit: minus two log evidence.
         others: of other starts that ended elsewhere and as well.
     """
 
@@ -73,10 +73,7 @@ class Base:
 
 def base_numbers(coordinates: Coordinates, point: np.ndarray) -> Numbers:
     """Priors of the base's numbers as steps from a point."""
-    deviation = coordinates.deviation
-    none = np.zeros(len(point))
-    low, high = coordinates.low - point, coordinates.high - point
-    return Numbers(coordinates.prior - point, deviation, deviation, low, high, none, np.ones(len(point), bool))
+    return Numbers(coordinates.prior - point, coordinates.deviation)
 
 
 def fit_base(
@@ -175,35 +172,31 @@ def settle(
 ) -> Base:
     """Gauss-Newton from a point until the base no longer moves; other forms of its laws are tried on the way.
 
-    With a linearisation that it is to be `like`, its reduction is kept, so that evidences compare.
+    With a linearisation that it is to be `like`, its reduction is kept, so that evidences compare, and its columns of
+    numbers that both have, which decide little where a fit ends.
     """
-    point = np.clip(point, coordinates.low, coordinates.high)
-    for number in range(steps + 1):
-        linear = reduction.linearise(coordinates, point, like)
-        rows = reduction.rows(linear, np.zeros((0, *linear.lacking.shape), np.float32))
-        judge = Judge(rows, base_numbers(coordinates, point), settings)
+    point, linear = np.clip(point, coordinates.low, coordinates.high), None
+    number, done = 0, steps == 0
+    while True:
+        linear = reduction.linearise(coordinates, point, like if done else like or linear, like)
+        judge = Judge(reduction.rows(linear, ()), base_numbers(coordinates, point), settings)
         fit = judge.fit(state=state, rounds=4 if number == 0 else 3)
         state = fit.state
-        if number == steps:
+        if done:
             break
         tried = np.stack([point, *(point + share * fit.mean for share in SHARES)])
         tried = np.clip(tried, coordinates.low, coordinates.high)
         options = [(coordinates, tried)]
         if number in (1, 3):
-            options += [
-                (replace(coordinates, model=form), tried[:2]) for form in forms if form is not coordinates.model
-            ]
+            others = [replace(coordinates, model=form) for form in forms if form is not coordinates.model]
+            options += [(other, tried[:2]) for other in others]
         costs = [cost_of(reduction, judge, fit, linear, c, points) for c, points in options]
         pick = min(range(len(costs)), key=lambda i: float(costs[i].min()))
         gained = costs[0][0] - costs[pick].min()
         coordinates, point = options[pick][0], options[pick][1][int(costs[pick].argmin())]
-        if gained < SETTLED:
-            if gained > 0:
-                linear = reduction.linearise(coordinates, point, like)
-            break
-    cost = float(cost_of(reduction, judge, fit, linear, coordinates, point[None])[0])
-    cost += _log_variances(judge, fit)
-    return Base(linear, fit, cost)
+        number += 1
+        done = number == steps or gained < SETTLED
+    return Base(linear, fit, -2.0 * fit.evidence)
 
 
 def cost_of(
@@ -216,31 +209,18 @@ def cost_of(
     return misfits + coordinates.penalties(points)
 
 
-def _log_variances(judge: Judge, fit: Posterior) -> float:
-    """The part of minus two log likelihood that the variances have, so that bases of different ones compare."""
-    total = 0.0
-    for j in range(len(judge.rows.joints)):
-        variance = judge.variance(j, fit.state)
-        total += float(np.log(variance[np.isfinite(variance)]).sum())
-    return total
-
-
 def at_point(coordinates: Coordinates, point: np.ndarray, deviation: np.ndarray | None = None) -> RobotModel:
     """The model with its numbers at a point, intervals of 90 % from standard deviations where they are given."""
-    model, joints = coordinates.model, coordinates.joints
-    by_name: dict[str, np.ndarray] = {}
+    model, joints, values = coordinates.model, coordinates.joints, {}
     spread: dict[str, float] = {}
-    for name, value in coordinates.values(point[None]).items():
-        by_name[name] = value[0].numpy()
     for i, entry in enumerate(coordinates.entries):
         if deviation is not None and entry.kind == "value" and entry.joints is None:
             spread[entry.parameter] = 1.645 * float(deviation[i])
-    values = {}
-    for name, row in by_name.items():
+    for name, value in coordinates.values(point[None]).items():
+        row, half = value[0].numpy(), spread.get(name)
         shared = float(np.median(row))
-        half = spread.get(name)
         low, high = (None, None) if half is None else (shared - half, shared + half)
-        own = {joint: value for joint, value in zip(joints, row.tolist(), strict=False) if abs(value - shared) > 1e-12}
+        own = {joint: one for joint, one in zip(joints, row.tolist(), strict=False) if abs(one - shared) > 1e-12}
         kept = model.estimate(split_name(name)[0]).by if "@" not in name else {}
         values[name] = Estimate(shared, low, high, joints=own, by=kept)
     return model.with_values(values)
@@ -254,23 +234,25 @@ def doubts(base: Base, last: Base | None = None) -> list[str]:
         last: with what was named: a number that an effect had driven to its bound comes back once it has its name.
     """
     result, last = [], last or base
-    known = last.coordinates.model.parameters()
+    known, effects = last.coordinates.model.parameters(), last.coordinates.model.effects
+    of = {one.name: effect for effect in effects for one in effect.parameters}
     for entry, value in zip(last.coordinates.entries, last.point, strict=True):
-        reach = AT_BOUND * (entry.high - entry.low)
+        reach, one = AT_BOUND * (entry.high - entry.low), known[split_name(entry.parameter)[0]]
         low, high = value - entry.low < reach, entry.high - value < reach
-        natural = low and entry.low == known[split_name(entry.parameter)[0]].least
+        natural = entry.low == one.least if low else entry.high == one.most
         if entry.joints is None and entry.kind == "value" and (low or high) and not natural:
-            end = "smallest" if low else "largest"
-            result.append(f"{entry.parameter} is at its {end} plausible value, {value:.3g}")
+            said = f"{entry.parameter} is at its {'smallest' if low else 'largest'} plausible value, {value:.3g}"
+            pinned = of[one.name].separating_experiment
+            result.append(said + (f" (what pins it: {pinned})" if pinned else ""))
     span = base.coordinates.high - base.coordinates.low
     for point, gap in base.others:
         apart = np.abs(point - base.point) > APART * span
         far = [
-            entry.parameter for entry, one in zip(base.coordinates.entries, apart, strict=True) if entry.shared and one
+            one.parameter for one, is_far in zip(base.coordinates.entries, apart, strict=True) if one.shared and is_far
         ]
         if gap < SAME_OPTIMUM and far:
             result.append(
-                f"another start ends as well ({gap:.1f} apart in -2 log likelihood) with other {', '.join(far)}"
+                f"another start ends as well ({gap:.1f} apart in -2 log evidence) with other {', '.join(far)}"
             )
     return result
 

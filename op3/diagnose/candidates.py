@@ -1,6 +1,6 @@
 """What could be missing: every effect of the catalogue, in every place where it can sit, as finite changes."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +9,7 @@ from torch import Tensor
 
 from op3.diagnose.coordinates import CHAIN, FORMS, Coordinate, other_forms
 from op3.diagnose.settings import Settings
-from op3.servo import Effect, RobotModel, catalogue, effect_class
+from op3.servo import Effect, RobotModel, catalogue
 from op3.servo.effect import parameter
 from op3.servo.effects import PacketDrop
 
@@ -41,9 +41,22 @@ class Candidate:
         return self.effect.name, self.joints
 
     @property
+    def shape(self) -> tuple:
+        """Effect, secant and form: all but where it sits."""
+        form = repr(self.model.effect(self.effect.name))
+        return self.effect.name, tuple(sorted(self.secant.items())), form
+
+    @property
     def key(self) -> tuple:
         """What tells it from every other, whatever the values of its model."""
-        return self.place, tuple(sorted(self.secant.items())), repr(self.model.effect(self.effect.name))
+        return self.joints, self.shape
+
+    @property
+    def parts(self) -> tuple[tuple, ...]:
+        """Keys of what it is the sum of, to first order: of a pair or a side the same in each of its joints."""
+        if self.scope in ("pair", "side"):
+            return tuple(((joint,), self.shape) for joint in self.joints or ())
+        return (self.key,)
 
     def label(self, names: Sequence[str]) -> str:
         """Effect and joints, such as ``backlash@elbow``."""
@@ -89,10 +102,7 @@ class Candidate:
         return ends[0], ends[1], settings.slab * size / abs(amount)
 
     def coordinate(self, base: RobotModel, share: float, settings: Settings) -> Coordinate:
-        """The number of a refit beside the base's: the effect's size, beginning at a share of the secant.
-
-        Of a pair each joint gets the same amount.
-        """
+        """The number of a refit beside the base's: the effect's size in each joint, from a share of the secant on."""
         low, high, deviation = self.reach(base, settings)
         amount, at = self.secant[self.sized], self.joints if parameter(self.sized).per_joint else None
         ends = sorted((low * amount, high * amount))
@@ -197,13 +207,9 @@ def _places(
 
 def mirror_pairs(joints: Sequence[str], moving: Sequence[bool], mirror: Mapping[str, str]) -> list[tuple[int, int]]:
     """Columns of joints and their partners, each pair once, the alphabetically first side first."""
-    pairs = set()
-    for j, joint in enumerate(joints):
-        partner = mirror.get(joint)
-        if partner in joints and partner != joint and moving[j] and moving[joints.index(partner)]:
-            first, second = sorted((joint, str(partner)))
-            pairs.add((joints.index(first), joints.index(second)))
-    return sorted(pairs)
+    at = {joint: j for j, joint in enumerate(joints) if moving[j]}
+    pairs = {(joint, other) for joint in at if (other := mirror.get(joint, joint)) in at and other > joint}
+    return sorted((at[first], at[second]) for first, second in pairs)
 
 
 def switched_on(model: RobotModel, effect: type[Effect]) -> RobotModel:
@@ -223,12 +229,6 @@ def place_priors(found: Sequence[Candidate]) -> np.ndarray:
     numbers = [sum(p.neutral is not None for p in c.effect.parameters) for c in found]
     shares = [PLACES[c.scope] / len(places[c.scope]) / secants[c.place] for c in found]
     return np.log(shares) - np.log(2.0) * (np.array(numbers) - 1)
-
-
-def separating(effects: Iterable[str]) -> str:
-    """What the catalogue says would separate some effects, by their names, each experiment once."""
-    said = dict.fromkeys(effect_class(name).separating_experiment for name in effects)
-    return "; ".join(text for text in said if text)
 
 
 def stacked(values: Sequence[Mapping[str, Tensor]]) -> dict[str, Tensor]:

@@ -99,12 +99,6 @@ class Coordinate:
     kind: str = "value"
 
     @property
-    def name(self) -> str:
-        """Parameter and joints, such as ``coulomb_friction[3]``."""
-        where = "" if self.joints is None else f"[{','.join(map(str, self.joints))}]"
-        return f"{self.parameter}{where}" + ("" if self.kind == "value" else f" {self.kind}")
-
-    @property
     def shared(self) -> bool:
         """Whether it is a number of several joints."""
         return self.joints is None or len(self.joints) > 1
@@ -123,9 +117,6 @@ class Coordinates:
     model: RobotModel
     joints: tuple[str, ...]
     entries: tuple[Coordinate, ...]
-
-    def __len__(self) -> int:
-        return len(self.entries)
 
     def _all(self, field: str) -> np.ndarray:
         return np.array([getattr(entry, field) for entry in self.entries])
@@ -276,9 +267,11 @@ def base_coordinates(model: RobotModel, joints: Sequence[str], moving: Sequence[
 
 
 def _range(known: Parameter, value: float) -> tuple[float, float]:
-    """Where a parameter may go: in the catalogue's range, or about a value of a servo of another size."""
+    """Where a parameter may go: a quarter beyond the catalogue's range, or about a value of a servo of another size."""
     if known.low <= value <= known.high:
-        return known.low if known.neutral is None else min(known.low, known.neutral), known.high
+        beyond = 0.25 * (known.high - known.low)
+        low = known.low - beyond if known.neutral is None else min(known.low - beyond, known.neutral)
+        return max(low, known.least), min(known.high + beyond, known.most)
     if value == 0.0:
         return min(known.low, 0.0), max(known.high, 0.0)
     low, high = sorted((0.0 if known.neutral == 0.0 else value / WIDEST, value * WIDEST))

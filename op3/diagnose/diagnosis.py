@@ -1,7 +1,8 @@
 """The workflow: windows, base, findings one after another, the model that predicts best, the gap before and after."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -32,6 +33,9 @@ ON_ITS_FEET = (
 STILL = "No joint moves in the fitted runs: move every joint through slow triangles and fast sines."
 """Why nothing can be told."""
 
+FEWEST, PER_RUN = 72, 5
+"""Windows of the fitted runs, and of each of them."""
+
 RANKED = 15
 """Candidates that a verdict lists."""
 
@@ -41,8 +45,6 @@ QUANTILE = 1.645
 STAGES = {"windows": 0.05, "base": 0.4, "candidates": 0.45, "show": 0.1}
 """Usual shares of the time."""
 
-Progress = Callable[[str, float], None]
-
 
 class Diagnosis:
     """Finds what a model lacks from the logs of a split.
@@ -50,7 +52,6 @@ class Diagnosis:
     Args:
         model: effects that are on, and the values from which the refit starts.
         split: logs of one mount.
-        mirror: partners of joints on the other side, by name; none by default.
         seed: of the search and every resampling.
         without: names of effects not to consider.
         settings: tuned constants.
@@ -62,14 +63,13 @@ class Diagnosis:
         model: RobotModel,
         split: LogSplit,
         *,
-        mirror: Mapping[str, str] | None = None,
         seed: int = 0,
         without: Sequence[str] = (),
         settings: Settings = SETTINGS,
-        progress: Progress | None = None,
+        progress: Callable[[str, float], None] | None = None,
     ):
         self.given, self.split, self.seed, self.settings = model, split, seed, settings
-        self.mirror, self.without = dict(mirror or {}), tuple(without)
+        self.without = tuple(without)
         self._progress = progress or (lambda stage, share: None)
         self.seconds: dict[str, float] = {}
         self.stages: list[Stage] = []
@@ -106,37 +106,38 @@ class Diagnosis:
                 base = fit_base(reduction, self.given, rng, self.settings, self._share("base"))
             else:
                 base = unfitted(reduction, self.given, self.settings)
-            self.search = Search(reduction, self.mirror, self.without, self.settings, self._share("candidates"))
+            self.search = Search(reduction, self.without, self.settings, self._share("candidates"))
             return self.search.first(base)
 
     def reduction(self) -> Reduction:
         """The windows of the fitted runs."""
-        engine = WindowResiduals(self.split.fit, windows=self.settings.windows)
+        windows = self.settings.windows or max(FEWEST, PER_RUN * len(self.split.fit))
+        engine = WindowResiduals(self.split.fit, windows=windows)
         return Reduction(engine, self.settings)
 
     def _once(self, model: RobotModel) -> Verdict:
         if self.split.fit[0].metadata.mount not in HELD:
             return self._void(model, ON_ITS_FEET)
-        began = time.process_time()
-        reduction = self.reduction()
-        self._mark("windows", began)
+        with self._timed("windows"):
+            reduction = self.reduction()
         if not reduction.limbs:
             return self._void(model, STILL)
-        began = time.process_time()
-        rng = np.random.default_rng([self.seed, 11])
-        base = fit_base(reduction, model, rng, self.settings, self._share("base"))
-        self._mark("base", began)
-        began = time.process_time()
-        self.search = Search(reduction, self.mirror, self.without, self.settings, self._share("candidates"))
-        self.stages = self.search.run(base)
-        self._mark("candidates", began)
-        began = time.process_time()
-        verdict = self._verdict(model, reduction)
-        self._mark("show", began)
+        with self._timed("base"):
+            rng = np.random.default_rng([self.seed, 11])
+            base = fit_base(reduction, model, rng, self.settings, self._share("base"))
+        with self._timed("candidates"):
+            self.search = Search(reduction, self.without, self.settings, self._share("candidates"))
+            self.stages = self.search.run(base)
+        with self._timed("show"):
+            verdict = self._verdict(model, reduction)
         self._progress("show", 1.0)
         return replace(verdict, seconds=dict(self.seconds))
 
-    def _mark(self, stage: str, began: float) -> None:
+    @contextmanager
+    def _timed(self, stage: str) -> Iterator[None]:
+        """Add the processor time of what is inside to a stage's."""
+        began = time.process_time()
+        yield
         self.seconds[stage] = self.seconds.get(stage, 0.0) + time.process_time() - began
 
     def _share(self, stage: str) -> Callable[[float], None]:
@@ -154,23 +155,19 @@ class Diagnosis:
         models = [stage.base.model for stage in self.stages]
         choice = choose(models, self.split.select) if len(models) > 1 else {"taken": 0, "left": [1.0], "channels": []}
         doubted = tuple(doubts(first.base, last.base))
-        cannot = self._cannot_tell(reduction)
-        most = LIKELY if doubted or self._short() else 1.0
+        most = LIKELY if doubted or self._short else 1.0
         findings = [*self._named(reduction, choice["taken"], most), *self._of_base(given, reduction, last, most)]
-        findings.sort(key=lambda finding: -finding.probability)
-        taken = models[choice["taken"]]
-        deviation = np.sqrt(np.diag(np.linalg.inv(self.stages[choice["taken"]].fit.precision)))
         stage = self.stages[choice["taken"]]
-        handed = at_point(stage.base.coordinates, stage.base.point, deviation[: len(stage.base.point)])
-        shown = show(models[0], taken, self.split, self.seed)
+        deviation = np.sqrt(np.diag(np.linalg.inv(stage.fit.precision)))[: len(stage.base.point)]
+        shown = show(models[0], models[choice["taken"]], self.split, self.seed)
         return Verdict(
-            tuple(findings),
+            tuple(sorted(findings, key=lambda finding: -finding.probability)),
             joint_gaps(reduction, first, last),
             doubted,
             tuple(untold(first.base)),
-            cannot,
+            self._cannot_tell(reduction),
             models[0],
-            handed,
+            at_point(stage.base.coordinates, stage.base.point, deviation),
             choice,
             shown["gap"],
             shown["loss"],
@@ -179,6 +176,7 @@ class Diagnosis:
             shown=shown,
         )
 
+    @property
     def _short(self) -> bool:
         return sum(log.duration for log in self.split.fit) < SHORTEST
 
@@ -187,7 +185,7 @@ class Diagnosis:
         still = [joint for joint, moves in zip(reduction.engine.joints, reduction.moving, strict=True) if not moves]
         if still:
             said.append(f"{', '.join(still)} hardly moved: nothing is said of them. Move every joint.")
-        if self._short():
+        if self._short:
             said.append(f"The fitted runs last less than {SHORTEST:.0f} s in all: record 100 s, better three minutes.")
         return tuple(said)
 
@@ -207,10 +205,8 @@ class Diagnosis:
             odds = np.array([one.log_odds, *(odds for _, odds in one.rivals)]) / self.settings.temperature
             share = np.exp(odds - odds.max())
             share = whole * share / share.sum()
-            rivals = tuple(
-                _rival(candidate, joints, float(part))
-                for (candidate, _), part in zip(one.rivals, share[1:], strict=True)
-            )
+            both = zip(one.rivals, share[1:], strict=True)
+            rivals = tuple(_rival(candidate, joints, float(part)) for (candidate, _), part in both)
             known = one.candidate.model.parameters()[entries[i].parameter]
             size, half = self._size(stage, one, i), QUANTILE * float(np.sqrt(self.settings.temperature * variance[i]))
             made = stage.base.linear.base[i] * (stage.base.point[i] / max(abs(stage.base.point[i]), 1e-12))
@@ -275,12 +271,12 @@ class Diagnosis:
 
     def _ranking(self, reduction: Reduction, stage: Stage) -> list[dict[str, Any]]:
         """Candidates by their log odds before anything is named."""
-        odds, own = stage.judge.scores(stage.fit), len(stage.base.point)
+        odds = stage.judge.scores(stage.fit)
         best: dict[tuple, tuple[float, Candidate]] = {}
         for number in np.argsort(-odds):
             if not np.isfinite(odds[number]) or len(best) == RANKED:
                 break
-            candidate = stage.found[number - own]
+            candidate = stage.found[number]
             best.setdefault(candidate.place, (float(odds[number]), candidate))
         return [
             plain(_rival(candidate, reduction.engine.joints, self._probability(score))) | {"log_odds": round(score, 2)}

@@ -13,7 +13,7 @@ its spike, all else integrated out; variances are found by expectation-maximisat
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import linalg
@@ -40,7 +40,8 @@ class Rows:
         variance: of the sensors and of the edge of sticking, ``[joint, window, row]``; infinite where nothing is known.
         features: of the unexplained law, ``[joint, window, row, feature]``.
         columns: by joint, which numbers move it, ``[column]``.
-        values: by joint, how, ``[column, window, row]``; numbers are the base's, then the candidates'.
+        values: by joint, how, ``[column, window, row]``; numbers are the base's, then the candidates' that sit in one
+            joint or in all.
     """
 
     joints: tuple[str, ...]
@@ -54,25 +55,25 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Numbers:
-    """Priors of the numbers: the base's first, then the candidates'.
+    """Priors of the numbers, and the candidates that are made of them.
 
     Attributes:
         mean: prior means, ``[number]``.
-        spike: standard deviations of what is always there (the base's: of its prior), ``[number]``.
-        slab: of a finding, ``[number]``.
-        low: smallest plausible value.
-        high: largest plausible value.
-        place: log prior of the candidate's place.
-        free: of the base's numbers, and laws that are nobody's finding.
+        deviation: prior standard deviations; of what is no base's number, its spike, ``[number]``.
+        members: numbers of which a candidate is the sum: one, or of a pair or a side one of each joint.
+        slab: standard deviation of a finding, ``[candidate]``.
+        low: smallest plausible size, ``[candidate]``.
+        high: largest plausible size, ``[candidate]``.
+        place: log prior of the candidate's place, ``[candidate]``.
     """
 
     mean: np.ndarray
-    spike: np.ndarray
-    slab: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    place: np.ndarray
-    free: np.ndarray
+    deviation: np.ndarray
+    members: tuple[tuple[int, ...], ...] = ()
+    slab: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    low: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    high: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    place: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass
@@ -91,7 +92,15 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """What a fit has found: the numbers ``[number]``, their precision matrix, the evidence, and the joints' laws."""
+    """What a fit has found.
+
+    Attributes:
+        mean: the numbers, and behind them the named candidates' sizes.
+        precision: matrix of both.
+        evidence: log probability of the rows.
+        laws: what each joint does and nobody explains, by feature.
+        state: the variances.
+    """
 
     mean: np.ndarray
     precision: np.ndarray
@@ -117,9 +126,8 @@ class Judge:
         self.group = rows.kinds // 2
         self.counts = np.array([int((self.group == g).sum()) for g in (0, 1)])
         self.start = State(np.full((joints, 4), 0.5), np.full(joints, 0.2), np.ones((2, joints, windows)))
-        self._x = [np.concatenate([rows.measured[j][None], rows.values[j]]).reshape(len(v) + 1, -1)
-                   for j, v in enumerate(rows.values)]  # fmt: skip
         self._f = rows.features.reshape(joints, -1, rows.features.shape[-1])
+        self._kept: tuple[State, tuple] | None = None
 
     def variance(self, joint: int, state: State) -> np.ndarray:
         """Of every row, ``[window, row]``."""
@@ -130,52 +138,66 @@ class Judge:
         """Products of measurement and numbers under the noise, each joint's law integrated out; log determinant."""
         size, total = len(self.numbers.mean) + 1, 0.0
         gram, kept = np.zeros((size, size)), []
-        for j, (x, f) in enumerate(zip(self._x, self._f, strict=True)):
+        for j, f in enumerate(self._f):
+            values = self.rows.values[j]
+            x = np.concatenate([self.rows.measured[j].ravel()[None], values.reshape(len(values), f.shape[0])])
             variance = self.variance(j, state).ravel()
             seen = np.isfinite(variance)
-            precision = np.where(seen, 1.0 / variance, 0.0)
-            weighted = f * precision[:, None]
-            inner = f.T @ weighted + np.eye(f.shape[1]) / state.law[j] ** 2
-            factor = linalg.cho_factor(inner, lower=True)
-            across = weighted.T @ x.T
-            solved = linalg.cho_solve(factor, across)
+            root = np.sqrt(np.where(seen, 1.0 / variance, 0.0))
+            scaled, features = x * root, f * root[:, None]
+            factor = np.linalg.cholesky(features.T @ features + np.eye(f.shape[1]) / state.law[j] ** 2)
+            half = linalg.solve_triangular(factor, features.T @ scaled.T, lower=True, check_finite=False)
             at = np.concatenate([[0], self.rows.columns[j] + 1])
-            gram[np.ix_(at, at)] += (x * precision) @ x.T - across.T @ solved
-            total += np.log(variance[seen]).sum() + 2 * np.log(np.diag(factor[0])).sum()
+            gram[np.ix_(at, at)] += scaled @ scaled.T - half.T @ half
+            total += np.log(variance[seen]).sum() + 2 * np.log(np.diag(factor)).sum()
             total += f.shape[1] * np.log(state.law[j] ** 2)
-            kept.append((factor, solved))
+            kept.append((factor, half))
         return gram, total, kept
 
-    def _deviations(self, named: Sequence[int]) -> np.ndarray:
-        deviation = self.numbers.spike.copy()
-        deviation[list(named)] = self.numbers.slab[list(named)]
-        return deviation
+    def sums(self, named: Sequence[int]) -> np.ndarray:
+        """Which numbers candidates move, ``[number, candidate]``."""
+        sums = np.zeros((len(self.numbers.mean), len(named)))
+        for column, candidate in enumerate(named):
+            sums[list(self.numbers.members[candidate]), column] = 1.0
+        return sums
 
     def fit(self, named: Sequence[int] = (), state: State | None = None, rounds: int = 4) -> Posterior:
         """Numbers and variances with these candidates as findings, from a state on.
 
         Args:
-            named: numbers that have the slab's prior.
+            named: candidates that are there as much as the slab allows, beside their spikes.
             state: where expectation-maximisation starts.
             rounds: of it.
         """
-        state = (state or self.start).copy()
-        mean, precision = self.numbers.mean, 1.0 / self._deviations(named) ** 2
+        n, sums, given = self.numbers, self.sums(named), state or self.start
+        state = given.copy()
+        mean = np.concatenate([n.mean, np.zeros(len(named))])
+        precision = 1.0 / np.concatenate([n.deviation, n.slab[list(named)]]) ** 2
         for number in range(rounds + 1):
-            gram, logdet, kept = self._gram(state)
-            inner = gram[1:, 1:] + np.diag(precision)
-            factor = linalg.cho_factor(inner, lower=True)
-            x = linalg.cho_solve(factor, gram[1:, 0] + precision * mean)
+            if number == 0:  # fits of many candidates start from one state
+                if self._kept is None or self._kept[0] is not given:
+                    self._kept = given, self._gram(given)
+                gram, logdet, kept = self._kept[1]
+            else:
+                gram, logdet, kept = self._gram(state)
+            across = gram[:, 1:] @ sums
+            products = np.block([[gram[1:, 1:], across[1:]], [across[1:].T, sums.T @ across[1:]]])
+            linear = np.concatenate([gram[1:, 0], across[0]])
+            products[np.diag_indices_from(products)] += precision
+            factor = linalg.cho_factor(products, lower=True, check_finite=False)
+            x = linalg.cho_solve(factor, linear + precision * mean, check_finite=False)
+            felt = x[: len(n.mean)] + sums @ x[len(n.mean) :]
             laws = tuple(
-                solved[:, 0] - solved[:, 1:] @ x[at] for (_, solved), at in zip(kept, self.rows.columns, strict=True)
+                linalg.solve_triangular(triangle, half[:, 0] - half[:, 1:] @ felt[at], trans=1, lower=True)
+                for (triangle, half), at in zip(kept, self.rows.columns, strict=True)
             )
             if number == rounds:
                 break
-            self._maximise(state, x, laws, [factor for factor, _ in kept])
-        apart = x - mean
-        square = gram[0, 0] - 2 * gram[1:, 0] @ x + x @ gram[1:, 1:] @ x + (apart**2 * precision).sum()
+            self._maximise(state, felt, laws, [triangle for triangle, _ in kept])
+        # minus two log likelihood and prior at the maximum, where half of the linear part is left
+        square = gram[0, 0] + (mean**2 * precision).sum() - (linear + precision * mean) @ x
         logdet += 2 * np.log(np.diag(factor[0])).sum() - np.log(precision).sum()
-        return Posterior(x, inner, -0.5 * (square + logdet) + self._hyper(state), laws, state)
+        return Posterior(x, products, -0.5 * (square + logdet) + self._hyper(state), laws, state)
 
     def _hyper(self, state: State) -> float:
         """Log prior of the variances."""
@@ -188,18 +210,17 @@ class Judge:
         return float(result)
 
     def residual(self, joint: int, x: np.ndarray, law: np.ndarray) -> np.ndarray:
-        """What numbers and law leave of a joint's rows, ``[window, row]``."""
-        rows = self._x[joint]
-        left = rows[0] - rows[1:].T @ x[self.rows.columns[joint]] - self._f[joint] @ law
-        return left.reshape(self.rows.measured.shape[1:])
+        """What numbers, named candidates added to them, and law leave of a joint's rows, ``[window, row]``."""
+        made = np.tensordot(x[self.rows.columns[joint]], self.rows.values[joint], 1)
+        return self.rows.measured[joint] - made - self.rows.features[joint] @ law
 
     def _maximise(self, state: State, x: np.ndarray, laws: Sequence[np.ndarray], factors: Sequence) -> None:
         """New noise, weights and sizes of the laws."""
         s = self.settings
         for j, (law, factor) in enumerate(zip(laws, factors, strict=True)):
             f, known = self._f[j], self.rows.variance[j]
-            spread = linalg.cho_solve(factor, np.eye(f.shape[1]))
-            square = self.residual(j, x, law) ** 2 + ((f @ spread) * f).sum(1).reshape(known.shape)
+            inverse = linalg.solve_triangular(factor, np.eye(f.shape[1]), lower=True)
+            square = self.residual(j, x, law) ** 2 + np.square(f @ inverse.T).sum(1).reshape(known.shape)
             for kind in range(4):
                 mine = self.rows.kinds == kind
                 weight = state.weight[kind // 2, j][:, None]
@@ -219,25 +240,30 @@ class Judge:
                     weight = (self.tails + self.counts[g] - 2) / (self.tails + distance)
                     state.weight[g, j] = np.clip(weight, LIGHTEST, HEAVIEST)
             size, prior = len(law), 1 / s.law_spread**2
-            found = 0.5 * np.log((law**2 + np.diag(spread)).mean())
+            found = 0.5 * np.log((law**2 + np.square(inverse).sum(0)).mean())
             state.law[j] = np.clip(np.exp((size * found + prior * np.log(s.law)) / (size + prior)), 0.01, 30.0)
 
-    def likelihoods(self, fit: Posterior, named: Sequence[int] = ()) -> tuple[np.ndarray, np.ndarray]:
+    def likelihoods(self, fit: Posterior) -> tuple[np.ndarray, np.ndarray]:
         """What the rows alone say of each number, all others integrated out: ``exp(linear a - curvature a^2 / 2)``."""
-        prior = 1.0 / self._deviations(named) ** 2
-        variance = np.diag(linalg.cho_solve(linalg.cho_factor(fit.precision, lower=True), np.eye(len(fit.mean))))
+        size, prior = len(self.numbers.mean), 1.0 / self.numbers.deviation**2
+        variance = np.diag(_inverse(fit.precision))[:size]
         curvature = np.maximum(1.0 / variance - prior, 1e-12)
-        return fit.mean / variance - prior * self.numbers.mean, curvature
+        return fit.mean[:size] / variance - prior * self.numbers.mean, curvature
 
-    def scores(self, fit: Posterior, named: Sequence[int] = ()) -> np.ndarray:
-        """Log odds of slab against spike with the place's prior, ``[number]``; minus infinity for the base's."""
+    def of_candidates(self, fit: Posterior) -> tuple[np.ndarray, np.ndarray]:
+        """What the rows say of how much more than a little there is of each candidate: linear term and curvature."""
+        size, prior = len(self.numbers.mean), 1.0 / self.numbers.deviation**2
+        covariance = _inverse(fit.precision)[:size, :size]
+        left = np.diag(prior) - prior[:, None] * covariance * prior
+        linear = prior * (fit.mean[:size] - self.numbers.mean)
+        curvature = [left[np.ix_(one, one)].sum() for one in map(list, self.numbers.members)]
+        return np.array([linear[list(one)].sum() for one in self.numbers.members]), np.maximum(curvature, 1e-12)
+
+    def scores(self, fit: Posterior) -> np.ndarray:
+        """Log odds of slab and spike against spike alone with the place's prior, ``[candidate]``."""
         n = self.numbers
-        linear, curvature = self.likelihoods(fit, named)
-        result = evidence(linear, curvature, 0.0, n.slab, n.low, n.high) - evidence(linear, curvature, 0.0, n.spike)
-        result = result + n.place
-        result[n.free] = -np.inf
-        result[list(named)] = -np.inf
-        return result
+        linear, curvature = self.of_candidates(fit)
+        return evidence(linear, curvature, 0.0, n.slab, n.low, n.high) + n.place
 
     def products(self, state: State) -> np.ndarray:
         """Products of the numbers' columns under the noise, every joint's law integrated out, ``[number, number]``."""
@@ -261,6 +287,12 @@ class Judge:
         return total
 
 
+def _inverse(matrix: np.ndarray) -> np.ndarray:
+    """Of a positive definite matrix."""
+    factor = linalg.cho_factor(matrix, lower=True, check_finite=False)
+    return linalg.cho_solve(factor, np.eye(len(matrix)), overwrite_b=True, check_finite=False)
+
+
 def evidence(
     linear: np.ndarray,
     curvature: np.ndarray,
@@ -274,10 +306,10 @@ def evidence(
     variance = 1.0 / (curvature + precision)
     at = variance * (linear + precision * mean)
     result = 0.5 * (at**2 / variance - precision * mean**2) + 0.5 * np.log(precision * variance)
-    return result + _log_mass(low, high, at, np.sqrt(variance)) - _log_mass(low, high, mean, deviation)
+    return result + log_mass(low, high, at, np.sqrt(variance)) - log_mass(low, high, mean, deviation)
 
 
-def _log_mass(low, high, mean, deviation) -> np.ndarray:
+def log_mass(low, high, mean, deviation) -> np.ndarray:
     """Log of a normal's mass between two ends, accurate in the tails."""
     a, b = (low - mean) / deviation, (high - mean) / deviation
     a, b = np.where(a > 0, -b, a), np.where(a > 0, -a, b)

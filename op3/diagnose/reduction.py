@@ -81,7 +81,6 @@ class Reduction:
         judged: columns of the joints that are judged: all of limbs of which one joint moves.
         moving: whether each of the robot's joints moves.
         unit: one hundredth of the torque of the busiest joint [N m].
-        simulated: parameter sets simulated so far.
     """
 
     def __init__(self, engine: WindowResiduals, settings: Settings = SETTINGS):
@@ -98,12 +97,9 @@ class Reduction:
         self.slot_of = {int(j): i for limb in self.limbs for i, j in enumerate(limb)}
         needed = np.einsum("tij,tj->ti", motion.dynamics.mass, motion.acceleration) + motion.dynamics.bias
         self.unit = 0.01 * float(np.quantile(np.abs(needed), 0.95, axis=0).max())
-        known = set(engine.channels)
-        self.floor = np.array([FLOORS[key] if key in known else np.inf for key in FLOORS])
+        self.floor = np.where(engine.known, list(FLOORS.values()), np.inf)
         self._parts = [engine.part(limb) for limb in self.limbs] if len(self.limbs) > 1 else [engine]
-        self.simulated = 0
-        starts = linalg.helmert(PIECES, full=True)
-        self._turn = starts
+        self._turn = linalg.helmert(PIECES, full=True)
         of_piece = np.minimum(np.arange(self.ticks + 1) * PIECES // self.ticks, PIECES - 1)
         self._mean = np.stack([(of_piece == p) / (of_piece == p).sum() for p in range(PIECES)])
         self.kinds = np.array([0] + [1] * (PIECES - 1) + [2] + [3] * (PIECES - 1))
@@ -120,14 +116,13 @@ class Reduction:
             given = {name: value[piece] for name, value in sets.items()}
             apart = {name: value[piece] for name, value in offsets.items()}
             if together:  # an effect of the whole robot, such as a supply that sags with all currents
-                error = self._whitened(self.engine, range(self.count), model, given, stretch, apart)
-                found = [error[:, :, :, limb] for limb in self.limbs]
+                whole = self._whitened(self.engine, range(self.count), model, given, stretch, apart)
+                found = [whole[:, :, :, limb] for limb in self.limbs]
             else:
                 both = zip(self._parts, self.limbs, strict=True)
                 found = [self._whitened(part, limb, model, given, stretch, apart) for part, limb in both]
             for part, error in zip(parts, found, strict=True):
                 part.append(error.reshape(len(error), self.windows, -1))
-        self.simulated += count
         return [np.concatenate(part) for part in parts]
 
     def _whitened(self, engine, columns, model: RobotModel, given, stretch: int, apart) -> np.ndarray:
@@ -136,7 +131,7 @@ class Reduction:
         own = {name: value[:, at] if value.shape[1] == self.count else value for name, value in given.items()}
         offsets = {name: value[:, at] for name, value in apart.items()}
         error = engine.errors(model, own, len(next(iter(given.values()))), stretch=stretch, **offsets)
-        error /= self.floor.astype(np.float32)
+        error /= self.floor[at].astype(np.float32)
         return np.clip(error, -300, 300, out=error)
 
     def at(self, coordinates: Coordinates, points: np.ndarray, stretch: int = 1) -> list[np.ndarray]:
@@ -144,33 +139,44 @@ class Reduction:
         return self.errors(coordinates.model, coordinates.values(points), len(points), stretch)
 
     # ---- linearisation ------------------------------------------------------------------------------------------
-    def linearise(self, coordinates: Coordinates, point: np.ndarray, like: Linear | None = None) -> Linear:
+    def linearise(
+        self,
+        coordinates: Coordinates,
+        point: np.ndarray,
+        reduced: Linear | None = None,
+        moved_as: Linear | None = None,
+    ) -> Linear:
         """What the base leaves, its numbers' columns, and the reduction, around a point.
 
         Args:
             coordinates: the base's numbers.
             point: where they are.
-            like: whose reduction is kept, so that evidences compare; None for one of its own.
+            reduced: whose reduction is kept; None for one of its own.
+            moved_as: whose columns are kept of the numbers that both have; None for all anew.
         """
-        groups = self._together(coordinates.entries)
+        known = {} if moved_as is None else dict(zip(moved_as.coordinates.entries, moved_as.base, strict=True))
+        entries = coordinates.entries
+        groups = [group for group in self._together(entries) if entries[group[0]] not in known]
         span = coordinates.high - coordinates.low
         step = np.where(point + 2 * STEP * span > coordinates.high, -STEP, STEP) * span
         numbers = np.arange(len(point))
         moved = np.stack([point, *(point + np.isin(numbers, group) * step for group in groups)])
         error = self.at(coordinates, moved)
-        if like is None:
+        if reduced is None:
             nuisances = self._nuisances(coordinates, point, [one[0] for one in error])
             made = [self._reducer(limb, n) for limb, n in zip(self.limbs, nuisances, strict=True)]
             reducers, variance = tuple(m[0] for m in made), tuple(m[1] for m in made)
         else:
-            reducers, variance = like.reducers, like.variance
+            reducers, variance = reduced.reducers, reduced.variance
         lacking = -self.reduce(reducers, [one[:1] for one in error])[0]
         changes = self.reduce(reducers, [one[1:] - one[:1] for one in error])
         base = np.zeros((len(point), *lacking.shape), np.float32)
+        for i, entry in enumerate(entries):
+            base[i] = known.get(entry, 0.0)
         for number, group in enumerate(groups):
             for i in group:
                 base[i] = changes[number] / step[i]
-                base[i][~self._felt(coordinates.entries[i].joints)] = 0.0
+                base[i][~self._felt(entries[i].joints)] = 0.0
         return Linear(coordinates, point, reducers, variance, lacking, base)
 
     def _felt(self, joints: tuple[int, ...] | None) -> np.ndarray:
@@ -226,11 +232,11 @@ class Reduction:
         mass = mass + np.diag(np.broadcast_to(armature[0], self.count)[limb])
         mobility = np.linalg.inv(mass)
         measured = engine.by_window(engine.motion.velocity, end=True)[:, :, limb]
-        moves = np.abs(measured) > 0.02
-        if np.isfinite(self.floor[1]):
-            moves |= np.abs(measured + left.reshape(shape)[..., 1] * self.floor[1]) > 0.04
+        moves, read = np.abs(measured) > 0.02, self.engine.known[limb, 1]
+        floor = np.where(read, self.floor[limb, 1], 0.0)
+        moves |= read & (np.abs(measured + left.reshape(shape)[..., 1] * floor) > 0.04)
         regulated = "current_pd" in coordinates.model.effect_names
-        stiffness = self._loop_stiffness(initial[:n].reshape(n, *shape), mass, regulated)
+        stiffness = self._loop_stiffness(limb, initial[:n].reshape(n, *shape), mass, regulated)
         piece = np.arange(self.ticks) * PIECES // self.ticks
         response = np.zeros((n, PIECES, *shape), np.float32)
         for j in range(n):
@@ -238,25 +244,26 @@ class Reduction:
                 q, v = np.zeros((self.windows, n)), np.zeros((self.windows, n))
                 for t in range(self.ticks):
                     pull = (self.unit if piece[t] == p else 0.0) * mobility[:, t, :, j]
-                    pull = pull - np.einsum("wij,wj->wi", mobility[:, t], stiffness * q)
+                    pull = pull - np.einsum("wij,wj->wi", mobility[:, t], stiffness[:, t] * q)
                     v = (v + engine.period * pull) * moves[:, t]
                     q = q + engine.period * v
                     response[j, p, :, t + 1, :, 0], response[j, p, :, t + 1, :, 1] = q, v
-        response /= self.floor.astype(np.float32)
+        response /= self.floor[limb].astype(np.float32)
         return response.reshape(n * PIECES, self.windows, -1)
 
-    def _loop_stiffness(self, initial: np.ndarray, mass: np.ndarray, regulated: bool) -> np.ndarray:
-        """Stiffness of servos that close the position loop themselves [N m/rad], ``[joint]``; zero of others.
+    def _loop_stiffness(self, limb: np.ndarray, initial: np.ndarray, mass: np.ndarray, regulated: bool) -> np.ndarray:
+        """Stiffness of servos that close the position loop themselves [N m/rad], ``[window, tick, joint]``.
 
         From how far an error of the initial angle has come back after two ticks: ``q(t) = q0 (1 - K t^2 / 2 J)``.
         """
-        time, result = 2 * self.engine.period, np.zeros(len(initial))
+        time, result = 2 * self.engine.period, np.zeros((*mass.shape[:2], len(initial)))
         if regulated:
             return result  # commands are those of the log, and nothing pulls back
+        enabled = self.engine.motion.inputs.get("torque_enable")
         for j, one in enumerate(initial):
-            kept = np.median(one[:, 2, j, 0]) * self.floor[0] / INITIAL[0]
-            result[j] = max(0.0, 2 * (1 - kept) / time**2) * float(np.median(mass[:, 0, j, j]))
-        return result
+            kept = np.median(one[:, 2, j, 0]) * FLOORS["joint", "position"] / INITIAL[0]
+            result[..., j] = max(0.0, 2 * (1 - kept) / time**2) * float(np.median(mass[:, 0, j, j]))
+        return result if enabled is None else result * self.engine.by_window(enabled, end=True)[..., limb]
 
     def _reducer(self, limb: np.ndarray, nuisances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residual to the torques that explain it, ``[window, torque, residual]``, and their variance."""
@@ -274,7 +281,8 @@ class Reduction:
         parts = []
         for gain, error, limb in zip(reducers, errors, self.limbs, strict=True):
             sets, n = len(error), len(limb)
-            torque = np.matmul(gain[None], error[..., None])[..., 0].reshape(sets, self.windows, n, PIECES)
+            torque = np.moveaxis(np.matmul(gain, np.moveaxis(error, 0, -1)), -1, 0)
+            torque = torque.reshape(sets, self.windows, n, PIECES)
             current = error.reshape(sets, self.windows, self.ticks + 1, n, 3)[..., 2]
             current = np.einsum("pt,swtj->swjp", self._mean, current)
             rows = np.concatenate([torque @ self._turn.T, current @ self._turn.T], -1)
@@ -283,19 +291,13 @@ class Reduction:
 
     # ---- candidates ---------------------------------------------------------------------------------------------
     def columns(self, linear: Linear, found: Sequence[Candidate], progress=None) -> np.ndarray:
-        """What each candidate's secant does, ``[candidate, joint, window, row]``."""
+        """What the secant of each candidate in one joint, or in all, does, ``[candidate, joint, window, row]``."""
         result = np.zeros((len(found), *linear.lacking.shape), np.float32)
         base = linear.coordinates.values(linear.point[None])
         models: dict[int, dict[tuple, list[int]]] = {}
-        singles: dict[tuple, int] = {}
         for i, one in enumerate(found):
-            secant = tuple(sorted(one.secant.items()))
-            if one.scope == "joint":
-                assert one.joints is not None
-                singles[id(one.model), one.effect.name, secant, one.joints[0]] = i
-            key = self.slot_of[one.joints[0]] if one.scope == "joint" and one.joints else "all"
-            if one.scope in ("shared", "joint"):
-                models.setdefault(id(one.model), {}).setdefault((one.effect.name, secant, key), []).append(i)
+            slot = self.slot_of[one.joints[0]] if one.joints else None
+            models.setdefault(id(one.model), {}).setdefault((one.shape, slot), []).append(i)
         done = 0
         for groups in models.values():
             for begin in range(0, len(groups), CHUNK - 1):
@@ -304,11 +306,8 @@ class Reduction:
                 done += len(members)
                 if progress is not None:
                     progress(done / sum(map(len, models.values())))
-        for i, one in enumerate(found):
-            if one.scope in ("pair", "side"):  # to first order the sum of its joints
-                secant = tuple(sorted(one.secant.items()))
-                parts = [singles.get((id(one.model), one.effect.name, secant, j)) for j in one.joints or ()]
-                result[i] = sum(result[part] for part in parts if part is not None)
+            for part in (self.engine, *self._parts):
+                part.forget()
         return result
 
     def _simulate(
@@ -336,28 +335,30 @@ class Reduction:
                 result[i][~self._felt(found[i].joints)] = 0.0
 
     # ---- rows ---------------------------------------------------------------------------------------------------
-    def rows(self, linear: Linear, columns: np.ndarray, like: Rows | None = None) -> Rows:
+    def rows(self, linear: Linear, columns: Sequence[np.ndarray], like: Rows | None = None) -> Rows:
         """Everything the judge needs, of the base and the candidates' columns.
 
         Args:
             linear: the windows around the base.
-            columns: ``[candidate, joint, window, row]``.
+            columns: of candidates in one joint or in all, ``[joint, window, row]`` each.
             like: whose variances are kept, so that evidences compare.
         """
-        values = np.concatenate([linear.base, columns]).astype(np.float64)
         torque = self.kinds < 2
         spread = np.concatenate([one.T for one in linear.variance])  # [joint, window]
         known = (spread < UNKNOWN) & self.moving[self.judged][:, None]
         variance = np.where(known, spread, np.inf)[..., None] + np.zeros(len(self.kinds))
         variance[..., torque] += self._on_edge(linear)[..., None]
-        reading = 1.0 / (self.ticks / PIECES) if np.isfinite(self.floor[2]) else np.inf
-        variance[..., ~torque] = np.where(self.moving[self.judged][:, None, None], reading, np.inf)
+        read = (self.moving & self.engine.known[:, 2])[self.judged]
+        variance[..., ~torque] = np.where(read, PIECES / self.ticks, np.inf)[:, None, None]
         variance = variance if like is None else like.variance
-        for kinds in (torque, ~torque):  # columns of windows on the edge of sticking are wild
-            part = values[..., kinds]
-            usual = np.quantile(np.abs(part), 0.97, axis=(2, 3), keepdims=True)
-            values[..., kinds] = np.clip(part, -8 * usual - 0.5, 8 * usual + 0.5)
-        kept = [np.flatnonzero(np.abs(values[:, j]).max((1, 2)) > 0) for j in range(len(self.judged))]
+        kept, values = [], []
+        for j in range(len(self.judged)):
+            mine = np.stack([*linear.base[:, j], *(column[j] for column in columns)])
+            kept.append(np.flatnonzero(np.abs(mine).max((1, 2)) > 0))
+            values.append(mine[kept[-1]])
+            for kinds in (torque, ~torque):  # columns of windows on the edge of sticking are wild
+                usual = np.quantile(np.abs(values[-1][..., kinds]), 0.97, axis=(1, 2), keepdims=True)
+                values[-1][..., kinds] = np.clip(values[-1][..., kinds], -8 * usual - 0.5, 8 * usual + 0.5)
         measured = np.where(np.isfinite(variance), linear.lacking, 0.0)
         features = self.features() * torque[:, None]
         return Rows(
@@ -367,14 +368,14 @@ class Reduction:
             variance,
             features,
             tuple(kept),
-            tuple(values[at, j] for j, at in enumerate(kept)),
+            tuple(values),
         )
 
     def _on_edge(self, linear: Linear) -> np.ndarray:
         """Variance of windows on the edge of sticking, which little moves far, ``[joint, window]``."""
         s, extra = self.settings, 0.0
         for entry, value, column in zip(linear.coordinates.entries, linear.point, linear.base, strict=True):
-            if entry.joints is None and entry.kind == "value":
+            if entry.joints is None and entry.kind == "value" and entry.low >= 0:  # a share of an angle says nothing
                 moved = np.square(s.edge_share * value * column[..., self.kinds < 2].astype(np.float64)).mean(-1)
                 extra = extra + np.maximum(moved - np.quantile(moved, 0.75, axis=1, keepdims=True), 0.0)
         return s.edge**2 * np.minimum(extra, 0.9 * UNKNOWN)

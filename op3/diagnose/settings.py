@@ -27,7 +27,7 @@ class Settings:
         rare_alarm: the same with Gaussian noise, where a few wild windows count in full.
         temperature: by which log odds are divided before they are probabilities; model error is not independent.
         family: log odds within which names are one finding.
-        windows: of the fitted runs; more add what model error repeats.
+        windows: of the fitted runs; more add what model error repeats. None: five of each run, at least 72.
         leaders: candidates that are estimated anew with everything else in each round.
     """
 
@@ -47,7 +47,7 @@ class Settings:
     rare_alarm: float = 30.0
     temperature: float = 2.0
     family: float = 6.0
-    windows: int = 72
+    windows: int | None = None
     leaders: int = 6
 
 

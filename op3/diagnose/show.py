@@ -61,10 +61,9 @@ class FreeRuns:
         return self._replay.run(model)
 
     def squares(self, predictions: Sequence[Prediction], key: tuple[str, str]) -> list[np.ndarray]:
-        """Mean squares of a channel by log, ``[second]`` each, means over joints."""
-        return [
-            by_second(error.mean(1), log) for error, log in zip(self.errors(predictions, key), self.logs, strict=True)
-        ]
+        """Mean squares of a channel by log, ``[second]`` each, means over the joints of which it was measured."""
+        both = zip(self.errors(predictions, key), self.logs, strict=True)
+        return [by_second(error[:, log.measured(key)].mean(1), log) for error, log in both]
 
     def errors(self, predictions: Sequence[Prediction], key: tuple[str, str]) -> list[np.ndarray]:
         """Squared errors of a channel by log, ``[row, joint]`` each."""
@@ -172,8 +171,8 @@ def _floor(split: LogSplit, key: tuple[str, str]) -> np.ndarray | None:
     for group in split.repeats:
         rows = min(split.show[i].rows for i in group)
         values = np.stack([split.show[i].array(key)[:rows] for i in group])
-        noise = np.square(values - values.mean(0)).sum(0).mean(1) / (len(group) - 1)
-        squares.append(by_second(noise, split.show[group[0]]))
+        noise, first = np.square(values - values.mean(0)).sum(0) / (len(group) - 1), split.show[group[0]]
+        squares.append(by_second(noise[:, first.measured(key)].mean(1), first))
     return np.concatenate(squares) if squares else None
 
 

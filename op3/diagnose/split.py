@@ -55,13 +55,11 @@ def split_logs(logs: Sequence[Rollout], seed: int = 0) -> LogSplit:
 
     Runs that repeat the same commands show, as their spread tells the noise floor. Of the others one run of every
     kind of motion (its name without a number at the end) is chosen by until a quarter is reached. With fewer than
-    five runs, each is cut in time: the first 60 % fit, then 20 % choose, 20 % show.
+    five runs, each is cut in time: the first 60 % fit, then 20 % choose, 20 % show. Logs of the same numbers are one.
 
     Args:
         logs: all logs of one robot.
         seed: of the choice among runs of one kind.
-
-    Logs that hold the same numbers, as a simulation gives for the same seed, are one.
 
     Raises:
         LogError: if no log is long enough.

@@ -17,9 +17,8 @@ def lacking(reduction: Reduction, stage: Stage) -> np.ndarray:
     result = []
     for j in range(len(stage.judge.rows.joints)):
         left = stage.judge.residual(j, own, np.zeros_like(stage.fit.laws[j]))[:, mean]
-        weight = np.minimum(stage.fit.state.weight[0, j], 1.0)[:, None] * np.isfinite(
-            stage.judge.rows.variance[j][:, mean]
-        )
+        known = np.isfinite(stage.judge.rows.variance[j][:, mean])
+        weight = np.minimum(stage.fit.state.weight[0, j], 1.0)[:, None] * known
         result.append(np.sqrt((weight * left**2).sum() / max(weight.sum(), 1e-9)))
     return np.array(result) / np.sqrt(PIECES)
 

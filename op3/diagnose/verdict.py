@@ -1,6 +1,6 @@
 """A verdict: findings, what stays unexplained in every joint, and how far its base can be trusted."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
@@ -60,7 +60,7 @@ class Finding:
     def separate_by(self) -> str:
         """The experiments that would tell it from its rivals."""
         names = [self.effect, *(rival.effect for rival in self.alternatives)] if self.alternatives else []
-        return "; ".join(dict.fromkeys(filter(None, (effect_class(name).separating_experiment for name in names))))
+        return separating(names)
 
     @property
     def phrase(self) -> str:
@@ -165,6 +165,11 @@ class Verdict:
                 for name in ("joints", "cannot_tell", "choice", "gap", "loss", "ranking", "seconds")
             },
         }
+
+
+def separating(effects: Iterable[str]) -> str:
+    """What the catalogue says would separate some effects, by their names, each experiment once."""
+    return "; ".join(dict.fromkeys(filter(None, (effect_class(name).separating_experiment for name in effects))))
 
 
 def _stated(finding: Finding) -> str:

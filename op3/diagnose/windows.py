@@ -5,6 +5,7 @@ dynamics are computed once along the measured motion, with what other bodies, or
 """
 
 import copy
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
@@ -56,17 +57,16 @@ class WindowResiduals:
     Attributes:
         windows: log and tick at which each begins.
         measured: ``[window, tick, joint, channel]``.
-        channels: keys of what is compared; the rate of a bench's angle is no reading of its own and is left out.
+        known: what is compared, ``[joint, channel]``: recorded, and not set aside by the checks of a log; the rate of a
+            bench's angle is no reading of its own.
         motion: of all windows' ticks one behind another, each with its lead.
     """
 
     def __init__(self, logs: Sequence[Rollout], *, windows: int = 72, ticks: int | None = None):
         first = logs[0]
         for log in logs:
-            if log.metadata.mount not in HELD or (log.metadata.mount, log.joints) != (
-                first.metadata.mount,
-                first.joints,
-            ):
+            alike = (log.metadata.mount, log.joints) == (first.metadata.mount, first.joints)
+            if log.metadata.mount not in HELD or not alike:
                 raise LogError(
                     "windows need logs of one set of joints on the stand, or of a bench",
                     "diagnose logs of one mount and one set of joints at a time",
@@ -89,17 +89,22 @@ class WindowResiduals:
         told = [log.log.metadata for log in self.smooth_logs]
         return [float(one.length) for one in told if one.mount == "pendulum" and one.length]
 
+    @property
+    def mirror(self) -> dict[str, str]:
+        """Partners of joints on the other side, as the robot's file names them."""
+        return self.smooth_logs[0].log.robot.partners
+
     def _readings(self, key: tuple[str, str]) -> np.ndarray:
         """A channel in all windows, zero where it was not recorded, ``[window, tick, joint]``."""
-        if key not in self.channels:
+        if any(key not in log.readings for log in self.smooth_logs):
             return np.zeros((len(self.windows), self.ticks + 1, len(self.joints)))
         return np.stack([self.smooth_logs[i].readings[key][t : t + self.ticks + 1] for i, t in self.windows])
 
     def _stack(self, logs: Sequence[SmoothLog]) -> None:
         """One long motion of all windows' ticks, each with its lead."""
         bench = logs[0].log.metadata.mount == "pendulum"
-        recorded = (key for key in CHANNELS if all(key in log.readings for log in logs))
-        self.channels = tuple(key for key in recorded if not (bench and key == ("joint", "velocity")))
+        self.known = np.stack([np.all([_measured(log, key) for log in logs], 0) for key in CHANNELS], -1)
+        self.known[:, CHANNELS.index(("joint", "velocity"))] &= not bench
         spans = [(logs[i], slice(t - PREROLL, t + self.ticks + 1)) for i, t in self.windows]
         rows = PREROLL + self.ticks + 1
 
@@ -110,12 +115,12 @@ class WindowResiduals:
         common = set.intersection(*(set(log.inputs) for log in logs))
         inputs = {name: stacked(lambda log, n=name: log.inputs[n]) for name in sorted(common)}
         supply, self.measured_voltage = 0.0, inputs.get("bus_voltage")
-        if "bus_voltage" in common and ("joint", "current") in self.channels:
+        if "bus_voltage" in common and all(("joint", "current") in log.readings for log in logs):
             supply, opened = open_voltages(logs)
             by_log = {id(log): voltage for log, voltage in zip(logs, opened, strict=True)}
             inputs["bus_voltage"] = stacked(lambda log: by_log[id(log)])
         bases = [_base(log, self.joints) for log, _ in spans]
-        origin = began(logs)
+        begins = _begins(logs)
         self._mounts: list[tuple[SmoothLog, np.ndarray]] = []
         for base in dict.fromkeys(bases):
             mine = [k for k, own in enumerate(bases) if own == base]
@@ -130,16 +135,17 @@ class WindowResiduals:
             q,
             v,
             stacked(lambda log: log.readings.get(("joint", "current"), np.zeros_like(log.position))),
-            np.concatenate([since(origin, log) + log.time[span, None] for log, span in spans]),
+            np.concatenate([begins[id(log)] + log.time[span, None] for log, span in spans]),
             inputs,
             self._dynamics(),
             {},
             supply,
         )
         self._starts = [Window(0, k * rows + PREROLL) for k in range(len(self.windows))]
-        self._forget()
+        self.forget()
 
-    def _forget(self) -> None:
+    def forget(self) -> None:
+        """Drop what was kept for further simulations: what edits of bodies add takes a megabyte for each joint."""
         self._edits: dict[tuple[str, int | None], TrajectoryDynamics | None] = {}
         self._changes: dict[tuple[str, int | None], TrajectoryDynamics] = {}
         self._simulations: dict[tuple[float, bool], WindowSimulation] = {}
@@ -163,8 +169,9 @@ class WindowResiduals:
         other.motion = replace(whole, inputs=inputs, dynamics=dynamics, **sliced)
         other._position, other._velocity = other.motion.position, other.motion.velocity
         other.joints, other.measured = tuple(self.joints[j] for j in at), self.measured[:, :, at]
+        other.known = self.known[at]
         other.measured_voltage = None if self.measured_voltage is None else self.measured_voltage[:, at]
-        other._forget()
+        other.forget()
         return other
 
     @property
@@ -239,7 +246,7 @@ class WindowResiduals:
             if not supplied:
                 given["inputs"] = {**given["inputs"], "bus_voltage": self.measured_voltage}
                 given["supply_resistance"] = 0.0
-            options = {"timestep": timestep, "preroll": PREROLL}
+            options = {"timestep": timestep, "preroll": PREROLL, "num_threads": os.cpu_count() or 1}
             motion = MeasuredMotion(**given)
             self._simulations[key] = WindowSimulation(
                 _as_sent(model), [motion], self._starts, self.ticks, self.joints, **options
@@ -293,36 +300,26 @@ class WindowResiduals:
 
 def _as_sent(model: RobotModel) -> RobotModel:
     """The model with commands rounded as the register of the servos takes them: the log tells what was computed."""
-    effects = [
-        replace(e, resolution=CURRENT_UNIT) if isinstance(e, CurrentPD) else e  # type: ignore[type-var]
-        for e in model.effects
-    ]
-    return replace(model, effects=tuple(effects))
+    sent = [replace(e, resolution=CURRENT_UNIT) if isinstance(e, CurrentPD) else e for e in model.effects]  # type: ignore[type-var]
+    return replace(model, effects=tuple(sent))
 
 
 def _held_by(parameters: Mapping[str, Tensor], told: Mapping[str, Any]) -> dict[str, Tensor]:
     """Parameters as they are in a set-up: those of a condition that holds take the place of what is shared."""
     split = {name: split_name(name) for name in parameters}
     shared = {name: value for name, value in parameters.items() if split[name][1] is None}
-    special = {
-        base: parameters[name]
-        for name, (base, condition) in split.items()
-        if condition is not None and condition.holds(told)
-    }
-    return shared | special
+    holding = {name: base for name, (base, condition) in split.items() if condition and condition.holds(told)}
+    return shared | {base: parameters[name] for name, base in holding.items()}
 
 
 def _within(model: RobotModel, joints: Sequence[str]) -> RobotModel:
     """The model without values of other joints."""
-    estimates = {
-        name: replace(
-            one,
-            joints={joint: value for joint, value in one.joints.items() if joint in joints},
-            intervals={joint: ends for joint, ends in one.intervals.items() if joint in joints},
-        )
-        for name, one in model.estimates.items()
-    }
-    return replace(model, estimates=estimates)
+
+    def of(values: Mapping[str, Any]) -> dict[str, Any]:
+        return {joint: value for joint, value in values.items() if joint in joints}
+
+    kept = {n: replace(one, joints=of(one.joints), intervals=of(one.intervals)) for n, one in model.estimates.items()}
+    return replace(model, estimates=kept)
 
 
 def _choose(logs: Sequence[SmoothLog], count: int, ticks: int) -> list[tuple[int, int]]:
@@ -345,20 +342,16 @@ def _choose(logs: Sequence[SmoothLog], count: int, ticks: int) -> list[tuple[int
     return starts
 
 
-def began(logs: Sequence[SmoothLog]) -> float | None:
-    """When the first of the logs began [s since 1970]; None where the metadata of one do not tell."""
+def _begins(logs: Sequence[SmoothLog]) -> dict[int, float]:
+    """How long after the first of the logs each began [s], by its `id`; all at once where one does not say."""
     dates = [log.log.metadata.date for log in logs]
-    return None if any(date is None for date in dates) else min(map(_timestamp, dates))
+    stamps = [0.0 if None in dates else datetime.fromisoformat(str(date)).timestamp() for date in dates]
+    return {id(log): stamp - min(stamps) for log, stamp in zip(logs, stamps, strict=True)}
 
 
-def since(origin: float | None, log: SmoothLog) -> float:
-    """How long after an origin a log began [s]; 0 where either is not known."""
-    date = log.log.metadata.date
-    return 0.0 if origin is None or date is None else _timestamp(date) - origin
-
-
-def _timestamp(date: Any) -> float:
-    return datetime.fromisoformat(str(date)).timestamp()
+def _measured(log: SmoothLog, key: tuple[str, str]) -> np.ndarray:
+    """Of which joints a log tells a channel, ``[joint]``."""
+    return log.log.measured(key) if key in log.readings else np.zeros(len(log.log.joints), bool)
 
 
 def _base(log: SmoothLog, joints: tuple[str, ...]) -> Base:
@@ -366,7 +359,7 @@ def _base(log: SmoothLog, joints: tuple[str, ...]) -> Base:
     told = log.log.metadata
     if told.mount == "pendulum":
         return PendulumBase(float(told.mass or 0.0), float(told.length or 0.0))
-    return fixed_base(joints, log.tilt)
+    return fixed_base(joints, log.tilt, log.log.robot.reference)
 
 
 def _merged(parts: Sequence[tuple[np.ndarray, TrajectoryDynamics]], rows: int) -> TrajectoryDynamics:

@@ -67,9 +67,9 @@ def test_a_number_at_its_bound_is_a_doubt():
     """Of a shared number; one at the least that physics allows is none."""
     coordinates = base_coordinates(with_chain(load_model("paper")), LEG_JOINTS)
     point = coordinates.start.copy()
-    at = [entry.name for entry in coordinates.entries].index("torque_constant")
+    at = [entry.parameter for entry in coordinates.entries].index("torque_constant")
     point[at] = coordinates.high[at]
-    point[[entry.name for entry in coordinates.entries].index("viscous_friction")] = 0.0
+    point[[entry.parameter for entry in coordinates.entries].index("viscous_friction")] = 0.0
     base = Base(Linear(coordinates, point, (), (), np.zeros(0), np.zeros(0)), None, 0.0)  # type: ignore[arg-type]
     (doubt,) = doubts(base)
     assert doubt.startswith("torque_constant is at its largest")

@@ -51,22 +51,19 @@ def made(rng, sizes=(), wild=0.0, law=0.15, missing=None) -> Judge:
         tuple(kept),
         tuple(columns[j, at] for j, at in enumerate(kept)),
     )
-    count = 2 + CANDIDATES
-    free = np.arange(count) < 2
+    place = np.log(0.5 / np.where(np.arange(CANDIDATES) == 0, 1, CANDIDATES - 1))
     numbers = Numbers(
-        np.zeros(count),
-        np.where(free, 3.0, SPIKE),
-        np.where(free, 3.0, SLAB),
-        np.where(free, -10.0, -8.0),
-        np.where(free, 10.0, 8.0),
-        np.where(free, 0.0, np.log(0.5 / np.where(np.arange(count) == 2, 1, CANDIDATES - 1))),
-        free,
+        np.zeros(2 + CANDIDATES),
+        np.where(np.arange(2 + CANDIDATES) < 2, 3.0, SPIKE),
+        tuple((2 + k,) for k in range(CANDIDATES)),
+        *(np.full(CANDIDATES, value) for value in (SLAB, -8.0, 8.0)),
+        place,
     )
     return Judge(rows, numbers, Settings(law=law))
 
 
 def scores(judge: Judge) -> np.ndarray:
-    return judge.scores(judge.fit(rounds=4))[2:]
+    return judge.scores(judge.fit(rounds=4))
 
 
 def test_evidence_is_the_integral_it_says():
@@ -101,10 +98,10 @@ def test_stated_odds_are_those_of_the_prior():
         slab = rng.random(CANDIDATES) < 0.15
         sizes = {k: np.clip(rng.standard_normal() * SLAB, -8, 8) for k in np.flatnonzero(slab)}
         judge = made(rng, sizes)
-        fit = judge.fit(list(2 + np.flatnonzero(slab)), rounds=4)
+        fit = judge.fit(np.flatnonzero(slab), rounds=4)
         for k in range(CANDIDATES):
-            named = [2 + i for i in np.flatnonzero(slab) if i != k]
-            odds = judge.scores(judge.fit(named, fit.state, rounds=0), named)[2 + k] - judge.numbers.place[2 + k]
+            named = [i for i in np.flatnonzero(slab) if i != k]
+            odds = judge.scores(judge.fit(named, fit.state, rounds=0))[k] - judge.numbers.place[k]
             told.append(1 / (1 + np.exp(-np.clip(odds + np.log(0.15 / 0.85), -50, 50))))
             truth.append(slab[k])
     told, truth = np.array(told), np.array(truth)
@@ -117,7 +114,7 @@ def test_what_no_candidate_explains_is_nobodys_finding():
     """Torque that goes with the features of a joint is its law, whose size grows, and names nothing."""
     judge = made(np.random.default_rng(2), law=1.0)
     fit = judge.fit(rounds=6)
-    assert judge.scores(fit)[2:].max() < Settings().alarm
+    assert judge.scores(fit).max() < Settings().alarm
     assert fit.state.law.min() > 0.5
 
 
@@ -126,9 +123,8 @@ def test_wild_windows_hide_nothing_and_name_nothing():
     judge = made(np.random.default_rng(7), {3: 2.0}, wild=0.1)
     fit = judge.fit(rounds=6)
     assert fit.state.weight.min() < 0.1
-    found = judge.scores(fit)[2:]
-    assert found.argmax() == 3
-    assert fit.mean[2 + 3] == pytest.approx(2.0, abs=0.4)
+    assert judge.scores(fit).argmax() == 3
+    assert judge.fit([3], fit.state).mean[-1] == pytest.approx(2.0, abs=0.4)
 
 
 def test_windows_on_the_edge_of_sticking_count_less():
@@ -138,9 +134,9 @@ def test_windows_on_the_edge_of_sticking_count_less():
     judge.rows.measured[edge] += 30.0
     judge.rows.variance[edge] = 900.0
     again = Judge(judge.rows, judge.numbers, judge.settings)
-    fit = again.fit(rounds=4)
-    assert again.scores(fit)[2:].argmax() == 2
-    assert fit.mean[4] == pytest.approx(2.0, abs=0.4)
+    fit = again.fit([2], rounds=4)
+    assert again.scores(again.fit(rounds=4)).argmax() == 2
+    assert fit.mean[-1] == pytest.approx(2.0, abs=0.4)
 
 
 def test_twins_share_what_they_explain():
@@ -156,3 +152,12 @@ def test_twins_share_what_they_explain():
     found = scores(twin)
     assert found[1] == pytest.approx(found[5], abs=0.5)
     assert found[[1, 5]].min() > np.delete(found, [1, 5]).max()
+
+
+def test_a_pair_is_told_from_its_halves():
+    """What two joints have alike is more probable as one effect of both than as one of either."""
+    judge = made(np.random.default_rng(11), {1: 1.5, 2: 1.5})
+    n = judge.numbers
+    longer = {name: np.append(getattr(n, name), getattr(n, name)[1]) for name in ("slab", "low", "high", "place")}
+    found = scores(Judge(judge.rows, Numbers(n.mean, n.deviation, (*n.members, (3, 4)), **longer), judge.settings))
+    assert found.argmax() == CANDIDATES

@@ -1,19 +1,25 @@
 """Windows under effects that change the bodies, against the whole simulation by MuJoCo."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from op3.diagnose import WindowResiduals
 from op3.diagnose.coordinates import with_chain
-from op3.robot import leg_suite, squat
+from op3.robot import leg_suite, load_robot, multisine, squat
 from op3.robot.units import CURRENT_UNIT
 from op3.rollout import Rollout
 from op3.servo import Estimate, RobotModel, effect_class
-from op3.sim import load_model
+from op3.sim import load_model, servo_model
 from op3.sim.held_base import PendulumBase
-from op3.tasks import simulate_motion
+from op3.tasks import ModelRobot, simulate_motion
 from op3.tasks.planned import planned_suite
 from tests.op3_table import LEG_JOINTS
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "robot"))
+from robots import ROBOTS, write_robot
 
 FAULTS = {
     ("link_mass", "link_mass_offset", "r_ank_roll"): 0.09,
@@ -106,3 +112,27 @@ def test_a_limb_by_itself_moves_as_with_all_others():
     sides = [[j for j, joint in enumerate(engine.joints) if joint.startswith(side)] for side in ("l_", "r_")]
     for side in sides:
         np.testing.assert_allclose(engine.part(side).errors(model), whole[:, :, :, side], atol=2e-5)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_windows_of_any_robot(name, tmp_path):
+    """Its own model predicts the windows of its log twice as well as one of ten times the friction."""
+    path = write_robot(tmp_path, name)
+    log = ModelRobot(str(path)).play(multisine(duration=2.0, robot=str(path)), 6.0, 0.1, recording="one")
+    model = servo_model(load_robot(path))
+    stuck = model.with_values({"coulomb_friction": 10.0 * model.value("coulomb_friction")})
+    engine = WindowResiduals([log], windows=6)
+    own, other = (np.sqrt(np.square(engine.errors(one)[..., 0]).mean()) for one in (model, stuck))
+    assert own < 0.5 * other
+    assert bool(engine.mirror) == any(entry.mirror for entry in log.robot.file.joints.values())
+
+
+def test_a_velocity_that_was_set_aside_is_not_compared():
+    """That of one joint: all other channels are, and the position of the same joint."""
+    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith("multisine")][:1]
+    (log,) = planned_suite(load_model("paper"), runs)
+    aside = Rollout(log.data, log.metadata.replace(set_aside=["r_knee.velocity"]))
+    known = WindowResiduals([aside], windows=4).known
+    expected = np.ones_like(known)
+    expected[LEG_JOINTS.index("r_knee"), 1] = False
+    np.testing.assert_array_equal(known, expected)
