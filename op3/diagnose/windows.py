@@ -149,7 +149,7 @@ class WindowResiduals:
         self._edits: dict[tuple[str, int | None], TrajectoryDynamics | None] = {}
         self._changes: dict[tuple[str, int | None], TrajectoryDynamics] = {}
         self._simulations: dict[tuple[float, bool], WindowSimulation] = {}
-        self._unchanged: dict[int, TrajectoryDynamics] = {}
+        self._unchanged: dict[Base, TrajectoryDynamics] = {}
 
     def part(self, columns: Sequence[int] | np.ndarray) -> "WindowResiduals":
         """The windows of some joints alone, those of a limb: with a held base limbs do not feel each other.
@@ -216,9 +216,9 @@ class WindowResiduals:
 
     def _as_read(self, base: Any, at: np.ndarray) -> TrajectoryDynamics:
         """Mass and bias of a sound robot along a motion."""
-        if id(base) not in self._unchanged:
-            self._unchanged[id(base)] = base.along(base.mj_model, self._position[at], self._velocity[at])
-        return self._unchanged[id(base)]
+        if base not in self._unchanged:
+            self._unchanged[base] = base.along(base.mj_model, self._position[at], self._velocity[at])
+        return self._unchanged[base]
 
     def simulation(self, model: RobotModel, stretch: int = 1) -> WindowSimulation:
         """A simulation of the windows under a model, in steps stretched at most so many times, if it can."""
