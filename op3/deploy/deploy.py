@@ -173,7 +173,7 @@ def run(
     def phases(session: Session) -> list[Phase]:
         driver = make()
         if isinstance(driver, FollowPolicy):
-            driver.on_begin = connection.operator.begins
+            driver.on_begin, driver.on_end = connection.operator.begins, connection.operator.ends
         if plan.dry:
             return [driver]
 

@@ -27,6 +27,9 @@ class Operator:
     def begins(self) -> None:
         """The policy begins now: set the ground in motion."""
 
+    def ends(self) -> None:
+        """The policy is over: take hold of a robot that walks."""
+
     def travelled(self) -> float | None:
         """How far the robot has got since then [m]; None where nobody measured it, as a person does by hand."""
         return None

@@ -124,6 +124,8 @@ class FollowPolicy(Phase):
         self._last_step = -1
         self.on_begin: Callable[[], None] | None = None
         """Called once, right before the first observation."""
+        self.on_end: Callable[[], None] | None = None
+        """Called once, when all steps are over."""
         self._command: Command | None = None
         self._channels: dict[Any, Array] = {}
         runner.reset()
@@ -137,6 +139,9 @@ class FollowPolicy(Phase):
         # A step whose own deadline was skipped is made up for at the next tick.
         step = elapsed // POLICY_TICKS
         if step >= self._steps:
+            if self.on_end is not None:
+                self.on_end()
+                self.on_end = None
             return None
         if step > self._last_step or self._command is None:
             self._last_step = step

@@ -124,7 +124,7 @@ class ActionMap:
         values = low + share * (high - low)
         return values[..., : len(self.joints)], values[..., len(self.joints) :]
 
-    def commands(self, action: Array) -> dict[str, Array]:
+    def commands(self, action: Array) -> dict[str, Any]:
         """What servos are told of actions, for all the robot's joints; those not controlled hold the stand pose.
 
         The one function with which tasks, environments and the robot carry out an action.

@@ -268,6 +268,21 @@ def test_another_zero_is_a_warning(tmp_path, value):
     assert (finding.column, finding.check, finding.set_aside) == ("joint_2.position", "constant offset", False)
 
 
+@pytest.mark.parametrize(("share", "found"), [(1.0, 0), (0.0, 1)])
+def test_a_soft_joint_that_yields_has_no_other_zero(tmp_path, share, found):
+    """Its current is gain times the angle that it stands off; where the servo knows nothing of that, the zero is off."""
+
+    def soft(table: Table) -> None:
+        for joint in [f"joint_{number}" for number in range(5)]:
+            off = 0.4 if joint == "joint_2" else 0.0
+            pulled = table[f"{joint}.target"] - table[f"{joint}.position"] - share * off
+            table[f"{joint}.position"] = table[f"{joint}.position"] + off
+            table |= {f"{joint}.p_gain": np.ones(1000), f"{joint}.current": pulled}
+
+    findings = read_log(write(tmp_path, soft, joints=5)).findings
+    assert [one.column for one in findings if one.check == "constant offset"] == ["joint_2.position"] * found
+
+
 def test_a_dead_position_of_one_joint_is_set_aside(tmp_path):
     """The command stands in its place, and the joint does not count as measured."""
     log = read_log(write(tmp_path, scale("joint_1.position", 0), joints=3))

@@ -51,10 +51,18 @@ def a_turn_off(view: View) -> Iterator[Finding]:
 
 @check("constant offset")
 def constant_offset(view: View) -> Iterator[Finding]:
-    """A joint stands off its command by the same angle in every pose: a homing offset, another zero, or a sign."""
+    """A joint stands off its command by the same angle in every pose: a homing offset, another zero, or a sign.
+
+    Where the recorded current is the gain times this angle, the joint is just soft, and yields to what it carries.
+    """
     if len(view.time) < 20:
         return
     error = np.where(view.driven, view.position - view.command, np.nan)
+    gain, current = view.get(("command", "p_gain")), view.get(("joint", "current"))
+    yields = np.zeros(len(view.joints), bool)
+    if gain is not None and current is not None:
+        pulled = -gain * (view.position - view.command)
+        yields = np.median(np.abs(current - pulled), axis=0) < 0.5 * np.median(np.abs(pulled), axis=0)
     error = error[:, view.driven.mean(0) > 0.5]
     joints = np.flatnonzero(view.driven.mean(0) > 0.5)
     middle = np.nanmedian(error, axis=0) if len(joints) else np.zeros(0)
@@ -67,7 +75,9 @@ def constant_offset(view: View) -> Iterator[Finding]:
             about = np.sin(view.position[view.driven[:, joint], joint])
             fit = np.polynomial.polynomial.polyfit(about, off, 1) if np.ptp(about) > 0.5 else np.zeros(2)
             odd, offset = abs(fit[0]) > max(0.2, 3 * float((off - fit[0] - fit[1] * about).std())), float(fit[0])
-        if not odd or (np.ptp(view.position[:, joint]) == 0 and np.ptp(at) > 0.2):  # a dead sensor is another check's
+        if (
+            not odd or yields[joint] or (np.ptp(view.position[:, joint]) == 0 and np.ptp(at) > 0.2)
+        ):  # a dead sensor is another check's
             continue
         mirrored = np.ptp(at) < 0.05 and abs(offset + 2 * float(np.median(at))) < 0.05
         cause = "its sign is turned round" if mirrored else "another zero, or a homing offset in the servo"
