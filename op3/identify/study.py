@@ -101,8 +101,8 @@ def run_study(
         directions: `minimize` or `maximize` for each objective.
         storage: see `op3.identify.storage`; None keeps the study in memory.
         study_name: name of the study in the storage.
-        n_trials: finished trials, complete or failed, that the study shall have in all; each further worker may add a
-            population.
+        n_trials: finished trials, complete or failed, that the study shall have in all; each further worker may add two
+            populations.
         population: trials asked and evaluated together.
         nominal: parameters of the first trial, the baseline; None starts without one.
         starts: parameters of the trials that follow it, before the sampler proposes any; a resumed study needs the

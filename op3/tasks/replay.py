@@ -294,9 +294,11 @@ def _fallback(command: str, log: Rollout) -> float:
 
 
 def gain_of(log: Rollout) -> float:
-    """Of the servos' own position loop: the log's, else that of the make; NaN where the servos have none."""
-    law = log.robot.servos[0].position_law
-    return float("nan") if law is None else log.metadata.firmware_gain or law.gain.si
+    """Of the servos' own position loop: the log's, else that of the make; NaN where it is not this that closes the loop."""
+    first = log.robot.servos[0]
+    if first.loop != "firmware" or first.position_law is None:
+        return float("nan")
+    return log.metadata.firmware_gain or first.position_law.gain.si
 
 
 def _interpolate(values: Tensor, recorded: np.ndarray, time: np.ndarray) -> Tensor:

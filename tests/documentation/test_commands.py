@@ -87,6 +87,7 @@ def start(command: Command, monkeypatch) -> None:
     """Start a command of this project, as the shell would, up to where its work begins."""
     words = list(command.words[1:])
     script = command.script
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "1")  # as `launch` sets it, and here only as long as the test
     if script and not re.search("argparse|hydra.main", script.read_text(encoding="utf-8")):
         assert not words[1:], f"{script.name} takes no arguments"
     elif command.words[0] == "op3":

@@ -270,7 +270,7 @@ def test_two_workers_share_a_study(tmp_path):
     workers = [start_worker(storage, log, 120, 0.05, number) for number in range(2)]
     assert [worker.wait() for worker in workers] == [0, 0]
     trials = load(storage).trials
-    assert 120 <= len(trials) <= 128
+    assert 120 <= len(trials) <= 136  # either may have begun two populations that the other did not know of
     assert len({trial.params["x"] for trial in trials}) == len(trials)
     assert sum(trial.user_attrs.get("nominal", False) for trial in trials) == 1
     assert len({trial.user_attrs["worker"] for trial in trials}) == 2
