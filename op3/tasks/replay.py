@@ -294,7 +294,7 @@ def _fallback(command: str, log: Rollout) -> float:
 
 
 def gain_of(log: Rollout) -> float:
-    """Of the servos' own position loop: the log's, else that of the make; NaN where it is not this that closes the loop."""
+    """Of the servos' own position loop: the log's, else that of the make; NaN where something else closes the loop."""
     first = log.robot.servos[0]
     if first.loop != "firmware" or first.position_law is None:
         return float("nan")

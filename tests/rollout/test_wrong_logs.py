@@ -270,7 +270,7 @@ def test_another_zero_is_a_warning(tmp_path, value):
 
 @pytest.mark.parametrize(("share", "found"), [(1.0, 0), (0.0, 1)])
 def test_a_soft_joint_that_yields_has_no_other_zero(tmp_path, share, found):
-    """Its current is gain times the angle that it stands off; where the servo knows nothing of that, the zero is off."""
+    """Its current is gain times the angle that it stands off; where the servo feels nothing of it, the zero is off."""
 
     def soft(table: Table) -> None:
         for joint in [f"joint_{number}" for number in range(5)]:
