@@ -70,7 +70,7 @@ def stop_requested() -> Iterator[threading.Event]:
         return
 
     def note(number: int, frame: FrameType | None) -> None:
-        if event.is_set():
+        if event.is_set() and number == signal.SIGINT:  # a second SIGTERM may come while a checkpoint is written
             raise KeyboardInterrupt
         event.set()
 

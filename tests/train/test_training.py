@@ -15,6 +15,7 @@ from op3.envs import make_env
 from op3.policy import ActionMap, Manifest, PolicyBundle
 from op3.tasks import find_task
 from op3.train import SAC, Batch, Collector, Explorer, Progress, SACSettings, TrainSettings, evaluate, train
+from op3.train.checkpoint import stop_requested
 
 SAC_SETTINGS = SACSettings(hidden=(32, 32), batch=64, initial_std=0.5, actor_rate=1e-3, critic_rate=1e-3, discount=0.95)
 SETTINGS = TrainSettings(
@@ -290,3 +291,13 @@ def test_checkpoints_survive_a_kill_while_writing(tmp_path):
     _, progress = run(tmp_path, dataclasses.replace(settings, steps=320), resume=True)
     assert progress.steps == 320
     assert progress.seconds < 60 + time.monotonic() - started
+
+
+def test_a_second_sigterm_does_not_interrupt():
+    """It may come while a checkpoint is written; a second Ctrl-C is somebody who will not wait."""
+    with stop_requested() as event:
+        signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGTERM)
+        assert event.is_set()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
