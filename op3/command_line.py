@@ -316,6 +316,9 @@ def explained(error: Exception, config: str) -> str:
     if found := re.search(r"Could not override '([^']+)'", text):
         asked = found.group(1).lstrip("+")
         known = known_settings(config)
+        if asked in known and (unknown := re.search(r"Key '([^']+)' is not in struct", str(error.__cause__))):
+            parts = [name.removeprefix(f"{asked}.") for name in known if name.startswith(f"{asked}.")]
+            return f"{asked} has no part {unknown.group(1)!r}{nearest(unknown.group(1), parts)}"
         close = difflib.get_close_matches(asked, known, n=1)
         return f"there is no setting {asked!r}{nearest(asked, close or [name for name in known if '.' not in name])}"
     if found := re.search(r"(?:Error parsing override|OverrideParseException:?) '([^']*)'", text):

@@ -29,6 +29,7 @@ def _environment() -> dict[str, str]:
         (["trian"], "op3 has no command 'trian'; the nearest is 'train'"),
         (["train", "task=wlak"], "task=wlak: there is no such file in conf/task; the nearest is 'walk'"),
         (["train", "train.stpes=3"], "there is no setting 'train.stpes'; the nearest is 'train.steps'"),
+        (["train", "practice={mirored: 1}"], "practice has no part 'mirored'; the nearest is 'mirrored'"),
         (["demo", "diagnose", "efect=dte"], "there is no setting 'efect'; the nearest is 'effect'"),
         (["collect", "motion=sqat"], "motion=sqat: there is no such file in conf/motion; the nearest is 'squat'"),
     ],
