@@ -22,6 +22,7 @@ from support import check_given, one_sentence, plain, positive, whole
 from op3.command_line import launch
 from op3.envs import record_episodes
 from op3.envs.actors import Watched, find_actor
+from op3.report import read_result
 from op3.report.frames import RenderError, draw_frames
 from op3.report.style import PALETTE, words
 from op3.report.video import film
@@ -29,7 +30,6 @@ from op3.robot import load_robot
 from op3.rollout import Rollout
 from op3.tasks.behaviour import GaitProfile, gait_profile
 from op3.tasks.task import TICKS, find_task
-from op3.train.checkpoint import load_checkpoint
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
@@ -48,9 +48,8 @@ def learning(trainings: Mapping[str, Sequence[str]], path: Path) -> Path:
     figure, panels = plt.subplots(1, len(trainings), figsize=(4.2 * len(trainings), 3.0), squeeze=False)
     for axes, (task, folders) in zip(panels[0], trainings.items(), strict=True):
         for folder, colour in zip(folders, PALETTE, strict=False):
-            history = load_checkpoint(Path(folder) / "checkpoint.pt")["run"]["history"]
-            points = [(one["steps"], one["evaluation/return"]) for one in history if "evaluation/return" in one]
-            steps, returns = np.array(points).T
+            run = read_result(Path(folder) / "result.yaml")
+            steps, returns = np.array(run["learning.steps"]), run["learning.return"]
             axes.plot(steps / 1e6, returns, color=colour, label=Path(folder).name)
         axes.set(title=words(task), xlabel="steps [million]", ylabel="return [-]")
         axes.legend(frameon=False)

@@ -74,8 +74,9 @@ def write_table(cells: Sequence[Transferred], folder: Path) -> tuple[Path, Path]
     failed = {path.parent.name: path.read_text(encoding="utf-8").strip() for path in sorted(folder.glob(f"*/{FAILED}"))}
     if failed:
         page.table(["cell", "why it could not be run"], [[name, why] for name, why in failed.items()])
-    page.provenance(run_provenance())
-    result = write_result(folder / NUMBERS, {**values, "failed": failed, "provenance": run_provenance()})
+    provenance = run_provenance()
+    page.provenance(provenance)
+    result = write_result(folder / NUMBERS, {**values, "failed": failed, "provenance": provenance})
     return page.write(folder / PAGE), result
 
 

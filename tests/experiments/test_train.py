@@ -229,3 +229,10 @@ def test_figures_of_a_policy_are_drawn(tmp_path):
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "walk_gait.svg").stat().st_size > 10_000
     assert (tmp_path / "walk.jpg").exists() or "no snapshots" in done.stdout
+
+
+def test_learning_curves_come_from_the_results_of_trainings(tmp_path):
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed: pip install 'op3[docs]'")
+    (tmp_path / "result.yaml").write_text("learning.steps: [1000, 2000]\nlearning.return: [10.0, 20.0]\n")
+    drawn = module("policy_figures").learning({"walk": [str(tmp_path)]}, tmp_path / "learning.svg")
+    assert tmp_path.name in drawn.read_text()

@@ -75,9 +75,8 @@ def constant_offset(view: View) -> Iterator[Finding]:
             about = np.sin(view.position[view.driven[:, joint], joint])
             fit = np.polynomial.polynomial.polyfit(about, off, 1) if np.ptp(about) > 0.5 else np.zeros(2)
             odd, offset = abs(fit[0]) > max(0.2, 3 * float((off - fit[0] - fit[1] * about).std())), float(fit[0])
-        if (
-            not odd or yields[joint] or (np.ptp(view.position[:, joint]) == 0 and np.ptp(at) > 0.2)
-        ):  # a dead sensor is another check's
+        dead = np.ptp(view.position[:, joint]) == 0 and np.ptp(at) > 0.2  # a dead sensor is another check's
+        if dead or yields[joint] or not odd:
             continue
         mirrored = np.ptp(at) < 0.05 and abs(offset + 2 * float(np.median(at))) < 0.05
         cause = "its sign is turned round" if mirrored else "another zero, or a homing offset in the servo"
