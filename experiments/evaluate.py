@@ -22,6 +22,7 @@ from support import Progress, model_file, one_sentence, plain, positive, whole
 from op3.command_line import launch
 from op3.envs import BatchedEnv, record_episodes
 from op3.envs.actors import Watched, find_actor
+from op3.intervals import mean_interval, wilson_interval
 from op3.policy.actions import GAIN_HIGH, GAIN_LOW
 from op3.report import RunFolder, run_provenance
 from op3.report.evaluation_page import report_evaluation
@@ -29,7 +30,7 @@ from op3.report.video import film
 from op3.robot import load_robot
 from op3.rollout import Rollout
 from op3.tasks.behaviour import gains, gait_profile, mean_tilt
-from op3.tasks.evaluation import evaluation_return, mean_interval, succeeded, wilson_interval
+from op3.tasks.evaluation import evaluation_return, succeeded
 from op3.tasks.task import Task
 
 FRAME_EVERY = 3

@@ -6,7 +6,7 @@ import numpy as np
 
 from op3.compliance.landing import Comparison, Landings, compare_landings
 from op3.compliance.study import Measured, Passed
-from op3.tasks.evaluation import wilson_interval
+from op3.intervals import wilson_interval
 
 Triple = tuple[float, float, float]
 """A difference and its 95 % interval."""

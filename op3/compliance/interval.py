@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.tasks.evaluation import mean_interval
+from op3.intervals import mean_interval
 
 
 def with_interval(values: Sequence[Any] | NDArray[Any]) -> NDArray[np.float64]:

@@ -7,7 +7,7 @@ from typing import Any
 from op3.servo import RobotModel, effect_class
 
 LIKELY = 0.5
-"""Probability from which on a finding is stated as such."""
+"""Probability beyond which a finding is a name; at most that of findings on a base in doubt."""
 
 
 @dataclass(frozen=True)

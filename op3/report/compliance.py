@@ -11,12 +11,12 @@ from op3.compliance.compare import Difference
 from op3.compliance.energy import Energy
 from op3.compliance.gains import Gains
 from op3.compliance.study import Measured
+from op3.intervals import wilson_interval
 from op3.report.page import Page
 from op3.report.result import RunFolder, publish
 from op3.report.style import band, bars_figure, colours, dress, shade, words
 from op3.report.tables import Cell, TableRows
 from op3.robot import load_robot
-from op3.tasks.evaluation import wilson_interval
 from op3.tasks.pushes import DIRECTIONS
 
 MEANINGS = {

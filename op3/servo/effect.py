@@ -7,6 +7,7 @@ diagnosis and training; adding an effect is one class here and one test.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from enum import IntEnum
+from functools import cache
 from math import inf, isfinite
 from typing import ClassVar, Literal, TypeVar, dataclass_transform, get_args, get_origin, get_type_hints
 
@@ -29,6 +30,10 @@ class Stage(IntEnum):
     PARALLEL = 10  # beside the servo, between the two links
     BODY = 11
     GROUND = 12
+
+
+type_hints = cache(get_type_hints)
+"""Types of a class' fields: they are read from text, which takes longer than all else that makes an effect."""
 
 
 @dataclass(frozen=True)
@@ -267,7 +272,7 @@ class Effect:
         Raises:
             ValueError: if an option is none of its choices, or not a finite number where one belongs.
         """
-        hints = get_type_hints(type(self))
+        hints = type_hints(type(self))
         for option in self.options():
             value, hint = getattr(self, option), hints[option]
             if get_origin(hint) is Literal and value not in get_args(hint):

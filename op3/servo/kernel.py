@@ -13,11 +13,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal, get_args, get_type_hints
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from op3.servo.effect import SIGNALS, Clock, Effect, Stage, catalogue
+from op3.servo.effect import SIGNALS, Clock, Effect, Stage, catalogue, type_hints
 from op3.servo.machine_code import part
 
 BITS = 62
@@ -123,7 +123,7 @@ def _made(effects: tuple[type[Effect], ...]) -> Kernel:
 
 def _options(effect: Effect) -> dict[str, float]:
     """Fields of the options; a word counts as the place in its list."""
-    hints, made = get_type_hints(type(effect)), {}
+    hints, made = type_hints(type(effect)), {}
     for option in effect.options():
         value = getattr(effect, option)
         words = get_args(hints[option]) if getattr(hints[option], "__origin__", None) is Literal else ()

@@ -23,15 +23,16 @@ from typing import Any
 
 import numpy as np
 import yaml
-from scipy.stats import binomtest, bootstrap
+from scipy.stats import bootstrap
 
+from op3.intervals import wilson_interval
 from op3.stand_in.hidden import KINDS, SEVERITIES
 
 CONFIDENT = 0.8
 """A stated probability beyond this that turns out wrong has misled somebody."""
 
 NAMED = 0.5
-"""A finding that is at least as likely as not is a name; one below is a hint, which counts in the calibration alone."""
+"""A finding that is more likely than not is a name; others are hints, which count in the calibration alone."""
 
 SAME: dict[str, str] = {"payload": "link_mass", "com_offset": "link_com"}
 """Names of effects of the trunk, and of the link effects that they mean in a joint."""
@@ -174,7 +175,7 @@ def score_case(answer: Mapping[str, Any], verdict: Verdict, cost: Mapping[str, f
         return any(finding.same(one) for one in truth)
 
     findings = tuple(one for one in verdict.findings if right(one) or not one.of_base)
-    names = tuple(one for one in findings if one.probability >= NAMED)
+    names = tuple(one for one in findings if one.probability > NAMED)
     first = names[0] if names else None
 
     row: dict[str, Any] = {
@@ -227,18 +228,12 @@ def closure(gap: Mapping[str, Any]) -> float | None:
     return float(np.clip(np.mean(shares), -1.0, 1.0)) if shares else None
 
 
-def wilson(count: int, of: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a rate (Wilson 1927): count successes of `of` trials."""
-    low, high = binomtest(count, of).proportion_ci(method="wilson")
-    return float(low), float(high)
-
-
 def rate(values: Sequence[bool | None]) -> dict[str, Any] | None:
     """Share of true values among those that are not None, with its interval; None without any."""
     asked = [bool(value) for value in values if value is not None]
     if not asked:
         return None
-    low, high = wilson(sum(asked), len(asked))
+    low, high = wilson_interval(sum(asked), len(asked))
     return {"value": sum(asked) / len(asked), "low": low, "high": high, "count": sum(asked), "of": len(asked)}
 
 
@@ -301,7 +296,7 @@ def calibration(stated: Sequence[Sequence[Any]]) -> dict[str, Any]:
         if here:
             count = sum(right for _, right in here)
             mean = float(np.mean([p for p, _ in here]))
-            table.append([mean, count / len(here), *wilson(count, len(here)), len(here)])
+            table.append([mean, count / len(here), *wilson_interval(count, len(here)), len(here)])
     apart = [abs(mean - share) * number for mean, share, _, _, number in table]
     return {"ece": sum(apart) / len(stated) if stated else None, "reliability": table, "findings": len(stated)}
 
@@ -325,4 +320,4 @@ def confusion(rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[str], 
 def random_name(names: Sequence[str], joints: Sequence[str], rng: np.random.Generator) -> Verdict:
     """Baseline: an effect drawn blindly, everywhere or in one joint with equal chance."""
     where = () if rng.random() < 0.5 else (str(rng.choice(joints)),)
-    return Verdict((Finding(str(rng.choice(names)), where, NAMED),))
+    return Verdict((Finding(str(rng.choice(names)), where),))

@@ -10,9 +10,7 @@ from op3.tasks.evaluation import (
     TRUNK_HEIGHT,
     evaluation_return,
     evaluation_rewards,
-    mean_interval,
     succeeded,
-    wilson_interval,
 )
 from tests.op3_table import JOINTS
 
@@ -103,14 +101,3 @@ def test_who_stands_still_does_not_succeed_at_walking():
     assert not succeeded(log("balance_eval", fallen=True), "balance_eval")
     with pytest.raises(LogError, match="fallen"):
         succeeded(log("balance_eval"), "balance_eval")
-
-
-def test_interval_of_a_mean():
-    """Of 1, 2, 3 the mean is 2, the deviation 1, and t for two degrees of freedom is 4.303: 2 +- 2.484."""
-    assert mean_interval([1.0, 2.0, 3.0]) == pytest.approx((2 - 4.3027 / 3**0.5, 2 + 4.3027 / 3**0.5), abs=1e-3)
-
-
-def test_interval_of_a_share():
-    """10 of 10 leave 72 to 100 %, and half of 20 leaves 30 to 70 % (Wilson's interval, tabulated)."""
-    assert wilson_interval(10, 10) == pytest.approx((0.7225, 1.0), abs=1e-4)
-    assert wilson_interval(10, 20) == pytest.approx((0.2993, 0.7007), abs=1e-4)
