@@ -105,7 +105,7 @@ def settings(what: str = "", raises: Raise | None = None) -> Callable[[type[_Gro
     before = f"{what}: " if what else ""
 
     def fault(field: str, wanted: str, given: Any) -> Exception:
-        return ValueError(f"{before}{field} must be {wanted}, got {_shown(given)}")
+        return ValueError(f"{before}{field} must be {wanted}, got {shown(given)}")
 
     def decorate(cls: type[_Group]) -> type[_Group]:
         config = pydantic.ConfigDict(strict=True, arbitrary_types_allowed=True, extra="forbid")
@@ -142,7 +142,8 @@ def _first(error: pydantic.ValidationError, known: Sequence[str], before: str, r
     return raises(name, wanted.format(**context) if wanted else f"as it is described ({detail['msg']})", given)
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
+    """A value as a message quotes it, cut where it is long."""
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
 

@@ -6,10 +6,9 @@ from op3.rollout.errors import LogError
 from op3.rollout.metadata import MOUNTS, ROBOTS, Metadata
 from op3.rollout.read import read_episodes, read_log, read_logs
 from op3.rollout.recorder import Recorder
-from op3.rollout.robot_log import as_robot
+from op3.rollout.robot_log import stand_tilt
 from op3.rollout.rollout import Rollout
 from op3.rollout.schema import CHANNELS, Channel, Key, column_names, schema_table
-from op3.rollout.stand import stand_tilt
 
 __all__ = [
     "CHANNELS",
@@ -23,7 +22,6 @@ __all__ = [
     "Metadata",
     "Recorder",
     "Rollout",
-    "as_robot",
     "column_names",
     "compare",
     "git_changes",

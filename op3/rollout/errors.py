@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import difflib
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 
 class LogError(ValueError):
@@ -32,27 +36,29 @@ class LogError(ValueError):
     ):
         self.problem, self.remedy = problem, remedy
         self.source, self.column, self.row, self.episode = source, column, row, episode
-        super().__init__(self._sentence())
+        parts = [
+            source,
+            None if episode is None else f"episode {episode}",
+            f"row {row}" if isinstance(row, int) else row,
+            column if column is None or column.startswith("field ") else f"column {column}",
+        ]
+        where = ", ".join(str(part) for part in parts if part is not None)
+        sentence = f"{where}: {problem}; {remedy}." if where else f"{problem}; {remedy}."
+        super().__init__(" ".join(sentence.split()))
 
-    def _sentence(self) -> str:
-        place = [str(self.source)] if self.source is not None else []
-        if self.episode is not None:
-            place.append(f"episode {self.episode}")
-        if self.row is not None:
-            place.append(f"row {self.row}" if isinstance(self.row, int) else self.row)
-        if self.column is not None:
-            place.append(self.column if self.column.startswith("field ") else f"column {self.column}")
-        where = ", ".join(place)
-        sentence = f"{where}: {self.problem}; {self.remedy}." if where else f"{self.problem}; {self.remedy}."
-        return " ".join(sentence.split())
 
-    def at(self, source: str | Path) -> LogError:
-        """The same error with its source filled in."""
-        return LogError(
-            self.problem,
-            self.remedy,
-            source=source,
-            column=self.column,
-            row=self.row,
-            episode=self.episode,
-        )
+@contextlib.contextmanager
+def located(**place: Any) -> Iterator[None]:
+    """Fill in parts of the place of a `LogError` raised within that does not say them itself."""
+    try:
+        yield
+    except LogError as error:
+        known = {name: getattr(error, name) for name in ("source", "column", "row", "episode")}
+        said = {name: value for name, value in known.items() if value is not None}
+        raise LogError(error.problem, error.remedy, **{**place, **said}) from None
+
+
+def rename(name: object, known: Iterable[str], otherwise: str) -> str:
+    """The remedy for an unknown name: the nearest one that exists, or what to do where none is near."""
+    close = difflib.get_close_matches(str(name), list(known), n=1)
+    return f"rename it {close[0]} if that is meant" if close else otherwise

@@ -1,4 +1,5 @@
-"""Files that are there whole or not at all, and memory-mapped TensorDicts that cannot be spoilt by reading.
+"""Files that are there whole or not at all, memory-mapped TensorDicts that cannot be spoilt by reading, and the rows
+of a recording that has not been finished.
 
 TensorDict's own loader maps files shared and writable: an in-place operation on loaded data changes the file,
 and a file cut short is silently grown with zeros. The loader here checks the size and maps copy-on-write.
@@ -10,6 +11,8 @@ import json
 import math
 import os
 import shutil
+import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,8 +22,10 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 
 from op3.rollout.errors import LogError
+from op3.rollout.schema import Key, normal_key
 
 _DTYPES = {"torch.float64": np.dtype(np.float64), "torch.bool": np.dtype(np.bool_)}
+_RESTORE = "copy the rollout folder again or restore it from a backup"
 
 
 def sync(path: Path) -> None:
@@ -87,42 +92,61 @@ def save_tensordict(data: TensorDictBase, folder: Path) -> None:
 
 def map_tensordict(folder: Path) -> TensorDict:
     """Memory-map a saved TensorDict copy-on-write; changes stay in memory."""
-    if not folder.is_dir():
-        _broken(folder)
-    entries, shape = _map_folder(folder), _meta(folder)["shape"]
+    file = folder / "meta.json"
     try:
-        return TensorDict(entries, batch_size=shape, device="cpu")
-    except (RuntimeError, ValueError, TypeError):
-        return _broken(folder / "meta.json", f"the channels do not share the batch size {shape}")
+        meta = json.loads(file.read_text(encoding="utf-8"))
+        entries = {name: _map(folder, name, entry) for name, entry in meta.items() if isinstance(entry, dict)}
+        return TensorDict(entries, batch_size=meta["shape"], device="cpu")
+    except LogError:
+        raise
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RuntimeError, OverflowError):
+        raise LogError("the file is missing or broken", _RESTORE, source=file) from None
 
 
-def _broken(path: Path, problem: str = "the file is missing or broken") -> Any:
-    raise LogError(problem, "copy the rollout folder again or restore it from a backup", source=path)
+def _map(folder: Path, name: str, entry: dict[str, Any]) -> Any:
+    """A channel by its entry in `meta.json`, or the group of channels in a folder of its own."""
+    if "dtype" not in entry:
+        return map_tensordict(folder / name)
+    dtype, shape, path = _DTYPES[entry["dtype"]], entry["shape"], folder / f"{name}.memmap"
+    size, wanted = path.stat().st_size if path.is_file() else 0, math.prod(shape) * dtype.itemsize
+    if size != wanted:
+        raise LogError(f"the file has {size} bytes where {wanted} belong", _RESTORE, source=path)
+    return torch.from_numpy(np.memmap(path, dtype=dtype, mode="c", shape=tuple(shape)))
 
 
-def _meta(folder: Path) -> dict[str, Any]:
-    path = folder / "meta.json"
+CHUNK = struct.Struct("<4sIII")
+"""Before each chunk: mark, rows, bytes, CRC-32 of the bytes."""
+
+MARK = b"rows"
+
+
+def read_rows(path: Path) -> dict[Key, np.ndarray]:
+    """Every whole chunk of a recording's `rows.bin`, a line of JSON with the channels and then chunks.
+
+    Returns:
+        By channel, [time, last axis].
+    """
+    raw = path.read_bytes()
+    line, _, body = raw.partition(b"\n")
+    rows: list[np.ndarray] = []
     try:
-        meta = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return _broken(path)
-    return meta if isinstance(meta, dict) and isinstance(meta.get("shape"), list) else _broken(path)
-
-
-def _map_folder(folder: Path) -> dict[str, Any]:
-    entries: dict[str, Any] = {}
-    for name, entry in _meta(folder).items():
-        if not isinstance(entry, dict):
-            continue
-        if "dtype" not in entry:
-            entries[name] = _map_folder(folder / name)
-            continue
-        path, dtype, shape = folder / f"{name}.memmap", _DTYPES.get(str(entry["dtype"])), entry.get("shape")
-        if dtype is None or not isinstance(shape, list) or not all(type(n) is int and n >= 0 for n in shape):
-            return _broken(folder / "meta.json", f"channel {name} has dtype {entry['dtype']} and shape {shape}")
-        size = path.stat().st_size if path.is_file() else -1
-        wanted = math.prod(shape) * dtype.itemsize
-        if size != wanted:
-            _broken(path, f"the file has {max(size, 0)} bytes where {wanted} belong")
-        entries[name] = torch.from_numpy(np.memmap(path, dtype=dtype, mode="c", shape=tuple(shape)))
-    return entries
+        layout = [(normal_key(name), int(width)) for name, width in json.loads(line)]
+        width = sum(w for _, w in layout)
+        offset = 0
+        while offset + CHUNK.size <= len(body):
+            mark, count, size, check = CHUNK.unpack_from(body, offset)
+            payload = body[offset + CHUNK.size : offset + CHUNK.size + size]
+            if mark != MARK or zlib.crc32(payload) != check:
+                break
+            rows.append(np.frombuffer(payload).reshape(count, width))
+            offset += CHUNK.size + size
+    except (ValueError, TypeError, struct.error):
+        rows = rows or []
+    if not rows:
+        remedy = "nothing reached the disk, record again"
+        raise LogError("the interrupted recording holds no rows", remedy, source=path)
+    table, columns, start = np.concatenate(rows), {}, 0
+    for key, entries in layout:
+        columns[key] = table[:, start : start + entries]
+        start += entries
+    return columns

@@ -1,164 +1,180 @@
-"""From what a reader found to rollouts: names, units, one clock, the options of the import, and the checks.
+"""From what a reader found to rollouts: names, units, one clock, the options of the import.
 
 Beside a log may lie a YAML file of its name (`run.yaml` for `run.csv`, `chirp.yaml` for the folder `chirp`), or
-one `columns.yaml` for all logs of a folder. It holds metadata and, where the file cannot say it,
-
-    columns: {elbow_deg: {name: elbow.position, unit: deg, sign: -1, offset: 0.1}}
-    scale: {elbow.velocity: 0.0175}   # multiplies, after everything above
-    unwrap: true                       # or joints: takes out jumps by a turn and a turn against the command
-    shift: {elbow: -3.14159}          # added to positions and targets [rad], after unwrapping
-    split: true                        # cuts where the clock jumps or rows are missing
+one `columns.yaml` for all logs of a folder. It holds metadata and, where the file cannot say it, `Options`.
 """
 
 from __future__ import annotations
 
-import difflib
+import dataclasses
 import itertools
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from op3.rollout.errors import LogError
+from op3.rollout.errors import LogError, located, rename
 from op3.rollout.metadata import Metadata
 from op3.rollout.readers.reader import Column, Recording, Stream
-from op3.rollout.readers.text import stem
+from op3.rollout.readers.text import unpacked
 from op3.rollout.rollout import Rollout
-from op3.rollout.schema import CHANNELS, Channel, Key, column_names, joint_suffixes, key_name, vector_column
+from op3.rollout.schema import CHANNELS, column_names, key_name, place
 from op3.rollout.units import factor
-from op3.settings import read_yaml
+from op3.rollout.validate import check_time
+from op3.settings import Listed, Named, Number, read_yaml, settings, shown
 
-OPTIONS = ("columns", "scale", "unwrap", "shift", "split")
 SHARED = "columns.yaml"
 GAP_INTERVALS, GAP = 10.0, 0.15
 """A hole is an interval of so many usual ones that is at least so long [s]."""
 
+Columns = dict[str, np.ndarray]
+"""By column of the wide CSV, [time]."""
+
+
+def _wrong(name: str, wanted: str, given: Any) -> LogError:
+    option = name.partition(".")[0]
+    wanted = {"unwrap": "true, or some of the joints", "split": "true or false"}.get(option, "a mapping of names")
+    wanted = "names with numbers" if option in ("scale", "shift") else wanted
+    return LogError(f"{shown(given)} is not what belongs there", f"write {wanted}", column=f"field {option}")
+
+
+@settings(raises=_wrong)
+class Options:
+    """What the YAML beside a log, or a command, says about how to read it.
+
+    Attributes:
+        columns: By column of the file, its name among ours or fields of `Column`, such as ``{name: elbow.position,
+            unit: deg, sign: -1}``.
+        scale: Multiplies columns, after everything that `columns` does.
+        unwrap: Whether, or in which joints, jumps by a turn and a turn against the command are taken out.
+        shift: Added to positions and targets of joints [rad], after unwrapping.
+        split: Whether the log is cut where the clock jumps or rows are missing.
+    """
+
+    columns: Named[Any] = field(default_factory=dict)
+    scale: Named[Number] = field(default_factory=dict)
+    unwrap: bool | Listed[str] = False
+    shift: Named[Number] = field(default_factory=dict)
+    split: bool = False
+
+
+OPTIONS = tuple(entry.name for entry in dataclasses.fields(Options))
+
 
 @dataclass(frozen=True)
 class Side:
-    """What the YAML beside a log says.
+    """What lies beside a log.
 
     Attributes:
         metadata: Fields of `Metadata`.
-        options: Those of `OPTIONS` that are given.
+        options: Of the import.
         source: The file, named in errors.
         found: Whether there is one.
     """
 
-    metadata: dict[str, Any] = field(default_factory=dict)
-    options: dict[str, Any] = field(default_factory=dict)
-    source: Path = Path("metadata")
-    found: bool = False
+    metadata: dict[str, Any]
+    options: Options
+    source: Path
+    found: bool
 
 
 def side_path(path: Path) -> Path:
-    """Where the YAML of a log lies."""
-    return path.parent / f"{stem(path)}.yaml"
+    """Where the YAML of a log lies: `run.yaml` for `run.csv.xz`; folders keep their dots."""
+    return path.parent / f"{path.name if path.is_dir() else unpacked(path).stem}.yaml"
 
 
-def read_side(path: Path) -> Side:
-    """What lies beside a log: its own file over the folder's."""
-    own, values, found = side_path(path), {}, False
-    for file in (path.parent / SHARED, own):
-        if file.is_file() and file != path:
-            values, found, own = {**values, **read_yaml(file, LogError)}, True, file
-    options = {name: values.pop(name) for name in OPTIONS if values.get(name) is not None}
-    return Side(values, options, own, found)
+def read_side(path: Path, options: Mapping[str, Any] | None = None) -> Side:
+    """What lies beside a log: its own file over the folder's, and options of a command over both."""
+    values: dict[str, Any] = {}
+    files = [file for file in (path.parent / SHARED, side_path(path)) if file.is_file() and file != path]
+    for file in files:
+        values |= read_yaml(file, LogError)
+    source = files[-1] if files else side_path(path)
+    given = {name: values.pop(name) for name in OPTIONS if name in values} | dict(options or {})
+    with located(source=source):
+        chosen = Options(**{name: value for name, value in given.items() if value is not None})
+    return Side(values, chosen, source, bool(files))
 
 
 def roll_out(recording: Recording, side: Side, path: Path) -> list[Rollout]:
-    """One rollout, or one per part where the import splits; raises `LogError` where it cannot be right."""
+    """One rollout, or one per part where the import splits; raises `LogError` where it cannot be one."""
+    if recording.strict and not side.found:
+        remedy = f"write the metadata (joints, robot, mount, rate) to {side.source.name} beside it"
+        remedy += f", which `python experiments/import_log.py data={path.name}` proposes"
+        raise LogError("the sidecar is missing", remedy, source=side.source)
     meanings = _meanings(recording, side)
-    streams = [_named(stream, meanings, recording, side, path) for stream in recording.streams]
-    time, columns = _one_clock(streams, path)
-    about = {**recording.metadata, **side.metadata}
-    if "joints" not in about:
-        about["joints"] = _joints(columns)
+    with located(source=path):
+        time, columns = _one_clock([_named(stream, meanings, recording, side) for stream in recording.streams])
+    about = {"joints": _joints(columns), **recording.metadata, **side.metadata}
     if not recording.strict:
-        columns = _whole(columns, about["joints"])
-    if not recording.strict:
-        about.setdefault("recording", recording.name or stem(path))
-    parts = _split(time, columns) if side.options.get("split") else [(time, columns)]
-    return [_build(t, c, dict(about), side, path, n if len(parts) > 1 else None) for n, (t, c) in enumerate(parts)]
+        about = {"recording": recording.name or side_path(path).stem, **about}
+    parts = _split(time) if side.options.split else [slice(None)]
+    logs = []
+    for number, part in enumerate(parts):
+        said = {"rate": _rate(time[part]), **about}
+        if len(parts) > 1:
+            said["recording"] = f"{about.get('recording') or side_path(path).stem}/part-{number}"
+        metadata = Metadata.from_dict(said, side.source if side.found else path)
+        chosen = {name: values[part] for name, values in columns.items()}
+        _mend(chosen, side)
+        with located(source=path):
+            arrays = _arrays(chosen, metadata, recording.strict, side)
+            logs.append(Rollout.from_arrays({"time": time[part], **arrays}, metadata, path))
+    return logs
 
 
 def _meanings(recording: Recording, side: Side) -> dict[str, Column]:
     """What the format says, with the user's word over it."""
-    meanings, given = dict(recording.columns), side.options.get("columns", {})
+    meanings = dict(recording.columns)
     there = {name for stream in recording.streams for name in stream.columns}
-    if not isinstance(given, Mapping):
-        raise LogError("columns is no mapping", "write `<column of the file>: {name: ...}`", source=side.source)
-    for name, entry in given.items():
-        where: dict[str, Any] = dict(source=side.source, column=f"field columns.{name}")
-        entry = {"name": entry} if entry is None or isinstance(entry, str) else entry
-        if not isinstance(entry, Mapping) or set(entry) - {"name", "unit", "sign", "offset", "why"}:
-            raise LogError("the entry has other fields", "write name, unit, sign and offset", **where)
-        if name not in there and side.source.name != SHARED:
-            close = difflib.get_close_matches(str(name), sorted(there), n=1)
-            remedy = f"write {close[0]} if that is meant" if close else "remove the entry"
-            raise LogError("the file has no such column", remedy, **where)
-        sign, offset = entry.get("sign", 1), entry.get("offset", 0.0)
-        if sign not in (1, -1) or isinstance(offset, bool) or not isinstance(offset, int | float):
-            raise LogError("sign or offset is wrong", "write sign: 1 or -1, and offset as a number in SI", **where)
-        meanings[str(name)] = Column(entry.get("name"), entry.get("unit"), int(sign), float(offset))
+    for name, entry in side.options.columns.items():
+        with located(source=side.source, column=f"field columns.{name}"):
+            if name not in there and side.source.name != SHARED:
+                raise LogError("the file has no such column", rename(name, there, "remove the entry"))
+            try:
+                given = entry if isinstance(entry, Mapping) else {"name": entry}
+                meanings[str(name)] = Column(**given)
+            except (ValueError, TypeError) as error:
+                raise LogError(str(error), "write name, unit, sign (1 or -1) and offset in SI") from None
     return meanings
 
 
-def place(name: str) -> tuple[Channel, str] | None:
-    """The channel that a column of the wide CSV belongs to, and its joint or axis."""
-    joint, _, suffix = name.rpartition(".")
-    if suffix in joint_suffixes() and joint and joint not in ("imu", "policy", "raw"):
-        return joint_suffixes()[suffix], joint
-    for channel in CHANNELS.values():
-        if channel.axes in ("scalar", "imu3") and name in column_names(channel, ()):
-            return channel, name
-    vector = vector_column(name)
-    return (vector[0], str(vector[1])) if vector else None
-
-
-def _named(stream: Stream, meanings: dict[str, Column], recording: Recording, side: Side, path: Path) -> Stream:
+def _named(stream: Stream, meanings: dict[str, Column], recording: Recording, side: Side) -> Stream:
     """The stream with our names and units; columns without a meaning are refused or left out."""
-    columns: dict[str, np.ndarray] = {}
-    time = stream.time
+    columns: Columns = {}
     for name, values in stream.columns.items():
         column = meanings.get(name, Column(name))
-        if column.name is None:
-            continue
-        known = place(column.name)
+        known = place(column.name) if column.name is not None else None
         if known is None:
-            if recording.strict or name in side.options.get("columns", {}):
-                raise _unknown(column.name, list(stream.columns).index(name), side, path)
+            if column.name is not None and (recording.strict or name in side.options.columns):
+                raise _unknown(column.name, list(stream.columns).index(name), side)
             continue
+        assert column.name is not None
         if column.name in columns:
-            remedy = "keep one of the two"
-            raise LogError("the column is there twice", remedy, source=path, column=column.name, row="header")
-        try:
-            size, shift = factor(column.unit, known[0].quantity, name) if column.unit is not None else (1.0, 0.0)
-        except LogError as error:
-            raise error.at(side.source) from None
-        scale = column.sign * size
-        values = values if scale == 1 and not shift and not column.offset else scale * values + shift + column.offset
-        if column.name == "time":
-            time = values
-        else:
-            columns[column.name] = values
-    return Stream(time, columns)
+            raise LogError("the column is there twice", "keep one of the two", column=column.name, row="header")
+        if values.shape != stream.time.shape:
+            problem = f"the column has {len(values)} rows and its clock {len(stream.time)}"
+            raise LogError(problem, "record the file again, or export it whole", column=name)
+        size, shift = factor(column.unit, known[0].quantity, name) if column.unit is not None else (1.0, 0.0)
+        scale, shift = column.sign * size, shift + column.offset
+        columns[column.name] = values if scale == 1 and not shift else scale * values + shift
+    if recording.strict and "time" not in columns:
+        remedy = "add time [s], or name the column of the time under `columns:`"
+        raise LogError("the required column is missing", remedy, column="time", row="header")
+    return Stream(columns.pop("time", stream.time), columns)
 
 
-def _unknown(name: str, position: int, side: Side, path: Path) -> LogError:
-    _joint, _, _suffix = name.rpartition(".")
-    shown = name if name.isprintable() and 0 < len(name) <= 60 else f"{position + 1} ({name[:40]!r})"
-    joints = side.metadata.get("joints") or ["<joint>"]
-    known = [column for c in CHANNELS.values() for column in column_names(c, joints, 1)]
-    close = difflib.get_close_matches(name, known, n=1)
-    rename = f"rename it {close[0]} if that is meant" if close else "say what it is under `columns:` in the YAML"
-    remedy = f"{rename}, or remove the column"
-    return LogError("unknown column", remedy, source=path, column=shown, row="header")
+def _unknown(name: str, position: int, side: Side) -> LogError:
+    shown_name = name if name.isprintable() and 0 < len(name) <= 60 else f"{position + 1} ({name[:40]!r})"
+    joints = side.metadata.get("joints")
+    known = [column for c in CHANNELS.values() for column in column_names(c, joints or ["<joint>"], 1)]
+    remedy = rename(name, known, "say what it is under `columns:` in the YAML") + ", or remove the column"
+    return LogError("unknown column", remedy, column=shown_name, row="header")
 
 
-def _one_clock(streams: Sequence[Stream], path: Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def _one_clock(streams: Sequence[Stream]) -> tuple[np.ndarray, Columns]:
     """All columns at the times of the first stream, where every stream has begun and none has ended.
 
     Signals are interpolated. A command counts from the row nearest to when it was issued, so that what is lost is
@@ -166,54 +182,25 @@ def _one_clock(streams: Sequence[Stream], path: Path) -> tuple[np.ndarray, dict[
     """
     first, *others = streams
     for stream in streams:
-        for name, values in stream.columns.items():
-            if values.shape != stream.time.shape:
-                problem = f"the column has {len(values)} rows and its clock {len(stream.time)}"
-                raise LogError(problem, "record the file again, or export it whole", source=path, column=name)
-    for stream in others:
-        check_clock(stream.time, path)
+        check_time(stream.time)
     if not others:
         return first.time, first.columns
-    check_clock(first.time, path)
     start, end = max(s.time[0] for s in streams), min(s.time[-1] for s in streams)
     half = float(np.median(np.diff(first.time))) / 2 if len(first.time) > 1 else 0.0
     inside = (first.time >= start - half) & (first.time <= end + max(half, 0.25))
     if not inside.any():
         spans = " and ".join(f"{s.time[0]:.6g} to {s.time[-1]:.6g} s" for s in streams)
         remedy = "shift one of the clocks, by `offset:` of its time column, to a common start"
-        raise LogError(f"the clocks share no time: {spans}", remedy, source=path, column="time")
+        raise LogError(f"the clocks share no time: {spans}", remedy, column="time")
     time = first.time[inside]
     columns = {name: values[inside] for name, values in first.columns.items()}
     for stream in others:
+        row = np.clip(np.searchsorted(stream.time, time + half, side="right") - 1, 0, None)
         for name, values in stream.columns.items():
             known = place(name)
-            if known is None or name in columns:
-                continue
-            if known[0].hold:
-                row = np.searchsorted(stream.time, time + half, side="right") - 1
-                columns[name] = values[np.clip(row, 0, None)]
-            else:
-                columns[name] = np.interp(time, stream.time, values)
+            held = known is not None and known[0].hold
+            columns.setdefault(name, values[row] if held else np.interp(time, stream.time, values))
     return time, columns
-
-
-def check_clock(time: np.ndarray, path: Path, column: str = "time") -> None:
-    """Refuse a clock with no or unordered readings."""
-    if not len(time):
-        raise LogError("there is no row", "record at least one", source=path, row="row 1")
-    if not np.isfinite(time).all():
-        row = int(np.isfinite(time).argmin()) + 1
-        raise LogError("the time is not a finite number", "leave out the row", source=path, column=column, row=row)
-    steps = np.diff(time)
-    if not (steps > 0).all():
-        row = int(np.argmax(~(steps > 0)))
-        before, now = time[row], time[row + 1]
-        if now == before:
-            problem, remedy = f"{now:.10g} s repeats the time of row {row + 1}", "remove the duplicated row"
-        else:
-            problem = f"time goes back from {before:.10g} s to {now:.10g} s"
-            remedy = "sort the rows, or split the file where a new recording starts"
-        raise LogError(problem, remedy, source=path, column=column, row=row + 2)
 
 
 def holes(time: np.ndarray) -> np.ndarray:
@@ -223,121 +210,73 @@ def holes(time: np.ndarray) -> np.ndarray:
     return np.flatnonzero(steps > max(GAP_INTERVALS * usual, GAP)) + 1
 
 
-def _split(time: np.ndarray, columns: dict[str, np.ndarray]) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
+def _split(time: np.ndarray) -> list[slice]:
     """The parts between holes; single rows are no part."""
     cuts = [0, *holes(time).tolist(), len(time)]
-    pieces = [slice(a, b) for a, b in itertools.pairwise(cuts) if b - a > 1] or [slice(None)]
-    return [(time[piece], {name: values[piece] for name, values in columns.items()}) for piece in pieces]
+    return [slice(a, b) for a, b in itertools.pairwise(cuts) if b - a > 1] or [slice(None)]
 
 
-def _joints(columns: Mapping[str, Any]) -> list[str]:
+def _rate(time: np.ndarray) -> float:
+    span = float(time[-1] - time[0])
+    return (len(time) - 1) / span if span > 0 else 1.0
+
+
+def _joints(columns: Collection[str]) -> list[str]:
     """Joints in the order in which columns name them; those with a position, where any has one."""
-    found = {name: place(name) for name in columns}
-    joints = dict.fromkeys(p[1] for p in found.values() if p and p[0].axes == "joint")
+    found = (place(name) for name in columns)
+    joints = list(dict.fromkeys(p[1] for p in found if p and p[0].axes == "joint"))
     measured = [joint for joint in joints if f"{joint}.position" in columns]
     driven = [joint for joint in measured if f"{joint}.target" in columns]
-    return driven or measured or list(joints)
+    return driven or measured or joints
 
 
-def _whole(columns: dict[str, np.ndarray], joints: Any) -> dict[str, np.ndarray]:
-    """Columns of the log's joints only, without channels that some of these lack."""
-    found = {name: place(name) for name in columns}
-    kept = {n: p for n, p in found.items() if p and (p[0].axes != "joint" or p[1] in joints)}
-    count = {c.key: sum(p[0] is c for p in kept.values()) for c in CHANNELS.values()}
-    full = {"joint": len(joints), "imu3": 3}
-    return {n: columns[n] for n, p in kept.items() if p[0].required or count[p[0].key] >= full.get(p[0].axes, 1)}
+def _mend(columns: Columns, side: Side) -> None:
+    """Take out turns, shift and scale, as the options ask; changes `columns`."""
+    options, joints = side.options, _joints(columns)
+    listed = options.unwrap if isinstance(options.unwrap, tuple) else joints if options.unwrap else []
+    asked = (("unwrap", listed, joints), ("shift", options.shift, joints), ("scale", options.scale, columns))
+    for option, names, known in asked:
+        for name in names:
+            if name not in known:
+                remedy = rename(name, known, f"write some of {', '.join([*known][:20])}")
+                raise LogError(f"{name} is not in the log", remedy, source=side.source, column=f"field {option}")
+    for joint in dict.fromkeys([*listed, *options.shift]):
+        names = [name for name in (f"{joint}.position", f"{joint}.target") if name in columns]
+        angles = {name: np.unwrap(columns[name]) for name in names}
+        if len(names) == 2:
+            position, target = angles.values()
+            angles[names[0]] = position - 2 * np.pi * np.round(np.median(position - target) / (2 * np.pi))
+        columns |= {name: values + options.shift.get(joint, 0.0) for name, values in angles.items()}
+    columns |= {name: columns[name] * scale for name, scale in options.scale.items()}
 
 
-def _build(
-    time: np.ndarray, columns: dict[str, np.ndarray], about: dict[str, Any], side: Side, path: Path, part: int | None
-) -> Rollout:
-    if "rate" not in about:
-        span = float(time[-1] - time[0])
-        about["rate"] = (len(time) - 1) / span if span > 0 else 1.0
-    if part is not None:
-        about["recording"] = f"{about.get('recording') or stem(path)}/part-{part}"
-    metadata = Metadata.from_dict(about, side.source if side.found else path)
-    named = {**columns}
-    _unwrap(named, side)
-    for column, scale in _by_name(side, "scale", named).items():
-        named[column] = named[column] * scale
-    arrays = _arrays(time, named, metadata, side, path)
-    gain = metadata.firmware_gain
-    if gain is not None and ("command", "firmware_gain") not in arrays:
-        arrays["command", "firmware_gain"] = np.full((len(time), len(metadata.joints)), gain)
-    return Rollout.from_arrays(arrays, metadata, path)
+def _arrays(columns: Columns, metadata: Metadata, strict: bool, side: Side) -> dict[Any, np.ndarray]:
+    """Channels [time, last axis].
 
-
-def _by_name(side: Side, option: str, known: Any) -> dict[str, float]:
-    """A mapping of names to numbers among the options."""
-    values = side.options.get(option, {})
-    if not isinstance(values, Mapping):
-        raise LogError(f"{option} is no mapping", "write `name: number`", source=side.source, column=f"field {option}")
-    for name, value in values.items():
-        if name not in known or isinstance(value, bool) or not isinstance(value, int | float):
-            remedy = f"write numbers for some of {', '.join(list(known)[:20])}"
-            raise LogError(f"{name}: {value!r}", remedy, source=side.source, column=f"field {option}")
-    return {str(name): float(value) for name, value in values.items()}
-
-
-def _unwrap(columns: dict[str, np.ndarray], side: Side) -> None:
-    """Take out turns of positions and targets, and shift both, as the options ask; changes `columns`."""
-    joints = _joints(columns)
-    shift = _by_name(side, "shift", joints)
-    asked = side.options.get("unwrap", False)
-    listed = asked if isinstance(asked, list | tuple) else joints if asked else []
-    unknown = [name for name in listed if name not in joints]
-    if unknown or not isinstance(asked, list | tuple | bool):
-        remedy = f"write true or some of {', '.join(joints)}"
-        raise LogError(f"unwrap: {unknown or asked}", remedy, source=side.source, column="field unwrap")
-    for joint in dict.fromkeys([*listed, *shift]):
-        position, target = (columns.get(f"{joint}.{name}") for name in ("position", "target"))
-        if position is not None:
-            position = np.unwrap(position)
-        if target is not None:
-            target = np.unwrap(target)
-        if position is not None and target is not None:
-            turns = np.round(np.median(position - target) / (2 * np.pi))
-            position = position - 2 * np.pi * turns
-        for name, values in (("position", position), ("target", target)):
-            if values is not None:
-                columns[f"{joint}.{name}"] = values + shift.get(joint, 0.0)
-
-
-def _arrays(
-    time: np.ndarray, columns: dict[str, np.ndarray], metadata: Metadata, side: Side, path: Path
-) -> dict[Any, np.ndarray]:
-    """Channels [time, last axis]; refuses joints that are not the log's and channels that lack a column."""
-    found: dict[Key, dict[str, str]] = {}
+    Joints that are not the log's, and channels that lack a column, are refused where the log is strict, else left out.
+    """
+    widths: dict[Any, int] = {}
     for name in columns:
-        known = place(name)
-        assert known is not None
-        channel, where = known
-        if channel.axes == "joint" and where not in metadata.joints:
-            close = difflib.get_close_matches(where, metadata.joints, n=1)
-            rename = f"rename it {close[0]} if that is meant" if close else "correct it"
-            remedy = f"{rename}, or add it to the joints in {side_path(path).name}"
-            raise LogError("unknown joint", remedy, source=path, column=name, row="header")
-        found.setdefault(channel.key, {})[name] = where
-    arrays: dict[Any, np.ndarray] = {"time": time}
+        channel, where = place(name) or (CHANNELS["time"], "")
+        if channel.axes == "joint" and where not in metadata.joints and strict:
+            remedy = rename(where, metadata.joints, "correct it")
+            remedy += f", or add it to the joints in {side.source.name}"
+            raise LogError("unknown joint", remedy, column=name, row="header")
+        if channel.axes == "vector":
+            # as many as there are is enough to name one that is missing
+            widths[channel.key] = max(widths.get(channel.key, 0), min(int(where) + 1, len(columns) + 1))
+    arrays: dict[Any, np.ndarray] = {}
     for key, channel in CHANNELS.items():
-        names = found.get(key, {})
-        if key == "time" or not (names or channel.required):
-            continue
-        width = max((int(where) + 1 for where in names.values()), default=1) if channel.axes == "vector" else None
-        if width is not None and width > len(names) + 1000:
-            width = len(names) + 1000  # enough to name what is missing
-        wanted = column_names(channel, metadata.joints, width)
-        missing = [name for name in wanted if name not in names]
-        if missing:
-            there = next((name for name in wanted if name in names), None)
+        wanted = column_names(channel, metadata.joints, widths.get(key))
+        missing = [name for name in wanted if name not in columns]
+        there = next((name for name in wanted if name in columns), None)
+        if wanted and not missing:
+            arrays[key] = np.stack([columns[name] for name in wanted], axis=-1)
+        elif key != "time" and (channel.required or (there and strict)):
             problem = f"the column is missing while {there} is there" if there else "the required column is missing"
             remedy = f"give {key_name(key)} for all or for none" if there else f"add {key_name(key)} [{channel.unit}]"
-            raise LogError(problem, remedy, source=path, column=missing[0], row="header")
-        arrays[key] = np.stack([columns[name] for name in wanted], axis=-1)
+            raise LogError(problem, remedy, column=missing[0], row="header")
+    gain, key = metadata.firmware_gain, ("command", "firmware_gain")
+    if gain is not None and key not in arrays:
+        arrays[key] = np.full_like(arrays["joint", "position"], gain)
     return arrays
-
-
-def with_options(side: Side, options: Mapping[str, Any]) -> Side:
-    """The same with options of a command over it."""
-    return replace(side, options={**side.options, **{k: v for k, v in options.items() if v is not None}})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-import difflib
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,8 +12,9 @@ from typing import Annotated, Any
 import yaml
 from pydantic import BeforeValidator, Field
 
-from op3.rollout.errors import LogError
-from op3.settings import Number, Positive, read_yaml, settings
+from op3.rollout.errors import LogError, located, rename
+from op3.rollout.schema import RESERVED
+from op3.settings import Number, Positive, read_yaml, settings, shown
 
 ROBOTS = ("simulated", "emulated", "real", "rig")
 MOUNTS = (
@@ -30,9 +30,10 @@ MOUNTS = (
     "terrain",
 )
 
+OUTCOMES = ("travelled_distance", "episode_duration", "fallen")
+"""Fields of which a batch of episodes may have one value each."""
+
 _JOINT_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
-_RESERVED = ("imu", "policy", "raw")
-_REQUIRED = ("joints", "robot", "mount", "rate")
 _UNITS = {"rate": "Hz", "mass": "kg", "length": "m", "battery": "V", "policy_rate": "Hz"}
 _UNITS |= {"travelled_distance": "m", "episode_duration": "s"}
 
@@ -49,8 +50,7 @@ def _plain(value: Any) -> Any:
         return value.tolist()
     if isinstance(value, str | bool | int | float | None):
         return value
-    wanted = "a plain value (text, number, true/false, list or mapping)"
-    raise LogError(f"{_show(value)} is not {wanted}", f"write {wanted}", column="field extra")
+    raise _wrong("extra", "a plain value (text, number, true/false, list or mapping)", value)
 
 
 def _tuple(value: Any) -> Any:
@@ -63,12 +63,7 @@ def _wrong(name: str, wanted: str, value: Any) -> LogError:
     name = name.partition(".")[0]
     wanted = {"above 0": "a positive number", "as it is described": "of another kind"}.get(wanted, wanted)
     wanted += f" [{_UNITS[name]}]" if name in _UNITS else ""
-    return LogError(f"{_show(value)} is not {wanted}", f"write {wanted}", column=f"field {name}")
-
-
-def _show(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
+    return LogError(f"{shown(value)} is not {wanted}", f"write {wanted}", column=f"field {name}")
 
 
 Names = Annotated[tuple[str, ...], BeforeValidator(_tuple)]
@@ -135,7 +130,7 @@ class Metadata:
 
     def __post_init__(self):
         for name in self.joints or (None,):
-            if not isinstance(name, str) or not _JOINT_NAME.fullmatch(name) or name in _RESERVED:
+            if not isinstance(name, str) or not _JOINT_NAME.fullmatch(name) or name in RESERVED:
                 raise _wrong("joints", "a name of letters, digits, _ and -, and not imu, policy or raw", name)
             if self.joints.count(name) > 1:
                 raise LogError(f"joint {name} is listed twice", "list each joint once", column="field joints")
@@ -165,19 +160,16 @@ class Metadata:
     def from_dict(cls, values: Mapping[str, Any], source: str | Path = "metadata") -> Metadata:
         """Build from plain values, refusing missing and unknown fields by name."""
         known = [f.name for f in dataclasses.fields(cls)]
-        for name in values:
-            if name not in known:
-                close = difflib.get_close_matches(str(name), known, n=1)
-                remedy = f"rename it `{close[0]}` if that is meant" if close else "move it under `extra:`"
-                raise LogError("no such field", remedy, source=source, column=f"field {str(name)[:60]!r}")
-        for name in _REQUIRED:
-            if values.get(name) is None:
-                remedy = f"add `{name}:` to the metadata"
-                raise LogError("the field is missing", remedy, source=source, column=f"field {name}")
-        try:
+        with located(source=source):
+            for name in values:
+                if name not in known:
+                    remedy = rename(name, known, "move it under `extra:`")
+                    raise LogError("no such field", remedy, column=f"field {str(name)[:60]!r}")
+            for name in ("joints", "robot", "mount", "rate"):
+                if values.get(name) is None:
+                    remedy = f"add `{name}:` to the metadata"
+                    raise LogError("the field is missing", remedy, column=f"field {name}")
             return cls(**{name: value for name, value in values.items() if value is not None})
-        except LogError as error:
-            raise error.at(source) from None
 
     def to_yaml(self) -> str:
         """The text of `metadata.yaml` and of a CSV's sidecar."""

@@ -11,11 +11,13 @@ import numpy as np
 
 from op3.robot.robot import Robot, load_robot
 from op3.rollout.errors import LogError
-from op3.rollout.importing import read_side, roll_out, with_options
+from op3.rollout.importing import read_side, roll_out
 from op3.rollout.readers import readers
 from op3.rollout.readers.reader import Reader, Recording
 from op3.rollout.robot_log import as_robot
 from op3.rollout.rollout import METADATA_FILE, Rollout
+
+Paths = str | Path | Iterable[str | Path]
 
 
 def kinds() -> str:
@@ -63,31 +65,19 @@ def read_episodes(path: str | Path, options: Mapping[str, Any] | None = None, ch
 
     Args:
         path: File or folder of the log.
-        options: Options of the import, over those in its YAML; see `op3.rollout.importing`.
+        options: Of the import, over those in its YAML; see `op3.rollout.importing.Options`.
         check: Whether logs that cannot be right are refused, and bad channels of single joints set aside.
     """
     path = Path(path)
-    if not path.exists():
-        raise LogError("there is no such file", f"name {kinds()}", source=path)
-    reader = find_reader(path)
-    if reader is None and path.is_dir():
-        raise LogError(f"no {METADATA_FILE} in this folder", f"name {kinds()}", source=path)
-    if reader is None:
-        raise LogError(f"the ending {path.suffix!r} is not a log's", f"name {kinds()}", source=path)
     logs: list[Rollout] = []
-    side = None
-    for found in reader.read(path):
-        if isinstance(found, Recording):
-            side = side or with_options(read_side(path), options or {})
-            logs += roll_out(found, side, path)
-        else:
-            logs.append(found)
+    for found in reader_of(path).read(path):
+        logs += roll_out(found, read_side(path, options), path) if isinstance(found, Recording) else [found]
     if not logs:
         raise LogError("it holds no recording", "record at least one episode", source=path)
     return [log.check(path) for log in logs] if check else logs
 
 
-def read_logs(paths: str | Path | Iterable[str | Path], robot: str | Path | Robot | None = None) -> list[Rollout]:
+def read_logs(paths: Paths, robot: str | Path | Robot | None = None) -> list[Rollout]:
     """Read many logs, sorted by path.
 
     Args:
@@ -96,15 +86,14 @@ def read_logs(paths: str | Path | Iterable[str | Path], robot: str | Path | Robo
             that hold no recording are passed over.
         robot: that made them, see `read_log`.
     """
-    if isinstance(paths, str | Path):
-        return [log for path in expand(paths) for log in _of(path, robot)]
-    logs = [log for path in paths for log in read_logs(path, robot)]
+    given = [paths] if isinstance(paths, str | Path) else paths
+    logs = [log for entry in given for path in expand(entry) for log in _of(path, robot)]
     if not logs:
         raise LogError("the list of logs is empty", f"name {kinds()}")
     return logs
 
 
-def robot_of(paths: str | Path | Iterable[str | Path]) -> Robot:
+def robot_of(paths: Paths) -> Robot:
     """The robot of the first of these logs, see `read_logs`."""
     first = paths if isinstance(paths, str | Path) else next(iter(paths))
     return read_episodes(expand(first)[0])[0].robot
@@ -113,9 +102,8 @@ def robot_of(paths: str | Path | Iterable[str | Path]) -> Robot:
 def expand(path: str | Path) -> list[Path]:
     """The single logs that a path, folder or pattern stands for."""
     path = Path(path)
-    if path.is_dir() and find_reader(path) is None:
-        found = _inside(path)
-        where = "the folder holds no log"
+    if path.is_dir() and _claiming(path) is None:
+        found, where = _inside(path), "the folder holds no log"
     elif path.exists() or not glob.has_magic(str(path)):
         return [path]
     else:
@@ -127,7 +115,19 @@ def expand(path: str | Path) -> list[Path]:
     return found
 
 
-def find_reader(path: Path) -> Reader | None:
+def reader_of(path: Path) -> Reader:
+    """The reader of a log, which is refused where there is none."""
+    reader = _claiming(path) if path.exists() else None
+    if reader is None:
+        problem = (
+            f"no {METADATA_FILE} in this folder" if path.is_dir() else f"the ending {path.suffix!r} is not a log's"
+        )
+        problem = problem if path.exists() else "there is no such file"
+        raise LogError(problem, f"name {kinds()}", source=path)
+    return reader
+
+
+def _claiming(path: Path) -> Reader | None:
     """The first reader that claims an existing path."""
     return next((reader for reader in readers().values() if reader.claims(path)), None)
 
@@ -142,5 +142,5 @@ def _inside(folder: Path) -> list[Path]:
 
 
 def _is_log(path: Path) -> bool:
-    reader = None if path.name.startswith(".") or path.name == METADATA_FILE else find_reader(path)
+    reader = None if path.name.startswith(".") or path.name == METADATA_FILE else _claiming(path)
     return reader is not None and getattr(reader, "holds", lambda _: True)(path)

@@ -21,13 +21,11 @@ import numpy as np
 from tensordict import TensorDictBase
 
 from op3.rollout import files
-from op3.rollout.errors import LogError
+from op3.rollout.errors import LogError, located
 from op3.rollout.metadata import Metadata
-from op3.rollout.recorded_rows import CHUNK, MARK, read_rows
 from op3.rollout.rollout import DATA_FOLDER, METADATA_FILE, ROWS_FILE, Rollout
-from op3.rollout.schema import CHANNELS, Key, column_names, key_name, normal_key
-
-_WIDEST = {"scalar": 1, "imu3": 3}
+from op3.rollout.schema import CHANNELS, Key, key_name, normal_key
+from op3.rollout.validate import check_values, known_channel, width_of
 
 
 class Recorder:
@@ -50,7 +48,7 @@ class Recorder:
         self.folder = Path(folder)
         self.metadata = metadata.replace(complete=False)
         self.rows = 0
-        self._layout: list[tuple[Key, int, int]] = []
+        self._layout: dict[Key, slice] = {}
         self._buffer = np.empty((0, 0))
         self._count = 0
         self._last_time = -np.inf
@@ -90,98 +88,58 @@ class Recorder:
         if self._failure is not None:
             problem = f"rows can no longer be written ({self._failure.strerror})"
             raise LogError(problem, "free disk space and record again", source=self.folder)
-        values = row.items(True, True) if isinstance(row, TensorDictBase) else row.items()
-        values = dict(values)
-        if not self._layout:
-            self._set_layout(values)
-        with self._lock:
+        items = row.items(True, True) if isinstance(row, TensorDictBase) else row.items()
+        values = {normal_key(key): value for key, value in items}
+        with self._lock, located(source=self.folder, row=self.rows + 1):
+            if not self._layout:
+                self._set_layout(values)
             if self._count == len(self._buffer):
                 self._buffer = np.concatenate([self._buffer, np.empty_like(self._buffer)])
             out = self._buffer[self._count]
             self._fill(out, values)
-            if not (((out >= self._low) & (out <= self._high)).all() and out[0] > self._last_time):
-                raise self._refusal(out)
             self._last_time = out[0]
             self._count += 1
             self.rows += 1
 
-    def _set_layout(self, row: dict[Any, Any]) -> None:
+    def _set_layout(self, row: dict[Key, Any]) -> None:
         """Fix the channels from the first row; time comes first in the packed row."""
-        given = {normal_key(key): value for key, value in row.items()}
-        for key in given:
-            if key not in CHANNELS:
-                known = ", ".join(key_name(k) for k in CHANNELS)
-                raise LogError(f"unknown channel {key_name(key)!r}", f"the channels are {known}", source=self.folder)
-        layout, start = [], 0
+        for key in row:
+            known_channel(key)
+        layout, start, low, high, binary = {}, 0, [], [], []
         for key, channel in CHANNELS.items():
-            if key not in given:
+            if key not in row:
                 if channel.required:
-                    remedy = "give it in every row"
-                    raise LogError("the channel is missing", remedy, source=self.folder, column=key_name(key))
+                    raise LogError("the channel is missing", "give it in every row", column=channel.name)
                 continue
-            joints = len(self.metadata.joints)
-            width = {**_WIDEST, "joint": joints}.get(channel.axes) or np.asarray(given[key]).size
-            layout.append((key, start, start + width))
+            width, quantity = width_of(channel, self.metadata) or np.asarray(row[key]).size, channel.quantity
+            layout[key] = slice(start, start + width)
             start += width
-        low, high = np.full(start, -np.finfo(float).max), np.full(start, np.finfo(float).max)
-        for key, first, last in layout:
-            if CHANNELS[key].quantity.nonnegative or CHANNELS[key].quantity.binary:
-                low[first:last] = 0
-            if CHANNELS[key].quantity.binary:
-                high[first:last] = 1
-        binary = [np.arange(first, last) for key, first, last in layout if CHANNELS[key].quantity.binary]
-        self._low, self._high, self._binary = low, high, np.concatenate(binary) if binary else None
+            low += [0.0 if quantity.nonnegative or quantity.binary else -np.finfo(float).max] * width
+            high += [1.0 if quantity.binary else np.finfo(float).max] * width
+            binary += [quantity.binary] * width
+        self._low, self._high, self._binary = np.array(low), np.array(high), np.flatnonzero(binary)
         self._buffer = np.empty((max(64, int(self.metadata.rate)), start))
         self._layout = layout
 
-    def _fill(self, out: np.ndarray, row: dict[Any, Any]) -> None:
-        if len(row) != len(self._layout):
-            raise self._other_channels(row)
-        for key, first, last in self._layout:
-            value = row.get(key)
-            if value is None:
-                value = self._spelt_otherwise(key, row)
-            value = np.asarray(value, dtype=np.float64)
-            if value.size != last - first:
-                problem = f"{value.size} numbers where {last - first} belong"
-                remedy = "give one number per name on the channel's last axis"
-                column = key_name(key)
-                raise LogError(problem, remedy, source=self.folder, column=column, row=self.rows + 1)
-            out[first:last] = value.reshape(-1)
-        if self._binary is not None:
-            switches = out[self._binary]
-            if (switches * (1 - switches) != 0).any():
-                raise self._refusal(out)
-
-    def _spelt_otherwise(self, key: Key, row: dict[Any, Any]) -> Any:
-        for spelling, value in row.items():
-            if normal_key(spelling) == key:
-                return value
-        raise self._other_channels(row)
-
-    def _other_channels(self, row: dict[Any, Any]) -> LogError:
-        first, now = {key for key, _, _ in self._layout}, {normal_key(key) for key in row}
-        names = ", ".join(sorted(key_name(key) for key in first ^ now)) or "a channel given twice"
-        remedy = "give the same channels in every row"
-        problem = f"the row and the first row differ in {names}"
-        return LogError(problem, remedy, source=self.folder, row=self.rows + 1)
-
-    def _refusal(self, out: np.ndarray) -> LogError:
-        """Name the first number of a refused row that is at fault."""
-        where: dict[str, Any] = dict(source=self.folder, row=self.rows + 1)
-        for key, first, last in self._layout:
-            channel, quantity = CHANNELS[key], CHANNELS[key].quantity
-            for index, value in enumerate(out[first:last]):
-                column = column_names(channel, self.metadata.joints, last - first)[index]
-                if not np.isfinite(value):
-                    remedy = "leave out the row, or repeat the last good reading"
-                    return LogError(f"{value} is not a finite number", remedy, column=column, **where)
-                if quantity.binary and value not in (0, 1):
-                    return LogError(f"{value:g} {quantity.mistake}", quantity.remedy, column=column, **where)
-                if quantity.nonnegative and value < 0:
-                    return LogError(f"{value:g} is negative", "give at least 0", column=column, **where)
-        problem = f"time {out[0]:.10g} s does not come after {self._last_time:.10g} s"
-        return LogError(problem, "give each row a later time", column="time", **where)
+    def _fill(self, out: np.ndarray, row: dict[Key, Any]) -> None:
+        """Put a row's numbers into the packed row, and refuse what cannot belong to the log."""
+        if row.keys() != self._layout.keys():
+            names = ", ".join(sorted(key_name(key) for key in row.keys() ^ self._layout.keys()))
+            problem = f"the row and the first row differ in {names}"
+            raise LogError(problem, "give the same channels in every row")
+        for key, place in self._layout.items():
+            value = np.asarray(row[key], dtype=np.float64)
+            if value.size != place.stop - place.start:
+                problem = f"{value.size} numbers where {place.stop - place.start} belong"
+                raise LogError(problem, "give one number per name on the channel's last axis", column=key_name(key))
+            out[place] = value.reshape(-1)
+        switches = out[self._binary]
+        if not ((out >= self._low) & (out <= self._high)).all() or (switches * (1 - switches)).any():
+            for key, place in self._layout.items():
+                check_values(CHANNELS[key], out[None, None, place], self.metadata, self.rows)
+        if not out[0] > self._last_time:
+            problem = f"time {out[0]:.10g} s does not come after {self._last_time:.10g} s"
+            raise LogError(problem, "give each row a later time", column="time")
 
     def _keep_flushing(self, interval: float) -> None:
         while not self._stop.wait(interval):
@@ -196,26 +154,23 @@ class Recorder:
         payload = rows[:count].tobytes()
         header = b""
         if self._stream.tell() == 0:
-            widths = [[key_name(key), last - first] for key, first, last in self._layout]
+            widths = [[key_name(key), place.stop - place.start] for key, place in self._layout.items()]
             header = json.dumps(widths).encode() + b"\n"
         try:
-            chunk = header + CHUNK.pack(MARK, count, len(payload), zlib.crc32(payload)) + payload
+            chunk = header + files.CHUNK.pack(files.MARK, count, len(payload), zlib.crc32(payload)) + payload
             while chunk:
                 chunk = chunk[self._stream.write(chunk) or 0 :]
             os.fsync(self._stream.fileno())
         except OSError as error:
             self._failure = error
 
-    def _finish_writing(self) -> None:
+    def abandon(self) -> None:
+        """Stop and keep what is there as an incomplete log."""
         self._stop.set()
         self._thread.join()
         if not self._stream.closed:
             self._flush()
             self._stream.close()
-
-    def abandon(self) -> None:
-        """Stop and keep what is there as an incomplete log."""
-        self._finish_writing()
 
     def close(self, **changes: Any) -> Rollout:
         """Finish the log and load it.
@@ -225,14 +180,14 @@ class Recorder:
         """
         if self._stop.is_set():
             raise LogError("the recorder is closed", "load the rollout from its folder", source=self.folder)
-        self._finish_writing()
+        self.abandon()
         if self._failure is not None:
             problem = f"rows could not be written ({self._failure.strerror})"
             raise LogError(problem, "load the folder for what was saved", source=self.folder)
         if self.rows == 0:
             shutil.rmtree(self.folder)
             raise LogError("no row was recorded", "append rows before closing", source=self.folder)
-        partial = Rollout.from_arrays(read_rows(self.folder / ROWS_FILE), self.metadata, self.folder)
+        partial = Rollout.from_arrays(files.read_rows(self.folder / ROWS_FILE), self.metadata, self.folder)
         metadata = self.metadata.replace(**{**changes, "complete": True})
         files.write_folder(self.folder / DATA_FOLDER, lambda f: files.save_tensordict(partial.data, f))
         files.write_text(self.folder / METADATA_FILE, metadata.to_yaml())

@@ -1,21 +1,35 @@
-"""Logs of a robot by others: its own names, signs, zeros and units, from the robot's file."""
+"""What a log says of the robot and the servo that made it, and logs by others in the terms of a robot's file."""
 
 from __future__ import annotations
-
-import difflib
 
 import numpy as np
 
 from op3.robot.robot import Robot
-from op3.rollout.errors import LogError
+from op3.robot.servo_make import ServoMake, load_servo, servo_files
+from op3.rollout.errors import LogError, rename
 from op3.rollout.rollout import Rollout
-from op3.rollout.schema import CHANNELS, Key
+from op3.rollout.schema import CHANNELS
 
-ANGLES = (("joint", "position"), ("command", "position"))
-"""Channels that have a zero."""
 
-SIGNED = (("joint", "velocity"), ("joint", "current"), ("joint", "duty"))
-"""Channels that only have a sign, the velocity in units of the angle per second."""
+def called(robot: Robot) -> dict[str, str]:
+    """The robot's joints by what its logs call them, and by their own names."""
+    return {robot.log_channel(name)[0].name or name: name for name in robot.joints} | {n: n for n in robot.joints}
+
+
+def in_its_terms(robot: Robot, joint: str, kind: str) -> tuple[int, float, float]:
+    """Sign, size of the unit and offset that make SI of a column of a robot's logs.
+
+    Args:
+        robot: that made the log.
+        joint: its own name.
+        kind: what stands after the joint in a column of the wide CSV.
+    """
+    channel, unit = robot.log_channel(joint)
+    if kind in ("position", "target"):
+        return channel.sign, unit, -channel.sign * channel.zero * unit + 0.0
+    if kind == "velocity":
+        return channel.sign, unit * channel.velocity_factor, 0.0
+    return (channel.sign if kind in ("current", "duty", "load") else 1), 1.0, 0.0
 
 
 def as_robot(log: Rollout, robot: Robot) -> Rollout:
@@ -28,28 +42,49 @@ def as_robot(log: Rollout, robot: Robot) -> Rollout:
     Raises:
         LogError: if the log has a joint that the robot has not.
     """
-    called = {robot.log_channel(name)[0].name or name: name for name in robot.joints} | {n: n for n in robot.joints}
+    known = called(robot)
     for joint in log.joints:
-        if joint not in called:
-            close = difflib.get_close_matches(joint, called, n=1)
-            remedy = f"rename it {close[0]}" if close else f"{robot.name} has {', '.join(robot.joints)}"
+        if joint not in known:
+            remedy = rename(joint, known, f"{robot.name} has {', '.join(robot.joints)}")
             raise LogError("unknown joint", remedy, source=log.metadata.recording, column=joint)
-    names = [called[joint] for joint in log.joints]
+    names = [known[joint] for joint in log.joints]
     order = np.argsort(robot.indices(names))
     joints = tuple(names[column] for column in order)
     arrays = {}
     for key in log.channels:
-        values = log.array(key)
+        arrays[key] = log.array(key)
         if CHANNELS[key].axes == "joint":
-            values = values[..., order]
-            for column, joint in enumerate(joints) if key in ANGLES + SIGNED else ():
-                values[..., column] = _converted(key, values[..., column], robot, joint)
-        arrays[key] = values
+            kind = CHANNELS[key].column.rpartition(".")[2]
+            sign, size, offset = (
+                np.array(x) for x in zip(*(in_its_terms(robot, j, kind) for j in joints), strict=True)
+            )
+            arrays[key] = sign * size * arrays[key][..., order] + offset
     return Rollout.from_arrays(arrays, log.metadata.replace(joints=joints, robot_file=robot.reference))
 
 
-def _converted(key: Key, values: np.ndarray, robot: Robot, joint: str) -> np.ndarray:
-    channel, unit = robot.log_channel(joint)
-    if key in ANGLES:
-        return channel.sign * (values - channel.zero) * unit
-    return channel.sign * values * (channel.velocity_factor * unit if key[1] == "velocity" else 1.0)
+def stand_tilt(log: Rollout) -> tuple[float, float] | None:
+    """Roll and pitch of the stand [rad], to a hundredth: by the IMU, else the ``tilt`` of the metadata's ``extra``.
+
+    Returns:
+        None where neither tells.
+    """
+    if "imu/orientation" in log:
+        roll, pitch = log.array("imu/orientation")[:, :2].mean(0)
+    elif "tilt" in log.metadata.extra:
+        roll, pitch = log.metadata.extra["tilt"]
+    else:
+        return None
+    return round(float(roll), 2) + 0.0, round(float(pitch), 2) + 0.0
+
+
+def find_servo(name: str | None) -> ServoMake | None:
+    """The make that a recording names, also by an alias or without its variant; None where none is meant."""
+    wanted = _plain(name or "")
+    makes = [load_servo(known) for known in servo_files()] if wanted else []
+    exact = [make for make in makes if wanted in map(_plain, (make.name, *make.aliases))]
+    close = [make for make in makes if _plain(make.name).startswith(wanted)]
+    return next(iter(exact + close), None)
+
+
+def _plain(name: str) -> str:
+    return "".join(letter for letter in name.lower() if letter.isalnum())

@@ -16,11 +16,10 @@ from tensordict import TensorDict, TensorDictBase
 
 from op3.robot.robot import DEFAULT, Robot, load_robot
 from op3.rollout import files
-from op3.rollout.errors import LogError
-from op3.rollout.metadata import Metadata
-from op3.rollout.recorded_rows import read_rows
-from op3.rollout.schema import CHANNELS, Key, column_names, key_name, normal_key, vector_column
-from op3.rollout.validate import check_schema, check_values
+from op3.rollout.errors import LogError, located
+from op3.rollout.metadata import OUTCOMES, Metadata
+from op3.rollout.schema import CHANNELS, Key, column_names, key_name, normal_key
+from op3.rollout.validate import by_episode, check_schema, check_values, known_channel
 
 METADATA_FILE = "metadata.yaml"
 DATA_FOLDER = "data"
@@ -47,7 +46,7 @@ class Rollout:
     findings: tuple[Any, ...] = ()
 
     def __post_init__(self):
-        check_schema(self.data, self.metadata, self.metadata.recording)
+        check_schema(dict(self.data.items(True, True)), self.data.batch_size, self.metadata)
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[Any, Any], metadata: Metadata, source: str | Path | None = None) -> Rollout:
@@ -60,26 +59,19 @@ class Rollout:
             source: Named in errors.
         """
         tensors = {normal_key(key): _tensor(value) for key, value in arrays.items()}
-        if "time" not in tensors:
-            remedy = "give the time of each row in seconds"
-            raise LogError("this required channel is missing", remedy, source=source, column="time")
-        reference = tensors.get(("joint", "position"), tensors["time"][..., None])
-        batch = list(reference.shape[:-1])
-        data = TensorDict({}, batch_size=batch, device="cpu")
-        for key, tensor in tensors.items():
-            channel = CHANNELS.get(key)
-            if channel is not None and channel.axes == "scalar" and list(tensor.shape) == batch:
-                tensor = tensor[..., None]
-            if list(tensor.shape[: len(batch)]) != batch or tensor.ndim != len(batch) + 1:
-                problem = f"the shape is {list(tensor.shape)} where {batch} rows and one more axis belong"
-                remedy = "give every channel one row per time"
-                raise LogError(problem, remedy, source=source, column=key_name(key))
-            if key == "done" and tensor.dtype != torch.bool:
-                values = tensor.double().numpy().reshape(-1, *tensor.shape[-2:])
-                check_values(CHANNELS["done"], values, metadata, source)
-            data[key] = tensor.bool() if key == "done" else tensor.double()
-        check_schema(data, metadata, source)
-        return cls(data, metadata)
+        with located(source=source or metadata.recording):
+            batch = tensors.get(("joint", "position"), tensors.get("time", torch.zeros(0))[..., None]).shape[:-1]
+            for key, tensor in tensors.items():
+                if known_channel(key).axes == "scalar" and tensor.shape == batch:
+                    tensor = tensor[..., None]
+                if key == "done" and tensor.ndim == len(batch) + 1:
+                    check_values(CHANNELS["done"], by_episode(tensor.double()), metadata)
+                tensors[key] = tensor.bool() if key == "done" else tensor.double()
+            check_schema(tensors, batch, metadata)
+            data = TensorDict({}, batch_size=batch, device="cpu")
+            for key, tensor in tensors.items():
+                data[key] = tensor
+            return cls(data, metadata)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -138,23 +130,21 @@ class Rollout:
         name = normal_key(key)
         if name not in self.channels:
             there = ", ".join(key_name(k) for k in self.channels)
-            raise LogError(
-                f"the log has no {key_name(name)}",
-                f"it has {there}",
-                source=self.metadata.recording,
-            )
+            raise LogError(f"the log has no {key_name(name)}", f"it has {there}", source=self.metadata.recording)
         return self.data[name].detach().numpy()
 
     def column(self, name: str) -> np.ndarray:
         """One column by its CSV name (`elbow.position`, `imu.roll`), [time] or [episode, time]."""
         for key in self.channels:
-            columns = column_names(CHANNELS[key], self.joints, self.data[key].shape[-1])
+            columns = self._columns(key)
             if name in columns:
                 return self.array(key)[..., columns.index(name)]
-        if vector_column(name):
-            raise LogError("the log has no such entry", "use a smaller index", column=name)
-        remedy = "names are <joint>.position, imu.roll, time and so on"
+        remedy = "it has " + ", ".join(CHANNELS[key].column for key in self.channels)
         raise LogError("the log has no such column", remedy, source=self.metadata.recording, column=name)
+
+    def _columns(self, key: Key) -> tuple[str, ...]:
+        """CSV columns of a channel."""
+        return column_names(CHANNELS[key], self.joints, self.data[key].shape[-1])
 
     def episodes(self) -> tuple[Rollout, ...]:
         """The single logs of a batch; a log without an episode axis gives itself."""
@@ -164,8 +154,7 @@ class Rollout:
         """One log of a batch, with its own outcome (distance, duration, fall) in the metadata."""
         if not self.batched:
             raise LogError("the log has no episode axis", "use it as it is", source=self.metadata.recording)
-        names = ("travelled_distance", "episode_duration", "fallen")
-        values = {name: getattr(self.metadata, name) for name in names}
+        values = {name: getattr(self.metadata, name) for name in OUTCOMES}
         picked = {name: v[index] if isinstance(v, tuple) else v for name, v in values.items()}
         return dataclasses.replace(self, data=self.data[index], metadata=self.metadata.replace(**picked))
 
@@ -202,8 +191,7 @@ class Rollout:
 
     def measured(self, key: str | tuple[str, ...]) -> np.ndarray:
         """Which columns of a channel hold what was measured, [last axis]; the others were set aside."""
-        columns = column_names(CHANNELS[normal_key(key)], self.joints, self.array(key).shape[-1])
-        return np.array([column not in self.metadata.set_aside for column in columns])
+        return np.array([column not in self.metadata.set_aside for column in self._columns(normal_key(key))])
 
     def _without(self, aside: set[str]) -> Rollout:
         """The log with these columns set aside.
@@ -215,7 +203,7 @@ class Rollout:
             return self
         data, every = self.data.clone(False), {*aside, *self.metadata.set_aside}
         for key in self.channels:
-            bad = np.array([c in every for c in column_names(CHANNELS[key], self.joints, self.data[key].shape[-1])])
+            bad = np.array([column in every for column in self._columns(key)])
             if bad.all():
                 del data[key]
             elif bad.any():
@@ -261,11 +249,11 @@ class Rollout:
         if not (folder / METADATA_FILE).is_file():
             raise LogError(f"no {METADATA_FILE} in this folder", "name a rollout folder", source=folder)
         metadata = Metadata.read(folder / METADATA_FILE)
-        if (folder / DATA_FOLDER).is_dir() or not (folder / ROWS_FILE).is_file():
-            data = files.map_tensordict(folder / DATA_FOLDER)
-            check_schema(data, metadata, folder)
+        if not (folder / DATA_FOLDER).is_dir() and (folder / ROWS_FILE).is_file():
+            return cls.from_arrays(files.read_rows(folder / ROWS_FILE), metadata.replace(complete=False), folder)
+        data = files.map_tensordict(folder / DATA_FOLDER)
+        with located(source=folder):
             return cls(data, metadata)
-        return cls.from_arrays(read_rows(folder / ROWS_FILE), metadata.replace(complete=False), folder)
 
     def to_csv(self, path: str | Path, overwrite: bool = False) -> Path:
         """Write a wide CSV and its sidecar `<name>.yaml`; `read_log` gives back the same numbers.
@@ -283,9 +271,8 @@ class Rollout:
                 raise LogError("the file is there already", remedy, source=file)
         header, columns = [], []
         for key in self.channels:
-            values = self.array(key)
-            header += column_names(CHANNELS[key], self.joints, values.shape[-1])
-            columns.append(values.astype(float))
+            header += self._columns(key)
+            columns.append(self.array(key).astype(float))
         lines = [",".join(header)]
         lines += [",".join(map(repr, row)) for row in np.concatenate(columns, axis=1).tolist()]
         path.parent.mkdir(parents=True, exist_ok=True)

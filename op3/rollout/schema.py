@@ -17,9 +17,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 Key = str | tuple[str, str]
 """A TensorDict key: `"time"`, `("joint", "position")`."""
+
+RESERVED = ("imu", "policy", "raw")
+"""Groups of columns, which no joint may be called."""
 
 
 @dataclass(frozen=True)
@@ -73,24 +77,45 @@ class Channel:
     """One measured or commanded quantity.
 
     Attributes:
-        key: Key in the TensorDict.
+        name: Key in the TensorDict, as text.
         quantity: What it measures, with its unit and bounds.
-        axes: Last axis: `scalar` [1], `joint` [joint], `imu3` [3], or `vector` [any length].
         column: CSV column; `{joint}`, `{axis}` and `{index}` stand for the last axis.
         description: One sentence.
-        required: Whether every log has this channel.
-        hold: Whether the value holds until the next row (a command), instead of being a sample of a signal.
-        axis_names: Names along an `imu3` axis, as in the CSV.
+        marks: `required` where every log has this channel; `hold` where the value holds until the next row (a command)
+            instead of being a sample of a signal.
     """
 
-    key: Key
+    name: str
     quantity: Quantity
-    axes: str
     column: str
     description: str
-    required: bool = False
-    hold: bool = False
-    axis_names: tuple[str, ...] = ("x", "y", "z")
+    marks: str = ""
+
+    @cached_property
+    def key(self) -> Key:
+        """Key in the TensorDict."""
+        return normal_key(self.name)
+
+    @cached_property
+    def axes(self) -> str:
+        """Last axis: `scalar` [1], `joint` [joint], `imu3` [3], or `vector` [any length]."""
+        marks = {"{joint}": "joint", "{axis}": "imu3", "{index}": "vector"}
+        return next((axes for mark, axes in marks.items() if mark in self.column), "scalar")
+
+    @property
+    def axis_names(self) -> tuple[str, str, str]:
+        """Names along an `imu3` axis, as in the CSV."""
+        return ("roll", "pitch", "yaw") if self.name == "imu/orientation" else ("x", "y", "z")
+
+    @property
+    def required(self) -> bool:
+        """Whether every log has this channel."""
+        return "required" in self.marks
+
+    @property
+    def hold(self) -> bool:
+        """Whether the value holds until the next row."""
+        return "hold" in self.marks
 
     @property
     def unit(self) -> str:
@@ -100,16 +125,6 @@ class Channel:
 
 def _register(unit: str) -> Quantity:
     return Quantity(unit, float(2**31), "does not fit into a register", "write the register's value, sign included")
-
-
-def _channel(name: str, quantity: Quantity, column: str, description: str, marks: str = "") -> Channel:
-    """A line of the table; the last axis is told by what stands in the column's braces."""
-    axes = next(
-        (a for mark, a in (("{joint}", "joint"), ("{axis}", "imu3"), ("{index}", "vector")) if mark in column), ""
-    )
-    names = ("roll", "pitch", "yaw") if name == "imu/orientation" else ("x", "y", "z")
-    required, hold = ("required" in marks), ("hold" in marks)
-    return Channel(normal_key(name), quantity, axes or "scalar", column, description, required, hold, names)
 
 
 def key_name(key: Key) -> str:
@@ -133,38 +148,38 @@ _UNSHIFTED = "Present position register, without calibration offset."
 _LATENESS = "How long after its deadline the tick of this row began."
 
 _TABLE = (
-    _channel("time", Quantity("s"), "time", "Time of the row, strictly increasing.", "required"),
-    _channel("command/position", ANGLE, "{joint}.target", "Position target issued at this time.", "required hold"),
-    _channel("command/p_gain", STIFFNESS, "{joint}.p_gain", "Proportional gain of the current controller.", _HOLD),
-    _channel("command/d_gain", DAMPING, "{joint}.d_gain", "Derivative gain of the current controller.", _HOLD),
-    _channel("command/torque_enable", SWITCH, "{joint}.torque_enable", _DRIVES, _HOLD),
-    _channel("command/firmware_gain", FIRMWARE, "{joint}.firmware_gain", _FIRMWARE, _HOLD),
-    _channel("joint/position", ANGLE, "{joint}.position", "Measured joint position.", "required"),
-    _channel("joint/velocity", RATE, "{joint}.velocity", "Measured joint velocity."),
-    _channel("joint/current", CURRENT, "{joint}.current", "Measured motor current."),
-    _channel("joint/duty", DUTY, "{joint}.duty", "Measured PWM duty, -1 to 1."),
-    _channel(
+    Channel("time", Quantity("s"), "time", "Time of the row, strictly increasing.", "required"),
+    Channel("command/position", ANGLE, "{joint}.target", "Position target issued at this time.", "required hold"),
+    Channel("command/p_gain", STIFFNESS, "{joint}.p_gain", "Proportional gain of the current controller.", _HOLD),
+    Channel("command/d_gain", DAMPING, "{joint}.d_gain", "Derivative gain of the current controller.", _HOLD),
+    Channel("command/torque_enable", SWITCH, "{joint}.torque_enable", _DRIVES, _HOLD),
+    Channel("command/firmware_gain", FIRMWARE, "{joint}.firmware_gain", _FIRMWARE, _HOLD),
+    Channel("joint/position", ANGLE, "{joint}.position", "Measured joint position.", "required"),
+    Channel("joint/velocity", RATE, "{joint}.velocity", "Measured joint velocity."),
+    Channel("joint/current", CURRENT, "{joint}.current", "Measured motor current."),
+    Channel("joint/duty", DUTY, "{joint}.duty", "Measured PWM duty, -1 to 1."),
+    Channel(
         "joint/load", Quantity("as recorded"), "{joint}.load", "Load or torque reading in the recorder's own unit."
     ),
-    _channel("joint/voltage", VOLTAGE, "{joint}.voltage", "Measured supply voltage at the servo."),
-    _channel("joint/temperature", TEMPERATURE, "{joint}.temperature", "Measured servo temperature."),
-    _channel("imu/orientation", ANGLE, "imu.{axis}", "Roll, pitch, yaw of the trunk."),
-    _channel("imu/angular_velocity", BODY_RATE, "imu.gyro_{axis}", "Angular velocity in the body frame."),
-    _channel("imu/linear_acceleration", FORCE, "imu.acc_{axis}", _UPWARDS),
-    _channel("policy/observation", NUMBER, "policy.observation_{index}", f"What the policy saw, {_POLICY}", _HOLD),
-    _channel("policy/action", NUMBER, "policy.action_{index}", f"What the policy answered, {_POLICY}", _HOLD),
-    _channel("policy/reward", NUMBER, "policy.reward", f"Reward of the policy step, {_POLICY}", _HOLD),
-    _channel(
+    Channel("joint/voltage", VOLTAGE, "{joint}.voltage", "Measured supply voltage at the servo."),
+    Channel("joint/temperature", TEMPERATURE, "{joint}.temperature", "Measured servo temperature."),
+    Channel("imu/orientation", ANGLE, "imu.{axis}", "Roll, pitch, yaw of the trunk."),
+    Channel("imu/angular_velocity", BODY_RATE, "imu.gyro_{axis}", "Angular velocity in the body frame."),
+    Channel("imu/linear_acceleration", FORCE, "imu.acc_{axis}", _UPWARDS),
+    Channel("policy/observation", NUMBER, "policy.observation_{index}", f"What the policy saw, {_POLICY}", _HOLD),
+    Channel("policy/action", NUMBER, "policy.action_{index}", f"What the policy answered, {_POLICY}", _HOLD),
+    Channel("policy/reward", NUMBER, "policy.reward", f"Reward of the policy step, {_POLICY}", _HOLD),
+    Channel(
         "raw/goal_current", _AMPERE, "{joint}.raw_goal_current", "Goal current last sent, after every limit.", _HOLD
     ),
-    _channel("raw/current", _AMPERE, "{joint}.raw_current", "Present current register."),
-    _channel("raw/velocity", _register("0.229 rpm"), "{joint}.raw_velocity", "Present velocity register."),
-    _channel("raw/position", _register("2 pi/4096 rad"), "{joint}.raw_position", _UNSHIFTED),
-    _channel("raw/hardware_error", BYTE, "{joint}.raw_hardware_error", "Hardware error status register."),
-    _channel("raw/answered", SWITCH, "{joint}.raw_answered", _ANSWERED, _HOLD),
-    _channel("raw/imu", _register("counts"), "raw.imu_{index}", _NINE),
-    _channel("raw/lateness", SECONDS, "raw.lateness", _LATENESS),
-    _channel("done", SWITCH, "done", "True in the row that ends the episode (bool).", _HOLD),
+    Channel("raw/current", _AMPERE, "{joint}.raw_current", "Present current register."),
+    Channel("raw/velocity", _register("0.229 rpm"), "{joint}.raw_velocity", "Present velocity register."),
+    Channel("raw/position", _register("2 pi/4096 rad"), "{joint}.raw_position", _UNSHIFTED),
+    Channel("raw/hardware_error", BYTE, "{joint}.raw_hardware_error", "Hardware error status register."),
+    Channel("raw/answered", SWITCH, "{joint}.raw_answered", _ANSWERED, _HOLD),
+    Channel("raw/imu", _register("counts"), "raw.imu_{index}", _NINE),
+    Channel("raw/lateness", SECONDS, "raw.lateness", _LATENESS),
+    Channel("done", SWITCH, "done", "True in the row that ends the episode (bool).", _HOLD),
 )
 
 CHANNELS: dict[Key, Channel] = {channel.key: channel for channel in _TABLE}
@@ -188,20 +203,22 @@ def column_names(channel: Channel, joints: Sequence[str], width: int | None = No
     return (channel.column,)
 
 
-def joint_suffixes() -> dict[str, Channel]:
-    """What may follow `<joint>.` in a column name, and the channel it names."""
-    return {c.column.split(".", 1)[1]: c for c in CHANNELS.values() if c.axes == "joint"}
+_SUFFIXES = {channel.column.split(".", 1)[1]: channel for channel in _TABLE if channel.axes == "joint"}
+_FIXED = {
+    name: channel for channel in _TABLE if channel.axes in ("scalar", "imu3") for name in column_names(channel, ())
+}
+_VECTORS = {channel.column.removesuffix("_{index}"): channel for channel in _TABLE if channel.axes == "vector"}
 
 
-def vector_column(name: str) -> tuple[Channel, int] | None:
-    """The vector channel and index that a column such as `policy.action_3` names, or None."""
-    match = re.fullmatch(r"(.+)_(0|[1-9][0-9]{0,5})", name)
-    if match is None:
-        return None
-    for channel in CHANNELS.values():
-        if channel.axes == "vector" and channel.column == match[1] + "_{index}":
-            return channel, int(match[2])
-    return None
+def place(name: str) -> tuple[Channel, str] | None:
+    """The channel that a column of the wide CSV belongs to, and its joint, axis or index; None for other names."""
+    joint, _, suffix = name.rpartition(".")
+    if suffix in _SUFFIXES and joint and joint not in RESERVED:
+        return _SUFFIXES[suffix], joint
+    if name in _FIXED:
+        return _FIXED[name], name
+    entry = re.fullmatch(r"(.+)_(0|[1-9][0-9]{0,5})", name)
+    return (_VECTORS[entry[1]], entry[2]) if entry and entry[1] in _VECTORS else None
 
 
 def schema_table() -> str:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from op3.rollout.errors import LogError
+from op3.rollout.robot_log import stand_tilt
 from op3.rollout.rollout import Rollout
-from op3.rollout.stand import stand_tilt
 
 HALF_WIDTH = 3
 """Ticks of 8 ms on each side that the local cubic of the smoothed state sees; of others as many as last as long."""

@@ -17,21 +17,21 @@ ROWS, RATE = 250, 50.0
 TIME = np.arange(ROWS) / RATE
 
 
+def target(time: np.ndarray | None = None) -> np.ndarray:
+    """Targets [time, joint] in rad, at `TIME` where no other times are asked for."""
+    time = TIME if time is None else time
+    return np.stack([0.5 * np.sin(2 * time), 0.4 * np.cos(1.7 * time)], axis=1)
+
+
 def position(time: np.ndarray | None = None) -> np.ndarray:
     """Measured angles [time, joint] in rad: targets, 0.1 s late."""
     return target((TIME if time is None else time) - 0.1)
 
 
-def target(time: np.ndarray | None = None) -> np.ndarray:
-    """Targets [time, joint] in rad."""
-    time = TIME if time is None else time
-    return np.stack([0.5 * np.sin(2 * time), 0.4 * np.cos(1.7 * time)], axis=1)
-
-
 def velocity(time: np.ndarray | None = None) -> np.ndarray:
     """Measured velocities [time, joint] in rad/s."""
-    time = (TIME if time is None else time) - 0.1
-    return np.stack([np.cos(2 * time), -0.68 * np.sin(1.7 * time)], axis=1)
+    late = (TIME if time is None else time) - 0.1
+    return np.stack([np.cos(2 * late), -0.68 * np.sin(1.7 * late)], axis=1)
 
 
 def sage(folder: Path) -> Path:
@@ -87,11 +87,10 @@ def ros2(folder: Path, storage: str = "sqlite3") -> Path:
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
-    kinds = store.types
     plugin = rosbag2.StoragePlugin.SQLITE3 if storage == "sqlite3" else rosbag2.StoragePlugin.MCAP
     path = folder / f"bag_{storage}"
     with rosbag2.Writer(path, version=9, storage_plugin=plugin) as bag:
-        _fill(bag, store, kinds, lambda kind, message: store.serialize_cdr(message, kind))
+        _fill(bag, store, store.serialize_cdr, {})
     return path
 
 
@@ -101,51 +100,41 @@ def ros1(folder: Path) -> Path:
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC)
-    path = folder / "run.bag"
-    with rosbag1.Writer(path) as bag:
-        _fill(bag, store, store.types, lambda kind, message: store.serialize_ros1(message, kind), sequence={"seq": 0})
-    return path
+    with rosbag1.Writer(folder / "run.bag") as bag:
+        _fill(bag, store, store.serialize_ros1, {"seq": 0})
+    return folder / "run.bag"
 
 
-def _fill(bag, store, kinds, serialise, sequence=None) -> None:
-    vector, quaternion = kinds["geometry_msgs/msg/Vector3"], kinds["geometry_msgs/msg/Quaternion"]
-    header, stamp = kinds["std_msgs/msg/Header"], kinds["builtin_interfaces/msg/Time"]
+def _fill(bag, store, serialise, sequence) -> None:
     state, imu = "sensor_msgs/msg/JointState", "sensor_msgs/msg/Imu"
     trajectory, point = "trajectory_msgs/msg/JointTrajectory", "trajectory_msgs/msg/JointTrajectoryPoint"
-    lines = {
-        kind: bag.add_connection(topic, kind, typestore=store)
-        for topic, kind in (("/joint_states", state), ("/arm/joint_trajectory", trajectory), ("/imu", imu))
-    }
-    duration = kinds["builtin_interfaces/msg/Duration"]
-    empty = np.zeros(0)
-    for t, q, w, goal in zip(TIME, position(), velocity(), target(), strict=True):
-        at = stamp(sec=100 + int(t), nanosec=round((t % 1) * 1e9))
-        head = header(**(sequence or {}), stamp=at, frame_id="")
-        now = round((100 + t) * 1e9)
-        message = kinds[state](header=head, name=list(JOINTS), position=q, velocity=w, effort=empty)
-        bag.write(lines[state], now, serialise(state, message))
-        points = [
-            kinds[point](
-                positions=goal,
-                velocities=empty,
-                accelerations=empty,
-                effort=empty,
-                time_from_start=duration(sec=0, nanosec=0),
-            )
-        ]
-        none = header(**(sequence or {}), stamp=stamp(sec=0, nanosec=0), frame_id="")
-        message = kinds[trajectory](header=none, joint_names=list(JOINTS), points=points)
-        bag.write(lines[trajectory], now + 1000, serialise(trajectory, message))
-        message = kinds[imu](
-            header=head,
-            orientation=quaternion(x=0.0, y=0.0, z=0.0, w=1.0),
-            orientation_covariance=np.zeros(9),
-            angular_velocity=vector(x=0.0, y=0.0, z=0.0),
-            angular_velocity_covariance=np.zeros(9),
-            linear_acceleration=vector(x=0.0, y=0.0, z=9.81),
-            linear_acceleration_covariance=np.zeros(9),
-        )
-        bag.write(lines[imu], now, serialise(imu, message))
+    topics = {state: "/joint_states", trajectory: "/arm/joint_trajectory", imu: "/imu"}
+    lines = {kind: bag.add_connection(topic, kind, typestore=store) for kind, topic in topics.items()}
+    none, nine = np.zeros(0), np.zeros(9)
+
+    def make(kind: str, **fields):
+        return store.types[kind](**fields)
+
+    def head(seconds: float):
+        stamp = make("builtin_interfaces/msg/Time", sec=int(seconds), nanosec=round((seconds % 1) * 1e9))
+        return make("std_msgs/msg/Header", **sequence, stamp=stamp, frame_id="")
+
+    def vector(x: float, y: float, z: float):
+        return make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+    begin = make("builtin_interfaces/msg/Duration", sec=0, nanosec=0)
+    level = make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
+    sensed = dict(orientation=level, angular_velocity=vector(0.0, 0.0, 0.0), linear_acceleration=vector(0.0, 0.0, 9.81))
+    sensed |= {f"{name}_covariance": nine for name in sensed}
+    for t, q, w, goal in zip(100 + TIME, position(), velocity(), target(), strict=True):
+        path = [make(point, positions=goal, velocities=none, accelerations=none, effort=none, time_from_start=begin)]
+        messages = {
+            state: make(state, header=head(t), name=list(JOINTS), position=q, velocity=w, effort=none),
+            trajectory: make(trajectory, header=head(0.0), joint_names=list(JOINTS), points=path),
+            imu: make(imu, header=head(t), **sensed),
+        }
+        for kind, message in messages.items():
+            bag.write(lines[kind], round(t * 1e9), serialise(message, kind))
 
 
 def npz(folder: Path) -> Path:

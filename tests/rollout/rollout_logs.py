@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from op3.rollout import CHANNELS, Metadata, Rollout
+from op3.rollout import CHANNELS, LogError, Metadata, Rollout, read_episodes
 
 JOINTS = ("l_knee", "r_knee")
 RATE = 125.0
@@ -71,3 +71,12 @@ def assert_same(a: Rollout, b: Rollout) -> None:
     for key in a.channels:
         assert a.array(key).tobytes() == b.array(key).tobytes(), key
         assert a.data[key].dtype == b.data[key].dtype
+
+
+def refusal(path: Path) -> str:
+    """The sentence with which a log is refused, or nothing where it is read."""
+    try:
+        read_episodes(path)
+    except LogError as error:
+        return str(error)
+    return ""

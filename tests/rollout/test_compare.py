@@ -28,7 +28,6 @@ def test_a_log_equals_itself():
         assert not error.rmse.any()
         assert not error.largest.any()
         assert not error.lag.any()
-    assert result.rows == 30
 
 
 def test_an_offset_is_its_own_rmse_and_maximum():
@@ -54,11 +53,8 @@ def test_different_clocks_are_compared_on_the_first():
     """The same motion sampled at another rate with jitter agrees up to the interpolation error."""
     a = np.arange(500) / 125
     b = np.cumsum(np.random.default_rng(3).uniform(0.003, 0.007, 700)) + 0.5
-    result = compare(wave(a), wave(b))
     # linear interpolation of a sine: (2 pi)^2 h^2 / 8 with h = 7 ms
-    assert result[POSITION].largest.max() < (2 * np.pi * 0.007) ** 2 / 8
-    assert result.start == b[0]
-    assert result.rows == int(((a >= b[0]) & (a <= min(a[-1], b[-1]))).sum())
+    assert compare(wave(a), wave(b))[POSITION].largest.max() < (2 * np.pi * 0.007) ** 2 / 8
 
 
 def test_commands_hold_between_rows():
@@ -95,15 +91,6 @@ def test_joints_are_matched_by_name():
     swapped = {k: v[:, ::-1] if isinstance(k, tuple) and k[0] in ("joint", "command") else v for k, v in values.items()}
     other = Rollout.from_arrays(swapped, metadata(joints=JOINTS[::-1]))
     assert all(not error.rmse.any() for error in compare(rollout(), other).channels.values())
-
-
-def test_only_common_channels_are_compared():
-    """A channel that one log lacks is left out of the result."""
-    values = arrays()
-    del values["joint", "current"]
-    result = compare(Rollout.from_arrays(values, metadata()), rollout())
-    assert ("joint", "current") not in result.channels
-    assert POSITION in result.channels
 
 
 def test_batches_pool_their_episodes():

@@ -1,4 +1,4 @@
-"""Checks of angles: turns, jumps, zeros and steps."""
+"""Checks of angles: against the command, turns, zeros and steps."""
 
 from __future__ import annotations
 
@@ -6,13 +6,48 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from op3.rollout.health.finding import ERROR, WARNING, Finding, View, check
-from op3.rollout.health.match import step
-from op3.rollout.servo_file import find_servo
+from op3.rollout.health.finding import COMMAND, CURRENT, ERROR, POSITION, WARNING, Finding, View, check
+from op3.rollout.health.match import match, step
+from op3.rollout.robot_log import find_servo
 from op3.rollout.units import likely_unit
 
 _TURN = 2 * np.pi
-_POSITION = ("joint", "position")
+
+_MOST = 1.9
+"""A servo does not move this many times as far as it is told to."""
+
+
+@check("position against command")
+def command(view: View) -> Iterator[Finding]:
+    """Position and command differ in unit or sign, or belong to different joints."""
+    stride = max(1, round(0.02 / view.interval)) if len(view.time) >= 20 else 1
+    angle, target = view.position[::stride], view.command[::stride]
+    driven = np.all(view.driven[::stride], axis=1)
+    if driven.sum() < 20:
+        return
+    lags = [n for n in range(0, 26, 2) if n < len(angle) // 4] or [0]
+    matches = [match(angle[n:][driven[n:]], target[: len(target) - n][driven[n:]]) for n in lags]
+    every = np.stack([m.correlation for m in matches])
+    own, best = np.diagonal(every, axis1=1, axis2=2), every.max(0)
+    asked, moved = np.ptp(target[driven], axis=0) > 0.05, np.ptp(angle[driven], axis=0) > 0.05
+    for joint in map(int, np.flatnonzero(asked | moved)):
+        sure, ratio = float(best[joint, joint]), float(matches[int(own[:, joint].argmax())].ratio[joint, joint])
+        where = POSITION, joint
+        # whose command it follows, where that joint does not follow it itself
+        others = [k for k in np.argsort(-best[joint]) if k != joint and asked[k] and best[joint, k] > 0.97]
+        other = next((view.joints[k] for k in others if best[k, k] < 0.5), None)
+        if asked[joint] and sure > 0.95 and (ratio > _MOST or ratio < 1 / 30):
+            unit = likely_unit(ratio, "rad") or likely_unit(1 / ratio, "rad")
+            cause = f", as if {'it' if ratio > 1 else 'the command'} were in {unit}" if unit else ""
+            problem = f"the position moves {ratio:.3g} times as far as its command{cause}"
+            yield view.found(ERROR, where, problem, "convert both to radians (57.3 is degrees)")
+        elif asked[joint] and own[:4, joint].min() < -0.95 and sure < 0.5:
+            problem = "the position moves against its command: the sign of one of them is turned round"
+            problem += f", or it was swapped with that of {other}" if other else ""
+            yield view.found(ERROR, where, problem, "write `sign: -1` for one of them into its YAML")
+        elif sure < 0.4 and other:
+            problem = f"the position follows the command of {other}: the columns of the two are swapped"
+            yield view.found(ERROR, where, problem, "swap the columns")
 
 
 def _small(values: np.ndarray) -> np.ndarray:
@@ -24,17 +59,18 @@ def _small(values: np.ndarray) -> np.ndarray:
 @check("lost turns")
 def lost_turns(view: View) -> Iterator[Finding]:
     """A position or target jumps by whole turns: it was wrapped, or the encoder lost count."""
-    for key, values in ((_POSITION, view.position), (("command", "position"), view.command)):
+    for key, values in ((POSITION, view.position), (COMMAND, view.command)):
         steps = np.diff(values, axis=0)
         turns = np.round(steps / _TURN)
         jumps = (turns != 0) & (np.abs(steps - turns * _TURN) < 1.0) & _small(values)
         for row, joint in np.argwhere(jumps)[:1]:
             count = int(abs(turns[row, joint]))
-            what = "position" if key[0] == "joint" else "target"
-            problem = f"{what} jumps by {'one turn' if count == 1 else f'{count} turns'} ({steps[row, joint]:+.3f} rad)"
-            problem += f" at row {row + 2}"
+            problem = f"{'position' if key == POSITION else 'target'} jumps by "
+            problem += (
+                f"{'one turn' if count == 1 else f'{count} turns'} ({steps[row, joint]:+.3f} rad) at row {row + 2}"
+            )
             remedy = "write `unwrap: true` into its YAML, or `shift: {joint: rad}` to move its zero as well"
-            yield Finding(ERROR, problem, remedy, view.column(key, joint), **view.where(int(row) + 1))
+            yield view.found(ERROR, (key, joint), problem, remedy, row + 1)
 
 
 @check("a turn off")
@@ -46,7 +82,7 @@ def a_turn_off(view: View) -> Iterator[Finding]:
     follows = (np.ptp(error, axis=0) < np.pi) & _small(view.position) & _small(view.command)
     for joint in np.flatnonzero((turns != 0) & follows & (np.abs(offset - turns * _TURN) < 1.0)):
         problem = f"the position is {offset[joint]:+.3f} rad away from the command, about {turns[joint]:+.0f} turn"
-        yield Finding(ERROR, problem, "write `unwrap: true` into its YAML", view.column(_POSITION, int(joint)))
+        yield view.found(ERROR, (POSITION, joint), problem, "write `unwrap: true` into its YAML")
 
 
 @check("constant offset")
@@ -55,47 +91,42 @@ def constant_offset(view: View) -> Iterator[Finding]:
 
     Where the recorded current is the gain times this angle, the joint is just soft, and yields to what it carries.
     """
-    if len(view.time) < 20:
-        return
-    error = np.where(view.driven, view.position - view.command, np.nan)
-    gain, current = view.get(("command", "p_gain")), view.get(("joint", "current"))
-    yields = np.zeros(len(view.joints), bool)
-    if gain is not None and current is not None:
-        pulled = -gain * (view.position - view.command)
-        yields = np.median(np.abs(current - pulled), axis=0) < 0.5 * np.median(np.abs(pulled), axis=0)
-    error = error[:, view.driven.mean(0) > 0.5]
-    joints = np.flatnonzero(view.driven.mean(0) > 0.5)
-    middle = np.nanmedian(error, axis=0) if len(joints) else np.zeros(0)
+    joints = np.flatnonzero(view.driven.mean(0) > 0.5) if len(view.time) >= 20 else []
+    error, gain, current = view.position - view.command, view.get(("command", "p_gain")), view.get(CURRENT)
+    middle = np.array([np.median(error[view.driven[:, joint], joint]) for joint in joints])
     for place, joint in enumerate(joints):
+        driven = view.driven[:, joint]
+        off, at, angle = (table[driven, joint] for table in (error, view.command, view.position))
         others, offset = np.delete(np.abs(middle), place), float(middle[place])
-        at, off = view.command[view.driven[:, joint], joint], error[~np.isnan(error[:, place]), place]
         if len(others) >= 3:
             odd = abs(offset) > max(0.15, 5 * float(np.quantile(others, 0.75)))
         else:  # what gravity and a soft loop leave goes with the angle
-            about = np.sin(view.position[view.driven[:, joint], joint])
+            about = np.sin(angle)
             fit = np.polynomial.polynomial.polyfit(about, off, 1) if np.ptp(about) > 0.5 else np.zeros(2)
             odd, offset = abs(fit[0]) > max(0.2, 3 * float((off - fit[0] - fit[1] * about).std())), float(fit[0])
+        yields = False
+        if gain is not None and current is not None:
+            pulled = -gain[:, joint] * error[:, joint]
+            yields = np.median(np.abs(current[:, joint] - pulled)) < 0.5 * np.median(np.abs(pulled))
         dead = np.ptp(view.position[:, joint]) == 0 and np.ptp(at) > 0.2  # a dead sensor is another check's
-        if dead or yields[joint] or not odd:
+        if dead or yields or not odd:
             continue
         mirrored = np.ptp(at) < 0.05 and abs(offset + 2 * float(np.median(at))) < 0.05
         cause = "its sign is turned round" if mirrored else "another zero, or a homing offset in the servo"
         problem = f"the joint stands {offset:+.3f} rad off its command in every pose: {cause}"
         remedy = "write `shift: {joint: rad}` or `columns: {...: {offset: ...}}` into its YAML, or clear the offset"
-        yield Finding(WARNING, problem, remedy, view.column(_POSITION, int(joint)))
+        yield view.found(WARNING, (POSITION, joint), problem, remedy)
 
 
 @check("coarse steps")
 def coarse(view: View) -> Iterator[Finding]:
     """Positions lie on a grid coarser than the encoder's: they were rounded, or are in another unit."""
     make = find_servo(view.metadata.servo)
-    encoder = 0.0025 if make is None else make.position_unit
+    exact = 2 * np.pi / 4096 if make is None else make.position_unit
     steps = step(view.position)
-    exact = 2 * np.pi / 4096 if make is None else encoder
-    for joint in np.flatnonzero(steps > 4 * encoder):
+    for joint in np.flatnonzero(steps > 4 * (0.0025 if make is None else exact)):
         unit = likely_unit(float(steps[joint] / exact), "rad", 0.01)
         problem = f"positions come in steps of {steps[joint]:.4g} rad, where an encoder's are {exact:.4g} rad"
         problem += f", as if they were in {unit}" if unit else ""
         remedy = "convert them to radians" if unit else "write positions with more digits"
-        severity = ERROR if unit else WARNING
-        yield Finding(severity, problem, remedy, view.column(_POSITION, int(joint)))
+        yield view.found(ERROR if unit else WARNING, (POSITION, joint), problem, remedy)

@@ -6,13 +6,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from op3.rollout.health.finding import ERROR, WARNING, Finding, View, check
+from op3.rollout.health.finding import CURRENT, ERROR, POSITION, VELOCITY, WARNING, Finding, View, check
 from op3.rollout.health.match import longest_run, step
 from op3.rollout.schema import CHANNELS
 
 _ASIDE = ("velocity", "current", "duty", "voltage", "temperature")
 """Channels of a joint that a log can do without."""
 
+_INERTIAL = (("imu", "angular_velocity"), ("imu", "linear_acceleration"))
 
 _FASTEST, _JUMP = 40.0, 0.15
 """A position that changes from row to row by more than this speed allows [rad/s], and this much beside it [rad], has
@@ -26,69 +27,69 @@ _SPIKE = 0.12
 def bounds(view: View) -> Iterator[Finding]:
     """A value is beyond what its unit allows, in single rows or throughout."""
     for key in view.log.channels:
-        quantity = CHANNELS[key].quantity
-        if quantity.binary or not np.isfinite(quantity.bound):
-            continue
-        values = view.log.array(key)
-        if -quantity.bound <= values.min() and values.max() <= quantity.bound:
+        quantity, values = CHANNELS[key].quantity, view.log.array(key)
+        if quantity.binary or (-quantity.bound <= values.min() and values.max() <= quantity.bound):
             continue
         wrong = np.abs(values) > quantity.bound
         names = np.flatnonzero(wrong.any(0))
         single = float(wrong[:, names].mean()) < 0.02 and len(values) > 50
         few = key[0] == "joint" and key[1] in _ASIDE and (2 * len(names) < wrong.shape[1] or single)
-        for index in map(int, names if few else names[:1]):
+        for index in names if few else names[:1]:
             row = int(wrong[:, index].argmax())
-            likely = "stands there in single rows" if single else _unit(values[:, index], quantity.mistake)
+            likely = "stands there in single rows" if single else _likely(values[:, index], quantity.mistake)
             problem = f"{values[row, index]:.10g} is beyond {quantity.bound:g} {quantity.unit}".rstrip()
             remedy = "leave these rows out" if single else quantity.remedy
             severity = WARNING if few else ERROR
-            problem = f"{problem} and {likely}"
-            yield Finding(severity, problem, remedy, view.column(key, index), **view.where(row), set_aside=few)
+            yield view.found(severity, (key, index), f"{problem} and {likely}", remedy, row, aside=few)
 
 
-def _unit(values: np.ndarray, mistake: str) -> str:
+def _likely(values: np.ndarray, mistake: str) -> str:
     """What values beyond their bound look like."""
     whole = bool((values == np.round(values)).all())
-    if "degrees" in mistake and "per second" not in mistake and whole and np.abs(values).max() > 360:
-        return "looks like counts of an encoder"
-    return mistake
+    counts = "degrees" in mistake and "per second" not in mistake and whole and np.abs(values).max() > 360
+    return "looks like counts of an encoder" if counts else mistake
 
 
 @check("stands still")
 def stands_still(view: View) -> Iterator[Finding]:
     """A channel keeps one number while the joint moves, or a position while its command travels far."""
     rows = round(0.2 / view.interval) if len(view.time) > 20 else 0
-    if not rows:
+    if rows:
+        yield from _dead(view)
+        for _, joint, velocity in view.columns(VELOCITY):
+            yield from _velocity_stands(view, joint, velocity, rows)
+        for joint, position in enumerate(view.position.T):
+            yield from _position_stands(view, joint, position)
+
+
+def _velocity_stands(view: View, joint: int, velocity: np.ndarray, rows: int) -> Iterator[Finding]:
+    first, length = longest_run(np.diff(velocity) == 0)
+    if length <= 2 * rows:
         return
-    yield from _dead(view)
-    position, velocity = view.position, view.get(("joint", "velocity"))
-    if velocity is not None:
-        start, length = longest_run(np.diff(velocity, axis=0) == 0)
-        steps = step(velocity)
-        for joint in np.flatnonzero(length > 2 * rows):
-            first, last = int(start[joint]), int(start[joint] + length[joint])
-            moved = position[first + rows : last + 1, joint] - position[first : last + 1 - rows, joint]
-            speed = moved / (view.time[first + rows : last + 1] - view.time[first : last + 1 - rows])
-            fastest = speed[np.abs(speed - velocity[first, joint]).argmax()]
-            # a velocity may rightly keep a number while the joint is slower than its step
-            if abs(fastest - velocity[first, joint]) > max(0.15, 3 * steps[joint]):
-                problem = f"velocity stands at {velocity[first, joint]:.4g} rad/s for {last - first} rows, while the "
-                problem += f"joint moves at up to {fastest:.3g} rad/s"
-                column, where = view.column(("joint", "velocity"), int(joint)), view.where(first, last)
-                yield Finding(WARNING, problem, "the channel is not used", column, **where, set_aside=True)
-    start, length = longest_run(np.diff(position, axis=0) == 0)
-    for joint in np.flatnonzero(length * view.interval > 0.5):
-        first, last = int(start[joint]), int(start[joint] + length[joint])
-        moved = float(np.abs(np.diff(view.command[first : last + 1, joint])).sum())
-        if moved > 1.2 and view.driven[first : last + 1, joint].all():
-            problem = (
-                f"position stands at {position[first, joint] + 0.0:.4g} rad while its command moves by {moved:.3g} rad"
-            )
-            dead, alone = last - first >= len(position) - 2, len(view.joints) == 1
-            severity = ERROR if dead and (alone or (length >= len(position) - 2).all()) else WARNING
-            remedy = "look whether the joint is blocked or its sensor dead"
-            column, aside = view.column(("joint", "position"), int(joint)), dead and severity == WARNING
-            yield Finding(severity, problem, remedy, column, **view.where(first, last), set_aside=aside)
+    part = slice(first, first + length + 1)
+    angle, time = view.position[part, joint], view.time[part]
+    speed = (angle[rows:] - angle[:-rows]) / (time[rows:] - time[:-rows])
+    fastest = speed[np.abs(speed - velocity[first]).argmax()]
+    # a velocity may rightly keep a number while the joint is slower than its step
+    if abs(fastest - velocity[first]) > max(0.15, 3 * step(velocity[:, None])[0]):
+        problem = f"velocity stands at {velocity[first]:.4g} rad/s for {length} rows, while the joint moves at up to "
+        problem += f"{fastest:.3g} rad/s"
+        where = VELOCITY, joint
+        yield view.found(WARNING, where, problem, "the channel is not used", first, first + length, aside=True)
+
+
+def _position_stands(view: View, joint: int, position: np.ndarray) -> Iterator[Finding]:
+    first, length = longest_run(np.diff(position) == 0)
+    last = first + length
+    moved = float(np.abs(np.diff(view.command[first : last + 1, joint])).sum())
+    if length * view.interval <= 0.5 or moved <= 1.2 or not view.driven[first : last + 1, joint].all():
+        return
+    problem = f"position stands at {position[first] + 0.0:.4g} rad while its command moves by {moved:.3g} rad"
+    dead = length >= len(position) - 2
+    all_dead = dead and bool((np.ptp(view.position, axis=0) == 0).all())
+    remedy = "look whether the joint is blocked or its sensor dead"
+    severity, aside = ERROR if all_dead else WARNING, dead and not all_dead
+    yield view.found(severity, (POSITION, joint), problem, remedy, first, last, aside=aside)
 
 
 def _dead(view: View) -> Iterator[Finding]:
@@ -96,56 +97,41 @@ def _dead(view: View) -> Iterator[Finding]:
     moves = np.ptp(view.position, axis=0) > 0.2
     angles = view.get(("imu", "orientation"))
     tilted = angles is not None and bool((np.ptp(angles, axis=0) > 0.1).any())
-    for key in (("joint", "current"), ("joint", "voltage"), ("joint", "temperature"), *_INERTIAL):
+    for key in (CURRENT, ("joint", "voltage"), ("joint", "temperature"), *_INERTIAL):
         values = view.get(key)
         if values is None:
             continue
-        still = np.ptp(values, axis=0) == 0
-        if key[0] == "joint":
-            dead = still & (values[0] == 0) & (moves | (key[1] != "current"))
-        else:
-            dead = np.full(
-                3, bool(still.all()) and (tilted or (key[1] == "linear_acceleration" and not values[0].any()))
-            )
-        for index in np.flatnonzero(dead):
+        still, zero = np.ptp(values, axis=0) == 0, values[0] == 0
+        dead = still & zero & (moves | (key != CURRENT)) if key[0] == "joint" else still.all() & (zero.all() | tilted)
+        if key == _INERTIAL[0]:  # a robot that does not turn has no rates
+            dead &= tilted
+        for index in np.flatnonzero(np.broadcast_to(dead, still.shape)):
             problem = f"{key[1].replace('_', ' ')} stands at {values[0, index]:.4g} in every row"
-            yield Finding(WARNING, problem, "the channel is not used", view.column(key, int(index)), set_aside=True)
-
-
-_INERTIAL = (("imu", "angular_velocity"), ("imu", "linear_acceleration"))
+            yield view.found(WARNING, (key, index), problem, "the channel is not used", aside=True)
 
 
 @check("saturated")
 def saturated(view: View) -> Iterator[Finding]:
     """A rate or acceleration is cut off at its largest number."""
-    for key in (("joint", "velocity"), *_INERTIAL):
-        values = view.get(key)
-        if values is None or len(values) < 20:
+    for key, index, column in view.columns(VELOCITY, *_INERTIAL):
+        top = np.abs(column).max()
+        flat = np.abs(column) == top
+        first, length = longest_run(flat)
+        if flat.mean() < 0.005 or not top or length < 5:
             continue
-        steps = step(values)
-        for index, column in enumerate(values.T):
-            top = np.abs(column).max()
-            flat = np.abs(column) == top
-            if flat.mean() < 0.005 or not top:
-                continue
-            start, length = longest_run(flat[:, None])
-            first, last = int(start[0]), int(start[0] + length[0] - 1)
-            ends = ((first, first - 1), (last, last + 1))
-            beside = min((abs(column[i] - column[j]) for i, j in ends if 0 <= j < len(column)), default=0)
-            faster = 0.0
-            if key[0] == "joint" and last > first:
-                turned = view.position[last, index] - view.position[first, index]
-                faster = abs(float(turned / (view.time[last] - view.time[first])))
-            aside = length[0] * view.interval > 0.05 and faster > 1.2 * top + 3 * steps[index] + 0.05
-            if length[0] >= 5 and (aside or beside > max(5 * steps[index], 0.05 * top)):
-                problem = f"the value stays at {top:.4g} for {length[0]} rows"
-                problem += (
-                    f", while the joint moves at {faster:.3g} rad/s" if aside else ", where it came and left fast"
-                )
-                remedy, where = "choose a larger range of the sensor, or slower motions", view.where(first, last)
-                yield Finding(
-                    WARNING, f"{problem}: it is cut off", remedy, view.column(key, index), **where, set_aside=aside
-                )
+        last, size = first + length - 1, float(step(column[:, None])[0])
+        ends = ((first, first - 1), (last, last + 1))
+        beside = min((abs(column[i] - column[j]) for i, j in ends if 0 <= j < len(column)), default=0)
+        faster = 0.0
+        if key == VELOCITY:
+            turned = view.position[last, index] - view.position[first, index]
+            faster = abs(float(turned / (view.time[last] - view.time[first])))
+        aside = length * view.interval > 0.05 and faster > 1.2 * top + 3 * size + 0.05
+        if aside or beside > max(5 * size, 0.05 * top):
+            how = f"while the joint moves at {faster:.3g} rad/s" if aside else "where it came and left fast"
+            problem = f"the value stays at {top:.4g} for {length} rows, {how}: it is cut off"
+            remedy = "choose a larger range of the sensor, or slower motions"
+            yield view.found(WARNING, (key, index), problem, remedy, first, last, aside=aside)
 
 
 @check("impossible speed")
@@ -164,7 +150,6 @@ def impossible_speed(view: View) -> Iterator[Finding]:
     for row, joint in np.argwhere((np.abs(steps) > limit) | back)[:1]:
         single = " and back" if back[row, joint] else ""
         problem = f"position jumps by {steps[row, joint]:+.3f} rad in one row{single}, faster than a servo moves"
-        remedy = "leave out the row, or repair the encoder or the bus"
-        yield Finding(
-            ERROR, problem, remedy, view.column(("joint", "position"), int(joint)), **view.where(int(row) + 1)
+        yield view.found(
+            ERROR, (POSITION, joint), problem, "leave out the row, or repair the encoder or the bus", row + 1
         )

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from op3.rollout.health.finding import ERROR, WARNING, Finding, View, check
+from op3.rollout.health.finding import ERROR, POSITION, VELOCITY, WARNING, Finding, View, check
 from op3.rollout.health.match import delayed, longest_run
 from op3.rollout.importing import holes
 
@@ -31,7 +31,7 @@ def jumps(view: View) -> Iterator[Finding]:
         else:
             missing = round(float(now - before) / view.interval) - 1
             text += f": about {missing} rows are missing, and nothing can be computed across the hole"
-        yield Finding(ERROR, text, _SPLIT, "time", **view.where(int(row)))
+        yield view.found(ERROR, "time", text, _SPLIT, row)
 
 
 def _goes_on(view: View, row: int) -> bool:
@@ -61,7 +61,7 @@ def rate(view: View) -> Iterator[Finding]:
     else:
         return
     remedy = f"the time looks like {unit}, convert it to seconds" if unit else "correct the rate or the time"
-    yield Finding(ERROR, problem, remedy, "time", **view.where(row))
+    yield view.found(ERROR, "time", problem, remedy, row)
 
 
 @check("uneven rows")
@@ -71,15 +71,13 @@ def uneven(view: View) -> Iterator[Finding]:
     if len(steps) <= 50:
         return
     long, lost = steps > 4 * view.interval, 1 - view.interval * len(steps) / float(steps.sum())
-    row, remedy = int(steps.argmax()) + 1, "record with a clock that keeps its rate"
+    even = np.abs(steps / view.interval - np.round(steps / view.interval)) < 0.1
+    row, remedy = int(steps.argmax()) + 1, "record with a clock that keeps its rate, and look what loses rows"
     if long.mean() > 0.02:
-        problem = (
-            f"{long.sum()} intervals are over four times the usual {view.interval:.4g} s, up to {steps.max():.4g} s"
-        )
-        yield Finding(WARNING, problem, remedy, "time", **view.where(row))
-    elif lost > 0.12 and (np.abs(steps / view.interval - np.round(steps / view.interval)) < 0.1).mean() > 0.9:
-        problem = f"about {lost:.0%} of the rows are missing, singly"
-        yield Finding(WARNING, problem, "look what loses them on the way", "time", **view.where(row))
+        text = f"{long.sum()} intervals are over four times the usual {view.interval:.4g} s, up to {steps.max():.4g} s"
+        yield view.found(WARNING, "time", text, remedy, row)
+    elif lost > 0.12 and even.mean() > 0.9:
+        yield view.found(WARNING, "time", f"about {lost:.0%} of the rows are missing, singly", remedy, row)
 
 
 @check("repeated rows")
@@ -87,19 +85,18 @@ def repeated(view: View) -> Iterator[Finding]:
     """All sensors keep their numbers while a joint moves: the recorder wrote one reading again and again."""
     sensors = [view.log.array(key) for key in view.log.channels if key[0] in ("joint", "imu")]
     same = (np.diff(np.concatenate(sensors, axis=1), axis=0) == 0).all(1)
-    (start,), (length,) = longest_run(same[:, None])
+    first, length = longest_run(same)
     if length < 8 or length * view.interval < 0.15 or length == len(same):
         return
-    first, last = int(start), int(start + length)
+    last = first + length
     steps = np.abs(np.diff(view.position, axis=0)).sum(1)
     out = max((steps[row] for row in (first - 1, last) if 0 <= row < len(steps)), default=0.0)
     moving = np.median(steps[steps > 0]) if steps.any() else np.inf
-    velocity = view.get(("joint", "velocity"))
+    velocity = view.get(VELOCITY)
     fast = velocity is not None and np.abs(velocity[first]).max() > 0.15 and length < 0.9 * len(same)
     if fast or out > max(5 * moving, 0.03 * length * view.interval):
-        problem = f"all sensors keep their numbers for {last - first + 1} rows, while the robot moves"
-        remedy = "leave these rows out; the recorder had no new reading"
-        yield Finding(ERROR, problem, remedy, "time", **view.where(first, last))
+        problem = f"all sensors keep their numbers for {length + 1} rows, while the robot moves"
+        yield view.found(ERROR, "time", problem, "leave these rows out; the recorder had no new reading", first, last)
 
 
 @check("two clocks")
@@ -112,20 +109,19 @@ def two_clocks(view: View) -> Iterator[Finding]:
     lags = range(0, round(0.8 / view.interval), max(1, round(0.02 / view.interval)))
     best, near = [], []
     for part in (slice(0, third), slice(-third, None)):
-        pair = view.position[part, joint : joint + 1], view.command[part, joint : joint + 1]
-        found = [float(delayed(*pair, rows)[0]) for rows in lags if rows < third // 2]
-        best.append((max(found, default=0.0), lags[int(np.argmax(found))] * view.interval if found else 0.0))
-        near.append(max(found[:8], default=1.0))
+        pair = view.position[part, joint], view.command[part, joint]
+        found = [delayed(*pair, rows) for rows in lags if rows < third // 2]
+        if not found:
+            return
+        best.append((max(found), lags[int(np.argmax(found))] * view.interval))
+        near.append(max(found[:8]))
     (sure, early), (sure_too, late) = best
-    where, remedy = view.column(("joint", "position"), joint), "stamp both by one clock"
+    where, remedy = (POSITION, joint), "stamp both by one clock, or cut the log into short parts"
     if min(sure, sure_too) < 0.98:
         return
     if abs(late - early) > 0.2 and third * view.interval >= 3:
         problem = f"the position follows the command by {early:.2f} s at the beginning and {late:.2f} s at the end"
-        problem += ": they were stamped by clocks that run apart"
-        yield Finding(WARNING, problem, f"{remedy}, or cut the log into short parts", where)
+        yield view.found(WARNING, where, f"{problem}: they were stamped by clocks that run apart", remedy)
     elif min(early, late) > 0.25 and abs(late - early) < 0.06 and max(near) < 0.9:
-        problem = (
-            f"the position follows the command by {early:.2f} s throughout: their clocks differ, or one is shifted"
-        )
-        yield Finding(WARNING, problem, remedy, where)
+        problem = f"the position follows the command by {early:.2f} s throughout"
+        yield view.found(WARNING, where, f"{problem}: their clocks differ, or one is shifted", remedy)

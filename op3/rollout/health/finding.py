@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, SupportsInt
 
 import numpy as np
 
@@ -15,6 +14,9 @@ from op3.rollout.schema import CHANNELS, Key, column_names
 
 if TYPE_CHECKING:
     from op3.rollout.rollout import Rollout
+
+POSITION, COMMAND = ("joint", "position"), ("command", "position")
+VELOCITY, CURRENT = ("joint", "velocity"), ("joint", "current")
 
 ERROR, WARNING = "error", "warning"
 """An error cannot be right and refuses the log; a warning is suspicious and lets it pass."""
@@ -64,32 +66,52 @@ class View:
 
     def __init__(self, log: Rollout):
         self.log, self.metadata, self.joints = log, log.metadata, log.joints
-        self.time, self.position = log.array("time")[:, 0], log.array(("joint", "position"))
-        self.command = log.array(("command", "position"))
+        self.time, self.position = log.array("time")[:, 0], log.array(POSITION)
+        self.command = log.array(COMMAND)
+        switch = self.get(("command", "torque_enable"))
+        self.driven = np.ones(self.command.shape, bool) if switch is None else switch == 1
+        """Whether the servo drives [time, joint]."""
+        self.interval = float(np.median(np.diff(self.time))) if len(self.time) > 1 else np.inf
+        """Usual time from row to row [s]."""
 
     def get(self, key: Key) -> np.ndarray | None:
         """A channel [time, name], None where it is absent."""
         return self.log.array(key) if key in self.log else None
 
-    def column(self, key: Key, index: int) -> str:
+    def columns(self, *keys: Key) -> Iterator[tuple[Key, int, np.ndarray]]:
+        """Key, index and numbers [time] of the columns of those channels that are there, in a log of some length."""
+        for key in keys if len(self.time) >= 20 else ():
+            values = self.get(key)
+            yield from ((key, index, column) for index, column in enumerate(() if values is None else values.T))
+
+    def name(self, key: Key, index: SupportsInt) -> str:
         """Name of one column of a channel."""
-        return column_names(CHANNELS[key], self.joints, index + 1)[index]
+        return column_names(CHANNELS[key], self.joints, int(index) + 1)[int(index)]
 
-    @cached_property
-    def interval(self) -> float:
-        """Usual time from row to row [s]."""
-        return float(np.median(np.diff(self.time))) if len(self.time) > 1 else np.inf
+    def found(
+        self,
+        severity: str,
+        where: str | tuple[Key, SupportsInt],
+        problem: str,
+        remedy: str,
+        *rows: SupportsInt,
+        aside: bool = False,
+    ) -> Finding:
+        """A finding.
 
-    @cached_property
-    def driven(self) -> np.ndarray:
-        """Whether the servo drives [time, joint]."""
-        switch = self.get(("command", "torque_enable"))
-        return np.ones((len(self.time), len(self.joints)), bool) if switch is None else switch == 1
-
-    def where(self, first: int, last: int | None = None) -> dict[str, Any]:
-        """Rows and times of a finding, from indices counted from 0."""
-        last = first if last is None else last
-        return dict(rows=(first + 1, last + 1), times=(float(self.time[first]), float(self.time[last])))
+        Args:
+            severity: `ERROR` or `WARNING`.
+            where: Column of the wide CSV, or its channel and index.
+            problem: See `Finding`.
+            remedy: The same.
+            rows: The row, or the first and the last, counted from 0; none for all.
+            aside: Whether the column is not to be used.
+        """
+        column = where if isinstance(where, str) else self.name(*where)
+        span = (int(rows[0]), int(rows[-1])) if rows else None
+        times = (float(self.time[span[0]]), float(self.time[span[1]])) if span else None
+        counted = (span[0] + 1, span[1] + 1) if span else None
+        return Finding(severity, problem, remedy, column, counted, times, aside)
 
 
 Check = Callable[[View], Iterable[Finding]]

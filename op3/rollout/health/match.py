@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 WINDOW = 0.12
 """Time over which increments are compared, so that the steps of an encoder average out [s]."""
@@ -12,7 +13,7 @@ WINDOW = 0.12
 
 @dataclass(frozen=True)
 class Match:
-    """Signals a against signals b, at the delay that suits each best.
+    """Signals a against signals b.
 
     Attributes:
         correlation: Of a's columns with b's, [a, b].
@@ -28,12 +29,7 @@ class Match:
 
 
 def match(a: np.ndarray, b: np.ndarray) -> Match:
-    """Compare signals without their means.
-
-    Args:
-        a: [row, name].
-        b: [row, name].
-    """
+    """Compare signals [row, name] without their means."""
     a, b = a - a.mean(0), b - b.mean(0)
     size_a, size_b = np.sqrt((a * a).mean(0)), np.sqrt((b * b).mean(0))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -42,22 +38,27 @@ def match(a: np.ndarray, b: np.ndarray) -> Match:
     return Match(correlation, ratio, size_a, size_b)
 
 
-def windows(time: np.ndarray, width: float = WINDOW) -> tuple[np.ndarray, np.ndarray]:
-    """First and last rows of overlapping windows that no hole interrupts."""
+def delayed(a: np.ndarray, b: np.ndarray, rows: int) -> float:
+    """Correlation of a [row] with b so many rows earlier."""
+    return float(match(a[rows:, None], b[: len(b) - rows, None]).correlation[0, 0])
+
+
+def windows(time: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """First and last rows of overlapping windows that no hole interrupts, and how long they are [s]."""
     interval = float(np.median(np.diff(time)))
-    rows = max(2, min(round(width / interval), len(time) // 10))
+    rows = max(2, min(round(WINDOW / interval), len(time) // 10))
     first = np.arange(0, len(time) - rows, max(1, rows // 2))
-    return (f := first[time[first + rows] - time[first] < 2 * rows * interval]), f + rows
+    first = first[time[first + rows] - time[first] < 2 * rows * interval]
+    return first, first + rows, float(np.median(time[first + rows] - time[first])) if len(first) else 0.0
 
 
 def integral(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """Integral of rates [time, name] from the first row on, by the trapezoid rule."""
-    steps = (rate[1:] + rate[:-1]) / 2 * np.diff(time)[:, None]
-    return np.concatenate([np.zeros((1, rate.shape[1])), np.cumsum(steps, axis=0)])
+    """Integral of rates [time, name] from the first row on."""
+    return np.asarray(cumulative_trapezoid(rate, time, axis=0, initial=0))
 
 
 def step(values: np.ndarray) -> np.ndarray:
-    """Step of the grid on which each column's numbers lie [name]; 0 where they lie on none."""
+    """Step of the grid on which each column's numbers [row, name] lie [name]; 0 where they lie on none."""
     some = values[:: max(1, len(values) // 4000)]
     steps = np.zeros(some.shape[1])
     for i, column in enumerate(some.T):
@@ -70,19 +71,8 @@ def step(values: np.ndarray) -> np.ndarray:
     return steps
 
 
-def delayed(a: np.ndarray, b: np.ndarray, rows: int) -> np.ndarray:
-    """Correlation of a with b so many rows earlier, column by column [name]."""
-    a, b = (a[rows:], b[: len(b) - rows]) if rows else (a, b)
-    return np.diag(match(a, b).correlation)
-
-
-def longest_run(still: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Start and length of the longest run of truths in each column of [row, name]."""
-    _rows, names = still.shape
-    start, length = np.zeros(names, int), np.zeros(names, int)
-    for i in range(names):
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], still[:, i], [False]]).astype(np.int8)))
-        if len(edges):
-            sizes = edges[1::2] - edges[::2]
-            start[i], length[i] = edges[2 * sizes.argmax()], sizes.max()
-    return start, length
+def longest_run(still: np.ndarray) -> tuple[int, int]:
+    """Start and length of the longest run of truths [row]."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
+    sizes = edges[1::2] - edges[::2]
+    return (int(edges[2 * sizes.argmax()]), int(sizes.max())) if len(sizes) else (0, 0)

@@ -23,42 +23,36 @@ def plausible(view: View) -> Iterator[Finding]:
         likely = plausible_unit(value, unit, typical)
         guess = f"; {value:g} {likely[0]} would be {likely[1]:.4g} {unit}" if likely else ""
         remedy = f"write {name}: {likely[1]:.4g}" if likely else f"write {name} in {unit}"
-        yield Finding(ERROR, f"{value:g} {unit} cannot be{guess}", remedy, f"field {name}")
+        yield view.found(ERROR, f"field {name}", f"{value:g} {unit} cannot be{guess}", remedy)
     volts, battery = view.get(("joint", "voltage")), view.metadata.battery
     if battery and volts is not None and (median := float(np.median(volts))) > 2:
         unit = likely_unit(battery / median, "V", 0.3)
         if unit:
             problem = f"{battery:g} V does not fit the measured {median:.4g} V; it looks like {unit}"
-            yield Finding(ERROR, problem, f"write battery: {median:.3g}", "field battery")
+            yield view.found(ERROR, "field battery", problem, f"write battery: {median:.3g}")
 
 
 @check("firmware gain")
 def firmware_gain(view: View) -> Iterator[Finding]:
     """The gain in the columns is not the one in the metadata."""
-    gains, said = view.get(("command", "firmware_gain")), view.metadata.firmware_gain
-    if gains is None or said is None:
+    key, said = ("command", "firmware_gain"), view.metadata.firmware_gain
+    gains = view.get(key)
+    if gains is None or said is None or (np.abs(gains - said) <= 1e-6 * max(1.0, said)).any():
         return
-    if not (np.abs(gains - said) <= 1e-6 * max(1.0, said)).any():
-        problem = f"firmware_gain is {said:g} in the metadata and {gains[0, 0]:g} in the column"
-        remedy = "correct one of them; without the column the metadata's counts for every row"
-        yield Finding(ERROR, problem, remedy, view.column(("command", "firmware_gain"), 0), **view.where(0))
+    problem = f"firmware_gain is {said:g} in the metadata and {gains[0, 0]:g} in the column"
+    remedy = "correct one of them; without the column the metadata's counts for every row"
+    yield view.found(ERROR, (key, 0), problem, remedy, 0)
 
 
 @check("supply and temperature")
 def supply(view: View) -> Iterator[Finding]:
     """Voltage is far from the battery's, or a temperature is none of a servo."""
-    volts, heat = view.get(("joint", "voltage")), view.get(("joint", "temperature"))
     battery = view.metadata.battery
-    for joint in range(len(view.joints)):
-        median = 0.0 if volts is None else float(np.median(volts[:, joint]))
-        if battery and volts is not None and 0 < median <= 30 and not 0.4 < median / battery < 1.8:
+    for key, joint, column in view.columns(("joint", "voltage"), ("joint", "temperature")):
+        median = float(np.median(column))
+        if key[1] == "voltage" and battery and 0 < median <= 30 and not 0.4 < median / battery < 1.8:
             problem = f"the median voltage {median:.4g} V does not fit the battery of {battery:g} V"
-            remedy = "convert it to volts, or correct `battery`"
-            column = view.column(("joint", "voltage"), joint)
-            yield Finding(WARNING, problem, remedy, column, set_aside=True)
-        median = 40.0 if heat is None else float(np.median(heat[:, joint]))
-        if not -10 <= median <= 95 and median <= 150:  # beyond that its bound speaks
+            yield view.found(WARNING, (key, joint), problem, "convert it to volts, or correct `battery`", aside=True)
+        if key[1] == "temperature" and not -10 <= median <= 95 and median <= 150:  # beyond that its bound speaks
             problem = f"the median temperature {median:.4g} C is none of a working servo"
-            remedy = "convert it to degrees Celsius"
-            column = view.column(("joint", "temperature"), joint)
-            yield Finding(WARNING, problem, remedy, column, set_aside=True)
+            yield view.found(WARNING, (key, joint), problem, "convert it to degrees Celsius", aside=True)

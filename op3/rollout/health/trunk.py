@@ -11,7 +11,6 @@ from op3.rollout.health.match import integral, match, step, windows
 from op3.rollout.units import likely_unit
 
 _ORIENTATION, _RATE, _FORCE = ("imu", "orientation"), ("imu", "angular_velocity"), ("imu", "linear_acceleration")
-_G = 9.80665
 
 
 @check("gyroscope against orientation")
@@ -20,47 +19,38 @@ def gyroscope(view: View) -> Iterator[Finding]:
     angles, rate = view.get(_ORIENTATION), view.get(_RATE)
     if angles is None or rate is None or len(view.time) < 20:
         return
-    first, last = windows(view.time)
+    first, last, span = windows(view.time)
     if len(first) < 8:
         return
-    middle = angles[(first + last) // 2]
-    turned = np.diff(np.unwrap(angles, axis=0)[np.stack([first, last])], axis=0)[0]
-    roll, pitch = middle[:, 0], middle[:, 1]
+    roll, pitch, _ = angles[(first + last) // 2].T
+    rolled, pitched, yawed = np.diff(np.unwrap(angles, axis=0)[np.stack([first, last])], axis=0)[0].T
     # body rates of R = Rz(yaw) Ry(pitch) Rx(roll)
-    body = np.stack(
-        [
-            turned[:, 0] - turned[:, 2] * np.sin(pitch),
-            turned[:, 1] * np.cos(roll) + turned[:, 2] * np.sin(roll) * np.cos(pitch),
-            turned[:, 2] * np.cos(roll) * np.cos(pitch) - turned[:, 1] * np.sin(roll),
-        ],
-        axis=1,
-    )
+    about_x = rolled - yawed * np.sin(pitch)
+    about_y = pitched * np.cos(roll) + yawed * np.sin(roll) * np.cos(pitch)
+    body = np.stack([about_x, about_y, yawed * np.cos(roll) * np.cos(pitch) - pitched * np.sin(roll)], axis=1)
     summed = integral(view.time, rate)
     found = match(summed[last] - summed[first], body)
-    span = float(np.median(view.time[last] - view.time[first]))
-    moving = np.flatnonzero(found.size_b > np.maximum(4 * step(angles), 0.08 * span))
     drift, turned_on = summed[-1] / np.ptp(view.time), np.abs(body).max(0) / span
     for axis in np.flatnonzero((np.abs(drift) > 0.25) & (turned_on < 0.05)):
         problem = f"the gyroscope turns at {drift[axis]:.3g} rad/s on average while the orientation stands still"
-        remedy = "look at its unit and its bias"
-        yield Finding(WARNING, problem, remedy, view.column(_RATE, int(axis)))
-    for axis in moving:
+        yield view.found(WARNING, (_RATE, axis), problem, "look at its unit and its bias")
+    for axis in np.flatnonzero(found.size_b > np.maximum(4 * step(angles), 0.08 * span)):
         own, ratio = found.correlation[axis, axis], float(found.ratio[axis, axis])
         other = int(np.abs(found.correlation[:, axis]).argmax())
-        where = view.column(_RATE, int(axis))
         if abs(own) > 0.9 and not 0.5 < ratio < 2:
             unit = likely_unit(ratio, "rad/s")
-            cause = (
-                " with the sign turned round" if abs(ratio + 1) < 0.3 else f", as if it were in {unit}" if unit else ""
-            )
+            cause = f", as if it were in {unit}" if unit else ""
+            cause = " with the sign turned round" if abs(ratio + 1) < 0.3 else cause
             problem = f"the gyroscope reads {ratio:.3g} times the change of orientation per second{cause}"
-            yield Finding(ERROR, problem, "convert it to rad/s in the body frame, or write `scale:`", where)
+            remedy = "convert it to rad/s in the body frame, or write `scale:`"
+            yield view.found(ERROR, (_RATE, axis), problem, remedy)
         elif abs(own) < 0.5 and abs(found.correlation[other, axis]) > 0.95:
             sign = "-" if found.correlation[other, axis] < 0 else ""
             problem = (
                 f"turning about {'xyz'[axis]} shows as {sign}{'xyz'[other]} of the gyroscope: its axes are swapped"
             )
-            yield Finding(ERROR, problem, "name the axes anew, or turn the sensor's frame into the body's", where)
+            remedy = "name the axes anew, or turn the sensor's frame into the body's"
+            yield view.found(ERROR, (_RATE, axis), problem, remedy)
 
 
 @check("gravity")
@@ -70,20 +60,22 @@ def gravity(view: View) -> Iterator[Finding]:
     if force is None:
         return
     size = float(np.median(np.linalg.norm(force, axis=1)))
-    where = view.column(_FORCE, 0)
     if 0.5 < size < 2 or size > 200:
-        unit = "g" if size < 2 else "mg or raw counts"
-        problem = f"the median specific force is {size:.4g} m/s2, which looks like {unit}"
-        yield Finding(ERROR, problem, "convert to m/s2 (a robot at rest reads 9.81)", where, **view.where(0))
-        return
-    if size <= 0.5 and np.ptp(force, axis=0).any():
+        problem = f"the median specific force is {size:.4g} m/s2, which looks like "
+        problem += "g" if size < 2 else "mg or raw counts"
+        yield view.found(ERROR, (_FORCE, 0), problem, "convert to m/s2 (a robot at rest reads 9.81)", 0)
+    elif size <= 0.5 and np.ptp(force, axis=0).any():
         problem = f"the median specific force is {size:.3g} m/s2: gravity was taken out of it"
         for axis in range(3):
-            remedy = "record it with gravity; until then it is not used"
-            yield Finding(WARNING, problem, remedy, view.column(_FORCE, axis), set_aside=True)
-        return
-    if angles is None or not 7 < size < 13:
-        return
+            yield view.found(
+                WARNING, (_FORCE, axis), problem, "record it with gravity; until then it is not used", aside=True
+            )
+    elif angles is not None and 7 < size < 13:
+        yield from _direction(view, force, angles)
+
+
+def _direction(view: View, force: np.ndarray, angles: np.ndarray) -> Iterator[Finding]:
+    """Where gravity is found, against where the orientation says that it is."""
     roll, pitch = angles[:, 0], angles[:, 1]
     up = np.stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=1)
     mean, expected = np.median(force, axis=0), np.median(up, axis=0)
@@ -92,10 +84,9 @@ def gravity(view: View) -> Iterator[Finding]:
         return
     if cosine < -0.9:
         problem = "the accelerometer reads gravity downwards, where its reaction upwards belongs"
-        yield Finding(ERROR, problem, "turn the sign of all three axes round", view.column(_FORCE, 2))
+        yield view.found(ERROR, (_FORCE, 2), problem, "turn the sign of all three axes round")
     else:
-        axis = int(np.abs(mean).argmax())
-        problem = (
-            f"gravity shows on {'xyz'[axis]} of the accelerometer, and the orientation says {np.round(expected, 2)}"
-        )
-        yield Finding(WARNING, problem, "name the axes anew, or turn the sensor's frame into the body's", where)
+        axis = "xyz"[int(np.abs(mean).argmax())]
+        problem = f"gravity shows on {axis} of the accelerometer, and the orientation says {np.round(expected, 2)}"
+        remedy = "name the axes anew, or turn the sensor's frame into the body's"
+        yield view.found(WARNING, (_FORCE, 0), problem, remedy)

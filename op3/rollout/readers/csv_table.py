@@ -3,162 +3,156 @@
 from __future__ import annotations
 
 import csv
-import itertools
+import functools
 import re
-from collections.abc import Iterator
+import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
-from op3.rollout.errors import LogError
+from op3.rollout.errors import LogError, located
 from op3.rollout.guess import guess, guess_all
-from op3.rollout.importing import read_side, side_path
 from op3.rollout.readers.reader import Column, Recording, Stream
-from op3.rollout.readers.text import ending, open_text
+from op3.rollout.readers.text import open_text, unpacked
 
 _NAMES = ("joint", "joint_name", "servo", "motor", "name")
 _KINDS = ("channel", "signal", "variable", "quantity", "field", "key")
 
+Codes = dict[str, int]
+"""Texts of a column by the numbers that stand for them in the table."""
+
 
 class CsvTable:
-    """A table with a header; beside it, its YAML."""
+    """A table with a header; columns that are not ours by name need `columns:` in the YAML beside it."""
 
     title = "CSV, wide or long"
     paths = "<name>.csv"
 
     def claims(self, path: Path) -> bool:
         """By the ending."""
-        return path.is_file() and ending(path) == ".csv"
+        return path.is_file() and unpacked(path).suffix == ".csv"
 
     def read(self, path: Path) -> list[Recording]:
         """One recording."""
-        if not read_side(path).found:
-            remedy = f"write the metadata (joints, robot, mount, rate) to {side_path(path).name} beside it"
-            remedy += f", which `python experiments/import_log.py data={path.name}` proposes"
-            raise LogError("the sidecar is missing", remedy, source=side_path(path))
-        return [recording(path)]
+        with located(source=path):
+            header, table, codes = _parsed(path)
+            return [_long(header, table, codes) if codes else _wide(header, table)]
 
 
-def recording(path: Path) -> Recording:
-    """What a CSV holds; columns that are ours by name are taken as they are, others need `columns:`."""
-    before = 0
+def _parsed(path: Path, commas: bool = False) -> tuple[list[str], np.ndarray, dict[str, Codes]]:
+    """Header, numbers [row, column], and codes of the columns that name a joint or what is measured.
+
+    Cells in quotes may have decimal `commas`, which numpy reads as numbers only where it is told to.
+    """
+    with open_text(path) as lines:
+        header, mark, open_end = _header(lines)
+        named, kinds = ([n for n in header if n.lower() in words][:1] for words in (_NAMES, _KINDS))
+        codes: dict[str, Codes] = {name: {} for name in named + kinds} if named and len(header) > 2 else {}
+        convert: dict[int | str, Callable[[str], float]] = dict.fromkeys(range(len(header)), _number) if commas else {}
+        convert |= {header.index(name): functools.partial(_code, known) for name, known in codes.items()}
+        plain = lines if mark == "," else (line.replace(",", ".") for line in lines)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)  # of a table without rows
+                table = np.loadtxt(
+                    plain,
+                    delimiter=None if mark == " " else mark,
+                    converters=convert or None,
+                    usecols=range(len(header)) if open_end else None,
+                    quotechar='"',
+                    ndmin=2,
+                )
+        except UnicodeError:
+            raise
+        except ValueError as error:
+            if not commas and re.search(r"string '-?\d+,\d", str(error)):
+                return _parsed(path, commas=True)
+            raise _fault(str(error), header) from None
+    if not table.size:
+        raise LogError("there is a header but no row", "write at least one row", row="row 1")
+    if table.shape[1] != len(header):
+        raise _fault("at row 1", header)
+    return header, table, codes
+
+
+def _code(known: Codes, cell: str) -> int:
+    return known.setdefault(cell.strip(), len(known))
+
+
+def _number(cell: str) -> float:
+    return float(cell.replace("_", "?").replace(",", "."))
+
+
+def _fault(said: str, header: list[str]) -> LogError:
+    """What numpy says of a cell that is no number, or of a row with more or fewer cells than those before."""
+    if cell := re.search(r"string '(.*)' to float64 at row (\d+), column (\d+)", said, re.DOTALL):
+        problem = f"{cell[1][:40]!r} is not a number" if cell[1].strip() else "the cell is empty"
+        remedy = "write a number with a decimal point, or leave out the row"
+        return LogError(problem, remedy, row=int(cell[2]) + 1, column=header[min(int(cell[3]), len(header)) - 1])
+    row = re.search(r"at row (\d+)", said)
+    problem, remedy = f"the row has not the {len(header)} cells of the header", "complete it or leave it out"
+    return LogError(problem, f"{remedy} (a file cut short ends like this)", row=int(row[1]) if row else None)
+
+
+def _header(lines: Iterator[str]) -> tuple[list[str], str, bool]:
+    """Names, what separates them, and whether rows end with a separator; passes over remarks and what Excel writes."""
+
+    def skipped(line: str) -> bool:
+        remark = line.startswith("#") and not any(mark in line for mark in ",;\t")
+        return not line.strip(" #\t\r\n,;") or remark or line.lower().startswith("sep=")
+
+    first = next((line for line in lines if not skipped(line)), "").lstrip("# \t")
+    mark = next((m for m in (",", ";", "\t", " ") if m in first.strip()), ",")
     try:
-        with open_text(path) as lines:
-            before, first = next((item for item in enumerate(lines) if not _skipped(item[1])), (0, ""))
-            first = first.lstrip("# \t")
-            mark = next((m for m in (",", ";", "\t", " ") if m in first.strip()), ",")
-            header = [name.strip() for name in next(csv.reader([first], delimiter=mark, strict=True), [])]
-            header = header[:-1] if header[1:] and not header[-1] else header
-            _check_header(header, path)
-            keys = [[n for n in header if n.lower() in words] for words in (_NAMES, _KINDS)]
-            if keys[0] and len(header) > 2:
-                rows = list(_rows(lines, header, mark, before, path))
-                return _long(header, rows, keys[0][0], next(iter(keys[1]), None), path)
-            table = _fast(lines, len(header), mark)
-        if table is None:
-            with open_text(path) as lines:
-                rows = _rows(itertools.islice(lines, before + 1, None), header, mark, before, path)
-                numbers = [[_number(c, n, at, path) for c, n in zip(row, header, strict=True)] for at, row in rows]
-            table = np.array(numbers)
+        header = [name.strip() for name in next(csv.reader([first], delimiter=mark, strict=True), [])]
     except csv.Error as error:
-        raise LogError(f"line {before + 1} is not CSV ({error})", "write plain numbers", source=path) from None
-    columns = {name: table[:, i] for i, name in enumerate(header)}
+        raise LogError(f"the header is not CSV ({error})", "write names and commas", row="header") from None
+    open_end = len(header) > 1 and not header[-1]
+    header = header[:-1] if open_end else header
+    if not header:
+        raise LogError("the file is empty", "write a header and at least one row")
+    if all(re.fullmatch(r"[-+]?[0-9.]+(e[-+]?[0-9]+)?", name) for name in header):
+        remedy = "write the names of the columns into the first line"
+        raise LogError("there is no header, the first row holds numbers", remedy, row=1)
+    for position, name in enumerate(header):
+        if name in header[:position]:
+            raise LogError("the column is there twice", "keep one", column=name, row="header")
+    return header, mark, open_end
+
+
+def _wide(header: list[str], table: np.ndarray) -> Recording:
+    columns = dict(zip(header, table.T, strict=True))
     for name in [n for n in columns if n == "" or n.startswith("Unnamed")]:
         if np.array_equal(columns[name], np.arange(len(table)) + columns[name][0]):
             del columns[name]  # the row numbers that pandas writes
-    time = next((name for name in columns if name == "time"), None) or _clock(columns)
-    if time is None:
-        remedy = "add time [s], or name the column of the time under `columns:`"
-        raise LogError("the required column is missing", remedy, source=path, column="time", row="header")
-    return Recording([Stream(columns[time], columns)], strict=True)
+    clock = None if "time" in columns else _clock(header)
+    return Recording([Stream(table[:, 0], columns)], columns={clock[0]: clock[1]} if clock else {}, strict=True)
 
 
-def _skipped(line: str) -> bool:
-    """Whether a line before the header is none: empty, a remark, or what Excel writes."""
-    remark = line.startswith("#") and not any(mark in line for mark in ",;\t")
-    return not line.strip(" #\t\r\n,;") or remark or line.lower().startswith("sep=")
+def _clock(header: list[str]) -> tuple[str, Column] | None:
+    """The column that holds the time, by its name, and its meaning."""
+    meanings = ((name, guess(name)) for name in header)
+    return next(((name, column) for name, column in meanings if column and column.name == "time"), None)
 
 
-def _check_header(header: list[str], path: Path) -> None:
-    if not header:
-        raise LogError("the file is empty", "write a header and at least one row", source=path)
-    if all(re.fullmatch(r"[-+]?[0-9.]+(e[-+]?[0-9]+)?", name) for name in header):
-        remedy = "write the names of the columns into the first line"
-        raise LogError("there is no header, the first row holds numbers", remedy, source=path, row=1)
-    for position, name in enumerate(header):
-        if name in header[:position]:
-            raise LogError("the column is there twice", "keep one", source=path, column=name, row="header")
-
-
-def _clock(header: list[str] | dict[str, np.ndarray]) -> str | None:
-    """The column that holds the time, by its name."""
-    meanings = {name: guess(name) for name in header}
-    return next((name for name, column in meanings.items() if column and column.name == "time"), None)
-
-
-def _fast(lines: Iterator[str], width: int, mark: str) -> np.ndarray | None:
-    """The table by numpy's parser; None where it is not plainly numbers, which the slow way names."""
-    lines = lines if mark == "," else (line.replace(",", ".") for line in lines)
-    peeked = next((line for line in lines if line.strip()), None)
-    if peeked is None:
-        return None
-    try:
-        table = np.loadtxt(
-            itertools.chain([peeked], lines), delimiter=None if mark == " " else mark, ndmin=2, comments="#"
-        )
-    except (ValueError, IndexError):
-        return None
-    return table if table.shape[1] == width else None
-
-
-def _rows(lines: Iterator[str], header: list[str], mark: str, before: int, path: Path) -> Iterator[tuple[int, list]]:
-    """Every data row with its number from 1; blank lines and comments are passed over."""
-    reader, number = csv.reader(lines, delimiter=mark, skipinitialspace=True, strict=True), 0
-    for cells in reader:
-        if not cells or cells[0].startswith("#"):
-            continue
-        number, line = number + 1, reader.line_num + before + 1
-        if len(cells) == len(header) + 1 and not cells[-1]:
-            cells = cells[:-1]
-        if len(cells) != len(header):
-            problem = f"line {line} has {len(cells)} cells where {len(header)} belong"
-            few = len(cells) < len(header)
-            remedy = "complete or remove the row (a file cut short ends like this)" if few else "remove the rest"
-            column = header[min(len(cells), len(header) - 1)]
-            raise LogError(problem, remedy, source=path, row=number, column=column)
-        yield number, cells
-    if not number:
-        raise LogError("there is a header but no row", "write at least one row", source=path, row="row 1")
-
-
-def _number(cell: str, column: str, row: int, path: Path) -> float:
-    try:
-        if "_" not in cell:
-            return float(cell.replace(",", "."))
-    except ValueError:
-        pass
-    problem = f"{cell[:40]!r} is not a number" if cell.strip() else "the cell is empty"
-    remedy = "write a number with a decimal point, or leave out the row"
-    raise LogError(problem, remedy, source=path, column=column, row=row)
-
-
-def _long(header: list[str], rows: list[tuple[int, list[str]]], name: str, kind: str | None, path: Path) -> Recording:
-    """A stream per joint, or per joint and kind of value; each has the clock of its own rows."""
-    clock = _clock([h for h in header if h not in (name, kind)])
+def _long(header: list[str], table: np.ndarray, codes: dict[str, Codes]) -> Recording:
+    """A stream per joint, or per joint and kind of value; those of the same times are one."""
+    values = [name for name in header if name not in codes]
+    clock = _clock(values)
     if clock is None:
-        raise LogError("no column names a time", "name one `time` [s]", source=path, column="time", row="header")
-    values = [h for h in header if h not in (name, kind, clock)]
-    groups: dict[tuple[str, str], list[list[float]]] = {}
-    for number, cells in rows:
-        by = dict(zip(header, cells, strict=True))
-        place = by[name].strip(), by[kind].strip() if kind else ""
-        groups.setdefault(place, []).append([_number(by[h], h, number, path) for h in (clock, *values)])
+        raise LogError("no column names a time", "name one `time` [s]", column="time", row="header")
+    values.remove(clock[0])
+    told = [header.index(name) for name in codes]
     clocks: dict[bytes, tuple[np.ndarray, dict[str, np.ndarray]]] = {}
-    meanings: dict[str, Column] = {clock: guess(clock) or Column("time")}
-    for (joint, what), lines in groups.items():
-        joint, table = f"joint_{joint}" if joint.isdigit() else joint, np.array(lines)
-        named = {f"{joint}.{what or h}": table[:, i + 1] for i, h in enumerate(values)}
+    meanings: dict[str, Column] = {clock[0]: clock[1]}
+    for group in dict.fromkeys(map(tuple, table[:, told].tolist())):
+        joint, *kind = (list(known)[int(code)] for known, code in zip(codes.values(), group, strict=True))
+        joint = f"joint_{joint}" if joint.isdigit() else joint
+        rows = table[(table[:, told] == group).all(1)]
+        named = {f"{joint}.{(kind or [h])[0] or h}": rows[:, header.index(h)] for h in values}
         meanings |= guess_all(named)
-        clocks.setdefault(table[:, 0].tobytes(), (table[:, 0], {clock: table[:, 0]}))[1].update(named)
+        time = rows[:, header.index(clock[0])]
+        clocks.setdefault(time.tobytes(), (time, {clock[0]: time}))[1].update(named)
     ordered = sorted(clocks.values(), key=lambda item: not any("pos" in column for column in item[1]))
     return Recording([Stream(time, columns) for time, columns in ordered], columns=meanings)

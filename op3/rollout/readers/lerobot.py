@@ -6,7 +6,6 @@ Positions are in degrees, or normalised to a joint's range, which the calibratio
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -16,13 +15,14 @@ import numpy as np
 from op3.rollout.errors import LogError
 from op3.rollout.guess import guess_all
 from op3.rollout.readers.reader import Column, Recording, Stream
+from op3.rollout.readers.text import numbers, read_json
 
 _STEP = 2 * math.pi / 4096
 _FEATURES = {"observation.state": "", "action": "action "}
 
 
 class LeRobot:
-    """A dataset folder, or one of its parquet files."""
+    """A dataset folder."""
 
     title = "LeRobot dataset (needs op3[lerobot])"
     paths = "<folder with meta/info.json>"
@@ -33,33 +33,25 @@ class LeRobot:
 
     def read(self, path: Path) -> list[Recording]:
         """One recording per episode."""
-        info = _json(path / "meta" / "info.json")
-        names = {feature: _names(info, feature, path) for feature in _FEATURES}
+        info = read_json(path / "meta" / "info.json")
         table = _parquet(path, ["timestamp", "episode_index", *_FEATURES])
-        time, episode = (_matrix(table, name, 1, path)[:, 0] for name in ("timestamp", "episode_index"))
+        time, episode = (numbers(table[name], path / "data", name)[:, 0] for name in ("timestamp", "episode_index"))
+        if not len(time):
+            raise LogError("the dataset has no row", "record at least one episode", source=path / "data")
         columns = {}
         for feature, prefix in _FEATURES.items():
-            wide = _matrix(table, feature, len(names[feature]), path)
-            columns |= {prefix + name: wide[:, i] for i, name in enumerate(names[feature])}
+            names = _names(info, feature, path)
+            wide = numbers(table[feature], path / "data", feature, len(names))
+            columns |= {prefix + name: wide[:, i] for i, name in enumerate(names)}
         meanings = guess_all(columns)
         _units(columns, meanings, path)
-        about = dict(robot="real", mount="stand", servo=None, extra={"lerobot": str(info.get("robot_type"))})
+        about = dict(robot="real", mount="stand", extra={"lerobot": str(info.get("robot_type"))})
         recordings = []
         for number in np.unique(episode):
             rows = np.flatnonzero(episode == number)
             part = Stream(time[rows], {name: values[rows] for name, values in columns.items()})
             recordings.append(Recording([part], dict(about), meanings, f"{path.name}/episode_{number:06.0f}"))
         return recordings
-
-
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        content = None
-    if not isinstance(content, dict):
-        raise LogError("the file is no JSON mapping", "copy the dataset again", source=path)
-    return content
 
 
 def _names(info: dict[str, Any], feature: str, path: Path) -> list[str]:
@@ -72,9 +64,11 @@ def _names(info: dict[str, Any], feature: str, path: Path) -> list[str]:
     names = entry.get("names")
     while isinstance(names, dict) and names:
         names = next(iter(names.values()))
+    if isinstance(names, list):
+        return [str(name) for name in names]
     shape = entry.get("shape")
     count = shape[0] if isinstance(shape, list) and shape and isinstance(shape[0], int) else 0
-    return [str(name) for name in names] if isinstance(names, list) else [f"motor_{i}" for i in range(count)]
+    return [f"motor_{i}" for i in range(min(count, 1000))]
 
 
 def _parquet(path: Path, columns: list[str]) -> dict[str, Any]:
@@ -84,32 +78,20 @@ def _parquet(path: Path, columns: list[str]) -> dict[str, Any]:
     except ImportError:
         remedy = "install it with `pip install 'op3[lerobot]'`"
         raise LogError("LeRobot datasets are read with pyarrow, which is missing", remedy, source=path) from None
-    files = sorted((path / "data").rglob("*.parquet"))
     try:
-        tables = [parquet.ParquetFile(file).read(columns=columns) for file in files]
-        return pyarrow.concat_tables(tables).to_pydict()
+        tables = [parquet.ParquetFile(f).read(columns=columns) for f in sorted((path / "data").rglob("*.parquet"))]
+        table = pyarrow.concat_tables(tables).to_pydict()
+        return {name: table[name] for name in columns}
     except (pyarrow.ArrowException, OSError, KeyError, ValueError, MemoryError) as error:
-        problem = f"the parquet files cannot be read ({str(error).splitlines()[0][:120] if str(error) else 'damaged'})"
+        said = " ".join(str(error).split())[:120] or "damaged"
+        problem = f"the parquet files cannot be read ({said})"
         raise LogError(problem, "copy the dataset again", source=path / "data") from None
-
-
-def _matrix(content: dict[str, Any], column: str, width: int, path: Path) -> np.ndarray:
-    """A column's finite numbers [row, width]."""
-    rows = content.get(column, [])
-    try:
-        table = np.array(rows, dtype=float).reshape(len(rows), -1)
-    except (ValueError, TypeError, OverflowError):
-        table = np.zeros((0, 0))
-    if table.shape != (len(rows), width) or not len(rows) or not np.isfinite(table).all():
-        problem = f"the rows do not hold {width} finite number{'s' if width > 1 else ''}, as meta/info.json says"
-        raise LogError(problem, "copy the dataset again", source=path / "data", column=column)
-    return table
 
 
 def _units(columns: dict[str, np.ndarray], meanings: dict[str, Column], path: Path) -> None:
     """Give positions and targets their unit: normalised where the calibration says so, else degrees."""
     file = next((f for f in (path / "calibration.json", path / "meta" / "calibration.json") if f.is_file()), None)
-    calibration = _json(file) if file else {}
+    calibration = read_json(file) if file else {}
     for name, column in meanings.items():
         joint, _, kind = str(column.name).rpartition(".")
         if kind not in ("position", "target"):
@@ -124,5 +106,5 @@ def _units(columns: dict[str, np.ndarray], meanings: dict[str, Column], path: Pa
                 raise LogError(problem, remedy, source=file, column=joint) from None
             # a gripper runs from 0 to 100 over its range, every other joint from -100 to 100
             size = span / 100 if joint == "gripper" else span / 200
-            if span and float(np.abs(columns[name]).max()) <= 100.5:
+            if 0 < size < math.inf and float(np.abs(columns[name]).max()) <= 100.5:
                 meanings[name] = Column(column.name, size, why="normalised to the calibrated range")

@@ -38,10 +38,9 @@ class Npz:
 
     def read(self, path: Path) -> list[Recording]:
         """One recording."""
-        files = sorted(path.glob("*.npz")) if path.is_dir() else [path]
         meanings: dict[str, Column] = {}
         streams, metadata = [], {}
-        for file in files:
+        for file in sorted(path.glob("*.npz")) if path.is_dir() else [path]:
             content = _load(file)
             time = next((content[name] for name in _TIMES if name in content), np.zeros(()))
             if time.ndim not in (1, 2) or time.dtype.kind not in "fiu" or time.size != len(time):
@@ -81,12 +80,11 @@ def _partial(path: Path) -> bool:
 
 def _signals(content: Content, path: Path) -> tuple[Content, dict[str, Column]]:
     """Signals of `mujoco.sysid`: positions, velocities and controls by their kind, sensors by their name."""
-    data = content.get("data", np.zeros(0))
     try:
+        data = content["data"].astype(float)
         mapping = json.loads(str(content["signal_mapping"])).items()
         kinds = {name: int(kind) for name, (kind, index) in mapping if len(index) == 1}
-        numbers = data.astype(float) if data.dtype.kind in "fiub" else np.zeros(0)
-        columns = {name: numbers[:, int(index[0])] for name, (_, index) in mapping if name in kinds}
+        columns = {name: data[:, int(index[0])] for name, (_, index) in mapping if name in kinds}
     except (KeyError, ValueError, TypeError, IndexError, AttributeError, RecursionError, OverflowError):
         remedy = "save it again with TimeSeries.save_to_disk"
         raise LogError("the signal mapping does not fit the data", remedy, source=path) from None

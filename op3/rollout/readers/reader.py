@@ -11,18 +11,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from op3.rollout.rollout import Rollout
+from op3.settings import Number, settings
 
 
-@dataclass(frozen=True)
+@settings("the entry")
 class Column:
-    """What a column of a file means.
-
-    The SI value is ``sign * size of the unit * number + offset``.
+    """What a column of a file means: the SI value is ``sign * size of the unit * number + offset``.
 
     Attributes:
         name: Column of the wide CSV (`elbow.position`, `imu.gyro_x`, `time`); None where it is left out.
@@ -32,10 +31,10 @@ class Column:
         why: What the meaning was guessed from; empty where the file or the user says it.
     """
 
-    name: str | None
-    unit: str | float | None = None
-    sign: int = 1
-    offset: float = 0.0
+    name: str | None = None
+    unit: str | Number | None = None
+    sign: Literal[1, -1] = 1
+    offset: Number = 0.0
     why: str = ""
 
 
@@ -44,7 +43,7 @@ class Stream:
     """Columns that share a clock.
 
     Attributes:
-        time: Time of each row [time] in s.
+        time: Time of each row [time] in s, where no column means `time`.
         columns: Numbers by the column's name in the file, each [time].
     """
 
@@ -61,7 +60,7 @@ class Recording:
         metadata: Fields of `Metadata` that the file tells.
         columns: Meaning of columns where the format tells or hints at it, by their names in the file.
         name: Identity of the recording; the file's name where empty.
-        strict: Whether a column without a meaning is refused; otherwise it is left out.
+        strict: Whether the YAML beside it must be there, and a column without a meaning is refused, not left out.
     """
 
     streams: list[Stream]

@@ -9,14 +9,13 @@ import csv
 import io
 import json
 from pathlib import Path
-
-import numpy as np
+from typing import Any
 
 from op3.rollout.errors import LogError
 from op3.rollout.readers.reader import Recording, Stream
-from op3.rollout.readers.text import read_text
+from op3.rollout.readers.text import numbers, read_text
 
-_STATE = {"positions": "position", "velocities": "velocity", "torques": "load"}
+_KINDS = {"positions": "position", "velocities": "velocity", "torques": "load"}
 _EVERY = ("control.csv", "state_motor.csv", "joint_list.txt")
 
 
@@ -32,39 +31,31 @@ class Sage:
 
     def read(self, path: Path) -> list[Recording]:
         """One recording; torques stay in the recorders' unit."""
-        files = {name: next(iter(sorted(path.glob(f"{name}*"))), path / name) for name in _EVERY}
-        joints = [line.strip() for line in read_text(files["joint_list.txt"]).splitlines() if line.strip()]
-        state = _table(files["state_motor.csv"], joints, _STATE)
-        control = _table(files["control.csv"], joints, {"positions": "target"})
+        control, state, listed = (next(iter(sorted(path.glob(f"{name}*"))), path / name) for name in _EVERY)
+        joints = [line.strip() for line in read_text(listed).splitlines() if line.strip()]
         about = dict(joints=joints, robot="real", mount="stand", motion=path.name)
-        return [Recording([state, control], about)]
+        streams = [_stream(state, joints, _KINDS), _stream(control, joints, {"positions": "target"})]
+        return [Recording(streams, about)]
 
 
-def _table(path: Path, joints: list[str], kinds: dict[str, str]) -> Stream:
+def _stream(path: Path, joints: list[str], kinds: dict[str, str]) -> Stream:
     """A file's lists of numbers as columns."""
     rows = list(csv.DictReader(io.StringIO(read_text(path), newline="")))
     header = list(rows[0]) if rows else []
     for name in ("timestamp", "positions"):
         if name not in header:
             raise LogError("the column is missing", "export it again", source=path, column=name, row="header")
-    time = np.array([_list(row, "timestamp", 1, n, path) for n, row in enumerate(rows)])[:, 0] * 1e-6
+    time = numbers([_listed(row["timestamp"]) for row in rows], path, "timestamp")[:, 0] * 1e-6
     columns = {}
     for name in (name for name in kinds if name in header):
-        table = np.array([_list(row, name, len(joints), n, path) for n, row in enumerate(rows)])
+        table = numbers([_listed(row[name]) for row in rows], path, name, len(joints))
         columns |= {f"{joint}.{kinds[name]}": table[:, i] for i, joint in enumerate(joints)}
     return Stream(time, columns)
 
 
-def _list(row: dict, name: str, width: int, number: int, path: Path) -> list[float]:
-    """The numbers in a cell."""
-    text = row[name] or ""
+def _listed(cell: str | None) -> Any:
+    """The numbers in a cell; the text itself where it is no list."""
     try:
-        values = json.loads(text)
-        values = [float(value) for value in (values if isinstance(values, list) else [values])]
-    except (ValueError, TypeError, RecursionError, OverflowError):
-        values = []
-    if len(values) != width:
-        problem = f"{text[:40]!r} does not hold {width} numbers"
-        remedy = "complete or remove the row, or correct joint_list.txt"
-        raise LogError(problem, remedy, source=path, column=name, row=number + 1)
-    return values
+        return json.loads(cell or "")
+    except (ValueError, RecursionError):
+        return cell

@@ -7,7 +7,6 @@ load of a motor without a file stays in the recorders' unit.
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 from typing import Any
@@ -16,12 +15,9 @@ import numpy as np
 
 from op3.rollout.errors import LogError
 from op3.rollout.readers.reader import Recording, Stream
-from op3.rollout.readers.text import ending, read_bytes
+from op3.rollout.readers.text import numbers, read_bytes, read_json, unpacked
+from op3.rollout.robot_log import find_servo
 from op3.rollout.schema import VOLTAGE
-from op3.rollout.servo_file import bench_table
-
-JOINT = "servo"
-"""The one joint of a servo bench."""
 
 _HEADER = ("mass", "length", "kp", "motor", "trajectory", "entries")
 _NAMES = {"goal_position": "target", "torque_enable": "torque_enable", "position": "position", "speed": "velocity"}
@@ -35,7 +31,7 @@ class ServoBench:
 
     def claims(self, path: Path) -> bool:
         """By the ending."""
-        return path.is_file() and ending(path) == ".json"
+        return path.is_file() and unpacked(path).suffix == ".json"
 
     def holds(self, path: Path) -> bool:
         """Whether it is a recording at all: other JSON may lie beside recordings."""
@@ -45,87 +41,77 @@ class ServoBench:
             return True  # reading it says what is wrong
 
     def read(self, path: Path) -> list[Recording]:
-        """One recording; the rate is the mean number of rows per second."""
-        header, entries = _parse(path)
-        given = entries[0] if isinstance(entries[0], dict) else {}
-        extra = [name for name in given if name not in (*_NAMES, "timestamp") and _is_number(given[name])]
-        table = {name: _numbers(entries, name, path) for name in ("timestamp", *_NAMES, *extra)}
-        time = table.pop("timestamp")
-        columns = {f"{JOINT}.{ours}": table.pop(name) for name, ours in _NAMES.items()}
-        for channel, values in bench_table(str(header["motor"]), table, path).items():
-            scale = _volts(values, header.get("vin"), path) if channel == "voltage" else 1.0
-            columns[f"{JOINT}.{channel}"] = values * scale
-        return [Recording([Stream(time, columns)], _metadata(header, path))]
-
-
-def _parse(path: Path) -> tuple[dict[str, Any], list[Any]]:
-    again = "copy or download the file again"
-    raw = read_bytes(path)
-    try:
-        values = json.loads(raw)
-    except json.JSONDecodeError as error:
-        problem = f"the JSON is broken or cut short at line {error.lineno} ({error.msg})"
-        raise LogError(problem, again, source=path) from None
-    except (ValueError, RecursionError):
-        raise LogError("the file is not JSON", again, source=path) from None
-    if not isinstance(values, dict):
-        remedy = "name a servo-bench recording"
-        raise LogError("the JSON is not a mapping with header and entries", remedy, source=path)
-    for name in _HEADER:
-        if values.get(name) is None:
-            raise LogError("the key is missing", f"add `{name}` to the header", source=path, column=f"field {name}")
-    entries = values["entries"]
-    if not isinstance(entries, list) or not entries:
-        remedy = "record at least one sample"
-        raise LogError("there are no entries", remedy, source=path, column="field entries", row=1)
-    return values, entries
-
-
-def _numbers(entries: list[Any], name: str, path: Path) -> np.ndarray:
-    """One number of every entry, [time]."""
-    numbers = np.empty(len(entries))
-    for row, entry in enumerate(entries):
-        value = entry.get(name) if isinstance(entry, dict) else None
-        where: dict[str, Any] = dict(source=path, column=name, row=row + 1)
-        if value is None:
-            raise LogError("the value is missing", "complete or remove the sample", **where)
-        number = _is_number(value) or (name == "torque_enable" and isinstance(value, bool))
-        if not number or not abs(value) < 1e300:
-            raise LogError(f"{str(value)[:40]!r} is not a finite number", "repair or remove the sample", **where)
-        numbers[row] = value
-    return numbers
+        """One recording."""
+        header = read_json(path)
+        for name in _HEADER:
+            if header.get(name) in (None, []):
+                remedy = f"record it again, or add `{name}`"
+                raise LogError("the key is missing or empty", remedy, source=path, column=f"field {name}")
+        entries = header["entries"] if isinstance(header["entries"], list) else [header["entries"]]
+        first = entries[0] if isinstance(entries[0], dict) else {}
+        more = [name for name in first if name not in _NAMES and isinstance(first[name], int | float)]
+        table = {
+            name: numbers([e.get(name) if isinstance(e, dict) else None for e in entries], path, name)[:, 0]
+            for name in dict.fromkeys(("timestamp", *_NAMES, *more))
+        }
+        channels = {ours: table[name] for name, ours in _NAMES.items()} | _sensed(header, table, path)
+        columns = {f"servo.{channel}": values for channel, values in channels.items()}
+        return [Recording([Stream(table["timestamp"], columns)], _metadata(header, path))]
 
 
 def _metadata(header: dict[str, Any], path: Path) -> dict[str, Any]:
     stamp = re.search(r"(\d{4}-\d\d-\d\d)_(\d\d)h(\d\d)m(\d\d)", path.name)
     known = {k: v for k, v in header.items() if k not in (*_HEADER, "vin") and isinstance(v, bool | int | float | str)}
+    names = {"mass": "mass", "length": "length", "battery": "vin", "servo": "motor", "firmware_gain": "kp"}
     return dict(
-        joints=[JOINT],
+        {ours: header.get(theirs) for ours, theirs in names.items()},
+        joints=["servo"],
         robot="rig",
         mount="pendulum",
-        mass=header["mass"],
-        length=header["length"],
-        battery=header.get("vin"),
-        servo=header["motor"],
-        firmware_gain=header["kp"],
         motion=header["trajectory"],
         date=f"{stamp[1]}T{stamp[2]}:{stamp[3]}:{stamp[4]}" if stamp else None,
         extra=known,
     )
 
 
+def _sensed(header: dict[str, Any], table: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]:
+    """Channels in SI of what was read beside position and speed; a reading that is zero throughout was not taken."""
+    make = find_servo(str(header["motor"]))
+    recorded = None if make is None else make.recorded
+    read = {name: values for name, values in table.items() if values.any()}
+    found = {}
+    if "input_volts" in read:
+        found["voltage"] = read["input_volts"] * _volts(read["input_volts"], header.get("vin"), path)
+    if "temp" in read and (recorded is None or "temp" in recorded):
+        found["temperature"] = read["temp"]
+    if "load" in read and recorded is None:
+        found["load"] = read["load"]
+    elif "load" in read and make is not None and make.counts.duty and "load" in (recorded or ()):
+        found["duty"] = _signed(read["load"], path) / make.counts.duty.si
+    if "current" in read:
+        found["current"] = read["current"]
+    if "control" in read and make is not None and make.loop == "current":
+        found["current"] = read["control"]
+    return found
+
+
+def _signed(values: np.ndarray, path: Path) -> np.ndarray:
+    """16-bit two's complement read as unsigned, made signed."""
+    wrong = (values != np.round(values)) | (values < -32768) | (values > 65535)
+    if wrong.any():
+        row = int(wrong.argmax())
+        problem = f"{values[row]:g} is not a 16-bit register value"
+        raise LogError(problem, "write the raw register", source=path, column="load", row=row + 1)
+    return np.where(values > 32767, values - 65536, values)
+
+
 def _volts(volts: np.ndarray, supply: Any, path: Path) -> float:
-    """1 for volts or 0.1 for tenths, whichever brings the median nearer to the supply."""
+    """1 for volts or 0.1 for tenths, whichever brings the median near the supply."""
     median = float(np.median(volts))
-    if not _is_number(supply) or not supply > 0:
+    if not isinstance(supply, int | float) or not supply > 0:
         return 1.0 if median <= VOLTAGE.bound else 0.1
-    scales = [scale for scale in (1.0, 0.1) if supply / 2 < median * scale < supply * 2]
-    if not scales:
-        problem = f"the median {median:g} fits the supply of {supply:g} V neither in V nor in 0.1 V"
-        remedy = "correct `vin` or convert the readings to volts"
-        raise LogError(problem, remedy, source=path, column="input_volts", row=1)
-    return scales[0]
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    for scale in (1.0, 0.1):
+        if supply / 2 < median * scale < supply * 2:
+            return scale
+    problem = f"the median {median:g} fits the supply of {supply:g} V neither in V nor in 0.1 V"
+    raise LogError(problem, "correct `vin` or convert the readings to volts", source=path, column="input_volts", row=1)

@@ -1,4 +1,4 @@
-"""Reading files whole or line by line, packed or not, with one sentence where that fails."""
+"""Reading files whole or line by line, packed or not, and numbers in them, with one sentence where that fails."""
 
 from __future__ import annotations
 
@@ -7,10 +7,14 @@ import contextlib
 import gzip
 import io
 import itertools
+import json
 import lzma
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from op3.rollout.errors import LogError
 
@@ -20,16 +24,9 @@ _MOST = 1 << 30
 """No log is so large when unpacked [B]; a few bytes can be packed so that they fill the memory."""
 
 
-def ending(path: Path) -> str:
-    """The ending without that of the packer: `.csv` for `run.csv.xz`."""
-    return (path.with_suffix("") if path.suffix in _PACKED else path).suffix
-
-
-def stem(path: Path) -> str:
-    """The name without endings: `run` for `run.csv.xz`; folders keep their dots."""
-    if path.is_dir():
-        return path.name
-    return (path.with_suffix("") if path.suffix in _PACKED else path).stem
+def unpacked(path: Path) -> Path:
+    """The path without the packer's ending: `run.csv` for `run.csv.xz`."""
+    return path.with_suffix("") if path.suffix in _PACKED else path
 
 
 @contextlib.contextmanager
@@ -73,3 +70,42 @@ def read_text(path: Path) -> str:
     if not text.strip():
         raise LogError("the file is empty", "write a header and at least one row", source=path)
     return text
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """The mapping in a JSON file."""
+    again = "copy or download the file again"
+    try:
+        content = json.loads(read_bytes(path))
+    except json.JSONDecodeError as error:
+        problem = f"the JSON is broken or cut short at line {error.lineno} ({error.msg})"
+        raise LogError(problem, again, source=path) from None
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, LogError):
+            raise
+        raise LogError("the file is not JSON", again, source=path) from None
+    if not isinstance(content, dict):
+        raise LogError("the JSON is not a mapping", "name a file of the format", source=path)
+    return content
+
+
+def numbers(cells: Sequence[Any], source: Path, column: str, width: int = 1) -> np.ndarray:
+    """Cells of a column as finite numbers [row, width]; the first that does not hold them is named by its row."""
+    table = _table(cells, width)
+    if table is not None:
+        return table
+    row = next((row for row, cell in enumerate(cells) if _table([cell], width) is None), 0)
+    wanted = "is not a finite number" if width == 1 else f"does not hold {width} finite numbers"
+    problem = "the value is missing" if cells[row] is None else f"{str(cells[row])[:40]!r} {wanted}"
+    raise LogError(problem, "complete, repair or remove the row", source=source, column=column, row=row + 1)
+
+
+def _table(cells: Sequence[Any], width: int) -> np.ndarray | None:
+    try:
+        table = np.array(cells)
+    except (ValueError, OverflowError, MemoryError):
+        return None
+    if table.dtype.kind not in "fiub" or table.size != len(cells) * width or (np.abs(table) > 1e300).any():
+        return None
+    table = table.reshape(len(cells), width).astype(float)
+    return table if np.isfinite(table).all() else None
