@@ -26,12 +26,6 @@ A parameter may differ from joint to joint unless it belongs to the whole robot.
 chosen in `model.yaml` and never searched.
 """
 
-SIZES = """\
-What the diagnosis looks for: *size* is the parameter that says how strong an effect is, *smallest* the size below which
-it does not matter. Effects of one *alias class* cannot be told apart without a special experiment. *Who* may have it:
-the whole robot, all joints alike (shared), one joint, or one side.
-"""
-
 
 def page() -> str:
     """The whole page as Markdown."""
@@ -46,23 +40,7 @@ def page() -> str:
         for e in effects
     ]
     parts = [INTRODUCTION, table(("effect", "stage", "equation", "parameters"), rows)]
-    sizes = table(
-        ("effect", "size", "unit", "smallest", "alias class", "who"), [size_row(e) for e in effects if e.size]
-    )
-    return "\n".join([*parts, SIZES, sizes, *map(section, effects)])
-
-
-def size_row(effect: type[Effect]) -> tuple[str, ...]:
-    """What the diagnosis asks first of an effect."""
-    unit = next(p.unit for p in effect.parameters if p.name == effect.size)
-    return (
-        f"[{effect.name}](#{effect.name})",
-        f"`{effect.size}`",
-        "" if unit == "-" else unit,
-        f"{effect.smallest:g}",
-        effect.alias_class,
-        ", ".join(effect.scopes),
-    )
+    return "\n".join([*parts, *map(section, effects)])
 
 
 def section(effect: type[Effect]) -> str:
@@ -73,6 +51,7 @@ def section(effect: type[Effect]) -> str:
     if effect.edits:
         facts.append(f"- changes in the MuJoCo model: {', '.join(dict.fromkeys(f'`{e.field}`' for e in effect.edits))}")
     if effect.fingerprint:
+        facts.append(f"- who may have it: {', '.join(effect.scopes)}")
         facts.append(f"- shows: {effect.fingerprint}")
         facts.append(f"- mistaken for: {', '.join(f'[{name}](#{name})' for name in effect.confounders)}")
         facts.append(f"- told apart by: {effect.separating_experiment}")

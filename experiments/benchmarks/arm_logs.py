@@ -18,6 +18,7 @@ from torch import Tensor
 
 from op3.identify.prediction_score import predict_logs
 from op3.identify.refine import refine
+from op3.identify.sensitivity import Box
 from op3.robot import load_robot
 from op3.rollout import Rollout, read_logs
 from op3.servo import RobotModel, effect_class
@@ -152,11 +153,9 @@ def fit(model: RobotModel, logs: Sequence[Rollout], searched: Sequence[str]) -> 
             return windows.residuals(values, len(unit))
 
         start = {name: model.estimate(name).value for name in bounds}
-        found = refine(residuals, bounds, [start], max_iterations=12)
+        found = refine(residuals, Box.of(bounds), [start], max_iterations=12)
         model = model.with_values(found.values)
-        print(
-            f"  left of the fitted runs {1e3 * found.loss**0.5:.1f} mrad, robust, after {found.evaluations}", flush=True
-        )
+        print(f"  left of the fitted runs {1e3 * found.loss**0.5:.1f} mrad, robust", flush=True)
     return model
 
 

@@ -69,15 +69,15 @@ def back_drive(model: RobotModel, position: Array, commands: Mapping[str, Array]
     for _ in range(round(SETTLE / OP3_CONTROL_PERIOD)):
         simulation.advance()
     joint, sign = turned[which], np.where(way, -1.0, 1.0)
-    angle = simulation.batch.bind("qpos")[:, simulation.ports.qpos]
+    qpos, turning = simulation.batch.bind("qpos"), simulation.ports.qpos[joint]
     everyone = np.arange(rows)
-    start, twist = angle[everyone, joint].copy(), _Twist(simulation, joint)
+    start, twist = qpos[everyone, turning], _Twist(simulation, joint)
     grown = RATE * OP3_CONTROL_PERIOD * np.arange(1, round(MOST / RATE / OP3_CONTROL_PERIOD) + 1)
     moved = np.zeros((len(grown), int(rows)))
     for step, size in enumerate(grown):
         twist.apply(sign * size)
         simulation.advance()
-        moved[step] = sign * (angle[everyone, joint] - start)
+        moved[step] = sign * (qpos[everyone, turning] - start)
         if (moved[step] >= FITTED).all():
             grown, moved = grown[: step + 1], moved[: step + 1]
             break

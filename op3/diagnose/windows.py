@@ -22,8 +22,9 @@ from op3.servo import RobotModel
 from op3.servo.conditions import split_name
 from op3.servo.effects import CurrentPD, Motor
 from op3.sim import MeasuredMotion, TrajectoryDynamics, Window, WindowSimulation
+from op3.sim.edits import ROTOR
 from op3.sim.held_base import FixedBase, PendulumBase, fixed_base
-from op3.sim.window_simulation import MISREADING, ROTOR, ZERO
+from op3.sim.window_simulation import MISREADING, ZERO
 
 LENGTH = 0.2
 """Length of a window [s]."""

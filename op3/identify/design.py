@@ -5,14 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from op3.identify.loss import TrajectoryLoss
+from op3.identify.sensitivity import Array, Box
 from op3.robot import Motion
 from op3.servo import RobotModel
 from op3.tasks import Replay, simulate_motion
-
-Array = NDArray[np.float64]
 
 NOISE: Mapping[tuple[str, str], float] = {
     ("imu", "orientation"): 0.01,
@@ -45,12 +43,9 @@ WIDTH = 2 * 1.6449
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A motion on a mount, and what it would tell.
+    """A motion of the library on a mount, its duration [s], and what it would tell.
 
     Attributes:
-        name: of the motion in the library.
-        mount: ``floor`` or ``stand``.
-        duration: of the motion [s].
         information: ``[parameter, parameter]``, per range squared.
     """
 
@@ -65,8 +60,6 @@ class Step:
     """One recording of a plan.
 
     Attributes:
-        name: of the motion.
-        mount: where.
         seconds: of robot time up to and with this recording [s].
         widths: of the 90 % intervals after it, as a share of the range, by parameter.
     """
@@ -84,8 +77,6 @@ def information(
     bounds: Mapping[str, tuple[float, float]],
     *,
     joints: Sequence[str] = (),
-    noise: Mapping[tuple[str, str], float] = NOISE,
-    correlation_time: float = CORRELATION_TIME,
 ) -> Array:
     """Fisher information of one recording about parameters, in units of their ranges.
 
@@ -97,9 +88,7 @@ def information(
         motion: what is played.
         mount: where.
         bounds: range by parameter name.
-        joints: joints whose traces count; all where empty.
-        noise: standard deviation by channel; channels that are not named do not count.
-        correlation_time: time within which rows count as one sample [s].
+        joints: whose traces count; all where empty.
 
     Returns:
         ``[parameter, parameter]``.
@@ -110,23 +99,22 @@ def information(
     log = simulate_motion(model, motion, mount)
     if log.metadata.fallen:
         raise ValueError(f"the robot falls in motion {motion.name!r} with this model; leave the motion out")
-    low = np.array([ends[0] for ends in bounds.values()])
-    span = np.array([ends[1] for ends in bounds.values()]) - low
-    unit = np.clip((np.array([model.estimate(name).value for name in bounds]) - low) / span, 0.0, 1.0)
+    box = Box.of(bounds)
+    unit = box.unit({name: model.estimate(name).value for name in bounds})
     forward, backward = np.minimum(unit + STEP, 1.0), np.maximum(unit - STEP, 0.0)
     eye = np.eye(len(unit))
-    points = low + span * np.concatenate([unit + eye * (forward - unit), unit + eye * (backward - unit)])
+    points = box.low + box.span * np.concatenate([unit + eye * (forward - unit), unit + eye * (backward - unit)])
     values = {name: torch.from_numpy(points[:, i].copy()) for i, name in enumerate(bounds)}
     prediction = Replay([log]).run(model, values, len(points))[0]
     if bool(prediction.failed.any()):
         raise ValueError(f"a simulation of motion {motion.name!r} diverged next to this model; leave the motion out")
-    count = max(1.0, correlation_time * log.metadata.rate)
+    count = max(1.0, CORRELATION_TIME * log.metadata.rate)
     result = np.zeros((len(unit), len(unit)))
     for key, difference in TrajectoryLoss(tuple(joints)).differences(prediction).items():
-        if key in noise:
+        if key in NOISE:
             moved = difference.flatten(1).numpy()
             jacobian = (moved[: len(unit)] - moved[len(unit) :]) / (forward - backward)[:, None]
-            result += jacobian @ jacobian.T / (noise[key] ** 2 * count)
+            result += jacobian @ jacobian.T / (NOISE[key] ** 2 * count)
     return result
 
 
@@ -140,7 +128,6 @@ def choose(
     overhead: float = 5.0,
     mount_change: float = 60.0,
     repeats: int = 2,
-    prior: Array | None = None,
     progress: Callable[[Step], None] | None = None,
 ) -> list[Step]:
     """Take greedily the recording that gains most per second of robot time, until the time is used up.
@@ -157,39 +144,36 @@ def choose(
         overhead: robot time for each recording beside its duration [s].
         mount_change: robot time for moving the robot to another mount [s].
         repeats: a motion is recorded at most so often.
-        prior: information that there is already, beside that of the ranges.
         progress: called with every step.
 
     Raises:
         ValueError: if there is no candidate, a wanted parameter is unknown, or the criterion is.
     """
     unknown = [name for name in wanted if name not in names]
-    if unknown or not wanted or not candidates:
-        what = (
-            f"unknown parameter {unknown[0]!r}; there are {', '.join(names)}" if unknown else "nothing to choose from"
-        )
-        raise ValueError(f"design: {what}")
+    if unknown:
+        raise ValueError(f"design: unknown parameter {unknown[0]!r}; there are {', '.join(names)}")
+    if not wanted or not candidates:
+        raise ValueError("design: there is nothing to choose from")
     if criterion not in ("D", "A"):
         raise ValueError(f"design: criterion must be D or A, got {criterion!r}")
     places = [list(names).index(name) for name in wanted]
-    known = np.eye(len(names)) * PRIOR + (0.0 if prior is None else prior)
+    known = np.eye(len(names)) * PRIOR
     steps: list[Step] = []
-    used, mount, counts = 0.0, None, dict.fromkeys(range(len(candidates)), 0)
+    used, mount, left = 0.0, None, [candidate for candidate in candidates for _ in range(repeats)]
     while True:
-        best, best_rate, best_cost = None, -np.inf, 0.0
-        for number, candidate in enumerate(candidates):
+        rated: list[tuple[float, float, Candidate]] = []
+        for candidate in left:
             cost = candidate.duration + overhead + (mount_change if mount not in (None, candidate.mount) else 0.0)
-            if counts[number] >= repeats or (steps and used + cost > seconds):
+            if steps and used + cost > seconds:
                 continue
             gain = _value(known + candidate.information, places, criterion) - _value(known, places, criterion)
-            if gain / cost > best_rate:
-                best, best_rate, best_cost = number, gain / cost, cost
-        if best is None:
+            rated.append((gain / cost, cost, candidate))
+        if not rated:
             return steps
-        chosen = candidates[best]
-        counts[best] += 1
+        _, cost, chosen = max(rated, key=lambda one: one[0])
+        left.remove(chosen)
         known = known + chosen.information
-        used, mount = used + best_cost, chosen.mount
+        used, mount = used + cost, chosen.mount
         steps.append(Step(chosen.name, chosen.mount, used, widths(known, names)))
         if progress is not None:
             progress(steps[-1])

@@ -56,7 +56,6 @@ def identifiability(
     blocks: Sequence[np.ndarray],
     channels: Mapping[str, np.ndarray],
     intervals: Mapping[str, tuple[float, float]],
-    share: float = SHARE,
 ) -> Identifiability:
     """Whiten the sensitivity matrix with the noise of each channel and look at its singular values.
 
@@ -65,31 +64,28 @@ def identifiability(
         blocks: indices of residuals that belong together; those of different blocks are taken as independent.
         channels: indices of the residuals of each channel.
         intervals: low and high of each parameter's interval.
-        share: of the range that the interval of an identifiable parameter stays below.
     """
     noise = {name: noise_scale(sensitivity.residual, index, blocks) for name, index in channels.items()}
     whitened = sensitivity.jacobian.copy()
     for name, index in channels.items():
         whitened[index] /= noise[name]
     _, values, directions = np.linalg.svd(whitened, full_matrices=False)
-    widths = {
-        name: float((intervals[name][1] - intervals[name][0]) / sensitivity.span[i])
-        for i, name in enumerate(sensitivity.names)
-    }
-    ended = [name for name, unit in zip(sensitivity.names, sensitivity.unit, strict=True) if at_bound(unit)]
+    names, span = sensitivity.box.names, sensitivity.box.span
+    widths = {name: float(intervals[name][1] - intervals[name][0]) / span[i] for i, name in enumerate(names)}
+    ended = [name for name, unit in zip(names, sensitivity.unit, strict=True) if at_bound(unit)]
     return Identifiability(
-        names=sensitivity.names,
+        names=names,
         noise=noise,
         singular_values=values,
         directions=directions,
         correlation=_correlation(values, directions),
         widths=widths,
         at_bound=ended,
-        identifiable={name: bool(width < share) and name not in ended for name, width in widths.items()},
+        identifiable={name: bool(width < SHARE) and name not in ended for name, width in widths.items()},
         unknown=[
-            in_words(sensitivity.names, direction)
+            in_words(names, direction)
             for value, direction in zip(values[::-1], directions[::-1], strict=True)
-            if value * share < WIDTH
+            if value * SHARE < WIDTH
         ],
     )
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import optuna
@@ -11,14 +12,16 @@ from torch import Tensor
 from op3.identify.identifiability import Identifiability, identifiability
 from op3.identify.intervals import followed_from_bounds, intervals_of
 from op3.identify.loss import TrajectoryLoss, position_error
-from op3.identify.polish import polish as polish_off
+from op3.identify.polish import Polished, polish
 from op3.identify.problem import Problem
 from op3.identify.refine import refine
+from op3.identify.sensitivity import Box, Residuals
 from op3.identify.study import Outcome
 from op3.identify.surrogate import MOST_POINTS, explore
 from op3.rollout import LogError, Rollout
 from op3.servo import Estimate, RobotModel
 from op3.servo.conditions import split_name
+from op3.settings import Count, Whole, settings
 from op3.tasks import Prediction, Replay
 from op3.tasks.setups import BENCH_CONTROL_PERIOD
 
@@ -101,6 +104,60 @@ def check_unseen(logs: Sequence[Rollout], heldout: Sequence[Rollout]) -> None:
                 )
 
 
+@settings("refine")
+class Refine:
+    """What follows the trials of a study.
+
+    Attributes:
+        rounds: of a search with a surrogate of the residuals, which begins with the trials.
+        batch: points simulated per round.
+        seed: of what the rounds draw.
+        starts: how many of the best points least squares starts from.
+        max_iterations: of least squares.
+        polish: Gauss-Newton steps along combinations of parameters, last of all.
+    """
+
+    rounds: Whole = 0
+    batch: Count = 12
+    seed: Whole = 0
+    starts: Whole = 0
+    max_iterations: Count = 25
+    polish: Whole = 0
+
+
+def _check_name(name: str, model: RobotModel, logs: Sequence[Rollout]) -> None:
+    """Refuse what cannot be searched in these logs from this model."""
+    base, condition = split_name(name)
+    known = model.parameters()
+    if base not in known:
+        raise ValueError(
+            f"group asks for {name!r}, but no effect of the model has it; effects on: {', '.join(model.effect_names)}."
+            " Switch its effect on in the model, or leave the group out"
+        )
+    estimate, joint = model.estimate(base), condition and condition.joint
+    if condition is not None and joint is None and estimate.joints:
+        raise ValueError(
+            f"{name!r}: the model has values of {base} for {', '.join(estimate.joints)}, which a search under"
+            " conditions of logs would discard; remove them from the model file or leave the parameter out of"
+            " the search"
+        )
+    if joint is None:
+        return
+    if not known[base].per_joint:
+        raise ValueError(f"{name!r}: {base} is a quantity of the whole robot; leave it out of `per_joint`")
+    for log in logs:
+        if joint not in log.joints:
+            raise ValueError(
+                f"{name!r}: {log.metadata.recording} has no joint {joint!r}, it has {', '.join(log.joints)};"
+                " choose some of them by `joints`"
+            )
+    if estimate.by:
+        raise ValueError(
+            f"{name!r}: the model has values of {base} under conditions of logs, which cannot be searched per joint"
+            " too; remove them from the model file or leave the parameter out of `per_joint`"
+        )
+
+
 class Identification:
     """Identifies the parameters of one model from logs.
 
@@ -128,23 +185,8 @@ class Identification:
         label: str = "model",
         bench_timestep: float = BENCH_CONTROL_PERIOD,
     ):
-        known = model.parameters()
         for name in names:
-            if split_name(name)[0] not in known:
-                raise ValueError(
-                    f"group asks for {name!r}, but no effect of the model has it; effects on: "
-                    f"{', '.join(model.effect_names)}. Switch its effect on in the model, or leave the group out"
-                )
-        for name in names:
-            base, condition = split_name(name)
-            if condition is not None and condition.joint is not None:
-                self._check_joint(name, condition.joint, model, logs)
-            elif condition is not None and model.estimate(base).joints:
-                raise ValueError(
-                    f"{name!r}: the model has values of {base} for {', '.join(model.estimate(base).joints)}, which a"
-                    " search under conditions of logs would discard; remove them from the model file or leave the"
-                    " parameter out of the search"
-                )
+            _check_name(name, model, logs)
         check_unseen(logs, heldout)
         self.names = tuple(names)
         self.label = label
@@ -155,23 +197,6 @@ class Identification:
         self._evaluated = 0
         # one batch of all logs costs little more than one of the fitted ones alone
         self._all = Problem(model, [*logs, *heldout], self.loss, bench_timestep=bench_timestep)
-
-    @staticmethod
-    def _check_joint(name: str, joint: str, model: RobotModel, logs: Sequence[Rollout]) -> None:
-        base = split_name(name)[0]
-        if not model.parameters()[base].per_joint:
-            raise ValueError(f"{name!r}: {base} is a quantity of the whole robot; leave it out of `per_joint`")
-        for log in logs:
-            if joint not in log.joints:
-                raise ValueError(
-                    f"{name!r}: {log.metadata.recording} has no joint {joint!r}, it has {', '.join(log.joints)};"
-                    " choose some of them by `joints`"
-                )
-        if model.estimate(base).by:
-            raise ValueError(
-                f"{name!r}: the model has values of {base} under conditions of logs, which cannot be searched per joint"
-                " too; remove them from the model file or leave the parameter out of `per_joint`"
-            )
 
     def check(self) -> None:
         """Find out before the first trial whether the model can be simulated and compared on every log.
@@ -188,109 +213,85 @@ class Identification:
     def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[Outcome]:
         """Losses of trials whose parameters are config keys, as the study asks them."""
         self._evaluated += len(population)
-        stripped = [{key.removeprefix(PREFIX): value for key, value in trial.items()} for trial in population]
-        return self.problem.evaluate(stripped)
+        return self.problem.evaluate([self._values(trial) for trial in population])
 
     def finish(
-        self,
-        study: optuna.Study,
-        *,
-        starts: int = 0,
-        max_iterations: int = 25,
-        rounds: int = 0,
-        batch: int = 12,
-        polish: int = 0,
-        seed: int = 0,
-        progress: Callable[[int, float], None] | None = None,
+        self, study: optuna.Study, *, progress: Callable[[int, float], None] | None = None, **refine: Any
     ) -> Fit:
-        """Choose the best trial, search on from the trials and refine the best by least squares if asked, and score it.
+        """Choose the best trial of a finished study, search on from there as `Refine` says, and score what is found.
 
         Args:
             study: finished.
-            starts: how many of the best trials least squares starts from; 0 for no refinement.
-            max_iterations: of least squares.
-            rounds: of a search with a surrogate of the residuals, before least squares; it begins with the trials.
-            batch: points simulated per round.
-            polish: Gauss-Newton steps along combinations of parameters, last of all.
-            seed: of what the rounds draw.
             progress: called with iteration and loss.
+            refine: fields of `Refine`.
 
         Raises:
             ValueError: if no trial of the study completed.
         """
-        if starts < 0 or max_iterations < 1 or rounds < 0 or batch < 1 or polish < 0:
-            raise ValueError(
-                "refine: starts, rounds and polish must be at least 0, max_iterations and batch 1,"
-                f" got {starts}, {rounds}, {polish}, {max_iterations} and {batch}"
-            )
+        how = Refine(**refine)
         complete = sorted(
             (t for t in study.trials if t.state == optuna.trial.TrialState.COMPLETE), key=lambda t: t.value or 0.0
         )
         if not complete:
             raise ValueError("no trial of the study completed: every simulation failed; check the log and the model")
-        candidates = [self._values(trial) for trial in complete[: max(starts, MOST_POINTS if rounds else 1)]]
-        best, values = complete[0].value or 0.0, candidates[0]
-        ranges = {key.removeprefix(PREFIX): d for key, d in complete[0].distributions.items()}
+        ranges = self._values(complete[0].distributions)
         bounds = {name: (float(ranges[name].low), float(ranges[name].high)) for name in self.names}
-        refined: list[float] = []
-        curvature: np.ndarray | None = None
-        there: np.ndarray | None = None
-        residuals = self._residuals(bounds)
-        failed_loss = self.loss.failed_loss(len(self.problem.replay.logs))
-        if rounds:
-            low = np.array([bounds[name][0] for name in self.names])
-            span = np.array([bounds[name][1] for name in self.names]) - low
-            points = (np.array([[c[name] for name in self.names] for c in candidates]) - low) / span
-            known = self.problem.residuals_of(candidates).numpy()
-            found = explore(
-                residuals, points, known, rounds=rounds, batch=batch, seed=seed, failed_loss=failed_loss,
-                progress=progress,
-            )  # fmt: skip
-            refined += found.history
-            curvature, there = found.curvature, found.residual
-            best = float(found.losses[0])
-            candidates = [dict(zip(self.names, (low + u * span).tolist(), strict=True)) for u in found.points]
-            values = candidates[0]
-        if starts:
-            result = refine(residuals, bounds, candidates[:starts], max_iterations=max_iterations, progress=progress)
-            refined += result.history[1:] if rounds else result.history
-            if result.loss < best:
-                values, there = result.values, None
-        polished = polish_off(
-            residuals,
-            bounds,
-            values,
-            steps=polish,
-            curvature=curvature,
-            known=there,
-            failed_loss=failed_loss,
-            progress=progress,
-        )
+        residuals = self.problem.residual_function(Box.of(bounds))
+        polished, refined = self._search_on(complete, Box.of(bounds), residuals, how, progress)
         values, sensitivity = polished.values, polished.sensitivity
-        refined += polished.history[1:] if refined or not polish else polished.history
         fit, heldout = self.score(values)
         blocks, channels = self._blocks(fit.predictions)
         intervals = followed_from_bounds(residuals, sensitivity, intervals_of(sensitivity, blocks))
         model = self.problem.model.moved({name: Estimate(values[name], *intervals[name]) for name in self.names})
         model = model.with_values(_for_other_conditions(model, self.names))
         fitted = [log.fingerprint() for log in self.problem.replay.logs]
-        model = replace(model, provenance={**model.provenance, "fitted_logs": fitted})
-        trials = [np.nan if t.value is None else float(t.value) for t in study.trials]
+        # trials that other processes evaluated count as well
+        elsewhere = max(0, len(study.trials) - self._evaluated)
         return Fit(
             label=self.label,
-            model=model,
+            model=replace(model, provenance={**model.provenance, "fitted_logs": fitted}),
             found=self.names,
             fit=fit,
             heldout=heldout,
             bounds=bounds,
             starts={name: self.problem.model.estimate(name).value for name in self.names},
-            trials=trials,
+            trials=[np.nan if t.value is None else float(t.value) for t in study.trials],
             refined=refined,
             identifiability=identifiability(sensitivity, blocks, channels, intervals),
-            # trials that other processes evaluated count as well
-            simulated_seconds=self.problem.simulated_seconds
-            + self.problem.replay.seconds * max(0, len(trials) - self._evaluated),
+            simulated_seconds=self.problem.simulated_seconds + self.problem.replay.seconds * elsewhere,
         )
+
+    def _search_on(
+        self,
+        trials: Sequence[optuna.trial.FrozenTrial],
+        box: Box,
+        residuals: Residuals,
+        how: Refine,
+        progress: Callable[[int, float], None] | None,
+    ) -> tuple[Polished, list[float]]:
+        """Where the search from these trials, the best first, ends, and the losses on the way."""
+        candidates = [self._values(t.params) for t in trials[: max(how.starts, MOST_POINTS if how.rounds else 1)]]
+        best, values, history = trials[0].value or 0.0, candidates[0], []
+        common = {"failed_loss": self.loss.failed_loss(len(self.problem.replay.logs)), "progress": progress}
+        known: dict[str, np.ndarray] = {}
+        if how.rounds:
+            points, first = np.array([box.unit(c) for c in candidates]), self.problem.residuals_of(candidates).numpy()
+            explored = explore(residuals, points, first, rounds=how.rounds, batch=how.batch, seed=how.seed, **common)
+            history += explored.history
+            known = {"curvature": explored.curvature, "known": explored.residual}
+            best, candidates = float(explored.losses[0]), [box.values(unit) for unit in explored.points]
+            values = candidates[0]
+        if how.starts:
+            descended = refine(
+                residuals, box, candidates[: how.starts], max_iterations=how.max_iterations, progress=progress
+            )
+            history += descended.history[1:] if how.rounds else descended.history
+            if descended.loss < best:
+                values = descended.values
+                known.pop("known", None)
+        polished = polish(residuals, box, values, steps=how.polish, **known, **common)
+        history += polished.history[1:] if history or not how.polish else polished.history
+        return polished, history
 
     def score(self, values: Mapping[str, float]) -> tuple[Score, Score | None]:
         """Score one parameter set on the fitted and on the held-out logs; None where nothing is held out."""
@@ -318,13 +319,8 @@ class Identification:
             predictions=predictions,
         )
 
-    def _values(self, trial: optuna.trial.FrozenTrial) -> dict[str, float]:
-        return {key.removeprefix(PREFIX): float(value) for key, value in trial.params.items()}
-
-    def _residuals(self, bounds: Mapping[str, tuple[float, float]]) -> Callable[[Tensor], Tensor]:
-        low = torch.tensor([bounds[name][0] for name in self.names], dtype=torch.float64)
-        high = torch.tensor([bounds[name][1] for name in self.names], dtype=torch.float64)
-        return self.problem.residual_function(self.names, low, high)
+    def _values(self, by_key: Mapping[str, Any]) -> dict[str, Any]:
+        return {key.removeprefix(PREFIX): value for key, value in by_key.items()}
 
     def _blocks(self, predictions: Sequence[Prediction]) -> tuple[list[np.ndarray], dict[str, np.ndarray]]:
         """Indices of the residual that belong together: by stretch of time, and by channel.

@@ -3,10 +3,9 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import torch
 from scipy import optimize, special
 
-from op3.identify.sensitivity import Array, Residuals, Sensitivity
+from op3.identify.sensitivity import Array, Residuals, Sensitivity, simulate
 
 EDGE = 0.02
 """A parameter within this share of its range from an end of it has ended there."""
@@ -23,10 +22,8 @@ def at_bound(place: float) -> bool:
     return not EDGE < place < 1 - EDGE
 
 
-def intervals_of(
-    sensitivity: Sensitivity, blocks: Sequence[np.ndarray], level: float = 0.9
-) -> dict[str, tuple[float, float]]:
-    """Intervals from what noise, sticking and the end of the search do to the estimate; their covariances are added.
+def intervals_of(sensitivity: Sensitivity, blocks: Sequence[np.ndarray]) -> dict[str, tuple[float, float]]:
+    """90 % intervals: what noise, sticking and the end of the search do to the estimate; covariances are added.
 
     **Noise.** ``d_b = (H - H_b)^-1 s_b`` with ``H = J'J``, ``H_b = J_b'J_b`` and ``s_b = J_b' r_b`` is how far a
     Gauss-Newton step without block b moves; ``cov = (B - 1)/B sum_b d_b d_b'`` is the cluster jackknife (CR3, Bell &
@@ -48,7 +45,6 @@ def intervals_of(
     Args:
         sensitivity: at the estimate.
         blocks: indices into the residual, one array per block.
-        level: coverage.
 
     Returns:
         Low and high by parameter name. A parameter that the data do not determine gets its whole range.
@@ -64,12 +60,12 @@ def intervals_of(
     jumped = np.asarray(np.linalg.solve(hessian + ridge, jacobian.T @ sensitivity.jumps.T).T, dtype=np.float64)
     covariance = covariance + 2 * _squares(jumped) / len(jumped) + _unknown(hessian)
     covariance = covariance + _squares(_step_left(sensitivity, hessian + ridge)[None])
-    quantile = special.stdtrit(max(1, len(blocks) - 1), 0.5 + level / 2)
+    quantile = special.stdtrit(max(1, len(blocks) - 1), 0.95)
     # a parameter that moves nothing, or whose neighbourhood diverges, is not determined: its interval is the range
     half = np.where(sensitivity.unseen, 1.0, quantile * np.sqrt(np.maximum(np.diag(covariance), 0.0)))
-    lower = sensitivity.low + np.clip(unit - half, 0.0, 1.0) * sensitivity.span
-    upper = sensitivity.low + np.clip(unit + half, 0.0, 1.0) * sensitivity.span
-    return {name: (float(lower[i]), float(upper[i])) for i, name in enumerate(sensitivity.names)}
+    ends = np.clip([unit - half, unit + half], 0.0, 1.0)
+    lower, upper = (sensitivity.box.low + ends * sensitivity.box.span).tolist()
+    return {name: (lower[i], upper[i]) for i, name in enumerate(sensitivity.box.names)}
 
 
 def followed_from_bounds(
@@ -87,11 +83,11 @@ def followed_from_bounds(
         sensitivity: at the estimate.
         found: low and high by parameter name, from `intervals_of`.
     """
-    unit, result = sensitivity.unit, dict(found)
+    box, unit, result = sensitivity.box, sensitivity.unit, dict(found)
     covariance = np.linalg.pinv(sensitivity.jacobian.T @ sensitivity.jacobian, rcond=NOTHING)
     points, places, limits = [], [], []
-    for i, name in enumerate(sensitivity.names):
-        low, high = (np.array(found[name]) - sensitivity.low[i]) / sensitivity.span[i]
+    for i, name in enumerate(box.names):
+        low, high = (np.array(found[name]) - box.low[i]) / box.span[i]
         near, end, far = (0.0, high, 1.0) if unit[i] <= EDGE else (1.0, low, 0.0)
         if abs(unit[i] - near) > EDGE or abs(end - far) <= EDGE or covariance[i, i] <= 0.0:
             continue
@@ -105,11 +101,11 @@ def followed_from_bounds(
                 limits.append(way**2 / covariance[i, i])
     if not points:
         return result
-    losses = np.square(residuals(torch.from_numpy(np.array(points))).numpy()).sum(1)
+    losses = np.square(simulate(residuals, np.array(points))).sum(1)
     allowed = float(sensitivity.residual @ sensitivity.residual) + np.array(limits)
     for point, i, loss, limit in zip(points, places, losses, allowed, strict=True):
         if loss <= limit:
-            name, value = sensitivity.names[i], float(sensitivity.low[i] + point[i] * sensitivity.span[i])
+            name, value = box.names[i], float(box.low[i] + point[i] * box.span[i])
             result[name] = (min(result[name][0], value), max(result[name][1], value))
     return result
 

@@ -9,7 +9,7 @@ Gaussian processes through these vectors (`op3.identify.surrogate`) foresee both
 drawn from the level set, where the second is foreseen to be lowest; the rest are children as ever, and all may breed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,7 +23,8 @@ from optuna.trial import FrozenTrial, TrialState
 from torch import Tensor
 
 from op3.identify.level_set import draw_level_set
-from op3.identify.surrogate import Array, Surrogate
+from op3.identify.sensitivity import Array, Box
+from op3.identify.surrogate import Surrogate
 
 IMAGE = "residual_image"
 """Attribute of a trial: a vector that changes linearly with the residual of the first objective."""
@@ -126,7 +127,7 @@ class LevelSetSampler(NSGAIISampler):
         }
         if not ranges or len(ranges) < len(search_space):
             return []
-        told = _told(trials, ranges)
+        told = _told(trials, _box(ranges))
         if told is None:
             return []
         nominal = [t.values[0] for t in trials if t.state == TrialState.COMPLETE and t.user_attrs.get("nominal")]
@@ -134,22 +135,16 @@ class LevelSetSampler(NSGAIISampler):
         if told.near(limit).sum() < ENOUGH * len(ranges):
             return []
         points = propose(told, limit, self._count, self._random)
-        low = np.array([d.low for d in ranges.values()])
-        high = np.array([d.high for d in ranges.values()])
-        values = np.clip(low + points * (high - low), low, high)
-        return [dict(zip(ranges, map(float, row), strict=True)) for row in values]
+        box, high = _box(ranges), np.array([d.high for d in ranges.values()])
+        values = np.minimum(box.low + points * box.span, high)  # rounding must not lead beyond a range
+        return [dict(zip(ranges, row, strict=True)) for row in values.tolist()]
 
 
 def residual_image(residual: Tensor) -> Tensor:
     """Short vectors whose lengths, and angles between each other, are about those of the residuals.
 
-    Sums of all residuals with random signs, always the same (Johnson & Lindenstrauss 1984; Achlioptas 2003).
-
-    Args:
-        residual: ``[candidate, residual]``.
-
-    Returns:
-        ``[candidate, number]``.
+    ``[candidate, residual]`` to ``[candidate, number]``: sums of all residuals with random signs, always the same
+    (Johnson & Lindenstrauss 1984; Achlioptas 2003).
     """
     generator = torch.Generator().manual_seed(0)
     signs = torch.randint(0, 2, (residual.shape[1], IMAGE_LENGTH), generator=generator, dtype=torch.int8)
@@ -165,18 +160,21 @@ def quantile_misfit(simulated: ArrayLike, actual: Sequence[float]) -> Array:
     return np.quantile(np.asarray(simulated), places, method="hazen") - np.sort(actual)
 
 
-def _told(trials: Sequence[FrozenTrial], ranges: dict[str, FloatDistribution]) -> Told | None:
+def _box(ranges: Mapping[str, FloatDistribution]) -> Box:
+    return Box.of({name: (d.low, max(d.high, d.low + 1e-300)) for name, d in ranges.items()})
+
+
+def _told(trials: Sequence[FrozenTrial], box: Box) -> Told | None:
     known = [
         t
         for t in trials
-        if t.state == TrialState.COMPLETE and IMAGE in t.user_attrs and all(name in t.params for name in ranges)
+        if t.state == TrialState.COMPLETE and IMAGE in t.user_attrs and all(name in t.params for name in box.names)
     ]
     if not known:
         return None
-    span = [(d.low, max(d.high - d.low, 1e-300)) for d in ranges.values()]
     length = max(len(t.user_attrs.get(MISFIT, ())) for t in known)
     return Told(
-        np.array([[(t.params[n] - low) / width for n, (low, width) in zip(ranges, span, strict=True)] for t in known]),
+        np.array([box.unit(t.params) for t in known]),
         np.array([t.values[0] for t in known]),
         np.array([t.user_attrs[IMAGE] for t in known], dtype=np.float64),
         np.array([t.user_attrs.get(MISFIT, [np.nan] * length) for t in known], dtype=np.float64).reshape(
@@ -186,16 +184,9 @@ def _told(trials: Sequence[FrozenTrial], ranges: dict[str, FloatDistribution]) -
 
 
 def propose(told: Told, limit: float, count: int, rng: np.random.Generator) -> Array:
-    """Points at which the first objective is expected below a limit, and the second to be low.
+    """At most so many points at which the first objective is expected below a limit, and the second to be low.
 
-    Args:
-        told: by finished trials.
-        limit: of the first objective.
-        count: at most so many points.
-        rng: for everything random.
-
-    Returns:
-        ``[point, parameter]``, in the unit box.
+    They are ``[point, parameter]``, in the unit box.
     """
     foreseen = _Losses(told)
     rise = max(limit / foreseen.lowest_loss - 1.0, 1e-3)

@@ -210,9 +210,9 @@ class _Summary:
 
 
 def bootstrap_interval(
-    weights: NDArray[np.float64], values: NDArray[np.float64], *, level: float = 0.9, seed: int = 0
+    weights: NDArray[np.float64], values: NDArray[np.float64], *, seed: int = 0
 ) -> tuple[float, float] | tuple[None, None]:
-    """Interval of a weighted mean over clusters, from clusters drawn with replacement.
+    """90 % interval of a weighted mean over clusters, from clusters drawn with replacement.
 
     Percentiles of the bootstrap are too narrow for few clusters; the expanded percentile interval (Hesterberg, The
     American Statistician 69, 2015) takes those at which a normal mean of so many values would be right.
@@ -220,7 +220,6 @@ def bootstrap_interval(
     Args:
         weights: of the clusters.
         values: mean of each cluster.
-        level: coverage.
         seed: of the draws.
 
     Returns:
@@ -229,7 +228,7 @@ def bootstrap_interval(
     count = len(values)
     if count < 2:
         return None, None
-    tail = stats.norm.sf(np.sqrt(count / (count - 1)) * stats.t.ppf(0.5 + level / 2, count - 1))
+    tail = stats.norm.sf(np.sqrt(count / (count - 1)) * stats.t.ppf(0.95, count - 1))
     found = stats.bootstrap(
         (weights, values), lambda w, v, axis: (w * v).sum(axis) / w.sum(axis), paired=True, n_resamples=DRAWS,
         confidence_level=float(1 - 2 * tail), method="percentile", rng=seed,

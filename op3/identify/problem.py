@@ -1,12 +1,13 @@
 """An identification problem: logs, a model to start from, and the parameters to find."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from op3.identify.loss import TrajectoryLoss
+from op3.identify.sensitivity import Box, Residuals
 from op3.identify.study import Outcome
 from op3.rollout import Rollout
 from op3.servo import RobotModel
@@ -20,7 +21,7 @@ class Problem:
     """Evaluates parameter sets on logs, many at once.
 
     Args:
-        model: effects that are on, and values of parameters that are not searched.
+        model: effects that are on, and values of parameters that are not given.
         logs: what to reproduce.
         loss: what to minimise.
         replay: options of `op3.tasks.Replay`.
@@ -50,16 +51,8 @@ class Problem:
         return self.replay.run(self.model, given, candidates)
 
     def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[Outcome]:
-        """The loss of every parameter set, its unweighted terms by channel beside it.
-
-        Args:
-            population: parameter sets, all with the same names.
-        """
-        values = {
-            name: torch.tensor([float(member[name]) for member in population], dtype=torch.float64)
-            for name in population[0]
-        }
-        predictions = self.predict(values, len(population))
+        """The loss of every parameter set, its unweighted terms by channel beside it; all have the same names."""
+        predictions = self.predict(columns(population), len(population))
         losses = self.loss(predictions)
         self._keep(population, self.loss.residuals(predictions))
         terms = [self.loss.terms(prediction) for prediction in predictions]
@@ -83,19 +76,23 @@ class Problem:
         missing = [member for member in population if _key(member) not in self._kept]
         found = {_key(member): self._kept[_key(member)] for member in population if member not in missing}
         if missing:
-            values = {name: torch.tensor([float(m[name]) for m in missing], dtype=torch.float64) for name in missing[0]}
-            rows = self.loss.residuals(self.predict(values, len(missing)))
+            rows = self.loss.residuals(self.predict(columns(missing), len(missing)))
             found.update({_key(member): row for member, row in zip(missing, rows, strict=True)})
         return torch.stack([found[_key(member)] for member in population])
 
-    def residual_function(self, names: Sequence[str], low: Tensor, high: Tensor) -> Callable[[Tensor], Tensor]:
+    def residual_function(self, box: Box) -> Residuals:
         """Residuals of points in the unit box, ``[candidate, parameter] -> [candidate, residual]``."""
 
         def residuals(unit: Tensor) -> Tensor:
-            values = {name: low[i] + unit[:, i] * (high[i] - low[i]) for i, name in enumerate(names)}
-            return self.loss.residuals(self.predict(values, len(unit)))
+            values = torch.from_numpy(box.low) + unit * torch.from_numpy(box.span)
+            return self.loss.residuals(self.predict(dict(zip(box.names, values.unbind(1), strict=True)), len(unit)))
 
         return residuals
+
+
+def columns(population: Sequence[Mapping[str, float]]) -> dict[str, Tensor]:
+    """Values by name, ``[candidate]``."""
+    return {name: torch.tensor([float(m[name]) for m in population], dtype=torch.float64) for name in population[0]}
 
 
 def _key(member: Mapping[str, float]) -> tuple[tuple[str, float], ...]:

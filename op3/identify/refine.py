@@ -4,10 +4,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from scipy import optimize
 
-from op3.identify.sensitivity import Array, Residuals
+from op3.identify.sensitivity import Array, Box, Residuals, simulate
 
 DIFFERENCE_STEP = 2e-3
 """Step of finite differences, as a share of a parameter's range: above the kinks of stiction, below curvature."""
@@ -24,18 +23,16 @@ class Refinement:
         values: parameters by name, of the best start.
         loss: squared length of the residual there.
         history: best loss after every iteration, the first before any.
-        evaluations: parameter sets simulated.
     """
 
     values: Mapping[str, float]
     loss: float
     history: Sequence[float]
-    evaluations: int
 
 
 def refine(
     residuals: Residuals,
-    bounds: Mapping[str, tuple[float, float]],
+    box: Box,
     starts: Sequence[Mapping[str, float]],
     *,
     max_iterations: int = 25,
@@ -46,29 +43,22 @@ def refine(
 
     Args:
         residuals: points of the unit box ``[candidate, parameter]`` to ``[candidate, residual]``.
-        bounds: lowest and highest value by parameter name; the order of names is that of the box.
-        starts: values to start from; those outside the bounds are clipped.
+        box: ranges of the parameters.
+        starts: values to start from; those outside the box are clipped.
         max_iterations: at most so many Jacobians of a start.
         tolerance: a start has converged when an iteration lowers its loss by less than this share.
         progress: called with iteration and best loss.
 
     Raises:
-        ValueError: if there are no bounds or no starts.
+        ValueError: if there are no parameters or no starts.
     """
-    if not bounds or not starts:
+    if not box.names or not starts:
         raise ValueError("refine needs at least one parameter and one start")
-    low, span = np.array([(low, high - low) for low, high in bounds.values()]).T
-    units = np.clip((np.array([[start[name] for name in bounds] for start in starts]) - low) / span, 0.0, 1.0)
-    evaluations, history = 0, [np.inf]
-
-    def counted(unit: torch.Tensor) -> torch.Tensor:
-        nonlocal evaluations
-        evaluations += len(unit)
-        return residuals(unit)
+    history = [np.inf]
 
     def differences(unit: Array, residual: Array) -> Array:
         steps = np.where(unit + DIFFERENCE_STEP > 1.0, -DIFFERENCE_STEP, DIFFERENCE_STEP)
-        moved = simulate(counted, unit + np.diag(steps))
+        moved = simulate(residuals, unit + np.diag(steps))
         return ((moved - residual) / steps[:, None]).T
 
     def note(_: int, loss: float) -> None:
@@ -77,20 +67,15 @@ def refine(
             progress(len(history) - 1, history[-1])
 
     def descend(unit: Array) -> tuple[float, Array]:
-        residual = simulate(counted, unit[None])[0]
+        residual = simulate(residuals, unit[None])[0]
         history[0] = min(history[0], float(residual @ residual)) if len(history) == 1 else history[0]
         unit, residual = least_squares(
-            counted, unit, residual, differences, steps=max_iterations, tolerance=tolerance, progress=note
+            residuals, unit, residual, differences, steps=max_iterations, tolerance=tolerance, progress=note
         )
         return float(residual @ residual), unit
 
-    loss, unit = min((descend(unit) for unit in units), key=lambda end: end[0])
-    return Refinement(dict(zip(bounds, (low + unit * span).tolist(), strict=True)), loss, history, evaluations)
-
-
-def simulate(residuals: Residuals, points: Array) -> Array:
-    """Residuals ``[point, residual]`` of points ``[point, parameter]`` as arrays."""
-    return residuals(torch.from_numpy(np.ascontiguousarray(points))).numpy()
+    loss, unit = min((descend(box.unit(start)) for start in starts), key=lambda end: end[0])
+    return Refinement(box.values(unit), loss, history)
 
 
 def least_squares(

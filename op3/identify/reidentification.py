@@ -23,8 +23,9 @@ from op3.identify.level_set import draw_level_set
 from op3.identify.level_set_sampler import IMAGE, MISFIT, quantile_misfit, residual_image
 from op3.identify.loss import TrajectoryLoss
 from op3.identify.polish import polish
-from op3.identify.problem import Problem
+from op3.identify.problem import Problem, columns
 from op3.identify.reidentified import Array, Candidate, Reidentified, better_half, chance_distances, unbeaten
+from op3.identify.sensitivity import Box
 from op3.identify.study import Outcome
 from op3.policy import PolicyBundle
 from op3.robot import load_robot
@@ -58,15 +59,8 @@ RISES = (0.1, 0.25, 0.6)
 class Simulations:
     """What is simulated of candidates; several processes, each with one of these, share them.
 
-    Args:
-        model: effects, and values of parameters that are not searched.
-        excitation: logs of the excitation.
-        joints: focusing joints of its loss.
-        policy: whose episodes are played.
-        task: that it attempts.
-        repeats: episodes of each candidate.
-        seed: of the episodes.
-        num_threads: threads that step the physics; 0 for all processors.
+    The arguments are those of `Reidentification`; `joints` are the focusing joints, and `num_threads` step the physics,
+    0 for all processors.
     """
 
     def __init__(
@@ -135,10 +129,7 @@ class Reidentification:
     ):
         if not episodes:
             raise ValueError("episodes: re-identification needs at least one episode of the policy on the robot")
-        known = model.parameters()
-        unknown = [name for name in names if name not in known]
-        if unknown:
-            raise ValueError(f"the model has no parameter {unknown[0]!r}; it has {', '.join(known)}")
+        start = {name: model.value(name) for name in names}  # what the model does not have is refused here
         attempted = task if task is not None else episodes[0].metadata.extra.get("task", policy.manifest.task)
         self.names = tuple(names)
         self.model, self.race = model, race
@@ -152,12 +143,15 @@ class Reidentification:
             "excitation": list(excitation),
             "joints": load_robot().controlled if joints is None else tuple(joints),
             "policy": policy,
+            "task": self.task,
+            "repeats": repeats,
+            "seed": seed,
+            "num_threads": 0 if processes == 1 else 1,
         }
-        what |= {"task": self.task, "repeats": repeats, "seed": seed, "num_threads": 0 if processes == 1 else 1}
         self._crew = Crew(Simulations, what, processes)
         self.simulations = self._crew.worker
         self.simulated_seconds = 0.0
-        self.start = self._measure([{name: model.value(name) for name in names}])[0]
+        self.start = self._measure([start])[0]
         if not np.isfinite(self.start.excitation):
             raise ValueError(
                 "the model that the policy was trained on diverges in simulation, so nothing can start there"
@@ -190,35 +184,29 @@ class Reidentification:
             outcomes.append(Outcome((one.excitation, one.distance), attributes))
         return outcomes
 
-    def propose(
-        self, count: int, bounds: Mapping[str, tuple[float, float]], seed: int = 0, rises: Sequence[float] = RISES
-    ) -> list[dict[str, float]]:
+    def propose(self, count: int, bounds: Mapping[str, tuple[float, float]], seed: int = 0) -> list[dict[str, float]]:
         """Starts for a study: parameter sets, by config key, that the excitation hardly tells from the identified ones.
 
         Args:
-            count: number of them.
+            count: number of them, as many from within each of the `RISES`.
             bounds: range that the study searches, by parameter name.
             seed: of the draws.
-            rises: expected rises of the excitation loss, as shares; as many starts from within each.
         """
-        low = torch.tensor([bounds[name][0] for name in self.names], dtype=torch.float64)
-        high = torch.tensor([bounds[name][1] for name in self.names], dtype=torch.float64)
         problem = self.simulations.problem
-        before, residuals = problem.simulated_seconds, problem.residual_function(self.names, low, high)
-        sensitivity = polish(
-            residuals, {name: bounds[name] for name in self.names}, self.start.values, steps=0
-        ).sensitivity
+        box = Box.of({name: bounds[name] for name in self.names})
+        before, residuals = problem.simulated_seconds, problem.residual_function(box)
+        sensitivity = polish(residuals, box, self.start.values, steps=0).sensitivity
         self.simulated_seconds += problem.simulated_seconds - before
         rng = np.random.default_rng([seed, 7])
-        shares = np.array_split(np.arange(count), len(rises))
+        shares = np.array_split(np.arange(count), len(RISES))
         residual, jacobian = sensitivity.residual, sensitivity.jacobian
         ellipsoid = (sensitivity.unit, jacobian.T @ jacobian, jacobian.T @ residual)
         loss = float(residual @ residual)
         points = [
-            draw_level_set(*ellipsoid, rise * loss, len(own), rng) for rise, own in zip(rises, shares, strict=True)
+            draw_level_set(*ellipsoid, rise * loss, len(own), rng) for rise, own in zip(RISES, shares, strict=True)
         ]
-        values = sensitivity.low + np.concatenate(points) * sensitivity.span
-        return [{PREFIX + name: float(v) for name, v in zip(self.names, row, strict=True)} for row in values]
+        values = map(box.values, np.concatenate(points))
+        return [{PREFIX + name: value for name, value in each.items()} for each in values]
 
     def _shared(self, what: str, values: Mapping[str, Tensor], count: int, **more: Any) -> Tensor:
         """What `Simulations` says of all candidates; processes take them in turn, as neighbours may last as long."""
@@ -235,7 +223,7 @@ class Reidentification:
         self, trials: Sequence[Mapping[str, float]], plausible: float = np.inf, race: bool = False
     ) -> list[Candidate]:
         """Both objectives; beyond a plausible excitation loss the distance is larger than any that episodes have."""
-        values = self._columns(trials)
+        values = columns(trials)
         seen = self._shared("losses", values, len(trials))
         losses, images = seen[:, 0], seen[:, 1:].numpy()
         worth = (losses <= plausible).nonzero()[:, 0]
@@ -252,8 +240,9 @@ class Reidentification:
             elif not np.isfinite(own).all():
                 measured.append(Candidate(trial, float("nan"), worthless))
             else:
-                told[MISFIT] = _short(quantile_misfit(self._foresee(own), self.actual))
-                measured.append(Candidate(trial, loss, self._distance(own), tuple(own.tolist()), told))
+                whole = self._foresee(own)
+                told[MISFIT] = _short(quantile_misfit(whole, self.actual))
+                measured.append(Candidate(trial, loss, self._distance(whole), tuple(own.tolist()), told))
         return measured
 
     def _play(self, values: Mapping[str, Tensor], losses: Tensor, race: bool) -> list[Array]:
@@ -270,7 +259,7 @@ class Reidentification:
         returns = self._shared("returns", values, count, episodes=range(first)).numpy()
         if first == episodes:
             return list(returns)
-        foreseen = [self._distance(own) for own in returns]
+        foreseen = [self._distance(self._foresee(own)) for own in returns]
         chosen = better_half(losses.numpy(), np.array(foreseen), (self.start.excitation, self.start.distance))
         chosen = chosen[losses.numpy()[chosen] <= TOLERATED * self.start.excitation]
         result = list(returns)
@@ -288,10 +277,6 @@ class Reidentification:
             return first
         start = np.array(self.start.returns)
         return np.concatenate([first, start[len(first) :] + (first - start[: len(first)]).mean()])
-
-    def _distance(self, returns: Array) -> float:
-        """Wasserstein-1 distance to the robot's returns; where only the first were played, as far as foreseen."""
-        return self._distance_over(self._foresee(returns))
 
     def finish(self, study: optuna.Study, finalists: int = 8) -> Reidentified:
         """Choose a point of the front, and look at it with other random numbers.
@@ -314,7 +299,8 @@ class Reidentification:
         played = [self._candidate(trial) for trial in complete if trial.user_attrs.get("episodes", 0)]
         whole = [one for one in played if one.returns]
         # of those that played the first episodes alone, the ones that may be on the front play the others
-        whole += self._played_out([one for one in unbeaten(played) if not one.returns])
+        short = [one for one in unbeaten(played) if not one.returns]
+        whole += [one for one in self._replay(short, 0) if np.isfinite(one.distance)]
         near = [one for one in whole if one.excitation <= TOLERATED * self.start.excitation]
         # the study holds the start as its nominal trial
         near = [one for one in near if dict(one.values) != dict(self.start.values)]
@@ -322,7 +308,7 @@ class Reidentification:
         again = self._replay(final, 1)
         returns = np.array([*self.start.returns, *again[0].returns])
         chance = chance_distances(returns, len(self.actual), len(returns))
-        at_chance = self._distance_over(returns) <= float(np.quantile(chance, CHANCE))
+        at_chance = self._distance(returns) <= float(np.quantile(chance, CHANCE))
         best = 0 if at_chance else int(np.argmin([one.distance for one in again]))
         chosen = final[best]
         fresh_start, fresh_chosen = self._replay([self.start, chosen], 2)
@@ -339,10 +325,6 @@ class Reidentification:
             at_chance=at_chance,
         )
 
-    def _played_out(self, short: Sequence[Candidate]) -> list[Candidate]:
-        """Candidates with all their episodes; without those that fail in one."""
-        return [one for one in self._replay(short, 0) if np.isfinite(one.distance)] if short else []
-
     def _distinct(self, ordered: Sequence[Candidate], all_: Sequence[Candidate], count: int) -> list[Candidate]:
         """The first candidates that differ from one another and from the start."""
         values = np.array([[one.values[name] for name in self.names] for one in all_])
@@ -357,18 +339,18 @@ class Reidentification:
 
     def _replay(self, candidates: Sequence[Candidate], times: int) -> list[Candidate]:
         """The candidates over further episodes; `times` sets of episodes lie before them."""
-        values = self._columns([one.values for one in candidates])
+        if not candidates:
+            return []
+        values = columns([one.values for one in candidates])
         numbers = range(times * self.episodes, (times + 1) * self.episodes)
         returns = self._shared("returns", values, len(candidates), episodes=numbers).numpy()
         return [
-            replace(one, returns=tuple(own.tolist()), distance=self._distance_over(own))
+            replace(one, returns=tuple(own.tolist()), distance=self._distance(own))
             for one, own in zip(candidates, returns, strict=True)
         ]
 
-    def _columns(self, trials: Sequence[Mapping[str, float]]) -> dict[str, Tensor]:
-        return {name: torch.tensor([trial[name] for trial in trials], dtype=torch.float64) for name in self.names}
-
-    def _distance_over(self, returns: Sequence[float] | Array) -> float:
+    def _distance(self, returns: Sequence[float] | Array) -> float:
+        """Wasserstein-1 distance to the robot's returns."""
         known = np.asarray(returns)
         return float(wasserstein_distance(self.actual, known)) if np.isfinite(known).all() else float("inf")
 

@@ -11,6 +11,9 @@ from op3.servo import RobotModel
 
 Array = NDArray[np.float64]
 
+PAIRS = 400
+"""Pairs of samples drawn to see what chance does."""
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -82,17 +85,16 @@ def better_half(losses: Array, distances: Array, start: tuple[float, float]) -> 
     return np.sort(order[~hopeless[order] & np.isfinite(distances[order])])
 
 
-def chance_distances(returns: Array, actual: int, simulated: int, draws: int = 400) -> Array:
+def chance_distances(returns: Array, actual: int, simulated: int) -> Array:
     """Wasserstein-1 distances of two samples of the same returns, whose mean no model can be expected to undercut.
 
     Args:
         returns: to draw from, with replacement.
         actual: size of one sample.
         simulated: size of the other.
-        draws: pairs of samples.
     """
     rng = np.random.default_rng(0)
     known = returns[np.isfinite(returns)]
     return np.array(
-        [wasserstein_distance(rng.choice(known, actual), rng.choice(known, simulated)) for _ in range(draws)]
+        [wasserstein_distance(rng.choice(known, actual), rng.choice(known, simulated)) for _ in range(PAIRS)]
     )

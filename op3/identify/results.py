@@ -1,14 +1,13 @@
 """The outcome of a study as a YAML file, in the form that hydra-optuna-sweeper users know."""
 
-import os
-import tempfile
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import optuna
 import yaml
 from optuna.trial import TrialState
+
+from op3.rollout.files import write_text
 
 RESULTS_FILE = "optimization_results.yaml"
 
@@ -44,15 +43,7 @@ def summarize(study: optuna.Study) -> dict[str, Any]:
     return summary
 
 
-def write_yaml(path: Path, data: Mapping[str, Any]) -> None:
-    """Write a YAML file such that a reader never sees half of it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, yaml.safe_dump(dict(data), sort_keys=False, allow_unicode=True))
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Write a file beside its place and move it there."""
-    with tempfile.NamedTemporaryFile("w", dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-        file.write(text)
-    os.chmod(file.name, 0o644)
-    os.replace(file.name, path)
+def write_results(folder: Path, results: dict[str, Any]) -> None:
+    """Write what studies found into a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    write_text(folder / RESULTS_FILE, yaml.safe_dump(results, sort_keys=False, allow_unicode=True))

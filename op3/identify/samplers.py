@@ -1,9 +1,8 @@
 """Optuna's samplers by plain names, set up for populations.
 
-A study builds a fresh sampler for every population, seeded by the study's seed and the number of
-finished trials. So the next population depends on the stored trials alone: a resumed study goes on
-exactly where an uninterrupted one would have gone, and never repeats its first points. This needs a
-sampler that keeps what it learns in the trials, as all those below do.
+A study builds a fresh sampler for every population, seeded by the study's seed and the number of finished trials. So
+the next population depends on the stored trials alone, and a resumed study goes on where an uninterrupted one would
+have gone. This needs a sampler that keeps what it learns in the trials, as all those below do.
 """
 
 import functools
@@ -15,13 +14,10 @@ import optuna
 from optuna.samplers import BaseSampler, nsgaii
 
 from op3.identify.level_set_sampler import LevelSetSampler
+from op3.identify.search_space import StudyError
 
 SamplerFactory = Callable[[int], BaseSampler]
 """Makes the sampler of one population from its seed."""
-
-
-class SamplerError(ValueError):
-    """A sampler that cannot be used; the message says why and what to write instead."""
 
 
 _STATEFUL = (optuna.samplers.QMCSampler, optuna.samplers.GridSampler, optuna.samplers.BruteForceSampler)
@@ -58,7 +54,7 @@ def make_sampler_factory(
         A function from a seed to a sampler.
 
     Raises:
-        SamplerError: if the name or an option is unknown, or the sampler does not fit the study.
+        StudyError: if the name or an option is unknown, or the sampler does not fit the study.
     """
     if callable(sampler):
         return sampler
@@ -72,23 +68,23 @@ def make_sampler_factory(
         build = _BY_NAME[name]
         options = _defaults(name, population, nominal) | options
     else:
-        raise SamplerError(
+        raise StudyError(
             f"The sampler {name!r} is unknown: use one of {', '.join(_BY_NAME)}, "
             "or {_target_: optuna.samplers.<class>}."
         )
     if not (isinstance(build, type) and issubclass(build, BaseSampler)):
-        raise SamplerError(f"The sampler {name!r} is not a class of optuna.samplers.")
+        raise StudyError(f"The sampler {name!r} is not a class of optuna.samplers.")
     if build in _STATEFUL:
-        raise SamplerError(
+        raise StudyError(
             f"{name} counts its points outside the trials, so it would repeat them: use one of {', '.join(_BY_NAME)}."
         )
     if directions > 1 and build is optuna.samplers.CmaEsSampler:
-        raise SamplerError(f"The sampler {name!r} takes one objective, the study has {directions}: use nsga2.")
+        raise StudyError(f"The sampler {name!r} takes one objective, the study has {directions}: use nsga2.")
     factory = functools.partial(_build, build, options)
     try:
         factory(0)
     except (TypeError, ValueError, ImportError) as error:
-        raise SamplerError(f"The sampler {name!r} does not take these options: {error}.") from error
+        raise StudyError(f"The sampler {name!r} does not take these options: {error}.") from error
     return factory
 
 

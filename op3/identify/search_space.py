@@ -38,8 +38,8 @@ _REMEDY = (
 )
 
 
-class SearchSpaceError(ValueError):
-    """A range that cannot be searched; the message names the key and says how to write it."""
+class StudyError(ValueError):
+    """A study that cannot be, or cannot go on; the message says why, and what to write instead."""
 
 
 def parse_search_space(params: Mapping[str, Any] | None) -> SearchSpace:
@@ -54,11 +54,11 @@ def parse_search_space(params: Mapping[str, Any] | None) -> SearchSpace:
         The Optuna distribution of every key, in the order given.
 
     Raises:
-        SearchSpaceError: if there is no parameter, or a range is not one.
+        StudyError: if there is no parameter, or a range is not one.
     """
     flat = {key: text for key, text in _flatten(params or {}).items() if text is not None}
     if not flat:
-        raise SearchSpaceError(
+        raise StudyError(
             "There is nothing to search: add at least one `<config key>: interval(low, high)` to hydra.sweeper.params."
         )
     return {key: parse_range(key, text) for key, text in flat.items()}
@@ -72,7 +72,7 @@ def parse_range(key: str, text: Any) -> BaseDistribution:
         return _distribution(sweep)
     except (HydraException, ValueError) as error:
         reason = str(error).strip().splitlines()[0]
-        raise SearchSpaceError(f"{key}: {reason}, and so {text!r} is not a range: {_REMEDY}.") from error
+        raise StudyError(f"{key}: {reason}, and so {text!r} is not a range: {_REMEDY}.") from error
 
 
 def check_nominal(search_space: Mapping[str, BaseDistribution], nominal: Mapping[str, Any]) -> dict[str, Any]:
@@ -87,7 +87,7 @@ def check_nominal(search_space: Mapping[str, BaseDistribution], nominal: Mapping
     checked = {}
     for key, distribution in search_space.items():
         if nominal.get(key) is None:
-            raise SearchSpaceError(
+            raise StudyError(
                 f"{key}: the config gives no nominal value: set `{key}` in the config, "
                 "or start without one by nominal=false."
             )
@@ -97,7 +97,7 @@ def check_nominal(search_space: Mapping[str, BaseDistribution], nominal: Mapping
         except (TypeError, ValueError):
             inside = False
         if not inside:
-            raise SearchSpaceError(
+            raise StudyError(
                 f"{key}: the nominal value {value!r} lies outside {_ends(distribution)}: widen the range, "
                 "change the nominal value, or start without one by nominal=false."
             )

@@ -1,5 +1,7 @@
 """What residuals do when parameters change: the matrix behind intervals and identifiability."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -29,74 +31,87 @@ TAKES_PART = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Sensitivity:
-    """Residuals at a point of the box of parameters, and how they change around it.
+class Box:
+    """The ranges searched; their points have coordinates from 0 to 1.
 
     Attributes:
         names: of the parameters.
         low: lowest value of each, ``[parameter]``.
         span: length of its range, ``[parameter]``.
-        unit: the point, as a share of the range, ``[parameter]``.
-        residual: ``[residual]``.
-        jacobian: change of the residual per range, ``[residual, parameter]``.
-        jumps: samples of what sticking does to the residual, from second differences, ``[direction, residual]``.
-        unseen: parameters that move nothing, or next to which simulations diverged, ``[parameter]``.
     """
 
     names: tuple[str, ...]
     low: Array
     span: Array
+
+    @classmethod
+    def of(cls, bounds: Mapping[str, tuple[float, float]]) -> Box:
+        """The box of lowest and highest values by parameter name."""
+        low, high = np.array(list(bounds.values()), dtype=np.float64).reshape(-1, 2).T
+        return cls(tuple(bounds), low, high - low)
+
+    def unit(self, values: Mapping[str, float]) -> Array:
+        """The point of these values; beyond the ranges it is clipped."""
+        return np.clip((np.array([values[name] for name in self.names]) - self.low) / self.span, 0.0, 1.0)
+
+    def values(self, unit: Array) -> dict[str, float]:
+        """Values by name at a point."""
+        return dict(zip(self.names, (self.low + unit * self.span).tolist(), strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """Residuals at a point of a box, and how they change around it, by central differences along directions.
+
+    Attributes:
+        box: of the parameters.
+        unit: the point, as a share of the ranges, ``[parameter]``.
+        residual: there, ``[residual]``.
+        jacobian: change of the residual per range, ``[residual, parameter]``.
+        jumps: samples of what sticking does to the residual, from second differences, ``[direction, residual]``.
+        unseen: parameters that move nothing, or next to which simulations diverged, ``[parameter]``.
+        curvature: product of the Jacobian with itself, less what jumps feign, ``[parameter, parameter]``.
+        axes: the directions, ``[parameter, direction]``.
+        lengths: of the arms along them, as a share of the ranges, ``[direction]``.
+    """
+
+    box: Box
     unit: Array
     residual: Array
     jacobian: Array
     jumps: Array
     unseen: NDArray[np.bool_]
-
-
-@dataclass(frozen=True, eq=False)
-class Arms:
-    """Central differences along combinations of parameters.
-
-    Attributes:
-        axes: directions, ``[parameter, direction]``.
-        lengths: of the arms, as a share of the ranges, ``[direction]``.
-        points: the ends that were simulated, ``[end, parameter]``.
-        residual: there, ``[end, residual]``.
-        jacobian: ``[residual, parameter]``.
-        curvature: product of the Jacobian with itself, less what jumps feign, ``[parameter, parameter]``.
-        jumps: ``[direction, residual]``.
-        unseen: parameters of directions whose arms diverged, ``[parameter]``.
-    """
-
+    curvature: Array
     axes: Array
     lengths: Array
-
-    points: Array
-    residual: Array
-    jacobian: Array
-    curvature: Array
-    jumps: Array
-    unseen: NDArray[np.bool_]
 
     @property
     def jump(self) -> float:
         """What jumps do to the squared residual, of the middle direction."""
         return float(np.median(np.square(self.jumps).sum(1)))
 
-    def long_enough(self, loss: float) -> bool:
+    @property
+    def long_enough(self) -> bool:
         """Whether no arm should be more than twice as long, by what they found."""
         information = np.einsum("pd,pq,qd->d", self.axes, self.curvature, self.axes)
+        loss = float(self.residual @ self.residual)
         return bool((_lengths(information, loss, self.jump) <= 2 * self.lengths).all())
 
 
-def arms_at(
+def simulate(residuals: Residuals, points: Array) -> Array:
+    """Residuals ``[point, residual]`` of points ``[point, parameter]`` as arrays."""
+    return residuals(torch.from_numpy(np.ascontiguousarray(points))).numpy()
+
+
+def sensitivity_at(
     residuals: Residuals,
+    box: Box,
     unit: Array,
     residual: Array,
     curvature: Array | None,
     jump: float = 0.0,
     failed_loss: float = np.inf,
-) -> Arms:
+) -> Sensitivity:
     """Differences as long as an interval, along the axes of the curvature: one batch of 2 n points.
 
     Sticking makes residuals jump. Differences along single parameters take jumps for sensitivity: where parameters
@@ -106,6 +121,7 @@ def arms_at(
 
     Args:
         residuals: of points in the unit box.
+        box: of the parameters.
         unit: the point, ``[parameter]``.
         residual: there, ``[residual]``.
         curvature: what is known of the Jacobian's product with itself; None for short arms along the parameters.
@@ -120,7 +136,7 @@ def arms_at(
         lengths = _lengths(information, float(residual @ residual), jump)
     offsets = lengths[:, None] * axes.T
     ends = np.concatenate([np.clip(unit + offsets, 0.0, 1.0), np.clip(unit - offsets, 0.0, 1.0)])
-    simulated = residuals(torch.from_numpy(ends)).numpy()
+    simulated = simulate(residuals, ends)
     failed = np.square(simulated).sum(1) >= failed_loss
     # the other end alone tells the slope where one diverged
     used, found = np.where(failed[:, None], unit, ends), np.where(failed[:, None], residual, simulated)
@@ -132,31 +148,16 @@ def arms_at(
     chord = share * found[:size] + (1 - share) * found[size:]
     jumps = (chord - residual) / np.sqrt(1 + share**2 + (1 - share) ** 2)
     lost = failed[:size] | failed[size:] if curvature is None else failed[:size] & failed[size:]
+    length = np.square(jacobian).sum(0)
     unseen = np.asarray((np.abs(axes[:, lost]) >= TAKES_PART).any(1))
+    if curvature is not None:  # over a short arm a parameter may move nothing because something sticks
+        unseen = unseen | (length <= 1e-9 * max(1e-12, length.max()))
     feigned = (inverse * 2 * np.square(jumps).sum(1)) @ inverse.T
-    return Arms(axes, lengths, ends, simulated, jacobian, jacobian.T @ jacobian - feigned, jumps, unseen)
+    found = jacobian.T @ jacobian - feigned
+    return Sensitivity(box, unit.copy(), residual, jacobian, jumps, unseen, found, axes, lengths)
 
 
 def _lengths(information: Array, loss: float, jump: float) -> Array:
     """How long arms of this information should be, ``[direction]``."""
     rise = min(max(ABOVE_JUMPS * jump, RISE * loss), loss)
     return np.clip(np.sqrt(rise / np.maximum(information, 1e-12)), SHORTEST, LONGEST)
-
-
-def sensitivity_of(
-    bounds: Mapping[str, tuple[float, float]], unit: Array, residual: Array, arms: Arms, unseen: NDArray[np.bool_]
-) -> Sensitivity:
-    """What arms around a point say.
-
-    Args:
-        bounds: lowest and highest value by parameter name, in the order of the box.
-        unit: the point, ``[parameter]``.
-        residual: there, ``[residual]``.
-        arms: around it.
-        unseen: parameters that are known not to be seen, ``[parameter]``.
-    """
-    low = np.array([pair[0] for pair in bounds.values()])
-    span = np.array([pair[1] for pair in bounds.values()]) - low
-    length = np.square(arms.jacobian).sum(0)
-    unseen = unseen | arms.unseen | (length <= 1e-9 * max(1e-12, length.max()))
-    return Sensitivity(tuple(bounds), low, span, unit, residual, arms.jacobian, arms.jumps, unseen)

@@ -11,9 +11,9 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from op3.identify.samplers import make_sampler_factory
-from op3.identify.search_space import SearchSpace, SearchSpaceError, check_nominal, parse_search_space
+from op3.identify.search_space import SearchSpace, StudyError, check_nominal, parse_search_space
 from op3.identify.storage import open_storage
-from op3.identify.study import Evaluate, StudyError, run_study
+from op3.identify.study import Evaluate, run_study
 from op3.servo.conditions import JOINT
 from op3.settings import Count, Listed, Whole, settings
 
@@ -140,7 +140,7 @@ def search_space_of(sweeper: Mapping[Any, Any]) -> SearchSpace:
     space, each = parse_search_space(sweeper["params"]), sweeper.get("each") or {}
     for key in each:
         if key not in space:
-            raise SearchSpaceError(
+            raise StudyError(
                 f"{key} is to be searched per joint, but it is not searched at all: add its group, or leave it out."
             )
     labels = {key: [f"{key}@{JOINT}={label}" for label in each[key]] if key in each else [key] for key in space}
@@ -152,9 +152,9 @@ def _config_value(config: DictConfig, key: str) -> Any:
     try:
         value = OmegaConf.select(config, key, default=missing, throw_on_missing=False)
     except OmegaConfBaseException as error:
-        raise SearchSpaceError(f"{key}: cannot be read from the config ({error}).") from error
+        raise StudyError(f"{key}: cannot be read from the config ({error}).") from error
     if value is missing:
-        raise SearchSpaceError(
+        raise StudyError(
             f"{key}: hydra.sweeper.params names a key that the config does not have: "
             "correct the name, or add the key with its nominal value."
         )

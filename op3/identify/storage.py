@@ -9,11 +9,9 @@ from optuna.storages import BaseStorage, InMemoryStorage, JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.storages.journal._file import BaseJournalFileLock
 
+from op3.identify.search_space import StudyError
+
 JOURNAL_SUFFIXES = (".journal", ".log")
-
-
-class StorageError(ValueError):
-    """A storage that cannot be used; the message says why and what to write instead."""
 
 
 def open_storage(storage: str | os.PathLike[str] | BaseStorage | None) -> BaseStorage:
@@ -24,7 +22,7 @@ def open_storage(storage: str | os.PathLike[str] | BaseStorage | None) -> BaseSt
             as `sqlite:///study.db` or `mysql://...`, an open Optuna storage, or None for memory only.
 
     Raises:
-        StorageError: if it is neither, or cannot be opened or written.
+        StudyError: if it is neither, or cannot be opened or written.
     """
     if storage is None:
         return InMemoryStorage()
@@ -34,7 +32,7 @@ def open_storage(storage: str | os.PathLike[str] | BaseStorage | None) -> BaseSt
     if "://" in name:
         return _open_database(name)
     if not name.endswith(JOURNAL_SUFFIXES):
-        raise StorageError(
+        raise StudyError(
             f"The storage {name!r} is neither a journal nor a database: write a path ending in "
             f"{' or '.join(JOURNAL_SUFFIXES)}, or a URL such as sqlite:///study.db."
         )
@@ -49,12 +47,12 @@ def open_storage(storage: str | os.PathLike[str] | BaseStorage | None) -> BaseSt
             lock.release()
         return JournalStorage(JournalFileBackend(str(path), lock_obj=lock))
     except OSError as error:
-        raise StorageError(
+        raise StudyError(
             f"The storage {path} cannot be written ({error.strerror or error}): "
             "choose a folder you may write to, by storage=<path>.journal."
         ) from error
     except (ValueError, KeyError) as error:
-        raise StorageError(
+        raise StudyError(
             f"The storage {path} is not an Optuna journal ({error}): move it away or name another."
         ) from error
 
@@ -83,7 +81,7 @@ def _open_database(url: str) -> BaseStorage:
         return optuna.storages.get_storage(url)
     except Exception as error:
         reason = str(error).strip().splitlines()[0]
-        raise StorageError(
+        raise StudyError(
             f"The storage {url!r} cannot be opened ({reason}): check the URL, its driver and the folder's rights."
         ) from error
 

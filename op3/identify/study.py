@@ -9,6 +9,7 @@ Independent of Hydra; `op3.identify.sweeper` connects the two.
 """
 
 import copy
+import json
 import logging
 import math
 import re
@@ -31,7 +32,7 @@ from optuna.trial import FrozenTrial, Trial, TrialState
 from tqdm import tqdm
 
 from op3.identify.samplers import SamplerFactory, make_sampler_factory
-from op3.identify.search_space import check_nominal, search_space_to_json
+from op3.identify.search_space import StudyError, check_nominal, search_space_to_json
 from op3.identify.storage import open_storage
 
 log = logging.getLogger(__name__)
@@ -46,18 +47,13 @@ _OPTIMIZER_STATE = re.compile(r"(sepcma|cmawm|cma):optimizer")
 _SCRATCH = re.compile(r"(tpe|gp):relative_params")
 
 
-class StudyError(RuntimeError):
-    """A study that cannot go on; the message says why and how to mend it."""
-
-
 @dataclass(frozen=True)
 class Outcome:
     """What the evaluation of one trial gave.
 
     Attributes:
-        values: the objectives, one per direction; None or a non-finite number means that it failed.
-        attributes: anything else worth keeping with the trial, as JSON data; for example the losses
-            before weighting.
+        values: the objectives, one per direction; None or a number that is not finite means that it failed.
+        attributes: anything else worth keeping with the trial, as JSON data.
         error: what went wrong, if the evaluation raised.
     """
 
@@ -88,19 +84,17 @@ def run_study(
 ) -> optuna.Study:
     """Run a study, or go on with a stored one, until it has `n_trials` finished trials.
 
-    The same seed gives the same trials on the same machine, also if the study is interrupted and
-    resumed in between. Several processes may run the same call on the same storage at once, on one machine
-    or many, each as another worker: they share the trials between them. A trial whose evaluation raises or is
-    not finite is stored as failed, with its parameters, and the study goes on.
+    The same seed gives the same trials on the same machine, also if the study is interrupted and resumed in between.
+    Several processes may run the same call on the same storage at once, each as another worker: they share the trials.
+    A trial whose evaluation raises or is not finite is stored as failed, with its parameters, and the study goes on.
 
     Args:
-        evaluate: evaluates a population. If it raises, the population is halved until the trial that
-            raises is alone, so only this one fails.
+        evaluate: evaluates a population; one that raises is halved until the trial that raises is alone.
         search_space: the parameters and their ranges, see `op3.identify.search_space`.
         sampler: how parameters are proposed, see `op3.identify.samplers`.
         directions: `minimize` or `maximize` for each objective.
         storage: see `op3.identify.storage`; None keeps the study in memory.
-        study_name: name of the study in the storage.
+        study_name: in the storage.
         n_trials: finished trials, complete or failed, that the study shall have in all; each further worker may add two
             populations.
         population: trials asked and evaluated together.
@@ -111,16 +105,10 @@ def run_study(
         worker: number of this process among those that share the study. Worker 0 evaluates baseline and starts.
         progress: show trials, best value, rate and time left.
 
-    Returns:
-        The stored study.
-
     Raises:
-        StudyError: if the settings contradict each other or the stored study, if results do not match
-            the population, if another process asks the same points, or if no trial completes and
+        StudyError: if sampler, storage or settings cannot be used or contradict the stored study, if results do not
+            match the population, if another process asks the same points, or if no trial completes and
             `FUTILE_POPULATIONS` in a row raise.
-        op3.identify.samplers.SamplerError: if the sampler is unknown or does not fit the study.
-        op3.identify.storage.StorageError: if the storage cannot be used.
-        op3.identify.search_space.SearchSpaceError: if nominal parameters or starts are outside the ranges.
     """
     if population < 1 or n_trials < 1:
         raise StudyError(f"population={population} and n_trials={n_trials} must both be at least 1.")
@@ -154,11 +142,7 @@ def run_study(
 
 
 def evaluate_population(evaluate: Evaluate, population: list[dict[str, Any]]) -> list[Outcome]:
-    """Evaluate a population such that one trial that raises does not take the others with it.
-
-    A population that raises is halved until the guilty trial is alone: about 2 log2(size) extra
-    evaluations for each trial that raises.
-    """
+    """Evaluate a population such that a trial that raises fails alone, at about 2 log2(size) further evaluations."""
     try:
         results = evaluate([dict(parameters) for parameters in population])
     except (StudyError, ChildProcessError):
@@ -209,11 +193,11 @@ class _Session:
     @property
     def finished(self) -> int:
         """Finished trials in the study, as far as this process knows."""
-        return len(self._trials(FINISHED))
+        return len(self._mirror.get_trials(deepcopy=False, states=FINISHED))
 
     def complete(self) -> list[FrozenTrial]:
         """Trials that have a value."""
-        return self._trials((TrialState.COMPLETE,))
+        return self._mirror.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
 
     def best(self) -> dict[str, str]:
         """Best value so far; nothing without one, or with several objectives."""
@@ -222,7 +206,7 @@ class _Session:
 
     def enqueue(self, given: Sequence[tuple[dict[str, Any], dict[str, Any]]]) -> None:
         """Ask for these trials first, each a mark and parameters, but for those that are in the study already."""
-        known = [trial.user_attrs for trial in self._trials(FINISHED)]
+        known = [trial.user_attrs for trial in self._mirror.get_trials(deepcopy=False, states=FINISHED)]
         for mark, values in given:
             if not any(attributes.get(key) == number for attributes in known for key, number in mark.items()):
                 self._mirror.enqueue_trial(values, user_attrs=mark)
@@ -286,9 +270,6 @@ class _Session:
         trial.set_user_attr("failed_values", [str(value) for value in values])
         return None
 
-    def _trials(self, states: tuple[TrialState, ...]) -> list[FrozenTrial]:
-        return self._mirror.get_trials(deepcopy=False, states=states)
-
 
 def _open_study(
     storage: str | Path | BaseStorage | None,
@@ -336,15 +317,15 @@ def _to_store(trial: FrozenTrial, keep_state: bool) -> FrozenTrial:
 
 def _plain(key: str, value: Any) -> Any:
     """Turn numpy and torch data into JSON data."""
-    if isinstance(value, Mapping):
-        return {str(name): _plain(key, item) for name, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(key, item) for item in value]
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    if value is None or isinstance(value, str | bool | int | float | list):
-        return value
-    raise StudyError(f"The attribute {key!r} holds a {type(value).__name__}: give numbers, texts, lists or dicts.")
+
+    def unpack(what: Any) -> Any:
+        if not hasattr(what, "tolist"):
+            raise StudyError(
+                f"The attribute {key!r} holds a {type(what).__name__}: give numbers, texts, lists or dicts."
+            )
+        return what.tolist()
+
+    return json.loads(json.dumps(value, default=unpack))
 
 
 @contextmanager

@@ -16,8 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from op3.identify.refine import simulate
-from op3.identify.sensitivity import Array, Residuals
+from op3.identify.sensitivity import Array, Residuals, simulate
 
 CAUTION = (1.0, 0.2, 0.02)
 """How much the variance counts beside the squared mean: at 1 it is the expected loss, below it steps are bolder."""

@@ -1,29 +1,13 @@
 """The Hydra sweeper `hydra/sweeper: population`: a study evaluated in populations, one Hydra job each.
 
-An experiment imports this module before `@hydra.main` and hands its work to `sweep_or_report`:
+An experiment imports this module before `@hydra.main` and hands its work to `sweep_or_report`. Run without `-m`, the
+study runs in this process, in Hydra's run folder. With `-m`, the sweeper asks a population, writes it to a file, and
+launches one job through the configured launcher with `population=<file>`; in that job `sweep_or_report` evaluates the
+file and returns the results. Either way the study asks the same trials.
 
-    import op3.identify.sweeper
-
-    @hydra.main(config_path="../conf", config_name="identify", version_base="1.3")
-    def main(cfg):
-        problem = hydra.utils.instantiate(cfg.problem)
-        return op3.identify.sweeper.sweep_or_report(cfg, problem.evaluate, problem.report)
-
-Run without `-m`, the study runs in this process, in Hydra's run folder. With `-m`, the sweeper asks a
-population, writes it to a file, and launches one job through the configured launcher with
-`population=<file>`; in that job `sweep_or_report` evaluates the file and returns the results. Either way
-the study asks the same trials.
-
-Comma sweeps on the command line (`seed=0,1,2 groups=motor,gear`) are an outer grid: one study, and one
-folder, for each cell. The search space comes from `hydra.sweeper.params` alone, read anew in every cell,
-so a config group may bring its own parameters:
-
-    # groups/motor.yaml
-    # @package _global_
-    hydra:
-      sweeper:
-        params:
-          servo.torque_constant: interval(0.003, 0.009)
+Comma sweeps on the command line (`seed=0,1,2 groups=motor,gear`) are an outer grid: one study, and one folder, for each
+cell. The search space comes from `hydra.sweeper.params` alone, read anew in every cell, so a config group may bring its
+own parameters.
 
 Folders:
 
@@ -46,6 +30,7 @@ from pathlib import Path
 from typing import Any
 
 import optuna
+from hydra.core.config_loader import ConfigLoader
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -58,12 +43,11 @@ from hydra.plugins.sweeper import Sweeper
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
-from op3.identify.results import RESULTS_FILE, summarize, write_atomically, write_yaml
-from op3.identify.samplers import SamplerError
-from op3.identify.search_space import SearchSpaceError
+from op3.identify.results import summarize, write_results
+from op3.identify.search_space import StudyError
 from op3.identify.settings import PLUGIN_MODULE, PopulationSweeperConf, StudySettings, read_settings
-from op3.identify.storage import StorageError
-from op3.identify.study import Evaluate, Outcome, StudyError, as_outcome, evaluate_population
+from op3.identify.study import Evaluate, Outcome, as_outcome, evaluate_population
+from op3.rollout.files import write_text
 
 log = logging.getLogger(__name__)
 
@@ -111,7 +95,7 @@ def sweep_or_report(
         starts = _kept_starts(folder, settings, lambda: _propose(propose, settings.starts))
         study = settings.run(evaluate_chunks, starts)
     summary = summarize(study)
-    write_yaml(folder / RESULTS_FILE, summary)
+    write_results(folder, summary)
     return summary if report is None else report(study)
 
 
@@ -130,7 +114,7 @@ def _kept_starts(
     path = folder / STARTS_FILE
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, json.dumps(list(make()), indent=1))
+        write_text(path, json.dumps(list(make()), indent=1))
     return json.loads(path.read_text())
 
 
@@ -139,33 +123,27 @@ class PopulationSweeper(Sweeper):
 
     __module__ = PLUGIN_MODULE
 
+    _config: DictConfig
+    _loader: ConfigLoader
+    _launcher: Launcher
+
     def __init__(self, **settings: Any) -> None:
-        # The settings are read from every cell's own config, where groups may change them.
-        self.hydra_context: HydraContext | None = None
-        self.config: DictConfig | None = None
-        self.launcher: Launcher | None = None
+        """Nothing is kept: the settings are read from every cell's own config, where groups may change them."""
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
         """Take over Hydra's objects and make the launcher."""
-        self.hydra_context = hydra_context
-        self.config = config
-        self.launcher = Plugins.instance().instantiate_launcher(
+        self._config, self._loader = config, hydra_context.config_loader
+        self._launcher = Plugins.instance().instantiate_launcher(
             hydra_context=hydra_context, task_function=task_function, config=config
         )
 
     def sweep(self, arguments: list[str]) -> list[Sequence[JobReturn]]:
-        """Run all cells.
-
-        Returns:
-            The job that reported each cell.
-        """
-        assert self.config is not None
-        assert self.hydra_context is not None
-        sweep_dir = Path(str(self.config.hydra.sweep.dir)).absolute()
+        """Run all cells; return the job that reported each."""
+        sweep_dir = Path(str(self._config.hydra.sweep.dir)).absolute()
         sweep_dir.mkdir(parents=True, exist_ok=True)
-        OmegaConf.save(self.config, sweep_dir / "multirun.yaml")
+        OmegaConf.save(self._config, sweep_dir / "multirun.yaml")
         with _one_sentence():
-            parser = OverridesParser.create(config_loader=self.hydra_context.config_loader)
+            parser = OverridesParser.create(config_loader=self._loader)
             grid = expand_grid(parser.parse_overrides(arguments))
             # All cells are read before the first one runs: an error shows at once, not after hours.
             cells = [self._cell(sweep_dir / str(i), overrides, grid) for i, overrides in enumerate(grid)]
@@ -176,7 +154,7 @@ class PopulationSweeper(Sweeper):
                 starts = _kept_starts(folder, settings, lambda o=overrides, f=folder, s=settings: self._starts(o, f, s))
                 study = settings.run(lambda p, o=overrides, f=folder, s=settings: self._launch(p, o, f, s), starts)
                 summaries.append({"folder": folder.name, "overrides": list(overrides), **summarize(study)})
-                write_yaml(sweep_dir / RESULTS_FILE, _sweep_summary(summaries, len(grid)))
+                write_results(sweep_dir, _sweep_summary(summaries, len(grid)))
                 returns.append(self._report(overrides, folder, settings, number))
         for jobs in returns:
             for job in jobs:
@@ -184,9 +162,7 @@ class PopulationSweeper(Sweeper):
         return returns
 
     def _cell(self, folder: Path, overrides: list[str], grid: list[list[str]]) -> tuple[Path, StudySettings]:
-        assert self.config is not None
-        assert self.hydra_context is not None
-        config = self.hydra_context.config_loader.load_sweep_config(self.config, overrides)
+        config = self._loader.load_sweep_config(self._config, overrides)
         common = set.intersection(*(set(cell) for cell in grid))
         name = ",".join(override for override in overrides if override not in common)
         settings = read_settings(config, config.hydra.sweeper, folder, name)
@@ -201,11 +177,10 @@ class PopulationSweeper(Sweeper):
         settings: StudySettings,
     ) -> list[Outcome]:
         """Evaluate what was asked: one job per population, all launched together."""
-        assert self.launcher is not None
         chunks = settings.split(population)
         first, jobs = _write_jobs(chunks, overrides, folder)
         try:
-            returns = self.launcher.launch(jobs, initial_job_idx=first)
+            returns = self._launcher.launch(jobs, initial_job_idx=first)
         except Exception as error:
             # A job may die with its machine; its trials fail, the study goes on.
             log.exception("The launcher failed.")
@@ -214,20 +189,18 @@ class PopulationSweeper(Sweeper):
 
     def _starts(self, overrides: list[str], folder: Path, settings: StudySettings) -> list[dict[str, Any]]:
         """Ask the experiment for starts, in a job of their own."""
-        assert self.launcher is not None
         first, jobs = _write_jobs([{"starts": settings.starts}], overrides, folder)
-        return list(self.launcher.launch(jobs, initial_job_idx=first)[0].return_value)
+        return list(self._launcher.launch(jobs, initial_job_idx=first)[0].return_value)
 
     def _report(self, overrides: list[str], folder: Path, settings: StudySettings, number: int) -> Sequence[JobReturn]:
         """Run the experiment once more, in the cell's own folder, where it finds its study finished."""
-        assert self.launcher is not None
         place = _place_overrides(folder.parent, folder.name)
         finished = [
             f"hydra.sweeper.storage={_quoted(settings.storage)}",
             f"hydra.sweeper.study_name={_quoted(settings.study_name)}",
         ]
         job = [*overrides, *place, *finished, "++population=null"]
-        return self.launcher.launch([job], initial_job_idx=number)
+        return self._launcher.launch([job], initial_job_idx=number)
 
 
 def expand_grid(overrides: Sequence[Override]) -> list[list[str]]:
@@ -270,7 +243,7 @@ def _write_jobs(contents: Sequence[Any], overrides: list[str], folder: Path) -> 
     jobs = []
     for number, content in enumerate(contents, start=first):
         path = folder / "populations" / str(number) / POPULATION_FILE
-        write_atomically(path, json.dumps(content, indent=1))
+        write_text(path, json.dumps(content, indent=1))
         place = _place_overrides(folder / "populations", "${hydra.job.num}")
         jobs.append([*overrides, *place, f"++population={_quoted(path)}"])
     return first, jobs
@@ -300,7 +273,7 @@ def _job_outcomes(chunk: list[dict[str, Any]], job: JobReturn) -> list[Outcome]:
     return [as_outcome(result) for result in results]
 
 
-def _sweep_summary(summaries: list[dict[str, Any]], cells: int) -> Mapping[str, Any]:
+def _sweep_summary(summaries: list[dict[str, Any]], cells: int) -> dict[str, Any]:
     if cells > 1:
         return {"name": "optuna", "studies": summaries}
     return {key: value for key, value in summaries[0].items() if key not in ("folder", "overrides")}
@@ -311,16 +284,15 @@ def _one_sentence() -> Iterator[None]:
     """Let Hydra print a wrong setting as its sentence, without a stack trace."""
     try:
         yield
-    except (SamplerError, SearchSpaceError, StorageError, StudyError) as error:
+    except StudyError as error:
         raise CompactHydraException(str(error)) from error
 
 
 def register() -> None:
     """Make `hydra/sweeper: population` known to Hydra.
 
-    Hydra finds a plugin by its name under `hydra_plugins`, a package that every plugin extends. We add
-    our module to it at run time, so that importing this file is all an experiment needs: no second
-    top-level package is installed, and a checkout works as it is.
+    Hydra finds a plugin by its name under `hydra_plugins`, a package that every plugin extends. Our module is added to
+    it at run time, so that no second top-level package is installed and a checkout works as it is.
     """
     try:
         importlib.import_module("hydra_plugins")

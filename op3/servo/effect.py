@@ -191,12 +191,11 @@ Scope = Literal["robot", "shared", "joint", "side"]
 class Effect:
     """Base class of everything in the catalogue; `register` makes subclasses frozen dataclasses of their options.
 
-    The law of an effect is a few scalar functions of one joint, compiled with those of all others into one kernel. Each
-    is a static method of ``(s, p)``: ``s`` holds the `SIGNALS` and the effect's own ``memory``, ``p`` the parameters of
-    the whole catalogue, each as it is where its effect is off too: neutral. Memory, constants and options bear the
-    effect's name: ``s.backlash_angle``, ``p.motor_gear_ratio``. An option that is a word counts as the place in its
-    list. Functions that an effect does not have cost nothing; what they all must do without are objects and memory of
-    their own.
+    The law of an effect is a few scalar functions of one joint, compiled with those of all others into one kernel; they
+    do without objects and memory of their own. Each is a static method of ``(s, p)``: ``s`` holds the `SIGNALS` and the
+    effect's own ``memory``, ``p`` the parameters of the whole catalogue, neutral where their effect is off. Memory,
+    constants and options bear the effect's name: ``s.lugre_bent``, ``p.motor_gear_ratio``. An option that is a word
+    counts as the place in its list.
 
     | function | when | for |
     |---|---|---|
@@ -234,14 +233,12 @@ class Effect:
         edits: what it changes in the MuJoCo model.
         reads: signals that simulations fill only where an effect asks for them.
         commands: inputs without which it cannot act.
-        size: name of the parameter that says how strong the effect is.
-        smallest: smallest size that matters, as a distance from neutral in that parameter's unit.
         secants: finite changes for screening, several where the effect is not local in its parameters.
         fingerprint: how it shows in the residual, measured minus predicted.
         confounders: other effects that may look like it.
         separating_experiment: what tells it from them.
-        alias_class: effects of one class cannot be told apart without a special experiment.
-        scopes: who can have it.
+        scopes: who can have it; of parameters that joints share the whole robot, whatever is said here.
+        acts_in: name of the effect whose functions act for this one too.
         stiff: whether it moves within milliseconds, so that no simulation of it may take longer steps than usual.
     """
 
@@ -256,14 +253,12 @@ class Effect:
     edits: ClassVar[tuple[ModelEdit, ...]] = ()
     reads: ClassVar[tuple[str, ...]] = ()
     commands: ClassVar[tuple[str, ...]] = ()
-    size: ClassVar[str] = ""
-    smallest: ClassVar[float] = 0.0
     secants: ClassVar[tuple[Mapping[str, float], ...]] = ()
     fingerprint: ClassVar[str] = ""
     confounders: ClassVar[tuple[str, ...]] = ()
     separating_experiment: ClassVar[str] = ""
-    alias_class: ClassVar[str] = ""
-    scopes: ClassVar[tuple[Scope, ...]] = ()
+    scopes: ClassVar[tuple[Scope, ...]] = ("joint", "shared", "side")
+    acts_in: ClassVar[str] = ""
     stiff: ClassVar[bool] = False
 
     def __post_init__(self):
@@ -330,6 +325,8 @@ def register(effect: Registered) -> Registered:
     clash = taken & {parameter.name for parameter in effect.parameters}
     if clash:
         raise ValueError(f"effect {effect.name!r}: parameter names {sorted(clash)} are taken by other effects")
+    if effect.parameters and not any(parameter.per_joint for parameter in effect.parameters):
+        effect.scopes = ("robot",)
     made = effect if is_dataclass(effect) else dataclass(frozen=True)(effect)
     _CATALOGUE[effect.name] = made
     return made

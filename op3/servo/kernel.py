@@ -74,8 +74,9 @@ class Kernel:
         for effect in effects:
             if type(effect) not in self.effects:
                 raise ValueError(f"{type(effect).__name__} is not in the catalogue; decorate the class with `register`")
-            number = self.effects.index(type(effect))
-            words[number // BITS] |= 1 << number % BITS
+        acting = {effect.acts_in or effect.name for effect in effects}
+        for number, kind in enumerate(self.effects):
+            words[number // BITS] |= (kind.name in acting) << number % BITS
         return tuple(words)
 
     def rows(self, effects: Sequence[Effect], clock: Clock, num_sims: int, num_joints: int) -> np.ndarray:

@@ -13,6 +13,9 @@ from op3.servo.machine_code import scalar
 ROUNDING = 1e-9
 """Share of a step that is none: a latency of whole steps arrives between two."""
 
+CURRENT = 0
+"""Place of the target current in the lists of signals that can be late, lag or be lost."""
+
 TRACE = 1e-12
 """Share of a torque that decides a direction only where the joint rests exactly."""
 
@@ -27,10 +30,7 @@ def clip(value, low, high):
 
 @scalar
 def zones(motor_torque, load_torque, forward_efficiency, backward_efficiency):
-    """Whether the motor drives, and whether the load drives, paper eq. (3); neither where they hold each other.
-
-    Where both conditions are met (torques of one direction) the first one counts. Arguments as for `dte_brake`.
-    """
+    """Whether the motor drives, else whether the load does, paper eq. (3); neither where they hold each other."""
     forward = np.sign(forward_efficiency * motor_torque + load_torque) == np.sign(motor_torque)
     backward = np.sign(motor_torque + backward_efficiency * load_torque) == np.sign(load_torque)
     return forward, backward
@@ -68,9 +68,8 @@ def motor_leads(motor_torque, load_torque):
 def dte_passive_loss(motor_torque, load_torque, forward_efficiency, backward_efficiency):
     """Bound [N m] on a friction that loses what eq. (3) loses but always opposes motion.
 
-    ``(1 - eta_fw) |tau_m|`` where the motor leads or both torques point the same way, otherwise
-    ``(1 - eta_bw) |tau_a|``. As a friction it can stop the joint and never push it; the antagonistic zone of eq. (3) is
-    reproduced exactly: a hold slips at ``|tau_m| = eta_bw |tau_a|``. Arguments as for `dte_brake`.
+    As a friction it can stop the joint and never push it; the antagonistic zone of eq. (3) is reproduced exactly: a
+    hold slips at ``|tau_m| = eta_bw |tau_a|``. Arguments as for `dte_brake`.
     """
     if motor_leads(motor_torque, load_torque):
         return (1.0 - forward_efficiency) * abs(motor_torque)
@@ -81,8 +80,7 @@ def dte_passive_loss(motor_torque, load_torque, forward_efficiency, backward_eff
 def dte_power_loss(motor_torque, load_torque, direction, forward_efficiency, backward_efficiency):
     """Bound [N m] on a friction that loses by the direction of power: torque arrives as eta_fw or as 1 / eta_bw.
 
-    ``(1 - eta_fw) |tau_m|`` where the motor drives, ``(1 / eta_bw - 1) |tau_m|`` where it is driven back. At rest the
-    stronger torque says which. `direction` has the sign of the motion and is zero at rest; the others are those of
+    `direction` has the sign of the motion; where it is zero the stronger torque says which. The others are those of
     `dte_brake`.
     """
     power = motor_torque * (direction + TRACE * (motor_torque + load_torque))
@@ -93,17 +91,10 @@ def dte_power_loss(motor_torque, load_torque, direction, forward_efficiency, bac
 
 @scalar
 def stribeck_fade(speed, stribeck_velocity, gaussian):
-    """Share of the friction near rest that is left at a speed, paper eq. (4): ``exp(-|w| / w_s)``.
+    """Share of the friction near rest that is left at a speed [rad/s], paper eq. (4): ``exp(-|w| / w_static)``.
 
-    Armstrong (1994) finds both that and ``exp(-(w / w_s)^2)``, which stays near one for longer and has no tail.
-
-    The paper prints ``s = exp(|w|) / w_static``, which grows without bound; the decaying exponential of the
-    Stribeck function is meant.
-
-    Args:
-        speed: ``|w|`` [rad/s].
-        stribeck_velocity: w_static [rad/s].
-        gaussian: whether the square of the ratio counts.
+    The paper prints ``s = exp(|w|) / w_static``, which grows without bound; the decaying exponential of the Stribeck
+    function is meant. Armstrong (1994) finds it and the gaussian ``exp(-(w / w_static)^2)``.
     """
     ratio = speed / stribeck_velocity
     return exp(-ratio * ratio) if gaussian else exp(-ratio)
@@ -113,13 +104,7 @@ def stribeck_fade(speed, stribeck_velocity, gaussian):
 def lifted_voltage(voltage, bus_voltage, lift, fade):
     """Voltage [V] of a driver that adds to small duties: ``V + V_bus d0 sign(V) (1 - exp(-|V| / (V_bus d1)))``.
 
-    Zero stays zero, duties far above d1 are raised by d0, and the bus voltage bounds the whole.
-
-    Args:
-        voltage: as the controller asks [V].
-        bus_voltage: [V].
-        lift: d0, as a duty.
-        fade: duty d1 over which the lift sets in.
+    The lift d0 and d1, over which it sets in, are duties; the bus voltage bounds the whole.
     """
     raised = voltage + np.sign(voltage) * bus_voltage * lift * -expm1(-abs(voltage) / (bus_voltage * fade))
     return clip(raised, -bus_voltage, bus_voltage)
@@ -129,14 +114,7 @@ def lifted_voltage(voltage, bus_voltage, lift, fade):
 def load_friction(motor_torque, load_torque, motor_share, load_share):
     """Friction bound [N m] in proportion to the torque that the gear passes on: ``|lm tau_m - le tau_a|``.
 
-    Equal shares give the load-dependent friction of a gear box, ``l |tau_m - tau_a|``: torques that oppose each
-    other press the teeth together. Duclusaud et al. (2024), models M3 to M5.
-
-    Args:
-        motor_torque: tau_m, joint side [N m].
-        load_torque: tau_a [N m].
-        motor_share: lm.
-        load_share: le.
+    Torques that oppose each other press the teeth together. Duclusaud et al. (2024), models M3 to M5.
     """
     return abs(motor_share * motor_torque - load_share * load_torque)
 
@@ -145,14 +123,7 @@ def load_friction(motor_torque, load_torque, motor_share, load_share):
 def antagonistic_friction(motor_torque, load_torque, motor_square, load_square):
     """Friction bound [N m] that grows with the square of the weaker torque where motor and load oppose each other.
 
-    ``qe tau_a^2`` where the motor is the stronger, ``qm tau_m^2`` where the load is; zero where both torques point
-    the same way. Duclusaud et al. (2024), model M6.
-
-    Args:
-        motor_torque: tau_m, joint side [N m].
-        load_torque: tau_a [N m].
-        motor_square: qm [1/(N m)].
-        load_square: qe [1/(N m)].
+    The squares qm and qe are in 1/(N m). Duclusaud et al. (2024), model M6.
     """
     if motor_torque * load_torque >= 0:
         return 0.0

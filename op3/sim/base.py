@@ -1,4 +1,4 @@
-"""Where the trunk's attitude stands in MuJoCo's state."""
+"""What the sensors of servos and trunk say, and where the trunk's attitude stands in MuJoCo's state."""
 
 from dataclasses import dataclass
 
@@ -6,6 +6,8 @@ import mujoco
 import numpy as np
 import torch
 from torch import Tensor
+
+from op3.servo import Servos, Trunk
 
 
 @dataclass(frozen=True)
@@ -31,11 +33,37 @@ class Base:
         joint = model.body_jntadr[root]
         return cls(body, int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint]))
 
-    def pose(self, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
-        """Orientation quaternion (w first) and angular velocity in the body frame [rad/s]."""
+    def trunk(self, qpos: Tensor, qvel: Tensor, xquat: Tensor) -> Trunk:
+        """Attitude and rates from MuJoCo's arrays, ``[sim, ...]``."""
         if self.qpos is None or self.dof is None:
-            return data.xquat[self.body], np.zeros(3)
-        return data.qpos[self.qpos + 3 : self.qpos + 7], data.qvel[self.dof + 3 : self.dof + 6]
+            return Trunk(xquat[:, self.body], torch.zeros(len(qpos), 3, dtype=torch.float64))
+        return Trunk(qpos[:, self.qpos + 3 : self.qpos + 7], qvel[:, self.dof + 3 : self.dof + 6].clone())
+
+
+def readings(law: Servos, trunk: Trunk | None = None) -> dict[tuple[str, str], Tensor]:
+    """What the servos' and the trunk's sensors say now: channels of the log, ``[sim, joint | 3]``."""
+    law.report()
+    signals = law.signals
+    channels = {
+        ("joint", "position"): signals.measured_position.clone(),
+        ("joint", "velocity"): signals.measured_velocity.clone(),
+        ("joint", "current"): signals.measured_current.clone(),
+    }
+    if trunk is not None:
+        seen = law.sense_trunk(trunk)
+        channels[("imu", "orientation")] = roll_pitch_yaw(seen.quaternion)
+        channels[("imu", "angular_velocity")] = seen.angular_velocity
+    return channels
+
+
+def undo_sensing(law: Servos, reading: Tensor) -> Tensor:
+    """Joint positions at which the sensors read these [rad], ``[sim, joint]``."""
+    signals = law.signals
+    signals.position, signals.velocity = reading, 0.0
+    for _ in range(3):  # exact after one round for an offset; more for a reading that bends with the angle
+        law.sense()
+        signals.position += reading - signals.measured_position
+    return signals.position
 
 
 def roll_pitch_yaw(quaternion: Tensor) -> Tensor:

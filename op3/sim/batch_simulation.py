@@ -10,8 +10,8 @@ import torch
 from mujoco.batch import Batch
 from torch import Tensor
 
-from op3.servo import RobotModel, Servos, Trunk
-from op3.sim.base import Base, roll_pitch_yaw
+from op3.servo import RobotModel, Servos
+from op3.sim.base import Base, readings, undo_sensing
 from op3.sim.edits import edited_fields
 from op3.sim.exchange import hand_over, read
 from op3.sim.inputs import default_commands, expand_parameters, set_commands, set_start
@@ -39,7 +39,6 @@ class BatchSimulation:
         joint_names: names by which the model's per-joint values address the joints; by default the last part
             of each full name.
         num_threads: threads that step the physics; 0 for all processors.
-        fields: MuJoCo model fields that differ between simulations, ``[sim, ...]``, before the model's edits.
 
     Raises:
         ValueError: if the control period is not a multiple of the time step, or a name is unknown.
@@ -56,7 +55,6 @@ class BatchSimulation:
         base_body: str | None = None,
         joint_names: Sequence[str] | None = None,
         num_threads: int = 0,
-        fields: Mapping[str, np.ndarray] | None = None,
     ):
         self.timestep = float(mj_model.opt.timestep)
         self.substeps = round(control_period / self.timestep)
@@ -68,7 +66,6 @@ class BatchSimulation:
         self.ports = ServoPorts.find(mj_model, joints)
         self.batch = Batch(mj_model, num_sims, num_threads)
         self._base = None if base_body is None else Base.find(mj_model, mj_model.body(base_body).id)
-        self._fields = {name: np.array(value, dtype=np.float64) for name, value in (fields or {}).items()}
         self.law = Servos(model.effects, self.joint_names, num_sims, self.timestep, control_period)
         self.signals, self._forces = self.law.signals, self.law.reads("radial_force")
         default_commands(self.signals, model)
@@ -84,8 +81,7 @@ class BatchSimulation:
         self._handed = batch.bind("ctrl"), batch.expand("dof_armature"), batch.expand("dof_frictionloss")
         self._qpos, self._qvel, self._sensors = map(_torch_view, self._state[:3])
         _, self._armature, self._friction = map(_torch_view, self._handed)
-        if self._base is not None:
-            self._base_quaternion = _torch_view(batch.bind("xquat"))[:, self._base.body]
+        self._xquat = _torch_view(batch.bind("xquat"))
 
     @property
     def motor_current(self) -> np.ndarray:
@@ -112,15 +108,7 @@ class BatchSimulation:
         self.parameters = expanded
         self.law.set(expanded)
         base = -1 if self._base is None else self._base.body
-        edits = edited_fields(
-            self.batch.model,
-            self.model.effects,
-            expanded,
-            self.ports,
-            base,
-            self._fields,
-            self.num_sims,
-        )
+        edits = edited_fields(self.batch.model, self.model.effects, expanded, self.ports, base, self.num_sims)
         for field, array in edits.items():
             self.batch.expand(field)[...] = array
         if edits:
@@ -167,7 +155,7 @@ class BatchSimulation:
         self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
         self._qpos[which] = torch.as_tensor(qpos, dtype=torch.float64)
         if measured:
-            self._undo_sensing()
+            self._qpos[:, self.ports.qpos] = undo_sensing(self.law, self._qpos[:, self.ports.qpos])
         self._qvel[which] = torch.as_tensor(qvel, dtype=torch.float64)
         for array, value in ((self._friction, 0.0), (self._armature, self._rotor[which])):
             block = array[which]
@@ -181,15 +169,6 @@ class BatchSimulation:
         set_commands(self.signals, commands or {}, which)
         set_start(self.signals, load_torque, current, time, which)
         self.law.reset(ids)
-
-    def _undo_sensing(self) -> None:
-        """Move the joints until their sensors read what the joints' positions were."""
-        reading = self._qpos[:, self.ports.qpos].clone()
-        for _ in range(3):  # exact after one round for an offset; more for a reading that bends with the angle
-            self.signals.position = self._qpos[:, self.ports.qpos]
-            self.signals.velocity = 0.0
-            self.law.sense()
-            self._qpos[:, self.ports.qpos] += reading - self.signals.measured_position
 
     def command(self, **commands: Tensor) -> None:
         """Set commands for the ticks to come; those not named are held.
@@ -230,22 +209,7 @@ class BatchSimulation:
     def measure(self) -> dict[tuple[str, str], Tensor]:
         """What the servos' and the trunk's sensors say now: channels of the log, ``[sim, joint | 3]``."""
         self._read()
-        self.law.report()
-        signals = self.signals
-        channels = {
-            ("joint", "position"): signals.measured_position.clone(),
-            ("joint", "velocity"): signals.measured_velocity.clone(),
-            ("joint", "current"): signals.measured_current.clone(),
-        }
-        if self._base is not None:
-            free, rates = self._base.qpos, torch.zeros(self.num_sims, 3, dtype=torch.float64)
-            quaternion = self._base_quaternion if free is None else self._qpos[:, free + 3 : free + 7]
-            if self._base.dof is not None:
-                rates = self._qvel[:, self._base.dof + 3 : self._base.dof + 6].clone()
-            seen = self.law.sense_trunk(Trunk(quaternion, rates))
-            channels[("imu", "orientation")] = roll_pitch_yaw(seen.quaternion)
-            channels[("imu", "angular_velocity")] = seen.angular_velocity
-        return channels
+        return readings(self.law, self._base and self._base.trunk(self._qpos, self._qvel, self._xquat))
 
     def _read(self) -> None:
         read(self.law.records, self._at, self._forces, *self._state)

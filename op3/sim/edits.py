@@ -9,7 +9,11 @@ import numpy as np
 from torch import Tensor
 
 from op3.servo import Effect, ModelEdit
+from op3.servo.effects import LinkInertia, Motor
 from op3.sim.ports import ServoPorts
+
+ROTOR, LINK = Motor.edits[0], LinkInertia.edits[0]
+"""Changes that need no MuJoCo: of the rotor's inertia, on the diagonal of the mass matrix, and of a link's own."""
 
 FOOT_JOINT = "ank_roll"
 """How the names of the joints end that move the feet."""
@@ -21,27 +25,22 @@ def edited_fields(
     values: Mapping[str, Tensor],
     ports: ServoPorts,
     base_body: int,
-    fields: Mapping[str, np.ndarray],
     num_sims: int,
 ) -> dict[str, np.ndarray]:
-    """Model fields after all edits.
+    """Model fields after all edits, ``[sim, ...]`` by name.
 
     Args:
         model: compiled model, whose values the edits start from.
-        effects: effects that are on.
-        values: parameter values ``[sim, joint]`` or ``[sim, 1]``.
+        effects: that are on.
+        values: of parameters, ``[sim, joint]`` or ``[sim, 1]``.
         ports: where the servos are.
         base_body: id of the base body, or -1.
-        fields: values ``[sim, ...]`` to start from instead of the compiled ones.
         num_sims: number of simulations.
-
-    Returns:
-        Arrays ``[sim, ...]`` by field name.
 
     Raises:
         ValueError: if an effect edits the base of a scene that has none.
     """
-    edited = {name: array.copy() for name, array in fields.items()}
+    edited: dict[str, np.ndarray] = {}
     for effect in effects:
         for edit in effect.edits:
             if edit.field not in edited:
@@ -64,14 +63,14 @@ def model_field(model: mujoco.MjModel, field: str) -> np.ndarray:
 
 
 def _rows(model: mujoco.MjModel, edit: ModelEdit, ports: ServoPorts, base_body: int) -> Any:
-    if edit.target == "joint_dof":
-        return ports.dof
-    if edit.target == "joint_body":
-        return ports.body
-    if edit.target == "base_body":
-        return slice(base_body, base_body + 1)
-    if edit.target == "option":
-        return slice(0, 1)
+    one_of = {
+        "joint_dof": ports.dof,
+        "joint_body": ports.body,
+        "base_body": slice(base_body, base_body + 1),
+        "option": slice(0, 1),
+    }
+    if edit.target in one_of:
+        return one_of[edit.target]
     collides = (model.geom_contype | model.geom_conaffinity) != 0
     if edit.target == "foot_geom":
         feet = [b for name, b in zip(ports.joints, ports.body, strict=True) if name.endswith(FOOT_JOINT)]

@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from op3.servo import RobotModel, Servos, Trunk
-from op3.sim.base import Base, roll_pitch_yaw
+from op3.servo import RobotModel, Servos
+from op3.sim.base import Base, readings
 from op3.sim.edits import edited_fields, model_field
 from op3.sim.exchange import hand_over, read
 from op3.sim.inputs import default_commands, expand_parameters, set_commands, set_start
@@ -40,9 +40,8 @@ class GearedServo:
         self._rotor: np.ndarray = np.zeros((1, len(joints)))
         self._failed = np.zeros(1, bool)
 
-    def after_compile(self, physics: Any, random_state: Any = None) -> None:
+    def after_compile(self, physics: Any) -> None:
         """Find the servos in the compiled model and carry out the effects' model edits."""
-        del random_state
         names = [joint.full_identifier for joint in self._joints]
         self.ports = ServoPorts.find(physics.model.ptr, names)
         base = -1 if self._base_element is None else int(physics.bind(self._base_element).element_id)
@@ -52,16 +51,15 @@ class GearedServo:
         self.law = Servos(self.model.effects, self.joint_names, 1, timestep, self._control_period)
         self.law.set(values)
         self.signals, self._at = self.law.signals, self.ports.table
-        edits = edited_fields(physics.model.ptr, self.model.effects, values, self.ports, base, {}, 1)
+        edits = edited_fields(physics.model.ptr, self.model.effects, values, self.ports, base, 1)
         for field, array in edits.items():
             model_field(physics.model.ptr, field)[...] = array[0]
         if edits:
             mujoco.mj_setConst(physics.model.ptr, physics.data.ptr)
         self._rotor = physics.model.ptr.dof_armature[None, self.ports.dof].copy()
 
-    def initialize_episode(self, physics: Any, random_state: Any = None, **commands: Any) -> None:
+    def initialize_episode(self, physics: Any, **commands: Any) -> None:
         """Start with these commands (see `before_step`) as if they had been held for long."""
-        del random_state
         physics.model.ptr.dof_frictionloss[self.ports.dof] = 0.0
         physics.model.ptr.dof_armature[self.ports.dof] = self._rotor[0]
         mujoco.mj_forward(physics.model.ptr, physics.data.ptr)
@@ -71,23 +69,20 @@ class GearedServo:
         set_commands(self.signals, commands)
         self.law.reset()
 
-    def before_step(self, physics: Any, random_state: Any = None, **commands: Any) -> None:
+    def before_step(self, physics: Any, **commands: Any) -> None:
         """A control period begins: take commands and let the PD look at the sensors.
 
         Args:
             physics: composer physics.
-            random_state: unused; part of the hook.
             **commands: ``position_target`` [rad], ``p_gain`` [A/rad], ``d_gain`` [A s/rad] and the others of
                 `op3.servo.Signals`, each ``[joint]``; those not named are held.
         """
-        del random_state
         set_commands(self.signals, commands)
         self._read(physics)
         self.law.tick()
 
-    def before_substep(self, physics: Any, random_state: Any = None) -> None:
+    def before_substep(self, physics: Any) -> None:
         """Set torque, damping and friction of the coming physics step."""
-        del random_state
         self._read(physics)
         self.law.step()
         model, ctrl = physics.model.ptr, physics.data.ptr.ctrl
@@ -102,28 +97,12 @@ class GearedServo:
     def measure(self, physics: Any) -> dict[tuple[str, str], Tensor]:
         """What the servos' and the trunk's sensors say now: channels of the log, ``[joint]`` and ``[3]``."""
         self._read(physics)
-        self.law.report()
-        channels = {
-            ("joint", "position"): self.signals.measured_position[0].clone(),
-            ("joint", "velocity"): self.signals.measured_velocity[0].clone(),
-            ("joint", "current"): self.signals.measured_current[0].clone(),
-        }
-        if self._base is not None:
-            quaternion, rates = self._base.pose(physics.data.ptr)
-            true = Trunk(torch.from_numpy(quaternion.copy())[None], torch.from_numpy(rates.copy())[None])
-            seen = self.law.sense_trunk(true)
-            channels[("imu", "orientation")] = roll_pitch_yaw(seen.quaternion)[0]
-            channels[("imu", "angular_velocity")] = seen.angular_velocity[0]
-        return channels
+        state = physics.data.ptr
+        arrays = (torch.from_numpy(array)[None] for array in (state.qpos, state.qvel, state.xquat))
+        channels = readings(self.law, self._base and self._base.trunk(*arrays))
+        return {name: value[0] for name, value in channels.items()}
 
     def _read(self, physics: Any) -> None:
         data = physics.data.ptr
-        read(
-            self.law.records,
-            self._at,
-            self.law.reads("radial_force"),
-            data.qpos[None],
-            data.qvel[None],
-            data.sensordata[None],
-            data.qfrc_applied[None],
-        )
+        state = (data.qpos[None], data.qvel[None], data.sensordata[None], data.qfrc_applied[None])
+        read(self.law.records, self._at, self.law.reads("radial_force"), *state)

@@ -12,13 +12,9 @@ import numpy as np
 from op3.robot import DEFAULT, build_scene, load_robot
 from op3.robot.units import GRAVITY
 from op3.servo import RobotModel
-from op3.servo.effects import LinkInertia, Motor
-from op3.sim.edits import edited_fields, model_field
+from op3.sim.edits import LINK, ROTOR, edited_fields, model_field
 from op3.sim.ports import ServoPorts, attach_servos
 from op3.sim.trajectory_dynamics import TrajectoryDynamics, trajectory_dynamics
-
-ROTOR, LINK = Motor.edits[0], LinkInertia.edits[0]
-"""The rotor's inertia, which is on the diagonal of the mass matrix, and the link's, the one edit that a bench has."""
 
 
 class FixedBase:
@@ -65,9 +61,9 @@ class FixedBase:
             for name, value in sound.tensors(self.joints).items()
         }
         effects = [e for e in model.effects if any(edit != ROTOR for edit in e.edits)]
-        arrays = edited_fields(self.mj_model, effects, values, self.ports, self.base, {}, 1)
+        arrays = edited_fields(self.mj_model, effects, values, self.ports, self.base, 1)
         values[parameter][:, 0 if joint is None else joint] += amount
-        moved = edited_fields(self.mj_model, effects, values, self.ports, self.base, {}, 1)
+        moved = edited_fields(self.mj_model, effects, values, self.ports, self.base, 1)
         different = [field for field in moved if not np.array_equal(moved[field], arrays[field])]
         if not different:
             return None

@@ -9,7 +9,8 @@ from typing import Any
 import yaml
 
 from op3.robot import named_configs
-from op3.servo import Estimate, RobotModel, effect_class
+from op3.rollout.files import write_text
+from op3.servo import Effect, Estimate, RobotModel, effect_class
 from op3.servo.conditions import split_name
 from op3.settings import read_yaml
 
@@ -17,17 +18,10 @@ FORMAT = "op3-model/1"
 
 
 def save_model(model: RobotModel, path: str | Path) -> Path:
-    """Write a model; the file appears whole or not at all.
-
-    Args:
-        model: what to write.
-        path: of the file to write.
-    """
+    """Write a model; the file appears whole or not at all."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(path.suffix + ".partial")
-    partial.write_text(yaml.safe_dump(to_dict(model), sort_keys=False))
-    partial.replace(path)
+    write_text(path, yaml.safe_dump(to_dict(model), sort_keys=False))
     return path
 
 
@@ -90,18 +84,10 @@ def to_dict(model: RobotModel) -> dict[str, Any]:
     effects = []
     for effect in model.effects:
         body: dict[str, Any] = {name: getattr(effect, name) for name in effect.options()}
-        for known in effect.parameters:
-            estimate = model.estimates.get(known.name, Estimate(known.nominal))
-            body[known.name] = _estimate_to_plain(estimate)
+        body |= {known.name: _estimate_to_plain(model.estimate(known.name)) for known in effect.parameters}
         effects.append({effect.name: body})
-    content: dict[str, Any] = {
-        "format": FORMAT,
-        "bus_voltage": model.bus_voltage,
-        "effects": effects,
-    }
-    if model.provenance:
-        content["provenance"] = dict(model.provenance)
-    return content
+    content: dict[str, Any] = {"format": FORMAT, "bus_voltage": model.bus_voltage, "effects": effects}
+    return content | ({"provenance": dict(model.provenance)} if model.provenance else {})
 
 
 def from_dict(content: Any) -> RobotModel:
@@ -120,10 +106,7 @@ def from_dict(content: Any) -> RobotModel:
         raise ValueError(f"unknown field `{sorted(unknown)[0]}`; remove it")
     effects, estimates = [], {}
     for entry in listed:
-        name, body = _single(entry)
-        made, values = _effect_from_plain(name, body)
-        effects.append(made)
-        estimates.update(values)
+        effects.append(_effect_from_plain(entry, estimates))
     return RobotModel(
         effects=tuple(effects),
         estimates=estimates,
@@ -132,42 +115,31 @@ def from_dict(content: Any) -> RobotModel:
     )
 
 
-def _single(entry: Any) -> tuple[str, Mapping[str, Any]]:
-    if isinstance(entry, str):
-        return entry, {}
+def _effect_from_plain(entry: Any, estimates: dict[str, Estimate]) -> Effect:
+    """The effect of an entry; its parameters are put among the estimates."""
+    entry = {entry: None} if isinstance(entry, str) else entry
     if not isinstance(entry, Mapping) or len(entry) != 1:
         raise ValueError(f"an entry of `effects` must be one `<effect>: {{...}}`, got {entry!r}")
-    name, body = next(iter(entry.items()))
+    ((name, body),) = entry.items()
     if body is not None and not isinstance(body, Mapping):
         raise ValueError(f"effect `{name}` must hold options and parameters by name, got {body!r}")
-    return str(name), body or {}
-
-
-def _effect_from_plain(name: str, body: Mapping[str, Any]) -> tuple[Any, dict[str, Estimate]]:
-    cls = effect_class(name)
-    parameters = {p.name for p in cls.parameters}
-    options = {}
-    estimates = {}
-    for key, value in body.items():
+    kind, options = effect_class(str(name)), {}
+    parameters = sorted(p.name for p in kind.parameters)
+    for key, value in (body or {}).items():
         if key in parameters:
             estimates[key] = _estimate_from_plain(f"{name}.{key}", value)
-        elif key in cls.options():
+        elif key in kind.options():
             options[key] = value
         else:
             raise ValueError(
-                f"effect `{name}` has no field `{key}`; it has {', '.join([*cls.options(), *sorted(parameters)])}"
+                f"effect `{name}` has no field `{key}`; it has {', '.join([*kind.options(), *parameters])}"
             )
-    return cls(**options), estimates
+    return kind(**options)
 
 
 def _estimate_to_plain(estimate: Estimate) -> Any:
-    if estimate.low is None and estimate.high is None and not estimate.joints and not estimate.by:
-        return estimate.value
-    plain: dict[str, Any] = {"value": estimate.value}
-    if estimate.low is not None:
-        plain["low"] = estimate.low
-    if estimate.high is not None:
-        plain["high"] = estimate.high
+    ends = {"value": estimate.value, "low": estimate.low, "high": estimate.high}
+    plain: dict[str, Any] = {name: end for name, end in ends.items() if end is not None}
     if estimate.joints:
         plain["joints"] = {
             joint: _estimate_to_plain(Estimate(value, *estimate.intervals.get(joint, (None, None))))
@@ -175,7 +147,7 @@ def _estimate_to_plain(estimate: Estimate) -> Any:
         }
     if estimate.by:
         plain["by"] = {str(condition): _estimate_to_plain(special) for condition, special in estimate.by.items()}
-    return plain
+    return plain if len(plain) > 1 else estimate.value
 
 
 def _estimate_from_plain(where: str, value: Any) -> Estimate:
@@ -194,8 +166,7 @@ def _estimate_from_plain(where: str, value: Any) -> Estimate:
     special = {f"{where}@{condition}": v for condition, v in (value.get("by") or {}).items()}
     return Estimate(
         value=_number(where, value["value"]),
-        low=None if value.get("low") is None else _number(f"{where}.low", value["low"]),
-        high=None if value.get("high") is None else _number(f"{where}.high", value["high"]),
+        **{end: _number(f"{where}.{end}", value[end]) for end in ("low", "high") if value.get(end) is not None},
         joints={joint: own.value for joint, own in joints.items()},
         intervals={j: (o.low, o.high) for j, o in joints.items() if o.low is not None and o.high is not None},
         by={c: _estimate_from_plain(name, v) for name, v in special.items() if (c := split_name(name)[1])},

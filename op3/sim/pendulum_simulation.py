@@ -15,15 +15,13 @@ from torch import Tensor
 
 from op3.robot.units import GRAVITY
 from op3.servo import RobotModel, Servos
-from op3.servo.effects import LinkInertia, Motor
 from op3.servo.machine_code import entry
+from op3.sim.base import readings, undo_sensing
+from op3.sim.edits import LINK, ROTOR
 from op3.sim.inputs import default_commands, expand_parameters, set_commands, set_start
 
 PD_PERIOD = 0.008
 """Time between ticks of a PD that commands current [s]; paper, 125 Hz."""
-
-ROTOR, LINK = Motor.edits[0], LinkInertia.edits[0]
-"""The changes to a MuJoCo model that mean something here: of the rotor's inertia and of the link's."""
 
 
 class PendulumSimulation:
@@ -89,12 +87,10 @@ class PendulumSimulation:
     ) -> None:
         """Start all pendulums anew; arguments as for `op3.sim.BatchSimulation.reset`."""
         signals = self.signals
-        signals.position, signals.velocity = position, velocity
+        signals.position = position
         if measured:
-            reading = signals.position.clone()
-            for _ in range(3):
-                self.law.sense()
-                signals.position += reading - signals.measured_position
+            undo_sensing(self.law, signals.position.clone())
+        signals.velocity = velocity
         signals.load_torque = -self._moment * torch.sin(signals.position)
         signals.radial_force = self._mass * GRAVITY
         default_commands(signals, self.model)
@@ -118,15 +114,9 @@ class PendulumSimulation:
 
     def measure(self) -> dict[tuple[str, str], Tensor]:
         """What the servo's sensors say now: channels of the log, ``[sim, 1]``."""
-        self.law.report()
-        signals = self.signals
+        channels, signals = readings(self.law), self.signals
         self.failed |= ~(torch.isfinite(signals.position) & (signals.position.abs() < 1e3))[:, 0]
-        return {
-            ("joint", "position"): signals.measured_position.clone(),
-            ("joint", "velocity"): signals.measured_velocity.clone(),
-            ("joint", "current"): signals.measured_current.clone(),
-            ("joint", "duty"): signals.duty * signals.torque_enable,
-        }
+        return {**channels, ("joint", "duty"): signals.duty * signals.torque_enable}
 
 
 @entry

@@ -49,35 +49,32 @@ def attach_servos(joints: Sequence[Any]) -> None:
 
 @dataclass(frozen=True)
 class ServoPorts:
-    """Addresses of servos in a compiled model, in the order of the joints; slices where they are contiguous.
+    """Addresses of servos in a compiled model, in the order of the joints.
 
     Attributes:
         joints: full names of the joints.
         qpos: positions in ``qpos``.
         dof: positions in ``qvel`` and in the dof fields of the model.
         ctrl: positions in ``ctrl``.
-        transmitted: positions in ``sensordata`` of the moment about the joint axis that the servo's output
-            transmits to the child link; it equals motor torque plus the joint's own friction minus armature
-            times acceleration.
-        body: ids of the bodies that the joints move.
+        transmitted: positions in ``sensordata`` of the moment about the joint axis that the servo's output transmits to
+            the child link: motor torque plus the joint's own friction minus armature times acceleration.
         force: positions in ``sensordata`` of the first component across the axis of the force on the child link; the
             second follows it.
+        body: ids of the bodies that the joints move.
     """
 
     joints: tuple[str, ...]
-    qpos: slice | np.ndarray
-    dof: slice | np.ndarray
-    ctrl: slice | np.ndarray
-    transmitted: slice | np.ndarray
-    body: np.ndarray
+    qpos: np.ndarray
+    dof: np.ndarray
+    ctrl: np.ndarray
+    transmitted: np.ndarray
     force: np.ndarray
+    body: np.ndarray
 
     @property
     def table(self) -> np.ndarray:
         """Addresses by joint: qpos, dof, ctrl, transmitted and force, ``[5, joint]``."""
-        every = np.arange(2**16)
-        rows = (self.qpos, self.dof, self.ctrl, self.transmitted)
-        return np.array([*(every[row] for row in rows), self.force], np.int64)
+        return np.array([self.qpos, self.dof, self.ctrl, self.transmitted, self.force], np.int64)
 
     @classmethod
     def find(cls, model: mujoco.MjModel, joints: Sequence[str]) -> "ServoPorts":
@@ -94,12 +91,12 @@ class ServoPorts:
         forces = [_id(model, mujoco.mjtObj.mjOBJ_SENSOR, f"{name}_force") for name in joints]
         return cls(
             joints=tuple(joints),
-            qpos=_compact(model.jnt_qposadr[ids]),
-            dof=_compact(model.jnt_dofadr[ids]),
-            ctrl=_compact(np.asarray(actuators)),
-            transmitted=_compact(model.sensor_adr[sensors] + 2),
-            body=model.jnt_bodyid[ids],
+            qpos=model.jnt_qposadr[ids],
+            dof=model.jnt_dofadr[ids],
+            ctrl=np.array(actuators),
+            transmitted=model.sensor_adr[sensors] + 2,
             force=model.sensor_adr[forces],
+            body=model.jnt_bodyid[ids],
         )
 
 
@@ -123,13 +120,3 @@ def _check_hinge(model: mujoco.MjModel, joint: int, name: str) -> None:
             f"joint {name!r} turns about {model.jnt_axis[joint]}, but its servo's sensor looks along {along}; write the"
             " joint's axis on the joint itself instead of in a default class"
         )
-
-
-def _compact(indices: np.ndarray) -> slice | np.ndarray:
-    """The same indices as a slice where they are evenly spaced, so that indexing gives a view."""
-    if len(indices) == 1:
-        return slice(int(indices[0]), int(indices[0]) + 1)
-    steps = np.diff(indices)
-    if (steps == steps[0]).all() and steps[0] > 0:
-        return slice(int(indices[0]), int(indices[-1]) + 1, int(steps[0]))
-    return indices

@@ -65,8 +65,7 @@ def trajectory_dynamics(
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     ticks, count = position.shape
-    dof = np.arange(model.nv)[ports.dof]
-    address = np.arange(model.nq)[ports.qpos]
+    dof, address = ports.dof, ports.qpos
     full_mass, bias = np.zeros((model.nv, model.nv)), np.zeros(model.nv)
     rows = dof[:, None]
     armature = np.diag(model.dof_armature[dof])

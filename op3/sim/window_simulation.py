@@ -24,15 +24,12 @@ import torch
 from torch import Tensor
 
 from op3.servo import RobotModel, Servos
-from op3.servo.effects import EncoderNonlinearity, EncoderOffset, Motor
+from op3.servo.effects import EncoderNonlinearity, EncoderOffset
 from op3.sim.inputs import REFERENCE_TEMPERATURE, expand_parameters
 from op3.sim.trajectory_dynamics import TrajectoryDynamics
 from op3.sim.window_steps import INPUTS, MOTION, SLOTS, STATE, coupled, simulate
 
-ROTOR = Motor.edits[0]
-"""The one change to the MuJoCo model that is made here: the rotor's inertia on the diagonal."""
-
-ZERO = EncoderOffset.size
+ZERO = EncoderOffset.parameters[0].name
 """The parameter by whose unit the change is told where a joint stands elsewhere than its reading says."""
 
 MISREADING = (EncoderOffset.name, EncoderNonlinearity.name)

@@ -73,7 +73,7 @@ class LocomotionTask(composer.Task):
 
     def after_compile(self, physics: Any, random_state: Any) -> None:
         """Find servos, sensors and tiles."""
-        self.servo.after_compile(physics, random_state)
+        self.servo.after_compile(physics)
         model = physics.model.ptr
         self._probe = Probe(model, self._scene, self.task.cycle is not None)
         self._whole_step = WholeStep(model, self._scene, 1, self.task.cycle is not None)
@@ -93,7 +93,7 @@ class LocomotionTask(composer.Task):
         self._pushes = None if beginning.push is None else Pushes([beginning.push])
         self._ground = None if beginning.board is None else Ground(model, [beginning.board])
         first = {name: value[0] for name, value in self.rules.resting_commands(1).items()}
-        self.servo.initialize_episode(physics, random_state, **first)
+        self.servo.initialize_episode(physics, **first)
         phase = torch.tensor([beginning.phase], dtype=torch.float64)
         self.observation = self.rules.begin(self._snapshot(physics), torch.ones(1, dtype=torch.bool), phase)
         self.outcome: Outcome | None = None
@@ -117,8 +117,8 @@ class LocomotionTask(composer.Task):
                 self._pushes.drive(time, data.xfrc_applied[self._trunk][None])
             if self._ground is not None:
                 self._ground.drive(time, data.qpos[None], data.qvel[None], data.qfrc_applied[None])
-            self.servo.before_step(physics, random_state, **self._commands)
-        self.servo.before_substep(physics, random_state)
+            self.servo.before_step(physics, **self._commands)
+        self.servo.before_substep(physics)
         self._substep += 1
 
     def after_substep(self, physics: Any, random_state: Any) -> None:

@@ -81,14 +81,14 @@ class Playback(composer.Task):
 
     def after_compile(self, physics: Any, random_state: Any) -> None:
         """Find the servos."""
-        self.servo.after_compile(physics, random_state)
+        self.servo.after_compile(physics)
 
     def initialize_episode(self, physics: Any, random_state: Any) -> None:
         """Put the robot into the motion's first pose."""
         physics.data.qpos[:] = self._scene.initial_qpos(self._motion.position[0])
         physics.data.qvel[:] = 0.0
         self._rows, self._ticks = [], 0
-        self.servo.initialize_episode(physics, random_state, position_target=self._motion.position[0], **self._held)
+        self.servo.initialize_episode(physics, position_target=self._motion.position[0], **self._held)
 
     def before_step(self, physics: Any, action: Any, random_state: Any) -> None:
         """Log a row, then command the next target."""
@@ -98,7 +98,7 @@ class Playback(composer.Task):
         if self._ticks >= self._settle:
             self._rows.append(self._row(physics, row, target))
         self._ticks += 1
-        self.servo.before_step(physics, random_state, position_target=target)
+        self.servo.before_step(physics, position_target=target)
 
     def _row(self, physics: Any, row: int, target: np.ndarray) -> dict[Any, torch.Tensor]:
         held = {("command", name): value for name, value in self._held.items() if name != "bus_voltage"}
@@ -113,7 +113,7 @@ class Playback(composer.Task):
     def before_substep(self, physics: Any, action: Any, random_state: Any) -> None:
         """Run the servo law."""
         del action
-        self.servo.before_substep(physics, random_state)
+        self.servo.before_substep(physics)
 
     def get_reward(self, physics: Any) -> float:
         """A motion has no reward."""

@@ -31,13 +31,6 @@ def test_only_wanted_parameters_count(criterion):
     assert steps[-1].widths["mass"] == pytest.approx(2 * 1.6449 / np.sqrt(12.0))
 
 
-def test_gain_is_counted_per_second():
-    """Of two motions with the same information the shorter is taken first."""
-    long = candidate("long", "floor", 40.0, 1e4, 0.0, 0.0)
-    steps = choose([long, FRICTION], NAMES, ["friction"], seconds=200.0, repeats=1)
-    assert [step.name for step in steps] == ["slow", "long"]
-
-
 def test_moving_the_robot_costs_time():
     """A change of mount is paid for: with little time the plan stays on one mount."""
     everything = dict(names=NAMES, wanted=["friction", "mass"], overhead=0.0, repeats=3)

@@ -7,6 +7,7 @@ import torch
 from op3.identify.identifiability import identifiability, in_words, noise_scale
 from op3.identify.intervals import intervals_of
 from op3.identify.polish import polish
+from op3.identify.sensitivity import Box
 
 NAMES = ("backward_efficiency", "coulomb_friction", "armature")
 BOX = {name: (0.0, 1.0) for name in NAMES}
@@ -20,7 +21,7 @@ def analyse(design: np.ndarray, noise: np.ndarray, channels=None, at=MIDDLE):
     def residuals(unit: torch.Tensor) -> torch.Tensor:
         return torch.from_numpy((unit.numpy() - 0.5) @ design.T + noise)
 
-    sensitivity = polish(residuals, BOX, at, steps=0).sensitivity
+    sensitivity = polish(residuals, Box.of(BOX), at, steps=0).sensitivity
     channels = channels or {"joint/position": np.arange(400)}
     return identifiability(sensitivity, BLOCKS, channels, intervals_of(sensitivity, BLOCKS))
 

@@ -93,24 +93,6 @@ def test_rounds_of_the_surrogate_find_the_parameters_without_least_squares(model
     assert fit.simulated_seconds <= (12 + 3 * 4 + 2 + 5) * problem.problem.replay.seconds + 1e-6
 
 
-def test_residuals_of_trials_are_those_of_a_simulation(identification):
-    """Residuals that were kept equal simulated ones, and only missing ones cost simulated time."""
-    problem = identification.problem
-    known, missing = {**TRUTH, "torque_constant": 0.005}, {**TRUTH, "torque_constant": 0.006}
-    loss = problem.evaluate([known])[0].values[0]
-    before = problem.simulated_seconds
-    residual = problem.residuals_of([missing, known])
-    assert problem.simulated_seconds - before == pytest.approx(problem.replay.seconds)
-    assert float(residual[1].square().sum()) == pytest.approx(loss)
-    assert float(residual[0].square().sum()) == pytest.approx(problem.evaluate([missing])[0].values[0])
-
-
-def test_nonsense_settings_of_the_search_are_refused(identification, study):
-    """Less than nothing cannot be searched."""
-    with pytest.raises(ValueError, match="rounds"):
-        identification.finish(study, rounds=-1)
-
-
 def test_joints_that_differ_are_told_apart():
     """A parameter searched per joint finds the one knee that rubs more; the model that is kept is the one simulated."""
     names = [f"coulomb_friction@joint={joint}" for joint in ("l_knee", "r_knee")]

@@ -8,7 +8,7 @@ import torch
 
 from op3.identify.intervals import followed_from_bounds, intervals_of
 from op3.identify.polish import polish
-from op3.identify.sensitivity import Residuals, Sensitivity
+from op3.identify.sensitivity import Box, Residuals, Sensitivity
 
 NAMES = ("a", "b", "c", "d")
 BOX = {name: (-10.0, 10.0) for name in NAMES}
@@ -17,7 +17,7 @@ TRUTH = np.array([1.0, -2.0, 0.5, 3.0])
 
 def intervals(residuals, box, estimate, blocks, failed_loss=np.inf):
     """Intervals around an estimate that is left where it is."""
-    return intervals_of(polish(residuals, box, estimate, steps=0, failed_loss=failed_loss).sensitivity, blocks)
+    return intervals_of(polish(residuals, Box.of(box), estimate, steps=0, failed_loss=failed_loss).sensitivity, blocks)
 
 
 def problem(rng: np.random.Generator, rows: int, memory: float):
@@ -46,16 +46,6 @@ def test_coverage(memory):
         found = intervals(residuals, BOX, estimate, blocks)
         hits += [low <= truth <= high for (low, high), truth in zip(found.values(), TRUTH, strict=True)]
     assert 0.85 <= np.mean(hits) <= 0.97
-
-
-def test_a_step_that_was_not_taken_is_within_the_interval():
-    """Far from the minimum an interval reaches it; at the minimum it is as narrow as the noise allows."""
-    residuals, estimate = problem(np.random.default_rng(2), 400, 0.0)
-    blocks = np.split(np.arange(400), 10)
-    away = {**estimate, "b": estimate["b"] + 2.0}
-    there, here = (intervals(residuals, BOX, start, blocks) for start in (away, estimate))
-    assert there["b"][0] < estimate["b"] < there["b"][1]
-    assert here["b"][1] - here["b"][0] < 0.2 * (there["b"][1] - there["b"][0])
 
 
 def test_what_the_data_do_not_see_gets_its_whole_range():
@@ -115,9 +105,9 @@ def test_an_effect_that_sets_in_at_a_bound_is_followed_away_from_it():
 
         slope = (acts(np.array([1.0])) - acts(np.array([0.95]))) / 0.05
         jacobian = design * np.array([4.0, float(slope[0])])
-        box, at = (np.zeros(2), np.ones(2)), np.array([0.5, 1.0])
-        blind = np.zeros(2, dtype=bool)
-        return residuals, Sensitivity(("steady", "late"), *box, at, noise, jacobian, np.zeros((2, 400)), blind)
+        box, at, none = Box.of({"steady": (0.0, 1.0), "late": (0.0, 1.0)}), np.array([0.5, 1.0]), np.zeros(2)
+        seen = (np.zeros((2, 400)), none > 0, jacobian.T @ jacobian, np.eye(2), none)
+        return residuals, Sensitivity(box, at, noise, jacobian, *seen)
 
     told = {"steady": (0.45, 0.55), "late": (0.95, 1.0)}
     # from 0.97 down it does nothing more

@@ -1,10 +1,9 @@
 """Real launchers, many processes and hard kills: what a cluster does to a study."""
 
 import importlib.util
-import os
 
 import pytest
-from test_sweeper import load, points, run, start
+from test_sweeper import load, points, run
 
 
 def installed(launcher: str) -> bool:
@@ -40,22 +39,3 @@ def test_a_launcher_gives_the_trials_of_one_process(launcher, tmp_path):
     assert (folder / "report.txt").read_text() == "study 8\n"
     jobs = {entry.name for entry in (folder / "populations").iterdir() if entry.name.isdigit()}
     assert jobs == {"0", "1"}
-
-
-@pytest.mark.slow
-def test_four_processes_on_one_journal(tmp_path):
-    """Four programs on one journal file: all trials are stored once, none is asked twice, each has worked."""
-    arguments = ["seconds=0.3", "hydra.sweeper.n_trials=96", "hydra.sweeper.population=4"]
-    arguments.append(f"hydra.sweeper.storage={tmp_path / 'shared.journal'}")
-    programs = [start(tmp_path, *arguments, f"hydra.run.dir=run{i}", f"hydra.sweeper.worker={i}") for i in range(4)]
-    for program in programs:
-        output, _ = program.communicate(timeout=300)
-        assert program.returncode == 0, output
-    shared = tmp_path / "shared"
-    shared.mkdir()
-    os.link(tmp_path / "shared.journal", shared / "study.journal")
-    trials = load(shared).trials
-    assert 96 <= len(trials) <= 96 + 3 * 4
-    assert len({trial.params["bowl.x"] for trial in trials}) == len(trials)
-    assert len({trial.user_attrs["worker"] for trial in trials}) == 4
-    assert all((tmp_path / f"run{i}" / "report.txt").exists() for i in range(4))

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from scipy.stats import wasserstein_distance
 
 from op3.identify.level_set_sampler import IMAGE, MISFIT, quantile_misfit, residual_image
-from op3.identify.samplers import SamplerError, make_sampler_factory
 from op3.identify.search_space import parse_search_space
 from op3.identify.study import Outcome, run_study
 
@@ -126,45 +125,6 @@ def test_without_what_trials_tell_it_is_nsga2():
         for name in ("nsga2", "nsga2+surrogate")
     ]  # fmt: skip
     assert asked[0] == asked[1]
-
-
-def test_ranges_with_steps_are_left_to_children():
-    """A proposal beside the grid would be redrawn from the whole range."""
-    stepped = parse_search_space({name: "range(0.0, 1.0, step=0.01)" for name in SPACE})
-    assert all(distribution.step for distribution in stepped.values())
-    found = [
-        run_study(
-            evaluate, stepped, sampler=name, directions=("minimize", "minimize"), n_trials=96, population=32, seed=0,
-            progress=False,
-        )
-        for name in ("nsga2", "nsga2+surrogate")
-    ]  # fmt: skip
-    assert [t.params for t in found[0].trials] == [t.params for t in found[1].trials]
-
-
-def test_where_no_trial_is_near_nothing_is_proposed():
-    """All are far beyond what is tolerated, or none played an episode: children as ever."""
-
-    def hopeless(population: list[dict]) -> list[Outcome]:
-        told = evaluate(population)
-        beyond = [(o.values[0] + 9.0 * (i > 0), o.values[1]) for i, o in enumerate(told)]
-        return [Outcome(values, o.attributes) for values, o in zip(beyond, told, strict=True)]
-
-    def unplayed(population: list[dict]) -> list[Outcome]:
-        return [Outcome(o.values, {IMAGE: o.attributes[IMAGE]}) for o in evaluate(population)]
-
-    for problem in (hopeless, unplayed):
-        found = run_study(
-            problem, SPACE, sampler="nsga2+surrogate", directions=("minimize", "minimize"), n_trials=96, population=32,
-            nominal=NOMINAL, seed=0, progress=False,
-        )  # fmt: skip
-        assert len(found.trials) == 96
-
-
-def test_wrong_options_are_refused():
-    """In a sentence, before the study begins."""
-    with pytest.raises(SamplerError, match="above 1"):
-        make_sampler_factory({"name": "nsga2+surrogate", "tolerated": 0.9}, population=32, directions=2)
 
 
 def test_an_image_keeps_lengths_and_angles():

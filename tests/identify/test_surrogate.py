@@ -5,13 +5,14 @@ import pytest
 import torch
 
 from op3.identify.refine import refine
-from op3.identify.surrogate import Surrogate, explore
+from op3.identify.sensitivity import Box
+from op3.identify.surrogate import explore
 
 SIZE = 6
 TRUTH = np.array([0.7, 0.25, 0.6, 0.35, 0.8, 0.45])
 MIXING = np.random.default_rng(1).standard_normal((60, SIZE))
 RIPPLES = np.random.default_rng(2).standard_normal((60, SIZE))
-BOX = {f"p{i}": (0.0, 1.0) for i in range(SIZE)}
+BOX = Box.of({f"p{i}": (0.0, 1.0) for i in range(SIZE)})
 
 
 def rugged(unit: torch.Tensor) -> torch.Tensor:
@@ -34,7 +35,7 @@ def test_hollows_that_stop_least_squares_are_crossed(seed: int):
     """Least squares from the two best of forty points ends far from the truth; with rounds before, at it."""
     points = uniform(40, seed)
     order = np.argsort(np.square(simulate(points)).sum(1))
-    starts = [dict(zip(BOX, points[i], strict=True)) for i in order[:2]]
+    starts = [BOX.values(points[i]) for i in order[:2]]
     alone = refine(rugged, BOX, starts, max_iterations=12)
     found = explore(rugged, points, simulate(points), rounds=7, seed=seed)
     assert np.abs(np.array(list(alone.values.values())) - TRUTH).max() > 0.1
@@ -51,19 +52,6 @@ def test_linear_residuals_are_solved_in_two_rounds():
     points = uniform(20, 0)
     found = explore(linear, points, linear(torch.from_numpy(points)).numpy(), rounds=2, batch=6)
     assert np.abs(found.points[0] - TRUTH).max() < 0.01
-
-
-def test_a_prediction_is_a_mixture_of_simulated_residuals():
-    """Weights add up to one, and a simulated point predicts its own loss with little variance."""
-    points = uniform(30, 3)
-    residual = (points - TRUTH) @ MIXING.T
-    order = np.argsort(np.square(residual).sum(1))
-    surrogate = Surrogate(points[order], residual[order])
-    unit = torch.from_numpy(uniform(5, 4))
-    assert torch.allclose(surrogate.weights(unit).sum(1), torch.ones(5, dtype=torch.float64))
-    mean, variance = surrogate.predict(surrogate.points)
-    assert mean.numpy() == pytest.approx(np.square(residual[order]).sum(1), rel=0.02, abs=0.02)
-    assert float(variance.max()) < 0.05 * np.square(residual - residual[order[0]]).sum(1).max()
 
 
 def test_the_search_repeats_itself():
@@ -104,10 +92,3 @@ def test_a_search_without_progress_stops():
     points = uniform(10, 7)
     found = explore(flat, points, flat(torch.from_numpy(points)).numpy(), rounds=20, batch=3)
     assert len(found.history) == 4
-
-
-def test_nonsense_is_refused():
-    """A batch of nothing is a mistake of the caller."""
-    points = uniform(10, 7)
-    with pytest.raises(ValueError, match="batch"):
-        explore(rugged, points, simulate(points), rounds=1, batch=0)

@@ -23,12 +23,6 @@ def test_every_effect_describes_itself(name):
         assert p.text
 
 
-def test_parameter_names_are_unique():
-    """A flat name finds one parameter."""
-    names = [p.name for effect in catalogue().values() for p in effect.parameters]
-    assert len(names) == len(set(names))
-
-
 def test_unknown_names_list_the_known_ones():
     """A misspelt effect or parameter is answered with what there is."""
     with pytest.raises(ValueError, match="coulomb"):

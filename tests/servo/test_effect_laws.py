@@ -69,33 +69,20 @@ def drive(law: Servos, signals: Signals, steps: int = 1) -> list[float]:
 
 @pytest.mark.parametrize("name", sorted(set(catalogue()) - ALWAYS_ON))
 def test_every_effect_tells_the_diagnosis_how_to_find_it(name):
-    """Size, smallest, secants, fingerprint, confounders, experiment, class and scopes are there and consistent."""
+    """Secants within what physics allows, of parameters that are there; where it shows, what else may, who has it."""
     effect = catalogue()[name]
-    own = {p.name: p for p in effect.parameters}
-    assert own[effect.size].neutral is not None
-    assert effect.smallest > 0
+    own = {p.name for p in effect.parameters}
     assert effect.secants
     for secant in effect.secants:
-        assert set(secant) & set(own)
-        for known in map(parameter, secant):
-            assert known.name in own or known.neutral is not None
+        assert set(secant) & own
+        assert all(known in own or parameter(known).neutral is not None for known in secant)
         for key, value in secant_values(secant, {"command_latency": 0.006}).items():
             assert parameter(key).least <= value <= parameter(key).most
-    assert any(abs(secant.get(effect.size, 0.0)) >= effect.smallest for secant in effect.secants)
-    for words in (effect.fingerprint, effect.separating_experiment, effect.alias_class):
-        assert words
-    assert set(effect.confounders) <= set(catalogue()) - {name}
+    assert effect.fingerprint
+    assert effect.separating_experiment
     assert effect.confounders
-    assert effect.scopes
-    assert ("robot" in effect.scopes) != own[effect.size].per_joint
-
-
-def test_secants_add_to_what_there_is_and_stay_in_bounds():
-    """A latency of 6 ms less 8 ms is none; what has no neutral value is taken as it stands."""
-    moved = secant_values({"current_time_constant": 0.008, "command_latency": -0.008}, {"command_latency": 0.006})
-    assert moved == {"current_time_constant": 0.008, "command_latency": 0.0}
-    moved = secant_values({"static_friction_excess": 0.03, "stribeck_velocity": 0.5}, {"static_friction_excess": 0.1})
-    assert moved == pytest.approx({"static_friction_excess": 0.13, "stribeck_velocity": 0.5})
+    assert set(effect.confounders) <= set(catalogue()) - {name}
+    assert ("robot" in effect.scopes) != any(p.per_joint for p in effect.parameters)
 
 
 def test_torque_constant_and_resistance_errors_are_those_of_the_motor():
@@ -281,8 +268,8 @@ def test_friction_by_load_follows_the_torque_of_its_form():
 )
 def test_friction_like_effects_never_drive(position, velocity, load, value, kind):
     """Whatever the state, the bound that they leave is not negative: a friction can only oppose."""
-    known = parameter(kind.size)
-    law, signals = law_of(kind(), Coulomb(), Viscous(), **{kind.size: known.low + value * (known.high - known.low)})
+    known = kind.parameters[0]
+    law, signals = law_of(kind(), Coulomb(), Viscous(), **{known.name: known.low + value * (known.high - known.low)})
     signals.position, signals.velocity = signals.position + position, signals.velocity + velocity
     signals.load_torque, signals.time = signals.load_torque + load, signals.time + 1000.0
     drive(law, signals)
@@ -386,29 +373,6 @@ def test_a_rotor_on_bristles_moves_as_at_steps_of_a_twentieth(gear):
     assert np.abs(swing(1e-3) - fine).max() < 0.02 * np.abs(fine).max()
 
 
-def test_a_damped_bristle_stops_ringing():
-    """A rotor on a bent bristle within the bound swings back and forth, and with damping comes to rest."""
-    inertia, step = 0.005, 0.001
-
-    def last_swing(damping_ratio: float) -> float:
-        law, signals = law_of(
-            LuGre(damping_ratio=damping_ratio), Coulomb(), bristle_compliance=0.01, coulomb_friction=0.5
-        )
-        law.reset()
-        law.tick()
-        velocity, swing = 0.05, []
-        for _ in range(400):
-            signals.velocity = torch.full_like(signals.velocity, velocity)
-            law.step()
-            signals.phase = 1
-            torque, damping = signals.applied_torque[0, 0].item(), signals.damping[0, 0].item()
-            velocity += step * (torque) / (inertia + step * damping)
-            swing.append(abs(velocity))
-        return max(swing[-100:])
-
-    assert last_swing(0.2) < 0.1 * last_swing(0.0)
-
-
 def test_bristles_take_up_the_load_of_a_resting_joint():
     """A joint at rest under a load stays at rest: its bristle is bent from the beginning."""
     law, signals = law_of(LuGre(), Coulomb(), bristle_compliance=0.01, coulomb_friction=0.5)
@@ -422,16 +386,6 @@ def test_bristles_take_up_the_load_of_a_resting_joint():
     law.balance(torch.full_like(signals.velocity, 0.9), rests)
     law.step()
     assert signals.applied_torque[0, 0].item() == pytest.approx(-0.5, rel=1e-6), "friction bounds it"
-
-
-@settings(max_examples=25, deadline=None)
-@given(st.integers(0, 10_000), st.sampled_from([1e-3, 5e-3, 2e-2, 5e-2]))
-def test_bristles_give_back_no_more_than_was_put_in(seed, compliance):
-    """Over any motion the work done on the bristles is at least minus the rounding of one step."""
-    generator = np.random.default_rng(seed)
-    motion = np.cumsum(generator.normal(0, 0.05, 400))
-    work = -np.cumsum(slid(compliance, motion) * motion * 0.001)
-    assert work.min() > -1e-6
 
 
 def test_imu_reads_in_its_own_frame_and_the_gyroscope_adds_its_bias():
@@ -456,18 +410,3 @@ def test_imu_reads_in_its_own_frame_and_the_gyroscope_adds_its_bias():
     w, x, y, z = seen.quaternion[0].tolist()
     up = [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z]
     np.testing.assert_allclose(up, (body @ mount).T @ [0, 0, 1], atol=1e-12)
-
-
-@given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.floats(-5.0, 5.0), st.floats(0.3, 1.0))
-def test_a_gear_without_forward_loss_is_the_limit_of_one_with_little(goal, load, velocity, backward):
-    """Where nothing is lost forwards a step is what it becomes as that loss goes to nothing."""
-    found = []
-    for forward in (1.0, 1.0 - 1e-9):
-        law, signals = law_of(DirectionalEfficiency(), forward_efficiency=forward, backward_efficiency=backward)
-        signals.position_target, signals.p_gain = signals.position_target + goal, signals.p_gain + 1.0
-        signals.load_torque, signals.velocity = signals.load_torque + load, signals.velocity + velocity
-        law.reset()
-        law.tick()
-        law.step()
-        found.append([float(getattr(signals, name)) for name in ("applied_torque", "damping", "friction_bound")])
-    assert found[0] == pytest.approx(found[1], abs=1e-6)

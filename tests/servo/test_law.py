@@ -54,28 +54,6 @@ def test_passive_dte_loses_what_the_printed_rule_loses_in_motion(motor, load, fo
         assert passive_net == pytest.approx(printed_net, abs=1e-9)
 
 
-def test_printed_rule_can_add_energy():
-    """Falling with the load while the motor wins on paper: the brake pushes along the motion."""
-    motor, load, velocity = 1.0, -0.9, -2.0
-    brake = law.dte_brake(motor, load, 0.95, 0.7)
-    assert brake * velocity > 0
-
-
-def test_slip_of_a_hold_happens_at_the_backward_efficiency():
-    """With eta_fw = 1, a load of 1 N m is held down to a motor torque of eta_bw and no lower."""
-    for motor, holds in ((0.701, True), (0.699, False)):
-        bound = passive_loss(motor, -1.0, 0.0, 0.3)
-        assert (abs(motor - 1.0) <= bound) == holds
-
-
-@given(st.floats(0, 50))
-def test_stribeck_friction_fades_from_its_static_value(speed):
-    """At rest the whole excess acts; it never grows with speed, as the printed formula would."""
-    value = law.stribeck_fade(speed, 0.1, False)
-    assert law.stribeck_fade(0.0, 0.1, False) == 1.0
-    assert 0.0 <= value <= 1.0
-
-
 @given(st.floats(-8, 8), st.floats(0.0, 0.15), st.floats(0.01, 0.3))
 def test_a_lifted_voltage_keeps_its_sign_and_the_bus(voltage, lift, fade):
     """The driver never lowers a voltage, never turns it round, adds at most its lift, and cannot exceed the bus."""
@@ -83,13 +61,6 @@ def test_a_lifted_voltage_keeps_its_sign_and_the_bus(voltage, lift, fade):
     lifted = law.lifted_voltage(voltage, bus, lift, fade)
     assert lifted * voltage >= 0
     assert abs(voltage) - 1e-12 <= abs(lifted) <= min(bus, abs(voltage) + bus * lift) + 1e-12
-
-
-def test_the_lift_is_whole_far_above_its_fade_and_nothing_at_zero():
-    """At zero nothing is added; at ten fades the whole lift."""
-    raised = law.lifted_voltage(4.0, 8.0, 0.05, 0.05)
-    assert raised == pytest.approx(4.0 + 8.0 * 0.05, rel=1e-4)
-    assert law.lifted_voltage(0.0, 8.0, 0.05, 0.05) == 0.0
 
 
 @given(torque, torque, st.floats(0.0, 0.9))

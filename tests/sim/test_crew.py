@@ -60,21 +60,6 @@ def test_an_error_elsewhere_is_raised_here_and_the_crew_works_on():
     assert crew.run("refuse", [{"value": 3}, {"value": 4}]) == [3, 4]
 
 
-def test_a_process_that_cannot_begin_says_why():
-    """An object that another process cannot make fails the first call with the reason."""
-    crew = Crew(Worker, {"offset": 0, "home": os.getpid()}, 2)
-    with pytest.raises(ValueError, match="not at home"):
-        crew.run("add", [{"value": 1}, {"value": 2}])
-
-
-def test_an_error_here_does_not_leave_an_answer_for_the_next_call():
-    """What another process has still to say belongs to no later call."""
-    crew = Crew(Worker, {"offset": 0}, 2)
-    with pytest.raises(ValueError, match="2 is refused"):
-        crew.run("refuse", [{"value": 2}, {"value": 1}])
-    assert crew.run("refuse", [{"value": 3}, {"value": 4}]) == [3, 4]
-
-
 def test_a_process_that_ends_is_an_error():
     """A killed process ends the call at once instead of leaving it waiting."""
     crew = Crew(Worker, {"offset": 0}, 2)

@@ -101,22 +101,3 @@ def test_every_secant_acts_and_is_stable_on_the_robot(name):
 def _start(effect) -> dict[str, float]:
     """Neutral where there is such a value, else a value within the range."""
     return {p.name: p.nominal if p.neutral is None else p.neutral for p in effect.parameters}
-
-
-def bench_model(name: str) -> RobotModel:
-    base = without(name)
-    return base.with_values({"torque_constant": 0.002, "terminal_resistance": 5.0})
-
-
-@pytest.mark.parametrize("name", [n for n in NEUTRAL if all(e.field == "body_inertia" for e in catalogue()[n].edits)])
-def test_neutral_values_change_no_bit_of_a_pendulum(name):
-    """The pendulum in closed form runs the same laws, and neutral ones change nothing there either."""
-    effect = catalogue()[name]()
-    values = _start(effect) | {p.name: p.neutral for p in effect.parameters if p.neutral is not None}
-    mass, length = torch.tensor([0.3]), torch.tensor([0.1])
-    model = bench_model(name)
-    start = torch.tensor([[0.2]], dtype=torch.float64)
-    plain = motion(PendulumSimulation(model, mass, length), start, 300, every=8)
-    same = motion(PendulumSimulation(model.with_effect(effect, values), mass, length), start, 300, every=8)
-    for channel, value in plain.items():
-        assert torch.equal(value, same[channel]), channel

@@ -70,16 +70,6 @@ def test_rows_start_as_in_a_new_simulation(model):
     assert torch.equal(swing(partly, 10)[:, 0], swing(wholly, 10)[:, 0])
 
 
-def test_parameters_change_between_steps():
-    """Setting the same parameters again in mid-motion changes nothing, to the last bit."""
-    (touched, qpos), (untouched, _) = simulation(2), simulation(2)
-    for made in (touched, untouched):
-        start(made, qpos)
-        swing(made, 10)
-    touched.set_parameters({})
-    assert torch.equal(swing(touched, 10, 10), swing(untouched, 10, 10))
-
-
 def test_measured_rows_are_refused():
     """Readings can place all simulations or none."""
     made, qpos = simulation(2)

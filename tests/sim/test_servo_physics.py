@@ -10,14 +10,13 @@ from op3.servo.effects import (
     Coulomb,
     CurrentPD,
     DirectionalEfficiency,
-    Latency,
     Motor,
     PositionServo,
     Stribeck,
     Viscous,
 )
 from op3.sim import BatchSimulation, attach_servos
-from op3.sim.ports import SOLIMP_FRICTION, SOLREF_FRICTION, ServoPorts
+from op3.sim.ports import ServoPorts
 
 IDEAL = {"torque_constant": 0.006, "terminal_resistance": 5.0, "armature": 0.005}
 
@@ -33,30 +32,7 @@ def simulation(mj_model, effects, values, num_sims=1, **kwargs) -> BatchSimulati
     return BatchSimulation(mj_model, ["hinge"], model, num_sims, **kwargs)
 
 
-def dcmotor_trajectory(voltages, substeps, timestep=0.001):
-    """The pendulum of `conftest` driven by MuJoCo's dcmotor with a voltage per tick."""
-    spec = mujoco.MjSpec.from_string(
-        f"""<mujoco><option timestep="{timestep}" integrator="implicitfast"/><worldbody><body>
-        <inertial pos="0 0 -0.1" mass="0.3" diaginertia="1e-4 1e-4 1e-4"/>
-        <joint name="hinge" type="hinge" axis="0 1 0" armature="0.005"/></body></worldbody>
-        <actuator><motor name="m" joint="hinge"/></actuator></mujoco>"""
-    )
-    constant = 0.006 * 353.5
-    spec.actuators[0].set_to_dcmotor(
-        motorconst=[constant, constant], resistance=5.0, ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_VOLTAGE)
-    )
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    positions = []
-    for voltage in voltages:
-        data.ctrl[0] = voltage
-        for _ in range(substeps):
-            mujoco.mj_step(model, data)
-        positions.append(data.qpos[0])
-    return np.array(positions)
-
-
-def test_saturated_current_drive_is_mujocos_dcmotor(hinge):
+def test_saturated_current_drive_is_mujocos_dcmotor(hinge, dc_motor):
     """A current that the bus cannot drive makes the servo a DC motor at bus voltage."""
     sim = simulation(compiled(hinge), [CurrentPD(current_limit=1e3), Motor()], IDEAL)
     ticks = 60
@@ -65,10 +41,10 @@ def test_saturated_current_drive_is_mujocos_dcmotor(hinge):
     for _ in range(ticks):
         sim.advance()
         ours.append(sim.signals.position.item())
-    np.testing.assert_allclose(ours, dcmotor_trajectory([11.1] * ticks, 8), atol=1e-6)
+    np.testing.assert_allclose(ours, dc_motor([11.1] * ticks, 8), atol=1e-6)
 
 
-def test_voltage_drive_below_saturation_is_mujocos_dcmotor(hinge):
+def test_voltage_drive_below_saturation_is_mujocos_dcmotor(hinge, dc_motor):
     """A voltage-driven servo equals MuJoCo's dcmotor fed with the same voltages."""
     effects = [PositionServo(error_gain=1.0, max_duty=1.0, goal_speed=1e9), Motor(drive="voltage")]
     sim = simulation(compiled(hinge), effects, IDEAL, control_period=0.001)
@@ -80,7 +56,7 @@ def test_voltage_drive_below_saturation_is_mujocos_dcmotor(hinge):
         ours.append(sim.signals.position.item())
         voltages.append(sim.signals.voltage.item())
     assert max(map(abs, voltages)) < 11.1
-    np.testing.assert_allclose(ours, dcmotor_trajectory(voltages, 1), atol=1e-6)
+    np.testing.assert_allclose(ours, dc_motor(voltages, 1), atol=1e-6)
 
 
 def test_current_drive_below_saturation_is_a_torque_source(hinge):
@@ -211,37 +187,6 @@ def test_a_joint_at_93_percent_of_its_bound_does_not_creep(hinge):
     assert moved[1] > 0.05
 
 
-def test_defaults_of_mujoco_would_creep(hinge):
-    """The reason for our solver parameters: with MuJoCo's own the same hold creeps far."""
-    root, joint = hinge()
-    attach_servos([joint])
-    assert tuple(joint.solreffriction) == SOLREF_FRICTION
-    assert tuple(joint.solimpfriction) == SOLIMP_FRICTION
-    del joint.solreffriction, joint.solimpfriction
-    mj_model = mujoco.MjModel.from_xml_string(root.to_xml_string())
-    torque = 0.3 * 9.81 * 0.1 * np.sin(1.0)
-    sim = simulation(mj_model, [CurrentPD(), Motor(), Coulomb()], IDEAL)
-    sim.set_parameters({"coulomb_friction": torch.tensor([torque / 0.93])})
-    sim.reset([1.0], {"p_gain": 0.0, "d_gain": 0.0})
-    for _ in range(625):
-        sim.advance()
-    assert (sim.signals.position[0, 0] - 1.0).abs() > 0.02
-
-
-def test_latency_delays_the_current_by_its_amount(hinge):
-    """After a step of the target the current rises in the step that contains the latency, in proportion."""
-    sim = simulation(compiled(hinge, gravity=False), [CurrentPD(), Latency(), Motor()], IDEAL)
-    sim.set_parameters({"command_latency": 0.0034})
-    sim.reset([0.0], {"p_gain": 1.0, "d_gain": 0.0})
-    sim.command(position_target=1.0)
-    seen = []
-    sim.law.tick()
-    for _ in range(8):
-        sim.law.step()
-        seen.append(sim.signals.current.item())
-    np.testing.assert_allclose(seen, [0, 0, 0, 0.6, 1, 1, 1, 1], atol=1e-9)
-
-
 def test_a_diverging_simulation_is_reported_and_alone(hinge):
     """A non-finite command or an absurd gain fails its own simulation and no other."""
     sim = simulation(compiled(hinge), friction_effects(), {}, num_sims=3)
@@ -273,24 +218,6 @@ def test_bad_arguments_are_named(hinge):
         BatchSimulation(mj_model, ["knee"], RobotModel((Motor(),)), 1)
 
 
-def test_the_printed_gear_cannot_hold(hinge):
-    """With DTE alone at 85 % of the torque that would slip, the printed brake drifts; the passive form holds."""
-    drift = {}
-    for form in ("printed", "passive"):
-        model = [CurrentPD(), Motor(), DirectionalEfficiency(form=form)]
-        values = {**IDEAL, "forward_efficiency": 1.0, "backward_efficiency": 0.7}
-        sim = simulation(compiled(hinge), model, values)
-        holding = 0.3 * 9.81 * 0.1 * np.sin(1.0)  # the load at 1 rad; 0.85 of it lies between 0.7 and 1
-        sim.reset([1.0], {"p_gain": 0.0, "d_gain": 0.0})
-        gain = 0.85 * holding / (IDEAL["torque_constant"] * 353.5)
-        sim.command(p_gain=gain / 100.0, position_target=101.0)
-        for _ in range(625):
-            sim.advance()
-        drift[form] = abs(sim.signals.position.item() - 1.0)
-    assert drift["passive"] < 0.005
-    assert drift["printed"] > 5 * drift["passive"]
-
-
 @pytest.mark.parametrize(
     ("default", "message"),
     [
@@ -316,17 +243,3 @@ def test_default_classes_do_not_change_the_servo_silently(default, message):
         assert mj_model.actuator_gear[0, 0] == 1
         assert not mj_model.actuator_ctrllimited[0]
         simulation(mj_model, [CurrentPD(), Motor()], IDEAL)
-
-
-def test_an_axis_from_a_default_class_is_refused():
-    """The sensor of the load torque would look along another axis than the joint turns about."""
-    from dm_control import mjcf
-
-    root = mjcf.from_xml_string(
-        """<mujoco><default><joint axis="0 1 0"/></default><worldbody><body>
-        <inertial pos="0 0 -0.1" mass="0.3" diaginertia="1e-4 1e-4 1e-4"/><joint name="hinge"/></body>
-        </worldbody></mujoco>"""
-    )
-    attach_servos([root.find("joint", "hinge")])
-    with pytest.raises(ValueError, match="axis"):
-        simulation(mujoco.MjModel.from_xml_string(root.to_xml_string()), [CurrentPD(), Motor()], IDEAL)

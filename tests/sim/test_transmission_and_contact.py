@@ -24,7 +24,7 @@ from op3.servo.effects import (
     Motor,
     PositionServo,
 )
-from op3.sim import BatchSimulation, PendulumSimulation, attach_servos
+from op3.sim import BatchSimulation, attach_servos
 from op3.tasks import Setup
 
 RATIO = 0.1
@@ -34,6 +34,8 @@ ARMATURE, LINK, MOMENT = 0.005, 0.3 * 0.1**2 + 1e-4, 0.3 * 9.81 * 0.1
 """Of the pendulum of `conftest`: inertias [kg m^2] of rotor and link, and largest moment of gravity [N m]."""
 MOTOR = {"torque_constant": 0.006, "terminal_resistance": 5.0, "armature": ARMATURE}
 CONSTANT = 0.006 * 353.5
+FINE = (10, 1e-4, False)
+"""MuJoCo's motor in steps of 0.1 ms, without gravity."""
 
 
 def simulation(
@@ -159,8 +161,8 @@ def test_a_limited_current_tells_of_the_rotor_not_of_the_link(hinge):
     np.testing.assert_allclose(ours, truth[:ticks], atol=0.06)
 
 
-@pytest.mark.parametrize("latency", [0.0028, 0.0062, 0.0077, 0.0136])
-@pytest.mark.parametrize("lag", [None, 0.0, 0.0005, 0.003])
+@pytest.mark.parametrize("latency", [0.0028, 0.0136])
+@pytest.mark.parametrize("lag", [None, 0.0, 0.0005])
 def test_a_command_that_arrives_within_a_step_is_read_as_in_fine_steps(hinge, latency, lag):
     """What a blocked servo reads at a tick shortly after an arrival is the command, as far as the current has come."""
 
@@ -203,15 +205,6 @@ def test_a_supply_limits_what_arrives_within_a_step(hinge, lag):
     truth = currents(5e-5)
     assert np.abs(truth).max() <= 1.0 + 1e-9
     np.testing.assert_allclose(currents(1e-3), truth, atol=0.01 if lag is None else 0.06)
-
-
-def test_compliance_converges_to_fine_steps(hinge):
-    """A soft gear train at 0.1 ms follows the fine integration five times closer than a rigid one does."""
-    truth = two_bodies(0.0, 20.0, 0.05, 1.0, RATIO)
-    rigid = tracked(simulation(hinge, Coulomb(), timestep=1e-4, coulomb_friction=0.05), 1.0)
-    values = {"coulomb_friction": 0.05, "gear_compliance": 0.05}
-    ours = tracked(simulation(hinge, Coulomb(), Compliance(damping_ratio=RATIO), timestep=1e-4, **values), 1.0)
-    assert rms(ours - truth) < 0.2 * rms(rigid - truth)
 
 
 def test_both_transmissions_together_are_one_in_series(hinge):
@@ -279,71 +272,6 @@ def test_what_lies_behind_the_play_falls_with_the_link(hinge):
     assert 1.0 - angle < 0.9 * 0.5 * 0.08**2 * MOMENT * np.sin(1.0) / LINK  # far from a link without them
 
 
-def test_the_pendulum_in_closed_form_has_the_same_play(hinge):
-    """The bench without an engine and MuJoCo agree with play, elasticity and presliding on."""
-    values = {"backlash_half_gap": 0.003, "contact_stiffness": 300.0, "coulomb_friction": 0.05, "armature": ARMATURE}
-    model = RobotModel((CurrentPD(), Motor(), Coulomb(), Backlash(damping_ratio=RATIO), LuGre()), bus_voltage=100.0)
-    model = model.with_values({**values, "torque_constant": 0.006, "bristle_compliance": 0.01})
-    closed = PendulumSimulation(model, torch.tensor([0.3]), torch.tensor([0.1]))
-    extra = RobotModel(model.effects, model.estimates, model.bus_voltage)
-    root, joint = hinge()
-    attach_servos([joint])
-    mj_model = mujoco.MjModel.from_xml_string(root.to_xml_string())
-    mj_model.body_inertia[1] = 1e-12  # a point mass, as in the closed form
-    engine = BatchSimulation(mj_model, ["hinge"], extra, 1, control_period=0.001)
-    places = []
-    for sim in (closed, engine):
-        start = torch.zeros(1, 1, dtype=torch.float64)
-        sim.reset(start, {"p_gain": 3.0, "d_gain": 0.1})
-        row = []
-        for step in range(400):
-            if isinstance(sim, PendulumSimulation) or step % 8 == 0:
-                sim.command(position_target=target((step // 8) * 0.008))
-            _advance(sim, step)
-            row.append(sim.measure()[("joint", "position")].item())
-        places.append(row)
-    assert np.abs(np.subtract(*places)).max() < 1e-3
-
-
-def _advance(sim, step: int) -> None:
-    """One millisecond; the PD ticks every eighth."""
-    if isinstance(sim, PendulumSimulation):
-        sim.advance()
-        return
-    sim._read()
-    if step % 8 == 0:
-        sim.law.tick()
-    sim.law.step()
-    sim._hand_over()
-    sim.batch.step()
-    sim._read()
-
-
-def dcmotor(voltages, **options) -> np.ndarray:
-    """The pendulum, without gravity, driven by MuJoCo's own DC motor with a voltage per millisecond."""
-    spec = mujoco.MjSpec.from_string(
-        """<mujoco><option timestep="0.0001" integrator="implicitfast"><flag gravity="disable"/></option><worldbody>
-        <body><inertial pos="0 0 -0.1" mass="0.3" diaginertia="1e-4 1e-4 1e-4"/>
-        <joint name="hinge" type="hinge" axis="0 1 0" armature="0.005"/></body></worldbody>
-        <actuator><motor name="m" joint="hinge"/></actuator></mujoco>"""
-    )
-    spec.actuators[0].set_to_dcmotor(
-        motorconst=[CONSTANT, CONSTANT],
-        resistance=5.0,
-        ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_VOLTAGE),
-        **options,
-    )
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    places = []
-    for voltage in voltages:
-        data.ctrl[0] = voltage
-        for _ in range(10):
-            mujoco.mj_step(model, data)
-        places.append(data.qpos[0])
-    return np.array(places)
-
-
 def driven(hinge, *effects: Effect, **values) -> tuple[np.ndarray, list[float]]:
     """Positions and voltages of the same servo driven by voltage, every millisecond."""
     root, joint = hinge(gravity=False)
@@ -362,20 +290,20 @@ def driven(hinge, *effects: Effect, **values) -> tuple[np.ndarray, list[float]]:
     return np.array(places), voltages
 
 
-def test_cogging_is_that_of_mujocos_dc_motor(hinge):
+def test_cogging_is_that_of_mujocos_dc_motor(hinge, dc_motor):
     """The ripple of MuJoCo's own motor, fed with the same voltages, gives the same motion."""
     values = {"cogging_amplitude": 0.04, "cogging_phase": 0.5, "cogging_periods": 20.0}
     ours, voltages = driven(hinge, Cogging(), **values)
-    theirs = dcmotor(voltages, cogging=[0.04, 20.0, 0.5])
-    plain = dcmotor(voltages)
+    theirs = dc_motor(voltages, *FINE, cogging=[0.04, 20.0, 0.5])
+    plain = dc_motor(voltages, *FINE)
     assert rms(ours - theirs) < 0.05 * rms(plain - theirs)
 
 
-def test_bristles_are_those_of_mujocos_dc_motor(hinge):
+def test_bristles_are_those_of_mujocos_dc_motor(hinge, dc_motor):
     """LuGre friction of MuJoCo's own motor, at a tenth of the step and without bristle damping."""
     ours, voltages = driven(hinge, Coulomb(), LuGre(), coulomb_friction=0.1, bristle_compliance=0.01)
-    theirs = dcmotor(voltages, lugre=[100.0, 0.0, 0.1, 0.1, 0.1])
-    rigid = dcmotor(driven(hinge, Coulomb(), coulomb_friction=0.1)[1])
+    theirs = dc_motor(voltages, *FINE, lugre=[100.0, 0.0, 0.1, 0.1, 0.1])
+    rigid = dc_motor(driven(hinge, Coulomb(), coulomb_friction=0.1)[1], *FINE)
     assert rms(ours - theirs) < 0.1 * rms(rigid - theirs)
 
 

@@ -108,18 +108,6 @@ def test_candidates_are_what_they_are_alone(recorded, name):
         assert torch.equal(channel[1], alone[key][0])
 
 
-def test_the_same_windows_under_another_model(recorded):
-    """What shares the gathered motion finds what is gathered anew, and leaves the first simulation as it was."""
-    model, motion = recorded
-    other = model.with_effect(catalogue()["load_friction"](), {"load_friction": 0.1})
-    windows = [Window(0, 20), Window(0, 60)]
-    first = WindowSimulation(model, [motion], windows, 10, LEG)
-    before, key = first.run()["joint", "position"], ("joint", "position")
-    assert torch.equal(first.under(other).run()[key], WindowSimulation(other, [motion], windows, 10, LEG).run()[key])
-    assert torch.equal(first.run()[key], before)
-    assert not torch.equal(first.under(other).run()[key], before)
-
-
 def test_edits_of_bodies_and_a_false_zero_change_the_dynamics(recorded):
     """Twice the edit at half the weight is the same; a zero error weighs its edit by how far a joint stands off."""
     model, motion = recorded
@@ -145,17 +133,6 @@ def test_edits_of_bodies_and_a_false_zero_change_the_dynamics(recorded):
     torch.testing.assert_close(once, twice)
     off = run(shifted, {("encoder_offset", 3): added(1.0)}, encoder_offset=0.02)
     assert not torch.allclose(off, run(shifted, {}, encoder_offset=0.02))
-
-
-def test_motions_with_other_inputs_share_their_dynamics(recorded):
-    """Windows of a second motion that differs in its commands alone are those of that motion simulated by itself."""
-    model, motion = recorded
-    other = replace(motion, inputs={**motion.inputs, "p_gain": 2.0 * motion.inputs["p_gain"]})
-    key, windows = ("joint", "position"), [Window(0, 20), Window(1, 20)]
-    both = WindowSimulation(model, [motion, other], windows, 10, LEG).run()[key]
-    for place, one in enumerate((motion, other)):
-        alone = WindowSimulation(model, [one], windows[:1], 10, LEG).run()[key]
-        assert torch.equal(both[:, place], alone[:, 0])
 
 
 def test_gyroscopic_torques_do_not_throw_light_joints_about():

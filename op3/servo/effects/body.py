@@ -16,16 +16,12 @@ class Payload(Effect):
     source = "paper Table I, base mass offset"
     parameters = (Parameter("base_mass_offset", "kg", 0.0, 0.5, 0.25, 0.0, "added to the base link", per_joint=False),)
     edits = (ModelEdit("body_mass", "base_body", "add", "base_mass_offset"),)
-    size = "base_mass_offset"
-    smallest = 0.02
     secants = ({"base_mass_offset": 0.1},)
     fingerprint = (
         "in the phase of gravity, in fixed ratio over all joints that carry the base link; a step between recordings"
     )
     confounders = ("com_offset", "link_mass", "torque_constant")
     separating_experiment = "add a known mass; turn the base"
-    alias_class = "gravity_phase"
-    scopes = ("robot",)
 
 
 @register
@@ -44,14 +40,10 @@ class CentreOfMassOffset(Effect):
         ModelEdit("body_ipos", "base_body", "add", "base_com_offset_x", column=0),
         ModelEdit("body_ipos", "base_body", "add", "base_com_offset_z", column=2),
     )
-    size = "base_com_offset_x"
-    smallest = 0.002
     secants = ({"base_com_offset_x": 0.005}, {"base_com_offset_z": 0.005})
     fingerprint = "in the phase of gravity of the base link, turning with the pose"
     confounders = ("payload", "encoder_offset", "cable_spring", "imu_mount", "ground_tilt")
     separating_experiment = "turn the base: gravity turns, a spring does not; a known added mass"
-    alias_class = "gravity_phase"
-    scopes = ("robot",)
 
 
 @register
@@ -67,14 +59,10 @@ class LinkInertia(Effect):
     source = "rigid body; a disc of radius r about its axis has k^2 = r^2 / 2"
     parameters = (Parameter("gyration_squared", "m^2", 0.0, 0.0125, 0.0, 0.0, "squared radius of gyration added, k^2"),)
     edits = (ModelEdit("body_inertia", "joint_body", "add", "gyration_squared", per="body_mass"),)
-    size = "gyration_squared"
-    smallest = 5e-05
     secants = ({"gyration_squared": 2e-3},)
     fingerprint = "in proportion to acceleration, in the joint and in those that carry it"
     confounders = ("motor", "torque_constant")
     separating_experiment = "fast motion of a neighbour: link inertia couples joints, the rotor does not"
-    alias_class = "inertia"
-    scopes = ("joint", "shared", "side")
 
 
 @register
@@ -87,13 +75,10 @@ class LinkMass(Effect):
     source = "models from CAD miss screws and cables, about 10 % of a link"
     parameters = (Parameter("link_mass_offset", "kg", -0.01, 0.3, 0.0, 0.0, "added to the moved link", least=-0.011),)
     edits = (ModelEdit("body_mass", "joint_body", "add", "link_mass_offset"),)
-    size = "link_mass_offset"
-    smallest = 0.01
     secants = ({"link_mass_offset": 0.02}, {"link_mass_offset": 0.1})
     fingerprint = "in the phase of gravity, in fixed ratio over all joints that carry the link"
     confounders = ("payload", "link_com", "torque_constant", "encoder_offset")
     separating_experiment = "add a known mass; turn the base"
-    alias_class = "gravity_phase"
     scopes = ("joint",)
 
 
@@ -114,11 +99,8 @@ class LinkCentreOfMass(Effect):
         ModelEdit("body_ipos", "joint_body", "add", f"link_com_offset_{axis}", column=column)
         for column, axis in enumerate("xyz")
     )
-    size = "link_com_offset_x"
-    smallest = 0.002
     secants = ({"link_com_offset_x": 0.005}, {"link_com_offset_y": 0.005}, {"link_com_offset_z": 0.005})
     fingerprint = "in the phase of gravity, turning with the pose, in all joints that carry the link"
     confounders = ("encoder_offset", "link_mass", "cable_spring", "current_offset")
     separating_experiment = "turn the base: gravity turns, a spring does not; IMU against kinematics"
-    alias_class = "gravity_phase"
     scopes = ("joint",)

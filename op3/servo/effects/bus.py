@@ -5,13 +5,11 @@ from typing import Literal
 import numpy as np
 
 from op3.servo.effect import Effect, Parameter, Stage, register
+from op3.servo.law import CURRENT
 from op3.servo.machine_code import scalar
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 """Step of the generator of random numbers."""
-
-CURRENT = 0
-"""Place of the target current among the signals that can be held."""
 
 
 @scalar
@@ -44,14 +42,10 @@ class PacketDrop(Effect):
     source = "half-duplex bus, checksum errors: 0 to 3 % of packets"
     parameters = (Parameter("drop_probability", "-", 0.0, 0.1, 0.0, 0.0, "p", per_joint=False, least=0.0, most=1.0),)
     memory = ("held", "number")
-    size = "drop_probability"
-    smallest = 0.01
     secants = ({"drop_probability": 0.05}, {"drop_probability": 0.2})
     fingerprint = "bursts one period long in all joints at once; more variance, the same mean"
     confounders = ("latency", "current_lag")
     separating_experiment = "count gaps in the servos' own tick registers"
-    alias_class = "timing"
-    scopes = ("robot",)
 
     seed: int = 0
     signal: Literal["target_current", "goal"] = "target_current"

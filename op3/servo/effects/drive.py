@@ -9,10 +9,7 @@ import numpy as np
 from torch import Tensor
 
 from op3.servo.effect import Clock, Effect, Parameter, Stage, register
-from op3.servo.law import acted, clip, lifted_voltage
-
-CURRENT = 0
-"""Place of the target current among the signals that can be late."""
+from op3.servo.law import CURRENT, acted, clip, lifted_voltage
 
 
 @register
@@ -59,16 +56,13 @@ class Latency(Effect):
         Parameter("command_latency", "s", 0.0, 0.016, 0.006, 0.0, "time from reading sensors to torque", least=0.0),
     )
     constants = ("steps", "steps_per_tick")
-    size = "command_latency"
-    smallest = 0.0005
     secants = ({"command_latency": 0.001}, {"command_latency": -0.001}, {"command_latency": 0.004})
     fingerprint = "in proportion to the rate of the command; a shift of the same length at every frequency"
     confounders = ("current_lag", "velocity_filter", "packet_drop")
     separating_experiment = (
         "chirp of the command above 20 Hz: a shift has linear phase, a lag rolls off; low and high gain"
     )
-    alias_class = "timing"
-    scopes = ("shared", "joint")
+    scopes = ("joint", "shared")
 
     longest: float = 0.024
     signal: Literal["target_current", "goal"] = "target_current"
@@ -153,14 +147,11 @@ class PositionServo(Effect):
         Parameter("controller_gain", "-", 0.2, 1.4, 1.0, 1.0, "factor c on the firmware's nominal gain"),
         Parameter("derivative_gain", "s/rad", 0.0, 0.06, 0.0, 0.0, "duty per rad/s of the error's rate, kd"),
     )
-    size = "controller_gain"
-    smallest = 0.02
     secants = ({"controller_gain": 0.1}, {"derivative_gain": 0.005})
     fingerprint = "in proportion to the position error, in the duty as well as in the torque"
     confounders = ("encoder_offset", "torque_constant", "minimum_duty")
     separating_experiment = "read the duty register: two gains, a hold against a known weight"
-    alias_class = "controller"
-    scopes = ("shared", "joint")
+    scopes = ("joint", "shared")
 
     error_gain: float = 0.166
     max_duty: float = 0.97
@@ -206,14 +197,11 @@ class MinimumDuty(Effect):
         Parameter("minimum_duty", "-", 0.0, 0.15, 0.03, 0.0, "duty added, d0", least=0.0),
         Parameter("minimum_duty_fade", "-", 0.01, 0.3, 0.08, None, "duty over which the lift sets in, d1", least=1e-4),
     )
-    size = "minimum_duty"
-    smallest = 0.005
     secants = ({"minimum_duty": 0.02, "minimum_duty_fade": 0.03}, {"minimum_duty": 0.02, "minimum_duty_fade": 0.15})
     fingerprint = "in proportion to the sign of the duty near zero duty, none at large duties"
     confounders = ("coulomb", "stribeck", "terminal_resistance")
     separating_experiment = "small steps of the goal around rest at two bus voltages"
-    alias_class = "supply"
-    scopes = ("shared", "joint")
+    scopes = ("joint", "shared")
 
     @staticmethod
     def apply(s, p):

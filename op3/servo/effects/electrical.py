@@ -7,10 +7,7 @@ from typing import Literal
 from torch import Tensor
 
 from op3.servo.effect import Effect, Parameter, Stage, register
-from op3.servo.law import clip, lags_per_step
-
-CURRENT = 0
-"""Place of the target current among the signals that can lag."""
+from op3.servo.law import CURRENT, clip, lags_per_step
 
 REFERENCE_TEMPERATURE = 25.0
 """Temperature at which the motor's parameters hold [C]."""
@@ -29,14 +26,10 @@ class TorqueConstant(Effect):
     equation = "Kt *= 1 + e"
     source = "XM430: 1.79 N m/A loaded (ROBOTIS graph) against 2.35 V s/rad from its no-load speed"
     parameters = (Parameter("torque_constant_error", "-", -0.25, 0.25, 0.0, 0.0, "e, relative", least=-0.9),)
-    size = "torque_constant_error"
-    smallest = 0.03
     secants = ({"torque_constant_error": 0.05},)
     fingerprint = "in proportion to current, the same whether the motor drives or is driven"
     confounders = ("payload", "link_mass", "torque_constant_temperature", "dte")
     separating_experiment = "a known added mass, or a force gauge at the foot"
-    alias_class = "torque_scale"
-    scopes = ("joint", "shared", "side")
 
     def adjust(self, values: Mapping[str, Tensor], sides: Tensor) -> Mapping[str, Tensor]:
         return scaled(values, "torque_constant", values["torque_constant_error"])
@@ -55,14 +48,10 @@ class TerminalResistance(Effect):
         Parameter("resistance_temperature_coefficient", "1/K", 0.0, 0.006, 0.0, 0.0, "a, per measured K", least=0.0),
     )
     reads = ("temperature",)
-    size = "terminal_resistance_error"
-    smallest = 0.05
     secants = ({"terminal_resistance_error": 0.1}, {"resistance_temperature_coefficient": 0.004})
     fingerprint = "only where the bus voltage limits the current; the slope of current over speed there"
     confounders = ("voltage_sag", "torque_constant", "minimum_duty")
     separating_experiment = "saturation at two speeds and two bus voltages"
-    alias_class = "supply"
-    scopes = ("joint", "shared", "side")
 
     def adjust(self, values: Mapping[str, Tensor], sides: Tensor) -> Mapping[str, Tensor]:
         return scaled(values, "terminal_resistance", values["terminal_resistance_error"])
@@ -83,14 +72,11 @@ class TorqueConstantTemperature(Effect):
     source = "remanence of NdFeB falls 0.0011 per K, of ferrite 0.002 per K"
     parameters = (Parameter("magnet_temperature_coefficient", "1/K", 0.0, 0.004, 0.0, 0.0, "a, per measured K"),)
     reads = ("temperature",)
-    size = "magnet_temperature_coefficient"
-    smallest = 5e-4
     secants = ({"magnet_temperature_coefficient": 0.001},)
     fingerprint = "in proportion to current times the temperature above the reference"
     confounders = ("torque_constant", "payload", "friction_drift")
     separating_experiment = "the same motion cold (25 C) and hot (55 C or more)"
-    alias_class = "temperature"
-    scopes = ("shared", "joint")
+    scopes = ("joint", "shared")
 
     @staticmethod
     def apply(s, p):
@@ -117,14 +103,10 @@ class VoltageSag(Effect):
     parameters = (Parameter("supply_resistance", "ohm", 0.0, 0.6, 0.0, 0.0, "Rb", per_joint=False, least=0.0),)
     memory = ("drawn",)
     constants = ("keep",)
-    size = "supply_resistance"
-    smallest = 0.05
     secants = ({"supply_resistance": 0.1}, {"supply_resistance": 0.3})
     fingerprint = "only in saturation, and in proportion to the currents of the other joints"
     confounders = ("terminal_resistance", "minimum_duty")
     separating_experiment = "saturate one joint alone and all joints together; measured bus voltage"
-    alias_class = "supply"
-    scopes = ("robot",)
 
     time_constant: float = 0.002
     least_voltage: float = 1.0
@@ -165,8 +147,6 @@ class CurrentLag(Effect):
     parameters = (Parameter("current_time_constant", "s", 0.0, 0.01, 0.0, 0.0, "Tc", least=0.0),)
     memory = ("end", "wanted")
     constants = ("rate", "left")
-    size = "current_time_constant"
-    smallest = 0.0005
     secants = (
         {"current_time_constant": 0.001, "command_latency": -0.001},
         {"current_time_constant": 0.003, "command_latency": -0.003},
@@ -176,8 +156,7 @@ class CurrentLag(Effect):
     fingerprint = "measured current lags its command by a fraction of a sample and is rounded off"
     confounders = ("latency", "velocity_filter", "packet_drop")
     separating_experiment = "chirp of the command above 20 Hz: a shift has linear phase, a lag rolls off"
-    alias_class = "timing"
-    scopes = ("shared", "joint")
+    scopes = ("joint", "shared")
 
     signal: Literal["target_current", "voltage"] = "target_current"
 
@@ -225,14 +204,10 @@ class CurrentOffset(Effect):
     equation = "I_measured = I + o; regulated: I = I* - o"
     source = "current unit of the XM430 2.69 mA; offsets of 5 to 30 mA"
     parameters = (Parameter("current_offset", "A", -0.05, 0.05, 0.0, 0.0, "o, reading without current"),)
-    size = "current_offset"
-    smallest = 0.005
     secants = ({"current_offset": 0.01},)
     fingerprint = "a constant torque in all poses, in both directions and at rest"
     confounders = ("asymmetric_friction", "cable_spring", "link_com", "encoder_offset")
     separating_experiment = "turn the base: gravity turns, the offset stays; the reading with torque off"
-    alias_class = "torque_bias"
-    scopes = ("joint", "shared", "side")
 
     @staticmethod
     def apply(s, p):

@@ -25,8 +25,6 @@ class Coulomb(Effect):
     equation = "tau_fric += fc"
     source = "paper eq. (4); range from Table I"
     parameters = (Parameter("coulomb_friction", "N m", 0.01, 0.25, 0.1, 0.0, "fc", least=0.0),)
-    size = "coulomb_friction"
-    smallest = 0.01
     secants = ({"coulomb_friction": 0.02},)
     fingerprint = (
         "odd in velocity, the same at every speed and load; a hysteresis loop of constant width 2 fc in "
@@ -34,8 +32,6 @@ class Coulomb(Effect):
     )
     confounders = ("asymmetric_friction", "current_offset", "dte")
     separating_experiment = "slow triangle both ways at two loads"
-    alias_class = "coulomb"
-    scopes = ("shared", "joint", "side")
 
     @staticmethod
     def apply(s, p):
@@ -60,8 +56,6 @@ class Stribeck(Effect):
             "stribeck_velocity", "rad/s", 0.02, 3.0, 0.1, None, "w_static, not in the paper", least=1e-4, searched=False
         ),
     )
-    size = "static_friction_excess"
-    smallest = 0.01
     secants = (
         {"static_friction_excess": 0.03, "stribeck_velocity": 0.05},
         {"static_friction_excess": 0.03, "stribeck_velocity": 0.15},
@@ -71,8 +65,6 @@ class Stribeck(Effect):
     fingerprint = "odd in velocity and only below w_static; stick-slip and limit cycles near rest"
     confounders = ("viscous", "lugre", "backlash", "load_friction")
     separating_experiment = "slow sweeps at 0.02, 0.05, 0.1 and 0.2 rad/s at two loads"
-    alias_class = "near_rest"
-    scopes = ("shared", "joint", "side")
 
     fade: Literal["exponential", "gaussian"] = "exponential"
 
@@ -92,14 +84,10 @@ class Viscous(Effect):
     equation = "tau_fric += kv |w|"
     source = "paper eq. (4); range from Table I"
     parameters = (Parameter("viscous_friction", "N m s/rad", 0.0025, 0.15, 0.03, 0.0, "kv", least=0.0),)
-    size = "viscous_friction"
-    smallest = 0.005
     secants = ({"viscous_friction": 0.01},)
     fingerprint = "odd in velocity and in proportion to it"
     confounders = ("quadratic_drag", "bearing_friction", "terminal_resistance", "torque_constant")
     separating_experiment = "three speeds, one of them fast; two temperatures"
-    alias_class = "speed_friction"
-    scopes = ("shared", "joint", "side")
 
     @staticmethod
     def apply(s, p):
@@ -116,14 +104,10 @@ class BearingFriction(Effect):
     source = "plain bearing under load; on Rhoban's servo bench, damping grows with the weight carried"
     parameters = (Parameter("bearing_friction", "m s/rad", 0.0, 0.001, 0.0001, 0.0, "kb, per radial force", least=0.0),)
     reads = ("radial_force",)
-    size = "bearing_friction"
-    smallest = 1e-05
     secants = ({"bearing_friction": 5e-5},)
     fingerprint = "odd in velocity, in proportion to speed and to the weight carried"
     confounders = ("viscous", "quadratic_drag", "load_friction")
     separating_experiment = "one speed at two loads"
-    alias_class = "speed_friction"
-    scopes = ("shared", "joint", "side")
 
     @staticmethod
     def apply(s, p):
@@ -149,14 +133,10 @@ class AsymmetricFriction(Effect):
     parameters = (
         Parameter("asymmetric_friction", "N m", -0.15, 0.15, 0.0, 0.0, "a, friction for w > 0 less that for w < 0"),
     )
-    size = "asymmetric_friction"
-    smallest = 0.01
     secants = ({"asymmetric_friction": 0.03}, {"asymmetric_friction": -0.03})
     fingerprint = "even in velocity and constant, like a current offset but only in motion"
     confounders = ("current_offset", "coulomb", "link_com")
     separating_experiment = "slow triangle both ways in two attitudes; torque at rest"
-    alias_class = "torque_bias"
-    scopes = ("joint", "shared", "side")
 
     rest: float = 0.001
 
@@ -176,14 +156,10 @@ class QuadraticDrag(Effect):
     equation = "tau_fric += c w^2"
     source = "churning loss of a gear box; 0.001 to 0.03 N m s2/rad2"
     parameters = (Parameter("quadratic_drag", "N m s^2/rad^2", 0.0, 0.03, 0.0, 0.0, "c", least=0.0),)
-    size = "quadratic_drag"
-    smallest = 0.001
     secants = ({"quadratic_drag": 0.005},)
     fingerprint = "odd in velocity and growing faster than in proportion to it"
     confounders = ("viscous", "stribeck", "bearing_friction")
     separating_experiment = "three speeds, one of them fast"
-    alias_class = "speed_friction"
-    scopes = ("shared", "joint", "side")
 
     @staticmethod
     def apply(s, p):

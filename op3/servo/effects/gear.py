@@ -34,8 +34,6 @@ class DirectionalEfficiency(Effect):
         ),
         Parameter("backward_efficiency", "-", 0.6, 1.0, 0.8, 1.0, "of the load's torque", least=0.0, most=1.0),
     )
-    size = "backward_efficiency"
-    smallest = 0.03
     secants = ({"backward_efficiency": -0.05}, {"backward_efficiency": -0.2})
     fingerprint = (
         "in proportion to the load where the load drives (lowering, braking, landing), none where the motor drives"
@@ -45,8 +43,6 @@ class DirectionalEfficiency(Effect):
         "hold test: creep the load up and down at rest; the hysteresis of the current grows with load for "
         "friction; two loads"
     )
-    alias_class = "load_loss"
-    scopes = ("shared", "joint", "side")
 
     form: Literal["passive", "printed", "power"] = "passive"
 

@@ -23,14 +23,10 @@ class FootFriction(Effect):
         ModelEdit("geom_friction", "foot_geom", "scale", "foot_friction_error", column=0),
         ModelEdit("geom_friction", "ground_geom", "scale", "foot_friction_error", column=0),
     )
-    size = "foot_friction_error"
-    smallest = 0.1
     secants = ({"foot_friction_error": -0.2}, {"foot_friction_error": -0.5})
     fingerprint = "only in stance, as slip: the foot's pose drifts"
     confounders = ("foot_compliance", "ground_tilt")
     separating_experiment = "pull a foot over the floor with a spring balance"
-    alias_class = "foot_friction"
-    scopes = ("robot",)
 
 
 @register
@@ -46,14 +42,10 @@ class FootCompliance(Effect):
         ModelEdit("geom_solref", "foot_geom", "add", "contact_time_added", column=0),
         ModelEdit("geom_solref", "ground_geom", "add", "contact_time_added", column=0),
     )
-    size = "contact_time_added"
-    smallest = 0.002
     secants = ({"contact_time_added": 0.004}, {"contact_time_added": 0.012})
     fingerprint = "only in stance: peak of the impact and settling"
     confounders = ("compliance", "latency", "foot_friction")
     separating_experiment = "drop the robot by a centimetre with its legs held"
-    alias_class = "foot_compliance"
-    scopes = ("robot",)
 
 
 @register
@@ -76,14 +68,10 @@ class GroundTilt(Effect):
         ModelEdit("opt.gravity", "option", "turn", "ground_pitch", column=1),
         ModelEdit("opt.gravity", "option", "turn", "ground_roll", column=0),
     )
-    size = "ground_pitch"
-    smallest = 0.005
     secants = ({"ground_roll": 0.02}, {"ground_pitch": 0.02})
     fingerprint = "a bias of roll, pitch and of all gravity torques, on this floor only"
     confounders = ("imu_mount", "com_offset", "left_right_asymmetry", "encoder_offset")
     separating_experiment = "turn the robot by 180 degrees on the spot"
-    alias_class = "level"
-    scopes = ("robot",)
 
     def sense_trunk(self, trunk: Trunk, values: Mapping[str, Tensor]) -> None:
         floor = product(about(1, values["ground_pitch"]), about(0, values["ground_roll"]))

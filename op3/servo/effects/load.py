@@ -39,16 +39,12 @@ class LoadFriction(Effect):
         Parameter("load_friction", "-", 0.0, 0.9, 0.1, 0.0, "friction per torque passed on, l", least=0.0),
         Parameter("load_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "more of it near rest, ls", least=0.0),
     )
-    size = "load_friction"
-    smallest = 0.03
     secants = ({"load_friction": 0.05}, {"load_friction": 0.2})
     fingerprint = "odd in velocity; the width of the hysteresis loop grows in proportion to the load"
     confounders = ("dte", "directional_friction", "antagonistic_friction", "torque_constant")
     separating_experiment = (
         "hold test at two loads: the torque constant moves the centre of the loop, friction its width"
     )
-    alias_class = "load_loss"
-    scopes = ("shared", "joint", "side")
 
     form: Literal["sum", "motor"] = "sum"
 
@@ -77,14 +73,10 @@ class DirectionalFriction(Effect):
             "external_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "of the load's torque near rest, les", least=0.0
         ),
     )
-    size = "motor_friction"
-    smallest = 0.03
     secants = ({"motor_friction": 0.1}, {"external_friction": 0.1})
     fingerprint = "odd in velocity; one width of the loop where the motor leads, another where the load leads"
     confounders = ("dte", "load_friction", "antagonistic_friction")
     separating_experiment = "hold test at two loads, raising and lowering; motion with the torque off"
-    alias_class = "load_loss"
-    scopes = ("shared", "joint", "side")
 
     @staticmethod
     def apply(s, p):
@@ -109,14 +101,10 @@ class AntagonisticFriction(Effect):
         Parameter("motor_square", "1/(N m)", 0.0, 5.0, 0.0, 0.0, "qm, where the load is the stronger", least=0.0),
         Parameter("external_square", "1/(N m)", 0.0, 5.0, 0.0, 0.0, "qe, where the motor is the stronger", least=0.0),
     )
-    size = "external_square"
-    smallest = 0.05
     secants = ({"external_square": 0.2}, {"motor_square": 0.2})
     fingerprint = "near rest only, growing with the square of the weaker torque where motor and load oppose each other"
     confounders = ("dte", "load_friction", "directional_friction", "stribeck")
     separating_experiment = "hold test at three loads: the width of the hysteresis bends with load"
-    alias_class = "load_loss"
-    scopes = ("shared", "joint", "side")
 
     @staticmethod
     def apply(s, p):

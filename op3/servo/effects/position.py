@@ -18,8 +18,6 @@ class Cogging(Effect):
         Parameter("cogging_phase", "rad", -pi, pi, 0.0, None, "phi"),
         Parameter("cogging_periods", "-", 6.0, 60.0, 24.0, None, "n, ripples per turn of the joint", least=0.0),
     )
-    size = "cogging_amplitude"
-    smallest = 0.005
     secants = tuple(
         {"cogging_amplitude": 0.01, "cogging_phase": phase, "cogging_periods": periods}
         for periods in (12.0, 24.0, 36.0, 48.0)
@@ -28,7 +26,6 @@ class Cogging(Effect):
     fingerprint = "a narrow line in the spectrum over position, which moves with speed in time"
     confounders = ("position_friction", "encoder_nonlinearity", "stribeck")
     separating_experiment = "slow sweeps at two speeds: a ripple keeps its place in angle"
-    alias_class = "ripple"
     scopes = ("joint",)
 
     @staticmethod
@@ -49,13 +46,10 @@ class CableSpring(Effect):
         Parameter("cable_rest_angle", "rad", -1.5, 1.5, 0.0, None, "q0"),
     )
     memory = ("pull",)
-    size = "cable_stiffness"
-    smallest = 0.02
     secants = ({"cable_stiffness": 0.05, "cable_rest_angle": 0.0}, {"cable_stiffness": 0.05, "cable_rest_angle": 1.0})
     fingerprint = "a function of the angle, the same in both directions, whatever the robot's attitude"
     confounders = ("link_com", "com_offset", "encoder_offset", "current_offset")
     separating_experiment = "turn the base by a quarter: gravity turns, a spring does not"
-    alias_class = "gravity_phase"
     scopes = ("joint", "side")
 
     @staticmethod
@@ -85,15 +79,12 @@ class PositionFriction(Effect):
         Parameter("position_friction", "N m", 0.0, 0.2, 0.0, 0.0, "A, friction added at the worst angle", least=0.0),
         Parameter("position_friction_angle", "rad", -pi, pi, 0.0, None, "q_w, the worst angle"),
     )
-    size = "position_friction"
-    smallest = 0.02
     secants = tuple(
         {"position_friction": 0.05, "position_friction_angle": angle} for angle in (0.0, pi / 2, pi, -pi / 2)
     )
     fingerprint = "odd in velocity, with a width of the hysteresis loop that changes over the angle"
     confounders = ("coulomb", "load_friction", "dte", "cogging")
     separating_experiment = "slow sweep over the whole range at two loads or two attitudes"
-    alias_class = "position_friction"
     scopes = ("joint",)
 
     periods: float = 1.0

@@ -40,14 +40,10 @@ class LuGre(Effect):
     parameters = (Parameter("bristle_compliance", "rad/(N m)", 0.0, 0.05, 0.0, 0.0, "s; 20 to 200 N m/rad", least=0.0),)
     memory = ("bent", "left", "gain", "velocity")
     constants = ("stiffness", "rate")
-    size = "bristle_compliance"
-    smallest = 0.003
     secants = ({"bristle_compliance": 0.005}, {"bristle_compliance": 0.02})
     fingerprint = "a smooth, nearly elastic start of motion over 1 to 3 mrad after each reversal"
     confounders = ("stribeck", "compliance", "backlash")
     separating_experiment = "torque steps below break-away: elastic give with hysteresis"
-    alias_class = "near_rest"
-    scopes = ("shared", "joint", "side")
 
     damping_ratio: float = 0.2
 

@@ -19,16 +19,12 @@ class EncoderOffset(Effect):
     equation = "q_measured = q + b"
     source = "homing of a servo horn; Rhoban's servo bench fits -0.126 rad on its STS3032"
     parameters = (Parameter("encoder_offset", "rad", -0.2, 0.2, 0.0, 0.0, "reading at the joint's true zero"),)
-    size = "encoder_offset"
-    smallest = 0.003
     secants = ({"encoder_offset": 0.01},)
     fingerprint = (
         "a constant angle: gravity of the links acts in another phase; foot pose and IMU disagree with the joint angles"
     )
     confounders = ("link_com", "com_offset", "cable_spring", "current_offset", "encoder_nonlinearity")
     separating_experiment = "turn the base: gravity terms turn with it; compare the IMU with forward kinematics"
-    alias_class = "gravity_phase"
-    scopes = ("joint", "shared", "side")
 
     @staticmethod
     def sense(s, p):
@@ -52,8 +48,6 @@ class EncoderNonlinearity(Effect):
         Parameter("encoder_nonlinearity", "rad", -0.03, 0.03, 0.0, 0.0, "a", least=-0.5, most=0.5),
         Parameter("encoder_nonlinearity_phase", "rad", -pi, pi, 0.0, None, "p"),
     )
-    size = "encoder_nonlinearity"
-    smallest = 0.003
     secants = (
         {"encoder_nonlinearity": 0.01, "encoder_nonlinearity_phase": 0.0},
         {"encoder_nonlinearity": 0.01, "encoder_nonlinearity_phase": pi / 2},
@@ -61,7 +55,6 @@ class EncoderNonlinearity(Effect):
     fingerprint = "an error of the angle that repeats every turn; IMU against kinematics over the angle"
     confounders = ("encoder_offset", "link_com", "cable_spring", "cogging")
     separating_experiment = "slow sweep over the whole range, IMU against forward kinematics"
-    alias_class = "gravity_phase"
     scopes = ("joint",)
 
     velocity: Literal["bent", "apart"] = "bent"
@@ -87,14 +80,11 @@ class VelocityFilter(Effect):
     parameters = (Parameter("velocity_time_constant", "s", 0.0, 0.02, 0.0, 0.0, "Tw", least=0.0),)
     memory = ("filtered", "velocity", "now", "knows")
     constants = ("left", "behind")
-    size = "velocity_time_constant"
-    smallest = 0.001
     secants = ({"velocity_time_constant": 0.002}, {"velocity_time_constant": 0.008})
     fingerprint = "reported velocity lags the derivative of the reported angle; no torque beyond Kd"
     confounders = ("latency", "current_lag", "terminal_resistance")
     separating_experiment = "compare reported velocity with the derivative of the angle"
-    alias_class = "timing"
-    scopes = ("shared", "joint")
+    scopes = ("joint", "shared")
 
     @staticmethod
     def prepare(p):

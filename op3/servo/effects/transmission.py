@@ -40,22 +40,15 @@ def behind(p):
 
 
 @part
-def contact_friction(p, stiffness, damping_ratio):
-    """Torque per difference of velocities in a contact [N m s/rad]."""
-    return 2.0 * damping_ratio * sqrt(stiffness * (p.armature - behind(p)))
+def between(p):
+    """Whether there is play or a spring between gear and link."""
+    return p.backlash_half_gap > 0.0 or p.gear_compliance > 0.0
 
 
 @part
-def rotor_angle(position, load_torque, half_gap, stiffness):
-    """Angle of the rotor [rad] at rest: on the flank that carries the load, the spring bent by it.
-
-    Args:
-        position: of the link [rad].
-        load_torque: tau_a [N m].
-        half_gap: half of the play [rad].
-        stiffness: of the contact [N m/rad].
-    """
-    return position - np.sign(load_torque) * half_gap - load_torque / stiffness
+def rotor_angle(p, position, load_torque):
+    """Angle of the rotor [rad] at rest: on the flank that carries the load tau_a [N m], the spring bent by it."""
+    return position - np.sign(load_torque) * p.backlash_half_gap - load_torque / p.backlash_stiffness
 
 
 @part
@@ -63,73 +56,6 @@ def rotor_velocity(s):
     """At the end of the last step; friction stops the rotor, it does not reverse it."""
     velocity = s.rotor_velocity + s.rotor_gain * s.velocity
     return 0.0 if s.rotor_slips * velocity < 0.0 else velocity
-
-
-@part
-def rest_rotor(s, p, half_gap, stiffness):
-    """The rotor rests against the flank that carries the load, and moves with the link."""
-    angle = rotor_angle(s.position, s.load_torque, half_gap, stiffness)
-    s.rotor_angle, s.rotor_velocity = angle - p.timestep * s.velocity, s.velocity
-    s.rotor_gain = s.rotor_slips = s.rotor_torque = s.contact_torque = 0.0
-
-
-@part
-def move_rotor(s, p):
-    """Move the rotor to the end of the last step, and let motor and friction see it instead of the link."""
-    s.rotor_velocity = rotor_velocity(s)
-    s.rotor_angle += p.timestep * s.rotor_velocity
-    s.position, s.velocity = s.rotor_angle, s.rotor_velocity
-
-
-@part
-def push_link(s, p, half_gap, stiffness, friction):
-    """Solve the rotor's step with the link's, and hand the contact's torque to the link."""
-    step, steadying = p.timestep, STEADY * p.timestep * stiffness
-    grip = steadying + friction  # torque per difference of velocities at the end of the step
-    angle, velocity, link_velocity = s.rotor_angle, s.rotor_velocity, s.link_velocity
-    rotor = p.armature - behind(p)
-    inertia = rotor + step * s.damping
-    torque, bound = s.applied_torque, s.friction_bound
-    # where the rotor would be without the link decides which flank it meets
-    free = velocity + step * torque / inertia
-    free = copysign(max(abs(free) - step * bound / inertia, 0.0), free)
-    apart = angle - s.link_position
-    ends = apart + step * (free - link_velocity)
-    side = np.sign(ends) if abs(ends) > half_gap else 0.0
-    bent = stiffness * (apart - side * half_gap) - steadying * (velocity - link_velocity)
-    if half_gap != 0.0 and not side * (bent + grip * (free - link_velocity)) > 0.0:
-        bent, grip = 0.0, 0.0  # it touches neither
-    # the rotor's velocity after the step: friction holds it, or opposes it
-    total = inertia + step * grip
-    impulse = inertia * velocity + step * (torque - bent)
-    moves = impulse + step * grip * link_velocity
-    s.rotor_slips = np.sign(moves) if abs(moves) > step * bound else 0.0
-    constant, gain = 0.0, 0.0
-    if s.rotor_slips != 0.0:
-        constant, gain = (impulse - step * bound * s.rotor_slips) / total, step * grip / total
-    s.rotor_velocity, s.rotor_gain = constant, gain
-    # the contact's torque is bent + grip (rotor velocity - link velocity), both after the step
-    s.rotor_torque = torque
-    s.contact_torque = bent + grip * (constant + gain * link_velocity - link_velocity)
-    falls = grip * (1.0 - gain)
-    s.applied_torque = bent + grip * constant - falls * link_velocity
-    s.damping = falls - rotor / step
-    s.friction_bound = 0.0
-
-
-@part
-def balance_rotor(s, p, half_gap, stiffness, torque, rests):
-    """Put the rotor against the flank that carries the load, bent by it, and let it move with the link.
-
-    On a contact this stiff the noise of a measured angle would be a large torque. Where there is next to no load the
-    rotor stays where it is.
-    """
-    load = s.contact_torque - torque
-    if rests or abs(load) > UNLOADED:
-        velocity = 0.0 if rests else s.velocity
-        s.rotor_angle = rotor_angle(s.position, -load, half_gap, stiffness) - p.timestep * velocity
-        s.rotor_velocity, s.rotor_gain, s.rotor_slips = velocity, 0.0, 0.0
-    return s.rotor_torque - load
 
 
 @register
@@ -152,8 +78,6 @@ class Backlash(Effect):
     )
     constants = ("stiffness", "friction")
     stiff = True
-    size = "backlash_half_gap"
-    smallest = 0.001
     secants = tuple(
         {"backlash_half_gap": gap, "contact_stiffness": 300.0, "output_inertia": 0.0005}
         for gap in (0.0015, 0.003, 0.006, 0.010)
@@ -164,54 +88,98 @@ class Backlash(Effect):
     )
     confounders = ("stribeck", "lugre", "compliance", "latency")
     separating_experiment = "hold two loads of opposite sign: a step of the angle by the play"
-    alias_class = "transmission"
-    scopes = ("joint", "shared", "side")
 
     damping_ratio: float = 0.04
 
     @staticmethod
     def prepare(p):
-        """Stiffness and damping of the contact; the compliance of the gear train is in series."""
-        p.backlash_stiffness = 1.0 / max(1.0 / p.contact_stiffness + p.gear_compliance, LEAST_COMPLIANCE)
-        p.backlash_friction = contact_friction(p, p.backlash_stiffness, p.backlash_damping_ratio)
+        """Stiffness of play and spring in series, and torque per difference of velocities there."""
+        compliance, ratio = p.gear_compliance, p.compliance_damping_ratio
+        if p.backlash_half_gap > 0.0:
+            compliance, ratio = 1.0 / p.contact_stiffness + compliance, p.backlash_damping_ratio
+        p.backlash_stiffness = 1.0 / max(compliance, LEAST_COMPLIANCE)
+        p.backlash_friction = 2.0 * ratio * sqrt(p.backlash_stiffness * (p.armature - behind(p)))
 
     @staticmethod
     def reset(s, p):
         """The rotor rests against the flank that carries the load, and moves with the link."""
-        if p.backlash_half_gap > 0.0:
-            rest_rotor(s, p, p.backlash_half_gap, p.backlash_stiffness)
+        if between(p):
+            s.rotor_angle = rotor_angle(p, s.position, s.load_torque) - p.timestep * s.velocity
+            s.rotor_velocity = s.velocity
+            s.rotor_gain = s.rotor_slips = s.rotor_torque = s.contact_torque = 0.0
 
     @staticmethod
     def begin(s, p):
-        """Let motor and friction see the rotor instead of the link."""
-        if p.backlash_half_gap > 0.0:
-            move_rotor(s, p)
+        """Move the rotor to the end of the last step, and let motor and friction see it instead of the link."""
+        if between(p):
+            s.rotor_velocity = rotor_velocity(s)
+            s.rotor_angle += p.timestep * s.rotor_velocity
+            s.position, s.velocity = s.rotor_angle, s.rotor_velocity
 
     @staticmethod
     def apply(s, p):
-        """Hand the torque of the contact to the link."""
-        if p.backlash_half_gap > 0.0:
-            push_link(s, p, p.backlash_half_gap, p.backlash_stiffness, p.backlash_friction)
+        """Solve the rotor's step with the link's, and hand the contact's torque to the link."""
+        if not between(p):
+            return
+        half_gap, stiffness, friction = p.backlash_half_gap, p.backlash_stiffness, p.backlash_friction
+        step, steadying = p.timestep, STEADY * p.timestep * stiffness
+        grip = steadying + friction  # torque per difference of velocities at the end of the step
+        angle, velocity, link_velocity = s.rotor_angle, s.rotor_velocity, s.link_velocity
+        rotor = p.armature - behind(p)
+        inertia = rotor + step * s.damping
+        torque, bound = s.applied_torque, s.friction_bound
+        # where the rotor would be without the link decides which flank it meets
+        free = velocity + step * torque / inertia
+        free = copysign(max(abs(free) - step * bound / inertia, 0.0), free)
+        apart = angle - s.link_position
+        ends = apart + step * (free - link_velocity)
+        side = np.sign(ends) if abs(ends) > half_gap else 0.0
+        bent = stiffness * (apart - side * half_gap) - steadying * (velocity - link_velocity)
+        if half_gap != 0.0 and not side * (bent + grip * (free - link_velocity)) > 0.0:
+            bent, grip = 0.0, 0.0  # it touches neither
+        # the rotor's velocity after the step: friction holds it, or opposes it
+        total = inertia + step * grip
+        impulse = inertia * velocity + step * (torque - bent)
+        moves = impulse + step * grip * link_velocity
+        s.rotor_slips = np.sign(moves) if abs(moves) > step * bound else 0.0
+        constant, gain = 0.0, 0.0
+        if s.rotor_slips != 0.0:
+            constant, gain = (impulse - step * bound * s.rotor_slips) / total, step * grip / total
+        s.rotor_velocity, s.rotor_gain = constant, gain
+        # the contact's torque is bent + grip (rotor velocity - link velocity), both after the step
+        s.rotor_torque = torque
+        s.contact_torque = bent + grip * (constant + gain * link_velocity - link_velocity)
+        falls = grip * (1.0 - gain)
+        s.applied_torque = bent + grip * constant - falls * link_velocity
+        s.damping = falls - rotor / step
+        s.friction_bound = 0.0
 
     @staticmethod
     def motor_side(s, p):
         """The rotor's velocity: what turns against the voltage when it limits the current."""
-        if p.backlash_half_gap > 0.0:
+        if between(p):
             s.velocity = rotor_velocity(s)
 
     @staticmethod
     def balance(s, p, torque, rests):
-        """Let the contact carry what is asked for."""
-        if p.backlash_half_gap > 0.0:
-            return balance_rotor(s, p, p.backlash_half_gap, p.backlash_stiffness, torque, rests)
-        return torque
+        """Put the rotor against the flank that carries what is asked for, bent by it, and let it move with the link.
+
+        On a contact this stiff the noise of a measured angle would be a large torque. Where there is next to no load
+        the rotor stays where it is.
+        """
+        if not between(p):
+            return torque
+        load = s.contact_torque - torque
+        if rests or abs(load) > UNLOADED:
+            velocity = 0.0 if rests else s.velocity
+            s.rotor_angle = rotor_angle(p, s.position, -load) - p.timestep * velocity
+            s.rotor_velocity, s.rotor_gain, s.rotor_slips = velocity, 0.0, 0.0
+        return s.rotor_torque - load
 
 
 @register
 class Compliance(Effect):
-    """Elasticity of gear train and bracket between rotor and link.
-
-    Where `backlash` is on too, that effect solves both in series, and this one only lends its parameter.
+    """Elasticity of gear train and bracket between rotor and link; in series with play where `backlash` is on too.
 
     Attributes:
         damping_ratio: of the rotor on the gear train's stiffness, against a link at rest; half of the loss factor.
@@ -226,10 +194,8 @@ class Compliance(Effect):
         Parameter("gear_compliance", "rad/(N m)", 0.0, 0.02, 0.0, 0.0, "c = 1 / K", least=0.0),
         Parameter("wheel_inertia", "kg m2", 0.0, 0.001, 0.0, None, "J_o, behind the spring", least=0.0, searched=False),
     )
-    constants = ("stiffness", "friction")
+    acts_in = "backlash"
     stiff = True
-    size = "gear_compliance"
-    smallest = 0.002
     # the inertia behind the gears moves the resonance too, and no refit crosses from one period of it to the next
     secants = (
         {"gear_compliance": 0.004, "wheel_inertia": 0.0005},
@@ -239,43 +205,5 @@ class Compliance(Effect):
     fingerprint = "an extra resonance at sqrt(1 / (c J)); IMU against kinematics in proportion to load"
     confounders = ("backlash", "lugre", "current_lag", "link_inertia")
     separating_experiment = "static ladder of loads with IMU or camera; chirp up to the resonance"
-    alias_class = "transmission"
-    scopes = ("joint", "shared", "side")
 
     damping_ratio: float = 0.04
-
-    @staticmethod
-    def prepare(p):
-        p.compliance_stiffness = 1.0 / max(p.gear_compliance, LEAST_COMPLIANCE)
-        p.compliance_friction = contact_friction(p, p.compliance_stiffness, p.compliance_damping_ratio)
-
-    @staticmethod
-    def reset(s, p):
-        """The rotor rests against the flank that carries the load, and moves with the link."""
-        if p.gear_compliance > 0.0 and p.backlash_half_gap == 0.0:
-            rest_rotor(s, p, 0.0, p.compliance_stiffness)
-
-    @staticmethod
-    def begin(s, p):
-        """Let motor and friction see the rotor instead of the link."""
-        if p.gear_compliance > 0.0 and p.backlash_half_gap == 0.0:
-            move_rotor(s, p)
-
-    @staticmethod
-    def apply(s, p):
-        """Hand the torque of the spring to the link."""
-        if p.gear_compliance > 0.0 and p.backlash_half_gap == 0.0:
-            push_link(s, p, 0.0, p.compliance_stiffness, p.compliance_friction)
-
-    @staticmethod
-    def motor_side(s, p):
-        """The rotor's velocity: what turns against the voltage when it limits the current."""
-        if p.gear_compliance > 0.0 and p.backlash_half_gap == 0.0:
-            s.velocity = rotor_velocity(s)
-
-    @staticmethod
-    def balance(s, p, torque, rests):
-        """Let the spring carry what is asked for."""
-        if p.gear_compliance > 0.0 and p.backlash_half_gap == 0.0:
-            return balance_rotor(s, p, 0.0, p.compliance_stiffness, torque, rests)
-        return torque

@@ -21,14 +21,10 @@ class ImuMount(Effect):
         Parameter("imu_pitch", "rad", -0.06, 0.06, 0.0, 0.0, "about its y axis, to the left", per_joint=False),
         Parameter("imu_yaw", "rad", -0.06, 0.06, 0.0, 0.0, "about its z axis, upwards", per_joint=False),
     )
-    size = "imu_pitch"
-    smallest = 0.005
     secants = ({"imu_roll": 0.02}, {"imu_pitch": 0.02}, {"imu_yaw": 0.02})
     fingerprint = "a constant error of the direction of gravity in all poses; rates leak across axes"
     confounders = ("ground_tilt", "left_right_asymmetry", "com_offset", "gyro_bias")
     separating_experiment = "turn the robot by 180 degrees on the spot: a tilted floor changes sign"
-    alias_class = "level"
-    scopes = ("robot",)
 
     def sense_trunk(self, trunk: Trunk, values: Mapping[str, Tensor]) -> None:
         turns = [about(axis, values[f"imu_{name}"]) for axis, name in enumerate(("roll", "pitch", "yaw"))]
@@ -51,14 +47,10 @@ class GyroBias(Effect):
         Parameter("gyro_bias_y", "rad/s", -0.035, 0.035, 0.0, 0.0, "to the left", per_joint=False),
         Parameter("gyro_bias_z", "rad/s", -0.035, 0.035, 0.0, 0.0, "upwards", per_joint=False),
     )
-    size = "gyro_bias_y"
-    smallest = 0.003
     secants = ({"gyro_bias_x": 0.01}, {"gyro_bias_y": 0.01}, {"gyro_bias_z": 0.01})
     fingerprint = "a constant rate, at rest as well; no torque"
     confounders = ("imu_mount",)
     separating_experiment = "read the gyroscope at rest"
-    alias_class = "gyro_bias"
-    scopes = ("robot",)
 
     def sense_trunk(self, trunk: Trunk, values: Mapping[str, Tensor]) -> None:
         bias = torch.cat([values[f"gyro_bias_{axis}"] for axis in "xyz"], -1)

@@ -26,8 +26,6 @@ class FrictionDrift(Effect):
         Parameter("friction_drift_time", "s", 30.0, 600.0, 180.0, None, "T", least=1e-3),
     )
     reads = ("time",)
-    size = "friction_drift"
-    smallest = 0.05
     secants = (
         {"friction_drift": 0.2, "friction_drift_time": 60.0},
         {"friction_drift": 0.2, "friction_drift_time": 300.0},
@@ -35,8 +33,7 @@ class FrictionDrift(Effect):
     fingerprint = "odd in velocity, changing slowly within and across runs with time since the start"
     confounders = ("torque_constant_temperature", "coulomb", "viscous")
     separating_experiment = "the same slow triangle cold, after 5 and after 15 minutes"
-    alias_class = "temperature"
-    scopes = ("shared", "joint")
+    scopes = ("joint", "shared")
 
     @staticmethod
     def apply(s, p):
@@ -62,14 +59,10 @@ class LeftRightAsymmetry(Effect):
         Parameter("friction_asymmetry", "-", -0.4, 0.4, 0.0, 0.0, "a", per_joint=False, least=-1.0, most=1.0),
         Parameter("torque_asymmetry", "-", -0.2, 0.2, 0.0, 0.0, "b", per_joint=False, least=-0.9, most=0.9),
     )
-    size = "friction_asymmetry"
-    smallest = 0.05
     secants = ({"friction_asymmetry": 0.15}, {"torque_asymmetry": 0.05})
     fingerprint = "mirrored motions leave residuals that differ, and whose sum is zero"
     confounders = ("imu_mount", "ground_tilt", "coulomb", "torque_constant")
     separating_experiment = "mirrored motions, and the robot turned by 180 degrees on the spot"
-    alias_class = "asymmetry"
-    scopes = ("robot",)
 
     def adjust(self, values: Mapping[str, Tensor], sides: Tensor) -> Mapping[str, Tensor]:
         sides = sides.to(values["friction_asymmetry"])  # the precision is that of the parameters
