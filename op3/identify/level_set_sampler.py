@@ -122,9 +122,7 @@ class LevelSetSampler(NSGAIISampler):
     def _propose(
         self, trials: Sequence[FrozenTrial], search_space: dict[str, BaseDistribution]
     ) -> list[dict[str, Any]]:
-        ranges = {
-            name: d for name, d in search_space.items() if isinstance(d, FloatDistribution) and not d.log and not d.step
-        }
+        ranges = {name: d for name, d in search_space.items() if isinstance(d, FloatDistribution) and not d.log}
         if not ranges or len(ranges) < len(search_space):
             return []
         told = _told(trials, _box(ranges))

@@ -28,7 +28,6 @@ class LogScore:
     """What a model is worth on one log.
 
     Attributes:
-        log: the log.
         error_mrad: mean absolute joint position error [mrad]; None where the simulation diverged.
         paper_eq7: paper eq. (7) with unit weights; None where it diverged.
         seen: whether the model was fitted to this log.
@@ -53,7 +52,6 @@ class PredictionScore:
         trajectories: position error by motion [mrad].
         clusters: what was drawn by the bootstrap: ``logs`` or ``stretches``.
         predictions: one per log.
-        simulated_seconds: simulated time [s].
     """
 
     logs: Sequence[LogScore]

@@ -108,8 +108,5 @@ def _start(name: str, *, _root_: DictConfig) -> float:
 def register() -> None:
     """Register the interpolations, and the groups that use them; again is harmless."""
     search_groups.register()
-    OmegaConf.register_new_resolver("range", _range, replace=True)
-    OmegaConf.register_new_resolver("value", _value, replace=True)
-    OmegaConf.register_new_resolver("start", _start, replace=True)
-    OmegaConf.register_new_resolver("own", _own, replace=True)
-    OmegaConf.register_new_resolver("each_joint", _each_joint, replace=True)
+    for resolver in (_range, _value, _start, _own, _each_joint):
+        OmegaConf.register_new_resolver(resolver.__name__.removeprefix("_"), resolver, replace=True)

@@ -42,13 +42,12 @@ def make_sampler_factory(
     """Choose how new parameters are proposed.
 
     Args:
-        sampler: a name (`tpe`, `cmaes`, `nsga2`, `nsga2+surrogate`, `gp`, `random`); a mapping
-            `{name: tpe, **options}` or `{_target_: optuna.samplers.TPESampler, **options}`; or a function from a seed
-            to a sampler.
+        sampler: a name (`tpe`, `cmaes`, `nsga2`, `nsga2+surrogate`, `gp`, `random`); a mapping `{name: tpe, **options}`
+            or `{_target_: optuna.samplers.TPESampler, **options}`; or a function from a seed to a sampler.
         population: how many trials are asked at once. CMA-ES and NSGA-II take a generation of 7/8 of it,
             so that a few failed trials do not cost a generation.
         directions: number of objectives.
-        nominal: the nominal parameters, where CMA-ES starts if all of them are numbers.
+        nominal: the nominal parameters, where CMA-ES starts.
 
     Returns:
         A function from a seed to a sampler.
@@ -105,10 +104,9 @@ def _defaults(name: str, population: int, nominal: Mapping[str, Any] | None) -> 
         # the same population (constant_liar) found nothing better on an 11-parameter bowl with populations of 64.
         return {"multivariate": True, "constant_liar": False}
     if name == "cmaes":
-        numbers = nominal and all(isinstance(v, int | float) and not isinstance(v, bool) for v in nominal.values())
         # Below 5, cmaes has no selection to speak of; None lets it choose by the dimension.
         popsize = generation if population >= 6 else None
-        return {"x0": dict(nominal or {}) if numbers else None, "popsize": popsize, "warn_independent_sampling": False}
+        return {"x0": dict(nominal) if nominal else None, "popsize": popsize, "warn_independent_sampling": False}
     if name.startswith("nsga2"):
         # the real-coded operators of Deb et al. (2002)
         operators = {"crossover": nsgaii.SBXCrossover, "mutation": nsgaii.PolynomialMutation}

@@ -32,7 +32,7 @@ from optuna.trial import FrozenTrial, Trial, TrialState
 from tqdm import tqdm
 
 from op3.identify.samplers import SamplerFactory, make_sampler_factory
-from op3.identify.search_space import StudyError, check_nominal, search_space_to_json
+from op3.identify.search_space import SearchSpace, StudyError, check_nominal, search_space_to_json
 from op3.identify.storage import open_storage
 
 log = logging.getLogger(__name__)
@@ -68,7 +68,7 @@ Evaluate = Callable[[list[dict[str, Any]]], Sequence[float | Sequence[float] | O
 
 def run_study(
     evaluate: Evaluate,
-    search_space: Mapping[str, BaseDistribution],
+    search_space: SearchSpace,
     *,
     sampler: str | Mapping[str, Any] | SamplerFactory = "tpe",
     directions: Sequence[str] = ("minimize",),
@@ -179,11 +179,10 @@ def as_outcome(result: Any) -> Outcome:
 class _Session:
     """One process's view of a study: the stored one, and the copy in memory that the sampler sees."""
 
-    def __init__(
-        self, study: optuna.Study, search_space: Mapping[str, BaseDistribution], factory: SamplerFactory, worker: int
-    ) -> None:
+    def __init__(self, study: optuna.Study, search_space: SearchSpace, factory: SamplerFactory, worker: int) -> None:
         self.study = study
-        self._search_space, self._factory, self._worker = dict(search_space), factory, worker
+        self._factory, self._worker = factory, worker
+        self._search_space: dict[str, BaseDistribution] = {**search_space}
         self._name = f"{worker}:{secrets.token_hex(4)}"
         self._pulled: set[int] = set()
         with _quiet_optuna():
@@ -275,7 +274,7 @@ def _open_study(
     storage: str | Path | BaseStorage | None,
     name: str,
     directions: Sequence[str],
-    search_space: Mapping[str, BaseDistribution],
+    search_space: SearchSpace,
     seed: int | None,
 ) -> optuna.Study:
     try:

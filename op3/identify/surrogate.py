@@ -44,6 +44,7 @@ class Exploration:
     Attributes:
         points: in the unit box, best first, ``[point, parameter]``.
         losses: squared lengths of the residuals, ``[point]``.
+        residual: at the best point.
         history: best loss before the first round and after every one.
         curvature: product of the smoothed residual's Jacobian with itself at the best point,
             ``[parameter, parameter]``.

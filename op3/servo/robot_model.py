@@ -37,6 +37,8 @@ class Estimate:
 class RobotModel:
     """The list of effects that are on, with their parameter values.
 
+    A name of a parameter or an effect that is not on is a ValueError that says what there is.
+
     Attributes:
         effects: each at most once.
         estimates: by parameter name; parameters without an entry have their nominal value.
@@ -76,33 +78,21 @@ class RobotModel:
         return {p.name: p for effect in self.effects for p in effect.parameters}
 
     def effect(self, name: str) -> Effect:
-        """The effect of this name.
-
-        Raises:
-            ValueError: if it is off.
-        """
+        """The effect of this name."""
         for candidate in self.effects:
             if candidate.name == name:
                 return candidate
         raise ValueError(f"effect {name!r} is not on; effects on: {', '.join(self.effect_names)}")
 
     def value(self, name: str) -> float:
-        """A parameter's shared value, in its unit.
-
-        Raises:
-            ValueError: if no effect that is on has this parameter.
-        """
+        """A parameter's shared value, in its unit."""
         known = self.parameters()
         if name not in known:
             raise ValueError(f"no parameter {name!r} in this model; it has {', '.join(known)}")
         return self.estimates[name].value if name in self.estimates else known[name].nominal
 
     def estimate(self, name: str) -> Estimate:
-        """A parameter's estimate, its nominal value where it has none; `name` may carry a condition or a joint.
-
-        Raises:
-            ValueError: if no effect that is on has this parameter.
-        """
+        """A parameter's estimate, its nominal value where it has none; `name` may carry a condition or a joint."""
         base, condition = split_name(name)
         shared = self.estimates.get(base, Estimate(self.value(base)))
         if condition is None:
@@ -177,9 +167,6 @@ class RobotModel:
 
         Returns:
             ``[candidate, joint]``, or the values as they are where no joint has its own.
-
-        Raises:
-            ValueError: if no effect that is on has this parameter.
         """
         estimate = self.estimate(name)
         if not estimate.joints:
@@ -199,11 +186,7 @@ class RobotModel:
         return replace(self, effects=(*others, effect)).with_values(values or {})
 
     def without(self, *names: str) -> "RobotModel":
-        """This model with effects off, their parameters forgotten.
-
-        Raises:
-            ValueError: if one of them is not on.
-        """
+        """This model with effects off, their parameters forgotten."""
         gone = {p.name for name in names for p in self.effect(name).parameters}
         return replace(
             self,

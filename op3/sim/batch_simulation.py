@@ -14,7 +14,7 @@ from op3.servo import RobotModel, Servos
 from op3.sim.base import Base, readings, undo_sensing
 from op3.sim.edits import edited_fields
 from op3.sim.exchange import hand_over, read
-from op3.sim.inputs import default_commands, expand_parameters, set_commands, set_start
+from op3.sim.inputs import expand_parameters, fresh_start, set_commands
 from op3.sim.ports import ServoPorts
 
 
@@ -68,7 +68,7 @@ class BatchSimulation:
         self._base = None if base_body is None else Base.find(mj_model, mj_model.body(base_body).id)
         self.law = Servos(model.effects, self.joint_names, num_sims, self.timestep, control_period)
         self.signals, self._forces = self.law.signals, self.law.reads("radial_force")
-        default_commands(self.signals, model)
+        fresh_start(self.signals, model)
         self.failed = torch.zeros(num_sims, dtype=torch.bool)
         self.on_step: Callable[[], None] | None = None
         """Called after every step of the physics; who looks for peaks looks here."""
@@ -122,9 +122,6 @@ class BatchSimulation:
         qvel: Any = 0.0,
         *,
         measured: bool = False,
-        load_torque: Any = None,
-        current: Any = None,
-        time: Any = 0.0,
         rows: np.ndarray | None = None,
     ) -> None:
         """Start simulations anew.
@@ -135,19 +132,14 @@ class BatchSimulation:
             qvel: full MuJoCo velocity, ``[nv]`` or ``[sim, nv]``.
             measured: whether the joints' positions are readings of the sensors, which an encoder offset shifts;
                 each simulation then starts where its own sensors read them.
-            load_torque: tau_a on the servos at the start [N m], broadcastable to ``[sim, joint]``; tells on which
-                flank a backlash begins. By default that of the robot let go in this pose.
-            current: in the motors at the start [A]; by default none.
-            time: since the start of the recording [s], for effects that change with it.
             rows: indices of the simulations that start anew, between ticks; the others are not disturbed. Then `qpos`,
-                `qvel` and `commands` have one row for each of these, and the remaining arguments stay at their
-                defaults. None: all.
+                `qvel` and `commands` have one row for each of these. None: all.
 
         Raises:
-            ValueError: if `rows` is given together with what only all simulations can start from.
+            ValueError: if `rows` are given together with readings, from which only all simulations can start.
         """
-        if rows is not None and (measured or load_torque is not None or current is not None or time):
-            raise ValueError("measured, load_torque, current and time can start all simulations only: omit rows")
+        if rows is not None and measured:
+            raise ValueError("readings can place all simulations only: omit rows")
         if rows is not None and not len(rows):
             return
         ids = None if rows is None else np.asarray(rows, dtype=np.int64)
@@ -165,9 +157,8 @@ class BatchSimulation:
         self.batch.warning[which] = 0
         self.failed[which] = False
         self._read()
-        default_commands(self.signals, self.model, which)
+        fresh_start(self.signals, self.model, which)
         set_commands(self.signals, commands or {}, which)
-        set_start(self.signals, load_torque, current, time, which)
         self.law.reset(ids)
 
     def command(self, **commands: Tensor) -> None:

@@ -12,7 +12,7 @@ from op3.servo import RobotModel, Servos
 from op3.sim.base import Base, readings
 from op3.sim.edits import edited_fields, model_field
 from op3.sim.exchange import hand_over, read
-from op3.sim.inputs import default_commands, expand_parameters, set_commands, set_start
+from op3.sim.inputs import expand_parameters, fresh_start, set_commands
 from op3.sim.ports import ServoPorts, attach_servos
 
 
@@ -64,8 +64,7 @@ class GearedServo:
         physics.model.ptr.dof_armature[self.ports.dof] = self._rotor[0]
         mujoco.mj_forward(physics.model.ptr, physics.data.ptr)
         self._read(physics)
-        default_commands(self.signals, self.model)
-        set_start(self.signals)
+        fresh_start(self.signals, self.model)
         set_commands(self.signals, commands)
         self.law.reset()
 

@@ -15,9 +15,9 @@ REFERENCE_TEMPERATURE = 25.0
 """Of servos whose temperature is not known [C]: that at which a model's parameters hold."""
 
 
-def default_commands(signals: Signals, model: RobotModel, rows: Any = slice(None)) -> None:
-    """Commands before any is given: torque on, gains zero, the joints' own positions, voltage of the model, 25 C."""
-    for name in COMMANDS:
+def fresh_start(signals: Signals, model: RobotModel, rows: Any = slice(None)) -> None:
+    """A start before any command: torque on, gains zero, the joints' own positions, voltage of the model, 25 C."""
+    for name in (*COMMANDS, "current", "time"):
         getattr(signals, name)[rows] = 0.0
     signals.position_target[rows] = signals.position[rows]
     signals.torque_enable[rows] = 1.0
@@ -36,23 +36,6 @@ def set_commands(signals: Signals, commands: Mapping[str, Any], rows: Any = slic
             raise ValueError(f"unknown command {name!r}; commands are {', '.join(COMMANDS)}")
         # physics has no gradients; a policy's actions may
         getattr(signals, name)[rows] = torch.as_tensor(value, dtype=torch.float64).detach()
-
-
-def set_start(
-    signals: Signals, load_torque: Any = None, current: Any = None, time: Any = 0.0, rows: Any = slice(None)
-) -> None:
-    """What is known of the start beside positions and velocities, each broadcastable to ``[sim, joint]``.
-
-    Args:
-        signals: to write to.
-        load_torque: on the servos [N m]; None keeps what the simulation computed.
-        current: in the motors [A]; None for none.
-        time: since the start of the recording [s].
-        rows: simulations that start.
-    """
-    for name, value in (("load_torque", load_torque), ("current", 0.0 if current is None else current), ("time", time)):
-        if value is not None:
-            getattr(signals, name)[rows] = torch.as_tensor(value, dtype=torch.float64)
 
 
 def expand_parameters(

@@ -18,7 +18,7 @@ from op3.servo import RobotModel, Servos
 from op3.servo.machine_code import entry
 from op3.sim.base import readings, undo_sensing
 from op3.sim.edits import LINK, ROTOR
-from op3.sim.inputs import default_commands, expand_parameters, set_commands, set_start
+from op3.sim.inputs import expand_parameters, fresh_start, set_commands
 
 PD_PERIOD = 0.008
 """Time between ticks of a PD that commands current [s]; paper, 125 Hz."""
@@ -61,7 +61,7 @@ class PendulumSimulation:
         self._moment = self._mass * GRAVITY * self._length
         self.law = Servos(model.effects, self.joint_names, self.num_sims, timestep, self._every * timestep)
         self.signals = self.law.signals
-        default_commands(self.signals, model)
+        fresh_start(self.signals, model)
         self.failed = torch.zeros(self.num_sims, dtype=torch.bool)
         self.set_parameters({})
 
@@ -81,9 +81,6 @@ class PendulumSimulation:
         velocity: Any = 0.0,
         *,
         measured: bool = False,
-        load_torque: Any = None,
-        current: Any = None,
-        time: Any = 0.0,
     ) -> None:
         """Start all pendulums anew; arguments as for `op3.sim.BatchSimulation.reset`."""
         signals = self.signals
@@ -93,9 +90,8 @@ class PendulumSimulation:
         signals.velocity = velocity
         signals.load_torque = -self._moment * torch.sin(signals.position)
         signals.radial_force = self._mass * GRAVITY
-        default_commands(signals, self.model)
+        fresh_start(signals, self.model)
         set_commands(signals, commands or {})
-        set_start(signals, load_torque, current, time)
         self._steps = 0
         self.failed = torch.zeros(self.num_sims, dtype=torch.bool)
         self.law.reset()

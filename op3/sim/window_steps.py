@@ -215,14 +215,7 @@ def solve_dry(mass, total, velocity, force, bound, change, rooms, first, last):
 def solve_linear(mass, total, force, change, rows, first, last):
     """Change of velocity in one step without dry friction, by elimination.
 
-    Args:
-        mass: ``[joint, joint]``, of which the off-diagonal counts [kg m^2].
-        total: what stands on the diagonal, ``[joint]``.
-        force: impulses [N m s].
-        change: result [rad/s].
-        rows: room to work in, ``[joint, joint]``.
-        first: joint of the limb.
-        last: the joint after its last.
+    Arguments as for `solve_dry`; `rows` are room to work in, ``[joint, joint]``.
     """
     for i in range(first, last):
         for k in range(first, last):

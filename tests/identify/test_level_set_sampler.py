@@ -99,15 +99,6 @@ def test_proposals_stay_where_the_first_objective_is_tolerated_and_breed():
     assert all(any(key.endswith(":generation") for key in t.system_attrs) for t in found)
 
 
-def test_a_study_that_goes_on_asks_the_same_trials(tmp_path):
-    """Proposals depend on the stored trials and the seed alone."""
-    whole = study("nsga2+surrogate", 128, seed=3)
-    first = str(tmp_path / "study.journal")
-    study("nsga2+surrogate", 64, seed=3, storage=first)
-    resumed = study("nsga2+surrogate", 128, seed=3, storage=first)
-    assert [t.params for t in resumed.trials] == [t.params for t in whole.trials]
-
-
 def test_without_what_trials_tell_it_is_nsga2():
     """Trials of another experiment have no images; the same children are then asked as without surrogates."""
 

@@ -105,8 +105,3 @@ def test_bootstrap_intervals_cover():
     student = np.abs(samples.mean(1) - 1.0) <= half * samples.std(1, ddof=1)
     assert np.mean(inside) == pytest.approx(np.mean(student), abs=0.05)
     assert np.mean(inside) > 0.84
-
-
-def test_one_cluster_has_no_interval():
-    """Nothing can be drawn from one value."""
-    assert bootstrap_interval(np.ones(1), np.ones(1)) == (None, None)

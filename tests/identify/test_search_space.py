@@ -5,7 +5,7 @@ import contextlib
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
+from optuna.distributions import FloatDistribution
 
 from op3.identify.search_space import (
     StudyError,
@@ -23,17 +23,10 @@ finite = st.floats(min_value=-1e12, max_value=1e12, allow_nan=False)
         ("interval(0.003, 0.009)", FloatDistribution(0.003, 0.009)),
         ("interval(0, 1)", FloatDistribution(0.0, 1.0)),
         ("tag(log, interval(1e-3, 1))", FloatDistribution(1e-3, 1.0, log=True)),
-        ("int(interval(1, 8))", IntDistribution(1, 8)),
-        ("int(tag(log, interval(1, 8)))", IntDistribution(1, 8, log=True)),
-        ("range(1, 5)", IntDistribution(1, 4)),
-        ("range(0, 10, step=4)", IntDistribution(0, 8, step=4)),
-        ("range(0.0, 1.0, step=0.25)", FloatDistribution(0.0, 0.75, step=0.25)),
-        ("choice(dte, 'dte passive', 2, true)", CategoricalDistribution(["dte", "dte passive", 2, True])),
-        ("dte, dte_passive", CategoricalDistribution(["dte", "dte_passive"])),
     ],
 )
 def test_a_range_is_read_as_hydra_writes_it(text, expected):
-    """Every documented form gives its distribution; the end of a range is left out."""
+    """Every documented form gives its distribution."""
     assert parse_range("servo.kt", text) == expected
 
 
@@ -65,15 +58,12 @@ def test_any_text_is_a_range_or_one_sentence(text):
         ("interval(nan, 1)", "finite"),
         ("interval(0, inf)", "finite"),
         ("tag(cubic, interval(0, 1))", "cubic"),
-        ("range(0, 1)", "two"),
-        ("range(5, 0, step=-1)", "upwards"),
-        ("choice([1, 2], [3])", "sweep over lists"),
-        ("glob(*)", "interval"),
+        ("int(interval(1, 8))", "finite numbers"),
+        ("choice(1, 2)", "no interval"),
         ("interval(1", "not a range"),
         ("between(0, 1)", "not a range"),
-        ("0.5", "a value, not a range"),
-        (0.5, "a value, not a range"),
-        (None, "a value, not a range"),
+        ("0.5", "no interval"),
+        (None, "no interval"),
     ],
 )
 def test_a_wrong_range_says_which_key_and_what_to_write(text, reason):
@@ -111,11 +101,8 @@ def test_a_nominal_value_outside_its_range_is_refused(nominal, reason):
         check_nominal({"kt": FloatDistribution(0, 1)}, nominal)
 
 
-def test_a_nominal_integer_in_a_real_range_becomes_real():
+def test_a_nominal_integer_becomes_real():
     """`kt: 1` in a config is the same point as `kt: 1.0`."""
-    checked = check_nominal(
-        {"kt": FloatDistribution(0, 1), "gear": CategoricalDistribution(["a", "b"])},
-        {"kt": 1, "gear": "b", "other": 3},
-    )
-    assert checked == {"kt": 1.0, "gear": "b"}
+    checked = check_nominal({"kt": FloatDistribution(0, 1)}, {"kt": 1, "other": 3})
+    assert checked == {"kt": 1.0}
     assert isinstance(checked["kt"], float)

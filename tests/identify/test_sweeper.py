@@ -144,15 +144,6 @@ def test_jobs_that_die_do_not_end_the_sweep_silently(tmp_path):
     assert re.search(r"No trial has completed.*the last error is: job: RuntimeError: there is no bowl", output)
 
 
-def test_a_report_that_raises_does_not_cost_the_other_studies(tmp_path):
-    """Both cells run to their end; then the program fails with the report's error."""
-    process = start(tmp_path, "-m", "fail=report", "seed=0,1", "hydra.sweeper.n_trials=4")
-    output, _ = process.communicate()
-    assert process.returncode != 0
-    assert "no paper" in output
-    assert [study["n_trials"] for study in results(tmp_path / "out")["studies"]] == [4, 4]
-
-
 @pytest.mark.parametrize("mode", [[], ["-m"]])
 @pytest.mark.parametrize(
     ("argument", "sentence"),
