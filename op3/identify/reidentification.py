@@ -300,7 +300,7 @@ class Reidentification:
         whole = [one for one in played if one.returns]
         # of those that played the first episodes alone, the ones that may be on the front play the others
         short = [one for one in unbeaten(played) if not one.returns]
-        whole += [one for one in self._replay(short, 0) if np.isfinite(one.distance)]
+        whole += [one for one in (self._replay(short, 0) if short else ()) if np.isfinite(one.distance)]
         near = [one for one in whole if one.excitation <= TOLERATED * self.start.excitation]
         # the study holds the start as its nominal trial
         near = [one for one in near if dict(one.values) != dict(self.start.values)]
@@ -339,8 +339,6 @@ class Reidentification:
 
     def _replay(self, candidates: Sequence[Candidate], times: int) -> list[Candidate]:
         """The candidates over further episodes; `times` sets of episodes lie before them."""
-        if not candidates:
-            return []
         values = columns([one.values for one in candidates])
         numbers = range(times * self.episodes, (times + 1) * self.episodes)
         returns = self._shared("returns", values, len(candidates), episodes=numbers).numpy()
