@@ -101,7 +101,7 @@ class BatchedEnv(EnvBase):
         if self._fixed:
             self.simulation.set_parameters(self._fixed)
         self._beginnings: dict[int, Beginning] = {}
-        self._speed_bonus = 0.0
+        self._practice = {"speed_bonus": 0.0, "largest_lag": inf}
         self._beginning_task = task
         self._ground: Ground | None = None
         self._trunk = batch.bind("xfrc_applied")[:, batch.model.body(robot.trunk.full_identifier).id]
@@ -123,7 +123,7 @@ class BatchedEnv(EnvBase):
         self._episodes = np.zeros(self.num_envs, dtype=np.int64)
         generator = torch.Generator().manual_seed(self.seed)
         self.rules = Rules(self.task, self.action_map, self.num_envs, generator)
-        self.rules.speed_bonus = self._speed_bonus
+        vars(self.rules).update(self._practice)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDict:
         mask = torch.ones(self.num_envs, dtype=torch.bool)
@@ -147,14 +147,16 @@ class BatchedEnv(EnvBase):
         mask[list(episodes)] = True
         return self._begin(mask, {row: episode_seed(self.seed, 0, number) for row, number in episodes.items()})
 
-    def practise(self, speed_bonus: float = 0.0, **task: float) -> None:
+    def practise(self, speed_bonus: float = 0.0, largest_lag: float = inf, **task: float) -> None:
         """What learning begins with and grows out of.
 
         Args:
             speed_bonus: see `op3.tasks.rules.Rules`.
+            largest_lag: the same.
             **task: numbers of the task, such as `terrain_height`, for the episodes that begin from now on.
         """
-        self._speed_bonus = self.rules.speed_bonus = speed_bonus
+        self._practice = {"speed_bonus": speed_bonus, "largest_lag": largest_lag}
+        vars(self.rules).update(self._practice)
         self._beginning_task = find_task(self.task, **task)
 
     def set_parameters(self, values: Mapping[str, Tensor | float]) -> None:

@@ -1,6 +1,7 @@
 """The rules of a task for many robots at once, whatever simulates them: observation, commands, reward, the end."""
 
 from dataclasses import dataclass
+from math import inf
 
 import torch
 from torch import Tensor
@@ -51,6 +52,9 @@ class Rules:
         self.first_phase = torch.zeros(num_sims, dtype=torch.float64)
         self.speed_bonus = 0.0
         """What a learner gets for forward speed, per m/s up to the desired speed; not in the paper and not judged."""
+        self.largest_lag = inf
+        """Episodes of a learner end when the robot is further behind where the desired speed would have it [m]."""
+        self._lag = torch.zeros(num_sims, dtype=torch.float64)
         self._history = History(task.history)
         self._first_action = torch.from_numpy(action_map.stand())
         self._previous = self._first_action.repeat(num_sims, 1)
@@ -73,6 +77,7 @@ class Rules:
             The observation of all robots, ``[sim, observation]``.
         """
         self.steps[rows] = 0
+        self._lag[rows] = 0.0
         self.first_phase = torch.where(rows, phase, self.first_phase)
         self._previous = torch.where(rows[:, None], self._first_action, self._previous)
         self.bank.reset(snapshot.readings, rows)
@@ -97,7 +102,9 @@ class Rules:
         terms = self._terms(action, snapshot, throughout)
         reward = rewards.total(terms)
         tilted = orientation[:, :2].abs().amax(1) > self.task.fall_angle
-        terminated = tilted | (snapshot.height < self.task.fall_height) | failed
+        shortfall = (self._desired[0] - snapshot.velocity[:, 0]) * self._desired[0].sign()
+        self._lag = (self._lag + POLICY_PERIOD * shortfall).clamp(min=0.0)
+        terminated = tilted | (snapshot.height < self.task.fall_height) | failed | (self._lag > self.largest_lag)
         self._previous = action
         observation = self._history.push(self._observe())
         if failed.any():  # what a diverged state would say is worth nothing
