@@ -92,6 +92,22 @@ def test_practice_changes_the_reward_and_the_ground():
     assert env._beginnings[0].tiles.max() > 0.005
 
 
+def test_who_stands_still_falls_behind():
+    """An episode of standing ends once the robot is so far behind, and the next begins without what it lacked."""
+    env = make_env("walk", num_envs=1, seed=0)
+    env.practise(largest_lag=0.1)
+    state, stand = env.reset(), torch.from_numpy(env.action_map.stand()).float()[None]
+    for _ in range(20):
+        state["action"] = stand
+        state = env.step(state)["next"]
+        if state["terminated"].item():
+            break
+    assert 8 <= env.rules.steps.item() <= 13  # 0.3 m/s for 0.35 s are 0.1 m, and the body sways
+    state = env.reset()
+    state["action"] = stand
+    assert not env.step(state)["next"]["terminated"].item()
+
+
 def _with(env, action):
     state = env.fake_tensordict().select("observation")
     state["action"] = action
