@@ -142,7 +142,8 @@ def test_settings_that_cannot_be_end_with_one_sentence(overrides, message, tmp_p
 @pytest.mark.parametrize(
     ("overrides", "terms"),
     [
-        (["task=balance"], {"command", "smooth"}),
+        (["task=balance"], {"command", "smooth", "overload"}),
+        (["task=balance", "task.overload=0"], {"command", "smooth"}),
         (["task=walk"], {"command", "smooth", "bipedal", "speed_bonus"}),
         (["task=walk", "task.overload=0.5"], {"command", "smooth", "bipedal", "speed_bonus", "overload"}),
     ],
