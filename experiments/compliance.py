@@ -45,7 +45,7 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     asked = names(plain(cfg.policy))
     asked += [cfg.baseline] if cfg.baseline is not None and cfg.baseline not in asked else []
     actors = contestants(asked, study.task, plain(cfg.fixed_gains), scale)
-    standing = {Path(name).name: study.stand(name)[0] for name in plain(cfg.standing)}
+    standing = {Path(name).name: study.stand(name) for name in plain(cfg.standing)}
     measured = [study.measure(actor, led=cfg.led) for actor in actors]
     landings = study.stiff_landings() if any(actor.stiff for actor in actors[1:]) else None
     differences = {

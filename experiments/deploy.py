@@ -53,6 +53,7 @@ def open_robot(cfg: DictConfig) -> Connection:
             "faults": seeded_faults(cfg.faults),
             # as the person would hold it
             "joint_position": load_robot(cfg.robot).pose(cfg.pose) if cfg.mode == "calibrate" else None,
+            "jig": cfg.mode == "calibrate",
             "powered": cfg.mode in ("read_only", "calibrate"),  # these may not switch the supply on
         }
     mount = "stand" if cfg.mode == "hang" else cfg.mount

@@ -4,21 +4,19 @@ python experiments/gallery.py <picture> ... [--out docs/images]
 """
 
 import argparse
-import io
-import math
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import matplotlib
 import numpy as np
+from drawing import above, drawn, panels, small, strip, told
 from PIL import Image
 
 from op3.diagnose import Diagnosis, diagnosed_mount, split_logs, suited
 from op3.envs import BatchedEnv, record_episodes
 from op3.policy import PolicyBundle
 from op3.report.frames import draw_frames
-from op3.report.style import INK, MUTED, PALETTE
+from op3.report.style import INK, PALETTE
 from op3.report.video import states_of_log
 from op3.robot import Motion, build_scene, chirp, multisine, pose, squat, staircase, triangle
 from op3.rollout import Rollout, read_logs
@@ -27,58 +25,15 @@ from op3.sim import load_model, model_for
 from op3.stand_in import StandIn, World, draw_case, make_case
 from op3.tasks.task import find_task
 
-matplotlib.use("Agg")
-
-from matplotlib import pyplot as plt
-
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
-QUALITY = 82
-"""Of WebP, which keeps every picture below 100 kB."""
-
 PICTURES: dict[str, Callable[[], Image.Image]] = {}
 """What draws each picture, by name."""
-
-STYLE = {
-    "axes.prop_cycle": matplotlib.cycler(color=PALETTE),
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": MUTED,
-    "axes.labelcolor": INK,
-    "figure.dpi": 120,
-    "figure.constrained_layout.use": True,
-    "font.size": 9,
-    "legend.frameon": False,
-    "lines.linewidth": 1.4,
-}
 
 
 def picture(draw: Callable[[], Image.Image]) -> Callable[[], Image.Image]:
     """Enter a function under its name."""
     PICTURES[draw.__name__] = draw
     return draw
-
-
-def panels(rows: int = 1, columns: int = 1, height: float = 3.0, **options):
-    """A figure 8 inches wide, and its axes."""
-    return plt.subplots(rows, columns, figsize=(8.0, height), **options)
-
-
-def drawn(figure: plt.Figure) -> Image.Image:
-    """A figure as a picture."""
-    data = io.BytesIO()
-    figure.savefig(data)
-    plt.close(figure)
-    return Image.open(data).convert("RGB")
-
-
-def above(axis: plt.Axes) -> None:
-    """A legend in one row over an axis, where it hides nothing."""
-    axis.legend(ncol=4, loc="lower center", bbox_to_anchor=(0.5, 0.98))
-
-
-def strip(frames: np.ndarray, top: int = 40) -> Image.Image:
-    """Frames ``[frame, height, width, 3]`` side by side, without their empty margins, from a row on."""
-    return Image.fromarray(np.concatenate([frame[top : top + 400, 90:390] for frame in frames], axis=1))
 
 
 def episode(task: str, policy: str, seed: int = 501) -> Rollout:
@@ -305,11 +260,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=IMAGES, help="folder")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    with plt.rc_context(STYLE):
-        for name in options.pictures:
-            path = options.out / f"{name}.webp"
-            PICTURES[name]().save(path, quality=QUALITY, method=6)
-            print(f"{path}, {math.ceil(path.stat().st_size / 1000)} kB")
+    for name in options.pictures:
+        print(told(small(PICTURES[name](), options.out / f"{name}.webp")))
 
 
 if __name__ == "__main__":

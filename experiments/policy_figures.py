@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import hydra
-import matplotlib
 import numpy as np
 import torch
+from drawing import panels, small_film, strip, told
+from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
 from omegaconf import DictConfig
-from PIL import Image
 from support import check_given, one_sentence, plain, positive, whole
 
 from op3.command_line import launch
@@ -25,18 +26,13 @@ from op3.envs.actors import Watched, find_actor
 from op3.report import read_result
 from op3.report.frames import RenderError, draw_frames
 from op3.report.style import PALETTE, words
-from op3.report.video import film
 from op3.robot import load_robot
 from op3.rollout import Rollout
 from op3.tasks.behaviour import GaitProfile, gait_profile
 from op3.tasks.task import TICKS, find_task
 
-matplotlib.use("Agg")
-from matplotlib import pyplot as plt
-from matplotlib.axes import Axes
-
-FRAME_EVERY = 3
-"""Policy steps between two frames of a film."""
+FRAME_EVERY, SIZE = 6, (360, 360)
+"""Policy steps between two frames of a film, and their height and width [pixel]."""
 SHOWN = 6
 """Snapshots side by side."""
 BETWEEN = 4
@@ -45,31 +41,31 @@ BETWEEN = 4
 
 def learning(trainings: Mapping[str, Sequence[str]], path: Path) -> Path:
     """Return without exploration over the steps, a panel per task and a line per run."""
-    figure, panels = plt.subplots(1, len(trainings), figsize=(4.2 * len(trainings), 3.0), squeeze=False)
-    for axes, (task, folders) in zip(panels[0], trainings.items(), strict=True):
+    figure, grid = panels(1, len(trainings), width=4.2 * len(trainings), squeeze=False)
+    for axes, (task, folders) in zip(grid[0], trainings.items(), strict=True):
         for folder, colour in zip(folders, PALETTE, strict=False):
             run = read_result(Path(folder) / "result.yaml")
             steps, returns = np.array(run["learning.steps"]), run["learning.return"]
             axes.plot(steps / 1e6, returns, color=colour, label=Path(folder).name)
         axes.set(title=words(task), xlabel="steps [million]", ylabel="return [-]")
-        axes.legend(frameon=False)
+        axes.legend()
     return keep(figure, path)
 
 
 def gait(profile: GaitProfile, joint: str, path: Path) -> Path:
     """Target angle and P gain of a joint over the gait, the phase in which its foot carries shaded."""
-    figure, panels = plt.subplots(2, 1, figsize=(5.6, 4.2), sharex=True)
+    figure, grid = panels(2, 1, 4.2, 5.6, sharex=True)
     lines = (
         (profile.target, profile.target_deviation, "target angle [rad]"),
         (profile.gain, profile.gain_deviation, "P gain [A/rad]"),
     )
-    for axes, (mean, deviation, label) in zip(panels, lines, strict=True):
+    for axes, (mean, deviation, label) in zip(grid, lines, strict=True):
         shade(axes, profile)
         axes.plot(profile.phase, mean, color=PALETTE[0])
         axes.fill_between(profile.phase, mean - deviation, mean + deviation, color=PALETTE[0], alpha=0.2, lw=0)
         axes.set_ylabel(label)
-    panels[0].set_title(f"{words(joint)}, support shaded")
-    panels[1].set_xlabel("phase of the gait [cycles]")
+    grid[0].set_title(f"{words(joint)}, support shaded")
+    grid[1].set_xlabel("phase of the gait [cycles]")
     return keep(figure, path)
 
 
@@ -82,7 +78,6 @@ def shade(axes: Axes, profile: GaitProfile) -> None:
 
 def keep(figure: Any, path: Path) -> Path:
     """Write a figure; the same data give the same bytes."""
-    figure.tight_layout()
     figure.savefig(path, metadata={"Date": None})
     plt.close(figure)
     return path
@@ -98,18 +93,17 @@ def play(cfg: DictConfig, name: str, episodes: int) -> tuple[list[Rollout], Any,
     return logs, env.scene, np.stack(watched.states[: logs[0].rows // TICKS])
 
 
-def snapshots(scene: Any, states: np.ndarray, path: Path) -> Path | None:
-    """Some moments from the middle of an episode, side by side; None where MuJoCo cannot render here."""
+def snapshots(scene: Any, states: np.ndarray, path: Path) -> Path:
+    """Some moments from the middle of an episode, side by side."""
     middle = len(states) // 2
-    chosen = states[middle : middle + SHOWN * BETWEEN : BETWEEN]
-    try:
-        frames = draw_frames(scene.compile(), chosen)
-    except RenderError as error:
-        print(f"no snapshots: {error}")
-        return None
-    strip = Image.fromarray(np.concatenate([frame[:, 80:-80] for frame in frames], axis=1))
-    strip.resize((strip.width * 2 // 3, strip.height * 2 // 3)).save(path, quality=80)
+    picture = strip(draw_frames(scene.compile(), states[middle : middle + SHOWN * BETWEEN : BETWEEN]))
+    picture.resize((picture.width * 2 // 3, picture.height * 2 // 3)).save(path, quality=80)
     return path
+
+
+def film(scene: Any, states: np.ndarray, path: Path, rate: float, follow: bool) -> Path:
+    """A film of states at a rate [Hz]."""
+    return small_film(draw_frames(scene.compile(), states, follow=follow, size=SIZE), path, rate)
 
 
 def run(cfg: DictConfig) -> None:
@@ -124,7 +118,7 @@ def run(cfg: DictConfig) -> None:
     folder = Path(cfg.folder)
     folder.mkdir(parents=True, exist_ok=True)
     label = Path(cfg.policy).name
-    made: list[Path | None] = [learning(plain(cfg.trainings), folder / "learning.svg")] if cfg.trainings else []
+    made = [learning(plain(cfg.trainings), folder / "learning.svg")] if cfg.trainings else []
     for task in plain(cfg.tasks):
         walks = find_task(task).cycle is not None
         logs, scene, states = play(cfg, task, cfg.episodes if task == cfg.tasks[0] else 1)
@@ -132,10 +126,12 @@ def run(cfg: DictConfig) -> None:
             made.append(gait(gait_profile(logs, task, cfg.joint), cfg.joint, folder / f"{label}_gait.svg"))
         rate = logs[0].metadata.policy_rate or 0.0
         shown = states[len(states) // 2 :][: round(seconds * rate) : FRAME_EVERY]
-        made.append(snapshots(scene, states, folder / f"{task}.jpg"))
-        made.append(film(scene, shown, folder / f"{task}.webp", rate / FRAME_EVERY, follow=walks))
-    for path in filter(None, made):
-        print(f"{path}: {path.stat().st_size / 1000:.0f} kB")
+        try:
+            made.append(snapshots(scene, states, folder / f"{task}.jpg"))
+            made.append(film(scene, shown, folder / f"{task}.webp", rate / FRAME_EVERY, follow=walks))
+        except RenderError as error:
+            print(f"no pictures: {error}")
+    print(*map(told, made), sep="\n")
 
 
 @hydra.main(config_path="../conf", config_name="policy_figures", version_base="1.3")

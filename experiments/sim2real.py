@@ -9,7 +9,6 @@ where an interrupted one stopped.
 """
 
 import sys
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +23,8 @@ from support import ASKED, check_same, library_motion, one_sentence, plain, posi
 from op3.command_line import launch
 from op3.identify.episodes import ended_by, that_count
 from op3.policy import PolicyBundle
-from op3.report import finish, read_result, run_provenance, write_result
-from op3.report.result import finite
-from op3.report.transfer_page import Transfer, story
+from op3.report import RunFolder, read_result, run_provenance
+from op3.report.transfer_page import Learned, Transfer, report_transfers
 from op3.report.video import film, states_of_log
 from op3.robot import build_scene
 from op3.rollout import Rollout, read_logs
@@ -185,23 +183,6 @@ def trained_on(cfg: DictConfig) -> str:
     return str(name)
 
 
-@dataclass
-class Learned:
-    """What the rounds have found.
-
-    Attributes:
-        numbers: of the re-identification, by round.
-        named: sentence of the diagnosis, by round.
-        remarks: what else is to be said.
-        spared: whether the condition would learn, and the first transfer left nothing to learn from.
-    """
-
-    numbers: dict[int, dict] = field(default_factory=dict)
-    named: dict[int, str] = field(default_factory=dict)
-    remarks: list[str] = field(default_factory=list)
-    spared: bool = False
-
-
 def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
     """All stages, in order."""
     budget = check(cfg)
@@ -338,66 +319,19 @@ def report(
     cfg: DictConfig, budget: str, folder: Path, stages: Stages, transfers: list[Transfer], learned: Learned
 ) -> dict[str, Any]:
     """Write the story of the run and its numbers."""
-    provenance = run_provenance(seed=cfg.seed)
-    values: dict[str, Any] = {
-        "success": transfers[-1].success,
-        "rounds": len(transfers) - 1,
-        "task": chosen("task"),
-        "world": cfg.world if chosen("source") == "emulated" else "real",
-        "condition": cfg.condition,
-        "budget": budget,
-        "wall_seconds": sum(stages.seconds.values()),
-    }
-    for number, one in enumerate(transfers):
-        values |= {
-            f"transfer_{number}.expected": float(np.mean(one.expected)),
-            f"transfer_{number}.actual": float(np.mean(one.actual)),
-            f"transfer_{number}.share": one.share,
-            f"transfer_{number}.interval": [finite(end) for end in one.interval],
-            f"transfer_{number}.fell_afterwards": one.afterwards,
-            f"transfer_{number}.episodes": len(one.actual),
-            f"transfer_{number}.upright": float(np.mean(one.upright)),
-            f"transfer_{number}.success": one.success,
-            f"transfer_{number}.training_began_with": one.began_with,
-        }
-        if one.walked is not None:
-            values[f"transfer_{number}.walked"] = float(np.mean(one.walked))
-    values |= {f"round_{number}.diagnosis": sentence for number, sentence in learned.named.items()}
-    values |= {f"round_{number}.reidentified": one["accepted"] for number, one in learned.numbers.items()}
-    if learned.remarks:
-        values["remarks"] = learned.remarks
-    values |= {f"stage_seconds.{name}": value for name, value in stages.seconds.items()}
-    values |= {f"processor_seconds.{name}": value for name, value in stages.processor_seconds.items()}
-    values["provenance"] = provenance
-    page = story(
-        folder,
+    world = cfg.world if chosen("source") == "emulated" else "real"
+    return report_transfers(
         transfers,
-        stages.seconds,
-        condition=cfg.condition,
-        budget=budget,
-        provenance=provenance,
-        what=what_is_done(cfg),
-        spared=learned.spared,
-        learned=learned.numbers,
-        named=learned.named,
-        remarks=learned.remarks,
+        learned,
+        RunFolder(folder, run_provenance(seed=cfg.seed)),
+        asked={"task": chosen("task"), "world": world, "condition": cfg.condition, "budget": budget},
+        seconds=stages.seconds,
         processor_seconds=stages.processor_seconds,
+        what=what_is_done(cfg),
         fit=squat_fit(folder),
         learning=learning(folder, stages),
         following=following(folder, transfers[-1]),
     )
-    path = write_result(
-        folder / "result.yaml",
-        values,
-        {
-            "transfer": "returns under R_eval",
-            "round": "what each round of learning found",
-            "stage_seconds": "duration of stages [s]",
-            "processor_seconds": "time of all processors spent on stages [s]",
-        },
-    )
-    finish(page.write(folder / "index.html"), path)
-    return values
 
 
 @hydra.main(config_path="../conf", config_name="sim2real", version_base="1.3")
@@ -405,7 +339,7 @@ def main(cfg: DictConfig) -> Any:
     """Run all stages; a sweep maximises the share of the promised return that the robot reaches."""
     with one_sentence():
         values = loop(cfg, Path(HydraConfig.get().runtime.output_dir).absolute())
-        return values[f"transfer_{values['rounds']}.share"]
+        return values[f"transfer_{values['rounds']}"]["share"]
 
 
 if __name__ == "__main__":

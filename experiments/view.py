@@ -5,6 +5,7 @@ python experiments/view.py what=<policy bundle, or run of train.py>    # an epis
 python experiments/view.py what=<model.yaml, or run of identify.py>    # a squat: commands solid, the model as a ghost
 python experiments/view.py what=<run of diagnose.py>                   # measured, before and after what was named
 python experiments/view.py what=<log> out=film.mp4                     # or out=log.rrd, out=rerun
+python experiments/view.py what=<run of deploy.py> live=true           # while it runs, with the model as a ghost
 
 Without a screen an mp4 is written. As a command: op3 view <log>.
 """
@@ -25,6 +26,7 @@ from op3.envs import record_episodes
 from op3.envs.actors import Watched, find_actor
 from op3.policy.bundle import MANIFEST, PolicyBundle
 from op3.report.frames import RenderError
+from op3.report.live import stretches, told
 from op3.report.tracks import SHOWN, Tracks, of_diagnosis, predicted, scene_of
 from op3.report.video import write_film
 from op3.report.view import RATE, pictures, window
@@ -90,6 +92,31 @@ def tracks_of(cfg: DictConfig) -> Tracks:
     return of_model(cfg) if is_model else of_log(cfg)
 
 
+def watch(cfg: DictConfig, out: Path, speed: float) -> None:
+    """Show a log while it is recorded: in a window, or a line per second and a film in the end."""
+    coming = stretches(Path(cfg.what), cfg.model)
+    if has_screen() and cfg.out is None:
+        window(coming, cfg.joint, speed)
+        return
+    seen = []
+    for tracks in filter(None, coming):
+        print(told(tracks), flush=True)
+        seen.append(tracks)
+    if not seen:
+        raise ValueError(f"what={cfg.what}: no log began there; start op3 deploy with hydra.run.dir={cfg.what}")
+    draw(seen, cfg, out, speed)
+
+
+def draw(stretches: list[Tracks], cfg: DictConfig, out: Path, speed: float) -> None:
+    """Write a film of all stretches."""
+    seconds = sum(tracks.duration for tracks in stretches) / speed
+    print(f"drawing {int(seconds * RATE) + 1} pictures ...", file=sys.stderr, flush=True)
+    try:
+        print(write_film((one for tracks in stretches for one in pictures(tracks, cfg.joint, speed)), out, RATE))
+    except RenderError as error:
+        raise ValueError(str(error)) from None
+
+
 def has_screen() -> bool:
     """Whether a window can be opened."""
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
@@ -103,6 +130,9 @@ def run(cfg: DictConfig, folder: Path) -> None:
     out = None if cfg.out is None else Path(cfg.out)
     if out is not None and out.name != "rerun" and out.suffix not in (".mp4", ".webp", ".rrd"):
         raise ValueError(f"out must end with .mp4, .webp or .rrd, or be rerun, got {cfg.out}")
+    if cfg.live:
+        watch(cfg, out or folder / "view.mp4", speed)
+        return
     tracks = tracks_of(cfg)
     joints = next(iter(tracks.logs.values())).joints
     if cfg.joint is not None and cfg.joint not in joints:
@@ -112,13 +142,9 @@ def run(cfg: DictConfig, folder: Path) -> None:
 
         print(record(tracks, None if out.name == "rerun" else out) or "shown in rerun")
     elif out is None and has_screen():
-        window(tracks, cfg.joint, speed)
+        window([tracks], cfg.joint, speed)
     else:
-        print(f"drawing {int(tracks.duration / speed * RATE) + 1} pictures ...", file=sys.stderr, flush=True)
-        try:
-            print(write_film(pictures(tracks, cfg.joint, speed), out or folder / "view.mp4", RATE))
-        except RenderError as error:
-            raise ValueError(str(error)) from None
+        draw([tracks], cfg, out or folder / "view.mp4", speed)
 
 
 @hydra.main(config_path="../conf", config_name="view", version_base="1.3")

@@ -1,8 +1,10 @@
 """95 % intervals of means and of shares."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
 
@@ -11,6 +13,23 @@ def mean_interval(values: Sequence[float]) -> tuple[float, float]:
     count, middle, spread = len(values), float(np.mean(values)), float(np.std(values, ddof=1))
     half = float(stdtrit(count - 1, 0.975)) * spread / count**0.5
     return middle - half, middle + half
+
+
+def with_interval(values: Sequence[Any] | NDArray[Any]) -> NDArray[np.float64]:
+    """Mean over the first axis and Student's 95 % interval on a new last axis, ``[..., 3]``.
+
+    Values that are not finite are left out; with fewer than two the interval is NaN.
+    """
+    array = np.asarray(values, dtype=float)
+    flat = array.reshape(len(array), -1) if len(array) else np.zeros((0, 1))
+    result = np.full((flat.shape[1], 3), np.nan)
+    for column, mine in zip(result, flat.T, strict=True):
+        known = mine[np.isfinite(mine)]
+        if len(known):
+            column[0] = known.mean()
+        if len(known) > 1:
+            column[1:] = mean_interval(known.tolist())
+    return result.reshape(*array.shape[1:], 3)
 
 
 def wilson_interval(successes: int, trials: int) -> tuple[float, float]:

@@ -22,7 +22,8 @@ from support import check_given, focus_joints, one_sentence, plain
 from op3.identify.identification import PREFIX, Identification
 from op3.identify.search_space import parse_search_space
 from op3.identify.study import run_study
-from op3.report import Page, finish, history_figure, run_provenance, write_result
+from op3.report import Page, finish, run_provenance, write_result
+from op3.report.figures import history_figure
 from op3.rollout import read_logs
 from op3.sim import load_model
 

@@ -1,6 +1,6 @@
 """Back-drivability: how joints give way to a torque that grows slowly, at states of the gait, through the whole law."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,11 +71,11 @@ def back_drive(model: RobotModel, position: Array, commands: Mapping[str, Array]
     joint, sign = turned[which], np.where(way, -1.0, 1.0)
     qpos, turning = simulation.batch.bind("qpos"), simulation.ports.qpos[joint]
     everyone = np.arange(rows)
-    start, twist = qpos[everyone, turning], _Twist(simulation, joint)
+    start, twist = qpos[everyone, turning], _twister(simulation, joint)
     grown = RATE * OP3_CONTROL_PERIOD * np.arange(1, round(MOST / RATE / OP3_CONTROL_PERIOD) + 1)
     moved = np.zeros((len(grown), int(rows)))
     for step, size in enumerate(grown):
-        twist.apply(sign * size)
+        twist(sign * size)
         simulation.advance()
         moved[step] = sign * (qpos[everyone, turning] - start)
         if (moved[step] >= FITTED).all():
@@ -84,29 +84,23 @@ def back_drive(model: RobotModel, position: Array, commands: Mapping[str, Array]
     return BackDrive(*(values.reshape(shape) for values in _fits(grown, moved)))
 
 
-class _Twist:
-    """Torques between the two links of a joint, one joint per robot.
+def _twister(simulation: BatchSimulation, joint: NDArray[np.int64]) -> Callable[[Array], None]:
+    """Torques [N m] between the two links of a joint ``[sim]`` of each robot, in force until the next call.
 
     They act on the links and not in the servo, so that the servo law feels them as the load of its output.
-
-    Args:
-        simulation: of the robots.
-        joint: of each, [sim].
     """
+    model, batch, everyone = simulation.batch.model, simulation.batch, np.arange(simulation.num_sims)
+    child = simulation.ports.body[joint]
+    parent = model.body_parentid[child]
+    hinge = np.array([model.joint(name).id for name in simulation.ports.joints])[joint]
+    axis, external = batch.bind("xaxis"), batch.bind("xfrc_applied")
 
-    def __init__(self, simulation: BatchSimulation, joint: NDArray[np.int64]):
-        model, batch = simulation.batch.model, simulation.batch
-        self._everyone = np.arange(simulation.num_sims)
-        self._child = simulation.ports.body[joint]
-        self._parent = model.body_parentid[self._child]
-        self._joint = np.array([model.joint(name).id for name in simulation.ports.joints])[joint]
-        self._axis, self._external = batch.bind("xaxis"), batch.bind("xfrc_applied")
+    def twist(torque: Array) -> None:
+        turning = torque[:, None] * axis[everyone, hinge]
+        external[everyone, child, 3:] = turning
+        external[everyone, parent, 3:] = -turning
 
-    def apply(self, torque: Array) -> None:
-        """Twist with these torques [N m], ``[sim]``, until the next call."""
-        turning = torque[:, None] * self._axis[self._everyone, self._joint]
-        self._external[self._everyone, self._child, 3:] = turning
-        self._external[self._everyone, self._parent, 3:] = -turning
+    return twist
 
 
 def _fits(torque: NDArray[np.floating], moved: Array) -> tuple[Array, Array]:

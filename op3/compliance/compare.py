@@ -40,19 +40,10 @@ class Difference:
 
 
 def difference(first: Measured, other: Measured, their_landings: Landings | None = None) -> Difference:
-    """The first policy beside another.
-
-    Args:
-        first: policy.
-        other: policy.
-        their_landings: the other's, where more are known than from its own episodes.
-    """
+    """The first policy beside another, of which more landings may be known than from its own episodes."""
     landing = compare_landings(first.landings, their_landings or other.landings)
-    return Difference(landing, _of_shares(_uneven(first), _uneven(other)), _of_pushes(first, other))
-
-
-def _uneven(measured: Measured) -> list[Passed]:
-    return list(measured.passed.values())[1:]
+    uneven = [list(measured.passed.values())[1:] for measured in (first, other)]
+    return Difference(landing, _of_shares(*uneven), _of_pushes(first, other))
 
 
 def _of_shares(first: list[Passed], other: list[Passed]) -> Triple | None:
@@ -60,9 +51,8 @@ def _of_shares(first: list[Passed], other: list[Passed]) -> Triple | None:
     if not first:
         return None
     ours, theirs = ((sum(p.successes for p in each), sum(p.episodes for p in each)) for each in (first, other))
-    (p, q), (low_p, high_p), (low_q, high_q) = (
-        (ours[0] / ours[1], theirs[0] / theirs[1]), wilson_interval(*ours), wilson_interval(*theirs)
-    )  # fmt: skip
+    p, q = ours[0] / ours[1], theirs[0] / theirs[1]
+    (low_p, high_p), (low_q, high_q) = wilson_interval(*ours), wilson_interval(*theirs)
     below, above = np.hypot(p - low_p, high_q - q), np.hypot(high_p - p, q - low_q)
     return p - q, float(p - q - below), float(p - q + above)
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.compliance.interval import with_interval
-from op3.robot import load_robot, load_servo
+from op3.intervals import with_interval
+from op3.robot import load_robot
 from op3.robot.units import GRAVITY
 from op3.rollout import Rollout
 from op3.servo import RobotModel
@@ -39,21 +39,17 @@ class Energy:
         power: that all motors draw, with its interval, [3] in W; what they feed back charges nothing.
         cost_of_transport: power over weight and speed, with its interval, [3]; None for robots that do not travel.
         current: root of the mean square of each motor's current, [joint] in A.
-        loss: heat of each motor's windings, [joint] in W.
         temperature: of each after an hour like this [C], [joint].
         drift: loss of all motors in the second half of the episodes over that in the first, minus 1: about 0 where an
             hour may be reckoned from them.
-        limit: temperature at which a servo switches itself off [C].
         continuous: current that a servo carries for ever [A].
     """
 
     power: Array
     cost_of_transport: Array | None
     current: Array
-    loss: Array
     temperature: Array
     drift: float
-    limit: float
     continuous: float
 
     @property
@@ -62,18 +58,16 @@ class Energy:
         return load_robot().joints[int(self.temperature.argmax())]
 
 
-def measure_energy(
-    logs: Sequence[Rollout], model: RobotModel, mass: float, travels: bool, servo: str = "xm430-w350"
-) -> Energy:
-    """The costs of episodes, from their logs.
+def measure_energy(logs: Sequence[Rollout], model: RobotModel, mass: float, travels: bool) -> Energy:
+    """The costs of episodes, from their logs with `joint/current` and `joint/velocity`.
 
     Args:
-        logs: with `joint/current` and `joint/velocity`.
+        logs: of the episodes.
         model: of the robot.
         mass: of the robot [kg].
         travels: whether it walks, so that a cost of transport has a meaning.
-        servo: make, of which limits and the current that it carries for ever are known.
     """
+    make = load_robot().servos[0]
     resistance = model.tensors(load_robot().joints)["terminal_resistance"].numpy().reshape(-1)
     constant = torque_per_current(model)
     powers, costs, losses, halves = [], [], [], []
@@ -91,17 +85,13 @@ def measure_energy(
             if speed > 0:
                 costs.append(drawn / (mass * GRAVITY * speed))
     loss, (first, second) = np.mean(losses, 0), np.mean(halves, 0)
-    make = load_servo(servo)
-    limit, continuous = make.limits.temperature.si, make.continuous_current
     return Energy(
         power=with_interval(powers),
         cost_of_transport=with_interval(costs) if costs else None,
         current=np.sqrt(loss / resistance),
-        loss=loss,
         temperature=temperature_after(loss, make.thermal_resistance),
         drift=float(second / first - 1) if first > 0 else 0.0,
-        limit=limit,
-        continuous=continuous,
+        continuous=make.continuous_current,
     )
 
 
@@ -112,9 +102,9 @@ def torque_per_current(model: RobotModel) -> Array:
     return np.broadcast_to(constant * motor.gear_ratio, len(load_robot().joints))
 
 
-def temperature_after(loss: Array, resistance: float, duration: float = HOUR, ambient: float = AMBIENT) -> Array:
-    """Temperature [C] of servos that begin at `ambient` and lose a steady power [W] as heat, after `duration` [s].
+def temperature_after(loss: Array, resistance: float, duration: float = HOUR) -> Array:
+    """Temperature [C] of servos that begin at `AMBIENT` and lose a steady power [W] as heat, after `duration` [s].
 
     One heat capacity, dT/dt = (ambient + resistance loss - T) / `WARMING`, solved.
     """
-    return ambient + resistance * np.asarray(loss) * (1 - np.exp(-duration / WARMING))
+    return AMBIENT + resistance * np.asarray(loss) * (1 - np.exp(-duration / WARMING))

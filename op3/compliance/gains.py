@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from op3.compliance.energy import torque_per_current
-from op3.compliance.interval import with_interval
 from op3.compliance.traces import TOUCHED, Traces, touchdowns
+from op3.intervals import with_interval
 from op3.policy.observation import WALK_LAYOUT, layout_slices
 from op3.robot import load_robot
 from op3.rollout import Rollout

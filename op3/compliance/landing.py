@@ -18,6 +18,9 @@ WINDOW = 50
 ALIKE = np.array([0.03, 0.004])
 """Differences of speed [m/s] and step height [m] up to which two landings count as alike."""
 
+RESAMPLES = 300
+"""Of the bootstrap."""
+
 FEWEST = 20
 """Pairs of alike landings below which nothing is compared."""
 
@@ -65,19 +68,14 @@ def find_landings(traces: Traces, lengths: NDArray[np.int64]) -> Landings:
             for time in touchdowns(force):
                 if time < 1000 * SKIPPED or time + 500 >= length:
                     continue
-                inside = slice(int(time), int(time) + WINDOW)
-                in_the_air = _swing_before(force, int(time))
-                ahead, height = traces.ahead[:, robot], float(sole[in_the_air].max() - sole[time])
-                peaks = float(force[inside].max()), float(traces.acceleration[inside, robot].max())
-                found.append((robot, *peaks, float(ahead[time + 500] - ahead[time - 500]), height))
+                # short touches during the swing belong to it
+                stood = np.flatnonzero(force[:time] >= TOUCHED)
+                in_the_air, inside = slice(stood[-1] if len(stood) else 0, time), slice(time, time + WINDOW)
+                ahead, height = traces.ahead[:, robot], sole[in_the_air].max() - sole[time]
+                peaks = force[inside].max(), traces.acceleration[inside, robot].max()
+                found.append((robot, *peaks, ahead[time + 500] - ahead[time - 500], height))
     columns = np.array(found, dtype=float).reshape(-1, 5).T
     return Landings(columns[0].astype(np.int64), *columns[1:])
-
-
-def _swing_before(force: NDArray[np.floating], landing: int) -> slice:
-    """The milliseconds for which a foot was in the air before it landed; short touches on the way belong to them."""
-    stood = np.flatnonzero(force[:landing] >= TOUCHED)
-    return slice(int(stood[-1]) if len(stood) else 0, landing)
 
 
 @dataclass(frozen=True)
@@ -95,17 +93,17 @@ class Comparison:
     acceleration: tuple[float, float, float] | None
 
 
-def compare_landings(ours: Landings, theirs: Landings, seed: int = 0, resamples: int = 300) -> Comparison:
+def compare_landings(ours: Landings, theirs: Landings) -> Comparison:
     """Each of our landings beside the one of theirs that is nearest in speed and step height, where one is alike.
 
-    Intervals are bootstrapped over the episodes of both.
+    Intervals are bootstrapped over the episodes of both, always alike.
     """
     everything = [np.unique(walk.episode) for walk in (ours, theirs)]
     first = _paired(ours, theirs, *everything)
     if first is None or len(first) < FEWEST:
         return Comparison(0 if first is None else len(first), None, None)
-    rng = np.random.default_rng(seed)
-    drawn = [_paired(ours, theirs, *(rng.choice(e, len(e)) for e in everything)) for _ in range(resamples)]
+    rng = np.random.default_rng(0)
+    drawn = [_paired(ours, theirs, *(rng.choice(e, len(e)) for e in everything)) for _ in range(RESAMPLES)]
     means = np.array([pairs.mean(0) for pairs in drawn if pairs is not None and len(pairs)])
     low, high = np.quantile(means, (0.025, 0.975), axis=0)
     force, acceleration = np.stack([first.mean(0), low, high], 1).tolist()

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.compliance.interval import with_interval
 from op3.envs.actors import Actor
+from op3.intervals import with_interval
 from op3.servo import RobotModel
 from op3.tasks.setups import OP3_CONTROL_PERIOD
 from op3.tasks.task import TICKS, Task, find_task
@@ -24,8 +24,8 @@ PULLS = {
 }
 """What is pulled, and where to in the world."""
 
-FIRST = 2.0
-"""Time at which the force begins to grow [s]."""
+FIRST, DURATION, MOST = 2.0, 6.0, 6.0
+"""When the force begins to grow and for how long [s], and to what [N]; the OP3 weighs 33 N."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,26 +63,22 @@ def lead(
     model: str | RobotModel,
     task: Task,
     *,
-    most: float = 6.0,
-    duration: float = 6.0,
-    episodes: int = 8,
+    episodes: int,
     seed: int = 0,
     **options: Any,
 ) -> dict[str, Led]:
-    """Pull walking robots in every way of `PULLS`, with a force that grows evenly to `most` [N] in `duration` [s].
+    """Pull walking robots in every way of `PULLS`, with a force that grows evenly.
 
     Args:
         actor: who walks.
         model: of the robots.
         task: that is attempted.
-        most: force at the end [N]; the OP3 weighs 33 N.
-        duration: of the ramp [s].
         episodes: for each pull; all pulls and the twins begin alike.
         seed: of the episodes.
         **options: further arguments of `op3.envs.make_env`.
     """
     count = len(PULLS) * episodes
-    env = actor.environment(find_task(task, duration=FIRST + duration), model, count + episodes, seed, **options)
+    env = actor.environment(find_task(task, duration=FIRST + DURATION), model, count + episodes, seed, **options)
     places = _Places(env)
     external = env.simulation.batch.bind("xfrc_applied")
     way = np.repeat([direction for _, direction in PULLS.values()], episodes, axis=0)
@@ -91,7 +87,7 @@ def lead(
 
     def pull(tick: int) -> None:
         since = env.rules.time.numpy()[:count] + tick * OP3_CONTROL_PERIOD - FIRST
-        size = most * np.clip(since / duration, 0.0, 1.0)
+        size = MOST * np.clip(since / DURATION, 0.0, 1.0)
         external[np.arange(count), body, :3] = size[:, None] * way
 
     env.on_tick = pull
@@ -101,7 +97,7 @@ def lead(
         state = actor.step(env, state)
         seen.append(places.now())
         upright.append(upright[-1] & np.logical_not(state["terminated"][:, 0].numpy()))
-    return _against_twins(np.array(seen), np.array(upright[1:]), way, episodes, most, duration, task.cycle or 1.0)
+    return _against_twins(np.array(seen), np.array(upright[1:]), way, episodes, task.cycle or 1.0)
 
 
 class _Places:
@@ -121,9 +117,7 @@ class _Places:
         return np.stack([trunk, np.einsum("sij,si->sj", turn, foot - trunk)], 1)
 
 
-def _against_twins(
-    seen: Array, upright: NDArray[np.bool_], way: Array, episodes: int, most: float, duration: float, cycle: float
-) -> dict[str, Led]:
+def _against_twins(seen: Array, upright: NDArray[np.bool_], way: Array, episodes: int, cycle: float) -> dict[str, Led]:
     """Displacements of robots ``[step, sim, 2, 3]`` from those left alone, who are the last, averaged over cycles."""
     count, period = len(way), TICKS * OP3_CONTROL_PERIOD
     twins = np.tile(seen[:, count:], (1, len(PULLS), 1, 1))
@@ -131,7 +125,7 @@ def _against_twins(
     together = upright[:, :count] & np.tile(upright[:, count:], (1, len(PULLS)))
     steps = max(1, round(cycle / period))
     ends = np.arange(round(FIRST / period) + steps, len(seen) + 1, steps)
-    force = most * np.clip(((ends - steps / 2) * period - FIRST) / duration, 0.0, 1.0)
+    force = MOST * np.clip(((ends - steps / 2) * period - FIRST) / DURATION, 0.0, 1.0)
     led = {}
     for number, (name, (what, _)) in enumerate(PULLS.items()):
         mine = slice(number * episodes, (number + 1) * episodes)

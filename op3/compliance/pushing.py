@@ -78,8 +78,8 @@ def survive_pushes(
         model: of the robots.
         task: that is attempted.
         most: impulse up to which the ladder reaches [N s].
-        rungs: of the ladder.
-        episodes: on each rung and in each direction.
+        rungs: of the ladder, each with so many episodes in each direction.
+        episodes: see `rungs`.
         seed: of the episodes.
         **options: further arguments of `op3.envs.make_env`.
     """

@@ -1,6 +1,6 @@
 """All measurements of one policy, on the same episodes as everyone else's."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import cycle
 from typing import Any
@@ -15,7 +15,7 @@ from op3.compliance.gains import SKIPPED, TICK, Gains, measure_gains
 from op3.compliance.landing import Landings, find_landings
 from op3.compliance.leading import Led, lead
 from op3.compliance.pushing import Survival, survive_pushes
-from op3.compliance.traces import Watch
+from op3.compliance.traces import Traces, Watch
 from op3.envs.actors import Actor, FixedGain, find_actor
 from op3.envs.record import record_episodes
 from op3.policy import ActionMap
@@ -60,12 +60,10 @@ class Sizes:
     states: int = 8
 
     def __post_init__(self):
-        least = {"episodes": 2, "push_rungs": 2, "push_episodes": 1, "lead_episodes": 2, "states": 1}
+        least = {"episodes": 2, "push_rungs": 2, "push_episodes": 1, "lead_episodes": 2, "states": 1, "push_most": 1e-6}
         for name, bound in least.items():
-            if getattr(self, name) < bound:
-                raise ValueError(f"sizes.{name} must be at least {bound}, got {getattr(self, name)}")
-        if not self.push_most > 0:
-            raise ValueError(f"sizes.push_most must be above 0 N s, got {self.push_most}")
+            if not getattr(self, name) >= bound:
+                raise ValueError(f"sizes.{name} must be at least {bound:g}, got {getattr(self, name)}")
 
 
 @dataclass(frozen=True)
@@ -136,7 +134,6 @@ class Study:
         seed: of the episodes, alike for all policies.
         gain_scale: factor on every gain that is commanded.
         num_threads: that step the physics.
-        say: takes a line about what is being done.
     """
 
     def __init__(
@@ -148,31 +145,27 @@ class Study:
         *,
         gain_scale: float = 1.0,
         num_threads: int = 1,
-        say: Callable[[str], None] = print,
     ):
         self.model, self.sizes, self.seed = model, sizes or Sizes(), seed
         self.tasks = {name: find_task(name) for name in grounds}
-        self._scale, self._threads, self._say = gain_scale, num_threads, say
+        self.task = next(iter(self.tasks.values()))
+        self._options: dict[str, Any] = {"num_threads": num_threads, "gain_scale": gain_scale}
         for task in self.tasks.values():
             if task.cycle is None:
                 raise ValueError(f"grounds: task {task.name} has no gait; name tasks of walking")
 
-    @property
-    def task(self) -> Task:
-        """That is looked at in all detail."""
-        return next(iter(self.tasks.values()))
-
     def measure(self, actor: Actor, led: bool = True) -> Measured:
         """Everything about one policy."""
-        logs, landings, gains, mass = self._walk(actor)
-        passed = {self.task.name: _passed(logs, self.task)}
-        for name, task in list(self.tasks.items())[1:]:
-            self._say(f"{actor.label}: {name}")
-            env = actor.environment(task, self.model, self.sizes.episodes, self.seed, **self._options)
-            passed[name] = _passed(record_episodes(env, actor.policy), task)
-        self._say(f"{actor.label}: pushes, pulls, joints")
         sizes, known = self.sizes, {"seed": self.seed, **self._options}
         ladder = {"most": sizes.push_most, "rungs": sizes.push_rungs, "episodes": sizes.push_episodes}
+        print(f"{actor.label}: {self.task.name}", flush=True)
+        logs, landings, traces, mass = self._watched(actor, sizes.episodes)
+        passed = {self.task.name: _passed(logs, self.task)}
+        for name, task in list(self.tasks.items())[1:]:
+            print(f"{actor.label}: {name}", flush=True)
+            env = actor.environment(task, self.model, sizes.episodes, self.seed, **self._options)
+            passed[name] = _passed(record_episodes(env, actor.policy), task)
+        print(f"{actor.label}: pushes, pulls, joints", flush=True)
         return Measured(
             label=actor.label,
             passed=passed,
@@ -181,65 +174,54 @@ class Study:
             led=lead(actor, self.model, self.task, episodes=sizes.lead_episodes, **known) if led else {},
             energy=measure_energy(logs, self.model, mass, travels=True),
             back_drive=self._back_drive(actor, logs),
-            gains=gains,
+            gains=None if actor.stiff else measure_gains(logs, traces, self.task, self.model),
         )
 
-    def stand(self, name: str) -> tuple[Energy, int]:
-        """What a minute of standing on a level board costs, for an hour to be reckoned from it; and how many fell.
+    def stand(self, name: str) -> Energy:
+        """What a minute of standing on a level board costs, for an hour to be reckoned from it.
 
         Args:
             name: folder of a bundle for balancing, or hold.
         """
         task = find_task("balance", board="still", duration=MINUTE)
         actor = find_actor(name, task, field="standing")
-        self._say(f"{actor.label}: standing")
+        print(f"{actor.label}: standing", flush=True)
         env = actor.environment(task, self.model, STANDING, self.seed, **self._options)
-        logs = record_episodes(env, actor.policy)
-        mass = float(env.simulation.batch.get_model(0).body_subtreemass[0])
-        return measure_energy(logs, self.model, mass, travels=False), sum(bool(log.metadata.fallen) for log in logs)
+        return measure_energy(record_episodes(env, actor.policy), self.model, _mass(env), travels=False)
 
     def stiff_landings(self) -> Landings:
         """Landings of stiff walks with steps and foot heights of a whole family, each in as many episodes."""
-        self._say("stiff walks: landings")
+        print("stiff walks: landings", flush=True)
         gaits = [SinusoidalGait(step=step, foot_height=height) for step, height in FAMILY]
         actor = Actor("stiff walks", StiffFamily(gaits), ActionMap.around_stand())
-        count = len(FAMILY) * max(1, round(self.sizes.episodes / len(FAMILY)))
-        return self._watched(actor, count)[1]
+        return self._watched(actor, len(FAMILY) * max(1, round(self.sizes.episodes / len(FAMILY))))[1]
 
-    @property
-    def _options(self) -> dict[str, Any]:
-        return {"num_threads": self._threads, "gain_scale": self._scale}
-
-    def _watched(self, actor: Actor, episodes: int) -> tuple[list[Rollout], Landings, Any, float]:
+    def _watched(self, actor: Actor, episodes: int) -> tuple[list[Rollout], Landings, Traces, float]:
         """Episodes on the first ground, seen every millisecond: logs, landings, traces, and the robot's mass [kg]."""
         env = actor.environment(self.task, self.model, episodes, self.seed, **self._options)
         watch = Watch(env)
         with watch.watching():
             logs = record_episodes(env, actor.policy)
         traces = watch.traces()
-        lengths = np.array([log.rows * TICK for log in logs])
-        mass = float(env.simulation.batch.get_model(0).body_subtreemass[0])
-        return logs, find_landings(traces, lengths), traces, mass
-
-    def _walk(self, actor: Actor) -> tuple[list[Rollout], Landings, Gains | None, float]:
-        self._say(f"{actor.label}: {self.task.name}")
-        logs, landings, traces, mass = self._watched(actor, self.sizes.episodes)
-        gains = None if actor.stiff else measure_gains(logs, traces, self.task, self.model)
-        return logs, landings, gains, mass
+        return logs, find_landings(traces, np.array([log.rows * TICK for log in logs])), traces, _mass(env)
 
     def _back_drive(self, actor: Actor, logs: Sequence[Rollout]) -> BackDrive:
         """At states spread over a cycle of the gait, of the episodes that lasted longest."""
         assert self.task.cycle is not None
         longest, count = sorted(logs, key=lambda log: -log.rows), self.sizes.states
-        phases = (np.arange(count) / count).tolist()
-        rows = [round((SKIPPED + self.task.cycle * phase) / OP3_CONTROL_PERIOD) for phase in phases]
+        rows = np.round((SKIPPED + self.task.cycle * np.arange(count) / count) / OP3_CONTROL_PERIOD).astype(int)
         gains = ["firmware_gain"] if actor.stiff else ["p_gain", "d_gain"]
         names = {"position_target": "command/position", **{name: f"command/{name}" for name in gains}}
         taken = [(log, min(row, log.rows - 1)) for log, row in zip(cycle(longest), rows, strict=False)]
         commands = {name: np.stack([log.array(key)[row] for log, row in taken]) for name, key in names.items()}
         position = np.stack([log.array("joint/position")[row] for log, row in taken])
         model = position_mode(self.model) if actor.stiff else self.model
-        return back_drive(model, position, commands, num_threads=self._threads)
+        return back_drive(model, position, commands, num_threads=self._options["num_threads"])
+
+
+def _mass(env: Any) -> float:
+    """Of a robot [kg]."""
+    return float(env.simulation.batch.get_model(0).body_subtreemass[0])
 
 
 class StiffFamily(StiffWalk):

@@ -83,24 +83,16 @@ class Watch:
         return Traces(*(np.stack(rows) for rows in self._rows))
 
 
-def touchdowns(force: NDArray[np.floating], shortest_swing: int = SHORTEST_SWING) -> NDArray[np.int64]:
-    """Milliseconds at which a foot lands after a swing.
-
-    Args:
-        force: on the foot, [time] in N.
-        shortest_swing: milliseconds for which the foot must have been in the air before.
-
-    Returns:
-        [touchdown], first sample at which the force reaches `TOUCHED`.
-    """
+def touchdowns(force: NDArray[np.floating]) -> NDArray[np.int64]:
+    """Milliseconds ``[touchdown]`` at which a force ``[time]`` [N] on a foot first reaches `TOUCHED` after a swing."""
     landings, lifted, stands = [], 0, True
     for time, value in enumerate(force):
         if value < LIFTED:
             lifted += 1
         elif value >= TOUCHED:
-            if not stands and lifted >= shortest_swing:
+            if not stands and lifted >= SHORTEST_SWING:
                 landings.append(time)
             lifted, stands = 0, True
-        if lifted >= shortest_swing:
+        if lifted >= SHORTEST_SWING:
             stands = False
     return np.array(landings, dtype=np.int64)

@@ -157,6 +157,7 @@ def emulate(
     settings: dict[str, int] | None = None,
     record: str | Path | None = None,
     powered: bool = False,
+    jig: bool = False,
     battery: float | None = 0.7,
 ) -> tuple[EmulatedRobot, Hands, str]:
     """An emulated robot in virtual time.
@@ -175,6 +176,7 @@ def emulate(
         settings: EEPROM of the servos.
         record: file for the frames on the wire.
         powered: whether someone has pressed the robot's power button; otherwise the servos' supply is off.
+        jig: whether something holds the joints where they are at the start.
         battery: charge of a model's battery, 0 to 1; None: a supply at its bus voltage. A stand-in has its own.
 
     Returns:
@@ -186,6 +188,8 @@ def emulate(
     if task is not None:
         place = Place.of_task(task, seed)
     hanging = make("stand", joint_position)
+    if jig:
+        hanging.advance = lambda steps: None  # time passes, nothing moves
     emulated = EmulatedRobot(hanging, seed=seed, faults=faults, timing=timing, settings=settings, record=record)
     if powered:
         emulated.switch_on()

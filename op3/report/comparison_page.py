@@ -7,35 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import plotly.graph_objects as go
 import yaml
 
 from op3.report.page import Page
 from op3.report.result import read_result, write_result
-from op3.report.style import bars_figure, curves_figure, words
-from op3.report.tables import Cell
+from op3.report.style import NAMES, bars_figure, curves_figure, words
+from op3.report.tables import Cell, TableRows
 
 PAGE, NUMBERS = "comparison.html", "comparison.yaml"
 
-QUANTITIES: Mapping[str, str] = {
-    "error_mrad.heldout": "held-out error [mrad]",
-    "error_mrad.train": "error [mrad]",
-    "loss.heldout": "held-out loss",
-    "loss.paper_eq7": "paper eq. (7)",
-    "loss.fit": "loss",
-    "evaluation.return_mean": "mean return",
-    "evaluation.return": "return",
-    "evaluation.success": "success",
-    "evaluation.upright": "upright",
-    "distance.ratio": "distance of returns, re-identified by excitation only",
-    "fresh.ratio": "the same over fresh episodes",
-    "excitation.ratio": "excitation loss, re-identified by excitation only",
-    "gap.joint/position.after": "gap in angle [rad]",
-    "probability": "probability",
-    "simulated_seconds": "simulated [s]",
-    "wall_seconds": "time [s]",
-}
-"""Numbers of a run's `result.yaml` that are compared, where they are there, and their columns; the first orders."""
-
+QUANTITIES = NAMES["compared"]
 HIGHER = ("evaluation.", "probability")
 """What is the better the higher it is."""
 
@@ -51,13 +33,7 @@ _STORES = ("hydra.sweep", "hydra.sweeper.storage", "hydra.sweeper.study_name", "
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One finished run.
-
-    Attributes:
-        name: of its folder.
-        settings: overrides of its command line by key.
-        numbers: of its `result.yaml`.
-    """
+    """One finished run: the name of its folder, overrides by key, and the numbers of its `result.yaml`."""
 
     name: str
     settings: Mapping[str, str]
@@ -88,7 +64,7 @@ def _settings(cell: Path) -> dict[str, str]:
 def varied(runs: Sequence[Run]) -> list[str]:
     """Keys in which the runs differ; the seed last."""
     keys = dict.fromkeys(key for run in runs for key in run.settings)
-    differing = [key for key in keys if len({run.settings.get(key) for run in runs}) > 1]
+    differing = (key for key in keys if len({run.settings.get(key) for run in runs}) > 1)
     return sorted(differing, key=lambda key: key == "seed")
 
 
@@ -103,13 +79,9 @@ def variants(runs: Sequence[Run]) -> dict[str, list[Run]]:
 
 def quantities(runs: Sequence[Run]) -> dict[str, str]:
     """What is compared, with its column: what is known of these runs, else their first numbers."""
-    has = dict.fromkeys(key for run in runs for key, value in run.numbers.items() if _is_number(value))
+    has = dict.fromkeys(key for run in runs for key, value in run.numbers.items() if isinstance(value, int | float))
     known = {key: title for key, title in QUANTITIES.items() if key in has}
     return known if set(known) - {"wall_seconds"} else {key: words(key.replace(".", " ")) for key in list(has)[:MOST]}
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float)
 
 
 def spread(values: Sequence[float | None]) -> dict[str, Any] | None:
@@ -121,31 +93,21 @@ def spread(values: Sequence[float | None]) -> dict[str, Any] | None:
     return {"value": float(np.mean(known)), "deviation": deviation, "count": len(known)}
 
 
-def spread_cells(found: Mapping[str, Any] | None) -> list[Cell]:
-    """Mean and deviation as two cells of a table."""
-    return [None, None] if found is None else [found["value"], found["deviation"]]
-
-
 def write_comparison(runs: Sequence[Run], folder: str | Path) -> tuple[Path, Path]:
-    """Write page and numbers of a comparison.
+    """Write page and numbers of a comparison of at least one run into a folder; returns their paths.
 
     Runs that differ in nothing but the seed are one variant: means and standard deviations are taken over them.
-
-    Args:
-        runs: at least one.
-        folder: where `comparison.html` and `comparison.yaml` shall be.
-
-    Returns:
-        Their paths.
     """
     folder, groups, columns = Path(folder), variants(runs), quantities(runs)
     entries = [_entry(name, members, columns) for name, members in groups.items()]
     first = next(iter(columns), None)
     sign = -1.0 if first is not None and first.startswith(HIGHER) else 1.0
     entries.sort(key=lambda e: sign * e[first]["value"] if first is not None and e[first] else math.inf)
-    meanings = {"variants": "runs that differ in the seed alone; spread is the standard deviation over seeds"}
-    result = write_result(folder / NUMBERS, {"runs": len(runs), "variants": entries}, meanings)
-    return _page(runs, columns, entries).write(folder / PAGE), result
+    result = write_result(folder / NUMBERS, {"runs": len(runs), "variants": entries}, NAMES["meanings"]["comparison"])
+    figures = {"runs": _runs_figure(runs, columns, entries), "places": _places_figure(entries)}
+    by = columns[first].partition(" [")[0] if first is not None else ""
+    context = {"runs": runs, "variants": entries, "by": by, "numbers": NUMBERS}
+    return Page.of("comparison", figures, _tables(runs, columns, entries), **context).write(folder / PAGE), result
 
 
 def _entry(name: str, members: Sequence[Run], columns: Mapping[str, str]) -> dict[str, Any]:
@@ -162,51 +124,65 @@ def _value(estimate: Any) -> float:
     return float(estimate["value"]) if isinstance(estimate, Mapping) else float(estimate)
 
 
-def _page(runs: Sequence[Run], columns: Mapping[str, str], entries: Sequence[Mapping[str, Any]]) -> Page:
-    keys, count = varied(runs), len(entries)
-    lead = f"{len(runs)} runs of {count} variant{'s' if count > 1 else ''}."
-    if count > 1 and columns:
-        by = next(iter(columns.values())).partition(" [")[0]
-        lead = f"Best by the {by}: {entries[0]['variant']}. {lead}"
-    page = Page("Comparison of runs", lead)
-    page.section("Variants")
-    header = ["variant", "runs", *(part for title in columns.values() for part in (title, "±"))]
-    rows = [[e["variant"], len(e["runs"]), *(c for key in columns for c in spread_cells(e[key]))] for e in entries]
-    page.table(header, rows, caption="Mean and standard deviation over seeds, best first.")
-    if len(columns) > 1:
-        (x, x_title), (y, y_title) = list(columns.items())[1::-1]
-        of = {run.name: run.numbers for run in runs}
-        shown = {e["variant"]: [(of[n].get(x), of[n].get(y)) for n in e["runs"]] for e in entries}
-        kept = {name: [pair for pair in pairs if None not in pair] for name, pairs in shown.items()}
-        points = {name: ([a for a, _ in pairs], [b for _, b in pairs]) for name, pairs in kept.items()}
-        x_title, y_title = (title if "[" in title else f"{title} [-]" for title in (x_title, y_title))
-        page.figure(curves_figure(points, x_title, y_title, 380, "markers"), "Every run.")
-    names = list(dict.fromkeys(key for entry in entries for key in entry if key.startswith(FOUND)))
-    if names:
-        page.section("Parameters")
-        header = ["parameter", *(part for entry in entries for part in (entry["variant"], "±"))]
-        named = [
+def _cells(found: Mapping[str, Any] | None) -> list[Cell]:
+    """Mean and deviation as two cells of a table."""
+    return [None, None] if found is None else [found["value"], found["deviation"]]
+
+
+def _found(entries: Sequence[Mapping[str, Any]]) -> list[str]:
+    return list(dict.fromkeys(key for entry in entries for key in entry if key.startswith(FOUND)))
+
+
+def _tables(
+    runs: Sequence[Run], columns: Mapping[str, str], entries: Sequence[Mapping[str, Any]]
+) -> dict[str, TableRows]:
+    keys = varied(runs)
+    return {
+        "variants": (
+            ["variant", "runs", *(part for title in columns.values() for part in (title, "±"))],
+            [[e["variant"], len(e["runs"]), *(c for key in columns for c in _cells(e[key]))] for e in entries],
+        ),
+        "parameters": (
+            ["parameter", *(part for entry in entries for part in (entry["variant"], "±")), "remark"],
             [
-                words(n.removeprefix("parameters.").replace(".", " ")),
-                *(c for e in entries for c in spread_cells(e.get(n))),
-            ]
-            for n in names
-        ]
-        page.table(header, named, caption="Values found, and how they differ between seeds.")
-        places = [name for name in names if name.startswith("normalised.reidentified.")]
-        if places:
-            known = {e["variant"]: {n.split(".", 2)[2]: e[n] for n in places if e.get(n)} for e in entries}
-            bars, spreads = (
-                {label: {n: one[part] or 0.0 for n, one in by.items()} for label, by in known.items()}
-                for part in ("value", "deviation")
-            )
-            figure = bars_figure(bars, "share of the range [-]", spreads)
-            page.figure(figure, "Re-identified parameters normalised by Table I: mean and deviation over seeds.")
-    page.section("Runs")
-    rows = [
-        [run.name, *(run.settings.get(key, "default") for key in keys), *(run.numbers.get(k) for k in columns)]
-        for run in runs
-    ]
-    page.table(["run", *keys, *columns.values()], rows, caption="Every run.")
-    page.files({f"{run.name}/index.html": f"run {run.name}" for run in runs} | {NUMBERS: "all numbers of this page"})
-    return page
+                [words(n.replace(".", " ")), *(c for e in entries for c in _cells(e.get(key))), _remark(runs, n)]
+                for key in _found(entries) for n in (key.removeprefix("parameters."),)
+            ],
+        ),
+        "runs": (
+            ["run", *keys, *columns.values()],
+            [[r.name, *(r.settings.get(k, "default") for k in keys), *map(r.numbers.get, columns)] for r in runs],
+        ),
+    }  # fmt: skip
+
+
+def _remark(runs: Sequence[Run], parameter: str) -> str:
+    """In how many runs the search ended at an end of a parameter's range."""
+    ended = sum(parameter in (run.numbers.get("identifiability.at_bound") or ()) for run in runs)
+    return f"at its bound in {ended} of {len(runs)} runs" if ended else ""
+
+
+def _runs_figure(
+    runs: Sequence[Run], columns: Mapping[str, str], entries: Sequence[Mapping[str, Any]]
+) -> go.Figure | None:
+    """Every run by the first two numbers compared; None of a single number."""
+    if len(columns) < 2:
+        return None
+    (x, x_title), (y, y_title) = list(columns.items())[1::-1]
+    of = {run.name: run.numbers for run in runs}
+    points = {}
+    for entry in entries:
+        pairs = [(of[name].get(x), of[name].get(y)) for name in entry["runs"]]
+        points[entry["variant"]] = tuple(zip(*(pair for pair in pairs if None not in pair), strict=True)) or ([], [])
+    titles = (title if "[" in title else f"{title} [-]" for title in (x_title, y_title))
+    return curves_figure(points, *titles, 380, "markers")
+
+
+def _places_figure(entries: Sequence[Mapping[str, Any]]) -> go.Figure | None:
+    """Re-identified parameters in their ranges; None of other runs."""
+    places = [name for name in _found(entries) if name.startswith("normalised.reidentified.")]
+    bars, spreads = (
+        {e["variant"]: {n.split(".", 2)[2]: e[n][part] or 0.0 for n in places if e.get(n)} for e in entries}
+        for part in ("value", "deviation")
+    )
+    return bars_figure(bars, "share of the range [-]", spreads) if places else None

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
 from op3.compliance.compare import Difference
 from op3.compliance.energy import Energy
@@ -13,312 +12,150 @@ from op3.compliance.gains import Gains
 from op3.compliance.study import Measured
 from op3.intervals import wilson_interval
 from op3.report.page import Page
-from op3.report.result import RunFolder, publish
-from op3.report.style import band, bars_figure, colours, dress, shade, words
-from op3.report.tables import Cell, TableRows
+from op3.report.result import RunFolder, finite, publish
+from op3.report.style import GRID, bars_figure, colours, dress, grid_figure, shade, words
+from op3.report.tables import TableRows, span
 from op3.robot import load_robot
 from op3.tasks.pushes import DIRECTIONS
 
-MEANINGS = {
-    "walk": "share of episodes that went on for the whole time without a fall, at least 1 m forward; speed [m/s]",
-    "gain": "P gain of the controlled joints [A/rad], with 95 % intervals over episodes",
-    "back_drive": "median over states of the gait, joints and directions: slope [N m/rad], break-away torque [N m]",
-    "landing": "means within 50 ms after touchdown: force [N], acceleration [m/s^2]; speed [m/s], step height [m]",
-    "push": "largest impulse survived [N s], with 95 % intervals; by direction: forwards, then to the left",
-    "led": "displacement per slow force [m/N], and the force at which half have fallen [N]",
-    "energy": "power [W], cost of transport [-], root mean square currents [A], temperature after an hour [C]",
-    "difference": "the first policy minus another, with 95 % intervals: landings that are alike, bricks passed, pushes",
-    "standing": "an hour of standing on a level board",
-}
+LANDING = ("force", "acceleration", "speed", "height")
 
 
 def report_compliance(
-    measured: Sequence[Measured],
-    differences: Mapping[str, Difference],
-    standing: Mapping[str, Energy],
-    run: RunFolder,
+    measured: Sequence[Measured], differences: Mapping[str, Difference], standing: Mapping[str, Energy], run: RunFolder
 ) -> dict[str, Any]:
-    """Write ``index.html`` and ``result.yaml`` and print the paths of both.
+    """Publish what was measured.
 
     Args:
         measured: the policies; the first one is the one in question.
         differences: of the first from others, by their label.
         standing: energy of an hour of standing, by label of who stands.
         run: where it is kept.
-
-    Returns:
-        The numbers of ``result.yaml``.
     """
     first, known = measured[0], {each.label: each.gains for each in measured if each.gains is not None}
-    page = Page(f"Compliance: {first.label}", _verdict(first, differences))
-    _tiles(page, first)
+    energies = {each.label: each.energy for each in measured} | {f"{n}, standing": e for n, e in standing.items()}
+    currents = {label: dict(zip(load_robot().joints, e.current.tolist(), strict=True)) for label, e in energies.items()}
+    limit = dict(y=first.energy.continuous, line=dict(dash="dot", width=1), annotation_text="for ever")
     figures = {
-        "gains": _gain_figure(known) if known else None,
+        **({"gains": _gain_figure(known)} if known else {}),
         "slope": _back_drive_figure(measured, "slope", "slope [N m/rad]"),
         "break_away": _back_drive_figure(measured, "break_away", "break-away torque [N m]"),
         "pushes": _push_figure(measured),
         "led": _led_figure(measured) if first.led else None,
-        "heat": _heat_figure(measured, standing),
+        "heat": bars_figure(currents, "current [A]").add_hline(**limit),
     }
-    tables = {
-        "walks": _walks(measured),
-        "differences": _differences(differences),
-        **(_gains(known) if known else {}),
-        "landings": _landings(measured),
-        "pushes": _pushes(measured),
-        "energies": _energies(measured, standing),
-    }
-    page.fill("compliance", figures, tables, differences=differences, gains=next(iter(known), None), led=first.led)
-    return publish(page, _numbers(measured, differences, standing), run, MEANINGS)
-
-
-def _verdict(first: Measured, differences: Mapping[str, Difference]) -> str:
-    if first.gains is None:
-        head = f"{first.label} drives its servos in position mode."
-    else:
-        mean, (soft, low, high) = first.gains.mean[0], first.gains.softening
-        said = "no other gain in support than in swing" if low <= 0 <= high else (
-            f"{abs(soft):.2f} A/rad {'less' if soft < 0 else 'more'} in support than in swing"
-        )  # fmt: skip
-        head = f"{first.label} commands {mean:.2f} A/rad on average, and {said}."
-    better = [f"{', '.join(d.better)} than {label}" for label, d in differences.items() if d.better]
-    rest = f" With an interval that excludes no difference it has {'; '.join(better)}." if better else (
-        " In landings, bricks and pushes no interval of the difference from another is wholly on its side."
-        if differences else ""
+    tables = _tables(measured, differences, energies) | (_gain_tables(known) if known else {})
+    page = Page.of(
+        "compliance", figures, tables, first=first, differences=differences, with_gains=next(iter(known), None),
+        slope=_median(first.back_drive.slope),
+        better=[f"{', '.join(d.better)} than {label}" for label, d in differences.items() if d.better],
     )  # fmt: skip
-    return head + rest
+    values = {name: {_key(each.label): of(each) for each in measured} for name, of in NUMBERS.items()}
+    values["gain"] = {_key(label): _gain_numbers(gains) for label, gains in known.items()}
+    values["standing"] = {_key(label): _energy_numbers(energy) for label, energy in standing.items()}
+    values["difference"] = {_key(label): _difference_numbers(d) for label, d in differences.items()}
+    return publish(page, values, run)
 
 
-def _tiles(page: Page, first: Measured) -> None:
-    ground, flat = next(iter(first.passed.items()))
-    page.tile("passed", f"{flat.successes} of {flat.episodes}", "", f"`{ground}`, at {flat.speed:.3f} m/s")
-    if first.gains is not None:
-        page.tile("mean gain", float(first.gains.mean[0]), "A/rad")
-        _, low, high = first.gains.landing
-        page.tile(
-            "after touchdown", float(first.gains.landing[0]), "A/rad", f"against swing; 95 %: {low:.2f} to {high:.2f}"
-        )
-    page.tile("slope", float(np.nanmedian(first.back_drive.slope)), "N m/rad", "median of a joint that is turned")
-    middle, low, high = first.survival.mean_largest
-    page.tile("push", float(middle), "N s", f"largest survived, all directions; 95 %: {low:.2f} to {high:.2f}")
-    page.tile(
-        "hottest servo", float(first.energy.temperature.max()), "C", f"{words(first.energy.hottest)}, after an hour"
-    )
+def _tables(
+    measured: Sequence[Measured], differences: Mapping[str, Difference], energies: Mapping[str, Energy]
+) -> dict[str, TableRows]:
+    quarters = range(0, DIRECTIONS, DIRECTIONS // 4)
+    joints = load_robot().joints
+    return {
+        "walks": (
+            ["policy", *(text for ground in measured[0].passed for text in (ground, "95 %", "m/s"))],
+            [[each.label, *(cell for passed in each.passed.values() for cell in _walk(passed))] for each in measured],
+        ),
+        "differences": (
+            ["first policy minus", "peak force [N]", "peak acceleration [m/s²]", "pairs", "share passed", "push [N s]"],
+            [
+                [label, span(d.landing.force), span(d.landing.acceleration), d.landing.pairs, span(d.bricks),
+                 span(d.push)]
+                for label, d in differences.items()
+            ],
+        ),
+        "landings": (
+            ["policy", "touchdowns", "peak force [N]", "peak acceleration [m/s²]", "speed [m/s]", "step height [m]"],
+            [[each.label, len(each.landings.force), *_landing_numbers(each).values()] for each in measured],
+        ),
+        "pushes": (
+            ["policy", "pushes", "all [N s]", "forwards", "to the left", "backwards", "to the right"],
+            [
+                [m.label, m.survival.survived.size, span(m.survival.mean_largest),
+                 *(span(m.survival.largest[i]) for i in quarters)]
+                for m in measured
+            ],
+        ),
+        "energies": (
+            ["who", "power [W]", "cost of transport", "hottest servo", "its current [A]", "after an hour [C]", "drift"],
+            [
+                [label, span(e.power), span(e.cost_of_transport), words(e.hottest),
+                 *(float(values[joints.index(e.hottest)]) for values in (e.current, e.temperature)), e.drift]
+                for label, e in energies.items()
+            ],
+        ),
+    }  # fmt: skip
 
 
-def _walks(measured: Sequence[Measured]) -> TableRows:
-    grounds = list(measured[0].passed)
-    header = ["policy", *(text for ground in grounds for text in (ground, "95 %", "m/s"))]
-    rows: list[list[Cell]] = []
-    for each in measured:
-        row: list[Cell] = [each.label]
-        for passed in each.passed.values():
-            low, high = wilson_interval(passed.successes, passed.episodes)
-            row += [f"{passed.successes} of {passed.episodes}", f"{low:.2f} to {high:.2f}", round(passed.speed, 3)]
-        rows.append(row)
-    return header, rows
+def _walk(passed: Any) -> tuple[str, str, float]:
+    low, high = wilson_interval(passed.successes, passed.episodes)
+    return f"{passed.successes} of {passed.episodes}", f"{low:.2f} to {high:.2f}", round(passed.speed, 3)
 
 
-def _said(triple: Any, digits: int = 2) -> str | None:
-    """A value with its interval."""
-    if triple is None or not np.isfinite(triple[0]):
-        return None
-    value, low, high = (f"{number:.{digits}f}".replace("-", "−") for number in triple)
-    return f"{value} ({low} to {high})" if np.isfinite(triple[1]) else value
-
-
-def _differences(differences: Mapping[str, Difference]) -> TableRows:
-    rows: list[list[Cell]] = [
-        [
-            label,
-            _said(d.landing.force, 1),
-            _said(d.landing.acceleration, 1),
-            d.landing.pairs,
-            _said(d.bricks),
-            _said(d.push),
-        ]
-        for label, d in differences.items()
-    ]
-    header = ["first policy minus", "peak force [N]", "peak acceleration [m/s²]", "pairs", "share passed", "push [N s]"]
-    return header, rows
-
-
-def _gains(known: Mapping[str, Gains]) -> dict[str, tuple]:
+def _gain_tables(known: Mapping[str, Gains]) -> dict[str, TableRows]:
     """Gains of the first policy by joint, and of all by situation."""
-    gains, names = next(iter(known.values())), ("support", "swing", "landed", "support_clock", "swing_clock")
-    rows: list[list[Cell]] = []
+    gains, rows = next(iter(known.values())), []
     for row, joint in enumerate(load_robot().controlled):
         stiff = [float(gains.by_situation[n][row, 0] * gains.stiffness[row]) for n in ("support", "swing")]
-        rows.append([words(joint), *(_said(gains.by_situation[name][row]) for name in names), *stiff])
+        rows.append([words(joint), *(span(values[row]) for values in gains.by_situation.values()), *stiff])
     header = ["joint", "support", "swing", "100 ms after touchdown", "support by the clock", "swing by the clock"]
-    header += ["stiffness in support [N m/rad]", "in swing"]
     columns = ["policy", "all", "support minus swing", "100 ms after touchdown minus swing"]
-    softening = [[name, _said(g.mean), _said(g.softening), _said(g.landing)] for name, g in known.items()]
-    return {"gains": (header, rows, 3), "softening": (columns, softening)}
+    softening = [[name, span(g.mean), span(g.softening), span(g.landing)] for name, g in known.items()]
+    stiffness = ["stiffness in support [N m/rad]", "in swing"]
+    return {"gains": ([*header, *stiffness], rows), "softening": (columns, softening)}
 
 
 def _gain_figure(known: Mapping[str, Gains]) -> go.Figure:
-    joints = load_robot().controlled
+    joints, first = load_robot().controlled, next(iter(known.values()))
     half_way = len(joints) // 2
     pairs = [joint for side in zip(joints[:half_way], joints[half_way:], strict=True) for joint in side]
-    figure = make_subplots(
-        rows=5, cols=2, shared_xaxes=True, shared_yaxes=True, vertical_spacing=0.035, horizontal_spacing=0.04,
-        subplot_titles=[words(joint) for joint in pairs],
-    )  # fmt: skip
-    looks, first = colours(list(known)), next(iter(known.values()))
+    panels = {
+        words(joint): {label: (g.phase, g.profile[row], *g.profile_interval[row].T) for label, g in known.items()}
+        for joint in pairs for row in (joints.index(joint),)
+    }  # fmt: skip
+    figure = grid_figure(panels, "phase of the gait [cycles]", 980, columns=2, y="P gain [A/rad]")
     for number, joint in enumerate(pairs):
-        place: Any = dict(row=number // 2 + 1, col=number % 2 + 1)
-        row = load_robot().controlled.index(joint)
-        for label, gains in known.items():
-            low, high = gains.profile_interval[row].T
-            band(figure, gains.phase, low, high, looks[label], legendgroup=label, **place)
-            figure.add_scatter(
-                x=gains.phase, y=gains.profile[row], name=label, legendgroup=label, showlegend=not number, mode="lines",
-                line=dict(color=looks[label], width=1.8), **place,
-            )  # fmt: skip
-        shade(figure, first.phase[first.loaded[row] > 0.5], len(first.phase), **place)
-    figure.update_xaxes(range=[0, 1])
-    figure.update_xaxes(title_text="phase of the gait [cycles]", row=5)
+        standing = first.phase[first.loaded[joints.index(joint)] > 0.5]
+        shade(figure, standing, len(first.phase), row=number // 2 + 1, col=number % 2 + 1)
     highest = max(float(np.nanmax(gains.profile_interval)) for gains in known.values())
-    figure.update_yaxes(range=[0, 1.05 * highest])
-    figure.update_yaxes(title_text="P gain [A/rad]", col=1)
-    return dress(figure, 980)
+    return figure.update_xaxes(range=[0, 1]).update_yaxes(range=[0, 1.05 * highest])
 
 
 def _back_drive_figure(measured: Sequence[Measured], name: str, axis: str) -> go.Figure:
-    bars = {}
-    for each in measured:
-        middle = np.nanmedian(getattr(each.back_drive, name), (0, 2))
-        bars[each.label] = dict(zip(load_robot().controlled, middle.tolist(), strict=True))
-    return bars_figure(bars, axis)
-
-
-def _landings(measured: Sequence[Measured]) -> TableRows:
-    header = ["policy", "touchdowns", "peak force [N]", "peak acceleration [m/s²]", "speed [m/s]", "step height [mm]"]
-    rows: list[list[Cell]] = []
-    for each in measured:
-        landings = each.landings
-        known = [float(v.mean()) if len(v) else None for v in (landings.force, landings.acceleration, landings.speed)]
-        height = float(1000 * landings.height.mean()) if len(landings.height) else None
-        rows.append([each.label, len(landings.force), *known, height])
-    return header, rows
+    joints = load_robot().controlled
+    middle = {each.label: np.nanmedian(getattr(each.back_drive, name), (0, 2)).tolist() for each in measured}
+    return bars_figure({label: dict(zip(joints, values, strict=True)) for label, values in middle.items()}, axis)
 
 
 def _push_figure(measured: Sequence[Measured]) -> go.Figure:
     figure = go.Figure()
     angle = [360 / DIRECTIONS * i for i in range(DIRECTIONS)]
     for each, colour in zip(measured, colours([m.label for m in measured]).values(), strict=True):
-        radius = each.survival.largest[:, 0]
-        figure.add_scatterpolar(
-            r=[*radius, radius[0]], theta=[*angle, 0], name=each.label, line=dict(color=colour, width=2)
-        )
-    around = dict(
-        rotation=90, tickvals=[0, 90, 180, 270], ticktext=["forwards", "to the left", "backwards", "to the right"]
-    )
-    return dress(figure, 460, polar=dict(angularaxis=around, radialaxis=dict(rangemode="tozero", title="N s")))
-
-
-def _pushes(measured: Sequence[Measured]) -> TableRows:
-    header = ["policy", "pushes", "all [N s]", "forwards", "to the left", "backwards", "to the right"]
-    rows: list[list[Cell]] = []
-    for each in measured:
-        by_direction = [_said(each.survival.largest[i]) for i in range(0, DIRECTIONS, DIRECTIONS // 4)]
-        rows.append([each.label, each.survival.survived.size, _said(each.survival.mean_largest), *by_direction])
-    return header, rows
+        radius, line = each.survival.largest[:, 0], dict(color=colour, width=2)
+        figure.add_scatterpolar(r=[*radius, radius[0]], theta=[*angle, 0], name=each.label, line=line)
+    named = {0: "forwards", 90: "to the left", 180: "backwards", 270: "to the right"}
+    radial = dict(rangemode="tozero", title="N s", gridcolor=GRID)
+    around = dict(rotation=90, gridcolor=GRID, tickvals=list(named), ticktext=list(named.values()))
+    return dress(figure, 460, polar=dict(angularaxis=around, bgcolor="rgba(0,0,0,0)", radialaxis=radial))
 
 
 def _led_figure(measured: Sequence[Measured]) -> go.Figure:
-    ways = list(measured[0].led)
-    figure = make_subplots(rows=2, cols=3, subplot_titles=ways, vertical_spacing=0.16, horizontal_spacing=0.08)
-    for number, way in enumerate(ways):
-        place = dict(row=number // 3 + 1, col=number % 3 + 1)
-        for each, colour in zip(measured, colours([m.label for m in measured]).values(), strict=True):
-            led = each.led[way]
-            middle, low, high = 100 * led.displacement.T
-            spread = dict(type="data", symmetric=False, array=high - middle, arrayminus=middle - low)
-            figure.add_scatter(
-                x=led.force, y=middle, error_y=spread, name=each.label, legendgroup=each.label, showlegend=not number,
-                line=dict(color=colour), **place,
-            )  # fmt: skip
-    figure.update_xaxes(title_text="force [N]", row=2)
-    figure.update_yaxes(title_text="displacement [cm]", col=1)
-    return dress(figure, 560)
-
-
-def _energies(measured: Sequence[Measured], standing: Mapping[str, Energy]) -> TableRows:
-    header = ["who", "power [W]", "cost of transport", "hottest servo", "its current [A]", "after an hour [C]", "drift"]
-    known = {each.label: each.energy for each in measured} | {f"{name}, standing": e for name, e in standing.items()}
-    rows: list[list[Cell]] = []
-    for label, energy in known.items():
-        hottest = load_robot().joints.index(energy.hottest)
-        current, temperature = (float(values[hottest]) for values in (energy.current, energy.temperature))
-        row = [label, _said(energy.power), _said(energy.cost_of_transport), words(energy.hottest)]
-        rows.append([*row, current, temperature, energy.drift])
-    return header, rows
-
-
-def _heat_figure(measured: Sequence[Measured], standing: Mapping[str, Energy]) -> go.Figure:
-    known = {each.label: each.energy for each in measured} | {f"{name}, standing": e for name, e in standing.items()}
-    bars = {
-        label: dict(zip(load_robot().joints, energy.current.tolist(), strict=True)) for label, energy in known.items()
+    panels = {
+        way: {each.label: (each.led[way].force, *(100 * each.led[way].displacement).T) for each in measured}
+        for way in measured[0].led
     }
-    figure = bars_figure(bars, "current [A]")
-    return figure.add_hline(y=measured[0].energy.continuous, line=dict(dash="dot", width=1), annotation_text="for ever")
-
-
-def _numbers(
-    measured: Sequence[Measured], differences: Mapping[str, Difference], standing: Mapping[str, Energy]
-) -> dict[str, Any]:
-    """Numbers for ``result.yaml``, by kind and then by label."""
-    found: dict[str, Any] = {}
-    for each in measured:
-        label = _key(each.label)
-        for ground, passed in each.passed.items():
-            interval = list(wilson_interval(passed.successes, passed.episodes))
-            share = {"success": passed.successes / passed.episodes, "success_interval": interval}
-            found[f"walk.{label}.{ground}"] = {**share, "episodes": passed.episodes, "speed": passed.speed}
-        if each.gains is not None:
-            gains, names = each.gains, load_robot().controlled
-            found[f"gain.{label}"] = {
-                "mean": _finite(gains.mean), "support_minus_swing": _finite(gains.softening),
-                "landed_minus_swing": _finite(gains.landing),
-                **{k: dict(zip(names, map(_finite, v), strict=True)) for k, v in gains.by_situation.items()},
-            }  # fmt: skip
-        slope, break_away = each.back_drive.slope, each.back_drive.break_away
-        by_joint = {
-            joint: {"slope": _median(slope[:, i]), "break_away": _median(break_away[:, i])}
-            for i, joint in enumerate(load_robot().controlled)
-        }
-        found[f"back_drive.{label}"] = {"slope": _median(slope), "break_away": _median(break_away), **by_joint}
-        found[f"landing.{label}"] = {
-            "touchdowns": len(each.landings.force),
-            **{name: _mean(getattr(each.landings, name)) for name in ("force", "acceleration", "speed", "height")},
-        }
-        by_direction = [_finite(row) for row in each.survival.largest]
-        found[f"push.{label}"] = {"largest": _finite(each.survival.mean_largest), "by_direction": by_direction}
-        for way, led in each.led.items():
-            found[f"led.{label}.{_key(way)}"] = {"metre_per_newton": led.follows, "fall_force": led.fall_force}
-        found[f"energy.{label}"] = _energy_numbers(each.energy)
-    for label, energy in standing.items():
-        found[f"standing.{_key(label)}"] = _energy_numbers(energy)
-    for label, d in differences.items():
-        pairs = {
-            "pairs": d.landing.pairs,
-            "force": _finite(d.landing.force),
-            "acceleration": _finite(d.landing.acceleration),
-        }
-        found[f"difference.{_key(label)}"] = {**pairs, "bricks": _finite(d.bricks), "push": _finite(d.push)}
-    return found
-
-
-def _energy_numbers(energy: Energy) -> dict[str, Any]:
-    return {
-        "power": _finite(energy.power),
-        "cost_of_transport": _finite(energy.cost_of_transport),
-        "current": dict(zip(load_robot().joints, energy.current.tolist(), strict=True)),
-        "temperature": dict(zip(load_robot().joints, energy.temperature.tolist(), strict=True)),
-        "drift": energy.drift,
-    }
+    return grid_figure(panels, "force [N]", 560, columns=3, mode="lines+markers", y="displacement [cm]")
 
 
 def _key(label: str) -> str:
@@ -327,13 +164,75 @@ def _key(label: str) -> str:
 
 def _finite(values: Any) -> list[float | None] | None:
     """Numbers with None for those that are not known."""
-    return None if values is None else [float(v) if np.isfinite(v) else None for v in values]
+    return None if values is None else [finite(value) for value in values]
 
 
 def _median(values: np.ndarray) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else None
+    return finite(np.nanmedian(values)) if np.isfinite(values).any() else None
 
 
-def _mean(values: np.ndarray) -> float | None:
-    return float(values.mean()) if len(values) else None
+def _walk_numbers(each: Measured) -> dict[str, Any]:
+    return {
+        ground: {
+            "success": passed.successes / passed.episodes,
+            "success_interval": list(wilson_interval(passed.successes, passed.episodes)),
+            "episodes": passed.episodes,
+            "speed": passed.speed,
+        }
+        for ground, passed in each.passed.items()
+    }
+
+
+def _gain_numbers(gains: Gains) -> dict[str, Any]:
+    names = load_robot().controlled
+    return {
+        "mean": _finite(gains.mean),
+        "support_minus_swing": _finite(gains.softening),
+        "landed_minus_swing": _finite(gains.landing),
+        **{k: dict(zip(names, map(_finite, v), strict=True)) for k, v in gains.by_situation.items()},
+    }
+
+
+def _back_drive_numbers(each: Measured) -> dict[str, Any]:
+    found = {name: getattr(each.back_drive, name) for name in ("slope", "break_away")}
+    by_joint = {
+        joint: {name: _median(values[:, i]) for name, values in found.items()}
+        for i, joint in enumerate(load_robot().controlled)
+    }
+    return {**{name: _median(values) for name, values in found.items()}, **by_joint}
+
+
+def _landing_numbers(each: Measured) -> dict[str, float | None]:
+    found = {name: getattr(each.landings, name) for name in LANDING}
+    return {name: float(values.mean()) if len(values) else None for name, values in found.items()}
+
+
+def _energy_numbers(energy: Energy) -> dict[str, Any]:
+    by_joint = {name: getattr(energy, name).tolist() for name in ("current", "temperature")}
+    return {
+        "power": _finite(energy.power),
+        "cost_of_transport": _finite(energy.cost_of_transport),
+        **{name: dict(zip(load_robot().joints, values, strict=True)) for name, values in by_joint.items()},
+        "drift": energy.drift,
+    }
+
+
+def _difference_numbers(d: Difference) -> dict[str, Any]:
+    landing = {name: _finite(getattr(d.landing, name)) for name in ("force", "acceleration")}
+    return {"pairs": d.landing.pairs, **landing, "bricks": _finite(d.bricks), "push": _finite(d.push)}
+
+
+NUMBERS = {
+    "walk": _walk_numbers,
+    "back_drive": _back_drive_numbers,
+    "landing": lambda each: {"touchdowns": len(each.landings.force), **_landing_numbers(each)},
+    "push": lambda each: {
+        "largest": _finite(each.survival.mean_largest),
+        "by_direction": [_finite(row) for row in each.survival.largest],
+    },
+    "led": lambda each: {
+        _key(way): {"metre_per_newton": led.follows, "fall_force": led.fall_force} for way, led in each.led.items()
+    },
+    "energy": lambda each: _energy_numbers(each.energy),
+}
+"""What ``result.yaml`` says of each policy, by kind."""

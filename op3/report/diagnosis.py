@@ -1,43 +1,25 @@
 """The page of a diagnosis: before and after, the findings, every joint, and whether the base can be trusted."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 
 from op3.diagnose import LogSplit, Verdict
-from op3.report.log_section import log_section
+from op3.identify.intervals import at_bound
 from op3.report.page import Page
 from op3.report.result import RunFolder, publish
 from op3.report.style import bars_figure
-from op3.report.tables import TableRows
-from op3.report.traces import traces_figure
+from op3.report.tables import TableRows, place_in_range, span
+from op3.report.traces import checks_table, traces_figure
 from op3.report.tracks import SHOWN, predicted
-from op3.servo import effect_class
+from op3.servo import Parameter, RobotModel, effect_class
 from op3.tasks import Prediction
-
-MEANINGS: Mapping[str, str] = {
-    "verdict": "named, ambiguous, nothing_missing or unknown; the findings with all they say stand in verdict.yaml",
-    "probability": "of the most probable finding",
-    "gap": "root mean square over joints and runs that nothing was chosen by; the floor is how far repeats differ",
-    "loss": "paper eq. (7) on the same runs",
-}
 
 
 def report_diagnosis(verdict: Verdict, split: LogSplit, content: Mapping[str, Any], run: RunFolder) -> dict[str, Any]:
-    """Write ``index.html``, ``result.yaml`` and what `op3 view` shows, log to wandb, and print the paths.
-
-    Args:
-        verdict: of a diagnosis.
-        split: its logs.
-        content: of ``verdict.yaml``.
-        run: where it is kept.
-
-    Returns:
-        The numbers of ``result.yaml``.
-    """
+    """Publish a diagnosis of logs, and keep what `op3 view` shows; `content` is that of ``verdict.yaml``."""
     found, elsewhere = content["findings"], content.get("other_mounts", {})
     values: dict[str, Any] = {
         "verdict": content["verdict"],
@@ -47,8 +29,19 @@ def report_diagnosis(verdict: Verdict, split: LogSplit, content: Mapping[str, An
         **_flat("", content),
         **{key: value for mount, told in elsewhere.items() for key, value in _flat(f"{mount}.", told).items()},
     }
-    _save_shown(verdict, run.path / SHOWN)
-    return publish(_page(verdict, split, content, run.path), values, run, MEANINGS)
+    figures, joint = {}, ""
+    if (worst := _worst(verdict)) is not None:
+        before, after = worst
+        for name, log in {"measured": before.log, "before": predicted(before), "after": predicted(after)}.items():
+            log.save(run.path / SHOWN / name, overwrite=True)
+        joint = before.log.joints[int(_errors(before).argmax())]
+        told = {"before": before} | ({} if after is before else {"after": after})
+        figures = {"traces": traces_figure(before.log, told, [joint]), "joints": _joints_figure(verdict)}
+    page = Page.of(
+        "diagnosis", figures, _tables(verdict, split, content), verdict=verdict, content=content, folder=run.path,
+        joint=joint, effect=effect_class,
+    )  # fmt: skip
+    return publish(page, values, run)
 
 
 def _flat(prefix: str, content: Mapping[str, Any]) -> dict[str, Any]:
@@ -56,29 +49,6 @@ def _flat(prefix: str, content: Mapping[str, Any]) -> dict[str, Any]:
     ends = ("before", "after", "floor", "closure")
     gap = {f"{prefix}gap.{key}.{end}": entry.get(end) for key, entry in content["gap"].items() for end in ends}
     return gap | {f"{prefix}loss.paper_eq7.{end}": content["loss"][end] for end in ends[:2] if content["loss"]}
-
-
-def lead(verdict: Verdict) -> str:
-    """The verdict; what was abstained from with the experiment that would settle it, in the first sentence."""
-    sentence = verdict.sentence.replace(" -)", ")")  # numbers without a unit
-    if verdict.findings:
-        rivals = [finding for finding in verdict.findings if finding.alternatives]
-        settled = [f"What would tell {one.effect} from its rivals: {one.separate_by}." for one in rivals]
-        return " ".join([sentence, *settled])
-    if verdict.verdict == "nothing_missing" or not verdict.ranking:
-        return sentence
-    best = verdict.ranking[0]
-    likeliest = f"{best['effect']} in {_where(best['joints'], best['shared'])}"
-    experiment = effect_class(best["effect"]).separating_experiment
-    return f"Nothing is named; what would settle the likeliest, {likeliest}: {experiment}. {sentence}"
-
-
-def _save_shown(verdict: Verdict, folder: Path) -> None:
-    """Keep the run that the base predicts worst, measured and as both models say, for `op3 view`."""
-    if (worst := _worst(verdict)) is not None:
-        before, after = worst
-        for name, log in {"measured": before.log, "before": predicted(before), "after": predicted(after)}.items():
-            log.save(folder / name, overwrite=True)
 
 
 def _worst(verdict: Verdict) -> tuple[Prediction, Prediction] | None:
@@ -92,29 +62,6 @@ def _errors(prediction: Prediction) -> np.ndarray:
     """Mean squared error of every joint's angle ``[joint]`` [rad^2]."""
     simulated = prediction.channels["joint", "position"][0].numpy()
     return np.square(simulated - prediction.log.array("joint/position")[: len(simulated)]).mean(0)
-
-
-def _page(verdict: Verdict, split: LogSplit, content: Mapping[str, Any], folder: Path) -> Page:
-    page = Page("Diagnosis of what the model lacks", lead(verdict))
-    for channel, values in verdict.gap.items():
-        floor = values["floor"]
-        note = f"before {values['before']:.3g}" + ("" if floor is None else f", repeats differ by {floor:.3g}")
-        page.tile(f"Gap in {channel.split('/')[1]}", values["after"], values["unit"], note)
-    shown, figures, joint = _worst(verdict), {}, ""
-    if shown is not None:
-        before, after = shown
-        joint = before.log.joints[int(_errors(before).argmax())]
-        told = {"before": before} | ({} if after is before else {"after": after})
-        figures = {"traces": traces_figure(before.log, told, [joint]), "joints": _joints_figure(verdict)}
-    tables = _tables(verdict, split, content)
-    page.fill("diagnosis", figures, tables, verdict=verdict, content=content, folder=folder, joint=joint,
-              shown=shown is not None, effect=effect_class)  # fmt: skip
-    log_section(page, split.logs)
-    page.section("Files")
-    page.files(
-        {"verdict.yaml": "the verdict as data", "model.yaml": "the model that predicts best, for every other command"}
-    )
-    return page
 
 
 def _joints_figure(verdict: Verdict) -> go.Figure | None:
@@ -137,7 +84,7 @@ def _tables(verdict: Verdict, split: LogSplit, content: Mapping[str, Any]) -> di
             [
                 [
                     one.effect, _where(one.joints, one.shared), one.parameter,
-                    f"{one.size:.3g} ({one.interval[0]:.3g} to {one.interval[1]:.3g}) {one.unit}", one.probability,
+                    f"{span((one.size, *one.interval))} {one.unit}", one.probability,
                     "; ".join(f"{r.effect} in {_where(r.joints, r.shared)}, {r.probability:.2f}"
                               for r in one.alternatives),
                     100 * one.explains, one.in_model,
@@ -167,12 +114,14 @@ def _tables(verdict: Verdict, split: LogSplit, content: Mapping[str, Any]) -> di
             ],
         ),
         "choice": _choice(verdict.choice),
+        "checks": checks_table(split.logs),
         "motions": _motions(verdict, split),
         "returns": _returns(content.get("downstream", {})),
         "base": (
-            ["parameter", "unit", "base", "handed back"],
+            ["parameter", "unit", "base", "handed back", ""],
             [
-                [name, known.unit, *(m.value(name) if name in m.parameters() else None for m in models)]
+                [name, known.unit, *(m.value(name) if name in m.parameters() else None for m in models),
+                 "at its bound" if _ended(verdict.base, known) else ""]
                 for name, known in verdict.base.parameters().items()
             ],
         ),
@@ -187,12 +136,15 @@ def _tables(verdict: Verdict, split: LogSplit, content: Mapping[str, Any]) -> di
     return tables
 
 
+def _ended(model: RobotModel, known: Parameter) -> bool:
+    """Whether the fit of a parameter ended where its range does, so that the logs did not give its value."""
+    fitted = model.estimates.get(known.name)
+    return fitted is not None and fitted.low is not None and at_bound(place_in_range(known, fitted.value))
+
+
 def _with_interval(values: Mapping[str, Any], end: str) -> str | None:
     """A number and its interval."""
-    if values[end] is None:
-        return None
-    low, high = values[f"{end}_interval"]
-    return f"{values[end]:.3g} ({low:.3g} to {high:.3g})"
+    return None if values[end] is None else span((values[end], *values[f"{end}_interval"]))
 
 
 def _choice(choice: Mapping[str, Any]) -> TableRows:

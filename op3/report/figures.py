@@ -8,7 +8,7 @@ from plotly.subplots import make_subplots
 
 from op3.identify.intervals import at_bound
 from op3.report.style import FRAME, GROUND, INK, MUTED, SHADE, colours, dress, faded, plain, unit_text, words
-from op3.report.tables import Bounds, bounded_parameters, number
+from op3.report.tables import Bounds, bounded_parameters, number, place_in_range
 from op3.rollout import Rollout
 from op3.servo import Estimate, Parameter, RobotModel
 from op3.servo.conditions import split_name
@@ -18,16 +18,13 @@ MOST_DOTS = 3000
 
 
 def history_figure(
-    trials: Mapping[str, Sequence[float | None]],
-    refined: Mapping[str, Sequence[float]] | None = None,
-    loss: str = "loss [-]",
+    trials: Mapping[str, Sequence[float | None]], refined: Mapping[str, Sequence[float]] | None = None
 ) -> go.Figure:
     """Loss over trials: the best so far as a line, single trials as faint dots, failed ones left out.
 
     Args:
         trials: loss of every trial by label, in order; None or NaN where the simulation failed.
         refined: loss after every round and iteration that followed the trials, by label, drawn beside.
-        loss: title of the loss axis.
     """
     refined = {label: values for label, values in (refined or {}).items() if len(values)}
     wide = [0.7, 0.3] if refined else [1.0]
@@ -38,15 +35,14 @@ def history_figure(
         values[~np.isfinite(values)] = np.nan
         count, look = np.arange(1, len(values) + 1), dict(name=plain(label), legendgroup=label, row=1, col=1)
         some = np.flatnonzero(np.isfinite(values))[:: max(1, len(values) // MOST_DOTS)]
-        dot = dict(color=faded(colour[label], 0.22), size=4)
         figure.add_scatter(
-            x=count[some], y=values[some], mode="markers", showlegend=False, marker=dot, hoverinfo="skip", **look
-        )
-        line, best = (
-            dict(color=colour[label], width=2.4, shape="hv"),
-            np.fmin.accumulate(values) if len(values) else values,
-        )
-        figure.add_scatter(x=count, y=best, mode="lines", line=line, hovertemplate="best %{y:.4g}", **look)
+            x=count[some], y=values[some], mode="markers", showlegend=False, hoverinfo="skip",
+            marker=dict(color=faded(colour[label], 0.22), size=4), **look,
+        )  # fmt: skip
+        figure.add_scatter(
+            x=count, y=np.fmin.accumulate(values) if len(values) else values, mode="lines",
+            line=dict(color=colour[label], width=2.4, shape="hv"), hovertemplate="best %{y:.4g}", **look,
+        )  # fmt: skip
     for label, losses in refined.items():
         figure.add_scatter(
             x=np.arange(len(losses)), y=np.array(losses, dtype=float), mode="lines+markers", name=plain(label),
@@ -57,12 +53,12 @@ def history_figure(
     dress(figure, 360, hovermode="x unified")
     figure.update_yaxes(type="log", dtick="D2", exponentformat="power")
     figure.update_xaxes(rangemode="tozero", title_text="trial [-]", col=1)
-    return figure.update_yaxes(title_text=loss, col=1)
+    return figure.update_yaxes(title_text="loss [-]", col=1)
 
 
 def ranges_figure(
     models: Mapping[str, RobotModel],
-    names: Sequence[str] = (),
+    names: Sequence[str],
     bounds: Bounds | None = None,
     starts: Mapping[str, float] | None = None,
 ) -> go.Figure:
@@ -73,22 +69,19 @@ def ranges_figure(
 
     Args:
         models: by label.
-        names: parameters to show; those that a model has an estimate of where empty.
+        names: parameters to show.
         bounds: ranges to draw, by name, where they are not the catalogue's.
         starts: values that the search started from, by name, where they are not the catalogue's.
 
     Raises:
-        ValueError: if there is no parameter to show, or no model has one that is named.
+        ValueError: if no model has a parameter that is named.
     """
-    known = bounded_parameters(models, bounds, starts)
-    shown = list(names) or [name for name in known if any(name in m.estimates for m in models.values())]
-    if not shown:
-        raise ValueError("no model has an estimate of a parameter; name the parameters to show")
-    if unknown := [name for name in shown if name not in known]:
+    known = bounded_parameters(models.values(), bounds, starts)
+    if unknown := [name for name in names if name not in known]:
         raise ValueError(f"no model has the parameter {unknown[0]!r}; they have {', '.join(known)}")
     figure, colour = go.Figure(), colours(list(models))
     lanes = np.linspace(-0.2, 0.2, len(models)) if len(models) > 1 else [0.0]
-    for row, name in enumerate(shown):
+    for row, name in enumerate(names):
         _range_bar(figure, known[name], row)
         for lane, (label, model) in zip(lanes, models.items(), strict=True):
             if split_name(name)[0] in model.parameters():
@@ -97,10 +90,10 @@ def ranges_figure(
     start = dict(symbol="line-ns", size=13, line=dict(color=INK, width=2))
     for label, marker in {**{plain(k): dict(color=c, size=10) for k, c in colour.items()}, "start": start}.items():
         figure.add_scatter(x=[None], y=[None], mode="markers", name=label, marker=marker)
-    dress(figure, 110 + 52 * len(shown), margin=dict(l=340, r=320, t=48, b=48), hovermode="closest")
-    titles = [f"{words(name)} [{unit_text(known[name].unit)}]" for name in shown]
+    dress(figure, 110 + 52 * len(names), margin=dict(l=340, r=320, t=48, b=48), hovermode="closest")
+    titles = [f"{words(name)} [{unit_text(known[name].unit)}]" for name in names]
     figure.update_yaxes(
-        tickvals=list(range(len(shown))), ticktext=titles, range=[len(shown) - 0.45, -0.55], showgrid=False,
+        tickvals=list(range(len(names))), ticktext=titles, range=[len(names) - 0.45, -0.55], showgrid=False,
         showline=False, ticks="", tickfont=dict(size=13, color=INK), ticklabelstandoff=58,
     )  # fmt: skip
     return figure.update_xaxes(
@@ -112,7 +105,7 @@ def ranges_figure(
 def _range_bar(figure: go.Figure, known: Parameter, row: int) -> None:
     ends = dict(y0=row - 0.34, y1=row + 0.34)
     figure.add_shape(type="rect", x0=0, x1=1, fillcolor=SHADE, line_width=0, layer="below", **ends)
-    nominal = (known.nominal - known.low) / (known.high - known.low)
+    nominal = place_in_range(known, known.nominal)
     if 0.0 <= nominal <= 1.0:
         figure.add_shape(type="line", line=dict(color=INK, width=2), x0=nominal, x1=nominal, **ends)
     for x, value, anchor in ((0, known.low, "right"), (1, known.high, "left")):
@@ -123,25 +116,22 @@ def _range_bar(figure: go.Figure, known: Parameter, row: int) -> None:
 def _estimate(
     figure: go.Figure, known: Parameter, estimate: Estimate, y: float, label: str, colour: str, searched: bool
 ) -> None:
-    def place(value: float) -> float:
-        return (value - known.low) / (known.high - known.low)
-
-    text, quiet = number(estimate.value, 4), dict(showlegend=False)
-    if searched and at_bound(place(estimate.value)):
-        text += "  at its bound"
+    middle, quiet = place_in_range(known, estimate.value), dict(showlegend=False)
+    text = number(estimate.value) + ("  at its bound" if searched and at_bound(middle) else "")
     if estimate.low is not None and estimate.high is not None:
         text += f"  ({number(estimate.low, 3)} to {number(estimate.high, 3)})"
-        ends, line = [place(estimate.low), place(estimate.high)], dict(color=faded(colour, 0.4), width=7)
+        ends = [place_in_range(known, end) for end in (estimate.low, estimate.high)]
+        line = dict(color=faded(colour, 0.4), width=7)
         figure.add_scatter(x=ends, y=[y, y], mode="lines", line=line, hoverinfo="skip", **quiet)
     if estimate.joints:
-        told = [[words(joint), value] for joint, value in estimate.joints.items()]
         figure.add_scatter(
-            x=[place(value) for _, value in told], y=[y] * len(told), mode="markers", customdata=told,
-            marker=dict(color=GROUND, size=7, line=dict(color=colour, width=1.4)),
+            x=[place_in_range(known, value) for value in estimate.joints.values()], y=[y] * len(estimate.joints),
+            mode="markers", marker=dict(color=GROUND, size=7, line=dict(color=colour, width=1.4)),
+            customdata=[[words(joint), value] for joint, value in estimate.joints.items()],
             hovertemplate="%{customdata[0]}: %{customdata[1]:.4g}<extra></extra>", **quiet,
         )  # fmt: skip
     figure.add_scatter(
-        x=[place(estimate.value)], y=[y], mode="markers", marker=dict(color=colour, size=10), cliponaxis=False,
+        x=[middle], y=[y], mode="markers", marker=dict(color=colour, size=10), cliponaxis=False,
         hovertemplate=f"{label}: {text} {unit_text(known.unit)}<extra></extra>", **quiet,
     )  # fmt: skip
     font = dict(size=11.5, color=colour)
@@ -157,13 +147,7 @@ def errors_figure(
         logs: the runs.
         errors_mrad: by label, mean absolute position error of each run [mrad]; None where the simulation failed.
         heldout: whether each run was kept from the fit.
-
-    Raises:
-        ValueError: if the numbers of runs differ.
     """
-    for what, values in (*errors_mrad.items(), ("heldout", heldout)):
-        if len(values) != len(logs):
-            raise ValueError(f"{what!r} has {len(values)} entries for {len(logs)} runs; give one per run")
     motions = list(dict.fromkeys(log.metadata.motion or "runs" for log in logs))
     columns = min(2, len(motions))
     rows = -(-len(motions) // columns)

@@ -55,36 +55,31 @@ def draw_frames(
     size: tuple[int, int] = SIZE,
     ghosts: Sequence[Colour] = (),
 ) -> NDArray[np.uint8]:
-    """Draw states.
+    """Draw states of a compiled scene, as pictures ``[frame, height, width, 3]``.
 
     Args:
-        model: compiled scene.
+        model: the scene.
         qpos: ``[frame, nq]``; with ghosts ``[robot, frame, nq]``, the first one solid.
         follow: whether the camera goes with the trunk of a robot that is free.
         size: height and width [pixel].
         ghosts: colour of each robot after the first.
 
-    Returns:
-        ``[frame, height, width, 3]``.
-
     Raises:
         RenderError: if no driver draws.
     """
+    robots, said = np.asarray(qpos, dtype=np.float64), []
     with tempfile.TemporaryDirectory(prefix="op3-frames-") as folder:
         place = Path(folder)
         mujoco.mj_saveModel(model, str(place / "model.mjb"), None)
-        robots = np.asarray(qpos, dtype=np.float64)
         np.savez(place / "asked.npz", qpos=robots if robots.ndim == 3 else robots[None], follow=follow, size=size,
                  ghosts=np.reshape(ghosts, (-1, 3)))  # fmt: skip
-        tried = backends()
-        said = []
-        for backend in tried:
+        for backend in backends():
             reason = _attempt(place, backend)
             if reason is None:
                 return np.load(place / "frames.npy")
             said.append(reason)
     raise RenderError(
-        f"MuJoCo cannot render here with {' or '.join(name or 'its default' for name in tried)} ({said[0]});"
+        f"MuJoCo cannot render here with {' or '.join(name or 'its default' for name in backends())} ({said[0]});"
         " install an EGL driver (Debian: libegl1), or set MUJOCO_GL to what the machine has"
     )
 
@@ -95,9 +90,7 @@ def _attempt(place: Path, backend: str) -> str | None:
     command = [sys.executable, "-P", str(Path(__file__).resolve()), str(place)]
     environment = {**os.environ, **({"MUJOCO_GL": backend} if backend else {})}
     try:
-        done = subprocess.run(
-            command, env=environment, capture_output=True, text=True, check=False, timeout=LONGEST, errors="replace"
-        )
+        done = subprocess.run(command, env=environment, capture_output=True, timeout=LONGEST, errors="replace")
     except subprocess.TimeoutExpired:
         return f"it did not end within {LONGEST:g} s"
     if done.returncode == 0:

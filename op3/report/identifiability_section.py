@@ -6,7 +6,7 @@ from plotly.subplots import make_subplots
 
 from op3.identify.identifiability import SHARE, WIDTH, Identifiability
 from op3.report.style import GROUND, INK, PALETTE, dress, words
-from op3.report.tables import Cell, number
+from op3.report.tables import TableRows, number
 
 
 def verdicts(known: Identifiability) -> dict[str, list[str]]:
@@ -18,11 +18,11 @@ def verdicts(known: Identifiability) -> dict[str, list[str]]:
     return told
 
 
-def widths_table(known: Identifiability) -> tuple[list[str], list[list[Cell]], int]:
+def widths_table(known: Identifiability) -> TableRows:
     """Width of every parameter's interval, and what it is called for it."""
     says = {name: verdict for verdict, names in verdicts(known).items() for name in names}
-    rows: list[list[Cell]] = [[words(name), 100 * known.widths[name], says[name]] for name in known.names]
-    return ["parameter", "width of the interval [% of the range]", "verdict"], rows, 3
+    rows = [[words(name), 100 * known.widths[name], says[name]] for name in known.names]
+    return ["parameter", "width of the interval [% of the range]", "verdict"], rows
 
 
 def identifiability_figure(known: Identifiability) -> go.Figure:

@@ -5,7 +5,7 @@ import re
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import jinja2
 import plotly
@@ -14,7 +14,7 @@ from markupsafe import Markup, escape
 
 from op3.private import scrub
 from op3.report.style import DARK, words
-from op3.report.tables import Cell, number
+from op3.report.tables import Cell, TableRows, ends, number, span
 from op3.rollout.files import write_text
 
 LIBRARY = "plotly.min.js"
@@ -34,36 +34,81 @@ class Page:
     def __init__(self, title: str, lead: str):
         lead = " ".join(lead.split())
         end = re.search(r"(?<=[.!?])\s+(?=[^a-z])", lead)
-        self._title, self._verdict = title, lead[: end.start()] if end else lead
+        self._title, self._verdict = " ".join(title.split()), lead[: end.start()] if end else lead
         self._detail = lead[end.end() :] if end else ""
-        self._tiles: list[dict[str, Any]] = []
+        self.template = ""
         self._blocks: list[dict[str, Any]] = []
+        self._tiles: list[dict[str, str]] = []
         self._figures: list[Markup] = []
         self._provenance: dict[str, str] = {}
 
-    def tile(self, name: str, value: Cell, unit: str = "", note: str = "") -> None:
-        """Add a key number to the row under the verdict.
+    @classmethod
+    def of(
+        cls,
+        template: str,
+        figures: Mapping[str, go.Figure | None] | None = None,
+        tables: Mapping[str, TableRows] | None = None,
+        **context: Any,
+    ) -> Self:
+        """The page that a template of prose tells: blocks with blank lines between them.
+
+        The first block is ``# the title`` with the lead on the lines after it. Others are a paragraph, ``## a
+        heading``, ``[[code]]`` and lines after it, or lines of ``[[tile name | value | unit | note]]`` (the row under
+        the verdict), ``[[figure name | caption]]``, ``[[table name | caption | digits]]``, ``[[film path | caption]]``
+        and ``[[file path | what is in it]]``. Figures and tables that are not there, or have no rows, are left out.
 
         Args:
-            name: what it is, in two or three words.
-            value: a number is rounded to three digits.
-            unit: of the number.
-            note: what to compare it with.
+            template: name of the file ``<name>.md`` in ``templates/``, Jinja's.
+            figures: by name.
+            tables: header and rows by name.
+            context: what the template speaks of.
         """
-        self._tiles.append({"name": name, "value": value, "unit": unit, "note": note})
+        context |= {"figures": figures or {}, "tables": tables or {}}
+        text = PROSE_TEMPLATES.get_template(f"{template}.md").render(context).strip()
+        first, *blocks = re.split(r"\n\s*\n", text)
+        title, _, lead = first.removeprefix("# ").partition("\n")
+        page = cls(title, lead)
+        page.template = template
+        for block in map(str.strip, blocks):
+            if block.startswith("## "):
+                page.section(block[3:])
+            elif block.startswith("[[code]]\n"):
+                page._add("code", scrub(block.removeprefix("[[code]]\n")))
+            elif block.startswith("[["):
+                for line in re.split(r"\n(?=\[\[)", block):
+                    page._direct(line, figures or {}, tables or {})
+            else:
+                page.text(block)
+        return page
+
+    def _direct(self, line: str, figures: Mapping[str, go.Figure | None], tables: Mapping[str, TableRows]) -> None:
+        """Do what one line of a template in double brackets asks for."""
+        found = re.fullmatch(r"\[\[(\w+) (.*)\]\]", " ".join(line.split()))
+        assert found, line
+        kind, (name, *more) = found[1], [part.strip() for part in found[2].split("|")]
+        if kind == "tile":
+            self.tile(name, *more)
+        elif kind == "figure":
+            self.figure(figures.get(name), more[0] if more else "")
+        elif kind == "table":
+            if tables.get(name, ((), ()))[1]:
+                self.table(*tables[name], *more[:1], *map(int, more[1:]))
+        elif kind in ("film", "file"):
+            self._list(kind, name, *more)
+        else:
+            raise ValueError(f"a template asks for [[{kind}]]; choose tile, figure, table, film, file or code")
+
+    def tile(self, name: str, value: Cell, unit: str = "", note: str = "") -> None:
+        """Add a key number to the row under the verdict: its name, value, unit, and what to compare it with."""
+        self._tiles.append({"name": name, "value": _text(value), "unit": unit, "note": note})
 
     def section(self, heading: str) -> None:
         """Start a section."""
         self._add("section", heading)
 
     def text(self, text: str) -> None:
-        """Add paragraphs, separated by blank lines."""
-        for paragraph in filter(None, re.split(r"\n\s*\n", text.strip())):
-            self._add("text", scrub(paragraph))
-
-    def code(self, text: str) -> None:
-        """Add lines as they are, such as a command or the head of a file."""
-        self._add("code", scrub(text))
+        """Add a paragraph."""
+        self._add("text", scrub(" ".join(text.split())))
 
     def figure(self, figure: go.Figure | None, caption: str) -> None:
         """Add a figure with its caption; None, for a figure that a log has no data for, adds nothing."""
@@ -74,43 +119,6 @@ class Page:
         margin, columns = figure.layout.margin, len({axis.domain for axis in figure.select_xaxes()})
         width = max(320, 240 * columns) + (margin.l or 0) + (margin.r or 0)  # narrower screens move it sideways
         self._add("figure", caption, height=int(figure.layout.height or 420), width=width)
-
-    def fill(
-        self,
-        template: str,
-        figures: Mapping[str, go.Figure | None] | None = None,
-        tables: Mapping[str, tuple] | None = None,
-        **context: Any,
-    ) -> None:
-        """Add what a template of prose says: blocks with blank lines between them.
-
-        A block is a paragraph, ``## a heading``, ``[[figure name | caption]]``, ``[[table name | caption]]``, or
-        ``[[code]]`` and lines after it. Figures and tables that are not there, or have no rows, are left out.
-
-        Args:
-            template: name of the file ``<name>.md`` in ``templates/``, Jinja's.
-            figures: by name.
-            tables: header, rows and perhaps digits by name, as `table` takes them.
-            context: what the template speaks of.
-        """
-        for block in re.split(r"\n\s*\n", PROSE_TEMPLATES.get_template(f"{template}.md").render(context).strip()):
-            found = re.fullmatch(r"\[\[(figure|table) (\w+)(?: \| (.*))?\]\]", block.strip(), re.DOTALL)
-            if block.startswith("## "):
-                self.section(block[3:])
-            elif block.startswith("[[code]]\n"):
-                self.code(block.removeprefix("[[code]]\n"))
-            elif found is None:
-                self.text(" ".join(block.split()))
-            elif found[1] == "figure":
-                self.figure((figures or {}).get(found[2]), " ".join((found[3] or "").split()))
-            elif (given := (tables or {}).get(found[2])) and given[1]:
-                header, rows, *digits = given
-                self.table(header, rows, " ".join((found[3] or "").split()), *digits)
-
-    def films(self, films: Sequence[tuple[str, str]]) -> None:
-        """Add films, as paths from the page with a caption each, side by side where there is room."""
-        if films:
-            self._add("films", films=films)
 
     def table(self, header: Sequence[str], rows: Sequence[Sequence[Cell]], caption: str = "", digits: int = 4) -> None:
         """Add a table, which the reader can sort; numbers are aligned at the decimal point.
@@ -133,25 +141,15 @@ class Page:
 
     def files(self, files: Mapping[str, str]) -> None:
         """Link files that lie beside the page: relative path, and what is in them."""
-        self._add("files", files=files)
-
-    def side_files(self, files: Mapping[str, str] | None) -> None:
-        """Add a section of files beside the page, where there are any; films among them are shown."""
-        if files:
-            self.section("Files")
-            self.films([(name, text) for name, text in files.items() if name.endswith(".mp4")])
-            self.files(files)
+        for name, text in files.items():
+            self._list("file", name, text)
 
     def provenance(self, values: Mapping[str, Any]) -> None:
         """Say at the foot where the page comes from; nested mappings become one line each."""
         self._provenance |= {key.replace("_", " "): _line(scrub(value)) for key, value in values.items()}
 
     def html(self, library: str = LIBRARY) -> str:
-        """The page as text.
-
-        Args:
-            library: path of `LIBRARY` from the page.
-        """
+        """The page as text; `library` is the path of `LIBRARY` from the page."""
         return _TEMPLATES.get_template("page.html").render(
             title=self._title, verdict=self._verdict, detail=self._detail, tiles=self._tiles, blocks=self._blocks,
             sections=[block for block in self._blocks if block["kind"] == "section"], figures=self._figures,
@@ -174,6 +172,12 @@ class Page:
         count = 1 + sum(block["kind"] == kind for block in self._blocks)
         self._blocks.append({"kind": kind, "text": text, "count": count, **more})
 
+    def _list(self, kind: str, name: str, text: str) -> None:
+        """Add to the list of films or files that the page ends with, or begin one."""
+        if not self._blocks or self._blocks[-1]["kind"] != kind:
+            self._add(kind, items=[])
+        self._blocks[-1]["items"].append((name, text))
+
 
 def _asset(name: str) -> Markup:
     assert _TEMPLATES.loader is not None
@@ -188,7 +192,7 @@ def _is_number(cell: object) -> bool:
     return isinstance(cell, int | float) and not isinstance(cell, bool)
 
 
-def _text(cell: Cell, digits: int = 4) -> str:
+def _text(cell: Cell, digits: int = 3) -> str:
     """A cell as it is read."""
     if cell is None or isinstance(cell, bool):
         return {None: "–", True: "yes", False: "no"}[cell]
@@ -220,12 +224,10 @@ def _line(value: Any) -> str:
     return _text(value) if value is None or isinstance(value, bool) else str(value)
 
 
-PROSE_TEMPLATES = jinja2.Environment(  # its text is escaped when the page is written
+_OPTIONS: dict[str, Any] = dict(
     loader=jinja2.PackageLoader("op3.report"), trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
 )
-PROSE_TEMPLATES.filters |= {"number": lambda value, digits=3: _text(value, digits), "words": words}
-_TEMPLATES = jinja2.Environment(
-    loader=jinja2.PackageLoader("op3.report"), autoescape=True, trim_blocks=True, lstrip_blocks=True,
-    undefined=jinja2.StrictUndefined,
-)  # fmt: skip
-_TEMPLATES.filters |= {"inline": _inline, "cell": _text}
+PROSE_TEMPLATES = jinja2.Environment(**_OPTIONS)  # its text is escaped when the page is written
+PROSE_TEMPLATES.filters |= {"number": _text, "words": words, "span": span, "ends": ends}
+_TEMPLATES = jinja2.Environment(autoescape=True, **_OPTIONS)
+_TEMPLATES.filters["inline"] = _inline

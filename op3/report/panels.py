@@ -15,14 +15,8 @@ MOST_POINTS = 1000
 
 _TOP, _BOTTOM, _GAP, _TITLE = 48, 48, 22, 18
 
-
-@dataclass(frozen=True, eq=False)
-class Line:
-    """One trace: label, time ``[time]`` in s and values ``[time]`` in the panel's unit."""
-
-    label: str
-    time: np.ndarray
-    values: np.ndarray
+Line = tuple[str, np.ndarray, np.ndarray]
+"""Label, time ``[time]`` in s and values ``[time]`` in the panel's unit of one trace."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,29 +51,24 @@ def thin(time: np.ndarray, values: np.ndarray, most: int = MOST_POINTS) -> tuple
     return time[index], values[index]
 
 
-def panels_figure(grid: Sequence[Sequence[Panel | None]], row_height: int = 126) -> go.Figure:
-    """Draw a grid of panels that zoom together in time.
-
-    Args:
-        grid: rows of panels; None leaves a place empty.
-        row_height: of the plots [pixels].
-    """
+def panels_figure(grid: Sequence[Sequence[Panel]], row_height: int = 126) -> go.Figure:
+    """Draw rows of panels that zoom together in time, each row's plots so many pixels high."""
     rows, columns = len(grid), max(map(len, grid))
-    panels = [panel for row in grid for panel in row if panel is not None]
+    panels = [panel for row in grid for panel in row]
     title = _TITLE if any(panel.titled for panel in panels) else 0
     inner = rows * row_height + (rows - 1) * (_GAP + title)
     gaps = {"vertical_spacing": (_GAP + title) / inner if rows > 1 else 0, "horizontal_spacing": 0.07 * (columns > 1)}
     figure = make_subplots(rows=rows, cols=columns, **gaps)
-    labels = list(dict.fromkeys(line.label for panel in panels for line in panel.lines))
+    labels = list(dict.fromkeys(label for panel in panels for label, *_ in panel.lines))
     looks = _looks(labels)
     for i, j in np.ndindex(rows, columns):
-        panel, place = grid[i][j] if j < len(grid[i]) else None, dict(row=i + 1, col=j + 1)
-        if panel is None:
+        place = dict(row=i + 1, col=j + 1)
+        if j >= len(grid[i]):
             figure.update_xaxes(visible=False, **place)
             figure.update_yaxes(visible=False, **place)
             continue
-        _draw(figure, panel, place, looks)
-        last = i + 1 == rows or j >= len(grid[i + 1]) or grid[i + 1][j] is None
+        _draw(figure, grid[i][j], place, looks)
+        last = i + 1 == rows or j >= len(grid[i + 1])
         figure.update_xaxes(showticklabels=last, title_text="time [s]" if last else "", **place)
     for label in sorted(labels, key=lambda label: (label == COMMAND, label != MEASURED, labels.index(label))):
         # an entry of its own, in reading order, because the traces are ordered by depth
@@ -101,13 +90,13 @@ def _looks(labels: Sequence[str]) -> Mapping[str, dict[str, Any]]:
 
 def _draw(figure: go.Figure, panel: Panel, place: dict[str, Any], looks: Mapping[str, dict[str, Any]]) -> None:
     # the first label is the page's subject and lies on top; commands and measurements lie beneath
-    beneath = [line for line in panel.lines if line.label in (COMMAND, MEASURED)]
-    above = [line for line in panel.lines if line not in beneath]
-    for line in (*beneath, *reversed(above)):
-        time, values = thin(line.time, np.where(np.isfinite(line.values), line.values, np.nan))
+    beneath = [line for line in panel.lines if line[0] in (COMMAND, MEASURED)]
+    above = [line for line in panel.lines if line[0] not in (COMMAND, MEASURED)]
+    for label, seconds, known in (*beneath, *reversed(above)):
+        time, values = thin(seconds, np.where(np.isfinite(known), known, np.nan))
         figure.add_scatter(
-            **_abscissa(time), y=values.astype(np.float32), name=plain(line.label), legendgroup=line.label,
-            showlegend=False, mode="lines", line=looks[line.label], hovertemplate="%{y:.4g}", **place,
+            **_abscissa(time), y=values.astype(np.float32), name=plain(label), legendgroup=label,
+            showlegend=False, mode="lines", line=looks[label], hovertemplate="%{y:.4g}", **place,
         )  # fmt: skip
     beside = dict(y=0.5, xanchor="right", xshift=-70, textangle=-90)
     where = dict(y=1, xanchor="left", yanchor="bottom") if panel.titled else beside
@@ -127,7 +116,7 @@ def _abscissa(time: np.ndarray) -> dict[str, Any]:
 
 def _range(panel: Panel) -> list[float] | None:
     """The panel's y range where its data span less than `least_span`; None leaves it to the data."""
-    values = np.concatenate([line.values[np.isfinite(line.values)] for line in panel.lines] or [np.zeros(0)])
+    values = np.concatenate([known[np.isfinite(known)] for *_, known in panel.lines])
     if not values.size or np.ptp(values) >= panel.least_span:
         return None
     middle = (float(values.min()) + float(values.max())) / 2

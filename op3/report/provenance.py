@@ -5,6 +5,7 @@ import platform
 import shlex
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from datetime import datetime
 from importlib import metadata
 from pathlib import Path
@@ -17,27 +18,19 @@ PACKAGES = ("torch", "torchrl", "tensordict", "mujoco", "dm-control", "hydra-cor
 """Packages whose versions can change a result."""
 
 
-def run_provenance(
-    *, seed: int | None = None, data: str | Sequence[str] | None = None, command: str | None = None
-) -> dict[str, Any]:
+def run_provenance(*, seed: int | None = None, data: str | Sequence[str] | None = None) -> dict[str, Any]:
     """Everything about a run that its numbers do not say, as plain data for page and result.
 
-    No path appears but those that the caller or the command line gave.
-
-    Args:
-        seed: of the run; left out where None.
-        data: names of the logs used, as the user gave them; left out where None.
-        command: by default this process's command line.
+    No path appears but those that the caller or the command line gave; seed and names of the logs used are left out
+    where None.
     """
-    facts: dict[str, Any] = {"command": command or command_line(), **git_state()}
+    commit, changed = git_hash(), git_changes()
+    facts: dict[str, Any] = {"command": command_line(), "git_hash": commit or "unknown"}
+    facts |= {} if commit is None or changed is None else {"git_changes": changed}
     facts["date"] = datetime.now().astimezone().isoformat(timespec="seconds")
-    if seed is not None:
-        facts["seed"] = seed
-    if data is not None:
-        facts["data"] = scrub(data if isinstance(data, str) else ", ".join(map(str, data)))
-    facts["versions"] = versions()
-    facts["machine"] = machine()
-    return facts
+    facts |= {} if seed is None else {"seed": seed}
+    facts |= {} if data is None else {"data": scrub(data if isinstance(data, str) else ", ".join(map(str, data)))}
+    return {**facts, "versions": versions(), "machine": machine()}
 
 
 def machine() -> dict[str, Any]:
@@ -60,20 +53,10 @@ def command_line() -> str:
     return scrub(shlex.join(["python", str(script), *given]))
 
 
-def git_state() -> dict[str, Any]:
-    """Commit of the code, and whether files differ from it; ``unknown`` where it is not in its own repository."""
-    commit, changed = git_hash(), git_changes()
-    if commit is None:
-        return {"git_hash": "unknown"}
-    return {"git_hash": commit} if changed is None else {"git_hash": commit, "git_changes": changed}
-
-
 def versions() -> dict[str, str]:
     """Versions of Python, this package and `PACKAGES`, where installed."""
     found = {"python": platform.python_version()}
     for package in ("op3", *PACKAGES):
-        try:
+        with suppress(metadata.PackageNotFoundError):
             found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            continue
     return found

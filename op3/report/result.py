@@ -11,6 +11,7 @@ import yaml
 from op3.private import scrub
 from op3.report.page import Page
 from op3.report.run_logger import RunLogger
+from op3.report.style import NAMES
 from op3.rollout.files import write_text
 from op3.servo import Estimate, catalogue
 
@@ -18,18 +19,6 @@ HEADER = """\
 # The numbers of one run. Keys are dotted paths; units are SI unless a key names another.
 # null: there is no such number, for example without held-out logs.
 """
-
-MEANINGS: Mapping[str, str] = {
-    "loss": "loss on the logs named; paper_eq7 has unit weights in rad, rad/s and A",
-    "error_mrad": "mean absolute joint position error [mrad]",
-    "wall_seconds": "duration of the run [s]",
-    "simulated_seconds": "simulated time over all candidates [s]",
-    "parameters": "value with its 90 % interval, in the unit given behind it",
-    "identifiability": "what the logs tell: singular values and directions of the whitened sensitivities, per range",
-    "interval_share": "width of each 90 % interval as a share of the range searched",
-    "provenance": "where the numbers come from",
-}
-"""What the first part of a key stands for; written above the first such key."""
 
 
 def write_result(path: str | Path, values: Mapping[str, Any], meanings: Mapping[str, str] | None = None) -> Path:
@@ -45,7 +34,7 @@ def write_result(path: str | Path, values: Mapping[str, Any], meanings: Mapping[
         ValueError: if a number is not finite, a key appears twice, or a value is no plain data; names the key.
     """
     path = Path(path)
-    known = {**MEANINGS, **(meanings or {})}
+    known = {**NAMES["meanings"]["every"], **(meanings or {})}
     units = {p.name: f"[{p.unit}] {p.text}" for effect in catalogue().values() for p in effect.parameters}
     lines, group = [HEADER], None
     for key, value in flatten(values).items():
@@ -97,7 +86,6 @@ def publish(
     page: Page,
     values: Mapping[str, Any],
     run: RunFolder,
-    meanings: Mapping[str, str] | None = None,
     curve: Mapping[str, Sequence[float]] | None = None,
 ) -> dict[str, Any]:
     """Write ``index.html`` and ``result.yaml``, log the numbers to wandb, and print the paths of both files.
@@ -106,7 +94,6 @@ def publish(
         page: of the run.
         values: of ``result.yaml``; the provenance is added.
         run: where it is kept.
-        meanings: what first parts of keys stand for, see `write_result`.
         curve: numbers by step and name, for wandb; those that are not finite are left out.
 
     Returns:
@@ -114,7 +101,8 @@ def publish(
     """
     values = {**values, "provenance": dict(run.provenance)}
     page.provenance(run.provenance)
-    paths = page.write(run.path / "index.html"), write_result(run.path / "result.yaml", values, meanings)
+    result = write_result(run.path / "result.yaml", values, NAMES["meanings"].get(page.template))
+    paths = page.write(run.path / "index.html"), result
     if run.wandb_mode != "disabled":
         with RunLogger(run.path, config=run.config, mode=run.wandb_mode) as logger:
             logger.lineage(run.used, run.made)
@@ -129,7 +117,7 @@ def publish(
 
 def finite(value: float) -> float | None:
     """A number of ``result.yaml``; None in place of what a simulation that diverged leaves."""
-    return value if math.isfinite(value) else None
+    return float(value) if math.isfinite(value) else None
 
 
 def finish(page: str | Path, result: str | Path) -> None:
@@ -137,32 +125,26 @@ def finish(page: str | Path, result: str | Path) -> None:
     print(page, result, sep="\n", flush=True)
 
 
-def flatten(values: Mapping[str, Any]) -> dict[str, Any]:
+def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Results by dotted key, as plain data.
 
     Raises:
         ValueError: as `write_result`.
     """
     flat: dict[str, Any] = {}
-    _flatten(values, "", flat)
-    return flat
-
-
-def _flatten(values: Mapping[str, Any], prefix: str, flat: dict[str, Any]) -> None:
     for name, value in values.items():
         if not isinstance(name, str) or not name.strip(".") or "\n" in name:
             raise ValueError(f"result key {prefix}{name!r}: give a text such as loss.fit")
         key = prefix + name
         if isinstance(value, Estimate):
-            value = {"value": value.value, "low": value.low, "high": value.high} | (
-                {"joints": dict(value.joints)} if value.joints else {}
-            )
-        if isinstance(value, Mapping) and "value" not in value:
-            _flatten(value, key + ".", flat)
-            continue
-        if key in flat:
-            raise ValueError(f"result key {key} is given twice, nested and dotted; leave one out")
-        flat[key] = _plain(key, value)
+            joints = {"joints": dict(value.joints)} if value.joints else {}
+            value = {"value": value.value, "low": value.low, "high": value.high, **joints}
+        nested = isinstance(value, Mapping) and "value" not in value
+        found = flatten(value, key + ".") if nested else {key: _plain(key, value)}
+        if twice := flat.keys() & found.keys():
+            raise ValueError(f"result key {min(twice)} is given twice, nested and dotted; leave one out")
+        flat |= found
+    return flat
 
 
 def _plain(key: str, value: Any) -> Any:

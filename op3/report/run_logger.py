@@ -5,8 +5,7 @@ import hashlib
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
 import plotly.graph_objects as go
 
@@ -40,30 +39,18 @@ def artifact_name(kind: str, files: Sequence[Path]) -> str:
 
 
 class RunLogger:
-    """Logs one run to wandb.
+    """Logs one run to wandb, as a context manager.
 
     By default the run is written to ``<folder>/wandb`` and nothing leaves the machine; ``wandb sync`` uploads it
-    later. Use it as a context manager, or call `close`.
+    later. Runs of one sweep are a group, and each is named as its folder.
 
     Args:
         folder: of the run.
-        project: wandb project.
-        group: runs to be shown together; `sweep_group` of the folder by default.
-        name: of the run; the folder's name by default.
         config: plain settings of the run.
         mode: ``offline``, ``online`` or ``disabled``; by default the environment's WANDB_MODE, else offline.
     """
 
-    def __init__(
-        self,
-        folder: str | Path,
-        *,
-        project: str = "op3",
-        group: str | None = None,
-        name: str | None = None,
-        config: Mapping[str, Any] | None = None,
-        mode: str | None = None,
-    ):
+    def __init__(self, folder: str | Path, *, config: Mapping[str, Any] | None = None, mode: str | None = None):
         mode = mode or os.environ.get("WANDB_MODE") or "offline"
         if mode not in ("offline", "online", "disabled"):
             raise ValueError(f"wandb mode {mode!r}: choose offline, online or disabled")
@@ -71,38 +58,25 @@ class RunLogger:
             os.environ.setdefault("WANDB_ERROR_REPORTING", "false")
         import wandb  # after the line above, which it reads once; and half a second that other uses need not pay
 
-        self._wandb = wandb
-        folder = Path(folder)
+        self._wandb, self._online = wandb, mode == "online"
+        folder, quiet = Path(folder), not self._online
         folder.mkdir(parents=True, exist_ok=True)
-        self._online = mode == "online"
-        quiet = not self._online
+        settings = wandb.Settings(
+            silent=quiet, console="off", disable_code=True, disable_git=True, x_disable_meta=quiet,
+            x_disable_stats=quiet,
+        )  # fmt: skip
         self._run = wandb.init(
-            project=project,
-            group=group or sweep_group(folder),
-            name=name or folder.resolve().name,
-            dir=str(folder),
-            config=scrub(dict(config or {})),
-            mode=mode,
-            reinit="create_new",
-            settings=wandb.Settings(
-                silent=quiet,
-                console="off",
-                disable_code=True,
-                disable_git=True,
-                x_disable_meta=quiet,
-                x_disable_stats=quiet,
-            ),
-        )
-        self.group: str = group or sweep_group(folder)
-        self.folder = None if mode == "disabled" else Path(self._run.dir).parent
+            project="op3", group=sweep_group(folder), name=folder.resolve().name, dir=str(folder),
+            config=scrub(dict(config or {})), mode=mode, reinit="create_new", settings=settings,
+        )  # fmt: skip
 
     def log(self, values: Mapping[str, float], step: int | None = None) -> None:
         """Log numbers; steps must not decrease. Without a step, wandb counts calls."""
         self._run.log(dict(values), step=step)
 
-    def figure(self, name: str, figure: go.Figure, step: int | None = None) -> None:
+    def figure(self, name: str, figure: go.Figure) -> None:
         """Log a plotly figure."""
-        self._run.log({name: self._wandb.Plotly(figure)}, step=step)
+        self._run.log({name: self._wandb.Plotly(figure)})
 
     def summary(self, values: Mapping[str, Any]) -> None:
         """Set the numbers that stand for the whole run in wandb's tables."""
@@ -134,14 +108,8 @@ class RunLogger:
             artifact.add_file(str(file), str(file.relative_to(above)), policy="immutable", skip_cache=True)
         return artifact
 
-    def close(self, failed: bool = False) -> None:
-        """Write everything and end the run."""
-        self._run.finish(exit_code=int(failed))
-
-    def __enter__(self) -> "RunLogger":
+    def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close(failed=kind is not None)
+    def __exit__(self, kind: type[BaseException] | None, *_: Any) -> None:
+        self._run.finish(exit_code=int(kind is not None))

@@ -1,9 +1,13 @@
 """Colours, names and the plotly layout that all figures share."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import plotly.graph_objects as go
+import yaml
+from plotly.subplots import make_subplots
 
 INK = "#16181d"
 """Measured data, axes' text."""
@@ -17,20 +21,18 @@ PALETTE = ("#0072b2", "#e07b00", "#009e73", "#aa4499", "#56b4e9", "#8a6d00")
 GRID, FRAME, SHADE, GROUND = "#eceef1", "#c6cad1", "#f1f3f6", "#ffffff"
 """Grid lines, axes' lines, ranges and phases behind the data, and what is as the page itself."""
 
-DARK = dict(
-    zip(
-        (INK, MUTED, GRID, FRAME, SHADE, GROUND, *PALETTE),
-        (*("#e9ebee", "#a0a7b4", "#2b2f37", "#4a505b", "#262a32", "#1c1f25"),
-         *("#4aa3df", "#f39a3d", "#2fc59a", "#d07fc4", "#9ad7fa", "#d0b03a")),
-        strict=True,
-    )
-)  # fmt: skip
+_DARK = ("#e9ebee", "#a0a7b4", "#2b2f37", "#4a505b", "#262a32", "#1c1f25",
+         "#4aa3df", "#f39a3d", "#2fc59a", "#d07fc4", "#9ad7fa", "#d0b03a")  # fmt: skip
+DARK = dict(zip((INK, MUTED, GRID, FRAME, SHADE, GROUND, *PALETTE), _DARK, strict=True))
 """What each colour becomes where the reader's screen is dark."""
 
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
 
 MEASURED = "measured"
 COMMAND = "command"
+
+NAMES = yaml.safe_load((Path(__file__).parent / "templates" / "names.yaml").read_text(encoding="utf-8"))
+"""What pages and results call things, by kind; each is told in the file."""
 
 _WORDS = {"l": "left", "r": "right", "sho": "shoulder", "el": "elbow", "ank": "ankle", "com": "CoM"}
 
@@ -66,17 +68,9 @@ def faded(colour: str, alpha: float) -> str:
 def dress(figure: go.Figure, height: int, **layout: Any) -> go.Figure:
     """Give a figure the shared fonts, grid, legend on top and this height [pixels]."""
     axis = dict(
-        showgrid=True,
-        gridcolor=GRID,
-        zeroline=False,
-        linecolor=FRAME,
-        showline=True,
-        ticks="outside",
-        ticklen=3,
-        tickcolor=FRAME,
-        tickfont=dict(size=11, color=MUTED),
-        title=dict(font=dict(size=12, color=INK), standoff=6),
-    )
+        showgrid=True, gridcolor=GRID, zeroline=False, linecolor=FRAME, showline=True, ticks="outside", ticklen=3,
+        tickcolor=FRAME, tickfont=dict(size=11, color=MUTED), title=dict(font=dict(size=12, color=INK), standoff=6),
+    )  # fmt: skip
     figure.update_layout(
         height=height,
         # a template reaches all axes at once; a figure of many panels would take seconds to go through them
@@ -85,30 +79,14 @@ def dress(figure: go.Figure, height: int, **layout: Any) -> go.Figure:
         paper_bgcolor="rgba(0,0,0,0)",
         plot_bgcolor="rgba(0,0,0,0)",
         # pixels above the plot, whatever its height
-        legend=dict(
-            orientation="h",
-            x=0,
-            xanchor="left",
-            y=1 + 14 / height,
-            yanchor="bottom",
-            font=dict(size=13),
-            tracegroupgap=0,
-        ),
+        legend=dict(orientation="h", x=0, xanchor="left", y=1 + 14 / height, yanchor="bottom", font=dict(size=13),
+                    tracegroupgap=0),
         margin=dict(l=70, r=20, t=48, b=48),
         hoverlabel=dict(font=dict(family=FONT, size=12, color=INK), bgcolor=GROUND, bordercolor=FRAME),
         modebar=dict(bgcolor="rgba(0,0,0,0)", color=FRAME, activecolor=MUTED),
         dragmode="zoom",
-    )
-    figure.update_layout(**layout)
-    return figure
-
-
-def band(figure: go.Figure, x: Any, low: Any, high: Any, colour: str, **more: Any) -> None:
-    """Fill what lies between two curves ``[point]``."""
-    figure.add_scatter(
-        x=[*x, *x[::-1]], y=[*low, *high[::-1]], fill="toself", fillcolor=faded(colour, 0.18), mode="lines",
-        line=dict(width=0), showlegend=False, hoverinfo="skip", **more,
     )  # fmt: skip
+    return figure.update_layout(**layout)
 
 
 def shade(figure: go.Figure, phases: Any, count: int, **more: Any) -> None:
@@ -118,34 +96,65 @@ def shade(figure: go.Figure, phases: Any, count: int, **more: Any) -> None:
         figure.add_vrect(**ends, fillcolor=SHADE, line_width=0, layer="below", **more)
 
 
-Curves = Mapping[str, tuple[Any, Any]]
-"""Abscissae and ordinates ``[point]`` by label."""
+Curves = Mapping[str, tuple]
+"""Abscissae, ordinates and perhaps lower and upper ends of a band, ``[point]`` each, by label."""
 
 
-def curves_figure(
-    curves: Curves, x: str, y: str, height: int = 360, mode: str = "lines", shape: str = "linear", **layout: Any
+def grid_figure(
+    panels: Mapping[str, Curves], x: str, height: int, columns: int = 1, mode: str = "lines", **layout: Any
 ) -> go.Figure:
-    """Labelled curves over one pair of axes, with a colour each.
+    """Panels of labelled curves over one abscissa; a label has one colour and one entry of the legend in all of them.
 
     Args:
-        curves: by label.
+        panels: curves by the title of their ordinate with its unit; or, where that is one for all, by title of the
+            panel: see ``y``.
         x: title of the abscissa with its unit.
-        y: title of the ordinate with its unit.
         height: of the figure [pixel].
+        columns: panels side by side.
         mode: ``lines``, ``markers`` or both.
-        shape: ``linear``, or ``hv`` and ``hvh`` for steps.
-        layout: further settings of plotly.
+        layout: further settings of plotly; ``y``, title of the one ordinate, and ``shape`` of lines, ``hv`` for steps.
     """
-    figure, colour = go.Figure(), colours(list(curves))
-    for label, (abscissae, ordinates) in curves.items():
-        line = dict(color=colour[label], width=2, shape=shape)
-        figure.add_scatter(
-            x=abscissae, y=ordinates, mode=mode, name=plain(label), line=line, marker=dict(color=colour[label], size=7),
-            hovertemplate="%{y:.4g}",
-        )  # fmt: skip
-    figure.update_xaxes(title_text=x)
-    figure.update_yaxes(title_text=y)
+    y, shape = layout.pop("y", None), layout.pop("shape", "linear")
+    rows, one, titled = -(-len(panels) // columns), y is not None, y is not None and len(panels) > 1
+    figure = make_subplots(
+        rows=rows, cols=columns, subplot_titles=list(panels) if titled else None, shared_xaxes=one or columns == 1,
+        shared_yaxes=one, horizontal_spacing=(0.04 if one else 0.11) * (columns > 1),  # type: ignore[arg-type]
+        vertical_spacing=(56 if columns > 1 else 32) / height * (rows > 1),
+    )  # fmt: skip
+    colour = colours(list(dict.fromkeys(label for curves in panels.values() for label in curves)))
+    told: set[str] = set()
+    for number, (title, curves) in enumerate(panels.items()):
+        place: dict[str, Any] = dict(row=number // columns + 1, col=number % columns + 1)
+        for label, (abscissae, ordinates, *ends) in curves.items():
+            look: dict[str, Any] = dict(name=plain(label), legendgroup=label, **place)
+            if ends:
+                _band(figure, abscissae, *ends, colour[label], **look)
+            figure.add_scatter(
+                x=abscissae, y=ordinates, mode=mode, line=dict(color=colour[label], width=2, shape=shape),
+                marker=dict(color=colour[label], size=7), showlegend=label not in told, hovertemplate="%{y:.4g}",
+                **look,
+            )  # fmt: skip
+            told.add(label)
+        if not one:
+            figure.update_yaxes(title_text=title, **place)
+    figure.update_xaxes(title_text=x, row=rows)
+    if one:
+        figure.update_yaxes(title_text=y, col=1)
     return dress(figure, height, **{"hovermode": "closest", **layout})
+
+
+def _band(figure: go.Figure, x: Any, low: Any, high: Any, colour: str, **more: Any) -> None:
+    """Fill what lies between two curves ``[point]``, where both are known."""
+    x, low, high = np.stack([x, low, high])[:, np.isfinite(low) & np.isfinite(high)]
+    figure.add_scatter(
+        x=[*x, *x[::-1]], y=[*low, *high[::-1]], fill="toself", fillcolor=faded(colour, 0.18), mode="lines",
+        line=dict(width=0), showlegend=False, hoverinfo="skip", **more,
+    )  # fmt: skip
+
+
+def curves_figure(curves: Curves, x: str, y: str, height: int = 360, mode: str = "lines", **layout: Any) -> go.Figure:
+    """Labelled curves over one pair of axes; arguments as of `grid_figure`."""
+    return grid_figure({y: curves}, x, height, 1, mode, **layout)
 
 
 def boxes_figure(boxes: Mapping[str, Mapping[str, Sequence[float]]], y: str, height: int = 380) -> go.Figure:
@@ -157,8 +166,7 @@ def boxes_figure(boxes: Mapping[str, Mapping[str, Sequence[float]]], y: str, hei
             y=[value for values in places.values() for value in values], jitter=0.5, pointpos=0, line_width=1.2,
             marker=dict(color=colour[label], size=5), fillcolor="rgba(0,0,0,0)",
         )  # fmt: skip
-    figure.update_yaxes(title_text=y)
-    return dress(figure, height, boxmode="group", hovermode="closest")
+    return dress(figure, height, boxmode="group", hovermode="closest", yaxis_title_text=y)
 
 
 def bars_figure(
@@ -176,6 +184,4 @@ def bars_figure(
         error = dict(type="data", array=list(spreads[label].values()), thickness=1.2) if spreads else None
         places = [words(name) for name in values]
         figure.add_bar(x=places, y=list(values.values()), name=label, marker_color=colour[label], error_y=error)
-    dress(figure, 380, barmode="group", margin=dict(l=70, r=40, t=48, b=48)).update_xaxes(automargin=True)
-    figure.update_yaxes(title_text=y)
-    return figure
+    return dress(figure, 380, barmode="group", margin_r=40, yaxis_title_text=y).update_xaxes(automargin=True)

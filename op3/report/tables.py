@@ -1,19 +1,19 @@
 """Tables as plain headers and rows, and how numbers are written."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 from op3.identify.intervals import at_bound
 from op3.report.style import unit_text, words
 from op3.rollout import CHANNELS
-from op3.rollout.schema import normal_key
+from op3.rollout.schema import key_name, normal_key
 from op3.servo import Parameter, RobotModel
 from op3.servo.conditions import split_name
 
 Cell = str | int | float | bool | None
-TableRows = tuple[list[str], list[list[Cell]]]
+TableRows = tuple[Sequence[str], Sequence[Sequence[Cell]]]
 """Header and rows, as `Page.table` takes them."""
 
 
@@ -37,23 +37,42 @@ def number(value: float, digits: int = 4) -> str:
     return text.replace("-", "−", 1) if text.startswith("-") else text
 
 
+def span(value: Any, digits: int = 3) -> str | None:
+    """A value with its interval, given as an `Estimate` or as three numbers; None where there is no value."""
+    middle = value.value if hasattr(value, "value") else None if value is None else value[0]
+    if middle is None or not math.isfinite(middle):
+        return None
+    return number(float(middle), digits) + ends(value, " (", ")", digits)
+
+
+def ends(value: Any, before: str = "", after: str = "", digits: int = 3) -> str:
+    """The interval of an `Estimate`, or the last two of some numbers, in words; nothing where there is none."""
+    low, high = (value.low, value.high) if hasattr(value, "low") else (None, None) if value is None else value[-2:]
+    if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
+        return ""
+    return f"{before}{number(float(low), digits)} to {number(float(high), digits)}{after}"
+
+
 Bounds = Mapping[str, tuple[float, float]]
 """Lowest and highest value by parameter name."""
 
 
 def bounded_parameters(
-    models: Mapping[str, RobotModel], bounds: Bounds | None = None, starts: Mapping[str, float] | None = None
+    models: Iterable[RobotModel], bounds: Bounds | None = None, starts: Mapping[str, float] | None = None
 ) -> dict[str, Parameter]:
     """The parameters of all models by name, with ranges and starts of a search where they are not the catalogue's."""
-    known = {name: p for model in models.values() for name, p in model.parameters().items()}
+    known = {name: p for model in models for name, p in model.parameters().items()}
     for name, (low, high) in (bounds or {}).items():
-        base, _ = split_name(name)
-        if base in known:
+        if (base := split_name(name)[0]) in known:
             known[name] = replace(known[base], name=name, low=low, high=high)
-    for name, start in (starts or {}).items():
-        if name in known:
-            known[name] = replace(known[name], nominal=start)
-    return known
+    return known | {
+        name: replace(known[name], nominal=start) for name, start in (starts or {}).items() if name in known
+    }
+
+
+def place_in_range(known: Parameter, value: float) -> float:
+    """Where a value lies in a parameter's range: 0 at the lower end, 1 at the upper one."""
+    return (value - known.low) / (known.high - known.low)
 
 
 def parameter_table(
@@ -72,31 +91,28 @@ def parameter_table(
         bounds: ranges to list, by name, where they are not the catalogue's.
         starts: values that the search started from, by name, where they are not the catalogue's.
     """
-    known = bounded_parameters(models, bounds, starts)
+    known = bounded_parameters(models.values(), bounds, starts)
     intervals = {label: any(e.low is not None for e in model.estimates.values()) for label, model in models.items()}
     header = ["parameter", "unit", "range from", "to", "start"]
-    ended = {
-        (name, label)
-        for name, (low, high) in (bounds or {}).items()
-        for label, model in models.items()
-        if split_name(name)[0] in model.parameters() and at_bound((model.estimate(name).value - low) / (high - low))
-    }
     for label in models:
         header += [label, "90 % from", "to"] if intervals[label] else [label]
     rows: list[list[Cell]] = []
+    remarks = []
     for name in names or known:
-        p = known[name]
+        p, ended = known[name], []
         row: list[Cell] = [words(name), unit_text(p.unit), p.low, p.high, p.nominal]
         for label, model in models.items():
             estimate = model.estimate(name) if split_name(name)[0] in model.parameters() else None
             row.append(None if estimate is None else estimate.value)
             if intervals[label]:
                 row += [None, None] if estimate is None else [estimate.low, estimate.high]
-        if ended:
-            there = [label for label in models if (name, label) in ended]
-            row.append("at its bound" + (f" {', '.join(there)}" if there and len(models) > 1 else "") if there else "")
+            if estimate is not None and name in (bounds or {}) and at_bound(place_in_range(p, estimate.value)):
+                ended.append(label)
+        remarks.append(f"at its bound {', '.join(ended) if len(models) > 1 else ''}".strip() if ended else "")
         rows.append(row)
-    return [*header, "remark"] if ended else header, rows
+    if any(remarks):
+        return [*header, "remark"], [[*row, remark] for row, remark in zip(rows, remarks, strict=True)]
+    return header, rows
 
 
 def loss_table(terms: Mapping[str, Mapping[str, Mapping[Any, float]]], total: str | None = None) -> TableRows:
@@ -107,22 +123,14 @@ def loss_table(terms: Mapping[str, Mapping[str, Mapping[Any, float]]], total: st
             that a log does not have is absent; further entries, such as the loss itself, follow the channels.
         total: name of the entry that stands last.
     """
-    names = dict.fromkeys(_name(key) for labels in terms.values() for by_key in labels.values() for key in by_key)
+    columns = {
+        f"{logs}, {label}": {key_name(key): value for key, value in by_key.items()}
+        for logs, labels in terms.items() for label, by_key in labels.items()
+    }  # fmt: skip
+    names = dict.fromkeys(name for column in columns.values() for name in column)
     ordered = sorted(names, key=lambda name: (name == total, normal_key(name) not in CHANNELS))
-    header = ["mean square of", "unit"]
-    header += [f"{logs}, {label}" for logs, labels in terms.items() for label in labels]
-    rows: list[list[Cell]] = []
-    for name in ordered:
-        row: list[Cell] = [*_channel(name)]
-        for labels in terms.values():
-            for by_key in labels.values():
-                row.append({_name(key): value for key, value in by_key.items()}.get(name))
-        rows.append(row)
-    return header, rows
-
-
-def _name(key: Any) -> str:
-    return key if isinstance(key, str) else "/".join(key)
+    rows = [[*_channel(name), *(column.get(name) for column in columns.values())] for name in ordered]
+    return ["mean square of", "unit", *columns], rows
 
 
 def _channel(name: str) -> tuple[str, str]:

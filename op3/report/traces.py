@@ -1,15 +1,15 @@
 """Measured against simulated: joints, body and runs of the servo bench (paper, figure of the identification)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 
 from op3.report.figures import errors_figure
-from op3.report.page import Page
-from op3.report.panels import Line, Panel, panels_figure
+from op3.report.panels import Panel, panels_figure
 from op3.report.style import COMMAND, MEASURED, words
+from op3.report.tables import TableRows
 from op3.rollout import CHANNELS, Rollout
 from op3.rollout.schema import Key, key_name, normal_key
 from op3.tasks import Prediction
@@ -63,8 +63,7 @@ def traces_figure(
         if joint not in log.joints:
             raise ValueError(f"the log has no joint {joint!r}; its joints are {', '.join(log.joints)}")
         column = log.joints.index(joint)
-        row = [_panel(log, predictions, key, column, words(joint) if i == 0 else "") for i, key in enumerate(keys)]
-        grid.append(row)
+        grid.append([_panel(log, predictions, key, column, "" if i else words(joint)) for i, key in enumerate(keys)])
     return panels_figure(grid)
 
 
@@ -80,76 +79,53 @@ def body_figure(log: Rollout, predictions: Mapping[str, Channels]) -> go.Figure 
     return panels_figure(grid, row_height=170) if grid else None
 
 
-def runs_figure(
-    logs: Sequence[Rollout],
-    predictions: Mapping[str, Sequence[Channels]],
-    quantity: str | tuple[str, str] = ("joint", "position"),
-    joint: str | None = None,
-    columns: int = 2,
-) -> go.Figure:
-    """One quantity of one joint in several logs, a panel per log.
-
-    Args:
-        logs: what was measured.
-        predictions: by label, one per log.
-        quantity: a channel of joints.
-        joint: which joint; the first of each log by default.
-        columns: panels side by side.
-
-    Raises:
-        ValueError: if a label has not one prediction per log, or a log lacks the quantity.
-    """
-    key = normal_key(quantity)
-    for label, members in predictions.items():
-        if len(members) != len(logs):
-            raise ValueError(f"{label!r} has {len(members)} predictions for {len(logs)} logs; give one per log")
+def runs_figure(logs: Sequence[Rollout], predictions: Mapping[str, Sequence[Channels]], columns: int = 2) -> go.Figure:
+    """The angle of the first joint in several logs, a panel per log, with predictions by label, one per log."""
     panels = []
     for i, log in enumerate(logs):
-        if key not in log:
-            raise ValueError(f"log {i} ({log.metadata.recording}) has no {key_name(key)}; leave it out")
-        column = 0 if joint is None else log.joints.index(joint)
         mine = {label: members[i] for label, members in predictions.items()}
-        panels.append(_panel(log, mine, key, column, run_name(log), titled=True))
+        panels.append(_panel(log, mine, ("joint", "position"), 0, run_name(log), titled=True))
     grid = [panels[start : start + columns] for start in range(0, len(panels), columns)]
     return panels_figure(grid, row_height=180)
 
 
-def bench_sections(
-    page: Page,
+def bench_figures(
     logs: Sequence[Rollout],
     predictions: Mapping[str, Sequence[Channels]],
     errors_mrad: Mapping[str, Sequence[float | None]],
     heldout: Sequence[bool],
-) -> None:
-    """Add the error of every run of a servo bench, and traces of some, from the best to the worst of the first label.
+) -> dict[str, go.Figure]:
+    """The error of every run of a servo bench, and traces of some, from the best to the worst of the first label.
 
     Args:
-        page: to add to.
         logs: what was measured.
         predictions: by label, one per log.
         errors_mrad: by label, mean absolute position error of each run [mrad]; None where the simulation failed.
         heldout: whether each run was kept from the fit.
     """
-    page.section("Error of every run")
-    page.figure(errors_figure(logs, errors_mrad, heldout), "Mean absolute position error of open-loop replays.")
-    page.section("Some runs")
     first = next(iter(errors_mrad.values()))
     order = sorted((i for i, error in enumerate(first) if error is not None), key=lambda i: first[i] or 0.0)
     chosen = [order[i] for i in np.unique(np.linspace(0, len(order) - 1, SHOWN_RUNS).round().astype(int))]
     shown = {label: [members[i] for i in chosen] for label, members in predictions.items()}
-    page.figure(runs_figure([logs[i] for i in chosen], shown), "From the best to the worst, evenly chosen.")
+    return {
+        "errors": errors_figure(logs, errors_mrad, heldout),
+        "runs": runs_figure([logs[i] for i in chosen], shown),
+    }
+
+
+def checks_table(logs: Iterable[Rollout]) -> TableRows:
+    """What the checks found in logs, a row per finding."""
+    found = [{"log": run_name(log), **finding.row()} for log in logs for finding in log.findings]
+    rows = list(dict.fromkeys(tuple(one.values()) for one in found))
+    return (list(found[0]), rows) if found else ([], [])
 
 
 def run_name(log: Rollout) -> str:
     """A log in a few words: motion, mass, length and gain of a bench log, else its recording's name."""
     known = log.metadata
     parts = [words(known.motion or known.recording or known.mount)]
-    if known.mass is not None:
-        parts.append(f"{known.mass:g} kg")
-    if known.length is not None:
-        parts.append(f"{known.length:g} m")
-    if known.firmware_gain is not None:
-        parts.append(f"kp {known.firmware_gain:g}")
+    for value, text in ((known.mass, "{:g} kg"), (known.length, "{:g} m"), (known.firmware_gain, "kp {:g}")):
+        parts += [] if value is None else [text.format(value)]
     return ", ".join(parts)
 
 
@@ -160,21 +136,16 @@ def _paired(joints: Sequence[str]) -> list[str]:
 
 
 def _panel(
-    log: Rollout,
-    predictions: Mapping[str, Channels],
-    key: Key,
-    column: int,
-    name: str,
-    what: str = "",
+    log: Rollout, predictions: Mapping[str, Channels], key: Key, column: int, name: str, what: str = "",
     titled: bool = False,
-) -> Panel:
+) -> Panel:  # fmt: skip
     if log.batched:
         raise ValueError("the log has an episode axis: draw one episode, log.episode(0), at a time")
     time = log.array("time")[:, 0]
     time = time - time[0]
-    lines = [Line(MEASURED, time, _drawn(key, log.array(key)[:, column]))]
+    lines = [(MEASURED, time, _drawn(key, log.array(key)[:, column]))]
     if key == ("joint", "position") and ("command", "position") in log:
-        lines.insert(0, Line(COMMAND, time, _drawn(key, log.array("command/position")[:, column])))
+        lines.insert(0, (COMMAND, time, _drawn(key, log.array("command/position")[:, column])))
     for label, channels in predictions.items():
         values = _simulated(label, channels, key)
         if values is None:
@@ -182,7 +153,7 @@ def _panel(
         if len(values) > len(time) or column >= values.shape[1]:
             shape, there = list(values.shape), [len(time), log.array(key).shape[1]]
             raise ValueError(f"{key_name(key)} of {label!r} has the shape {shape}, the log has {there}")
-        lines.append(Line(label, time[: len(values)], _drawn(key, values[:, column])))
+        lines.append((label, time[: len(values)], _drawn(key, values[:, column])))
     unit = "deg" if key in _DEGREES else CHANNELS[key].unit
     what = what or key_name(key).split("/")[-1].replace("_", " ")
     return Panel(f"{what} [{unit}]" if unit else what, lines, name, _LEAST_SPAN.get(key, 0.0), titled)

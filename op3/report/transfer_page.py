@@ -1,7 +1,7 @@
 """The story of a transfer from simulation to a robot, on one page."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from scipy.special import stdtrit
 
 from op3.intervals import wilson_interval
 from op3.report.page import Page
+from op3.report.result import RunFolder, finite, publish
 from op3.report.style import Curves, bars_figure, boxes_figure, curves_figure
 from op3.report.tables import TableRows
 from op3.report.traces import traces_figure
@@ -30,12 +31,10 @@ class Transfer:
     Attributes:
         policy: the bundle.
         model: that it was trained on.
-        expected: returns under R_eval in simulation.
-        actual: returns on the robot.
+        expected, actual: returns under R_eval in simulation and on the robot.
         upright: which of the robot's episodes went without a fall, the way to the end pose included.
         episodes: folder of the robot's logs.
-        film: animated picture of an episode in simulation; None or no such file: not shown.
-        robot_film: the same of an episode on the robot.
+        film, robot_film: of an episode in simulation and on the robot; None or no such file: not shown.
         criterion: share of the expected mean return that the robot must reach.
         began_with: what its training began with, or that it was given.
         afterwards: episodes that ended well and fell, or had to be stopped, on the way to the end pose.
@@ -110,56 +109,80 @@ class Transfer:
         limit = self.criterion if self.walked is None else WALKERS
         return low >= limit or high < limit
 
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """For ``result.yaml``."""
+        walked = {} if self.walked is None else {"walked": float(np.mean(self.walked))}
+        return {
+            "expected": float(np.mean(self.expected)),
+            "actual": float(np.mean(self.actual)),
+            "share": self.share,
+            "interval": [finite(end) for end in self.interval],
+            "fell_afterwards": self.afterwards,
+            "episodes": len(self.actual),
+            "upright": float(np.mean(self.upright)),
+            "success": self.success,
+            "training_began_with": self.began_with,
+            **walked,
+        }
 
-def story(
-    folder: Path,
+
+@dataclass
+class Learned:
+    """What the rounds have found.
+
+    Attributes:
+        numbers: of the re-identification, by round, as its ``result.yaml`` has them.
+        named: sentence of the diagnosis, by round.
+        remarks: what else the reader should know, a sentence each.
+        spared: whether the condition would learn, and the first transfer left nothing to learn from.
+    """
+
+    numbers: dict[int, dict] = field(default_factory=dict)
+    named: dict[int, str] = field(default_factory=dict)
+    remarks: list[str] = field(default_factory=list)
+    spared: bool = False
+
+
+def report_transfers(
     transfers: Sequence[Transfer],
-    seconds: Mapping[str, float],
+    learned: Learned,
+    run: RunFolder,
     *,
-    condition: str,
-    budget: str,
-    provenance: Mapping[str, Any],
+    asked: Mapping[str, str],
+    seconds: Mapping[str, float],
+    processor_seconds: Mapping[str, float],
     what: str = "",
-    spared: bool = False,
-    learned: Mapping[int, Mapping[str, Any]] | None = None,
-    named: Mapping[int, str] | None = None,
-    remarks: Sequence[str] = (),
-    processor_seconds: Mapping[str, float] | None = None,
     fit: Mapping[str, Prediction] | None = None,
     learning: Curves | None = None,
     following: Sequence[str] = (),
-) -> Page:
-    """The page.
+) -> dict[str, Any]:
+    """Publish the story of a transfer.
 
     Args:
-        folder: of the run; links are relative to it.
         transfers: first attempt first.
+        learned: between them.
+        run: where it is kept; links and films are relative to it.
+        asked: task, world, condition and budget.
         seconds: duration of every stage [s].
-        condition: what was allowed.
-        budget: of training and search.
-        provenance: where the numbers come from, see `op3.report.run_provenance`.
-        what: task and robot, in a sentence or two.
-        spared: whether what the condition allows was not needed.
-        learned: numbers of the re-identification by round, as its ``result.yaml`` has them.
-        named: first sentence of the diagnosis by round.
-        remarks: what else the reader should know, a sentence each.
         processor_seconds: time of all processors spent on every stage [s].
+        what: task and robot, in a sentence or two.
         fit: what the identified models say of the log that they were fitted to, by label.
         learning: steps and mean returns of every training's evaluations, by label.
         following: commands to go on with.
     """
-    first, last = transfers[0], transfers[-1]
-    page = Page("From simulation to the robot", f"{_lead(transfers, condition, spared)} {what}".strip())
-    for one, name in ((first, "first transfer"), (last, "last transfer"))[: len(transfers)]:
-        judged = "of the promised return" if one.walked is None else "walked to their end"
-        value = 100 * one.share if one.walked is None else f"{sum(one.walked)} of {len(one.walked)}"
-        page.tile(name, value, "%" if one.walked is None else "", "; ".join(filter(None, (judged, one.span))))
-    note = f"{last.afterwards} fell on the way to the end pose" if last.afterwards else ""
-    page.tile("episodes upright", f"{sum(last.upright)} of {len(last.upright)}", "", note)
-    page.tile("time", sum(seconds.values()), "s", f"budget {budget}")
-    _films(page, folder, transfers)
-    sentences, numbers = dict(named or {}), dict(learned or {})
-    rounds = [i for i in range(1, len(transfers)) if i in sentences or i in numbers]
+    values: dict[str, Any] = {
+        "success": transfers[-1].success,
+        "rounds": len(transfers) - 1,
+        **asked,
+        "wall_seconds": sum(seconds.values()),
+        **{f"transfer_{number}": one.numbers for number, one in enumerate(transfers)},
+        **{f"round_{number}.diagnosis": sentence for number, sentence in learned.named.items()},
+        **{f"round_{number}.reidentified": one["accepted"] for number, one in learned.numbers.items()},
+        **({"remarks": learned.remarks} if learned.remarks else {}),
+        "stage_seconds": seconds,
+        "processor_seconds": processor_seconds,
+    }
     boxes = {
         label: {f"round {i}": getattr(one, name) for i, one in enumerate(transfers)}
         for label, name in (("in simulation", "expected"), ("on the robot", "actual"))
@@ -169,22 +192,22 @@ def story(
         "transfers": _table(transfers),
         "stages": (
             ["stage", "time [s]", "processor time [s]"],
-            [[name, value, (processor_seconds or {}).get(name)] for name, value in seconds.items()],
+            [[name, value, processor_seconds.get(name)] for name, value in seconds.items()],
         ),
     }
     if fit:
         figures["fit"], tables["fit"] = _fit(fit)
     if learning:
         figures["learning"] = curves_figure(learning, "environment steps [-]", "mean return [-]", 320, "lines+markers")
-    for i, each in numbers.items():
+    for i, each in learned.numbers.items():
         figures[f"lesson_{i}"], tables[f"lesson_{i}"] = _lesson(each)
-    page.fill("transfer", figures, tables, first=first, last=last, remarks=remarks, rounds=rounds, named=sentences,
-              learned=numbers, following=following, fit=fit, learning=learning, walkers=WALKERS,
-              papers_episodes=PAPERS_EPISODES)  # fmt: skip
-    pages = {f"{name}/index.html": f"page of the stage {name.replace('_', ' ')}" for name in seconds}
-    page.files({name: text for name, text in pages.items() if (folder / name).exists()})
-    page.provenance(provenance)
-    return page
+    page = Page.of(
+        "transfer", figures, tables, transfers=transfers, first=transfers[0], last=transfers[-1], learned=learned,
+        films=_films(run.path, transfers), seconds=seconds, what=what, following=following, walkers=WALKERS,
+        papers_episodes=PAPERS_EPISODES, condition=asked["condition"], budget=asked["budget"],
+        pages=[name for name in seconds if (run.path / name / "index.html").exists()],
+    )  # fmt: skip
+    return publish(page, values, run)
 
 
 def _fit(fit: Mapping[str, Prediction]) -> tuple[go.Figure, TableRows]:
@@ -209,11 +232,11 @@ def _table(transfers: Sequence[Transfer]) -> TableRows:
         "upright": [f"{sum(one.upright)} of {len(one.upright)}" for one in transfers],
         "success": [one.success for one in transfers],
     }
-    return list(columns), [list(row) for row in zip(*columns.values(), strict=True)]
+    return list(columns), list(zip(*columns.values(), strict=True))
 
 
-def _films(page: Page, folder: Path, transfers: Sequence[Transfer]) -> None:
-    """The first transfer and the last, in simulation and on the robot."""
+def _films(folder: Path, transfers: Sequence[Transfer]) -> list[tuple[str, str]]:
+    """The first transfer and the last, in simulation and on the robot: path and caption."""
     films = []
     for i in sorted({0, len(transfers) - 1}):
         one = transfers[i]
@@ -224,10 +247,7 @@ def _films(page: Page, folder: Path, transfers: Sequence[Transfer]) -> None:
         ):
             if film is not None and film.exists():
                 films.append((str(film.relative_to(folder)), text))
-    if films:
-        page.section("Films")
-        page.films(films)
-        page.text("Films of the robot are drawn from its encoders and IMU; the board is laid under its soles.")
+    return films
 
 
 def _lesson(learned: Mapping[str, Any]) -> tuple[go.Figure, TableRows]:
@@ -238,16 +258,3 @@ def _lesson(learned: Mapping[str, Any]) -> tuple[go.Figure, TableRows]:
     names = [key.split(".", 2)[2] for key in learned if key.startswith("normalised.reidentified.")]
     bars = {label: {n: learned[f"normalised.{key}.{n}"] for n in names} for label, key in labels.items()}
     return bars_figure(bars, "share of the range [-]"), (["", "before", "re-identified"], rows)
-
-
-def _lead(transfers: Sequence[Transfer], condition: str, spared: bool) -> str:
-    first, last = transfers[0], transfers[-1]
-    if len(transfers) == 1:
-        outcome = "succeeds" if last.success else "fails"
-        needed = ", which was not needed" if spared else ""
-        return f"The first transfer {outcome}: {last.achieved}. Condition: {condition.replace('_', ' ')}{needed}."
-    outcome = "succeeds" if last.success else "still fails"
-    return (
-        f"After learning from the failed transfer the policy {outcome}: {last.achieved}; at first, {first.achieved}."
-        f" Condition: {condition.replace('_', ' ')}."
-    )

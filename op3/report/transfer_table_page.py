@@ -8,25 +8,14 @@ from op3.intervals import wilson_interval
 from op3.report.page import Page
 from op3.report.provenance import run_provenance
 from op3.report.result import read_result, write_result
-from op3.report.style import boxes_figure, words
+from op3.report.style import NAMES, boxes_figure, words
 
 FAILED = "failed.txt"
 """File in the folder of a cell that could not be run: why."""
 
 PAGE, NUMBERS = "transfers.html", "transfers.yaml"
 
-PAPER = {
-    "balance": {
-        "excitation_only": "0/3",
-        "reidentified": "3/3",
-        "excitation_only_without_dte": "0/3",
-        "reidentified_without_dte": "0/3",
-        "domain_randomisation": "0/3",
-    },
-    "walk": {"excitation_only": "0/3", "reidentified": "3/3", "domain_randomisation": "0/3"},
-}
-"""Successful transfers of the paper, on one real robot: its Tables III and IV, in their order."""
-
+PAPER = NAMES["paper"]
 Transferred = Mapping[str, Any]
 """Numbers of a run of sim2real.py, by dotted key."""
 
@@ -37,44 +26,30 @@ def read_cells(folder: str | Path) -> list[Transferred]:
 
 
 def write_table(cells: Sequence[Transferred], folder: Path) -> tuple[Path, Path]:
-    """Write page and numbers.
-
-    Args:
-        cells: finished runs, at least one.
-        folder: of the multirun; what could not be run is listed from it too.
-
-    Returns:
-        Their paths.
-    """
-    page = Page("Transfers by what the policy was trained on", _lead(cells))
+    """Write page and numbers of at least one finished run; what could not be run is listed from the folder too."""
     values: dict[str, Any] = {}
+    figures, tables = {}, {}
     for task in sorted({cell["task"] for cell in cells}):
         here = [cell for cell in cells if cell["task"] == task]
         found = {condition: [one for one in here if one["condition"] == condition] for condition in _conditions(here)}
         worlds = sorted({cell["world"] for cell in here})
         values[task] = {name: _numbers(of) for name, of in found.items()}
-        page.section(words(task).capitalize())
-        rows = [[words(name), PAPER.get(task, {}).get(name, ""), *_row(of, worlds)] for name, of in found.items()]
-        header = ["trained on", "paper", *worlds, "all robots", "95 % interval", "episodes to their end", "share [%]"]
-        caption = (
-            "Successful transfers of those tried, by robot. In brackets: how many of them succeeded at once, so that"
-            " nothing was learned from a failure. Share: mean return on the robot over that in simulation."
+        tables[task] = (
+            ["trained on", "paper", *worlds, "all robots", "95 % interval", "episodes to their end", "share [%]"],
+            [[words(name), PAPER.get(task, {}).get(name, ""), *_row(of, worlds)] for name, of in found.items()],
         )
-        page.table(header, rows, caption, digits=3)
         shares = {
             w: {words(n): [_last(c, "share") for c in of if c["world"] == w] for n, of in found.items()} for w in worlds
         }
-        page.figure(boxes_figure(shares, "return, robot over simulation [-]"), "Each transfer, by robot.")
-    page.section("Every transfer")
+        figures[task] = boxes_figure(shares, "return, robot over simulation [-]")
     columns = {"task": "task", "world": "robot", "condition": "trained on", "provenance.seed": "seed"}
     columns |= {"rounds": "learned from failures", "success": "success"}
     last = {"expected": "promised", "actual": "on the robot", "upright": "upright"}
     rows = [[*(cell[name] for name in columns), *(_last(cell, k) for k in last)] for cell in cells]
-    page.table([*columns.values(), *last.values()], rows)
+    tables["cells"] = ([*columns.values(), *last.values()], rows)
     failed = {path.parent.name: path.read_text(encoding="utf-8").strip() for path in sorted(folder.glob(f"*/{FAILED}"))}
-    if failed:
-        page.table(["cell", "why it could not be run"], [[name, why] for name, why in failed.items()])
-    provenance = run_provenance()
+    tables["failed"] = (["cell", "why it could not be run"], list(failed.items()))
+    page, provenance = Page.of("transfers", figures, tables, cells=cells, tasks=list(values)), run_provenance()
     page.provenance(provenance)
     result = write_result(folder / NUMBERS, {**values, "failed": failed, "provenance": provenance})
     return page.write(folder / PAGE), result
@@ -125,12 +100,3 @@ def _row(cells: Sequence[Transferred], worlds: Sequence[str]) -> list[Any]:
         f"{numbers['episodes_to_their_end']} of {numbers['episodes']}",
         100 * numbers["share"],
     ]
-
-
-def _lead(cells: Sequence[Transferred]) -> str:
-    good = sum(bool(cell["success"]) for cell in cells)
-    criteria = (
-        "Balancing succeeds if the mean return on the robot reaches 80 % of what simulation promised, walking if eight"
-        " of ten episodes go forwards without a fall for ten seconds, as in the paper."
-    )
-    return f"{good} of {len(cells)} transfers succeed. {criteria} The robots are emulated; their truth is hidden."

@@ -25,11 +25,11 @@ def film(
     say: Callable[[str], None] = print,
     follow: bool = True,
 ) -> Path | None:
-    """Draw states and write them, see `write_film`; None where MuJoCo cannot render here.
+    """Draw states ``[frame, nq]`` at a rate [Hz] and write them, see `write_film`; None where MuJoCo cannot render.
 
     Args:
         scene: in which the robot is; it is compiled anew, because simulations leave out what only pictures show.
-        qpos: [frame, nq], the first three numbers the trunk's place.
+        qpos: the first three numbers are the trunk's place.
         path: of the file to write.
         rate: frames per second [Hz].
         say: takes the reason where nothing can be drawn.
@@ -42,20 +42,21 @@ def film(
         return None
 
 
-def write_film(pictures: Iterable[np.ndarray], path: str | Path, rate: float) -> Path:
+def write_film(pictures: Iterable[np.ndarray], path: str | Path, rate: float, quality: int = 40) -> Path:
     """Write pictures ``[height, width, 3]`` of even size; the file appears whole or not at all.
 
     Args:
         pictures: in their order.
         path: ``.mp4`` (H.264), or ``.webp``, which a document shows as it shows pictures.
         rate: pictures per second [Hz].
+        quality: of WebP, 0 to 100.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_suffix(".part")
     if path.suffix == ".webp":
         first, *others = map(Image.fromarray, pictures)
-        options = {"append_images": others, "duration": round(1000 / rate), "loop": 0, "quality": 40, "method": 4}
+        options = {"append_images": others, "duration": round(1000 / rate), "loop": 0, "quality": quality, "method": 4}
         first.save(unfinished, "WEBP", save_all=True, **options)
     else:
         _write_mp4(pictures, unfinished, Fraction(rate).limit_denominator(1000))

@@ -4,7 +4,7 @@
 # pyright: reportAttributeAccessIssue=false
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -133,25 +133,15 @@ def pictures(tracks: Tracks, joint: str | None = None, speed: float = 1.0) -> It
     Raises:
         RenderError: if nothing can be drawn here.
     """
-    rate = RATE / speed
-    frames = draw_frames(
-        tracks.scene.compile(), tracks.states(rate), size=PICTURE, ghosts=ghost_colours(tracks)
-    )  # fmt: skip
-    strip = Strip(tracks, joint)
+    rate, strip = RATE / speed, Strip(tracks, joint)
+    frames = draw_frames(tracks.scene.compile(), tracks.states(rate), size=PICTURE, ghosts=ghost_colours(tracks))
     for number, frame in enumerate(frames):
         yield np.concatenate([frame, strip.at(number / rate)], axis=1)
 
 
 @dataclass
 class Player:
-    """Where a window is in time, and what its keys do.
-
-    Attributes:
-        duration: of what is played [s].
-        seconds: where it is.
-        speed: times real time.
-        playing: or paused.
-    """
+    """Where a window is in what is played [s], how fast times real time, and what its keys do."""
 
     duration: float
     seconds: float = 0.0
@@ -171,18 +161,31 @@ class Player:
             self.seconds = min(max(self.seconds + jumps[code], 0.0), self.duration)
             self.playing = self.playing and code not in (44, 46)
 
-    def advance(self, elapsed: float) -> None:
-        """Let time [s] pass; at the end it begins anew."""
-        if self.playing:
-            self.seconds = (self.seconds + self.speed * elapsed) % max(self.duration, 1e-9)
+    def advance(self, elapsed: float) -> bool:
+        """Let time [s] pass; at the end it begins anew, and that is said."""
+        ahead = self.seconds + self.speed * elapsed * self.playing
+        self.seconds = ahead % max(self.duration, 1e-9) if self.playing else ahead
+        return self.playing and ahead >= self.duration
 
 
-def window(tracks: Tracks, joint: str | None = None, speed: float = 1.0) -> None:
-    """Play in MuJoCo's viewer until it is closed."""
+def window(stretches: Iterable[Tracks | None], joint: str | None = None, speed: float = 1.0) -> None:
+    """Play in MuJoCo's viewer until it is closed.
+
+    Args:
+        stretches: what is played, one after the other, and the last again and again; None where the next one is not
+            there yet.
+        joint: whose plots stand beside; `Tracks.joint` where None.
+        speed: times real time.
+    """
     import mujoco.viewer
 
-    model, states, strip = tracks.scene.compile(), tracks.states(RATE), Strip(tracks, joint)
+    coming = iter(stretches)
+    tracks = next((one for one in coming if one is not None), None)
+    if tracks is None:
+        raise ValueError("there is nothing to show: no log began in this folder")
+    model = tracks.scene.compile()
     data, ghost, player = mujoco.MjData(model), mujoco.MjData(model), Player(tracks.duration, speed=speed)
+    states, strip = tracks.states(RATE), Strip(tracks, joint)
     data.qpos[:] = states[0, 0]
     mujoco.mj_forward(model, data)
     options: dict[str, Any] = {"key_callback": player.key, "show_left_ui": False, "show_right_ui": False}
@@ -194,14 +197,15 @@ def window(tracks: Tracks, joint: str | None = None, speed: float = 1.0) -> None
         last = time.monotonic()
         while handle.is_running():
             now = time.monotonic()
-            player.advance(now - last)
+            if player.advance(now - last) and (more := next(coming, None)) is not None:
+                states, strip, player.duration, player.seconds = more.states(RATE), Strip(more, joint), more.duration, 0
             last, row = now, min(int(player.seconds * RATE), states.shape[1] - 1)
             with handle.lock():
                 assert handle.user_scn is not None
                 data.qpos[:] = states[0, row]
                 mujoco.mj_forward(model, data)
                 handle.user_scn.ngeom = 0
-                for colour, robot in zip(ghost_colours(tracks), states[1:], strict=True):
+                for colour, robot in zip(ghost_colours(tracks), states[1:], strict=False):
                     ghost.qpos[:] = robot[row]
                     mujoco.mj_kinematics(model, ghost)
                     add_ghost(model, ghost, handle.user_scn, colour)

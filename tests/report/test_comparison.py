@@ -25,6 +25,7 @@ def runs(tmp_path) -> Path:
             "error_mrad.heldout": 2 * base + seed,
             "wall_seconds": 5.0,
             "simulated_seconds": 100.0,
+            "identifiability.at_bound": ["coulomb_friction"] if seed == 2 else [],
             "parameters": {"coulomb_friction": {"value": 0.1 + 0.01 * seed, "low": 0.0, "high": 0.2}},
         }
         write_result(cell / "result.yaml", numbers)
@@ -52,6 +53,7 @@ def test_the_page_names_the_best_and_links_the_runs(runs):
     page, _ = write_comparison(read_runs(runs), runs)
     reader = PageReader(page.read_text())
     assert "Best by the held-out error: model=paper." in reader.text
+    assert "at its bound in 2 of 6 runs" in reader.text
     links = [value for tag, name, value in reader.attributes if tag == "a" and name == "href"]
     assert {f"{number}/index.html" for number in range(6)} <= set(links)
 

@@ -11,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from report_logs import bench_log, squat_log
 
-from op3.report import body_figure, errors_figure, history_figure, ranges_figure, runs_figure, traces_figure
+from op3.report.figures import errors_figure, history_figure, ranges_figure
 from op3.report.panels import thin
+from op3.report.traces import body_figure, runs_figure, traces_figure
 from op3.servo import Estimate, RobotModel
 from op3.servo.effects import DirectionalEfficiency, Motor
 from op3.tasks import Prediction
@@ -86,16 +87,6 @@ def test_traces_are_the_numbers_in_degrees():
     np.testing.assert_allclose(named(figure, "with DTE")[0].y, 1.5 * knee, rtol=1e-6)
 
 
-def test_measured_is_black_and_predictions_keep_their_colours():
-    """Measured is near black, the first label blue and the second orange in every figure."""
-    log = squat_log()
-    figure = traces_figure(log, {"with DTE": simulated(log, 1.1), "without DTE": simulated(log, 0.8)})
-    colour = {label: named(figure, label)[0].line.color for label in ("measured", "with DTE", "without DTE")}
-    assert colour == {"measured": "#16181d", "with DTE": "#0072b2", "without DTE": "#e07b00"}
-    history = history_figure({"with DTE": [1.0], "without DTE": [2.0]})
-    assert {t.name: t.line.color for t in history.data if t.mode == "lines"}["without DTE"] == "#e07b00"
-
-
 def test_right_joints_follow_their_left_partners():
     """Rows run left knee, right knee, left ankle, right ankle whatever the log's order."""
     log = squat_log(joints=("l_knee", "l_ank_pitch", "r_knee", "r_ank_pitch"))
@@ -104,19 +95,13 @@ def test_right_joints_follow_their_left_partners():
     assert rows == [f"<b>{name}</b>" for name in sides]
 
 
-def test_a_missing_channel_has_no_column():
-    """Without measured current there is no current column; the others stay."""
-    log = squat_log(leave_out=("joint/current",))
-    figure = traces_figure(log, {"with DTE": simulated(squat_log(), 1.0)})
+def test_a_missing_channel_has_no_column_and_no_trace():
+    """Without measured current there is no current column; a prediction without it leaves the measured one alone."""
+    log, whole = squat_log(leave_out=("joint/current",)), squat_log()
+    figure = traces_figure(log, {"with DTE": simulated(whole, 1.0)})
     assert set(y_titles(figure)) == {"position [deg]", "velocity [rad/s]"}
-
-
-def test_a_channel_missing_in_a_prediction_has_no_trace():
-    """A prediction without current leaves the measured current alone."""
-    log = squat_log()
-    figure = traces_figure(log, {"with DTE": {("joint", "position"): log.array("joint/position")}})
-    assert len(named(figure, "with DTE")) == 2
-    assert len(named(figure, "measured")) == 6
+    figure = traces_figure(whole, {"with DTE": {("joint", "position"): whole.array("joint/position")}})
+    assert (len(named(figure, "with DTE")), len(named(figure, "measured"))) == (2, 6)
 
 
 def test_a_log_without_body_has_no_body_figure():
@@ -208,9 +193,3 @@ def test_bench_errors_are_grouped_and_held_out_runs_hatched():
     assert [list(level) for level in first.x] == [["0.2 kg<br>0.1 m", "0.4 kg<br>0.1 m"], ["16", "8"]]
     assert list(first.marker.pattern.shape) == ["", "/"]
     assert list(second.y) == [10.0]
-
-
-def test_bench_errors_need_one_number_per_run():
-    """A list of the wrong length is named."""
-    with pytest.raises(ValueError, match="'M1' has 1 entries for 2 runs"):
-        errors_figure([bench_log("a", 0.2, 8.0)] * 2, {"M1": [1.0]}, [False, False])

@@ -14,28 +14,63 @@ import pytest
 from PIL import Image
 from report_logs import PageReader, squat_log
 
-from op3.report import Page, traces_figure
-from op3.report.page import LIBRARY, PROSE_TEMPLATES
+from op3.report.page import LIBRARY, PROSE_TEMPLATES, Page
+from op3.report.traces import traces_figure
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
-def example() -> Page:
-    page = Page("Identification of squat-0", "With DTE the loss is 0.031. Without it 0.092.")
-    page.tile("position error", 11.42, "mrad", "19.8 without")
-    page.section("Measured and simulated")
-    page.text("One paragraph.\n\nAnother with `code`.")
-    page.figure(traces_figure(squat_log(), {"with DTE": {}}), "Knees.")
-    page.table(["parameter", "value [N m]"], [["friction", 0.25], ["stiction", None], ["bias", 12.5]], "Parameters")
-    page.films([("film.mp4", "An episode.")])
-    page.files({"result.yaml": "all numbers"})
+PROSE = """
+# Identification of {{ log }}
+With DTE the loss is {{ 0.03112 | number }}.
+Without it 0.092.
+
+[[tile position error | {{ 11.42 | number }} | mrad | 19.8 without]]
+[[tile trials | 4]]
+
+## Measured and simulated
+
+One
+paragraph with `code`.
+
+[[figure no | Gone.]]
+
+[[figure knees | Knees.]]
+
+[[table none | Gone.]]
+
+[[table parameters | Parameters | 2]]
+
+[[film film.mp4 | An episode.]]
+
+[[file result.yaml | all numbers]]
+[[file model.yaml | the model]]
+
+[[code]]
+op3 view
+"""
+TABLE = (["parameter", "value [N m]"], [["friction", 0.251], ["stiction", None], ["bias", 12.5]])
+
+
+@pytest.fixture
+def example(monkeypatch) -> Page:
+    monkeypatch.setattr(PROSE_TEMPLATES, "loader", jinja2.DictLoader({"part.md": PROSE}))
+    figures, tables = {"no": None, "knees": traces_figure(squat_log(), {"with DTE": {}})}, {"parameters": TABLE}
+    page = Page.of("part", figures, {"none": (["a"], []), **tables}, log="squat-0")
     page.provenance({"seed": 0, "versions": {"torch": "2.13.0"}})
     return page
 
 
-def test_tags_nest_and_all_close():
-    """A page is well-formed HTML."""
-    assert PageReader(example().html()).open == []
+def test_a_template_tells_the_page(example):
+    """Verdict, tiles, paragraphs, tables, lists and commands come in their order; what is not there is left out."""
+    reader = PageReader(example.html())
+    assert reader.open == []
+    told = [text for tag, text in reader.texts if tag in ("h1", "h2", "p", "b", "td", "pre", "a")]
+    assert told[:3] == ["Identification of squat-0", "With DTE the loss is 0.0311.", "Without it 0.092."]
+    assert "One paragraph with " in told
+    assert [text for tag, text in reader.texts if tag == "td"][::2] == ["friction", "stiction", "bias"]
+    assert "op3 view" in told
+    assert ("all numbers" in reader.text, "Gone" in reader.text) == (True, False)
 
 
 @pytest.mark.parametrize(
@@ -52,9 +87,9 @@ def test_the_verdict_is_the_first_sentence_after_the_title(lead, verdict, detail
     assert texts == ["t", verdict, *([detail] if detail else [])]
 
 
-def test_nothing_is_loaded_from_elsewhere(tmp_path):
+def test_nothing_is_loaded_from_elsewhere(tmp_path, example):
     """No element refers to another host, styles import nothing, and the browser is told to refuse all of it."""
-    html = example().write(tmp_path / "run" / "index.html").read_text()
+    html = example.write(tmp_path / "run" / "index.html").read_text()
     reader = PageReader(html)
     refers = [value for _, name, value in reader.attributes if name in ("src", "href", "srcset", "data", "action")]
     assert LIBRARY in refers
@@ -66,10 +101,10 @@ def test_nothing_is_loaded_from_elsewhere(tmp_path):
     assert "default-src 'none'" in html
 
 
-def test_the_library_lies_once_beside_the_pages_of_a_folder(tmp_path):
+def test_the_library_lies_once_beside_the_pages_of_a_folder(tmp_path, example):
     """Runs of a multirun share the one above them; a page without figures needs none, and pages stay small."""
     for cell in ("sweep/0", "sweep/1", "sweep"):
-        path = example().write(tmp_path / cell / "index.html")
+        path = example.write(tmp_path / cell / "index.html")
         assert path.stat().st_size < 200_000
     assert [path.parent.name for path in tmp_path.rglob(LIBRARY)] == ["sweep"]
     assert f'src="../{LIBRARY}"' in (tmp_path / "sweep" / "0" / "index.html").read_text()
@@ -89,21 +124,34 @@ def test_embedded_figures_are_the_figures():
     assert "Nothing to draw" not in reader.text
 
 
-@pytest.mark.parametrize(
-    "where", ["title", "lead", "tile", "section", "text", "code", "caption", "cell", "file", "source"]
-)
-def test_user_text_is_escaped(where):
+WHERE = ["title", "lead", "tile", "section", "paragraph", "code", "caption", "cell", "file", "source"]
+EVERYWHERE = """
+# {{ title }}
+{{ lead }}
+
+[[tile {{ tile }} | 1]]
+
+## {{ section }}
+
+{{ paragraph }}
+
+[[code]]
+{{ code }}
+
+[[table t | {{ caption }}]]
+
+[[file {{ file }} | x]]
+"""
+
+
+@pytest.mark.parametrize("where", WHERE)
+def test_user_text_is_escaped(where, monkeypatch):
     """Text that looks like HTML appears as text, wherever it enters."""
+    monkeypatch.setattr(PROSE_TEMPLATES, "loader", jinja2.DictLoader({"part.md": EVERYWHERE}))
     evil = '<img src="x" onerror="alert(1)"> & co'
-    page = Page(evil if where == "title" else "t", evil if where == "lead" else "v")
-    page.tile(evil if where == "tile" else "n", 1.0)
-    page.section(evil if where == "section" else "s")
-    page.text(evil if where == "text" else "x")
-    page.code(evil if where == "code" else "x")
-    page.figure(go.Figure(), evil if where == "caption" else "c")
-    page.table(["h"], [[evil if where == "cell" else "c"]])
-    page.files({evil if where == "file" else "f": "x"})
-    page.provenance({"data": evil if where == "source" else "d"})
+    given = {name: evil if name == where else "x" for name in WHERE}
+    page = Page.of("part", None, {"t": (["h"], [[given["cell"]]])}, **given)
+    page.provenance({"data": given["source"]})
     reader = PageReader(page.html())
     assert evil in reader.text
     assert not [tag for tag, *_ in reader.attributes if tag == "img"]
@@ -117,43 +165,15 @@ def test_numbers_in_a_column_share_the_decimal_point():
     assert cells[1::2] == ["0.12", "12.5\u2007", "–\u2008\u2007\u2007", "−3\u2008\u2007\u2007"]
 
 
-PROSE = """
-## Part {{ n }}
-
-One
-paragraph.
-
-[[figure no | Gone.]]
-
-[[table none | Gone.]]
-
-[[table some | Kept.]]
-
-[[code]]
-op3 view
-"""
-
-
-def test_a_template_of_prose_leaves_out_what_is_not_there(monkeypatch):
-    """Headings, paragraphs, tables and commands come in their order; an absent figure and an empty table go."""
-    monkeypatch.setattr(PROSE_TEMPLATES, "loader", jinja2.DictLoader({"part.md": PROSE}))
-    page = Page("t", "v")
-    page.fill("part", {"no": None}, {"none": (["a"], []), "some": (["a"], [[1]])}, n=1)
-    reader = PageReader(page.html())
-    told = [text for tag, text in reader.texts if tag in ("h2", "p", "td", "pre")]
-    assert told == ["v", "Part 1", "One paragraph.", "1", "op3 view"]
-    assert "Gone" not in reader.text
-
-
 def test_a_ragged_table_is_refused():
     """A row of the wrong length is named."""
     with pytest.raises(ValueError, match="row 1 of the table has 1 cells, the header 2"):
         Page("t", "v").table(["a", "b"], [[1, 2], [3]])
 
 
-def test_provenance_stands_at_the_foot():
+def test_provenance_stands_at_the_foot(example):
     """Nested facts are one line in the footer."""
-    html = example().html()
+    html = example.html()
     assert html.index("<footer>") > html.index("</main>")
     assert "<dt>versions</dt><dd>torch 2.13.0</dd>" in html
 
@@ -178,9 +198,9 @@ def browse(path: Path, *options: str, dark: bool = False) -> str:
     ("dark", "clicks", "order"),
     [(False, 1, ["friction", "bias", "stiction"]), (True, 2, ["bias", "friction", "stiction"])],
 )
-def test_a_browser_draws_figures_in_both_schemes_and_sorts_tables(tmp_path, dark, clicks, order):
+def test_a_browser_draws_figures_in_both_schemes_and_sorts_tables(tmp_path, example, dark, clicks, order):
     """Figures take the colours of the scheme, the note that they are missing goes; a gap is last, whichever way."""
-    path = example().write(tmp_path / "index.html")
+    path = example.write(tmp_path / "index.html")
     path.write_text(path.read_text().replace("</body>", SORT.replace("CLICKS", str(clicks))))
     dom = browse(path, "--dump-dom", dark=dark)
     assert "main-svg" in dom
@@ -193,10 +213,10 @@ def test_a_browser_draws_figures_in_both_schemes_and_sorts_tables(tmp_path, dark
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium here")
 @pytest.mark.parametrize("dark", [False, True])
-def test_a_phone_shows_the_whole_page_in_the_colours_of_its_scheme(tmp_path, dark):
+def test_a_phone_shows_the_whole_page_in_the_colours_of_its_scheme(tmp_path, example, dark):
     """Nothing is wider than the narrowest window of a browser without a screen, 500 pixels; the ground is the scheme's,
     and what stands on it is seen."""
-    path = example().write(tmp_path / "index.html")
+    path = example.write(tmp_path / "index.html")
     path.write_text(path.read_text().replace("</body>", WIDTH))
     picture = tmp_path / "phone.png"
     assert "<title>wide 500</title>" in browse(path, "--dump-dom", "--window-size=500,1200", dark=dark)

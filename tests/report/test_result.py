@@ -9,7 +9,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from op3.report import finish, read_result, write_result
+from op3.report import read_result, write_result
 from op3.report.result import flatten
 from op3.servo import Estimate
 
@@ -77,9 +77,3 @@ def test_what_is_no_plain_data_is_refused(tmp_path, values, match):
     """Keys must be texts, values plain data."""
     with pytest.raises(ValueError, match=match):
         write_result(tmp_path / "result.yaml", values)
-
-
-def test_finish_prints_page_then_result(capsys):
-    """The last two lines of an experiment are the two paths."""
-    finish("run/index.html", "run/result.yaml")
-    assert capsys.readouterr().out.splitlines()[-2:] == ["run/index.html", "run/result.yaml"]

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from op3.report.transfer_page import Transfer, story
+from op3.report import RunFolder, read_result
+from op3.report.transfer_page import Learned, Transfer, report_transfers
 
 
 def transfer(expected, actual, upright=(True,), walked=None):
@@ -45,72 +46,59 @@ def test_falls_on_the_way_to_the_end_pose_are_falls():
     assert one.achieved == f"{said}, and falls in 3 of 4 episodes, 3 of them on the way to the end pose"
 
 
+def told(folder: Path, transfers, learned=None, condition="reidentified", **more) -> str:
+    """The page of transfers."""
+    asked = {"task": "balance", "world": "robot_4", "condition": condition, "budget": "demo"}
+    timed = {"seconds": {"0_train": 10.0}, "processor_seconds": {"0_train": 17.0}}
+    run = RunFolder(folder, {"seed": 0})
+    report_transfers(transfers, learned or Learned(), run, asked=asked, **timed, **more)
+    return (folder / "index.html").read_text()
+
+
 def test_the_story_begins_with_the_outcome(tmp_path):
-    """The page says how the last transfer ended, and names both shares."""
-    transfers = [transfer([250.0], [100.0], [False]), transfer([250.0], [240.0])]
-    page = story(
-        tmp_path, transfers, {"0_train": 10.0}, condition="reidentified", budget="demo", provenance={"seed": 0}
-    )
-    text = page.write(tmp_path / "index.html").read_text()
+    """The page says how the last transfer ended, and names both shares; the numbers hold every transfer."""
+    failed, good = transfer([250.0], [100.0], [False]), transfer([250.0], [240.0])
+    text = told(tmp_path, [failed, good])
     share = "the robot reaches {} % of the return that simulation promised"
-    assert (
-        f"the policy succeeds: {share.format(96)}; at first, {share.format(40)}, and falls in 1 of 1 episodes." in text
-    )
+    at_first = f"the policy succeeds: {share.format(96)}; at first, {share.format(40)}, and falls in 1 of 1 episodes."
+    assert at_first in text
     assert "judged by 1 episodes, where the paper judges ten" in text
     assert "Learned in round" not in text
-    again = {
-        "condition": "reidentified",
-        "budget": "demo",
-        "provenance": {},
-        "what": "Balancing. The robot is real.",
-        "spared": True,
-    }
-    first = story(tmp_path, transfers[1:], {}, **again).write(tmp_path / "first.html").read_text()
+    numbers = read_result(tmp_path / "result.yaml")
+    assert (numbers["transfer_0.share"], numbers["transfer_1.success"], numbers["rounds"]) == (0.4, True, 1)
+    first = told(tmp_path, [good], Learned(spared=True), what="Balancing. The robot is real.")
     assert "Condition: reidentified, which was not needed. Balancing. The robot is real." in first
-    failed = story(tmp_path, transfers[:1], {}, condition="excitation_only", budget="demo", provenance={})
-    assert "The first transfer fails" in failed.write(tmp_path / "failed.html").read_text()
+    assert "The first transfer fails" in told(tmp_path, [failed], condition="excitation_only")
     walks = transfer([250.0], [240.0] * 10, [True] * 10, [True] * 7 + [False] * 3)
-    walking = story(tmp_path, [walks], {}, condition="excitation_only", budget="laptop", provenance={})
-    assert (
-        "The first transfer fails: 7 of 10 episodes walk to their end (95 %: 40 to 89 %)"
-        in walking.write(tmp_path / "walk.html").read_text()
-    )
+    said = "The first transfer fails: 7 of 10 episodes walk to their end (95 %: 40 to 89 %)"
+    assert said in told(tmp_path, [walks])
 
 
 def test_the_page_shows_films_and_what_was_learned(tmp_path):
     """Films of the first and the last transfer are on the page, as are distances and parameters."""
-    films = {}
-    for name in ("a", "b", "c"):
-        films[name] = tmp_path / f"{name}.mp4"
-        films[name].touch()
-    transfers = [
-        replace(transfer([250.0], [100.0]), film=films["a"], robot_film=films["b"]),
-        replace(
-            transfer([250.0], [240.0]),
-            film=films["c"],
-            robot_film=tmp_path / "missing.mp4",
-            began_with="the policy of round 0",
-        ),
-    ]
-    learned = {
+    films = {name: tmp_path / f"{name}.mp4" for name in ("a", "b", "c")}
+    for film in films.values():
+        film.touch()
+    first = replace(transfer([250.0], [100.0]), film=films["a"], robot_film=films["b"])
+    last = replace(transfer([250.0], [240.0]), film=films["c"], robot_film=tmp_path / "missing.mp4")
+    found = {
         **{f"{key}.{when}": value for key, value in (("distance", 2.0), ("fresh", 3.0), ("excitation", 0.5))
            for when in ("excitation_only", "reidentified")},
         "fresh.noise": 1.0,
         "normalised.excitation_only.torque_constant": 0.2,
         "normalised.reidentified.torque_constant": 0.3,
+        "accepted": False,
     }  # fmt: skip
-    page = story(tmp_path, transfers, {"0_train": 10.0}, condition="reidentified", budget="demo", provenance={},
-                 learned={1: {**learned, "accepted": False}}, named={1: "A spring is missing."},
-                 remarks=["One episode does not count."], processor_seconds={"0_train": 17.0},
-                 learning={"round 0": ([0, 1], [10.0, 20.0])}, following=["op3 view somewhere"])  # fmt: skip
-    text = page.write(tmp_path / "index.html").read_text()
+    learned = Learned({1: found}, {1: "A spring is missing."}, ["One episode does not count."])
+    transfers = [first, replace(last, began_with="the policy of round 0")]
+    text = told(
+        tmp_path, transfers, learned, learning={"round 0": ([0, 1], [10.0, 20.0])}, following=["op3 view somewhere"]
+    )
     for name in films:
         assert f'src="{name}.mp4"' in text
     assert "missing" not in text.replace("spring is missing", "")
-    assert "Learned in round 1" in text
-    told = ("A spring is missing.", "One episode does not count.", "the policy of round 0", "No candidate took")
-    for said in (*told, "op3 view somewhere", "while it was trained"):
+    for said in (
+        "Learned in round 1", "A spring is missing.", "One episode does not count.", "the policy of round 0",
+        "No candidate took", "op3 view somewhere", "while it was trained", "torque constant", "a distance of 1", "17",
+    ):  # fmt: skip
         assert said in text
-    assert "torque constant" in text
-    assert "a distance of 1" in text
-    assert "17" in text

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from op3.report import loss_table, number, parameter_table
+from op3.report.tables import loss_table, number, parameter_table, span
 from op3.servo import Estimate, RobotModel
 from op3.servo.effects import DirectionalEfficiency, Motor
 
@@ -23,6 +23,12 @@ def test_numbers_are_written_as_people_write_them(value, text):
 def test_a_written_number_is_near_the_number(value, digits):
     """Reading back loses no more than half a unit of the last digit."""
     assert float(number(value, digits)) == pytest.approx(value, rel=0.51 * 10 ** (1 - digits))
+
+
+def test_a_value_stands_with_its_interval_where_there_is_one():
+    """An estimate or three numbers; without an interval the value alone, without a value nothing."""
+    assert span(Estimate(0.7, 0.6512, 0.75)) == span((0.7, 0.6512, 0.75)) == "0.7 (0.651 to 0.75)"
+    assert (span((1.5, float("nan"), float("nan"))), span(None)) == ("1.5", None)
 
 
 def test_parameters_stand_with_unit_range_and_interval():

@@ -1,0 +1,50 @@
+"""The page of a diagnosis, from verdicts made by hand."""
+
+import pytest
+from report_logs import PageReader, squat_log
+
+from op3.diagnose import LogSplit, Verdict
+from op3.diagnose.verdict import Finding, JointGap, Rival
+from op3.report import RunFolder
+from op3.report.diagnosis import report_diagnosis
+from op3.servo import effect_class
+from op3.sim import load_model
+
+GAP = {
+    "before": 0.02, "before_interval": (0.01, 0.03), "after": 0.012, "after_interval": (0.01, 0.02), "floor": None,
+    "unit": "rad", "change": "less", "closure": None,
+}  # fmt: skip
+
+
+def told(folder, *findings: Finding, flagged: bool = False) -> str:
+    """The text of the page of a verdict."""
+    model = load_model("paper")
+    ranking = [{"effect": "backlash", "joints": ["l_knee"], "shared": False, "log_odds": 1.2}]
+    verdict = Verdict(
+        findings, {"l_knee": JointGap(0.02, 0.01, 0.005, 0.004, flagged, {})}, (), (), (), model, model,
+        gap={"joint/position": GAP}, ranking=ranking,
+    )  # fmt: skip
+    log = squat_log()
+    report_diagnosis(verdict, LogSplit((log,), (log,), (log,)), verdict.plain(), RunFolder(folder, {"seed": 0}))
+    return PageReader((folder / "index.html").read_text()).text
+
+
+def test_a_name_comes_with_its_rival_and_what_would_tell_them_apart(tmp_path):
+    """The lead says which experiment tells them apart; size and probability stand in the table."""
+    rival = Rival("dte", ("l_knee",), False, 0.3)
+    finding = Finding(
+        "backlash", ("l_knee",), False, "backlash", 0.021, "rad", (0.015, 0.027), 0.7, 5.0, alternatives=(rival,)
+    )
+    text = told(tmp_path, finding)
+    assert "What would tell backlash from its rivals" in text
+    assert "0.021 (0.015 to 0.027) rad" in text
+    assert "dte in l_knee, 0.30" in text
+    assert "before 0.02" in text
+
+
+@pytest.mark.parametrize("flagged", [True, False])
+def test_what_was_abstained_from_is_said_first_with_what_would_settle_it(tmp_path, flagged):
+    """A joint that nothing explains leaves the likeliest effect with its experiment; nothing missing names none."""
+    text = told(tmp_path, flagged=flagged)
+    wanted = f"what would settle the likeliest, backlash in l_knee: {effect_class('backlash').separating_experiment}"
+    assert (wanted in text) == flagged

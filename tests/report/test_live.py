@@ -1,0 +1,85 @@
+"""A log that grows is shown while it does, on a terminal as well."""
+
+import os
+import pty
+import subprocess
+import sys
+import threading
+import time
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from op3.report import live
+from op3.report.tracks import Tracks, scene_of
+from op3.robot import squat
+from op3.rollout import Recorder, Rollout
+from op3.sim import load_model
+from op3.tasks import play, squat_task
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def log() -> Rollout:
+    """Two seconds in the stand."""
+    return play(squat_task(load_model("paper"), squat(duration=2.0), mount="stand"))
+
+
+def record(log: Rollout, folder: Path) -> None:
+    """Write a log row by row, as a deployment does."""
+    with Recorder(folder, log.metadata, flush_interval=0.1) as recorder:
+        for row in range(log.rows):
+            recorder.append({key: log.array(key)[row] for key in log.channels})
+            time.sleep(0.004)
+
+
+def test_stretches_follow_one_another_to_the_end(log, tmp_path, monkeypatch):
+    """Two seconds come as stretches that begin where the last one ended, each with its ghost; then it is over."""
+    monkeypatch.setattr(live, "PATIENCE", (60.0, 10.0))
+    writer = threading.Thread(target=record, args=(log, tmp_path / "run" / "log"))
+    writer.start()
+    found = [tracks for tracks in live.stretches(tmp_path / "run", None) if tracks is not None]
+    writer.join()
+    ends = [(one.array("time")[0, 0], one.array("time")[-1, 0]) for one in (each.logs["measured"] for each in found)]
+    assert (ends[0][0], ends[-1][1]) == (log.array("time")[0, 0], log.array("time")[-1, 0])
+    assert all(before[1] == after[0] for before, after in pairwise(ends))
+    assert all(list(one.logs) == ["measured", "simulated"] for one in found)
+
+
+def test_a_line_tells_the_joint_that_differs_most(log):
+    """A ghost whose left knee is 0.2 rad ahead, of twenty joints: 10 mrad in the mean."""
+    knee, ahead = log.joints.index("l_knee"), {key: log.array(key).copy() for key in log.channels}
+    ahead["joint", "position"][:, knee] += 0.2
+    told = live.told(Tracks({"measured": log, "simulated": Rollout.from_arrays(ahead, log.metadata)}, scene_of(log)))
+    angle = np.degrees(log.array("joint/position")[-1, knee])
+    assert f"left knee: measured {angle:.1f} deg, simulated {angle + np.degrees(0.2):.1f} deg" in told
+    assert told.endswith("all joints 10.0 mrad apart")
+
+
+def test_op3_view_follows_a_run_on_a_terminal(log, tmp_path):
+    """Over a real terminal without a screen: a line per stretch while rows come in, and a film in the end."""
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-m", "op3", "view", "run", "live=true", "out=film.mp4", "speed=8", "hydra.run.dir=view"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        environment.pop(name, None)
+    process = subprocess.Popen(command, cwd=tmp_path, env=environment, stdin=theirs, stdout=theirs, stderr=theirs)
+    os.close(theirs)
+    record(log, tmp_path / "run" / "log")
+    said = b""
+    while chunk := _read(ours):
+        said += chunk
+    assert b"deg; all joints" in said
+    assert process.wait(60) == 0 or b"cannot render" in said, said
+    assert (tmp_path / "film.mp4").is_file() or b"cannot render" in said
+
+
+def _read(terminal: int) -> bytes:
+    """What a terminal has to say; nothing once its program has ended."""
+    try:
+        return os.read(terminal, 4096)
+    except OSError:
+        return b""
