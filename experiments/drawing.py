@@ -1,7 +1,6 @@
 """What the pictures of documents share: the look of their figures, frames side by side, and how large a file may be."""
 
 import io
-from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib
@@ -13,6 +12,8 @@ from op3.report.video import write_film
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 MOST = 100_000
 """Bytes of the largest picture of the documents."""
@@ -38,7 +39,7 @@ def panels(rows: int = 1, columns: int = 1, height: float = 3.0, width: float = 
     return plt.subplots(rows, columns, figsize=(width, height), **options)
 
 
-def drawn(figure: plt.Figure) -> Image.Image:
+def drawn(figure: Figure) -> Image.Image:
     """A figure as a picture."""
     data = io.BytesIO()
     figure.savefig(data)
@@ -46,7 +47,7 @@ def drawn(figure: plt.Figure) -> Image.Image:
     return Image.open(data).convert("RGB")
 
 
-def above(axis: plt.Axes) -> None:
+def above(axis: Axes) -> None:
     """A legend in one row over an axis, where it hides nothing."""
     axis.legend(ncol=4, loc="lower center", bbox_to_anchor=(0.5, 0.98))
 
@@ -62,8 +63,8 @@ def small(picture: Image.Image, path: Path) -> Path:
     return path
 
 
-def small_film(frames: Sequence[np.ndarray], path: Path, rate: float) -> Path:
-    """Write frames at a rate [Hz], as good as `MOST` lets them be."""
+def small_film(frames: np.ndarray, path: Path, rate: float) -> Path:
+    """Write frames ``[frame, height, width, 3]`` at a rate [Hz], as good as `MOST` lets them be."""
     for quality in (60, 40, 25, 12):
         if write_film(frames, path, rate, quality=quality).stat().st_size <= MOST:
             break

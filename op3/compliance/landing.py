@@ -61,7 +61,7 @@ def find_landings(traces: Traces, lengths: NDArray[np.int64]) -> Landings:
         traces: of the robots.
         lengths: milliseconds for which each robot's episode lasted, [sim].
     """
-    found: list[tuple[float, ...]] = []
+    found: list[tuple[Any, ...]] = []
     for robot, length in enumerate(lengths):
         for side in range(2):
             force, sole = traces.force[:length, robot, side], traces.sole[:length, robot, side]

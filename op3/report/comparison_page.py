@@ -174,8 +174,8 @@ def _runs_figure(
     for entry in entries:
         pairs = [(of[name].get(x), of[name].get(y)) for name in entry["runs"]]
         points[entry["variant"]] = tuple(zip(*(pair for pair in pairs if None not in pair), strict=True)) or ([], [])
-    titles = (title if "[" in title else f"{title} [-]" for title in (x_title, y_title))
-    return curves_figure(points, *titles, 380, "markers")
+    x_title, y_title = (title if "[" in title else f"{title} [-]" for title in (x_title, y_title))
+    return curves_figure(points, x_title, y_title, 380, "markers")
 
 
 def _places_figure(entries: Sequence[Mapping[str, Any]]) -> go.Figure | None:

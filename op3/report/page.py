@@ -92,7 +92,8 @@ class Page:
             self.figure(figures.get(name), more[0] if more else "")
         elif kind == "table":
             if tables.get(name, ((), ()))[1]:
-                self.table(*tables[name], *more[:1], *map(int, more[1:]))
+                header, rows = tables[name]
+                self.table(header, rows, more[0] if more else "", int(more[1]) if more[1:] else 4)
         elif kind in ("film", "file"):
             self._list(kind, name, *more)
         else:

@@ -128,7 +128,8 @@ def grid_figure(
         for label, (abscissae, ordinates, *ends) in curves.items():
             look: dict[str, Any] = dict(name=plain(label), legendgroup=label, **place)
             if ends:
-                _band(figure, abscissae, *ends, colour[label], **look)
+                low, high = ends
+                _band(figure, abscissae, low, high, colour[label], **look)
             figure.add_scatter(
                 x=abscissae, y=ordinates, mode=mode, line=dict(color=colour[label], width=2, shape=shape),
                 marker=dict(color=colour[label], size=7), showlegend=label not in told, hovertemplate="%{y:.4g}",
