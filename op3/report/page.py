@@ -228,7 +228,8 @@ def _line(value: Any) -> str:
 _OPTIONS: dict[str, Any] = dict(
     loader=jinja2.PackageLoader("op3.report"), trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
 )
-PROSE_TEMPLATES = jinja2.Environment(**_OPTIONS)  # its text is escaped when the page is written
+# its text is escaped when the page is written; what a template includes ends with a blank line
+PROSE_TEMPLATES = jinja2.Environment(keep_trailing_newline=True, **_OPTIONS)
 PROSE_TEMPLATES.filters |= {"number": _text, "words": words, "span": span, "ends": ends}
 _TEMPLATES = jinja2.Environment(autoescape=True, **_OPTIONS)
 _TEMPLATES.filters["inline"] = _inline
