@@ -40,7 +40,7 @@ def first_names(case: Path) -> dict[str, tuple[str, tuple[str, ...]] | None]:
     about = yaml.safe_load((case / "case.yaml").read_text())
     diagnosis = Diagnosis(load_model(about["base"]), split_logs(read_logs(case / "data"), seed=0))
     first, names = diagnosis.first_stage(), {}
-    search, joints = diagnosis.search, diagnosis.joints
+    search, joints = diagnosis.search, diagnosis.split.fit[0].joints
     assert search is not None
     for name, settings in variants().items():
         search.settings = search.reduction.settings = settings

@@ -36,7 +36,7 @@ def aliasing(diagnosis: Diagnosis, most: int = 60, *, planned: bool = False) -> 
         catalogue that shows each; ``alike``, pairs with their cosine and what would separate them, most alike first.
     """
     stage = diagnosis.first_stage(fitted=not planned)
-    joints, own = diagnosis.joints, len(stage.base.point)
+    joints, own = diagnosis.split.fit[0].joints, len(stage.base.point)
     left, whole = _left_by_base(stage.judge, stage, own)
     strength = np.sqrt(np.maximum(np.diag(left), 0.0))
     visibility = strength / np.sqrt(np.maximum(np.diag(whole), 1e-12))

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from op3.diagnose.coordinates import CHAIN, Coordinates, base_coordinates, other_forms, with_chain, with_setups
+from op3.diagnose.coordinates import BENCH, CHAIN, Coordinates, base_coordinates, other_forms, with_chain, with_setups
 from op3.diagnose.judge import Judge, Numbers, Posterior, State, evidence
 from op3.diagnose.reduction import Linear, Reduction
 from op3.diagnose.settings import SETTINGS, Settings
@@ -83,18 +83,12 @@ def fit_base(
     settings: Settings = SETTINGS,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Base:
-    """Fit a model's own numbers, its servos' spread and the chain of measurement, from several starts.
-
-    Args:
-        reduction: of the fitted windows.
-        model: from which it begins.
-        rng: of the search.
-        settings: tuned constants.
-        progress: called with the share done.
-    """
-    full = with_chain(with_setups(model, reduction.engine.lengths))
+    """Fit a model's own numbers, its servos' spread and the chain of measurement, from several starts."""
+    lengths = reduction.engine.lengths
+    full = with_chain(with_setups(model, lengths))
     forms = [full, *other_forms(full)]
-    coordinates = base_coordinates(full, reduction.engine.joints, reduction.moving)
+    priors = {**CHAIN, **BENCH} if lengths else CHAIN
+    coordinates = base_coordinates(full, reduction.engine.joints, reduction.moving, priors)
     found = search(reduction, coordinates, rng, lambda share: progress(0.5 * share))
     starts = [found, coordinates.start]
     ends = []
@@ -138,8 +132,7 @@ def search(
     strata = np.argsort(rng.random((len(shared), POPULATION)), 1).T + rng.random((POPULATION, len(shared)))
     x = ends[0] + strata / POPULATION * (ends[1] - ends[0])
     for k, i in enumerate(shared):  # the chain begins near what is usual
-        if coordinates.entries[i].parameter in CHAIN:
-            chain = CHAIN[coordinates.entries[i].parameter]
+        if (chain := {**CHAIN, **BENCH}.get(coordinates.entries[i].parameter)) is not None:
             drawn = np.clip(chain.usual + chain.spread * rng.standard_normal(POPULATION), bottom[k] + 1e-9, high[k])
             x[:, k] = np.log(drawn) if positive[k] else drawn
     for generation in range(GENERATIONS):

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from op3.servo import Parameter, RobotModel, catalogue
 from op3.servo.conditions import Condition, split_name
+from op3.servo.effects import LinkInertia
 
 SPREAD: Mapping[str, float] = {
     "torque_constant": 0.05,
@@ -39,6 +40,7 @@ class Chain:
         wide: standard deviation of the base's prior.
         most: largest value that the base may take.
         own: whether joints differ.
+        least: smallest value that the base may take, beside what physics allows.
     """
 
     usual: float
@@ -46,6 +48,7 @@ class Chain:
     wide: float
     most: float
     own: bool = False
+    least: float = -inf
 
 
 CHAIN: Mapping[str, Chain] = {
@@ -62,6 +65,13 @@ CHAIN: Mapping[str, Chain] = {
     "command_latency": Chain(0.004, 0.0015, 0.004, 0.03),
 }
 """What is part of every base, whatever the given model holds: expected values and how far they may lie from them."""
+
+BENCH: Mapping[str, Chain] = {
+    # no weight is a point: a ball of steel of 0.2 to 1 kg has k^2 = 2/5 r^2 = 1.3e-4 to 3.9e-4 m^2, the most compact
+    # there is; discs, screws and the arm add to it. With one weight it is not told from the rotor's inertia
+    "gyration_squared": Chain(2.5e-4, 1.5e-4, 2e-4, 1.5e-3, least=0.0),
+}
+"""What is part of every base of a bench."""
 
 FORMS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "dte": ("form", ("passive", "power")),
@@ -121,30 +131,11 @@ class Coordinates:
     def _all(self, field: str) -> np.ndarray:
         return np.array([getattr(entry, field) for entry in self.entries])
 
-    @property
-    def start(self) -> np.ndarray:
-        """Where a fit starts, ``[coordinate]``."""
-        return self._all("start")
-
-    @property
-    def low(self) -> np.ndarray:
-        """Smallest values, ``[coordinate]``."""
-        return self._all("low")
-
-    @property
-    def high(self) -> np.ndarray:
-        """Largest values, ``[coordinate]``."""
-        return self._all("high")
-
-    @property
-    def prior(self) -> np.ndarray:
-        """Expected values, ``[coordinate]``."""
-        return self._all("prior")
-
-    @property
-    def deviation(self) -> np.ndarray:
-        """Standard deviations of what is expected, ``[coordinate]``."""
-        return self._all("deviation")
+    start = property(lambda self: self._all("start"), doc="Where a fit starts, ``[coordinate]``.")
+    low = property(lambda self: self._all("low"), doc="Smallest values, ``[coordinate]``.")
+    high = property(lambda self: self._all("high"), doc="Largest values, ``[coordinate]``.")
+    prior = property(lambda self: self._all("prior"), doc="Expected values, ``[coordinate]``.")
+    deviation = property(lambda self: self._all("deviation"), doc="Standard deviations of these, ``[coordinate]``.")
 
     def penalties(self, points: np.ndarray) -> np.ndarray:
         """Squared distance in standard deviations of points ``[candidate, coordinate]`` from what is expected."""
@@ -201,7 +192,9 @@ def with_chain(model: RobotModel) -> RobotModel:
 
 
 def with_setups(model: RobotModel, lengths: Sequence[float]) -> RobotModel:
-    """The model with a zero of the encoder for each arm of a bench: each is mounted anew."""
+    """The model with the extent of a bench's weight, and a zero of the encoder for each arm: each is mounted anew."""
+    if lengths and "link_inertia" not in model.effect_names:
+        model = model.with_effect(LinkInertia(), {name: chain.usual for name, chain in BENCH.items()})
     if "encoder_offset" not in model.effect_names or len(set(lengths)) < 2:
         return model
     zero = model.value("encoder_offset")
@@ -221,7 +214,12 @@ def other_forms(model: RobotModel, names: Sequence[str] = tuple(FORMS)) -> list[
     return result[1:]
 
 
-def base_coordinates(model: RobotModel, joints: Sequence[str], moving: Sequence[bool] | None = None) -> Coordinates:
+def base_coordinates(
+    model: RobotModel,
+    joints: Sequence[str],
+    moving: Sequence[bool] | None = None,
+    priors: Mapping[str, Chain] = CHAIN,
+) -> Coordinates:
     """What is fitted before and beside every finding: the model's own parameters, the servos' spread, and the chain.
 
     A forward efficiency of a current-driven servo is left out: it cannot be told from the torque constant. So are
@@ -231,6 +229,7 @@ def base_coordinates(model: RobotModel, joints: Sequence[str], moving: Sequence[
         model: whose parameters, with its chain.
         joints: joint names.
         moving: which of them move; the others have no numbers of their own.
+        priors: numbers of which it is known what they are expected to be.
     """
     moving = [True] * len(joints) if moving is None else moving
     drive = next((getattr(e, "drive", "current") for e in model.effects if e.name == "motor"), "current")
@@ -240,8 +239,8 @@ def base_coordinates(model: RobotModel, joints: Sequence[str], moving: Sequence[
         for known in effect.parameters:
             if held or known.name == "controller_gain" or (known.name == "forward_efficiency" and drive == "current"):
                 continue
-            if known.name in CHAIN:
-                entries.extend(_chain(known, joints, moving))
+            if known.name in priors:
+                entries.extend(_chain(known, priors[known.name], joints, moving))
                 continue
             own = model.tensors(joints)[known.name][0].numpy()
             if np.ptp(own) > 1e-12:
@@ -290,8 +289,7 @@ def _together(known: Parameter, own: np.ndarray) -> list[Coordinate]:
     return [Coordinate(known.name, None, max(ends[0], -1.0), ends[1], 0.0, 0.0, 1.0, "scale")]
 
 
-def _chain(known: Parameter, joints: Sequence[str], moving: Sequence[bool]) -> list[Coordinate]:
-    chain = CHAIN[known.name]
-    low, high = max(known.least, -chain.most), min(known.most, chain.most)
+def _chain(known: Parameter, chain: Chain, joints: Sequence[str], moving: Sequence[bool]) -> list[Coordinate]:
+    low, high = max(known.least, chain.least, -chain.most), min(known.most, chain.most)
     places = [(j,) for j in range(len(joints)) if moving[j]] if chain.own and len(joints) > 1 else [None]
     return [Coordinate(known.name, place, low, high, chain.usual, chain.usual, chain.wide) for place in places]

@@ -12,13 +12,14 @@ from threadpoolctl import threadpool_limits
 from op3.diagnose.base import Base, at_point, doubts, fit_base, unfitted, untold, unusual
 from op3.diagnose.candidates import Candidate
 from op3.diagnose.coordinates import CHAIN
-from op3.diagnose.findings import Named, Search, Stage
+from op3.diagnose.findings import Search, Stage
 from op3.diagnose.reduction import Reduction
 from op3.diagnose.settings import SETTINGS, Settings
 from op3.diagnose.show import choose, show
 from op3.diagnose.split import LogSplit
 from op3.diagnose.unexplained import joint_gaps, lacking
 from op3.diagnose.verdict import LIKELY, Finding, Rival, Verdict, plain
+from op3.diagnose.whole_runs import on_whole_runs
 from op3.diagnose.windows import HELD, WindowResiduals
 from op3.servo import RobotModel, catalogue
 from op3.servo.conditions import split_name
@@ -93,11 +94,6 @@ class Diagnosis:
                 verdict = replace(verdict, gap=shown["gap"], loss=shown["loss"], shown=shown)
         return verdict
 
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """Of the logs."""
-        return self.split.fit[0].joints
-
     def first_stage(self, fitted: bool = True) -> Stage:
         """The judge around the base with nothing named; of simulated logs around the given model as it is."""
         with threadpool_limits(1):
@@ -152,13 +148,15 @@ class Diagnosis:
     # ---- the verdict --------------------------------------------------------------------------------------------
     def _verdict(self, given: RobotModel, reduction: Reduction) -> Verdict:
         first, last = self.stages[0], self.stages[-1]
-        models = [stage.base.model for stage in self.stages]
+        points = [on_whole_runs(stage.base, self.split.fit) for stage in self.stages]
+        models = [at_point(one.base.coordinates, point) for one, point in zip(self.stages, points, strict=True)]
         choice = choose(models, self.split.select) if len(models) > 1 else {"taken": 0, "left": [1.0], "channels": []}
         doubted = tuple(doubts(first.base, last.base))
         most = LIKELY if doubted or self._short else 1.0
         findings = [*self._named(reduction, choice["taken"], most), *self._of_base(given, reduction, last, most)]
-        stage = self.stages[choice["taken"]]
-        deviation = np.sqrt(np.diag(np.linalg.inv(stage.fit.precision)))[: len(stage.base.point)]
+        stage, point = self.stages[choice["taken"]], points[choice["taken"]]
+        deviation = np.sqrt(np.diag(np.linalg.inv(stage.fit.precision)))[: len(point)]
+        deviation = np.hypot(deviation, point - stage.base.point)  # windows and whole runs disagree by so much
         shown = show(models[0], models[choice["taken"]], self.split, self.seed)
         return Verdict(
             tuple(sorted(findings, key=lambda finding: -finding.probability)),
@@ -167,7 +165,7 @@ class Diagnosis:
             tuple(untold(first.base)),
             self._cannot_tell(reduction),
             models[0],
-            at_point(stage.base.coordinates, stage.base.point, deviation),
+            at_point(stage.base.coordinates, point, deviation),
             choice,
             shown["gap"],
             shown["loss"],
@@ -208,7 +206,9 @@ class Diagnosis:
             both = zip(one.rivals, share[1:], strict=True)
             rivals = tuple(_rival(candidate, joints, float(part)) for (candidate, _), part in both)
             known = one.candidate.model.parameters()[entries[i].parameter]
-            size, half = self._size(stage, one, i), QUANTILE * float(np.sqrt(self.settings.temperature * variance[i]))
+            # what it adds to the neutral value, or to what its joints have by themselves
+            size = float(stage.base.point[i] + (known.neutral or 0.0))
+            half = QUANTILE * float(np.sqrt(self.settings.temperature * variance[i]))
             made = stage.base.linear.base[i] * (stage.base.point[i] / max(abs(stage.base.point[i]), 1e-12))
             torque = np.sqrt(np.square(made[..., reduction.kinds == 0]).mean((1, 2))) * abs(stage.base.point[i])
             torque = torque / 2 * reduction.unit  # the mean of four pieces is half of their turned sum
@@ -233,12 +233,6 @@ class Diagnosis:
                 )
             )
         return result
-
-    @staticmethod
-    def _size(stage: Stage, one: Named, i: int) -> float:
-        """Its parameter's value: what it adds to the neutral one, or to what its joints have by themselves."""
-        known = one.candidate.model.parameters()[one.coordinate.parameter]
-        return float(stage.base.point[i] + (known.neutral or 0.0))
 
     def _of_base(self, given: RobotModel, reduction: Reduction, stage: Stage, most: float) -> list[Finding]:
         """Numbers of the chain of measurement that are far from what is usual, or from what the given model says."""

@@ -117,14 +117,7 @@ def _torques(rows: Rows, own: int, count: int) -> np.ndarray:
 
 
 class Search:
-    """Looks for effects that a base lacks.
-
-    Args:
-        reduction: of the fitted windows.
-        without: names of effects not to consider.
-        settings: tuned constants.
-        progress: called with the share done.
-    """
+    """Looks for effects that a base lacks, but for those `without` which it has to do."""
 
     def __init__(
         self,
@@ -287,13 +280,7 @@ class Search:
         return self._stage(base, named, found, {one.key: columns[one.key] for one in _parts(found)}, base.fit.state)
 
     def told(self, stage: Stage, effect: str, joints: Sequence[str]) -> Stage:
-        """The stage with an effect that is known to be there; as it is where the catalogue lacks it.
-
-        Args:
-            stage: to which it is added.
-            effect: its name.
-            joints: where; none or all for all joints alike.
-        """
+        """The stage with an effect that is known to be there, in some joints or in all; the same if none has it."""
         names = self.reduction.engine.joints
         where = None if not joints or set(joints) >= set(names) else tuple(sorted(names.index(j) for j in joints))
         odds = stage.judge.scores(stage.fit)

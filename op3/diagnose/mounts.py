@@ -49,9 +49,6 @@ def on_other_mounts(
 ) -> dict[str, dict[str, Any]]:
     """Gap and loss under two models on logs that neither was fitted to, by mount.
 
-    Only the first `BEGINNING` seconds of each are simulated: a free run of a robot on its feet that has gone astray
-    says nothing of what comes later.
-
     Args:
         before: the refitted base.
         after: the model with what was named.

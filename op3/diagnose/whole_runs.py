@@ -1,0 +1,57 @@
+"""Numbers refitted on whole runs: windows of a fifth of a second tell laws apart, whole runs tell how large they are.
+
+A hundredth of inertia or of friction is lost in a window among what its sensors make of noise; over the seconds of a
+free swing it adds up. What whole runs do not tell stays as the windows say it.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from op3.diagnose.base import Base
+from op3.diagnose.show import settle_time
+from op3.diagnose.windows import LENGTH
+from op3.identify.loss import TrajectoryLoss, position_error
+from op3.identify.refine import refine
+from op3.rollout import Rollout
+from op3.tasks import Replay
+from op3.tasks.setups import BENCH_CONTROL_PERIOD
+
+AFFORDABLE = 1e4
+"""Time of all joints in all runs and parameter sets of a Jacobian beyond which runs are not simulated whole [s]."""
+
+REACH = 50.0
+"""Standard deviations of the windows by which a number may move: what they model wrong is no noise."""
+
+
+def on_whole_runs(base: Base, logs: Sequence[Rollout]) -> np.ndarray:
+    """The point of a base at which it predicts the angles of whole runs best, by its shared numbers.
+
+    Differences beyond the median count less than their squares (pseudo-Huber), as in some runs something else happens.
+    A window's length counts as one reading, the windows' numbers as a prior, as wide as the base's own.
+    """
+    coordinates, at = base.coordinates, [i for i, e in enumerate(base.coordinates.entries) if e.joints is None]
+    step = BENCH_CONTROL_PERIOD * (1 if coordinates.model.stiff else 2)
+    replay = Replay(logs, settle=settle_time(logs), bench_timestep=step, num_threads=1)
+    if replay.seconds * len(logs[0].joints) * (len(at) + 1) > AFFORDABLE:
+        return base.point
+    first = replay.run(coordinates.model, coordinates.values(base.point[None]))
+    loss = TrajectoryLoss(weights={("joint", "position"): 1.0}, robust_scale=float(position_error(first).median()))
+    reading = np.sqrt(float(loss(first)[0]) / sum(log.duration for log in logs) * LENGTH)
+    reach = REACH * np.sqrt(np.diag(np.linalg.inv(base.fit.precision)))[at]
+    low = np.maximum(coordinates.low[at], base.point[at] - reach)
+    high = np.minimum(coordinates.high[at], base.point[at] + reach)
+
+    def residuals(unit: torch.Tensor) -> torch.Tensor:
+        points = np.tile(base.point, (len(unit), 1))
+        points[:, at] = low + unit.numpy() * (high - low)
+        away = (points - base.point)[:, at] / coordinates.deviation[at] * reading
+        predictions = replay.run(coordinates.model, coordinates.values(points), len(points))
+        return torch.cat([loss.residuals(predictions), torch.from_numpy(away)], 1)
+
+    bounds = {str(i): (float(a), float(b)) for i, a, b in zip(at, low, high, strict=True)}
+    found = refine(residuals, bounds, [{str(i): float(base.point[i]) for i in at}], max_iterations=8)
+    point = base.point.copy()
+    point[at] = list(found.values.values())
+    return point
