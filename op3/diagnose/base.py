@@ -220,12 +220,7 @@ def at_point(coordinates: Coordinates, point: np.ndarray, deviation: np.ndarray 
 
 
 def doubts(base: Base, last: Base | None = None) -> list[str]:
-    """Numbers at a bound, and optima that the logs like alike.
-
-    Args:
-        base: before anything is named.
-        last: with what was named: a number that an effect had driven to its bound comes back once it has its name.
-    """
+    """Numbers at a bound once what drove them there has its name (`last`), and optima that the logs like alike."""
     result, last = [], last or base
     known, effects = last.coordinates.model.parameters(), last.coordinates.model.effects
     of = {one.name: effect for effect in effects for one in effect.parameters}

@@ -15,10 +15,6 @@ def suited(model: RobotModel, logs: Sequence[Rollout]) -> RobotModel:
 
     A servo that closes the position loop in its firmware cannot be simulated by a PD that commands current.
 
-    Args:
-        model: that was given.
-        logs: to be diagnosed.
-
     Raises:
         LogError: if the logs name a servo of which there is no model.
     """

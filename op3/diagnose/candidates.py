@@ -133,14 +133,8 @@ def candidates(
 ) -> list[Candidate]:
     """Every effect of the catalogue that logs of a robot with a held base could show, in every place.
 
-    Left out is what the base has as its own numbers: the chain of measurement, and for all joints alike what it fits.
-
-    Args:
-        model: the base's model, its values fitted.
-        joints: names.
-        moving: which of them move.
-        mirror: partners of joints on the other side; those without one are left out.
-        without: names of effects not to consider.
+    Left out is what the base has as its own numbers: the chain of measurement, and for all joints alike what it fits;
+    and effects `without` which it has to do.
     """
     found: list[Candidate] = []
     for name, effect in catalogue().items():

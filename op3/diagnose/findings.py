@@ -68,14 +68,7 @@ def numbers_of(
     """Priors of the base's numbers and of the candidates.
 
     A spike is what makes so much torque, root mean square over the joints that feel it; the secants of one effect in
-    one place share it.
-
-    Args:
-        base: the fit.
-        found: candidates.
-        parts: keys of those in one joint or in all, of which the others are sums.
-        rows: with their columns behind the base's.
-        settings: tuned constants.
+    one place share it. Parts are keys of candidates in one joint or in all, of which the others are sums.
     """
     own, number = base_numbers(base.coordinates, base.point), {key: i for i, key in enumerate(parts)}
     model = base.model

@@ -162,13 +162,8 @@ class Judge:
         return sums
 
     def fit(self, named: Sequence[int] = (), state: State | None = None, rounds: int = 4) -> Posterior:
-        """Numbers and variances with these candidates as findings, from a state on.
-
-        Args:
-            named: candidates that are there as much as the slab allows, beside their spikes.
-            state: where expectation-maximisation starts.
-            rounds: of it.
-        """
+        """Numbers and variances by rounds of expectation-maximisation from a state on, some candidates named: there as
+        much as the slab allows, beside their spikes."""
         n, sums, given = self.numbers, self.sums(named), state or self.start
         state = given.copy()
         mean = np.concatenate([n.mean, np.zeros(len(named))])
@@ -270,12 +265,7 @@ class Judge:
         return self._gram(state)[0][1:, 1:]
 
     def misfit(self, measured: np.ndarray, fit: Posterior) -> float:
-        """Minus two log likelihood (but for constants) of other rows under a fit's variances, laws integrated out.
-
-        Args:
-            measured: ``[joint, window, row]``.
-            fit: whose variances hold.
-        """
+        """Minus two log likelihood (but for constants) of other rows ``[joint, window, row]``, as noisy as a fit's."""
         total = 0.0
         for j, f in enumerate(self._f):
             variance = self.variance(j, fit.state).ravel()

@@ -49,12 +49,6 @@ def on_other_mounts(
 ) -> dict[str, dict[str, Any]]:
     """Gap and loss under two models on logs that neither was fitted to, by mount.
 
-    Args:
-        before: the refitted base.
-        after: the model with what was named.
-        others: logs by mount.
-        seed: of the bootstrap.
-
     Returns:
         By mount ``logs``, how many; ``seconds`` of the longest; ``gap`` and ``loss`` as of a verdict.
     """

@@ -148,11 +148,7 @@ class Reduction:
     ) -> Linear:
         """What the base leaves, its numbers' columns, and the reduction, around a point.
 
-        Args:
-            coordinates: the base's numbers.
-            point: where they are.
-            reduced: whose reduction is kept; None for one of its own.
-            moved_as: whose columns are kept of the numbers that both have; None for all anew.
+        Kept are the reduction of `reduced`, and of `moved_as` the columns of the numbers that both have.
         """
         known = {} if moved_as is None else dict(zip(moved_as.coordinates.entries, moved_as.base, strict=True))
         entries = coordinates.entries
@@ -336,13 +332,8 @@ class Reduction:
 
     # ---- rows ---------------------------------------------------------------------------------------------------
     def rows(self, linear: Linear, columns: Sequence[np.ndarray], like: Rows | None = None) -> Rows:
-        """Everything the judge needs, of the base and the candidates' columns.
-
-        Args:
-            linear: the windows around the base.
-            columns: of candidates in one joint or in all, ``[joint, window, row]`` each.
-            like: whose variances are kept, so that evidences compare.
-        """
+        """Everything the judge needs, of the base and columns ``[joint, window, row]`` of candidates in one joint or in
+        all; variances are kept of those that it is to be `like`, so that evidences compare."""
         torque = self.kinds < 2
         spread = np.concatenate([one.T for one in linear.variance])  # [joint, window]
         known = (spread < UNKNOWN) & self.moving[self.judged][:, None]

@@ -57,10 +57,6 @@ def split_logs(logs: Sequence[Rollout], seed: int = 0) -> LogSplit:
     kind of motion (its name without a number at the end) is chosen by until a quarter is reached. With fewer than
     five runs, each is cut in time: the first 60 % fit, then 20 % choose, 20 % show. Logs of the same numbers are one.
 
-    Args:
-        logs: all logs of one robot.
-        seed: of the choice among runs of one kind.
-
     Raises:
         LogError: if no log is long enough.
     """

@@ -289,12 +289,8 @@ class WindowResiduals:
         return [(dict(zip(fields, key, strict=True)), at) for key, at in mine.items()]
 
     def by_window(self, values: np.ndarray, end: bool = False) -> np.ndarray:
-        """What lies along the motion of all windows, ``[row, ...]``, as ``[window, tick, ...]`` without their leads.
-
-        Args:
-            values: of all rows.
-            end: whether the tick at which a window ends is one of them.
-        """
+        """What lies along the motion of all windows, ``[row, ...]``, as ``[window, tick, ...]`` without their leads; if
+        asked with the tick at which a window ends."""
         windows = values.reshape(len(self.windows), PREROLL + self.ticks + 1, *values.shape[1:])
         return windows[:, PREROLL : None if end else -1]
 
