@@ -14,6 +14,7 @@ from op3.diagnose.show import settle_time
 from op3.diagnose.windows import LENGTH
 from op3.identify.loss import TrajectoryLoss, position_error
 from op3.identify.refine import refine
+from op3.identify.sensitivity import Box
 from op3.rollout import Rollout
 from op3.tasks import Replay
 from op3.tasks.setups import BENCH_CONTROL_PERIOD
@@ -37,7 +38,10 @@ def on_whole_runs(base: Base, logs: Sequence[Rollout]) -> np.ndarray:
     if replay.seconds * len(logs[0].joints) * (len(at) + 1) > AFFORDABLE:
         return base.point
     first = replay.run(coordinates.model, coordinates.values(base.point[None]))
-    loss = TrajectoryLoss(weights={("joint", "position"): 1.0}, robust_scale=float(position_error(first).median()))
+    usual = float(position_error(first).nanmedian())
+    if not usual > 0.0:  # all diverged, or nothing is left
+        return base.point
+    loss = TrajectoryLoss(weights={("joint", "position"): 1.0}, robust_scale=usual)
     reading = np.sqrt(float(loss(first)[0]) / sum(log.duration for log in logs) * LENGTH)
     reach = REACH * np.sqrt(np.diag(np.linalg.inv(base.fit.precision)))[at]
     low = np.maximum(coordinates.low[at], base.point[at] - reach)
@@ -50,8 +54,7 @@ def on_whole_runs(base: Base, logs: Sequence[Rollout]) -> np.ndarray:
         predictions = replay.run(coordinates.model, coordinates.values(points), len(points))
         return torch.cat([loss.residuals(predictions), torch.from_numpy(away)], 1)
 
-    bounds = {str(i): (float(a), float(b)) for i, a, b in zip(at, low, high, strict=True)}
-    found = refine(residuals, bounds, [{str(i): float(base.point[i]) for i in at}], max_iterations=8)
-    point = base.point.copy()
+    box, point = Box(tuple(map(str, at)), low, high - low), base.point.copy()
+    found = refine(residuals, box, [{str(i): float(point[i]) for i in at}], max_iterations=8)
     point[at] = list(found.values.values())
     return point
