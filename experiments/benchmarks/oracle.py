@@ -7,14 +7,28 @@ diagnosis, and the gap is shown on the same unseen runs.
 """
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
 import yaml
 
 from op3.diagnose import Diagnosis, show, split_logs
+from op3.diagnose.findings import Named, Search, Stage
 from op3.rollout import read_logs
 from op3.sim import load_model
+
+
+def told(search: Search, stage: Stage, effect: str, joints: Sequence[str] | None) -> Stage:
+    """The stage with an effect that is known to be there; as it is where the catalogue lacks it."""
+    names = search.reduction.engine.joints
+    place = effect, None if joints is None else tuple(sorted(names.index(joint) for joint in joints))
+    odds = stage.judge.scores(stage.fit)
+    mine = [i for i, one in enumerate(stage.found) if one.place == place]
+    if not mine:
+        return stage
+    found, base, candidate, coordinate = search._refitted(stage, [max(mine, key=lambda i: float(odds[i]))])[0]
+    return search._around(stage, base, (*stage.named, Named(candidate, coordinate, found, ())))
 
 
 def main(data: str, base: str, answer: str, run: str) -> None:
@@ -25,7 +39,7 @@ def main(data: str, base: str, answer: str, run: str) -> None:
     first = last = diagnosis.first_stage()
     assert diagnosis.search is not None
     for one in hidden:
-        last = diagnosis.search.told(last, one["name"], () if one["shared"] else one["joints"])
+        last = told(diagnosis.search, last, one["name"], None if one["shared"] else one["joints"])
     shown = show(first.base.model, last.base.model, diagnosis.split)
     known = [{"name": one.candidate.effect.name} for one in last.named]
     content = {"effects": known, "gap": shown["gap"], "loss": shown["loss"]}

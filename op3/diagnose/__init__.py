@@ -1,7 +1,6 @@
 """Locate where simulation and logs disagree, name the missing effect, add it, show the gap shrink."""
 
 from op3.diagnose.aliasing import aliasing
-from op3.diagnose.bench_model import suited
 from op3.diagnose.coordinates import with_chain
 from op3.diagnose.diagnosis import Diagnosis
 from op3.diagnose.mounts import diagnosed_mount, on_other_mounts
@@ -10,6 +9,7 @@ from op3.diagnose.show import show
 from op3.diagnose.split import LogSplit, split_logs
 from op3.diagnose.verdict import Finding, Verdict
 from op3.diagnose.windows import WindowResiduals
+from op3.identify.bench_model import suited
 
 __all__ = [
     "Diagnosis",

@@ -10,7 +10,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from op3.diagnose.coordinates import BENCH, CHAIN, Coordinates, base_coordinates, other_forms, with_chain, with_setups
+from op3.diagnose.coordinates import (
+    BENCH,
+    CHAIN,
+    Coordinates,
+    base_coordinates,
+    other_forms,
+    with_chain,
+    with_own_spread,
+    with_setups,
+)
 from op3.diagnose.judge import Judge, Numbers, Posterior, State, evidence
 from op3.diagnose.reduction import Linear, Reduction
 from op3.diagnose.settings import SETTINGS, Settings
@@ -20,11 +29,11 @@ from op3.servo.conditions import split_name
 POPULATION, ELITE, GENERATIONS = 80, 12, 5
 """Of the search: points in a generation, those that make the next, and generations."""
 
-STEPS = 4
+STEPS = 12
 """Gauss-Newton steps at most from each start."""
 
-SHARES = (1.0, 0.6, 0.3, 0.1)
-"""Parts of a step that are tried at once."""
+DAMPING = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)
+"""Dampings of a step that are tried at once, as shares of each number's curvature."""
 
 SETTLED = 8.0
 """Gain in minus two log posterior below which a base no longer moves."""
@@ -33,7 +42,7 @@ AT_BOUND = 0.001
 """Share of its range within which a number is at its bound."""
 
 SAME_OPTIMUM, APART = 20.0, 0.15
-"""Bases apart by less in minus two log evidence, and by more of a shared number's range, are two optima."""
+"""Bases apart by less in minus two log posterior, and by more of a shared number's range, are two optima."""
 
 UNTOLD = 0.8
 """Share of its prior standard deviation that a shared number keeps if the logs do not tell it."""
@@ -46,13 +55,11 @@ class Base:
     Attributes:
         linear: the windows around it.
         fit: of the judge, its numbers alone.
-        misfit: minus two log evidence.
-        others: of other starts that ended elsewhere and as well.
+        others: ends of other starts, and by how much worse they are in minus two log posterior.
     """
 
     linear: Linear
     fit: Posterior
-    misfit: float
     others: tuple[tuple[np.ndarray, float], ...] = ()
 
     @property
@@ -73,7 +80,8 @@ class Base:
 
 def base_numbers(coordinates: Coordinates, point: np.ndarray) -> Numbers:
     """Priors of the base's numbers as steps from a point."""
-    return Numbers(coordinates.prior - point, coordinates.deviation)
+    least, most = coordinates.low - point, coordinates.high - point
+    return Numbers(coordinates.prior - point, coordinates.deviation, least=least, most=most)
 
 
 def fit_base(
@@ -90,14 +98,22 @@ def fit_base(
     priors = {**CHAIN, **BENCH} if lengths else CHAIN
     coordinates = base_coordinates(full, reduction.engine.joints, reduction.moving, priors)
     found = search(reduction, coordinates, rng, lambda share: progress(0.5 * share))
-    starts = [found, coordinates.start]
-    ends = []
-    for number, start in enumerate(starts):
-        ends.append(settle(reduction, coordinates, start, settings, forms))
-        progress(0.5 + 0.5 * (number + 1) / len(starts))
-    ends.sort(key=lambda base: base.misfit)
-    best = ends[0]
-    return replace(best, others=tuple((one.point, one.misfit - best.misfit) for one in ends[1:]))
+    first = settle(reduction, coordinates, found, settings, forms)
+    own, point = with_own_spread(first.coordinates, first.point, settings)
+    first = settle(reduction, own, point, settings, state=first.fit.state)
+    progress(0.8)
+    again = replace(coordinates, entries=own.entries)
+    second = settle(reduction, again, again.start, settings, forms, known=first.point)
+    if not far_apart(coordinates, second.point, first.point):
+        return first
+    # a misfit depends on how windows are reduced: both ends are judged as the first
+    judge = Judge(reduction.rows(first.linear, ()), base_numbers(first.coordinates, first.point), settings)
+    misfits = [
+        float(cost_of(reduction, judge, first.fit, first.linear, one.coordinates, one.point[None])[0])
+        for one in (first, second)
+    ]
+    best, other = (first, second) if misfits[0] <= misfits[1] else (second, first)
+    return replace(best, others=((other.point, abs(misfits[1] - misfits[0])),))
 
 
 def unfitted(reduction: Reduction, model: RobotModel, settings: Settings = SETTINGS) -> Base:
@@ -162,11 +178,13 @@ def settle(
     steps: int = STEPS,
     state: State | None = None,
     like: Linear | None = None,
+    known: np.ndarray | None = None,
 ) -> Base:
     """Gauss-Newton from a point until the base no longer moves; other forms of its laws are tried on the way.
 
-    With a linearisation that it is to be `like`, its reduction is kept, so that evidences compare, and its columns of
-    numbers that both have, which decide little where a fit ends.
+    A fit that comes near an end that is `known` is not followed further. With a linearisation that it is to be `like`,
+    its reduction is kept, so that evidences compare, and its columns of numbers that both have, which decide little
+    where a fit ends.
     """
     point, linear = np.clip(point, coordinates.low, coordinates.high), None
     number, done = 0, steps == 0
@@ -177,7 +195,7 @@ def settle(
         state = fit.state
         if done:
             break
-        tried = np.stack([point, *(point + share * fit.mean for share in SHARES)])
+        tried = np.stack([point, *(point + step for step in damped(fit, judge.numbers))])
         tried = np.clip(tried, coordinates.low, coordinates.high)
         options = [(coordinates, tried)]
         if number in (1, 3):
@@ -187,9 +205,27 @@ def settle(
         pick = min(range(len(costs)), key=lambda i: float(costs[i].min()))
         gained = costs[0][0] - costs[pick].min()
         coordinates, point = options[pick][0], options[pick][1][int(costs[pick].argmin())]
+        if known is not None and not far_apart(coordinates, point, known):
+            return Base(replace(linear, point=point), fit)
         number += 1
         done = number == steps or gained < SETTLED
-    return Base(linear, fit, -2.0 * fit.evidence)
+    return Base(linear, fit)
+
+
+def damped(fit: Posterior, numbers: Numbers) -> list[np.ndarray]:
+    """Steps of Gauss and Newton, less and less bold (Levenberg 1944, Marquardt 1963); what would leave its range stays.
+
+    Where joints stick, the numbers that the logs tell little of are those that lead astray: a shorter step in all of
+    them does not help.
+    """
+    pull = fit.precision @ fit.mean
+    free = np.flatnonzero(~((numbers.least >= 0) & (pull < 0) | (numbers.most <= 0) & (pull > 0)))
+    inner, result = fit.precision[np.ix_(free, free)], []
+    for damping in DAMPING:
+        step = np.zeros(len(pull))
+        step[free] = np.linalg.solve(inner + damping * np.diag(np.diag(inner)), pull[free])
+        result.append(step)
+    return result
 
 
 def cost_of(
@@ -232,17 +268,19 @@ def doubts(base: Base, last: Base | None = None) -> list[str]:
             said = f"{entry.parameter} is at its {'smallest' if low else 'largest'} plausible value, {value:.3g}"
             pinned = of[one.name].separating_experiment
             result.append(said + (f" (what pins it: {pinned})" if pinned else ""))
-    span = base.coordinates.high - base.coordinates.low
     for point, gap in base.others:
-        apart = np.abs(point - base.point) > APART * span
-        far = [
-            one.parameter for one, is_far in zip(base.coordinates.entries, apart, strict=True) if one.shared and is_far
-        ]
+        far = far_apart(base.coordinates, point, base.point)
         if gap < SAME_OPTIMUM and far:
             result.append(
-                f"another start ends as well ({gap:.1f} apart in -2 log evidence) with other {', '.join(far)}"
+                f"another start ends as well ({gap:.1f} apart in -2 log posterior) with other {', '.join(far)}"
             )
     return result
+
+
+def far_apart(coordinates: Coordinates, one: np.ndarray, other: np.ndarray) -> list[str]:
+    """Shared numbers in which two points differ by more than `APART`."""
+    far = np.abs(one - other) > APART * (coordinates.high - coordinates.low)
+    return [entry.parameter for entry, is_far in zip(coordinates.entries, far, strict=True) if entry.shared and is_far]
 
 
 def untold(base: Base) -> list[str]:

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from op3.diagnose.settings import Settings
 from op3.servo import Parameter, RobotModel, catalogue
 from op3.servo.conditions import Condition, split_name
 from op3.servo.effects import LinkInertia
@@ -24,6 +25,9 @@ gear trains differs by a tenth to a fifth from one to the next (BAM, Duclusaud e
 
 SPREAD_LIMIT = 3.0
 """Standard deviations that a joint may differ in the base; what differs more is a fault, and a candidate."""
+
+NORMAL_MEDIAN = 0.6745
+"""Median of the magnitude of a standard normal number."""
 
 WIDEST = 10.0
 """How many times smaller or larger than given a parameter may be that lies outside the catalogue's range: between the
@@ -263,6 +267,36 @@ def base_coordinates(
                 if moving[j]
             ]
     return Coordinates(model, tuple(joints), tuple(entries))
+
+
+def with_own_spread(coordinates: Coordinates, point: np.ndarray, settings: Settings) -> tuple[Coordinates, np.ndarray]:
+    """Numbers of servos that differ as most of this robot's do: what any make may have hides a fault.
+
+    Medians are what most servos have, whatever one of them does. What they have in common goes to the shared number.
+
+    Args:
+        coordinates: of a base.
+        point: where it is, ``[coordinate]``.
+        settings: tuned constants.
+
+    Returns:
+        The numbers, and the same base in them.
+    """
+    entries, point, weight = list(coordinates.entries), point.copy(), 1 / settings.law_spread**2
+    for name, usual in SPREAD.items():
+        mine = [i for i, entry in enumerate(entries) if entry.parameter == name]
+        own = [i for i in mine if entries[i].kind == "scale" and entries[i].joints is not None]
+        if not own:
+            continue
+        middle = float(np.median(point[own]))
+        apart = max(float(np.median(np.abs(point[own] - middle))) / NORMAL_MEDIAN, 1e-3)
+        deviation = float(np.exp((len(own) * np.log(apart) + weight * np.log(usual)) / (len(own) + weight)))
+        reach = SPREAD_LIMIT * deviation
+        for i in own:
+            entries[i] = replace(entries[i], low=-reach, high=reach, deviation=deviation)
+        point[own] = (1 + point[own]) / (1 + middle) - 1
+        point[[i for i in mine if entries[i].kind == "value" and entries[i].joints is None]] *= 1 + middle
+    return replace(coordinates, entries=tuple(entries)), point
 
 
 def _range(known: Parameter, value: float) -> tuple[float, float]:

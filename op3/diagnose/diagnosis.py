@@ -145,7 +145,6 @@ class Diagnosis:
         shown = show(model, model, self.split, self.seed)
         return Verdict((), {}, (), (), (why,), model, model, gap=shown["gap"], loss=shown["loss"], shown=shown)
 
-    # ---- the verdict --------------------------------------------------------------------------------------------
     def _verdict(self, given: RobotModel, reduction: Reduction) -> Verdict:
         first, last = self.stages[0], self.stages[-1]
         points = [on_whole_runs(stage.base, self.split.fit) for stage in self.stages]

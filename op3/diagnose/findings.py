@@ -65,7 +65,7 @@ class Stage:
 def numbers_of(
     base: Base, found: Sequence[Candidate], parts: Sequence[tuple], rows: Rows, settings: Settings = SETTINGS
 ) -> Numbers:
-    """Priors of the base's numbers and of the candidates.
+    """Priors of the base's numbers and of the candidates, of which those with keys in `parts` have columns in the rows.
 
     A spike is what makes so much torque, root mean square over the joints that feel it; the secants of one effect in
     one place share it. Parts are keys of candidates in one joint or in all, of which the others are sums.
@@ -93,6 +93,8 @@ def numbers_of(
         low,
         high,
         np.where(seen, place_priors(found), -np.inf),
+        np.concatenate([own.least, np.full(len(parts), -np.inf)]),
+        np.concatenate([own.most, np.full(len(parts), np.inf)]),
     )
 
 
@@ -174,23 +176,23 @@ class Search:
         self.progress(1.0)
         return stages
 
-    # ---- one more -----------------------------------------------------------------------------------------------
     def further(self, stage: Stage) -> Stage | None:
         """The stage with one more effect named; None where no candidate is worth its slab."""
         tails = self.leaders(stage, stage.judge, stage.fit, self.settings.alarm)
-        if tails:
-            return self._name(stage, tails)
+        found = self._name(stage, tails) if tails else None
+        if found is not None:
+            return found
         gaussian = Judge(stage.judge.rows, stage.judge.numbers, self.settings, gaussian=True)
         fit = gaussian.fit(rounds=6)
         hidden = self._in_wild_windows(stage)
         rare = [one for one in self.leaders(stage, gaussian, fit, self.settings.rare_alarm) if hidden[one[1]]]
         less = self.settings.rare_alarm - self.settings.alarm
-        return self._name(stage, [(odds - less, number) for odds, number in rare], gaussian=True) if rare else None
+        return self._name(stage, rare, less) if rare else None
 
     def leaders(self, stage: Stage, judge: Judge, fit: Posterior, alarm: float) -> list[tuple[float, int]]:
         """Log odds and numbers of candidates of different places, estimated anew with everything else, best first.
 
-        Empty unless the best is worth the alarm.
+        Empty unless the best is within a family of the alarm: sizes are linear here, and a refit finds more.
         """
         odds = judge.scores(fit)
         best: dict[Place, tuple[float, int]] = {}
@@ -217,7 +219,7 @@ class Search:
             truncated = float(log_mass(n.low[number], n.high[number], 0.0, n.slab[number]))
             anew.append((with_it.evidence - control.evidence + n.place[number] - truncated, number))
         anew.sort(reverse=True)
-        return anew if anew and anew[0][0] > alarm else []
+        return anew if anew and anew[0][0] > alarm - self.settings.family else []
 
     def _in_wild_windows(self, stage: Stage) -> np.ndarray:
         """Candidates most of whose torque lies in windows that Student's tails weigh down, ``[candidate]``."""
@@ -229,10 +231,14 @@ class Search:
         members = [list(one) for one in stage.judge.numbers.members]
         return np.array([wild[one].sum() > 0.5 * total[one].sum() for one in members])
 
-    def _name(self, stage: Stage, leaders: list[tuple[float, int]], gaussian: bool = False) -> Stage | None:
-        """The leaders refitted with the base; the best is named, those that are as good are its rivals."""
+    def _name(self, stage: Stage, leaders: list[tuple[float, int]], less: float = 0.0) -> Stage | None:
+        """The leaders refitted with the base; the best is named, those that are as good are its rivals.
+
+        Odds that count wild windows in full are so much `less`.
+        """
         near = [number for odds, number in leaders if odds > leaders[0][0] - 2 * self.settings.family][:MOST]
-        odds, base, candidate, coordinate = (refitted := self._refitted(stage, near, gaussian))[0]
+        refitted = [(one[0] - less, *one[1:]) for one in self._refitted(stage, near, gaussian=less > 0)]
+        odds, base, candidate, coordinate = refitted[0]
         if odds < self.settings.alarm - self.settings.temperature:
             return None
         rivals = [(one[2], one[0]) for one in refitted[1:] if one[0] > odds - self.settings.family]
@@ -248,23 +254,25 @@ class Search:
         """
         before, s, result = stage.base, self.settings, []
         coordinates, judge = before.coordinates, Judge(stage.judge.rows, stage.judge.numbers, s, gaussian)
-        without = judge.fit(state=stage.fit.state, rounds=4).evidence
+        without, own = judge.fit(state=stage.fit.state, rounds=4), len(before.point)
+        alone = stage.judge.fit(state=stage.fit.state, rounds=2).mean[:own]
         for number in numbers:
             candidate, with_it = stage.found[number], stage.judge.fit([number], stage.fit.state, rounds=2)
             model = candidate.switched_on(coordinates.model, self.reduction.engine.joints)
             coordinate = candidate.coordinate(coordinates.model, float(with_it.mean[-1]), s)
-            moved = np.clip(before.point + with_it.mean[: len(before.point)], coordinates.low, coordinates.high)
+            # what the base would do by itself it has tried: where joints stick, long steps lead astray
+            moved = np.clip(before.point + with_it.mean[:own] - alone, coordinates.low, coordinates.high)
             start, joined = np.append(moved, coordinate.start), coordinates.extended(model, [coordinate])
             base = settle(self.reduction, joined, start, s, steps=2, state=with_it.state, like=before.linear)
             after = self._stage(base, stage.named, stage.found, stage.columns, with_it.state, gaussian, 2, judge.rows)
-            odds = after.fit.evidence - without + stage.judge.numbers.place[number]
+            odds = after.fit.evidence - without.evidence + stage.judge.numbers.place[number]
             truncated = float(log_mass(coordinate.low, coordinate.high, 0.0, coordinate.deviation))
             result.append((float(odds) - truncated, base, candidate, coordinate))
         return sorted(result, key=lambda one: -one[0])
 
     def _around(self, stage: Stage, base: Base, named: tuple[Named, ...]) -> Stage:
         """The judge around a base with what was named, the leading candidates' columns made anew."""
-        base = settle(self.reduction, base.coordinates, base.point, self.settings, steps=1, state=base.fit.state)
+        base = settle(self.reduction, base.coordinates, base.point, self.settings, state=base.fit.state)
         odds, found = stage.judge.scores(stage.fit), self._candidates(base, named)
         leading = [stage.found[i] for i in np.argsort(-odds)[:RELINEARISED]]
         moved = {key for one in leading for key in one.parts}
@@ -272,18 +280,6 @@ class Search:
         columns = {**stage.columns, **self._columns(base, parts)}
         return self._stage(base, named, found, {one.key: columns[one.key] for one in _parts(found)}, base.fit.state)
 
-    def told(self, stage: Stage, effect: str, joints: Sequence[str]) -> Stage:
-        """The stage with an effect that is known to be there, in some joints or in all; the same if none has it."""
-        names = self.reduction.engine.joints
-        where = None if not joints or set(joints) >= set(names) else tuple(sorted(names.index(j) for j in joints))
-        odds = stage.judge.scores(stage.fit)
-        mine = [i for i, one in enumerate(stage.found) if one.place == (effect, where)]
-        if not mine:
-            return stage
-        found, base, candidate, coordinate = self._refitted(stage, [max(mine, key=lambda i: float(odds[i]))])[0]
-        return self._around(stage, base, (*stage.named, Named(candidate, coordinate, found, ())))
-
-    # ---- backwards ----------------------------------------------------------------------------------------------
     def _without(self, stage: Stage, needless: Sequence[Named]) -> Stage:
         """The stage without some names."""
         whole, gone = stage.base.coordinates, [one.coordinate for one in needless]

@@ -14,6 +14,7 @@ its spike, all else integrated out; variances are found by expectation-maximisat
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg
@@ -65,6 +66,8 @@ class Numbers:
         low: smallest plausible size, ``[candidate]``.
         high: largest plausible size, ``[candidate]``.
         place: log prior of the candidate's place, ``[candidate]``.
+        least: smallest values that numbers may have, ``[number]``.
+        most: largest ones, ``[number]``.
     """
 
     mean: np.ndarray
@@ -74,6 +77,8 @@ class Numbers:
     low: np.ndarray = field(default_factory=lambda: np.zeros(0))
     high: np.ndarray = field(default_factory=lambda: np.zeros(0))
     place: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    least: np.ndarray = field(default_factory=lambda: np.array(-np.inf))
+    most: np.ndarray = field(default_factory=lambda: np.array(np.inf))
 
 
 @dataclass
@@ -108,6 +113,12 @@ class Posterior:
     laws: tuple[np.ndarray, ...]
     state: State
 
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Of numbers and named candidates."""
+        factor = linalg.cho_factor(self.precision, lower=True, check_finite=False)
+        return linalg.cho_solve(factor, np.eye(len(self.precision)), overwrite_b=True, check_finite=False)
+
 
 class Judge:
     """Evidence for effects in rows.
@@ -128,6 +139,9 @@ class Judge:
         self.start = State(np.full((joints, 4), 0.5), np.full(joints, 0.2), np.ones((2, joints, windows)))
         self._f = rows.features.reshape(joints, -1, rows.features.shape[-1])
         self._kept: tuple[State, tuple] | None = None
+        least, most = (np.broadcast_to(end, numbers.mean.shape) for end in (numbers.least, numbers.most))
+        self._bounded = np.flatnonzero(np.isfinite(least) | np.isfinite(most))
+        self._ends = least[self._bounded], most[self._bounded]
 
     def variance(self, joint: int, state: State) -> np.ndarray:
         """Of every row, ``[window, row]``."""
@@ -192,7 +206,10 @@ class Judge:
         # minus two log likelihood and prior at the maximum, where half of the linear part is left
         square = gram[0, 0] + (mean**2 * precision).sum() - (linear + precision * mean) @ x
         logdet += 2 * np.log(np.diag(factor[0])).sum() - np.log(precision).sum()
-        return Posterior(x, products, -0.5 * (square + logdet) + self._hyper(state), laws, state)
+        picked = np.eye(len(x))[:, self._bounded]
+        deviation = np.linalg.norm(linalg.solve_triangular(factor[0], picked, lower=True, check_finite=False), axis=0)
+        within = float(log_mass(*self._ends, x[self._bounded], deviation).sum())
+        return Posterior(x, products, -0.5 * (square + logdet) + within + self._hyper(state), laws, state)
 
     def _hyper(self, state: State) -> float:
         """Log prior of the variances."""
@@ -241,14 +258,14 @@ class Judge:
     def likelihoods(self, fit: Posterior) -> tuple[np.ndarray, np.ndarray]:
         """What the rows alone say of each number, all others integrated out: ``exp(linear a - curvature a^2 / 2)``."""
         size, prior = len(self.numbers.mean), 1.0 / self.numbers.deviation**2
-        variance = np.diag(_inverse(fit.precision))[:size]
+        variance = np.diag(fit.covariance)[:size]
         curvature = np.maximum(1.0 / variance - prior, 1e-12)
         return fit.mean[:size] / variance - prior * self.numbers.mean, curvature
 
     def of_candidates(self, fit: Posterior) -> tuple[np.ndarray, np.ndarray]:
         """What the rows say of how much more than a little there is of each candidate: linear term and curvature."""
         size, prior = len(self.numbers.mean), 1.0 / self.numbers.deviation**2
-        covariance = _inverse(fit.precision)[:size, :size]
+        covariance = fit.covariance[:size, :size]
         left = np.diag(prior) - prior[:, None] * covariance * prior
         linear = prior * (fit.mean[:size] - self.numbers.mean)
         curvature = [left[np.ix_(one, one)].sum() for one in map(list, self.numbers.members)]
@@ -258,7 +275,22 @@ class Judge:
         """Log odds of slab and spike against spike alone with the place's prior, ``[candidate]``."""
         n = self.numbers
         linear, curvature = self.of_candidates(fit)
-        return evidence(linear, curvature, 0.0, n.slab, n.low, n.high) + n.place
+        found = evidence(linear, curvature, 0.0, n.slab, n.low, n.high) + n.place
+        return found + self._room(fit, linear, curvature)
+
+    def _room(self, fit: Posterior, linear: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+        """Log probability that numbers are within their ranges with each candidate against without, ``[candidate]``.
+
+        What the base could only explain beyond its ranges is a fault.
+        """
+        n, at = self.numbers, self._bounded
+        mean, covariance = fit.mean[at, None], fit.covariance[at, : len(n.mean)]
+        square, least, most = covariance[np.arange(len(at)), at, None], *(end[:, None] for end in self._ends)
+        variance = 1.0 / (curvature + 1.0 / n.slab**2)
+        pull = (covariance / n.deviation**2) @ self.sums(range(len(n.members)))
+        moved = mean + pull * np.clip(linear * variance, n.low, n.high)
+        with_it = log_mass(least, most, moved, np.sqrt(square + pull**2 * variance))
+        return (with_it - log_mass(least, most, mean, np.sqrt(square))).sum(0)
 
     def products(self, state: State) -> np.ndarray:
         """Products of the numbers' columns under the noise, every joint's law integrated out, ``[number, number]``."""
@@ -275,12 +307,6 @@ class Judge:
             across = f.T @ (precision * y)
             total += float(y @ (precision * y) - across @ linalg.solve(inner, across, assume_a="pos"))
         return total
-
-
-def _inverse(matrix: np.ndarray) -> np.ndarray:
-    """Of a positive definite matrix."""
-    factor = linalg.cho_factor(matrix, lower=True, check_finite=False)
-    return linalg.cho_solve(factor, np.eye(len(matrix)), overwrite_b=True, check_finite=False)
 
 
 def evidence(

@@ -47,7 +47,7 @@ def diagnosed_mount(logs: Sequence[Rollout]) -> tuple[list[Rollout], dict[str, l
 def on_other_mounts(
     before: RobotModel, after: RobotModel, others: dict[str, list[Rollout]], seed: int = 0
 ) -> dict[str, dict[str, Any]]:
-    """Gap and loss under two models on logs that neither was fitted to, by mount.
+    """Gap and loss under two models on the first `BEGINNING` seconds of logs that neither was fitted to, by mount.
 
     Returns:
         By mount ``logs``, how many; ``seconds`` of the longest; ``gap`` and ``loss`` as of a verdict.

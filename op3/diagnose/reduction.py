@@ -45,6 +45,9 @@ STEP = 0.02
 MOVES = 0.05
 """A joint moves if its speed has this standard deviation [rad/s]."""
 
+COARSE = 2
+"""How many times longer than usual the steps are of which only differences count: a column."""
+
 CHUNK = 40
 """Parameter sets simulated at a time: a batch of 72 windows of 20 joints holds 20 MB."""
 
@@ -104,7 +107,6 @@ class Reduction:
         self._mean = np.stack([(of_piece == p) / (of_piece == p).sum() for p in range(PIECES)])
         self.kinds = np.array([0] + [1] * (PIECES - 1) + [2] + [3] * (PIECES - 1))
 
-    # ---- simulation ---------------------------------------------------------------------------------------------
     def errors(
         self, model: RobotModel, sets: Mapping[str, Tensor], count: int, stretch: int = 1, **offsets: Tensor
     ) -> list[np.ndarray]:
@@ -138,7 +140,6 @@ class Reduction:
         """The same at points ``[point, coordinate]``."""
         return self.errors(coordinates.model, coordinates.values(points), len(points), stretch)
 
-    # ---- linearisation ------------------------------------------------------------------------------------------
     def linearise(
         self,
         coordinates: Coordinates,
@@ -157,14 +158,14 @@ class Reduction:
         step = np.where(point + 2 * STEP * span > coordinates.high, -STEP, STEP) * span
         numbers = np.arange(len(point))
         moved = np.stack([point, *(point + np.isin(numbers, group) * step for group in groups)])
-        error = self.at(coordinates, moved)
+        here, error = self.at(coordinates, point[None]), self.at(coordinates, moved, COARSE)
         if reduced is None:
-            nuisances = self._nuisances(coordinates, point, [one[0] for one in error])
+            nuisances = self._nuisances(coordinates, point, [one[0] for one in here])
             made = [self._reducer(limb, n) for limb, n in zip(self.limbs, nuisances, strict=True)]
             reducers, variance = tuple(m[0] for m in made), tuple(m[1] for m in made)
         else:
             reducers, variance = reduced.reducers, reduced.variance
-        lacking = -self.reduce(reducers, [one[:1] for one in error])[0]
+        lacking = -self.reduce(reducers, here)[0]
         changes = self.reduce(reducers, [one[1:] - one[:1] for one in error])
         base = np.zeros((len(point), *lacking.shape), np.float32)
         for i, entry in enumerate(entries):
@@ -203,7 +204,9 @@ class Reduction:
             for slot, j in enumerate(limb):
                 position[1 + slot, j], velocity[1 + size + slot, j] = INITIAL
         values = coordinates.values(np.repeat(point[None], count, 0))
-        error = self.errors(coordinates.model, values, count, position_offset=position, velocity_offset=velocity)
+        error = self.errors(
+            coordinates.model, values, count, COARSE, position_offset=position, velocity_offset=velocity
+        )
         result = []
         for k, limb in enumerate(self.limbs):
             n = len(limb)
@@ -285,7 +288,6 @@ class Reduction:
             parts.append(np.moveaxis(rows, 2, 1))
         return np.concatenate(parts, 1).astype(np.float32)
 
-    # ---- candidates ---------------------------------------------------------------------------------------------
     def columns(self, linear: Linear, found: Sequence[Candidate], progress=None) -> np.ndarray:
         """What the secant of each candidate in one joint, or in all, does, ``[candidate, joint, window, row]``."""
         result = np.zeros((len(found), *linear.lacking.shape), np.float32)
@@ -323,14 +325,13 @@ class Reduction:
             for i in group:
                 moved = found[i].moved(moved)
             sets.append(moved)
-        error = self.errors(model, stacked(sets), len(sets))
+        error = self.errors(model, stacked(sets), len(sets), COARSE)
         changes = self.reduce(linear.reducers, [one[1:] - one[:1] for one in error])
         for number, group in enumerate(members):
             for i in group:
                 result[i] = changes[number]
                 result[i][~self._felt(found[i].joints)] = 0.0
 
-    # ---- rows ---------------------------------------------------------------------------------------------------
     def rows(self, linear: Linear, columns: Sequence[np.ndarray], like: Rows | None = None) -> Rows:
         """Everything the judge needs, of the base and columns ``[joint, window, row]`` of candidates in one joint or in
         all; variances are kept of those that it is to be `like`, so that evidences compare."""

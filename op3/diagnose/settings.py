@@ -21,7 +21,7 @@ class Settings:
         noise: usual noise of a joint [units], a log-normal's median; estimated per joint about it.
         noise_spread: standard deviation of its logarithm.
         law: usual size of what a joint does and nobody explains [units], estimated per joint about it.
-        law_spread: standard deviation of its logarithm.
+        law_spread: standard deviation of its logarithm, and of that of the servos' spread.
         features: of a joint's unexplained law; twice as many change no name.
         alarm: log odds from which on a finding is as likely as not: what sound robots reach now and then.
         rare_alarm: the same with Gaussian noise, where a few wild windows count in full.

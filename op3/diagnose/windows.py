@@ -221,15 +221,22 @@ class WindowResiduals:
             self._unchanged[base] = base.along(base.mj_model, self._position[at], self._velocity[at])
         return self._unchanged[base]
 
-    def simulation(self, model: RobotModel, stretch: int = 1) -> WindowSimulation:
-        """A simulation of the windows under a model, in steps stretched at most so many times, if it can."""
+    def simulation(
+        self, model: RobotModel, stretch: int = 1, parameters: Mapping[str, Tensor] | None = None
+    ) -> WindowSimulation:
+        """A simulation of the windows under a model, in steps stretched at most so many times, if it can.
+
+        Edits of bodies are known to it where these parameters, or else the model's, have some.
+        """
+        values = model.tensors(self.joints) | dict(parameters or {})
         for effect in model.effects:
             for edit in effect.edits:
                 known = model.parameters()[edit.parameter]
                 if edit == ROTOR or edit.target == "base_body":
                     continue  # the rotor is on the diagonal; a base that is held carries whatever it weighs
-                amount = 0.25 * (known.high - known.low)
-                for joint in range(len(self.joints)) if known.per_joint else (None,):
+                amount, neutral = 0.25 * (known.high - known.low), known.neutral or 0.0
+                there = (values[edit.parameter] != neutral).any(0).expand(len(self.joints)).numpy()
+                for joint in np.flatnonzero(there).tolist() if known.per_joint else (None,):
                     change = self._change(model, edit.parameter, joint, amount)
                     if change is not None:
                         self._changes[edit.parameter, joint] = change
@@ -267,13 +274,10 @@ class WindowResiduals:
         """Simulated minus measured, ``[candidate, window, tick, joint, channel]``; what diverged is far from it."""
         model, whole = _within(model, self.joints), None
         for told, mine in self._setups(parameters or {}):
-            simulation = self.simulation(model.under(told) if told else model, stretch)
-            channels = simulation.run(
-                _held_by(parameters or {}, told),
-                candidates,
-                position_offset=position_offset,
-                velocity_offset=velocity_offset,
-            )
+            given = _held_by(parameters or {}, told)
+            simulation = self.simulation(model.under(told) if told else model, stretch, given)
+            offsets = {"position_offset": position_offset, "velocity_offset": velocity_offset}
+            channels = simulation.run(given, candidates, **offsets)
             simulated = np.stack([channels[key].numpy() for key in CHANNELS], -1)
             whole = np.empty_like(simulated) if whole is None else whole
             whole[:, mine] = simulated[:, mine] - self.measured[None, mine]

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 import yaml
 
-from op3.diagnose.base import Base, doubts, search
-from op3.diagnose.coordinates import base_coordinates, with_chain
+from op3.diagnose.base import Base, damped, doubts, search
+from op3.diagnose.coordinates import base_coordinates, with_chain, with_own_spread
+from op3.diagnose.judge import Numbers, Posterior, State
 from op3.diagnose.reduction import Linear, Reduction
+from op3.diagnose.settings import Settings
 from op3.diagnose.show import choose, show
 from op3.diagnose.split import LogSplit
 from op3.diagnose.verdict import Finding, JointGap, Rival, Verdict
@@ -70,13 +72,36 @@ def test_a_number_at_its_bound_is_a_doubt():
     at = [entry.parameter for entry in coordinates.entries].index("torque_constant")
     point[at] = coordinates.high[at]
     point[[entry.parameter for entry in coordinates.entries].index("viscous_friction")] = 0.0
-    base = Base(Linear(coordinates, point, (), (), np.zeros(0), np.zeros(0)), None, 0.0)  # type: ignore[arg-type]
+    base = Base(Linear(coordinates, point, (), (), np.zeros(0), np.zeros(0)), None)  # type: ignore[arg-type]
     (doubt,) = doubts(base)
     assert doubt.startswith("torque_constant is at its largest")
     other = point.copy()
     other[at] = coordinates.low[at]
-    twice = Base(base.linear, None, 0.0, ((other, 3.0),))  # type: ignore[arg-type]
+    twice = Base(base.linear, None, ((other, 3.0),))  # type: ignore[arg-type]
     assert "with other torque_constant" in doubts(twice)[1]
+
+
+def test_a_number_at_its_end_holds_back_no_other():
+    """Of two numbers, one at its smallest value and pulled down: the other goes where it is best alone, 3 / 2."""
+    numbers = Numbers(np.zeros(2), np.ones(2), least=np.array([0.0, -9.0]), most=np.array([9.0, 9.0]))
+    precision, pull = np.array([[2.0, 1.9], [1.9, 2.0]]), np.array([-1.0, 3.0])
+    fit = Posterior(np.linalg.solve(precision, pull), precision, 0.0, (), State(*np.zeros((3, 1))))
+    assert damped(fit, numbers)[0] == pytest.approx([0.0, 1.5])
+
+
+def test_servos_differ_as_most_of_the_robot_do():
+    """Friction of five joints within 2 % about 10 % less, and 45 % more in the sixth: the shared number is that of the
+    five, a spread of 4 % (of 15 % that any make may have) is left to all, and the base is the same."""
+    coordinates = base_coordinates(with_chain(load_model("paper")), LEG_JOINTS)
+    point = coordinates.start.copy()
+    named = [(entry.parameter, entry.kind) for entry in coordinates.entries]
+    own = [i for i, name in enumerate(named) if name == ("coulomb_friction", "scale")]
+    point[own] = [-0.08, -0.12, -0.09, -0.11, -0.1, 0.45]
+    spread, moved = with_own_spread(coordinates, point, Settings())
+    assert spread.entries[own[0]].deviation < 0.05
+    assert np.abs(moved[own[:5]]).max() < 0.03
+    before, after = (coordinates.values(one[None])["coulomb_friction"] for one in (point, moved))
+    assert after.numpy() == pytest.approx(before.numpy())
 
 
 def test_the_search_finds_a_basin(logs):

@@ -1,5 +1,7 @@
 """The judge on rows whose truth is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -125,6 +127,23 @@ def test_wild_windows_hide_nothing_and_name_nothing():
     assert fit.state.weight.min() < 0.1
     assert judge.scores(fit).argmax() == 3
     assert judge.fit([3], fit.state).mean[-1] == pytest.approx(2.0, abs=0.4)
+
+
+def test_what_a_base_explains_only_beyond_its_range_is_a_fault():
+    """A candidate that does what a number of the base does is told from it where that would leave its range, and its
+    score is then what a fit with it says."""
+    free = made(np.random.default_rng(4))
+    for values in free.rows.values:
+        values[2] = values[0]
+    most = np.full(2 + CANDIDATES, np.inf)
+    most[0] = free.fit(rounds=4).mean[0] - 1.0
+    bounded = Judge(free.rows, replace(free.numbers, most=most), free.settings)
+    fit = bounded.fit(rounds=4)
+    odds = bounded.scores(fit)
+    assert odds.argmax() == 0
+    assert odds[0] > scores(free)[0] + 6.0
+    with_it, without = (bounded.fit(named, fit.state, rounds=0).evidence for named in ([0], []))
+    assert odds[0] == pytest.approx(with_it - without + bounded.numbers.place[0], abs=0.3)
 
 
 def test_windows_on_the_edge_of_sticking_count_less():
