@@ -29,8 +29,8 @@ from op3.servo.conditions import split_name
 POPULATION, ELITE, GENERATIONS = 80, 12, 5
 """Of the search: points in a generation, those that make the next, and generations."""
 
-STEPS = 12
-"""Gauss-Newton steps at most from each start."""
+STEPS, ELSEWHERE = 12, 4
+"""Gauss-Newton steps at most from where the search ends, and from the given model, which only tells of other optima."""
 
 DAMPING = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)
 """Dampings of a step that are tried at once, as shares of each number's curvature."""
@@ -103,7 +103,7 @@ def fit_base(
     first = settle(reduction, own, point, settings, state=first.fit.state)
     progress(0.8)
     again = replace(coordinates, entries=own.entries)
-    second = settle(reduction, again, again.start, settings, forms, known=first.point)
+    second = settle(reduction, again, again.start, settings, forms, ELSEWHERE, known=first.point)
     if not far_apart(coordinates, second.point, first.point):
         return first
     # a misfit depends on how windows are reduced: both ends are judged as the first
