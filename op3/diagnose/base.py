@@ -195,7 +195,7 @@ def settle(
         state = fit.state
         if done:
             break
-        tried = np.stack([point, *(point + step for step in damped(fit, judge.numbers))])
+        tried = np.concatenate([point[None], point + damped(fit, judge.numbers)])
         tried = np.clip(tried, coordinates.low, coordinates.high)
         options = [(coordinates, tried)]
         if number in (1, 3):
@@ -212,20 +212,18 @@ def settle(
     return Base(linear, fit)
 
 
-def damped(fit: Posterior, numbers: Numbers) -> list[np.ndarray]:
-    """Steps of Gauss and Newton, less and less bold (Levenberg 1944, Marquardt 1963); what would leave its range stays.
+def damped(fit: Posterior, numbers: Numbers) -> np.ndarray:
+    """Gauss-Newton steps ``[damping, number]`` (Levenberg 1944, Marquardt 1963); what would leave its range stays.
 
     Where joints stick, the numbers that the logs tell little of are those that lead astray: a shorter step in all of
     them does not help.
     """
     pull = fit.precision @ fit.mean
     free = np.flatnonzero(~((numbers.least >= 0) & (pull < 0) | (numbers.most <= 0) & (pull > 0)))
-    inner, result = fit.precision[np.ix_(free, free)], []
-    for damping in DAMPING:
-        step = np.zeros(len(pull))
+    inner, steps = fit.precision[np.ix_(free, free)], np.zeros((len(DAMPING), len(pull)))
+    for step, damping in zip(steps, DAMPING, strict=True):
         step[free] = np.linalg.solve(inner + damping * np.diag(np.diag(inner)), pull[free])
-        result.append(step)
-    return result
+    return steps
 
 
 def cost_of(
@@ -285,18 +283,14 @@ def far_apart(coordinates: Coordinates, one: np.ndarray, other: np.ndarray) -> l
 
 def untold(base: Base) -> list[str]:
     """Shared numbers of which the logs say little more than their priors."""
-    variance = np.diag(np.linalg.inv(base.fit.precision))
-    ratio = np.sqrt(variance) / base.coordinates.deviation
+    ratio = np.sqrt(np.diag(base.fit.covariance)) / base.coordinates.deviation
     return [
         e.parameter for e, r in zip(base.coordinates.entries, ratio, strict=True) if e.joints is None and r > UNTOLD
     ]
 
 
 def unusual(given: RobotModel, base: Base, fit: Posterior, judge: Judge) -> list[tuple[int, float, float]]:
-    """Log odds of numbers of the chain against being usual: which, the odds, and the deviation that the logs leave.
-
-    Of a model that has the effect, what it says is usual.
-    """
+    """Log odds of the chain's numbers against being usual, or what the given model says; which, and how well told."""
     linear, curvature = judge.likelihoods(fit)
     known, found = given.parameters(), []
     for i, entry in enumerate(base.coordinates.entries):

@@ -272,15 +272,8 @@ def base_coordinates(
 def with_own_spread(coordinates: Coordinates, point: np.ndarray, settings: Settings) -> tuple[Coordinates, np.ndarray]:
     """Numbers of servos that differ as most of this robot's do: what any make may have hides a fault.
 
-    Medians are what most servos have, whatever one of them does. What they have in common goes to the shared number.
-
-    Args:
-        coordinates: of a base.
-        point: where it is, ``[coordinate]``.
-        settings: tuned constants.
-
-    Returns:
-        The numbers, and the same base in them.
+    Medians are what most servos have, whatever one of them does. What they have in common goes to the shared number, so
+    that the point ``[coordinate]`` is handed back too, as the same base.
     """
     entries, point, weight = list(coordinates.entries), point.copy(), 1 / settings.law_spread**2
     for name, usual in SPREAD.items():

@@ -154,7 +154,7 @@ class Diagnosis:
         most = LIKELY if doubted or self._short else 1.0
         findings = [*self._named(reduction, choice["taken"], most), *self._of_base(given, reduction, last, most)]
         stage, point = self.stages[choice["taken"]], points[choice["taken"]]
-        deviation = np.sqrt(np.diag(np.linalg.inv(stage.fit.precision)))[: len(point)]
+        deviation = np.sqrt(np.diag(stage.fit.covariance))[: len(point)]
         deviation = np.hypot(deviation, point - stage.base.point)  # windows and whole runs disagree by so much
         shown = show(models[0], models[choice["taken"]], self.split, self.seed)
         return Verdict(
@@ -194,7 +194,7 @@ class Diagnosis:
         """Findings of the last stage, each sharing its probability with its rivals."""
         result, stage = [], self.stages[-1]
         joints = reduction.engine.joints
-        variance = np.diag(np.linalg.inv(stage.fit.precision))
+        variance = np.diag(stage.fit.covariance)
         entries = stage.base.coordinates.entries
         for number, one in enumerate(stage.named):
             i = entries.index(one.coordinate)

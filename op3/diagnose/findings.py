@@ -65,7 +65,7 @@ class Stage:
 def numbers_of(
     base: Base, found: Sequence[Candidate], parts: Sequence[tuple], rows: Rows, settings: Settings = SETTINGS
 ) -> Numbers:
-    """Priors of the base's numbers and of the candidates, of which those with keys in `parts` have columns in the rows.
+    """Priors of the base's numbers and of the candidates.
 
     A spike is what makes so much torque, root mean square over the joints that feel it; the secants of one effect in
     one place share it. Parts are keys of candidates in one joint or in all, of which the others are sums.

@@ -279,10 +279,7 @@ class Judge:
         return found + self._room(fit, linear, curvature)
 
     def _room(self, fit: Posterior, linear: np.ndarray, curvature: np.ndarray) -> np.ndarray:
-        """Log probability that numbers are within their ranges with each candidate against without, ``[candidate]``.
-
-        What the base could only explain beyond its ranges is a fault.
-        """
+        """Log probability that the base is within its ranges with each candidate against without, ``[candidate]``."""
         n, at = self.numbers, self._bounded
         mean, covariance = fit.mean[at, None], fit.covariance[at, : len(n.mean)]
         square, least, most = covariance[np.arange(len(at)), at, None], *(end[:, None] for end in self._ends)
