@@ -68,7 +68,7 @@ def measure(computer: Computer, seconds: float) -> tuple[float, float, float]:
         computer.tick()
     wall, processor = time.perf_counter() - wall, time.process_time() - processor
     bare = time.process_time()
-    computer.robot.physics.advance(round(seconds / 0.001))
+    computer.robot.physics.advance(seconds)
     bare = time.process_time() - bare
     return seconds / wall, seconds / processor, bare / processor
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,10 +18,10 @@ from op3.deploy.operator import Console, Operator
 from op3.deploy.panel import Panel
 from op3.deploy.phases import GainRamp, Hold, Move, Phase, Relax, Watch
 from op3.deploy.policy_runner import FollowPolicy
-from op3.deploy.safety import Guard, Onlooker, Safety
+from op3.deploy.safety import Onlooker, Safety
 from op3.deploy.serial_port import SerialPort
-from op3.deploy.session import Logs, Outcome, Phases, Session
-from op3.deploy.start_checks import UNTOUCHED, StartChecks
+from op3.deploy.session import Logs, Outcome, Session
+from op3.deploy.start_checks import UNTOUCHED
 from op3.deploy.state import Calibration
 from op3.deploy.ticker import PERIOD, POLICY_TICKS, MonotonicClock
 from op3.policy.actions import D_GAIN, HELD_GAIN
@@ -43,21 +44,15 @@ POLICY_RATE = 1 / (PERIOD * POLICY_TICKS)
 """Policy steps per second [Hz]."""
 
 Report = Callable[[str], None]
-"""Takes a line for the operator."""
 
 
 @dataclass(frozen=True)
 class Connection:
-    """A robot on a port.
+    """A robot on a port, the person at it, and what a log's metadata say of them.
 
     Attributes:
-        bus: open.
-        operator: who is asked.
-        kind: `real` or `emulated`, for the metadata.
-        mount: `floor` or `stand`.
-        extra: further metadata.
-        seed: of an emulated robot.
-        emulated: the robot in this process, if it is one.
+        kind: `real` or `emulated`.
+        emulated: the robot in this process, if it is one; `seed` is its.
     """
 
     bus: Bus
@@ -122,13 +117,11 @@ class Plan:
     """What a run does besides the part that it is made for.
 
     Attributes:
-        limits: what the robot may do.
         dry: whether torque stays off; the loop runs and its currents go nowhere.
         current_scale: share of the peak currents that is allowed.
         end_pose: pose in which the robot is let go; None for its pose "rest", or home where it has none.
         folder: where logs are written; None for none.
         panel: whether to show the live view, where there is a terminal.
-        only: names of the logs that are written; None for all.
     """
 
     limits: Limits = field(default_factory=Limits)
@@ -137,7 +130,6 @@ class Plan:
     end_pose: str | None = None
     folder: Path | None = None
     panel: bool = True
-    only: Sequence[str] | None = None
 
 
 def run(
@@ -155,20 +147,16 @@ def run(
     """Check, energise, ramp, move to the start pose, wait for go, run, sit down, switch off.
 
     Args:
-        connection: the robot.
-        make: makes the phase that the run is made for.
-        plan: the rest.
         start: pose [joint] in rad in which it begins; by default home.
         p_gain: P gains while getting there [A/rad].
         d_gain: D gains while getting there [A s/rad].
-        recording: identity of the recording.
         report: where lines for the operator go; None for the terminal, above the live view.
-        metadata: further fields of the log's metadata.
     """
     plan, robot = plan or Plan(), connection.bus.robot
     first = robot.home if start is None else np.asarray(start, dtype=float)
     rest = robot.pose(plan.end_pose or ("rest" if "rest" in robot.file.poses else "home"))
-    screen = _Screen(robot, plan, report)
+    panel = Panel(robot, plan.panel)
+    say = report or panel.say
 
     def phases(session: Session) -> list[Phase]:
         driver = make()
@@ -183,7 +171,7 @@ def run(
         return [
             GainRamp(p_gain, d_gain),
             Move(first, p_gain, d_gain, start=last),
-            Hold(first, p_gain, d_gain, until=lambda: connection.operator.said_go(screen.say)),
+            Hold(first, p_gain, d_gain, until=lambda: connection.operator.said_go(say)),
             Hold(first, p_gain, d_gain, duration=SETTLE_TIME),
             driver,
             Move(rest, start=last, log="after"),
@@ -191,60 +179,46 @@ def run(
         ]
 
     scale, torque = plan.current_scale, not plan.dry
-    safety = Safety(connection.bus, plan.limits, current_scale=scale, torque=torque, report=screen.say)
-    return screen.run(connection, safety, plan, phases, recording, metadata)
-
-
-class _Screen:
-    """Where a run's lines and its live view go."""
-
-    def __init__(self, robot: Robot, plan: Plan, report: Report | None):
-        self._panel = Panel(robot) if plan.panel else None
-        self.say: Report = report or (print if self._panel is None else self._panel.say)
-
-    def run(
-        self,
-        connection: Connection,
-        safety: Guard,
-        plan: Plan,
-        phases: Phases,
-        recording: str | None,
-        metadata: dict[str, Any],
-    ) -> Outcome:
-        """A session with the logs that are asked for."""
-        bus, logs = connection.bus, None
-        if plan.folder is not None:
-            extra = {**connection.extra, **metadata.pop("extra", {}), "limits": vars(plan.limits)}
-            makes = {make.name for make in bus.robot.servos}
-            facts = Metadata(
-                joints=bus.joints,
-                robot=connection.kind,
-                robot_file=None if bus.robot.reference == DEFAULT else bus.robot.reference,
-                mount=connection.mount,
-                rate=1 / PERIOD,
-                battery=bus.robot.servos[0].supply.si,
-                servo=makes.pop() if len(makes) == 1 else None,
-                recording=recording,
-                seed=connection.seed,
-                extra={**extra, "offset_rad": bus.calibration.offset.tolist()},
-                **metadata,
-            )
-            logs = Logs(plan.folder, facts, plan.only)
-        try:
-            return Session(bus, safety, connection.operator, logs=logs, show=self._panel, report=self.say).run(phases)
-        finally:
-            if self._panel is not None:
-                self._panel.close()
+    safety = Safety(connection.bus, plan.limits, current_scale=scale, torque=torque, report=say)
+    logs = _logs(connection, plan, recording, **metadata)
+    with closing(panel):
+        return Session(connection.bus, safety, connection.operator, logs=logs, show=panel, report=say).run(phases)
 
 
 def read_only(
     connection: Connection, duration: float, plan: Plan | None = None, *, report: Report | None = None
 ) -> Outcome:
     """Show and record what the robot says; nothing at all is written to it."""
-    plan, robot = plan or Plan(), connection.bus.robot
-    screen = _Screen(robot, plan, report)
-    StartChecks(connection.bus, None, plan.limits).run(lambda check: screen.say(str(check)))
-    return screen.run(connection, Onlooker(robot, plan.limits), plan, lambda session: [Watch(duration)], None, {})
+    plan, bus = plan or Plan(), connection.bus
+    panel = Panel(bus.robot, plan.panel)
+    say = report or panel.say
+    guard, logs = Onlooker(bus, plan.limits, say), _logs(connection, plan, None)
+    with closing(panel):
+        session = Session(bus, guard, connection.operator, logs=logs, show=panel, report=say)
+        return session.run(lambda session: [Watch(duration)])
+
+
+def _logs(connection: Connection, plan: Plan, recording: str | None, **metadata: Any) -> Logs | None:
+    """The logs that are asked for, with what is known of the run."""
+    if plan.folder is None:
+        return None
+    bus, robot = connection.bus, connection.bus.robot
+    extra = {**connection.extra, **metadata.pop("extra", {}), "limits": vars(plan.limits)}
+    makes = {make.name for make in robot.servos}
+    facts = Metadata(
+        joints=bus.joints,
+        robot=connection.kind,
+        robot_file=None if robot.reference == DEFAULT else robot.reference,
+        mount=connection.mount,
+        rate=1 / PERIOD,
+        battery=robot.servos[0].supply.si,
+        servo=makes.pop() if len(makes) == 1 else None,
+        recording=recording,
+        seed=connection.seed,
+        extra={**extra, "offset_rad": bus.calibration.offset.tolist()},
+        **metadata,
+    )
+    return Logs(plan.folder, facts)
 
 
 SETTINGS = {"return_delay_time": 0, **UNTOUCHED}
@@ -268,18 +242,12 @@ def setup(connection: Connection, *, report: Report = print) -> ExitCode:
     return ExitCode.OK
 
 
-def calibrate(
-    connection: Connection, path: str | Path, *, pose_name: str = "zero", samples: int = 50, report: Report = print
-) -> ExitCode:
-    """Take the pose that the robot is held in as the given one, and write the joints' offsets.
+SAMPLES = 50
+"""Readings of a pose that are averaged."""
 
-    Args:
-        connection: the robot, without torque.
-        path: of the YAML file.
-        pose_name: pose that a jig or a person holds the joints in.
-        samples: readings that are averaged.
-        report: where lines for the operator go.
-    """
+
+def calibrate(connection: Connection, path: str | Path, *, pose_name: str = "zero", report: Report = print) -> ExitCode:
+    """Write the joints' offsets, the mean of `SAMPLES` of a robot without torque that is held in a pose."""
     bus = connection.bus
     held, bus.calibration = bus.robot.pose(pose_name), Calibration(robot=bus.robot)
     if not connection.operator.confirm(f"Hold the robot exactly in the pose {pose_name!r}."):
@@ -289,7 +257,7 @@ def calibrate(
         report(f"torque is on at {', '.join(on)}; switch the power off and on")
         return ExitCode.START_CHECK
     sums, counts = np.zeros(len(held)), np.zeros(len(held))
-    for _ in range(samples):
+    for _ in range(SAMPLES):
         state = bus.read_state()
         sums += np.where(state.answered, state.position, 0.0)
         counts += state.answered

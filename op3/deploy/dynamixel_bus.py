@@ -67,13 +67,10 @@ class Bus:
 
     Args:
         port: a port handler of dynamixel-sdk or anything that behaves like one; opened here unless it is open.
-        clock: that stamps the readings.
         robot: whose joints, bus ids and board these are: a name in `assets/robots`, or the path of its file.
-        calibration: offsets of the joints.
 
     Attributes:
         ids: of all devices, by joint and `BOARD`.
-        board: whether there is one.
 
     Raises:
         Unplugged: if the port cannot be opened.
@@ -85,7 +82,7 @@ class Bus:
     ) -> None:
         # The SDK waits for two of these beyond the time on the wire; its 16 ms are those of an untuned adapter.
         dynamixel_sdk.port_handler.LATENCY_TIMER = 1
-        self.port, self.clock = port, clock
+        self.port, self.clock, self.port_name = port, clock, str(getattr(port, "port_name", "port"))
         self.robot = load_robot(robot)
         self.units = Units(self.robot)
         self.calibration = calibration or Calibration(robot=self.robot)
@@ -111,9 +108,9 @@ class Bus:
             with self._plugged():
                 opened = self.port.setBaudRate(BAUD_RATE)
         except Unplugged as error:
-            raise Unplugged(f"the port {self._port_name} cannot be opened ({error.__cause__})") from error.__cause__
+            raise Unplugged(f"the port {self.port_name} cannot be opened ({error.__cause__})") from error.__cause__
         if not opened:
-            raise Unplugged(f"the port {self._port_name} cannot be opened at {BAUD_RATE} bit/s")
+            raise Unplugged(f"the port {self.port_name} cannot be opened at {BAUD_RATE} bit/s")
 
     def close(self) -> None:
         """Close the port."""
@@ -134,11 +131,7 @@ class Bus:
         self.port.is_using = False
 
     def writer(self) -> Writer:
-        """The only handle that writes; given out once.
-
-        Raises:
-            RuntimeError: if someone has it already.
-        """
+        """The only handle that writes; given out once."""
         if self._writer is not None:
             raise RuntimeError("the bus has given out its writer; only one object may write")
         self._writer = Writer(self)
@@ -156,14 +149,15 @@ class Bus:
                 found[name] = self.ping(name)
         return found
 
-    def read(self, name: str, register: str, *, attempts: int = ATTEMPTS) -> int:
-        """One register of one device, sign included; raises `NoAnswer` or `Refused`.
+    def answers_protocol_1(self, name: str) -> bool:
+        """Whether a device that no packet of ours reaches answers a ping of protocol 1.0."""
+        instruction = [0, 0, self.ids[name], 2, dynamixel_sdk.INST_PING, 0]
+        with self._plugged():
+            _, result, _ = dynamixel_sdk.PacketHandler(1.0).txRxPacket(self.port, instruction)
+        return result == dynamixel_sdk.COMM_SUCCESS
 
-        Args:
-            name: of the device.
-            register: its name.
-            attempts: how often silence is tried again.
-        """
+    def read(self, name: str, register: str, *, attempts: int = ATTEMPTS) -> int:
+        """One register of one device, sign included, silence tried again; raises `NoAnswer` or `Refused`."""
         entry = self._register(name, register)
         place = (self.ids[name], entry.address, entry.size)
         return entry.decode(self._try(name, f"a read of {register}", lambda: self._read_once(*place), attempts))
@@ -185,10 +179,9 @@ class Bus:
             # A servo waits for the one before it, so one that is silent hides all behind it: it is asked last from now.
             self._order.remove(missing[0])
             self._order.append(missing[0])
-        answered = np.array([number in data for number in self._servo_ids])
         self._data.update(data)
         imu = self.board and self._read_board()
-        alert = np.array([number in alerts for number in self._servo_ids])
+        answered, alert = (np.array([number in found for number in self._servo_ids]) for found in (data, alerts))
         registers = self.block.unpack([self._data.get(number, bytes(self.block.length)) for number in self._servo_ids])
         if "hardware_error" not in registers:
             registers["hardware_error"] = self._errors_of(alert)
@@ -317,11 +310,7 @@ class Bus:
             if isinstance(error, TypeError | AttributeError) and getattr(self.port, "ser", None) is not None:
                 raise  # pyserial raises these on a closed port; anywhere else they are our own mistakes
             self.clear()
-            raise Unplugged(f"the port {self._port_name} went away ({error}); check the USB cable") from error
-
-    @property
-    def _port_name(self) -> str:
-        return str(getattr(self.port, "port_name", "port"))
+            raise Unplugged(f"the port {self.port_name} went away ({error}); check the USB cable") from error
 
 
 class Writer:
@@ -341,12 +330,7 @@ class Writer:
         bus._try(name, f"{value} for {register}", call)
 
     def sync_write(self, register: str, values: Mapping[str, int] | int) -> None:
-        """Write one register of several servos at once; nothing answers, so read it back where it matters.
-
-        Args:
-            register: its name.
-            values: by joint name, or one value for all servos.
-        """
+        """Write one register of servos at once, by joint, or of all alike; nothing answers, so read it back."""
         entry = DYNAMIXEL_X[register]
         if isinstance(values, int):
             values = dict.fromkeys(self._bus.joints, values)
@@ -357,18 +341,8 @@ class Writer:
         values = np.asarray(counts).astype(int).tolist()
         self.sync_write("goal_current", dict(zip(self._bus.joints, values, strict=True)))
 
-    def reboot(self, name: str) -> None:
-        """Restart a servo: the only way out of a latched shutdown."""
-        bus = self._bus
-        bus._try(name, "a reboot", lambda: (None, *bus._sdk.reboot(bus.port, bus.ids[name])))
-
     def prepare_block(self) -> Block:
-        """Choose the shortest block that the servos take, setting up indirect addresses for it.
-
-        Returns:
-            The block that `Bus.read_state` reads from now on: by fast sync read, else by sync read, else the plain
-            registers between current and temperature.
-        """
+        """Choose the shortest block that the servos take for `Bus.read_state`, and set its indirect addresses up."""
         bus = self._bus
         for block in BLOCKS:
             if block.indirect and not self._point():

@@ -4,20 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from op3.deploy.emulator import (
-    Battery,
-    EmulatedRobot,
-    Faults,
-    Physics,
-    SimPhysics,
-    StandInPhysics,
-    Timing,
-)
+from op3.deploy.emulator import Battery, EmulatedRobot, Faults, Physics, SimPhysics, StandInPhysics, Timing
 from op3.deploy.operator import Operator
 from op3.deploy.registers import Units
 from op3.robot import DEFAULT, BoardMotion, Robot, Waves, WeightSchedule, build_scene, draw_tiles, load_robot
@@ -35,7 +28,7 @@ LOOK_EVERY = 0.032
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """Where the robot is put down.
+    """Where the robot is put down: a scene, or the ground of a task's episode.
 
     Attributes:
         scene: a name that `op3.robot.build_scene` knows.
@@ -67,13 +60,8 @@ class Place:
 class Hands(Operator):
     """An operator who agrees to everything, holds the robot up, and puts it down when it is ready.
 
-    A robot without torque collapses, so it is energised and brought to its start pose in the air. Putting it down
-    puts it on the scene with the angles that its joints have, at rest.
-
-    Args:
-        robot: hanging on the stand.
-        make: the robot on a scene.
-        place: where it is put down.
+    A robot without torque collapses, so it is energised and brought to its start pose in the air, hanging on the stand.
+    Putting it down makes the robot on the scene with the angles that its joints have, at rest.
     """
 
     def __init__(self, robot: EmulatedRobot, make: MakePhysics, place: Place):
@@ -127,19 +115,16 @@ def physics_maker(
     known = load_robot(robot)
     if model is None:
         truth = World.find(world, world_seed)
+        kind, identity = partial(StandInPhysics, truth), truth.identity
+    else:
+        source = None if battery is None else Battery(charge=float(battery))
+        law = model_for(known, None if model == "own" else model)
+        kind, identity = partial(SimPhysics, law, battery=source), str(model)
 
-        def stand_in(where: str, position: ArrayLike | None) -> Physics:
-            return StandInPhysics(truth, build_scene(where, robot=known), seed=seed, joint_position=position)
+    def make(where: str, position: ArrayLike | None) -> Physics:
+        return kind(build_scene(where, robot=known), seed=seed, joint_position=position)
 
-        return stand_in, truth.identity
-    law = model_for(known, None if model == "own" else model)
-    source = None if battery is None else Battery(charge=float(battery))
-
-    def simulated(where: str, position: ArrayLike | None) -> Physics:
-        scene = build_scene(where, robot=known)
-        return SimPhysics(law, scene, seed=seed, joint_position=position, battery=source)
-
-    return simulated, str(model)
+    return make, identity
 
 
 def emulate(
@@ -171,10 +156,6 @@ def emulate(
         task: whose ground it is put down on, moving as in the episode of the seed; None for the scene.
         seed: of everything else that is random.
         joint_position: [joint] in rad at the start; None for home.
-        faults: of the bus and the robot.
-        timing: of the bus.
-        settings: EEPROM of the servos.
-        record: file for the frames on the wire.
         powered: whether someone has pressed the robot's power button; otherwise the servos' supply is off.
         jig: whether something holds the joints where they are at the start.
         battery: charge of a model's battery, 0 to 1; None: a supply at its bus voltage. A stand-in has its own.

@@ -63,8 +63,6 @@ class Stop(Exception):
     """Ends a run for a reason.
 
     Args:
-        code: of the process.
-        reason: one sentence for the operator.
         damp: whether the joints are damped for a while before torque goes off.
     """
 

@@ -70,12 +70,9 @@ class Limits:
             ValueError: if a peak lies below what is carried for ever, or above what the register takes.
         """
         units = Units(robot)
-        peak, continuous = units.peak, units.continuous
-        if self.peak_current is not None:
-            peak = self.peak_current / units.current
-        if self.continuous_current is not None:
-            continuous = self.continuous_current / units.current
-        peak, continuous = np.floor(peak + 1e-9), np.round(continuous)
+        peak = units.peak if self.peak_current is None else self.peak_current / units.current
+        carried = units.continuous if self.continuous_current is None else self.continuous_current / units.current
+        peak, continuous = np.floor(peak + 1e-9), np.round(carried)
         wrong = (peak < continuous) | (peak > HIGHEST)
         if wrong.any():
             joint = int(wrong.argmax())
@@ -89,13 +86,7 @@ class Limits:
 
 @dataclass(frozen=True, eq=False)
 class Command:
-    """What the PD is asked for.
-
-    Attributes:
-        position: target [joint] in rad.
-        p_gain: [joint] in A/rad.
-        d_gain: [joint] in A s/rad.
-    """
+    """What the PD is asked for, each [joint]: targets [rad], P gains [A/rad] and D gains [A s/rad]."""
 
     position: Array
     p_gain: Array
@@ -109,23 +100,22 @@ class Command:
         return cls(position, *gains)
 
     def limited(self, robot: Robot) -> Command:
-        """The same with targets inside the soft limits.
-
-        Raises:
-            Stop: if a number is not finite or a gain is negative; nothing of it may reach a servo.
-        """
-        for name in ("position", "p_gain", "d_gain"):
-            values = getattr(self, name)
-            bad = ~np.isfinite(values) | ((values < 0) if name != "position" else False)
-            if bad.any():
-                joint = int(np.flatnonzero(bad)[0])
-                reason = f"{name} of {robot.joints[joint]} is {values[joint]}; refused"
-                raise Stop(ExitCode.NON_FINITE, reason, damp=True)
+        """The same with targets inside the soft limits; a `Stop` if a number is not finite or a gain negative."""
+        for name, values in vars(self).items():
+            refuse(robot, name, values, ~np.isfinite(values) | ((values < 0) if name != "position" else False))
         return Command(self.position.clip(*robot.limits.T), self.p_gain, self.d_gain)
 
     def damped(self, d_gain: float) -> Command:
         """The same without stiffness: only damping."""
         return Command.of(self.position, 0.0, d_gain)
+
+
+def refuse(robot: Robot, name: str, values: Array, bad: NDArray[np.bool_]) -> None:
+    """End the run where a value [joint] is bad, and name it."""
+    if bad.any():
+        joint = int(np.flatnonzero(bad)[0])
+        reason = f"{name} of {robot.joints[joint]} is {values[joint]}; refused"
+        raise Stop(ExitCode.NON_FINITE, reason, damp=True)
 
 
 class CurrentLimiter:
@@ -155,16 +145,9 @@ class CurrentLimiter:
         return self._continuous + share * (self._peak - self._continuous)
 
     def counts(self, state: State, command: Command) -> NDArray[np.int64]:
-        """Goal currents [joint] in counts: I* = Kp (q* - q) - Kd dq, within every limit.
-
-        Raises:
-            Stop: if a current is not finite.
-        """
+        """Goal currents [joint] in counts: I* = Kp (q* - q) - Kd dq, within every limit; a `Stop` if one is none."""
         current = command.p_gain * (command.position - state.position) - command.d_gain * state.velocity
-        if not np.isfinite(current).all():
-            joint = int(np.flatnonzero(~np.isfinite(current))[0])
-            reason = f"the current of {self._robot.joints[joint]} is {current[joint]}; refused"
-            raise Stop(ExitCode.NON_FINITE, reason, damp=True)
+        refuse(self._robot, "the current", current, ~np.isfinite(current))
         limit, (low, high) = np.floor(self.limit), self._robot.limits.T
         counts = np.round(current / self._unit).clip(-limit, limit)
         # Beyond a soft limit only the way back is allowed.

@@ -30,25 +30,14 @@ SAG_READINGS = 10
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a tick may do.
-
-    Attributes:
-        damp: whether the joints are damped instead of driven.
-        note: what the operator should know, empty if all is well.
-    """
+    """Whether the joints are damped instead of driven, and what the operator should know, empty if all is well."""
 
     damp: bool = False
     note: str = ""
 
 
 class Monitor:
-    """Judges one reading after the other.
-
-    Args:
-        limits: when to act.
-        robot: that is watched.
-        period: of the loop [s].
-    """
+    """Judges one reading after the other, one per `period` [s]."""
 
     def __init__(self, limits: Limits, robot: Robot, period: float):
         self._limits, self._period = limits, period
@@ -63,12 +52,7 @@ class Monitor:
         self._hot = self._low = 0
 
     def judge(self, tick: int, time: float, state: State) -> Verdict:
-        """Judge the reading of one tick.
-
-        Args:
-            tick: number of the deadline.
-            time: of the deadline [s].
-            state: the reading.
+        """Judge the reading of a tick by its number and the time of its deadline [s].
 
         Raises:
             Stop: where the run has to end; `Stop.damp` says whether the joints are damped first.

@@ -17,11 +17,7 @@ class Operator:
         return True
 
     def said_go(self, say: Callable[[str], None] = print) -> bool:
-        """Whether go was said since the last call; never waits.
-
-        Args:
-            say: shows a line to the person while the loop runs.
-        """
+        """Whether go was said since the last call; never waits. `say` shows the person a line while the loop runs."""
         return True
 
     def begins(self) -> None:

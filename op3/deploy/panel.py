@@ -16,7 +16,7 @@ from op3.deploy.limits import Command
 from op3.deploy.monitors import Verdict
 from op3.deploy.registers import Units
 from op3.deploy.state import State
-from op3.deploy.ticker import Ticker
+from op3.deploy.ticker import PERIOD, Ticker
 from op3.robot import Robot
 
 RECENT = 1250
@@ -30,19 +30,18 @@ class Panel:
     loop. What it has no time to show is skipped; what is said appears above the block and stays there.
 
     Args:
-        robot: that is shown.
-        stream: where it is written.
+        wanted: whether anything is to be shown in place; what is said always is.
         every: ticks between two refreshes.
     """
 
-    def __init__(self, robot: Robot, stream: TextIO | None = None, every: int = 31):
+    def __init__(self, robot: Robot, wanted: bool = True, stream: TextIO | None = None, every: int = 31):
         self._joints, self._unit = robot.joints, Units(robot).current
         self._stream = stream or sys.stdout
         self._every = every
         self._ticks = self._lines = 0
         self._waiting: Queue[list[str] | str | None] = Queue()
         self._thread: threading.Thread | None = None
-        self.enabled = self._stream.isatty()
+        self.enabled = wanted and self._stream.isatty()
 
     def __call__(
         self, phase: str, state: State, command: Command, counts: NDArray[Any], verdict: Verdict, ticker: Ticker
@@ -104,21 +103,12 @@ class Panel:
     def text(
         self, phase: str, state: State, command: Command, goal: NDArray[Any], verdict: Verdict, ticker: Ticker
     ) -> list[str]:
-        """The lines of the view: one row per joint, time and attitude above, deadlines and worries below.
-
-        Args:
-            phase: its name.
-            state: of the tick.
-            command: as it was carried out.
-            goal: goal currents [joint] in A.
-            verdict: on the state.
-            ticker: that counts.
-        """
+        """One row per joint, time and attitude above, deadlines and worries below; goal currents [joint] in A."""
         timing, attitude = ticker.timing(last=RECENT), ""
         if state.orientation is not None:
             attitude = "roll {:6.1f} pitch {:6.1f} deg   ".format(*np.rad2deg(state.orientation[:2]))
         lines = [
-            f"{phase:8s} {timing.ticks * ticker.period:8.1f} s   {attitude}{state.supply_voltage:.1f} V",
+            f"{phase:8s} {timing.ticks * PERIOD:8.1f} s   {attitude}{state.supply_voltage:.1f} V",
             f"{'joint':12s} {'target':>8s} {'angle':>8s} {'Kp':>6s} {'goal A':>7s} {'is A':>7s} {'C':>4s}",
         ]
         columns = (command.position, state.position, command.p_gain, goal, state.current, state.temperature)

@@ -29,12 +29,7 @@ MOVE_SPEED = 1.0
 
 
 class Phase:
-    """Gives commands tick by tick. Targets outside the soft limits are clipped where they are carried out.
-
-    Attributes:
-        name: shown to the operator.
-        log: name of the log that its ticks belong to.
-    """
+    """Gives commands tick by tick. Targets outside the soft limits are clipped where they are carried out."""
 
     name = ""
     log = "approach"
@@ -44,7 +39,6 @@ class Phase:
 
         Args:
             elapsed: deadlines since the phase began, skipped ones included.
-            state: the reading of this tick.
         """
         raise NotImplementedError
 
@@ -54,21 +48,34 @@ class Phase:
 
 
 class GainRamp(Phase):
-    """Hold the pose in which the robot is found, from no stiffness to full."""
+    """Hold the pose in which the robot is found, with a P gain that rises from nothing over `GAIN_RAMP_TIME`."""
 
     name = "ramp"
 
-    def __init__(self, p_gain: ArrayLike = HELD_GAIN, d_gain: ArrayLike = D_GAIN, duration: float = GAIN_RAMP_TIME):
+    def __init__(self, p_gain: ArrayLike = HELD_GAIN, d_gain: ArrayLike = D_GAIN):
         self._p_gain, self._d_gain = np.asarray(p_gain, dtype=float), d_gain
-        self._ticks = max(1, round(duration / PERIOD))
         self._pose: Array | None = None
 
     def command(self, elapsed: int, state: State) -> Command | None:
-        """The measured pose with rising gain."""
+        """See `Phase`."""
         self._pose = state.position if self._pose is None else self._pose
-        if elapsed >= self._ticks:
-            return None
-        return Command.of(self._pose, self._p_gain * elapsed / self._ticks, self._d_gain)
+        share = elapsed * PERIOD / GAIN_RAMP_TIME
+        return Command.of(self._pose, share * self._p_gain, self._d_gain) if share < 1 else None
+
+
+class Relax(Phase):
+    """Hold a pose while the stiffness goes over `GAIN_RAMP_TIME`, so that the robot sinks instead of dropping."""
+
+    name = "relax"
+    log = "after"
+
+    def __init__(self, pose: ArrayLike):
+        self._pose = pose
+
+    def command(self, elapsed: int, state: State) -> Command | None:
+        """See `Phase`."""
+        share = 1 - elapsed * PERIOD / GAIN_RAMP_TIME
+        return Command.of(self._pose, share * HELD_GAIN, 2 * D_GAIN) if share > 0 else None
 
 
 class Move(Phase):
@@ -78,9 +85,7 @@ class Move(Phase):
         pose: [joint] in rad.
         p_gain: [A/rad].
         d_gain: [A s/rad].
-        least_time: that it takes [s].
         start: gives the targets before it; without it, or where there are none, it starts from the measured pose.
-        log: name of its log.
     """
 
     name = "move"
@@ -91,45 +96,26 @@ class Move(Phase):
         p_gain: ArrayLike = HELD_GAIN,
         d_gain: ArrayLike = D_GAIN,
         *,
-        least_time: float = LEAST_MOVE_TIME,
         start: Callable[[], Array | None] | None = None,
         log: str = "approach",
     ):
         self._goal = np.asarray(pose, dtype=float)
-        self._p_gain, self._d_gain, self._least_time = p_gain, d_gain, least_time
-        self._given_start, self.log = start, log
+        self._gains, self._given_start, self.log = (p_gain, d_gain), start, log
         self._start: Array | None = None
         self._ticks = 0
 
     def command(self, elapsed: int, state: State) -> Command | None:
-        """The pose of this instant."""
+        """See `Phase`."""
         if self._start is None:
             given = None if self._given_start is None else self._given_start()
             self._start = state.position if given is None else given
             # The fastest instant of a minimum-jerk move has 1.875 times its mean speed.
             needed = 1.875 * float(np.abs(self._goal - self._start).max()) / MOVE_SPEED
-            self._ticks = round(max(self._least_time, needed) / PERIOD)
+            self._ticks = round(max(LEAST_MOVE_TIME, needed) / PERIOD)
         if elapsed >= self._ticks:
             return None
         share = minimum_jerk(elapsed / self._ticks)
-        return Command.of(self._start + share * (self._goal - self._start), self._p_gain, self._d_gain)
-
-
-class Relax(Phase):
-    """Hold a pose while the stiffness goes, so that the robot sinks instead of dropping."""
-
-    name = "relax"
-    log = "after"
-
-    def __init__(self, pose: ArrayLike, p_gain: ArrayLike = HELD_GAIN, duration: float = GAIN_RAMP_TIME):
-        self._pose, self._p_gain = pose, np.asarray(p_gain, dtype=float)
-        self._ticks = max(1, round(duration / PERIOD))
-
-    def command(self, elapsed: int, state: State) -> Command | None:
-        """The pose with falling gain."""
-        if elapsed >= self._ticks:
-            return None
-        return Command.of(self._pose, self._p_gain * (1 - elapsed / self._ticks), 2 * D_GAIN)
+        return Command.of(self._start + share * (self._goal - self._start), *self._gains)
 
 
 class Hold(Phase):
@@ -141,7 +127,6 @@ class Hold(Phase):
         d_gain: [A s/rad].
         until: asked in every tick; True ends the phase. Raising `Stop` ends the run.
         duration: longest time [s].
-        log: name of its log.
     """
 
     name = "hold"
@@ -160,7 +145,7 @@ class Hold(Phase):
         self._until, self._duration, self.log = until, duration, log
 
     def command(self, elapsed: int, state: State) -> Command | None:
-        """The pose."""
+        """See `Phase`."""
         over = elapsed * PERIOD >= self._duration - 1e-9 or (self._until is not None and self._until())
         return None if over else self._command
 
@@ -175,7 +160,7 @@ class Watch(Phase):
         self._ticks = round(duration / PERIOD)
 
     def command(self, elapsed: int, state: State) -> Command | None:
-        """Where it is."""
+        """See `Phase`."""
         return Command.of(state.position, 0.0, 0.0) if elapsed < self._ticks else None
 
 
@@ -202,7 +187,7 @@ class FollowMotion(Phase):
         self.d_gain = gain_rows("d_gain", d_gain, self.targets.shape)
 
     def command(self, elapsed: int, state: State) -> Command | None:
-        """The row of this tick."""
+        """See `Phase`."""
         if elapsed >= len(self.targets):
             return None
         return Command.of(self.targets[elapsed], self.p_gain[elapsed], self.d_gain[elapsed])

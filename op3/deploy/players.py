@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 from numpy.typing import ArrayLike
 
-from op3.deploy.deploy import EMULATED, POLICY_RATE, Connection, Plan, connect, run
+from op3.deploy.deploy import EMULATED, POLICY_RATE, Plan, connect, run
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Limits
 from op3.deploy.phases import FollowMotion
@@ -26,11 +27,8 @@ class Player:
     Each recording is a run of its own, from start checks to torque off; all ticks of it are kept in a folder.
 
     Args:
-        port: of the robot, or `emulated`.
-        mount: `floor` or `stand`.
         robot: a name in `assets/robots`, or the path of its file.
         folder: where the ticks of all runs are kept.
-        limits: what the robot may do.
         calibration: file with the joints' offsets; None for none.
         confirm: whether a person is asked before torque.
         end_pose: pose in which the robot is let go.
@@ -54,7 +52,8 @@ class Player:
         report: Callable[[str], None] | None = None,
         **emulation: Any,
     ):
-        self._port, self._common = port, dict(robot=robot, mount=mount, confirm=confirm, calibration=calibration)
+        self._port, self._robot = port, robot
+        self._common: dict[str, Any] = dict(robot=robot, mount=mount, confirm=confirm, calibration=calibration)
         self._folder, self._limits, self._end_pose = Path(folder), limits or Limits(), end_pose
         self._seed, self._emulation, self._report = seed, emulation, report
         self._count = 0
@@ -62,13 +61,7 @@ class Player:
     def play(
         self, motion: Motion, p_gain: ArrayLike = 6.0, d_gain: ArrayLike = 0.1, *, recording: str | None = None
     ) -> Rollout:
-        """Follow a motion and record it.
-
-        Args:
-            motion: targets; joints that it does not name stay at home.
-            p_gain: one number, [joint], or [row, joint] with one row per tick of 8 ms [A/rad].
-            d_gain: the same [A s/rad].
-            recording: identity of the recording.
+        """Follow a motion and record it; see `FollowMotion` for the gains.
 
         Raises:
             Stop: if the run ended early; the ticks are kept.
@@ -92,18 +85,14 @@ class Player:
         error: the log counts as fallen and says why in ``extra["ended_by"]``.
 
         Args:
-            bundle: the policy.
-            duration: of the episode [s].
             cycle: duration of a gait cycle [s], for a policy that sees the phase.
-            task: of the episode, for the metadata; an emulated robot stands on the ground of this task. None: that of
-                the policy, on the floor.
-            recording: identity of the recording.
+            task: of the episode, and of an emulated robot's ground; None: the policy's, on the floor.
 
         Raises:
             Stop: if the policy did not come to command the robot.
         """
         task = None if task is None else find_task(task)
-        runner = PolicyRunner(bundle, cycle)
+        runner = PolicyRunner(bundle, cycle, self._robot)
         return self._record(
             lambda: FollowPolicy(runner, duration),
             recording,
@@ -122,24 +111,21 @@ class Player:
         name = recording or f"recording-{self._count}"
         _set_aside(self._folder / name)
         plan = Plan(limits=self._limits, end_pose=self._end_pose, folder=self._folder / name)
-        connection = self._connect(ground)
-        try:
-            outcome = run(connection, make, plan, recording=recording, report=self._report, **options)
-        finally:
-            connection.close()
-        self._count += 1
-        if "task" in options.get("extra", {}):
-            return _episode(outcome, recording, connection.operator.travelled())
-        if outcome.code not in (ExitCode.OK, ExitCode.FALL) or "run" not in outcome.logs:
-            raise Stop(outcome.code, outcome.reason)
-        log = outcome.logs["run"]
-        return Rollout(log.data, log.metadata.replace(recording=recording, episode_duration=log.duration))
-
-    def _connect(self, ground: Task | None = None) -> Connection:
         emulation: dict[str, Any] = {}
         if self._port == EMULATED:
             emulation = {**self._emulation, "seed": self._seed + self._count, "task": ground}
-        return connect(self._port, **self._common, **emulation)
+        with closing(connect(self._port, **self._common, **emulation)) as connection:
+            outcome = run(connection, make, plan, recording=recording, report=self._report, **options)
+        self._count += 1
+        of_policy = "task" in options.get("extra", {})
+        forgiven = POLICY_FAILED if of_policy else (ExitCode.FALL,)
+        if outcome.code not in (ExitCode.OK, *forgiven) or "run" not in outcome.logs:
+            raise Stop(outcome.code, outcome.reason)
+        log = outcome.logs["run"]
+        known: dict[str, Any] = {"recording": recording, "episode_duration": log.duration}
+        if of_policy:
+            known |= {"travelled_distance": connection.operator.travelled(), **_ending(outcome, log.metadata.extra)}
+        return Rollout(log.data, log.metadata.replace(**known))
 
 
 def _set_aside(ticks: Path) -> None:
@@ -159,14 +145,10 @@ POLICY_FAILED = (
 """Ends of an episode that its policy has to answer for, unlike those of the bus."""
 
 
-def _episode(outcome: Outcome, recording: str | None, travelled: float | None) -> Rollout:
-    """The log of an episode, under the name that was asked for."""
-    if outcome.code not in (ExitCode.OK, *POLICY_FAILED) or "run" not in outcome.logs:
-        raise Stop(outcome.code, outcome.reason)
-    log = outcome.logs["run"]
-    known = {"recording": recording, "episode_duration": log.duration, "travelled_distance": travelled}
-    if outcome.code != ExitCode.OK and outcome.ended_in == "run":
-        known |= {"fallen": True, "extra": {**log.metadata.extra, "ended_by": outcome.reason}}
-    elif outcome.code != ExitCode.OK:
-        known |= {"extra": {**log.metadata.extra, "afterwards": outcome.reason}}
-    return Rollout(log.data, log.metadata.replace(**known))
+def _ending(outcome: Outcome, extra: dict[str, Any]) -> dict[str, Any]:
+    """What the metadata of an episode say of its end."""
+    if outcome.code == ExitCode.OK:
+        return {}
+    if outcome.ended_in == "run":
+        return {"fallen": True, "extra": {**extra, "ended_by": outcome.reason}}
+    return {"extra": {**extra, "afterwards": outcome.reason}}

@@ -17,7 +17,7 @@ from op3.deploy.state import State
 from op3.deploy.ticker import PERIOD, POLICY_TICKS
 from op3.policy import PolicyBundle
 from op3.policy.observation import BALANCE_LAYOUT, WALK_LAYOUT, History, observe
-from op3.robot import load_robot
+from op3.robot import DEFAULT, Robot, load_robot
 from op3.rollout import Rollout
 from op3.tasks.task import POLICY_PERIOD, TASKS
 
@@ -31,15 +31,15 @@ class PolicyRunner:
     """A policy, its memory and its clock.
 
     Args:
-        bundle: the policy.
         cycle: duration of a gait cycle [s], for a policy that sees the phase; None for that of its task.
 
     Raises:
         ValueError: if the bundle cannot run on this robot; the message names the field.
     """
 
-    def __init__(self, bundle: PolicyBundle, cycle: float | None = None):
+    def __init__(self, bundle: PolicyBundle, cycle: float | None = None, robot: str | Robot = DEFAULT):
         manifest = bundle.manifest
+        manifest.check_robot(robot)
         layout = dict(manifest.layout)
         if layout not in (BALANCE_LAYOUT, WALK_LAYOUT):
             raise ValueError(f"field layout: this version observes {BALANCE_LAYOUT} and phase, the policy {layout}")
@@ -52,7 +52,7 @@ class PolicyRunner:
         self._cycle = cycle if "phase" in layout else None
         # The first steps build tables and take a hundred times as long as later ones: not in a running loop.
         self.reset()
-        home = load_robot().home
+        home = load_robot(robot).home
         for step in range(3):
             self.act(self.observe(home, 0.0 * home, np.zeros(3), np.zeros(3), step))
         self.reset()
@@ -108,9 +108,9 @@ class PolicyRunner:
 class FollowPolicy(Phase):
     """The phase in which the policy commands, every fourth deadline.
 
-    Args:
-        runner: the policy.
-        duration: of the episode [s].
+    Attributes:
+        on_begin: called once, right before the first observation.
+        on_end: called once, when all steps are over.
     """
 
     name = "policy"
@@ -122,10 +122,8 @@ class FollowPolicy(Phase):
         self._runner = runner
         self._steps = max(1, round(duration / (POLICY_TICKS * PERIOD)))
         self._last_step = -1
-        self.on_begin: Callable[[], None] | None = None
-        """Called once, right before the first observation."""
-        self.on_end: Callable[[], None] | None = None
-        """Called once, when all steps are over."""
+        self.on_begin: Callable[[], None] = lambda: None
+        self.on_end: Callable[[], None] = lambda: None
         self._command: Command | None = None
         self._channels: dict[Any, Array] = {}
         runner.reset()
@@ -139,25 +137,21 @@ class FollowPolicy(Phase):
         # A step whose own deadline was skipped is made up for at the next tick.
         step = elapsed // POLICY_TICKS
         if step >= self._steps:
-            if self.on_end is not None:
-                self.on_end()
-                self.on_end = None
+            self.on_end()
             return None
-        if step > self._last_step or self._command is None:
+        if self._command is None:
+            self.on_begin()
+        if step > self._last_step:
             self._last_step = step
             self._step(step, state)
         return self._command
 
     def _step(self, step: int, state: State) -> None:
-        if self.on_begin is not None:
-            self.on_begin()
-            self.on_begin = None
         if state.orientation is None or state.angular_velocity is None:
             raise Stop(ExitCode.NON_FINITE, "the policy needs an IMU, and the robot has none", damp=True)
+        seen = (state.position, state.velocity, state.orientation, state.angular_velocity)
         try:
-            observation = self._runner.observe(
-                state.position, state.velocity, state.orientation, state.angular_velocity, step
-            )
+            observation = self._runner.observe(*seen, step)
             action = self._runner.act(observation)
         except ValueError as error:
             raise Stop(ExitCode.NON_FINITE, f"the policy refused: {error}", damp=True) from error
@@ -173,12 +167,11 @@ class FollowPolicy(Phase):
 
 @dataclass(frozen=True)
 class PolicyReplay:
-    """What came out when a log was fed to a policy again.
+    """What came out when so many policy steps of a log were fed to a policy again.
 
     Attributes:
-        steps: policy steps compared.
         action_difference: largest absolute difference of an action.
-        observation_difference: largest absolute difference of an observation; NaN where none was logged.
+        observation_difference: the same of an observation; NaN where none was logged.
         first: step of the first action beyond the tolerance; None if there is none.
     """
 
@@ -201,11 +194,7 @@ class PolicyReplay:
 
 
 def replay_policy(log: Rollout, runner: PolicyRunner) -> PolicyReplay:
-    """Feed a log's sensor readings to a policy and compare.
-
-    Args:
-        log: one episode with `policy/action`, rows at the loop's or at the policy's rate.
-        runner: the policy.
+    """Feed the sensor readings of an episode to a policy and compare; its rows are at the loop's or the policy's rate.
 
     Raises:
         ValueError: if the log lacks a channel, has another rate, or is of another kind of policy.

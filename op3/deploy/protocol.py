@@ -38,6 +38,8 @@ _PATTERN = b"\xff\xff\xfd"
 class Instruction(IntEnum):
     """What a packet asks for, or that it is an answer."""
 
+    PING_1 = -1
+    """A ping of protocol 1.0; the only instruction of it that is known here."""
     PING = 0x01
     READ = 0x02
     WRITE = 0x03
@@ -79,12 +81,7 @@ _BY_BYTE, _BY_WORD = _crc_tables()
 
 
 def crc16(data: bytes | bytearray, crc: int = 0) -> int:
-    """CRC-16 with polynomial 0x8005, most significant bit first, no final inversion.
-
-    Args:
-        data: bytes to check.
-        crc: result over the bytes before them.
-    """
+    """CRC-16 with polynomial 0x8005, most significant bit first, no final inversion; `crc` is that of bytes before."""
     size, table = len(data), _BY_WORD
     for word in unpack(f">{size >> 1}H", data[: size & ~1]):
         crc = table[crc ^ word]
@@ -95,21 +92,16 @@ def crc16(data: bytes | bytearray, crc: int = 0) -> int:
 
 def stuff(body: bytes) -> bytes:
     """Instruction and parameters as they go over the wire."""
-    return body.replace(_PATTERN, b"\xff\xff\xfd\xfd") if _PATTERN in body else body
+    return body.replace(_PATTERN, b"\xff\xff\xfd\xfd")
 
 
 def unstuff(body: bytes) -> bytes:
     """The inverse of `stuff`."""
-    return body.replace(b"\xff\xff\xfd\xfd", _PATTERN) if _PATTERN in body else body
+    return body.replace(b"\xff\xff\xfd\xfd", _PATTERN)
 
 
 def encode(device: int, instruction: int, parameters: bytes = b"") -> bytes:
-    """A whole packet, ready for the wire.
-
-    Args:
-        device: id of the device that it is for, or that it comes from.
-        instruction: one of `Instruction`.
-        parameters: as the instruction defines them.
+    """A whole packet, ready for the wire, for a device or from it.
 
     Raises:
         ValueError: if the packet would be longer than `MAX_LENGTH`, or the id is none.
@@ -125,27 +117,25 @@ def encode(device: int, instruction: int, parameters: bytes = b"") -> bytes:
 
 
 def encode_status(device: int, error: int, data: bytes = b"") -> bytes:
-    """A device's answer.
-
-    Args:
-        device: its id.
-        error: one of `Error`, with `ALERT` added if the device has a hardware error.
-        data: what was asked for.
-    """
+    """A device's answer; its error is one of `Error`, with `ALERT` added if the device has a hardware error."""
     return encode(device, Instruction.STATUS, bytes((error,)) + data)
 
 
+def _packet_1(device: int, content: int) -> bytes:
+    """A packet of protocol 1.0 that holds nothing but an instruction or an error."""
+    return bytes((0xFF, 0xFF, device, 2, content, ~(device + 2 + content) & 0xFF))
+
+
+def encode_status_1(device: int) -> bytes:
+    """A device's answer to a ping of protocol 1.0 (ROBOTIS e-Manual, "DYNAMIXEL Protocol 1.0")."""
+    return _packet_1(device, Error.NONE)
+
+
 def encode_fast_status(parts: list[tuple[int, int, bytes]]) -> list[bytes]:
-    """One status packet that several devices build together, in answer to a fast sync or bulk read.
+    """What each device sends of the status packet that they build together in answer to a fast sync or bulk read.
 
-    Each device appends its error, id, data and a CRC over everything before; the packet's id is `BROADCAST_ID`, and
-    nothing is stuffed.
-
-    Args:
-        parts: error, id and data of each device in their order.
-
-    Returns:
-        What each device sends; joined they are the packet.
+    Each appends its error, id, data and a CRC over everything before; the packet's id is `BROADCAST_ID`, and nothing
+    is stuffed. `parts` are error, id and data of each device in their order.
     """
     length = 1 + sum(len(data) + 4 for _, _, data in parts)
     head = HEADER + bytes((BROADCAST_ID, length & 0xFF, length >> 8, Instruction.STATUS))
@@ -160,14 +150,9 @@ def encode_fast_status(parts: list[tuple[int, int, bytes]]) -> list[bytes]:
 
 
 def fast_answers(data: bytes, ids: Sequence[int], length: int) -> dict[int, tuple[int, bytes]]:
-    """Error and bytes by id of each device in such a packet.
+    """Error and bytes by id of each device in such a packet, of ids in the order asked, with so many bytes of each.
 
     Where a part is missing or damaged, the parts before it are still good and the rest is lost.
-
-    Args:
-        data: bytes that came.
-        ids: in the order asked.
-        length: bytes asked of each.
     """
     start = data.find(HEADER + bytes((BROADCAST_ID,)))
     if start < 0:
@@ -188,10 +173,10 @@ def fast_answers(data: bytes, ids: Sequence[int], length: int) -> dict[int, tupl
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """One packet that arrived whole.
+    """One packet that arrived whole, for a device or from it.
 
     Attributes:
-        device: id of the device that it is for, or that it comes from.
+        device: its id.
         instruction: one of `Instruction`, or a number that is none.
         parameters: without stuffing; of an answer, its error byte first.
     """
@@ -226,7 +211,9 @@ class Parser:
         self._buffer.clear()
 
     def feed(self, data: bytes) -> list[Packet]:
-        """Take bytes as they come; returns the packets that they complete."""
+        """Take bytes as they come; returns the packets that they complete. A ping of protocol 1.0 comes by itself."""
+        if len(data) == 6 and data == _packet_1(data[2], Instruction.PING):
+            return [Packet(data[2], Instruction.PING_1, b"")]
         buffer = self._buffer
         buffer += data
         found = []

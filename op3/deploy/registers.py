@@ -74,11 +74,7 @@ class Register:
         return f"<{'i' if self.signed else 'u'}{self.size}"
 
     def encode(self, value: int) -> bytes:
-        """The bytes of a value.
-
-        Raises:
-            ValueError: if it does not fit.
-        """
+        """The bytes of a value; a ValueError if it does not fit."""
         try:
             return int(value).to_bytes(self.size, "little", signed=self.signed or value < 0)
         except OverflowError:
@@ -101,13 +97,17 @@ class ControlTable:
 
     Args:
         name: of the file in `assets/buses` that lists them.
+
+    Attributes:
+        indirect: first address, first data and number of each block of indirect registers.
     """
 
     def __init__(self, name: str):
         content = read_yaml(asset_path(f"buses/{name}.yaml"))
         self.device, self.size = content["device"], content["size"]
         registers = [Register(name, **entry) for name, entry in content["registers"].items()]
-        for addresses, data, first in content.get("indirect", []):
+        self.indirect: list[tuple[int, int, int]] = content.get("indirect", [])
+        for addresses, data, first in self.indirect:
             for i in range(INDIRECT_COUNT):
                 pointer = Register(f"indirect_address_{first + i}", addresses + 2 * i, 2, data + i, *INDIRECT_TARGETS)
                 registers += [pointer, Register(f"indirect_data_{first + i}", data + i, 1, 0, 0, 255)]
@@ -137,8 +137,6 @@ DYNAMIXEL_X, OPEN_CR = ControlTable("dynamixel-x"), ControlTable("opencr")
 
 FIRST_INDIRECT_ADDRESS = DYNAMIXEL_X["indirect_address_1"].address
 FIRST_INDIRECT_DATA = DYNAMIXEL_X["indirect_data_1"].address
-SECOND_INDIRECT_ADDRESS = DYNAMIXEL_X[f"indirect_address_{INDIRECT_COUNT + 1}"].address
-SECOND_INDIRECT_DATA = DYNAMIXEL_X[f"indirect_data_{INDIRECT_COUNT + 1}"].address
 
 OPEN_CR_ID = BOARD_ID
 """Bus id of the OpenCR."""
@@ -152,9 +150,6 @@ OPEN_CR_AXES = np.array([-1.0, -1.0, 1.0])
 
 class Units:
     """What one unit of a register of each servo is worth, [joint] in SI, as their makes' files say.
-
-    Args:
-        robot: whose servos they are.
 
     Raises:
         ValueError: if a make is not one of those that the bus knows.

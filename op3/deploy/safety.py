@@ -6,24 +6,23 @@ ends the program passes through `Safety.release`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.deploy.dynamixel_bus import ATTEMPTS, FIRST_ANSWER, GAP, SLOW_ANSWER, Bus, BusError, Unplugged
+from op3.deploy.dynamixel_bus import ATTEMPTS, FIRST_ANSWER, GAP, SLOW_ANSWER, Bus, BusError, Unplugged, Writer
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command, CurrentLimiter, Limits
 from op3.deploy.monitors import Monitor, Verdict
 from op3.deploy.operator import told
 from op3.deploy.registers import WATCHDOG_UNIT, OperatingMode
-from op3.deploy.start_checks import Check, StartChecks
+from op3.deploy.start_checks import StartChecks
 from op3.deploy.state import State
 from op3.deploy.ticker import PERIOD, Tick
-from op3.robot import Robot
 
 WATCHDOG = 5
 """Bus watchdog in its unit: a servo that hears nothing for 100 ms lets go by itself."""
@@ -63,16 +62,59 @@ class Release:
         return f"{count}; NOT VERIFIED: {who}. Switch the robot's power off by hand"
 
 
-class Safety:
+class Onlooker:
+    """What the loop asks about every tick; this one has no write handle, so that nothing is done.
+
+    Attributes:
+        torque: whether torque may be switched on at all.
+        touched: whether a servo may have torque.
+    """
+
+    torque = False
+    touched = False
+
+    def __init__(self, bus: Bus, limits: Limits | None = None, report: Callable[[str], None] = print):
+        self.bus, self.limits, self._joints = bus, limits or Limits(), bus.joints
+        self._report = told(report)
+
+    @property
+    def load(self) -> NDArray[np.float64]:
+        """[joint] mean square current over what a servo carries for ever."""
+        return np.zeros(len(self._joints))
+
+    def _checks(self, writer: Writer | None) -> StartChecks:
+        return StartChecks(self.bus, writer, self.limits, lambda check: self._report(str(check)))
+
+    def check_start(self) -> None:
+        """Run the start checks and tell what they find."""
+        self._checks(None).run()
+
+    def prepare(self) -> None:
+        """Choose how a tick is read; needs no torque."""
+
+    def energise(self) -> None:
+        """Switch torque on."""
+
+    def assess(self, tick: Tick, state: State) -> Verdict:
+        """Judge a reading: here everything is allowed, since nothing is done; losses are told."""
+        silent = [self._joints[i] for i in np.flatnonzero(~state.answered)]
+        return Verdict(note=f"no answer from {', '.join(silent)}" if silent else "")
+
+    def write(self, state: State, command: Command, verdict: Verdict) -> tuple[NDArray[np.int64], Command]:
+        """Carry out a command; gives goal currents [joint] in counts, and the command as it was carried out."""
+        return np.zeros(len(self._joints), dtype=np.int64), command
+
+    def release(self) -> Release:
+        """Switch torque off and read it back."""
+        return Release((), {})
+
+
+class Safety(Onlooker):
     """Checks, energises, limits, watches and releases the robot.
 
     Args:
-        bus: whose writer is taken.
-        limits: what the robot may do.
-        period: of the loop [s].
         current_scale: share of the peak currents that is allowed, for a suspended robot or first trials.
         torque: whether torque may be switched on at all; without it currents are computed and not sent.
-        report: where lines for the operator go.
     """
 
     def __init__(
@@ -80,20 +122,16 @@ class Safety:
         bus: Bus,
         limits: Limits | None = None,
         *,
-        period: float = PERIOD,
         current_scale: float = 1.0,
         torque: bool = True,
         report: Callable[[str], None] = print,
     ):
+        super().__init__(bus, limits, report)
         if not 0 < current_scale <= 1:
             raise ValueError(f"current_scale must be above 0 and at most 1, got {current_scale}")
-        self.bus, self.limits, self.torque = bus, limits or Limits(), torque
-        self._joints, self._writer = bus.joints, bus.writer()
-        self._report = told(report)
-        self._period = period
-        self._limiter = CurrentLimiter(self.limits, bus.robot, period, current_scale)
-        self._monitor = Monitor(self.limits, bus.robot, period)
-        self._energising = False
+        self.torque, self._writer = torque, bus.writer()
+        self._limiter = CurrentLimiter(self.limits, bus.robot, PERIOD, current_scale)
+        self._monitor = Monitor(self.limits, bus.robot, PERIOD)
         self._gain_share = 1.0
         self._damped = False
         self._written = np.zeros(len(bus.joints), dtype=np.int64)
@@ -101,37 +139,34 @@ class Safety:
 
     @property
     def load(self) -> NDArray[np.float64]:
-        """[joint] mean square current over what a servo carries for ever."""
+        """See `CurrentLimiter.load`."""
         return self._limiter.load
 
-    def check_start(self, *, sysfs: Path | None = None, whole: bool = True) -> list[Check]:
+    def check_start(self, *, whole: bool = True) -> None:
         """Run the start checks, or only those without which nothing can be written.
 
         Raises:
             Stop: if one fails; nothing is energised.
         """
-        options = {} if sysfs is None else {"sysfs": sysfs}
-        start = StartChecks(self.bus, self._writer, self.limits, **options)
-        checks = start.run(lambda check: self._report(str(check))) if whole else start.run_power()
-        if failed := [check for check in checks if not check.ok]:
-            raise Stop(ExitCode.START_CHECK, f"{failed[0].name}: {failed[0].detail}")
-        return checks
+        checks = self._checks(self._writer)
+        last = checks.run() if whole else checks.run_power()
+        if not last.ok:
+            raise Stop(ExitCode.START_CHECK, f"{last.name}: {last.detail}")
 
     def prepare(self) -> None:
-        """Choose how a tick is read; needs no torque."""
+        """Choose how a tick is read, and tell."""
         block = self._writer.prepare_block()
         way = "fast sync read" if block.fast else "sync read"
         self._report(f"reading {block.length} bytes per servo by {way}")
 
-    def write_settings(self, values: dict[str, int]) -> None:
-        """Write registers of all servos' EEPROM, with torque off, where they differ.
+    def write_settings(self, values: Mapping[str, int | dict[str, int]]) -> None:
+        """Write registers of all servos, first of all torque off, where they differ.
 
         Raises:
             Stop: if a servo does not take a value.
         """
         try:
-            self._set("torque_enable", 0)
-            for register, value in values.items():
+            for register, value in ({"torque_enable": 0} | dict(values)).items():
                 self._set(register, value)
         except BusError as error:
             raise Stop(ExitCode.ENERGISE, str(error)) from error
@@ -146,14 +181,13 @@ class Safety:
         Raises:
             Stop: if a servo does not take a value.
         """
-        self._energising = True
+        self.touched = True
         peak = np.floor(self._limiter.limit).astype(int)
         current_limits = {name: int(value) for name, value in zip(self._joints, peak, strict=True)}
+        self.write_settings(
+            {"bus_watchdog": 0, "operating_mode": OperatingMode.CURRENT, "current_limit": current_limits}
+        )
         try:
-            self._set("torque_enable", 0)
-            self._set("bus_watchdog", 0)
-            self._set("operating_mode", OperatingMode.CURRENT)
-            self._set("current_limit", current_limits)
             self._set("goal_current", 0, always=True)
             self._set("torque_enable", 1)
             self._set("bus_watchdog", WATCHDOG)
@@ -221,25 +255,16 @@ class Safety:
             self._gain_share = 0.0
             command = command.damped(self.limits.damp_gain)
         elif self._gain_share < 1:
-            self._gain_share = min(1.0, self._gain_share + self._period / RECOVERY_TIME)
+            self._gain_share = min(1.0, self._gain_share + PERIOD / RECOVERY_TIME)
             command = Command(command.position, self._gain_share * command.p_gain, command.d_gain)
-        fresh = self._limiter.counts(state, command)
         silent = 0 if verdict.damp else self._written
-        return self._send(np.where(state.answered, fresh, silent), state), command
-
-    def _send(self, counts: NDArray[np.int64], state: State) -> NDArray[np.int64]:
+        self._written = np.where(state.answered, self._limiter.counts(state, command), silent)
         self._check_gap()
         if self.torque:
-            self._writer.write_currents(counts)
+            self._writer.write_currents(self._written)
         self._write_time = self.bus.clock.now()
-        self._written = counts
-        self._limiter.account(counts, state)
-        return counts
-
-    @property
-    def touched(self) -> bool:
-        """Whether a servo may have torque."""
-        return self._energising
+        self._limiter.account(self._written, state)
+        return self._written, command
 
     def release(self, patience: float = RELEASE_PATIENCE) -> Release:
         """Switch torque off and read it back; tries for `patience` [s] on a bus that does not answer.
@@ -257,7 +282,7 @@ class Safety:
                 break
             clock.sleep_until(clock.now() + 0.05)
         if result.ok:
-            self._energising = False
+            self.touched = False
             # A watchdog that has tripped keeps the goals as they were. With torque off it is safe to clear, and
             # the goals are zero then for whoever switches torque on next.
             self._attempt(lambda: self._writer.sync_write("bus_watchdog", 0))
@@ -276,41 +301,13 @@ class Safety:
             # A silent servo hides those behind it from a sync read.
             if name not in there:
                 self._attempt(lambda name=name: there.update({name: self.bus.read(name, "torque_enable", attempts=1)}))
-        failed = {
-            name: "no answer" if name not in there else "still on" for name in self._joints if there.get(name) != 0
-        }
+        failed = {name: "still on" if name in there else "no answer" for name in self._joints if there.get(name) != 0}
         return Release(tuple(name for name in self._joints if name not in failed), failed)
 
     def _attempt(self, call: Callable[[], object]) -> None:
         """Do something on the bus; if the port has gone, try to open it again."""
-        try:
-            call()
-        except Unplugged:
+        with suppress(BusError):
             try:
+                call()
+            except Unplugged:
                 self.bus.open()
-            except BusError:
-                return
-        except BusError:
-            return
-
-
-class Onlooker:
-    """A guard that has no write handle: it judges nothing and writes nothing."""
-
-    torque = False
-
-    def __init__(self, robot: Robot, limits: Limits | None = None):
-        self.limits, self._joints = limits or Limits(), robot.joints
-
-    def assess(self, tick: Tick, state: State) -> Verdict:
-        """Everything is allowed, since nothing is done; losses are told."""
-        silent = [self._joints[i] for i in np.flatnonzero(~state.answered)]
-        return Verdict(note=f"no answer from {', '.join(silent)}" if silent else "")
-
-    def write(self, state: State, command: Command, verdict: Verdict) -> tuple[NDArray[np.int64], Command]:
-        """Nothing is written."""
-        return np.zeros(len(self._joints), dtype=np.int64), command
-
-
-Guard = Safety | Onlooker
-"""What the loop needs: one that assesses readings and carries out commands."""

@@ -26,7 +26,7 @@ from op3.deploy.limits import Command
 from op3.deploy.monitors import Verdict
 from op3.deploy.operator import Operator, told
 from op3.deploy.phases import Phase
-from op3.deploy.safety import Guard, Release, Safety
+from op3.deploy.safety import Onlooker, Release
 from op3.deploy.state import State
 from op3.deploy.ticker import PERIOD, Tick, Ticker, Timing
 from op3.rollout import LogError, Metadata, Recorder, Rollout
@@ -43,14 +43,10 @@ IMU = ("orientation", "angular_velocity", "linear_acceleration")
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a run ended.
+    """How a run ended: exit code and reason, finished logs by name, and how well deadlines were kept.
 
     Attributes:
-        code: of the process.
-        reason: one sentence.
         release: what became of switching torque off; None where it was never on.
-        timing: how well deadlines were kept.
-        logs: finished logs by name.
         ended_in: the log in which the run ended early; None if it did not.
     """
 
@@ -63,45 +59,30 @@ class Outcome:
 
 
 class Logs:
-    """The logs of a run, one folder per name.
+    """The logs of a run, one folder per name."""
 
-    Args:
-        folder: where they are written.
-        metadata: what is known at the start.
-        only: names that are written; None for all.
-    """
-
-    def __init__(self, folder: Path, metadata: Metadata, only: Sequence[str] | None = None):
-        self._folder, self._metadata, self._only = folder, metadata, only
+    def __init__(self, folder: Path, metadata: Metadata):
+        self._folder, self._metadata = folder, metadata
         self._recorders: dict[str, Recorder] = {}
         self._start: float | None = None
 
     def open(self) -> None:
         """Make the folders now: a disk may take longer for that than a running loop has time."""
-        for name in LOG_NAMES if self._only is None else self._only:
-            self._recorder(name)
-
-    def _recorder(self, name: str) -> Recorder:
-        if name not in self._recorders:
+        for name in LOG_NAMES:
             label = name if self._metadata.recording is None else f"{self._metadata.recording}/{name}"
             self._recorders[name] = Recorder(self._folder / name, self._metadata.replace(recording=label))
-        return self._recorders[name]
 
     def __call__(self, name: str, row: dict[Any, Any]) -> None:
         """Add a row to a log. Time counts from the first row of the run."""
-        if self._only is not None and name not in self._only:
-            return
         if self._start is None:
             self._start = row["time"]
         row["time"] = row["time"] - self._start
-        self._recorder(name).append(row)
+        self._recorders[name].append(row)
 
     def close(self, fell_in: str | None, extra: dict[str, Any]) -> dict[str, Rollout]:
         """Finish all logs; one that cannot be finished stays behind as a crash would leave it.
 
-        Args:
-            fell_in: the log in which the robot fell; None if it did not.
-            extra: further metadata.
+        `fell_in` is the log in which the robot fell, if it did.
         """
         done = {}
         for name, recorder in self._recorders.items():
@@ -122,19 +103,15 @@ _CODES = {
 
 
 class StopSignals:
-    """While it is entered, the first signal raises `Stop` wherever the program is; later ones are only counted.
+    """While it is entered, the first signal raises `Stop` wherever the program is; later ones do nothing.
 
     So an impatient second Ctrl-C cannot interrupt switching off. `hush` says that from now on even the first signal
-    is only counted: the exit path has begun. In a thread other than the main one signals are left alone.
+    is ignored: the exit path has begun. In a thread other than the main one signals are left alone.
 
     Foreign code may swallow what is raised in it, as a finaliser or a bare `except` does; `check` raises it again.
-
-    Attributes:
-        count: signals so far.
     """
 
     def __init__(self) -> None:
-        self.count = 0
         self._stop: Stop | None = None
         self._quiet = False
         self._before: dict[signal.Signals, Any] = {}
@@ -147,7 +124,6 @@ class StopSignals:
     def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
-        self._before = {}
 
     def hush(self) -> None:
         """Let no signal interrupt what follows."""
@@ -159,8 +135,7 @@ class StopSignals:
             raise self._stop
 
     def _receive(self, number: int, _: FrameType | None) -> None:
-        self.count += 1
-        if self.count > 1 or self._quiet:
+        if self._stop is not None or self._quiet:
             return
         name = signal.Signals(number)
         self._stop = Stop(_CODES[name], f"stopped by {name.name}")
@@ -171,13 +146,9 @@ class Session:
     """One run of phases on the robot.
 
     Args:
-        bus: the robot's.
         safety: the guard that writes, or an onlooker that only reads.
-        operator: asked before torque goes on.
         logs: takes every tick; None for no log.
         show: called at the end of every tick with phase, state, command, goal currents [joint], verdict and ticker.
-        report: where lines for the operator go.
-        sysfs: where the kernel shows serial adapters.
 
     Attributes:
         target: of the last tick [joint] in rad.
@@ -186,16 +157,15 @@ class Session:
     def __init__(
         self,
         bus: Bus,
-        safety: Guard,
+        safety: Onlooker,
         operator: Operator,
         *,
         logs: Logs | None = None,
         show: Callable[..., None] | None = None,
         report: Callable[[str], None] = print,
-        sysfs: Path | None = None,
     ):
         self._bus, self._safety, self._operator = bus, safety, operator
-        self._logs, self._show, self._report, self._sysfs = logs, show, told(report), sysfs
+        self._logs, self._show, self._report = logs, show, told(report)
         self._signals = StopSignals()
         self._release: Release | None = None
         self._ticker: Ticker | None = None
@@ -246,20 +216,18 @@ class Session:
 
     def _work(self, phases: Phases) -> None:
         safety = self._safety
-        armed = isinstance(safety, Safety) and safety.torque
-        if isinstance(safety, Safety):
-            safety.check_start(sysfs=self._sysfs)
-            safety.prepare()
-            if armed and not self._operator.confirm("The robot is about to move. Hold it, keep hands off its joints."):
-                raise Stop(ExitCode.DECLINED, "not confirmed")
+        safety.check_start()
+        safety.prepare()
+        question = "The robot is about to move. Hold it, keep hands off its joints."
+        if safety.torque and not self._operator.confirm(question):
+            raise Stop(ExitCode.DECLINED, "not confirmed")
         # Whatever takes time is done before torque: from then on the watchdogs allow no pause of 100 ms.
         made = phases(self)
         if self._logs is not None:
             self._logs.open()
         self._read_all()
         with _collected_garbage():
-            if armed:
-                assert isinstance(safety, Safety)
+            if safety.torque:
                 self._signals.check()
                 safety.energise()
             try:
@@ -320,7 +288,7 @@ class Session:
     def _carry_out(
         self, tick: Tick, state: State, command: Command, verdict: Verdict
     ) -> tuple[NDArray[np.int64], Command]:
-        """Write a command and log the tick; goal currents [joint] in counts, and the command as it was carried out."""
+        """Write a command and log the tick; see `Onlooker.write`."""
         counts, issued = self._safety.write(state, command, verdict)
         if self._logs is None:
             return counts, issued
@@ -347,19 +315,16 @@ class Session:
         return counts, issued
 
     def _let_go(self) -> None:
-        if isinstance(self._safety, Safety) and self._safety.touched and self._release is None:
+        if self._safety.touched and self._release is None:
             self._bus.clear()
             self._release = self._safety.release()
 
     def _close_logs(self, code: ExitCode, reason: str) -> dict[str, Rollout]:
         if self._logs is None:
             return {}
-        timing = self.timing
-        extra: dict[str, Any] = {"exit": code.name.lower(), "reason": reason, "ticks": timing.ticks}
-        extra |= {"missed_ticks": timing.misses}
-        extra |= {f"lateness_{name}": getattr(timing, name) for name in ("p50", "p99", "max")}
-        if isinstance(self._safety, Safety):
-            extra["largest_load"] = float(np.max(self._safety.load))
+        timing, load = self.timing, float(np.max(self._safety.load))
+        extra = {"exit": code.name.lower(), "reason": reason, "ticks": timing.ticks, "missed_ticks": timing.misses}
+        extra |= {f"lateness_{name}": getattr(timing, name) for name in ("p50", "p99", "max")} | {"largest_load": load}
         return self._logs.close(self._ended_in if code == ExitCode.FALL else None, extra)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -46,13 +46,7 @@ SAMPLES = 25
 
 @dataclass(frozen=True)
 class Check:
-    """The outcome of one check.
-
-    Attributes:
-        name: what was checked.
-        ok: whether it passed.
-        detail: what was found, and the remedy where it did not pass.
-    """
+    """The outcome of one check: what was found, and the remedy where it did not pass."""
 
     name: str
     ok: bool
@@ -62,24 +56,27 @@ class Check:
         return f"{'ok  ' if self.ok else 'FAIL'} {self.name}: {self.detail}"
 
 
+class Failed(Exception):
+    """A check did not pass; the message says what was found, and the remedy."""
+
+
 class StartChecks:
     """The checks in their order; the first that fails ends them, since later ones rely on it.
 
+    Each gives what was found, or raises `Failed`.
+
     Args:
-        bus: to read from.
         writer: switches on the servos' supply and nothing else; None where that must not happen either.
-        limits: voltages.
-        sysfs: where the kernel shows serial adapters.
+        report: takes each check as it is made.
     """
 
-    def __init__(self, bus: Bus, writer: Writer | None, limits: Limits, *, sysfs: Path = ADAPTERS):
-        self._bus, self._writer, self._limits, self._sysfs = bus, writer, limits, sysfs
+    def __init__(self, bus: Bus, writer: Writer | None, limits: Limits, report: Callable[[Check], None]):
+        self._bus, self._writer, self._limits, self._report = bus, writer, limits, report
         self._joints, self._models = bus.joints, {}
 
-    def run(self, report: Callable[[Check], None] | None = None) -> list[Check]:
-        """Run the checks; each is reported as it is made."""
+    def run(self) -> Check:
+        """Run the checks; the last of them, which is the one that failed if one did."""
         return self._run(
-            report,
             ("latency timer", self._latency_timer),
             ("servo power", self._power),
             ("ping", self._ping),
@@ -95,161 +92,157 @@ class StartChecks:
             *([("IMU", self._imu)] if self._bus.board else []),
         )
 
-    def run_power(self, report: Callable[[Check], None] | None = None) -> list[Check]:
+    def run_power(self) -> Check:
         """Only the checks without which nothing can be written."""
-        return self._run(report, ("servo power", self._power), ("ping", self._ping))
+        return self._run(("servo power", self._power), ("ping", self._ping))
 
-    def _run(
-        self, report: Callable[[Check], None] | None, *checks: tuple[str, Callable[[], tuple[bool, str]]]
-    ) -> list[Check]:
-        results = []
+    def _run(self, *checks: tuple[str, Callable[[], str]]) -> Check:
         for name, check in checks:
             try:
-                ok, detail = check()
-            except BusError as error:
-                ok, detail = False, str(error)
-            results.append(Check(name, ok, detail))
-            if report is not None:
-                report(results[-1])
-            if not ok:
+                result = Check(name, True, check())
+            except (Failed, BusError) as error:
+                result = Check(name, False, str(error))
+            self._report(result)
+            if not result.ok:
                 break
-        return results
+        return result
 
-    def _latency_timer(self) -> tuple[bool, str]:
-        file, value = latency_timer(str(getattr(self._bus.port, "port_name", "")), self._sysfs)
+    def _latency_timer(self) -> str:
+        file, value = latency_timer(self._bus.port_name, ADAPTERS)
         if value is None:
-            return True, "no USB serial adapter with a latency timer"
-        if value <= LATENCY:
-            return True, f"{value} ms"
-        return False, f"{value} ms makes a tick take 15 to 20 ms; echo {LATENCY} | sudo tee {file}"
+            return "no USB serial adapter with a latency timer"
+        if value > LATENCY:
+            raise Failed(f"{value} ms makes a tick take 15 to 20 ms; echo {LATENCY} | sudo tee {file}")
+        return f"{value} ms"
 
-    def _power(self) -> tuple[bool, str]:
+    def _power(self) -> str:
         bus = self._bus
         first = BOARD if bus.board else self._joints[0]
         try:
             bus.ping(first)
         except NoAnswer:
             with bus.patience(SLOW_ANSWER, SLOW_ANSWER):
-                bus.ping(first)
-            port = Path(str(getattr(bus.port, "port_name", "ttyUSB0"))).name
-            return False, (
+                try:
+                    bus.ping(first)
+                except NoAnswer:
+                    self._look_for_protocol_1([first])
+                    raise
+            port = Path(bus.port_name).name
+            raise Failed(
                 f"answers come only after {FIRST_ANSWER:g} ms: the USB adapter's latency timer is about 16 ms and must"
-                f" be 1; echo 1 | sudo tee {self._sysfs}/{port}/latency_timer, or setserial /dev/{port} low_latency"
-            )
+                f" be 1; echo 1 | sudo tee {ADAPTERS}/{port}/latency_timer, or setserial /dev/{port} low_latency"
+            ) from None
         if not bus.board or bus.read(BOARD, "dynamixel_power"):
-            return True, "on"
+            return "on"
         if self._writer is None:
-            return (
-                False,
-                "the servos' supply is off; press the robot's power button or use a mode that may switch it on",
-            )
+            remedy = "press the robot's power button or use a mode that may switch it on"
+            raise Failed(f"the servos' supply is off; {remedy}")
         self._writer.write(BOARD, "dynamixel_power", 1)
         bus.clock.sleep_until(bus.clock.now() + POWER_UP_TIME)
-        return bool(bus.read(BOARD, "dynamixel_power")), "switched on"
+        if not bus.read(BOARD, "dynamixel_power"):
+            raise Failed("switched on, and still off; check the board")
+        return "switched on"
 
-    def _ping(self) -> tuple[bool, str]:
+    def _ping(self) -> str:
         self._models = self._bus.ping_all()
-        missing = [f"{name} (id {self._bus.ids[name]})" for name in self._bus.ids if name not in self._models]
-        if missing:
-            remedy = "check cables, power, ids, and that all are at 2 Mbps and speak protocol 2.0"
-            return False, f"no answer from {', '.join(missing)}; {remedy}"
-        return True, f"{len(self._joints)} servos{' and OpenCR' if self._bus.board else ''} answer"
+        if missing := [name for name in self._bus.ids if name not in self._models]:
+            self._look_for_protocol_1(missing)
+            devices = ", ".join(f"{name} (id {self._bus.ids[name]})" for name in missing)
+            raise Failed(f"no answer from {devices}; check cables, power, ids, and that all are at 2 Mbps")
+        return f"{len(self._joints)} servos{' and OpenCR' if self._bus.board else ''} answer"
 
-    def _firmware(self) -> tuple[bool, str]:
+    def _look_for_protocol_1(self, silent: Sequence[str]) -> None:
+        if old := [f"{name} (id {self._bus.ids[name]})" for name in silent if self._bus.answers_protocol_1(name)]:
+            remedy = "set the register protocol_version there to 2, with DYNAMIXEL Wizard"
+            raise Failed(f"protocol 1.0 is spoken by {', '.join(old)}; {remedy}")
+
+    def _firmware(self) -> str:
         for name, model in self._models.items():
             wanted = OPEN_CR_MODEL if name == BOARD else self._bus.units.models[name]
             if model != wanted:
-                return False, f"{name} is model {model}, expected {wanted}"
-        versions = self._all("firmware_version")
-        old = [f"{name} {version}" for name, version in versions.items() if version < LEAST_FIRMWARE]
-        if old:
-            return False, f"firmware without bus watchdog: {', '.join(old)}; update to {LEAST_FIRMWARE} or later"
-        found = sorted(set(versions.values()))
-        return True, f"as in the robot's file, with firmware {', '.join(map(str, found))}"
+                raise Failed(f"{name} is model {model}, expected {wanted}")
+        if old := self._where("firmware_version", lambda version: version < LEAST_FIRMWARE):
+            raise Failed(f"firmware without bus watchdog: {old}; update to {LEAST_FIRMWARE} or later")
+        found = sorted(set(self._all("firmware_version").values()))
+        return f"as in the robot's file, with firmware {', '.join(map(str, found))}"
 
-    def _return_delay(self) -> tuple[bool, str]:
-        values = self._all("return_delay_time")
-        slow = [f"{name} {2 * value} us" for name, value in values.items() if value > LONGEST_RETURN_DELAY]
-        if slow:
-            return False, f"too long: {', '.join(slow)}; write it once with mode=setup"
-        return True, f"at most {2 * LONGEST_RETURN_DELAY} us"
+    def _return_delay(self) -> str:
+        if slow := self._where(
+            "return_delay_time", lambda value: value > LONGEST_RETURN_DELAY, lambda v: f"{2 * v} us"
+        ):
+            raise Failed(f"too long: {slow}; write it once with mode=setup")
+        return f"at most {2 * LONGEST_RETURN_DELAY} us"
 
-    def _return_level(self) -> tuple[bool, str]:
-        wrong = [name for name, value in self._all("status_return_level").items() if value != 2]
-        if wrong:
-            return False, f"{', '.join(wrong)} do not answer every packet; switch the power off and on"
-        return True, "every packet is answered"
+    def _return_level(self) -> str:
+        if wrong := [name for name, value in self._all("status_return_level").items() if value != 2]:
+            raise Failed(f"{', '.join(wrong)} do not answer every packet; switch the power off and on")
+        return "every packet is answered"
 
-    def _untouched(self, register: str) -> tuple[bool, str]:
+    def _untouched(self, register: str) -> str:
         # A reversed servo turns every correction into a push the wrong way; an offset moves its zero.
-        normal = UNTOUCHED[register]
         allowed = self._limits.homing_offset if register == "homing_offset" else 0
-        odd = {name: value for name, value in self._all(register).items() if abs(value - normal) > allowed}
+        away = {name: value - UNTOUCHED[register] for name, value in self._all(register).items()}
+        odd = self._where(register, lambda value: abs(value - UNTOUCHED[register]) > allowed)
         if not odd:
-            return True, "normal"
-        text = f"not normal: {', '.join(f'{name} {value}' for name, value in odd.items())}"
+            return "normal"
+        text, remedy = f"not normal: {odd}", "write it once with mode=setup, then calibrate"
         if register == "homing_offset":
-            name, worst = max(odd.items(), key=lambda item: abs(item[1]))
+            name, worst = max(away.items(), key=lambda item: abs(item[1]))
             angle = worst * self._bus.units.position[self._joints.index(name)]
             text += f" (up to {angle:+.2f} rad), left behind by another program"
-            remedy = f"or keep it with limits.homing_offset={abs(worst)} and calibrate with it"
-            return False, f"{text}; write it once with mode=setup, then calibrate, {remedy}"
-        return False, f"{text}; write it once with mode=setup, then calibrate"
+            remedy += f", or keep it with limits.homing_offset={abs(worst)} and calibrate with it"
+        raise Failed(f"{text}; {remedy}")
 
-    def _servo_limits(self) -> tuple[bool, str]:
+    def _servo_limits(self) -> str:
         """The run has to end before a servo lets go by itself."""
         limits = self._limits
-        cool = [
-            f"{name} {value} C" for name, value in self._all("temperature_limit").items() if value <= limits.temperature
-        ]
-        if cool:
-            return False, (
-                f"{', '.join(cool)}: a servo would shut down before the run ends at {limits.temperature:g} C;"
+        if cool := self._where("temperature_limit", lambda value: value <= limits.temperature, "{} C".format):
+            raise Failed(
+                f"{cool}: a servo would shut down before the run ends at {limits.temperature:g} C;"
                 " raise its register temperature_limit, or lower limits.temperature"
             )
-        volts = {name: VOLTAGE_UNIT * value for name, value in self._all("min_voltage_limit").items()}
-        high = [f"{name} {value:.1f} V" for name, value in volts.items() if value > limits.voltage + 1e-9]
-        if high:
-            return False, (
-                f"{', '.join(high)}: a servo would report an error before the run ends at {limits.voltage:g} V;"
+        if high := self._where("min_voltage_limit", lambda v: VOLTAGE_UNIT * v > limits.voltage + 1e-9, _volts):
+            raise Failed(
+                f"{high}: a servo would report an error before the run ends at {limits.voltage:g} V;"
                 " lower its register min_voltage_limit, or raise limits.voltage"
             )
-        return True, f"beyond {limits.temperature:g} C and {limits.voltage:g} V"
+        return f"beyond {limits.temperature:g} C and {limits.voltage:g} V"
 
-    def _temperature(self) -> tuple[bool, str]:
+    def _temperature(self) -> str:
         warm = self._all("present_temperature")
         name = max(warm, key=lambda key: warm[key])
         detail = f"{warm[name]} C at {name}, the highest"
-        return (True, detail) if warm[name] < self._limits.temperature else (False, f"{detail}; let it cool")
+        if warm[name] >= self._limits.temperature:
+            raise Failed(f"{detail}; let it cool")
+        return detail
 
-    def _hardware_errors(self) -> tuple[bool, str]:
-        errors = {name: value for name, value in self._all("hardware_error_status").items() if value}
-        if errors:
-            causes = ", ".join(f"{name} ({HardwareError.describe(value)})" for name, value in errors.items())
-            return False, f"{causes}; mend the cause, then switch the power off and on"
-        return True, "none"
+    def _hardware_errors(self) -> str:
+        if causes := self._where("hardware_error_status", bool, lambda value: f"({HardwareError.describe(value)})"):
+            raise Failed(f"{causes}; mend the cause, then switch the power off and on")
+        return "none"
 
-    def _voltage(self) -> tuple[bool, str]:
-        least = self._limits.start_voltage
-        volts = {name: VOLTAGE_UNIT * value for name, value in self._all("present_input_voltage").items()}
+    def _voltage(self) -> str:
+        least, counts = self._limits.start_voltage, self._all("present_input_voltage")
         if self._bus.board:
-            volts[BOARD] = VOLTAGE_UNIT * self._bus.read(BOARD, "present_voltage")
-        name = min(volts, key=lambda key: volts[key])
-        detail = f"{volts[name]:.1f} V at {name}, the lowest"
-        return (True, detail) if volts[name] >= least - 1e-9 else (False, f"{detail}; charge to at least {least} V")
+            counts[BOARD] = self._bus.read(BOARD, "present_voltage")
+        name = min(counts, key=lambda key: counts[key])
+        detail = f"{_volts(counts[name])} at {name}, the lowest"
+        if VOLTAGE_UNIT * counts[name] < least - 1e-9:
+            raise Failed(f"{detail}; charge to at least {least} V")
+        return detail
 
-    def _angles(self) -> tuple[bool, str]:
+    def _angles(self) -> str:
         position, (low, high) = self._read().position, self._bus.robot.limits.T
         outside = np.maximum(low - position, position - high)
         worst = int(outside.argmax())
         if outside[worst] > MARGIN:
-            return False, (
+            raise Failed(
                 f"{self._joints[worst]} is at {position[worst]:.2f} rad, outside its soft limits"
                 f" [{low[worst]:.2f}, {high[worst]:.2f}]; move it by hand, or check its calibration and horn"
             )
-        return True, "inside the soft limits"
+        return "inside the soft limits"
 
-    def _imu(self) -> tuple[bool, str]:
+    def _imu(self) -> str:
         bus, blocks = self._bus, set()
         for _ in range(SAMPLES):
             state = bus.read_state()
@@ -257,7 +250,7 @@ class StartChecks:
                 blocks.add(state.raw["imu"].tobytes())
             bus.clock.sleep_until(bus.clock.now() + 0.008)
         if len(blocks) < 2:
-            return False, f"{SAMPLES} readings hold {len(blocks)} different block; switch the power off and on"
+            raise Failed(f"{SAMPLES} readings hold {len(blocks)} different block; switch the power off and on")
         assert state.orientation is not None
         assert state.linear_acceleration is not None
         (roll, pitch), force = np.rad2deg(state.orientation[:2]), state.linear_acceleration
@@ -265,13 +258,13 @@ class StartChecks:
         felt = np.rad2deg([np.arctan2(force[1], force[2]), np.arctan2(-force[0], np.hypot(force[1], force[2]))])
         detail = f"roll {round(roll)} deg, pitch {round(pitch)} deg, alive"
         if max(abs(roll), abs(pitch)) > LARGEST_TILT_DEG:
-            return False, f"{detail}; put the robot upright"
+            raise Failed(f"{detail}; put the robot upright")
         if np.abs(felt - (roll, pitch)).max() > 10:
-            return False, (
+            raise Failed(
                 f"{detail}, but the accelerometer says {felt[0]:.0f} and {felt[1]:.0f} deg;"
                 " keep the robot still, or calibrate OpenCR's IMU"
             )
-        return True, detail
+        return detail
 
     def _read(self) -> State:
         """A reading to which everything has answered at some time."""
@@ -288,3 +281,11 @@ class StartChecks:
         """One register of all servos; those missed by the sync read are asked singly."""
         values = self._bus.sync_read(register)
         return {name: values[name] if name in values else self._bus.read(name, register) for name in self._joints}
+
+    def _where(self, register: str, wrong: Callable[[int], bool], shown: Callable[[int], str] = str) -> str:
+        """The servos of which a register is wrong, each with its value; empty where none is."""
+        return ", ".join(f"{name} {shown(value)}" for name, value in self._all(register).items() if wrong(value))
+
+
+def _volts(counts: int) -> str:
+    return f"{VOLTAGE_UNIT * counts:.1f} V"

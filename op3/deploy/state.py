@@ -36,10 +36,8 @@ CONTENTS = {
 """What a tick needs of a servo: 14 bytes."""
 
 FIRST_PLAIN = CONTENTS["current"].address
-"""First address of the block that needs no indirect addresses ..."""
-
 PLAIN_LENGTH = CONTENTS["temperature"].end - FIRST_PLAIN
-"""... and its length: from present current to present temperature, 21 bytes."""
+"""The block that needs no indirect addresses: from present current to present temperature, 21 bytes."""
 
 POINTERS = np.array([at for entry in CONTENTS.values() for at in range(entry.address, entry.end)], "<u2").tobytes()
 """What the indirect addresses hold, from `FIRST_INDIRECT_ADDRESS` on: the address of each byte of the block."""
@@ -86,10 +84,8 @@ BLOCKS = (
 """Ways to read a tick, best first. The last one needs nothing set up and nothing but a sync read."""
 
 BOARD_ADDRESS = OPEN_CR["button"].address
-"""First address of what a tick reads from an OpenCR ..."""
-
 BOARD_LENGTH = OPEN_CR["yaw"].end - BOARD_ADDRESS
-"""... and its length: buttons, voltage, gyro, accelerometer, roll-pitch-yaw, 20 bytes."""
+"""What a tick reads from an OpenCR: buttons, voltage, gyro, accelerometer, roll-pitch-yaw, 20 bytes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,18 +138,7 @@ class State:
         answered: NDArray[np.bool_],
         imu_answered: bool,
     ) -> State:
-        """Registers in SI units, in the axes of the joints and of the base.
-
-        Args:
-            raw: registers of `CONTENTS`.
-            units: of them.
-            offset: added to the joints' angles [rad].
-            board: what the board said; None where there is none.
-            time: as the rest, see above.
-            alert: see above.
-            answered: see above.
-            imu_answered: whether the board did.
-        """
+        """Registers of `CONTENTS` in SI units, `offset` [rad] added to angles, and what the board said, if any."""
         volts, seen = units.voltage * raw["voltage"], {}
         supply = float(volts.min())
         if board is not None:
@@ -188,7 +173,6 @@ class Calibration:
 
     Args:
         offset: [joint] in rad; None for none.
-        robot: whose joints these are.
 
     Raises:
         ValueError: if an offset is no number, or so large that the horn must be on the wrong tooth.

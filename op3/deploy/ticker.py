@@ -43,13 +43,7 @@ class MonotonicClock:
 
 @dataclass(frozen=True)
 class Tick:
-    """One deadline.
-
-    Attributes:
-        index: number of the deadline, counted from 0; skipped ones count too.
-        deadline: when the tick was due [s, clock].
-        lateness: how long after that it began [s].
-    """
+    """One deadline: its number, skipped ones counted, when it was due [s, clock], and how much later it began [s]."""
 
     index: int
     deadline: float
@@ -63,9 +57,7 @@ class Timing:
     Attributes:
         ticks: how many were run.
         misses: how many were skipped because their time had passed.
-        p50: median lateness [s].
-        p99: lateness that one tick in a hundred exceeds [s].
-        max: worst lateness [s].
+        p50: median lateness [s]; `p99` is exceeded by one tick in a hundred, `max` by none.
     """
 
     ticks: int = 0
@@ -84,14 +76,9 @@ class Ticker:
 
     Waiting for the next tick never shifts the later ones. Deadlines that passed while a tick ran are skipped and
     counted, so that a slow tick is not followed by a burst of fast ones.
-
-    Args:
-        clock: to wait on.
-        period: between deadlines [s].
     """
 
-    def __init__(self, clock: Clock, period: float = PERIOD):
-        self.period = period
+    def __init__(self, clock: Clock):
         self.misses = 0
         self._clock = clock
         self._start = clock.now()
@@ -101,7 +88,7 @@ class Ticker:
     def wait(self) -> Tick:
         """Sleep until the next deadline that has not passed by a period or more."""
         self._index += 1
-        behind = int((self._clock.now() - self._deadline) / self.period)
+        behind = int((self._clock.now() - self._deadline) / PERIOD)
         if behind > 0:
             self._index += behind
             self.misses += behind
@@ -112,7 +99,7 @@ class Ticker:
 
     @property
     def _deadline(self) -> float:
-        return self._start + self._index * self.period
+        return self._start + self._index * PERIOD
 
     def timing(self, last: int | None = None) -> Timing:
         """Statistics of all ticks so far, or of the last ones; `ticks` and `misses` count all."""

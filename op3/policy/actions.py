@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from op3.robot import load_robot
-from op3.settings import Listed, NotNegative, Number, Some, settings
+from op3.robot import DEFAULT, load_robot
+from op3.settings import Listed, NotNegative, Number, Some, Text, settings
 
 Array = TypeVar("Array", NDArray[Any], torch.Tensor)
 
@@ -49,6 +49,7 @@ class ActionMap:
         gain_low: P gain at action -1 [A/rad].
         gain_high: P gain at action +1 [A/rad]; equal to `gain_low`, the gain is fixed whatever the action says.
         d_gain: D gain of every joint [A s/rad].
+        robot: whose joints these are.
     """
 
     joints: Some[str]
@@ -57,9 +58,10 @@ class ActionMap:
     gain_low: NotNegative = GAIN_LOW
     gain_high: NotNegative = GAIN_HIGH
     d_gain: NotNegative = D_GAIN
+    robot: Text = DEFAULT
 
     def __post_init__(self):
-        robot = load_robot()
+        robot = load_robot(self.robot)
         limits = robot.limits[robot.indices(self.joints)]
         if len(set(self.joints)) != len(self.joints):
             raise ValueError(f"action map: joints must be named once each, got {', '.join(self.joints)}")
@@ -98,7 +100,7 @@ class ActionMap:
     @property
     def span(self) -> float:
         """How far a target may lie from the stand pose [rad]."""
-        stand = load_robot().home[self._places]
+        stand = load_robot(self.robot).home[self._places]
         return float(np.abs(np.array([self.position_low, self.position_high]) - stand).max())
 
     @property
@@ -136,7 +138,7 @@ class ActionMap:
             position_target in rad, p_gain in A/rad and d_gain in A s/rad, each [..., robot joint] of the kind given.
         """
         position, p_gain = self.targets(action)
-        robot = load_robot()
+        robot = load_robot(self.robot)
         return {
             "position_target": self._whole(robot.home, position),
             "p_gain": self._whole(np.full(len(robot.joints), HELD_GAIN), p_gain),
@@ -178,7 +180,7 @@ class ActionMap:
             p_gain: P gain of every joint [A/rad]; the highest where None.
         """
         gain = self.gain_high if p_gain is None else p_gain
-        return self.action(load_robot().home[self._places], np.full(len(self.joints), gain))
+        return self.action(load_robot(self.robot).home[self._places], np.full(len(self.joints), gain))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for a manifest."""
@@ -193,7 +195,8 @@ class ActionMap:
             ValueError: if a field is missing, unknown or impossible; the message names it.
         """
         known = {field.name for field in dataclasses.fields(cls)}
-        if not isinstance(values, Mapping) or set(values) != known:
+        # bundles from before robots had files are of the default one
+        if not isinstance(values, Mapping) or {*values, "robot"} != known:
             given = ", ".join(map(str, values)) if isinstance(values, Mapping) else repr(values)
             raise ValueError(f"action map: needs exactly the fields {', '.join(sorted(known))}, got {given}")
         return cls(**values)
@@ -212,7 +215,7 @@ class ActionMap:
     @cached_property
     def _places(self) -> NDArray[np.int64]:
         """Place of each controlled joint among the robot's."""
-        return load_robot().indices(self.joints)
+        return load_robot(self.robot).indices(self.joints)
 
     def _bounds(self, like: Any) -> tuple[Any, Any]:
         if isinstance(like, torch.Tensor):

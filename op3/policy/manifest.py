@@ -8,6 +8,7 @@ import yaml
 from pydantic import Field
 
 from op3.policy.actions import ActionMap
+from op3.robot import Robot, load_robot
 from op3.settings import Count, Named, Positive, Some, Whole, parse_yaml, settings
 
 FORMAT = "op3-policy/1"
@@ -114,6 +115,14 @@ class Manifest:
                     f"field {name} of its manifest is {made}, here it is {here}; it was trained for {self.task}: "
                     "choose that task, or another policy"
                 )
+
+    def check_robot(self, robot: str | Robot) -> None:
+        """Refuse a robot that the policy was not made for; a ValueError that names both."""
+        made, here = load_robot(self.action_map.robot).name, load_robot(robot).name
+        if made != here:
+            raise ValueError(
+                f"the policy was trained for the robot {made}, and this one is {here}; give a policy of its own"
+            )
 
     def to_yaml(self) -> str:
         """The text of ``manifest.yaml``."""

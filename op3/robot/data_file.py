@@ -27,9 +27,6 @@ class DataFileError(ValueError):
 class DataFile:
     """A YAML file with the line of every entry.
 
-    Args:
-        path: of the file.
-
     Raises:
         DataFileError: if there is none, or it is no YAML.
     """

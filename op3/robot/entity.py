@@ -93,11 +93,7 @@ class RobotEntity(composer.Entity):
 
     @property
     def imu(self) -> mjcf.Element:
-        """The site of the IMU.
-
-        Raises:
-            LookupError: if the robot has none.
-        """
+        """The site of the IMU; a LookupError if the robot has none."""
         return self._find("site", self.robot.file.imu or "IMU")
 
     @property

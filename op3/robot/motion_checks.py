@@ -3,6 +3,7 @@
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import mujoco
@@ -43,13 +44,20 @@ def check_motion(motion: Motion, mount: str | None = None) -> None:
 
 
 def _limit_faults(motion: Motion, robot: Robot, position: np.ndarray) -> list[str]:
-    low, high = robot.limits.T
+    return outside_limits(motion.name, robot.joints, robot.limits, motion.time, position)
+
+
+def outside_limits(
+    name: str, joints: Sequence[str], limits: np.ndarray, time: np.ndarray, position: np.ndarray
+) -> list[str]:
+    """Joints that a motion asks for more than their limits [joint, 2], where first, one sentence each."""
+    outside = (position < limits[:, 0]) | (position > limits[:, 1])
     faults = []
-    for joint in np.flatnonzero(((position < low) | (position > high)).any(0)):
-        row = int(np.argmax((position[:, joint] < low[joint]) | (position[:, joint] > high[joint])))
+    for joint in np.flatnonzero(outside.any(0)).tolist():
+        row, (low, high) = int(np.argmax(outside[:, joint])), limits[joint]
         faults.append(
-            f"motion {motion.name!r} asks {robot.joints[joint]} for {position[row, joint]:.3f} rad at"
-            f" {motion.time[row]:.3f} s; it may go from {low[joint]:.3f} to {high[joint]:.3f} rad"
+            f"motion {name!r} asks {joints[joint]} for {position[row, joint]:.3f} rad at {time[row]:.3f} s;"
+            f" it may go from {low:.3f} to {high:.3f} rad"
         )
     return faults
 

@@ -34,28 +34,15 @@ SHIN = 0.11
 """Knee axis to ankle pitch axis [m]."""
 
 
-def leg_pitches(knee: ArrayLike, lean: float) -> dict[str, Array]:
-    """Left pitch angles that put the hip axis above the ankle axis with the sole level.
+def squat_position(knee: ArrayLike, lean: float = SQUAT_LEAN) -> Array:
+    """Whole-body angles [..., joint] in rad of a squat at a knee angle [...], the rest at home.
 
-    With t and s the angles of thigh and shin from the vertical about +y, hip above ankle means
-    thigh sin(t) + shin sin(s) = 0, and the knee angle is s - t. The trunk leans forward by `lean`, so the hip
-    pitch is t - lean and, the sole being level, the ankle pitch is s.
-
-    Args:
-        knee: knee angle [...] in rad.
-        lean: pitch of the trunk in rad, positive forward.
-
-    Returns:
-        Angles [...] in rad of l_hip_pitch, l_knee and l_ank_pitch.
+    The hips stay above the ankles and the soles level while the trunk leans forward by `lean` [rad].
     """
     knee = np.asarray(knee, dtype=float)
-    tilt = -np.arctan2(SHIN * np.sin(knee), THIGH + SHIN * np.cos(knee))
-    return {"l_hip_pitch": tilt - lean, "l_knee": knee, "l_ank_pitch": tilt + knee}
-
-
-def squat_position(knee: ArrayLike, lean: float = SQUAT_LEAN) -> Array:
-    """Whole-body angles [..., joint] in rad of a squat at a knee angle [...], the rest at home."""
-    return OP3.completed(leg_pitches(knee, lean))
+    length = np.sqrt(THIGH**2 + SHIN**2 + 2 * THIGH * SHIN * np.cos(knee))
+    angles = leg_angles(np.stack([0 * length, 0 * length, -length], -1), lean)
+    return OP3.completed({f"l_{name}": angles[name] for name in ("hip_pitch", "knee", "ank_pitch")})
 
 
 def squat(
@@ -70,8 +57,7 @@ def squat(
     """The squat that excites the robot for identification.
 
     The paper: keeping a forward-leaning posture, the knee goes between 1.47 and 0.6 rad at about 0.5 Hz. Here
-    it follows a raised cosine from the low position, so both ends are passed at rest; hip and ankle keep the
-    soles level and the hips above the ankles.
+    it follows a raised cosine from the low position, so both ends are passed at rest.
 
     Args:
         knee_low: knee angle at the start and at every lowest point [rad].
@@ -80,7 +66,6 @@ def squat(
         lean: pitch of the trunk [rad], positive forward.
         duration: length [s].
         rate: rows per second.
-        name: of the motion.
     """
     time = sample_times(duration, rate)
     crouch = (1 + np.cos(2 * np.pi * frequency * time)) / 2
@@ -101,10 +86,8 @@ def push_down(
 
     Args:
         knees: knee angles at the holds [rad].
-        ramp: time from one hold to the next [s].
-        rest: time at each hold [s].
+        ramp: time from one hold to the next [s]; at each it rests for `rest`.
         lean: pitch of the trunk [rad], positive forward.
-        name: of the motion.
     """
     knee = levels_over_time(knees, ramp, rest)
     return Motion(np.arange(len(knee)) / RATE, squat_position(knee, lean), name=name, mounts=("floor",))
@@ -120,7 +103,6 @@ def sway(
         frequency: full cycles per second.
         duration: length [s].
         around: pose in the middle.
-        name: of the motion.
     """
     time = sample_times(duration, RATE)
     position = np.tile(OP3.pose(around), (len(time), 1))
@@ -147,7 +129,6 @@ def soften(
         cycles: how often it falls and rises.
         period: of one [s].
         lean: pitch of the trunk [rad], positive forward.
-        name: of the motion.
     """
     time = sample_times(cycles * period + 0.5, RATE)
     fall = (1 - np.cos(2 * np.pi * np.minimum(time, cycles * period) / period)) / 2

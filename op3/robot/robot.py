@@ -29,9 +29,6 @@ DEFAULT = "op3"
 class Robot:
     """A robot: what its file says, and what follows from it and its model. Every [joint] axis is in its order.
 
-    Args:
-        path: of the file.
-
     Raises:
         DataFileError: in one sentence, with file, line and the nearest valid name, if something in it cannot be.
     """
@@ -98,10 +95,8 @@ class Robot:
     @cached_property
     def speed_limits(self) -> Array:
         """Fastest commanded speed [joint] in rad/s: nine tenths of the servos' speed without load at their supply."""
-        speeds = [
-            (s.limits.no_load_speed.si, s.limits.no_load_speed.at or s.supply.si, s.supply.si) for s in self.servos
-        ]
-        return np.array([0.9 * speed * min(1.0, supply / at) for speed, at, supply in speeds])
+        free = [(make.limits.no_load_speed, make.supply.si) for make in self.servos]
+        return np.array([0.9 * speed.si * min(1.0, supply / (speed.at or supply)) for speed, supply in free])
 
     @cached_property
     def limbs(self) -> tuple[tuple[str, ...], ...]:
@@ -170,11 +165,7 @@ class Robot:
         return np.asarray(joint_position, dtype=float)[..., partners] * signs
 
     def completed(self, angles: Mapping[str, ArrayLike]) -> Array:
-        """Whole-body angles ``[..., joint]`` from some joints'; the rest is as its mirror partner, else at home.
-
-        Args:
-            angles: [rad] by joint, scalars or arrays [...] of one shape.
-        """
+        """Whole-body angles ``[..., joint]`` from some joints' in rad; the rest is as its partner, else at home."""
         shape = np.broadcast_shapes(*(np.shape(value) for value in angles.values()))
         position = np.tile(self.home, (*shape, 1))
         for index, value in zip(self.indices(angles), angles.values(), strict=True):
@@ -231,11 +222,7 @@ def robot_files() -> dict[str, Path]:
 
 
 def load_robot(name: str | Path | Robot = DEFAULT) -> Robot:
-    """A robot by its name in ``assets/robots`` or by the path of its file.
-
-    Raises:
-        DataFileError: if there is none, or its file is wrong.
-    """
+    """A robot by its name in ``assets/robots`` or by the path of its file; a `DataFileError` if that is wrong."""
     if isinstance(name, Robot):
         return name
     known = robot_files()

@@ -6,6 +6,7 @@ The robot starts at the origin on the level floor; what is uneven begins ahead o
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false
 
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -64,19 +65,16 @@ def add_bricks(root: Any, name: str) -> None:
             shift, turn = np.zeros(2), np.pi / 2 * (number % 2)
         if lay >= filled:
             continue
-        layers = 2 if double < doubled else 1
-        for layer in range(layers):
+        for layer in range(2 if double < doubled else 1):
             angle = (turn + layer * np.pi / 2) / 2
-            root.worldbody.add(
-                "geom",
-                name=f"brick_{number:03d}_{layer}",
-                dclass="ground",
-                type="box",
-                size=BRICK,
-                pos=[*(centre + shift), BRICK[2] * (1 + 2 * layer)],
-                quat=[np.cos(angle), 0.0, 0.0, np.sin(angle)],
-                material="brick_high" if layer else "brick",
-            )
+            place = [*(centre + shift), BRICK[2] * (1 + 2 * layer)]
+            brick = _box(root, f"brick_{number:03d}_{layer}", BRICK, place, "brick_high" if layer else "brick")
+            brick.quat = [np.cos(angle), 0.0, 0.0, np.sin(angle)]
+
+
+def _box(root: Any, name: str, size: Sequence[float], place: Sequence[float], material: str) -> Any:
+    kind = {"dclass": "ground", "type": "box"}
+    return root.worldbody.add("geom", name=name, size=size, pos=place, material=material, **kind)
 
 
 def add_tiles(root: Any) -> None:
@@ -88,15 +86,7 @@ def add_tiles(root: Any) -> None:
         root: dm_control MJCF root with a default class "ground" and a material "brick".
     """
     for number, (x, y) in enumerate(_cells((2 * TILE, 2 * TILE))):
-        root.worldbody.add(
-            "geom",
-            name=f"tile_{number:03d}",
-            dclass="ground",
-            type="box",
-            size=[TILE, TILE, _TILE_DEPTH],
-            pos=[x, y, TILE_HEIGHT - _TILE_DEPTH],
-            material="brick",
-        )
+        _box(root, f"tile_{number:03d}", [TILE, TILE, _TILE_DEPTH], [x, y, TILE_HEIGHT - _TILE_DEPTH], "brick")
 
 
 def tile_ids(model: mujoco.MjModel) -> NDArray[np.int64]:
@@ -107,11 +97,8 @@ def tile_ids(model: mujoco.MjModel) -> NDArray[np.int64]:
 def draw_tiles(seed: int, highest: float = TILE_HEIGHT, steps: float = 0.0) -> Array:
     """Heights [tile] of a seed's terrain above the floor [m], up to `highest`.
 
-    Args:
-        seed: of the terrain.
-        highest: largest height [m].
-        steps: probability that all tiles of the terrain lie either on the floor or at the largest height, a drawn
-            share of them high; else the heights are uniform.
+    With the probability `steps` all tiles lie either on the floor or at the largest height, a drawn share of them high;
+    else the heights are uniform.
     """
     rng = np.random.default_rng([seed, 22])
     shares = rng.uniform(0.0, 1.0, len(_cells((2 * TILE, 2 * TILE))))

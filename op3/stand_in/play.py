@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from op3.robot import Excitation, Motion, load_robot
+from op3.robot.motion_checks import outside_limits
 from op3.rollout import Metadata, Rollout
 from op3.stand_in.sensors import Sensors
 
@@ -131,20 +132,11 @@ def gain_rows(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
 def check_targets(motion: Motion, joints: Sequence[str], limits: Array, targets: Array) -> None:
     """Refuse what a robot must not be told: servos in current mode enforce no limit themselves.
 
-    Args:
-        motion: whose targets they are.
-        joints: of the robot.
-        limits: [joint, 2] in rad.
-        targets: [tick, joint] in rad, one row per `CONTROL_PERIOD`.
+    Limits are [joint, 2] in rad, targets [tick, joint] in rad with one row per `CONTROL_PERIOD`.
     """
-    low, high = limits.T
-    outside = (targets < low) | (targets > high)
-    if outside.any():
-        row, joint = np.argwhere(outside)[0]
-        raise ValueError(
-            f"motion {motion.name!r} asks {joints[joint]} for {targets[row, joint]:.3f} rad at"
-            f" {row * CONTROL_PERIOD:.3f} s; it may go from {low[joint]:.3f} to {high[joint]:.3f} rad"
-        )
+    time = np.arange(len(targets)) * CONTROL_PERIOD
+    if faults := outside_limits(motion.name, joints, limits, time, targets):
+        raise ValueError(faults[0])
 
 
 def _tick(robot: Any, target: Array, p_gain: Array, d_gain: Array) -> Sensors:

@@ -53,8 +53,7 @@ class CheapPhysics:
         self._current = np.where(drive.enabled, drive.current, 0.0)
         self.clamped &= not drive.enabled.any()
 
-    def advance(self, steps: int) -> None:
-        duration = 0.001 * steps
+    def advance(self, duration: float) -> None:
         self.time += duration
         if self.clamped:
             return
@@ -113,7 +112,6 @@ class Rig:
         duration: float = 1.0,
         torque: bool = True,
         current_scale: float = 1.0,
-        sysfs: Path | None = None,
     ) -> Outcome:
         """A session; by default ramp, move to the stand pose, hold it."""
         stand = pose("stand")
@@ -122,7 +120,7 @@ class Rig:
             logs = Logs(folder, Metadata(joints=JOINTS, robot="emulated", mount="stand", rate=125.0))
         self.safety = Safety(self.bus, limits, current_scale=current_scale, torque=torque, report=self.lines.append)
         who, say = operator or Operator(), self.lines.append
-        session = Session(self.bus, self.safety, who, logs=logs, report=say, sysfs=sysfs)
+        session = Session(self.bus, self.safety, who, logs=logs, report=say)
 
         def make(loop: Session) -> Sequence[Phase]:
             if phases is None:

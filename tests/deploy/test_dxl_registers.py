@@ -6,7 +6,6 @@ from hypothesis import strategies as st
 
 from op3.deploy.registers import DYNAMIXEL_X, OPEN_CR, OPEN_CR_MODEL, HardwareError, Units
 from op3.robot import load_robot
-from tests.op3_table import OP3
 
 # ROBOTIS e-Manual, XM430-W350: name, address, size, initial value
 MANUAL = [
@@ -57,14 +56,6 @@ def test_values_survive_the_wire(register, value):
     if register.size == 1:
         value //= 256
     assert register.decode(register.encode(value)) == value
-
-
-def test_units_are_si():
-    """A quarter turn is 1024 counts, 100 units of current 0.269 A, one unit of velocity 0.229 rpm."""
-    units = Units(OP3)
-    assert 1024 * units.position == pytest.approx(1.5707963)
-    assert 100 * units.current == pytest.approx(0.269)
-    assert units.velocity == pytest.approx(0.02398, abs=1e-5)
 
 
 def test_servos_of_another_bus_are_refused():

@@ -129,3 +129,5 @@ def test_a_policy_for_another_loop_is_refused():
     bundle.manifest = dataclasses.replace(hold_policy("walk").manifest, task="hop")
     with pytest.raises(ValueError, match="give cycle"):
         PolicyRunner(bundle)
+    with pytest.raises(ValueError, match="was trained for the robot op3, and this one is arm; give a policy"):
+        PolicyRunner(hold_policy(), robot="arm")

@@ -6,14 +6,21 @@ import numpy as np
 import pytest
 from deploy_rig import make_rig
 
+from op3.deploy import start_checks
 from op3.deploy.emulator import USUAL_SETTINGS, BrownOut, Faults, FrozenImu, Silent, Timing
 from op3.deploy.exit_codes import ExitCode
+from op3.deploy.operator import Operator
 from op3.deploy.phases import GainRamp, Hold
 from op3.deploy.protocol import Error, Instruction
 from op3.deploy.registers import DYNAMIXEL_X, HardwareError
 from op3.robot import pose
 from op3.rollout import Rollout
 from tests.op3_table import IS_LEG, SERVO_IDS, indices
+
+
+def put(joint, register, value, at=0.0):
+    """What another program left in a servo; at a time, where booting clears the register."""
+    return dict(prepare=lambda robot: robot.at(at, lambda: robot.servos[joint].put(register, value)))
 
 
 def lean(robot):
@@ -24,63 +31,44 @@ def outside(robot):
     robot.physics.position[indices(["l_knee"])] = 2.4
 
 
-def old_firmware(robot):
-    robot.servos["l_el"].put("firmware_version", 30)
-
-
-def other_model(robot):
-    robot.servos["l_el"].put("model_number", 1060)
-
-
 def overloaded(robot):
     robot.at(0.3, lambda: robot.servos["r_knee"].fail(HardwareError.OVERLOAD))
-
-
-def reversed_drive(robot):
-    robot.servos["l_el"].put("drive_mode", 1)
-
-
-def cool_limit(robot):
-    robot.servos["l_el"].put("temperature_limit", 70)
-
-
-def high_voltage_limit(robot):
-    robot.servos["l_el"].put("min_voltage_limit", 105)
 
 
 def warm(robot):
     robot._heat[SERVO_IDS["l_el"]] = (0.0, 80.0)
 
 
-def other_return_level(robot):
-    robot.at(0.4, lambda: robot.servos["l_el"].put("status_return_level", 1))
-
-
-def left_behind(register, value):
-    # after the servo has booted, which clears what is not in its EEPROM
-    return lambda robot: robot.at(0.3, lambda: robot.servos["l_knee"].put(register, value))
-
-
 FAILURES = {
     "homing": (
-        dict(prepare=left_behind("homing_offset", 150)),
+        put("l_knee", "homing_offset", 150),
         r"homing offset: not normal: l_knee 150 \(up to \+0.23 rad\), left behind.*limits.homing_offset=150",
     ),
-    "pwm": (dict(prepare=left_behind("pwm_limit", 400)), "pwm limit: not normal: l_knee 400; .*mode=setup"),
-    "profile": (dict(prepare=left_behind("profile_velocity", 30)), "profile velocity: not normal: l_knee 30"),
+    "pwm": (put("l_knee", "pwm_limit", 400), "pwm limit: not normal: l_knee 400; .*mode=setup"),
+    "profile": (put("l_knee", "profile_velocity", 30, at=0.3), "profile velocity: not normal: l_knee 30"),
     "latency timer": (
         dict(timing=Timing(latency_timer=0.016)),
         r"servo power: answers come only after 4 ms: .*latency timer.*echo 1 .*latency_timer, or setserial",
     ),
-    "return level": (dict(prepare=other_return_level), "status return level: l_el do not answer every packet"),
-    "drive": (dict(prepare=reversed_drive), "drive mode: not normal: l_el 1; write it once with mode=setup"),
-    "cool": (dict(prepare=cool_limit), "servo limits: l_el 70 C: a servo would shut down before the run ends at 72 C"),
-    "min voltage": (dict(prepare=high_voltage_limit), "servo limits: l_el 10.5 V: a servo would report an error"),
+    "protocol": (
+        put("l_knee", "protocol_version", 1),
+        r"ping: protocol 1.0 is spoken by l_knee \(id 14\); set the register protocol_version there to 2",
+    ),
+    "return level": (
+        put("l_el", "status_return_level", 1, at=0.4),
+        "status return level: l_el do not answer every packet",
+    ),
+    "drive": (put("l_el", "drive_mode", 1), "drive mode: not normal: l_el 1; write it once with mode=setup"),
+    "cool": (
+        put("l_el", "temperature_limit", 70),
+        "servo limits: l_el 70 C: a servo would shut down before the run ends at 72 C",
+    ),
+    "min voltage": (put("l_el", "min_voltage_limit", 105), "servo limits: l_el 10.5 V: a servo would report an error"),
     "warm": (dict(prepare=warm), r"temperature: \d+ C at l_el, the highest; let it cool"),
     "silent": (dict(faults=Faults(scheduled=(Silent(14),))), r"ping: no answer from l_knee \(id 14\)"),
     "opencr": (dict(faults=Faults(scheduled=(Silent(200),))), r"servo power: opencr \(id 200\) did not answer"),
-    "model": (dict(prepare=other_model), "l_el is model 1060, expected 1020"),
-    "firmware": (dict(prepare=old_firmware), "without bus watchdog: l_el 30"),
+    "model": (put("l_el", "model_number", 1060), "l_el is model 1060, expected 1020"),
+    "firmware": (put("l_el", "firmware_version", 30), "without bus watchdog: l_el 30"),
     "delay": (dict(settings={**USUAL_SETTINGS, "return_delay_time": 250}), "return delay: too long: head_pan 500 us"),
     "error": (dict(prepare=overloaded), r"hardware errors: r_knee \(overload\)"),
     "voltage": (dict(faults=Faults(scheduled=(BrownOut(0.0, voltage=10.2),))), "10.2 V at .* charge to at least 10.5"),
@@ -107,19 +95,19 @@ def test_a_failed_check_energises_nothing(tmp_path, failure):
 def no_more_answers(robot):
     """Everything is silent from the moment in which a servo is told what its block is made of."""
     servo = robot.servos["l_knee"]
-    write_many = servo._write_many
+    write_bytes = servo._write_bytes
 
     def fall_silent(targets, data):
         robot._silent.update(dict.fromkeys(SERVO_IDS.values(), robot._heard))
-        return write_many(targets, data)
+        return write_bytes(targets, data)
 
-    servo._write_many = fall_silent
+    servo._write_bytes = fall_silent
 
 
 def pulled_plug(robot):
     """The plug is pulled at that moment."""
     servo = robot.servos["l_knee"]
-    servo._write_many = lambda targets, data: setattr(robot, "unplugged", True) or 0
+    servo._write_bytes = lambda targets, data: setattr(robot, "unplugged", True) or 0
 
 
 @pytest.mark.parametrize("what", [no_more_answers, pulled_plug])
@@ -133,24 +121,29 @@ def test_a_bus_that_fails_between_checks_and_torque(tmp_path, what):
     assert rig.lines[-1].startswith("start_check (10)")
 
 
-def test_the_latency_timer_comes_first(tmp_path):
-    """An adapter at 16 ms is refused with the command that mends it, before a byte is sent."""
-    rig = make_rig(tmp_path)
+@pytest.fixture
+def timer(tmp_path, monkeypatch):
+    """The file in which the kernel shows the latency timer of the rig's adapter."""
+    monkeypatch.setattr(start_checks, "ADAPTERS", tmp_path / "sys")
     (tmp_path / "sys" / "virtual").mkdir(parents=True)
-    file = tmp_path / "sys" / "virtual" / "latency_timer"
-    file.write_text("16\n")
-    outcome = rig.run(sysfs=tmp_path / "sys")
+    return tmp_path / "sys" / "virtual" / "latency_timer"
+
+
+def test_the_latency_timer_comes_first(tmp_path, timer):
+    """An adapter at 16 ms is refused with the command that mends it, before a byte is sent."""
+    timer.write_text("16\n")
+    rig = make_rig(tmp_path)
+    outcome = rig.run()
     assert outcome.code == ExitCode.START_CHECK
-    assert f"echo 1 | sudo tee {file}" in outcome.reason
+    assert f"echo 1 | sudo tee {timer}" in outcome.reason
     assert rig.packets() == []
 
 
-def test_the_checks_pass_at_1_ms_and_are_all_told(tmp_path):
+def test_the_checks_pass_at_1_ms_and_are_all_told(tmp_path, timer):
     """With the timer at 1 ms all checks pass, in their order."""
+    timer.write_text("1\n")
     rig = make_rig(tmp_path)
-    (tmp_path / "sys" / "virtual").mkdir(parents=True)
-    (tmp_path / "sys" / "virtual" / "latency_timer").write_text("1\n")
-    assert rig.run(duration=0.1, sysfs=tmp_path / "sys").code == ExitCode.OK
+    assert rig.run(duration=0.1).code == ExitCode.OK
     told = [line.split(":")[0].removeprefix("ok").strip() for line in rig.lines if line.startswith("ok  ")]
     assert told == [
         *("latency timer", "servo power", "ping", "models and firmware", "return delay"),
@@ -167,19 +160,11 @@ def test_the_checks_pass_at_1_ms_and_are_all_told(tmp_path):
     ]
 
 
-def test_not_confirmed(tmp_path):
+def test_not_confirmed(tmp_path, monkeypatch):
     """An operator who does not say yes ends the run before torque."""
-
-    class No:
-        def confirm(self, text):
-            return False
-
-        def said_go(self, say=print):
-            return False
-
+    monkeypatch.setattr(Operator, "confirm", lambda self, text: False)
     rig = make_rig(tmp_path)
-    outcome = rig.run(operator=No())
-    assert outcome.code == ExitCode.DECLINED
+    assert rig.run().code == ExitCode.DECLINED
     assert rig.written("torque_enable") == []
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from op3.robot import SCENES, Scene, build_bench, build_scene, pose, standing_height
+from op3.robot import SCENES, Scene, build_bench, build_scene, pose
 from op3.robot.kinematics import rotation_matrix
 from op3.robot.op3_motions import SQUAT_LEAN
 from tests.op3_table import JOINTS, LIMBS
@@ -105,16 +105,6 @@ def test_initial_state_touches_the_floor(floor, name, lean):
     assert touching == {f"op3/{side}_sole_{kind}" for side in "lr" for kind in ("long", "wide")}
     assert data.ncon == 16
     assert np.abs(data.contact.dist).max() < 2e-5
-
-
-def test_initial_base(floor):
-    """The base starts at the standing height with the orientation asked for."""
-    qpos = floor.initial_qpos(pose("stand"), 0.1, -0.2)
-    matrix = np.empty(9)
-    mujoco.mju_quat2Mat(matrix, qpos[3:7])
-    np.testing.assert_allclose(matrix.reshape(3, 3), rotation_matrix(0.1, -0.2), atol=1e-12)
-    assert qpos[2] == pytest.approx(standing_height(pose("stand"), 0.1, -0.2))
-    np.testing.assert_array_equal(qpos[7:], pose("stand"))
 
 
 def test_reference_pose_stands(floor):

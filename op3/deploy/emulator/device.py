@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from op3.deploy.protocol import Error, Instruction
@@ -39,19 +41,18 @@ class Device:
     """One device on the bus.
 
     Attributes:
-        table: its registers.
-        memory: their bytes.
         ready: time from which it answers [s]; infinite while it has no power.
+        alert: whether its answers carry the alert bit.
+        protocol: that it speaks, 1 or 2.
     """
 
     alert = False
-    """Whether its answers carry the alert bit."""
+    protocol = 2
 
     def __init__(self, table: ControlTable, device_id: int):
         self.table = table
         self.memory: bytearray | memoryview = bytearray(table.size)
         self.ready = 0.0
-        self._slices = {register.name: slice(register.address, register.end) for register in table}
         self._baud_at = table["baud_rate"].address
         self._delay_at = table["return_delay_time"].address
         self._level_at = table["status_return_level"].address
@@ -84,7 +85,8 @@ class Device:
 
     def get(self, name: str) -> int:
         """A register's value."""
-        return int.from_bytes(self.memory[self._slices[name]], "little", signed=self.table[name].signed)
+        register = self.table[name]
+        return register.decode(bytes(self.memory[register.address : register.end]))
 
     def put(self, name: str, value: int) -> None:
         """Set a register, whatever the rules say."""
@@ -105,22 +107,11 @@ class Device:
         """Write registers; if one of them is refused none is written. Returns the error."""
         register = self.table.at(address)
         if register is None or register.size != len(data):
-            return self._write_many(self._targets(address, len(data)), data)
-        return self._write_one(register, data)
+            return self._write_bytes(range(address, address + len(data)), data)
+        return self._write_whole({register: data})
 
-    def _write_one(self, register: Register, data: bytes) -> int:
-        value = register.decode(data)
-        error = self.check(register, value)
-        if not error:
-            self.memory[register.address : register.end] = data
-            self.written(register, value)
-        return error
-
-    def _targets(self, address: int, length: int) -> list[int]:
-        """Where the bytes of a write go."""
-        return list(range(address, address + length))
-
-    def _write_many(self, targets: list[int], data: bytes) -> int:
+    def _write_bytes(self, targets: Sequence[int], data: bytes) -> int:
+        """Write each byte to its address; they must make up whole registers."""
         parts: dict[Register, dict[int, int]] = {}
         for target, byte in zip(targets, data, strict=True):
             register = self._owner[target] if target < self.table.size else None
@@ -129,22 +120,24 @@ class Device:
             parts.setdefault(register, {})[target] = byte
         if not parts or any(len(part) != register.size for register, part in parts.items()):
             return Error.DATA_LENGTH
-        whole = {register: bytes(part[at] for at in sorted(part)) for register, part in parts.items()}
-        for register, content in whole.items():
-            error = self.check(register, register.decode(content))
-            if error:
+        return self._write_whole({register: bytes(part[at] for at in sorted(part)) for register, part in parts.items()})
+
+    def _write_whole(self, contents: dict[Register, bytes]) -> int:
+        values = {register: register.decode(data) for register, data in contents.items()}
+        for register, value in values.items():
+            if error := self.check(register, value):
                 return error
-        for register, content in whole.items():
-            self._write_one(register, content)
+        for register, value in values.items():
+            if not self.check(register, value):  # one that was written may have locked another
+                self.memory[register.address : register.end] = contents[register]
+                self.written(register, value)
         return Error.NONE
 
     def check(self, register: Register, value: int) -> int:
         """The error of writing a value to a register; `Error.NONE` if it may be written."""
         if not register.writable:
             return Error.ACCESS
-        if not (register.low or 0) <= value <= (register.high or 0):
-            return Error.DATA_RANGE
-        return Error.NONE
+        return Error.NONE if (register.low or 0) <= value <= (register.high or 0) else Error.DATA_RANGE
 
     def written(self, register: Register, value: int) -> None:
         """What follows from a write."""
@@ -183,8 +176,7 @@ class OpenCR(Device):
         counts *= _COUNTS_PER_SI
         np.rint(counts[:6], out=counts[:6])
         np.trunc(counts[6:], out=counts[6:])
-        np.minimum(np.maximum(counts, -32768, out=counts), 32767, out=counts)
-        self.memory[_IMU] = counts.astype("<i2").tobytes()
+        self.memory[_IMU] = counts.clip(-32768, 32767).astype("<i2").tobytes()
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
         """Error and data of a read."""
@@ -192,15 +184,11 @@ class OpenCR(Device):
         return (Error.DATA_LENGTH, b"") if error else (error, data)
 
     def write(self, address: int, data: bytes) -> int:
-        """Write bytes one by one, leaving out those that are read-only."""
+        """Write bytes one by one, whatever their values, leaving out those that are read-only."""
         if not data or address >= self.table.size:
             return Error.DATA_LENGTH
         for at, byte in enumerate(data, address):
             register = self._owner[at] if at < self.table.size else None
             if register is not None and register.writable:
                 self.memory[at] = byte
-        return Error.NONE
-
-    def check(self, register: Register, value: int) -> int:
-        """The board checks no values."""
         return Error.NONE

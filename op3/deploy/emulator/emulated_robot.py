@@ -54,15 +54,10 @@ def _shared_memory(servos: Sequence[Servo]) -> NDArray[np.uint8]:
 
 
 class Clock:
-    """Time of the emulated world.
-
-    Args:
-        advance: lets the world go on until a time [s].
-    """
+    """Time of the emulated world, which `advance` lets go on until a time [s]."""
 
     def __init__(self, advance: Callable[[float], None]):
-        self._advance = advance
-        self._now = 0.0
+        self._advance, self._now = advance, 0.0
 
     def now(self) -> float:
         """Time since the robot was made [s]."""
@@ -86,19 +81,10 @@ class EmulatedRobot:
     wall clock: equal seeds and equal calls give equal bytes.
 
     Args:
-        physics: the robot itself with what its file says of its bus, see `op3.deploy.emulator.physics.Physics`.
-        seed: of the faults.
-        faults: what goes wrong; by default nothing.
-        timing: how long things take on the way.
         settings: EEPROM registers of all servos by name, in place of `USUAL_SETTINGS`.
-        record: file for the frames on the wire; see `FrameRecorder`.
 
     Attributes:
-        physics: as given.
-        clock: the emulated time.
-        bus: the line.
-        servos: by joint name.
-        open_cr: the OpenCR; it is there for a robot without one too, and on no bus.
+        open_cr: it is there for a robot without one too, and on no bus.
 
     Raises:
         ValueError: if the robot has servos that this bus does not know, or a fault is of none of its devices.
@@ -136,16 +122,12 @@ class EmulatedRobot:
         self.recorder = None if record is None else FrameRecorder(record)
         self.clock = Clock(self.advance)
         self.bus = Line(self._answers, timing, self.faults, np.random.default_rng([seed, 6]), self.recorder)
-        self.time = 0.0
-        self.unplugged = False
+        self.time = self._refreshed = self._heard = 0.0
         self._ticks = 0
-        self._stale = True
-        self._board_stale = True
-        self._refreshed = 0.0
-        self._powered = False
+        self._stale = self._board_stale = True
+        self.unplugged = self._powered = False
         self._silent: dict[int, float] = {}
         self._heat: dict[int, tuple[float, float]] = {}
-        self._heard = 0.0
         self._present = np.zeros(len(self._all), dtype=_PRESENT)
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._numbers = count()
@@ -162,19 +144,13 @@ class EmulatedRobot:
             self.recorder.close()
 
     def check_plugged(self) -> None:
-        """Fail as pyserial does where the device is gone.
-
-        Raises:
-            SerialException: if the plug has been pulled.
-        """
+        """Fail as pyserial does where the plug has been pulled."""
         if self.unplugged:
             raise SerialException("device reports readiness to read but returned no data (device disconnected?)")
 
     def at(self, time: float, event: Callable[[], None]) -> None:
         """Let something happen at a time [s]."""
         heapq.heappush(self._events, (time, next(self._numbers), event))
-
-    # -- time
 
     def advance(self, time: float) -> None:
         """Let the world go on until a time [s]; what is over stays over."""
@@ -200,16 +176,14 @@ class EmulatedRobot:
             for _ in range(steps):
                 firmware.step(physics.position, physics.velocity)
                 physics.drive(firmware.drive)
-                physics.advance(1)
+                physics.advance(PERIOD)
         else:
             if firmware.changed:
                 physics.drive(firmware.drive)
-            physics.advance(steps)
+            physics.advance(steps * PERIOD)
         firmware.changed = False
         self._ticks += steps
         self._stale = self._board_stale = True
-
-    # -- instructions
 
     def replace(self, physics: Physics) -> None:
         """Another physics behind the same bus, such as the same robot in another place."""
@@ -218,11 +192,8 @@ class EmulatedRobot:
         self.physics, self._stale, self._board_stale = physics, True, True
 
     def _hears(self, device: Device) -> bool:
-        return (
-            device.ready <= self.time
-            and device.baud == self.bus.baud
-            and not (self._silent and device.id in self._silent)
-        )
+        silent = self._silent and device.id in self._silent
+        return device.ready <= self.time and device.baud == self.bus.baud and not silent
 
     def _answers(self, packet: Packet, end: float) -> list[tuple[float, bytes]]:
         self.advance(end)
@@ -250,6 +221,9 @@ class EmulatedRobot:
     def _switch(self, on: bool) -> None:
         """The OpenCR gives the servos power, or takes it away."""
         self._powered = on
+        self._power_servos(on)
+
+    def _power_servos(self, on: bool) -> None:
         for servo in self._all:
             servo.power(on, self.time)
         self._reconsider()
@@ -259,8 +233,6 @@ class EmulatedRobot:
         self.open_cr.put("dynamixel_power", 1)
         self._switch(True)
         self.clock.sleep(2 * BOOT_TIME)
-
-    # -- watchdogs
 
     def _last_heard(self, servo: Servo) -> float:
         return min(self._heard, self._silent.get(servo.id, inf))
@@ -278,22 +250,14 @@ class EmulatedRobot:
                 servo.trip()
         self._reconsider()
 
-    # -- sensors
-
     def _measure(self, packet: Packet) -> None:
         """Bring the registers up to date that an instruction may ask for."""
         board = self.open_cr.id
-        if packet.device == board:
-            self._refresh_board()
-            return
-        self._refresh()
-        # only a read of many that names the board asks for it too
-        if packet.device == BROADCAST_ID and board in packet.parameters:
-            self._refresh_board()
-
-    def _refresh_board(self) -> None:
-        """Bring the OpenCR's registers up to date with the physics."""
-        if self._board_stale:
+        if packet.device != board:
+            self._refresh()
+        # of the reads of many only one that names the board asks for it too
+        named = packet.device == board or (packet.device == BROADCAST_ID and board in packet.parameters)
+        if named and self._board_stale:
             self._board_stale = False
             readings = self.physics.read()
             self.open_cr.feel(readings, float(readings.voltage.max()))
@@ -343,8 +307,6 @@ class EmulatedRobot:
         if self._loads != self._firmware.loads:
             self._reconsider()
 
-    # -- faults
-
     def _schedule_faults(self) -> None:
         for fault in self.faults.scheduled:
             self.at(fault.start, lambda fault=fault: self._begin(fault))
@@ -362,7 +324,7 @@ class EmulatedRobot:
         elif isinstance(fault, BrownOut):
             self.physics.supply = fault.voltage
             if fault.voltage < RESET_VOLTAGE:
-                self._brown_out(False)
+                self._power_servos(False)
         elif isinstance(fault, HardwareFault):
             for servo in self._all:
                 if servo.id == fault.device and servo.ready <= self.time:
@@ -379,10 +341,4 @@ class EmulatedRobot:
         elif isinstance(fault, BrownOut):
             self.physics.supply = None
             if fault.voltage < RESET_VOLTAGE:
-                self._brown_out(True)
-
-    def _brown_out(self, over: bool) -> None:
-        """The servos' processors stop, and start anew if the OpenCR still gives them power."""
-        for servo in self._all:
-            servo.power(over and self._powered, self.time)
-        self._reconsider()
+                self._power_servos(self._powered)  # they start anew if the OpenCR still gives them power

@@ -32,11 +32,7 @@ class FrozenImu:
 
 @settings("faults")
 class Overheat:
-    """A servo's temperature rises beyond what its current explains.
-
-    Attributes:
-        rate: [K/s].
-    """
+    """A servo's temperature rises beyond what its current explains, at a rate [K/s]."""
 
     device: Whole
     start: Number = 0.0
@@ -45,13 +41,10 @@ class Overheat:
 
 @settings("faults")
 class BrownOut:
-    """The supply breaks down.
+    """The supply breaks down to a voltage [V].
 
     Below the servos' lower voltage limit they report an input voltage error; below `RESET_VOLTAGE` they lose their
     memory and start anew once it is back.
-
-    Attributes:
-        voltage: of the supply meanwhile [V].
     """
 
     start: Number
@@ -61,11 +54,7 @@ class BrownOut:
 
 @settings("faults")
 class HardwareFault:
-    """A servo reports a hardware error.
-
-    Attributes:
-        error: bits of `op3.deploy.registers.HardwareError`.
-    """
+    """A servo reports hardware errors, bits of `op3.deploy.registers.HardwareError`."""
 
     device: Whole
     start: Number

@@ -25,14 +25,14 @@ Array = NDArray[np.float64]
 
 @dataclass(eq=False)
 class Drive:
-    """What the drivers do until told otherwise.
+    """What the drivers do until told otherwise, each [joint].
 
     Attributes:
-        enabled: [joint], whether the motor is driven at all; otherwise it runs free.
-        current: [joint] goal current in A, of joints whose driver regulates current.
-        duty: [joint] duty cycle, -1 to 1, of joints whose driver applies a voltage.
-        voltage: [joint], whether the driver applies a voltage instead of regulating current.
-        limit: [joint] current in A that a driver which applies a voltage does not exceed; infinite for no bound.
+        enabled: whether the motor is driven at all; otherwise it runs free.
+        current: goal current [A], where the driver regulates current.
+        duty: duty cycle, -1 to 1, where the driver applies a voltage.
+        voltage: whether the driver applies a voltage instead of regulating current.
+        limit: current that such a driver does not exceed [A]; infinite for no bound.
     """
 
     enabled: NDArray[np.bool_]
@@ -77,11 +77,9 @@ class Firmware:
         self._mode[index] = mode
         bound = get("current_limit")
         self._goal_current[index] = max(-bound, min(bound, get("goal_current")))
-        self._goal_pwm[index] = get("goal_pwm")
-        self._goal_velocity[index] = get("goal_velocity")
-        self._goal_position[index] = get("goal_position")
         self._current_bound[index] = bound
-        self._profile_velocity[index] = get("profile_velocity")
+        for name in ("goal_pwm", "goal_velocity", "goal_position", "profile_velocity"):
+            getattr(self, f"_{name}")[index] = get(name)
         self._gains[:, index] = (
             get("position_p_gain") / 128,
             get("position_i_gain") / 65536,
@@ -109,12 +107,7 @@ class Firmware:
         self.looping = bool((self.enabled & drive.voltage).any())
 
     def step(self, position: Array, velocity: Array) -> None:
-        """One cycle of the loops.
-
-        Args:
-            position: [servo] in rad, zero at the encoder's `POSITION_ZERO`.
-            velocity: [servo] in rad/s.
-        """
+        """One cycle of the loops at positions [servo] in rad and velocities [servo] in rad/s."""
         mode, (p, i, d, vp, vi) = self._mode, self._gains
         counts = np.round(position / self._units.position) + POSITION_ZERO
         units = np.round(velocity / self._units.velocity)

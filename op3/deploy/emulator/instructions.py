@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
 
 from op3.deploy.emulator.device import OPEN_CR_INSTRUCTIONS, Device
 from op3.deploy.emulator.servo import Servo
@@ -15,6 +14,7 @@ from op3.deploy.protocol import (
     Packet,
     encode_fast_status,
     encode_status,
+    encode_status_1,
 )
 
 PING_SLOT = 0.003
@@ -25,6 +25,9 @@ FAST_GAP = 5e-6
 
 LONGEST_FAST = 0xFFFF - 1
 """Bytes that devices can put into one fast status packet; the length field has 16 bits. To more, nobody answers."""
+
+LEVELS: dict[int, int] = {Instruction.PING: 0, Instruction.READ: 1}
+"""The least status return level at which an instruction is answered; of all others 2."""
 
 Answer = tuple[float, bytes]
 """Pause before an answer [s], and its bytes."""
@@ -38,15 +41,12 @@ class Dispatcher:
     with what their registers held when the instruction ended.
 
     Args:
-        devices: all devices, with power or without.
         turnaround: from an instruction's end to the answer [s].
         hears: whether a device hears an instruction now.
     """
 
     def __init__(self, devices: Sequence[Device], turnaround: float, hears: Callable[[Device], bool]):
-        self._devices = devices
-        self._turnaround = turnaround
-        self._hears = hears
+        self._devices, self._turnaround, self._hears = devices, turnaround, hears
         self.relist()
 
     def relist(self) -> None:
@@ -56,25 +56,38 @@ class Dispatcher:
     def answers(self, packet: Packet, now: float) -> list[Answer]:
         """Carry out an instruction at a time [s]."""
         instruction, parameters = packet.instruction, packet.parameters
-        if instruction in _OF_MANY:
-            handle, items = _OF_MANY[instruction]
-            return getattr(self, handle)(items(parameters))
+        if instruction in (Instruction.SYNC_READ, Instruction.BULK_READ):
+            return self._chain(_reads(instruction, parameters))
+        if instruction in (Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ):
+            return self._fast(list(_reads(instruction, parameters)))
+        if instruction in (Instruction.SYNC_WRITE, Instruction.BULK_WRITE):
+            for number, address, data in _writes(instruction, parameters):
+                if device := self._listening(number):
+                    device.write(address, data)
+            return []
         if instruction == Instruction.STATUS:
             return []
         if packet.device == BROADCAST_ID:
             return self._broadcast(packet, now)
-        device = self._listening(packet.device)
-        if device is None or not _understands(device, instruction):
+        device = self._listening(packet.device, 1 if instruction == Instruction.PING_1 else 2)
+        if device is None:
+            return []
+        if instruction == Instruction.PING_1:
+            return [(self._pause(device), encode_status_1(packet.device))]
+        if not isinstance(device, Servo) and instruction not in OPEN_CR_INSTRUCTIONS:
             return []
         level = device.return_level  # before it changes, as the manual's examples show
         error, data = self._single(device, packet, now)
-        if level < _level(instruction):
+        if level < LEVELS.get(instruction, 2):
             return []
         return [(self._pause(device), encode_status(packet.device, error | _alert(device), data))]
 
-    def _listening(self, device_id: int) -> Device | None:
+    def _listening(self, device_id: int, protocol: int = 2) -> Device | None:
         device = self._by_id.get(device_id)
-        return device if device is not None and self._hears(device) else None
+        return device if device is not None and self._understands(device, protocol) else None
+
+    def _understands(self, device: Device, protocol: int = 2) -> bool:
+        return device.protocol == protocol and self._hears(device)
 
     def _pause(self, device: Device) -> float:
         return self._turnaround + device.return_delay
@@ -100,21 +113,17 @@ class Dispatcher:
     def _broadcast(self, packet: Packet, now: float) -> list[Answer]:
         """An instruction for all devices; only a ping is answered."""
         if packet.instruction == Instruction.PING:
-            return self._ping_all()
+            answers, last = [], 0
+            for number in sorted(self._by_id):
+                if device := self._listening(number):
+                    pause = self._pause(device) + PING_SLOT * max(0, number - last - 1)
+                    answers.append((pause, encode_status(number, _alert(device), device.ping())))
+                    last = number
+            return answers
         for device in self._devices:
-            if packet.instruction != Instruction.READ and isinstance(device, Servo) and self._hears(device):
+            if packet.instruction != Instruction.READ and isinstance(device, Servo) and self._understands(device):
                 self._single(device, packet, now)
         return []
-
-    def _ping_all(self) -> list[Answer]:
-        answers, last = [], 0
-        for number in sorted(self._by_id):
-            device = self._listening(number)
-            if device is not None:
-                pause = self._pause(device) + PING_SLOT * max(0, number - last - 1)
-                answers.append((pause, encode_status(number, _alert(device), device.ping())))
-                last = number
-        return answers
 
     def _chain(self, items: Iterable[tuple[int, int, int]]) -> list[Answer]:
         answers = []
@@ -126,15 +135,13 @@ class Dispatcher:
             answers.append((self._pause(device), encode_status(number, error | _alert(device), data)))
         return answers
 
-    def _fast(self, items: Iterable[tuple[int, int, int]]) -> list[Answer]:
+    def _fast(self, asked: Sequence[tuple[int, int, int]]) -> list[Answer]:
         """Answers to a fast read; its length is fixed by what was asked, whether all answer or not."""
-        asked = list(items)
         parts, pauses, silent = [], [], False
         for number, address, length in asked:
             device = self._listening(number)
             if not isinstance(device, Servo) or device.return_level < 1:
-                silent = True
-                device = None
+                silent, device = True, None
             error, data = (Error.NONE, b"") if device is None else device.read(address, length)
             parts.append((error | _alert(device), number, data.ljust(length, b"\0")))
             if not silent and device is not None:
@@ -143,51 +150,34 @@ class Dispatcher:
             return []
         return list(zip(pauses, encode_fast_status(parts), strict=False))
 
-    def _write_all(self, items: Iterable[tuple[int, int, bytes]]) -> list[Answer]:
-        for number, address, data in items:
-            device = self._listening(number)
-            if device is not None:
-                device.write(address, data)
-        return []
-
-
-def _understands(device: Device, instruction: int) -> bool:
-    return isinstance(device, Servo) or instruction in OPEN_CR_INSTRUCTIONS
-
 
 def _alert(device: Device | None) -> int:
     return ALERT if device is not None and device.alert else 0
-
-
-def _level(instruction: int) -> int:
-    """The least status return level at which an instruction is answered."""
-    return {Instruction.PING: 0, Instruction.READ: 1}.get(instruction, 2)  # type: ignore[call-overload]
 
 
 def _word(data: bytes, at: int) -> int:
     return data[at] | data[at + 1] << 8
 
 
-def _sync_items(parameters: bytes) -> Iterator[tuple[int, int, int]]:
-    if len(parameters) > 4:
-        address, length = _word(parameters, 0), _word(parameters, 2)
-        yield from ((number, address, length) for number in parameters[4:])
-
-
-def _bulk_items(parameters: bytes) -> Iterator[tuple[int, int, int]]:
-    if len(parameters) % 5 == 0:
+def _reads(instruction: int, parameters: bytes) -> Iterator[tuple[int, int, int]]:
+    """Id, address and length of all that a sync or bulk read asks for."""
+    if instruction in (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ):
+        if len(parameters) > 4:
+            address, length = _word(parameters, 0), _word(parameters, 2)
+            yield from ((number, address, length) for number in parameters[4:])
+    elif len(parameters) % 5 == 0:
         for at in range(0, len(parameters), 5):
             yield parameters[at], _word(parameters, at + 1), _word(parameters, at + 3)
 
 
-def _sync_write_items(parameters: bytes) -> Iterator[tuple[int, int, bytes]]:
-    if len(parameters) > 4:
-        address, length = _word(parameters, 0), _word(parameters, 2)
-        for at in range(4, len(parameters) - length, length + 1):
-            yield parameters[at], address, parameters[at + 1 : at + 1 + length]
-
-
-def _bulk_write_items(parameters: bytes) -> Iterator[tuple[int, int, bytes]]:
+def _writes(instruction: int, parameters: bytes) -> Iterator[tuple[int, int, bytes]]:
+    """Id, address and data of all that a sync or bulk write sets, as far as it is whole."""
+    if instruction == Instruction.SYNC_WRITE:
+        if len(parameters) > 4:
+            address, length = _word(parameters, 0), _word(parameters, 2)
+            for at in range(4, len(parameters) - length, length + 1):
+                yield parameters[at], address, parameters[at + 1 : at + 1 + length]
+        return
     at = 0
     while at + 5 <= len(parameters):
         length = _word(parameters, at + 3)
@@ -195,14 +185,3 @@ def _bulk_write_items(parameters: bytes) -> Iterator[tuple[int, int, bytes]]:
             return
         yield parameters[at], _word(parameters, at + 1), parameters[at + 5 : at + 5 + length]
         at += 5 + length
-
-
-_OF_MANY: dict[int, tuple[str, Callable[[bytes], Iterator[tuple[int, int, Any]]]]] = {
-    Instruction.SYNC_READ: ("_chain", _sync_items),
-    Instruction.BULK_READ: ("_chain", _bulk_items),
-    Instruction.FAST_SYNC_READ: ("_fast", _sync_items),
-    Instruction.FAST_BULK_READ: ("_fast", _bulk_items),
-    Instruction.SYNC_WRITE: ("_write_all", _sync_write_items),
-    Instruction.BULK_WRITE: ("_write_all", _bulk_write_items),
-}
-"""What is done with the items of an instruction for many devices, and how they are written in it."""

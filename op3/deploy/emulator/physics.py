@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from op3.deploy.emulator.firmware import PERIOD, Drive
+from op3.deploy.emulator.firmware import Drive
 from op3.robot import BoardMotion, Robot, WeightSchedule
 from op3.robot.scenes import Scene
 from op3.stand_in import StandIn, World
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 class Physics(Protocol):
-    """A robot without its electronics. Time goes in steps of `op3.deploy.emulator.firmware.PERIOD`.
+    """A robot without its electronics.
 
     Attributes:
         known: what its file says; its joints are in the order of every [joint] array.
@@ -48,12 +48,8 @@ class Physics(Protocol):
         """What the drivers do from now on; joints that are not enabled run free, with friction alone."""
         ...
 
-    def advance(self, steps: int) -> None:
-        """Let a number of periods pass.
-
-        Raises:
-            RuntimeError: if the physics diverges.
-        """
+    def advance(self, duration: float) -> None:
+        """Let whole periods of `op3.deploy.emulator.firmware.PERIOD` pass [s]; a RuntimeError if it diverges."""
         ...
 
     def read(self) -> Sensors:
@@ -61,27 +57,18 @@ class Physics(Protocol):
         ...
 
     def set_ground(self, board: BoardMotion | WeightSchedule | None = None, tiles: ArrayLike | None = None) -> None:
-        """What the ground does from now on; its time counts from this call.
-
-        Args:
-            board: what moves the board of the scene; None: nothing does.
-            tiles: heights of the tiles of the scene "terrain" [m]; None: as they are.
-
-        Raises:
-            ValueError: if the scene has no such board.
-        """
+        """What the ground does from now on, see `op3.stand_in.StandIn.set_ground`."""
         ...
 
     def foremost(self) -> float:
-        """How far ahead the inner tip of the foremost foot is in the world [m]; 0 without a robot."""
+        """How far ahead the inner tip of the foremost foot is in the world [m]; 0 without feet."""
         ...
 
 
-class StandInPhysics:
+class StandInPhysics(StandIn):
     """A stand-in robot, whose truth is hidden, behind the bus. It has its own battery, temperatures and IMU.
 
     Args:
-        world: the truth.
         scene: a name that `op3.robot.build_scene` knows, or a scene.
         seed: of the sensors' noise and the servos' state.
         joint_position: [joint] in rad at the start; by default home.
@@ -95,50 +82,32 @@ class StandInPhysics:
         seed: int = 0,
         joint_position: ArrayLike | None = None,
     ):
-        self.robot = StandIn(world or World(), scene, seed=seed)
-        self.known = self.robot.known
-        self.robot.reset(self.robot.rest if joint_position is None else joint_position)
-        self._sensors = self.robot.read_sensors()
-
-    @property
-    def supply(self) -> float | None:
-        """Voltage of the supply [V]; None where the robot has its own battery."""
-        return self.robot.supply
-
-    @supply.setter
-    def supply(self, voltage: float | None) -> None:
-        self.robot.supply = voltage
+        super().__init__(world or World(), scene, seed=seed)
+        self.reset(self.rest if joint_position is None else joint_position)
+        self._sensors = self.read_sensors()
 
     @property
     def position(self) -> Array:
-        """Joint angles as the encoders see them [joint] in rad."""
+        """See `Physics`."""
         return self._sensors.position
 
     @property
     def velocity(self) -> Array:
-        """Joint velocities [joint] in rad/s."""
+        """See `Physics`."""
         return self._sensors.velocity
 
     def drive(self, drive: Drive) -> None:
-        """What the drivers do from now on."""
-        self.robot.write_drive(drive.enabled, drive.voltage, drive.duty, drive.limit)
-        self.robot.write_current(drive.current)
+        """See `Physics`."""
+        self.write_drive(drive.enabled, drive.voltage, drive.duty, drive.limit)
+        self.write_current(drive.current)
 
-    def advance(self, steps: int) -> None:
-        """Let a number of periods pass."""
-        self.robot.advance(steps * PERIOD)
-        self._sensors = self.robot.read_sensors()
-
-    def set_ground(self, board: BoardMotion | WeightSchedule | None = None, tiles: ArrayLike | None = None) -> None:
-        """What the ground does from now on."""
-        self.robot.set_ground(board, tiles)
-
-    def foremost(self) -> float:
-        """How far ahead the inner tip of the foremost foot is in the world [m]; 0 without a robot."""
-        return self.robot.foremost()
+    def advance(self, duration: float) -> None:
+        """See `Physics`."""
+        super().advance(duration)
+        self._sensors = self.read_sensors()
 
     def read(self) -> Sensors:
-        """What all sensors say now, the drivers' duty too."""
+        """See `Physics`."""
         sensors, supply = self._sensors, self.supply
         voltage = sensors.voltage if supply is None else np.full_like(sensors.voltage, supply)
-        return replace(sensors, voltage=voltage, duty=self.robot.servos.duty)
+        return replace(sensors, voltage=voltage, duty=self.servos.duty)

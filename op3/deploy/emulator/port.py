@@ -17,8 +17,8 @@ class VirtualPort(PortHandler):
     Nothing else does. It fails with pyserial's exceptions, as a real port does.
     """
 
-    def __init__(self, robot: EmulatedRobot, name: str = "virtual"):
-        super().__init__(name)
+    def __init__(self, robot: EmulatedRobot):
+        super().__init__("virtual")
         self._robot, self._clock = robot, robot.clock
 
     def setupPort(self, cflag_baud: int) -> bool:
@@ -35,8 +35,8 @@ class VirtualPort(PortHandler):
         self.is_open = False
 
     def _check(self) -> None:
-        if self._robot.unplugged or not self.is_open:
-            self._robot.check_plugged()
+        self._robot.check_plugged()
+        if not self.is_open:
             raise SerialException(f"port {self.port_name} is not open: call openPort() first")
 
     def clearPort(self) -> None:
@@ -47,11 +47,9 @@ class VirtualPort(PortHandler):
     def getBytesAvailable(self) -> int:
         """How many bytes have arrived."""
         self._check()
-        count = self._robot.bus.available(self._clock.now())
-        if count == 0:
+        if not self._robot.bus.available(self._clock.now()):
             self._clock.sleep(POLL)  # whoever asks again and again must get on
-            count = self._robot.bus.available(self._clock.now())
-        return count
+        return self._robot.bus.available(self._clock.now())
 
     def readPort(self, length: int) -> bytes:
         """Up to so many bytes; with none there, time passes until some arrive or the packet's timeout is over."""
@@ -72,9 +70,8 @@ class VirtualPort(PortHandler):
     def writePort(self, packet: bytes | list[int]) -> int:
         """Send bytes."""
         self._check()
-        data = bytes(packet)
-        self._robot.bus.send(data, self._clock.now())
-        return len(data)
+        self._robot.bus.send(bytes(packet), self._clock.now())
+        return len(packet)
 
     def getCurrentTime(self) -> float:
         """The emulated time in ms."""

@@ -10,7 +10,6 @@ import termios
 import threading
 import time
 import tty
-from types import TracebackType
 
 from op3.deploy.emulator.emulated_robot import EmulatedRobot
 
@@ -35,25 +34,21 @@ class PtyServer:
     the robot belongs to it: nothing else may let its time pass.
 
     Args:
-        robot: to be served.
         baud: speed of the line until a program sets one [bit/s].
 
     Attributes:
-        path: of the port to open.
         longest_lag: how far the emulated time has been behind the wall clock at most [s].
-        error: what ended the serving, if something did.
     """
 
     def __init__(self, robot: EmulatedRobot, baud: int = 2_000_000):
         self._robot = robot
-        self._robot.bus.baud = baud
+        robot.bus.baud = baud
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
         self.path = os.ttyname(self._slave)
         self.longest_lag = 0.0
         self.error: Exception | None = None
-        self._ends = [self._master, self._slave]
         self._stopping = False
         self._thread = threading.Thread(target=self._serve, name="emulated robot", daemon=True)
 
@@ -65,9 +60,7 @@ class PtyServer:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property
@@ -92,15 +85,8 @@ class PtyServer:
     def close(self) -> None:
         """Stop serving and remove the port."""
         self.stop()
-        if self._thread.is_alive() and threading.current_thread() is not self._thread:
+        if self._thread.is_alive():
             self._thread.join()
-        self._unplug()
-
-    def _unplug(self) -> None:
-        # Each end is closed once: its number may belong to another file afterwards.
-        ends, self._ends = self._ends, []
-        for end in ends:
-            os.close(end)
 
     def _serve(self) -> None:
         try:
@@ -108,7 +94,9 @@ class PtyServer:
         except Exception as error:
             self.error = error
         finally:
-            self._unplug()
+            # by this thread alone, once: their numbers may belong to other files afterwards
+            for end in (self._master, self._slave):
+                os.close(end)
 
     def _loop(self) -> None:
         robot, bus = self._robot, self._robot.bus

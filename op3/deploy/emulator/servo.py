@@ -18,8 +18,6 @@ from op3.deploy.registers import (
     FIRST_INDIRECT_ADDRESS,
     FIRST_INDIRECT_DATA,
     INDIRECT_COUNT,
-    SECOND_INDIRECT_ADDRESS,
-    SECOND_INDIRECT_DATA,
     WATCHDOG_UNIT,
     OperatingMode,
     Register,
@@ -38,6 +36,7 @@ _RESET_BY_MODE = (*_GAINS, "feedforward_1st_gain", "feedforward_2nd_gain", "prof
 _GOAL_CURRENT, _CURRENT_LIMIT = DYNAMIXEL_X["goal_current"].address, DYNAMIXEL_X["current_limit"].address
 _FULL_CURRENT = DYNAMIXEL_X["goal_current"].high or 0
 _MODE, _WATCHDOG = DYNAMIXEL_X["operating_mode"].address, DYNAMIXEL_X["bus_watchdog"].address
+_PROTOCOL = DYNAMIXEL_X["protocol_version"].address
 _TORQUE, _HARDWARE_ERROR = DYNAMIXEL_X["torque_enable"].address, DYNAMIXEL_X["hardware_error_status"].address
 _END_FIRST_DATA = FIRST_INDIRECT_DATA + INDIRECT_COUNT
 
@@ -46,10 +45,8 @@ class Servo(Device):
     """One servo's registers.
 
     Args:
-        device_id: its bus id.
         index: its place in the firmware's arrays.
         firmware: the control loops of all servos, which this one's registers feed.
-        model: its model number.
         settings: values of its EEPROM, by register name, where they differ from the factory's.
 
     Attributes:
@@ -80,19 +77,19 @@ class Servo(Device):
         return self.memory[_HARDWARE_ERROR] != 0
 
     @property
+    def protocol(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Version that it speaks; of 1.0 it knows pings alone."""
+        return self.memory[_PROTOCOL]
+
+    @property
     def torque(self) -> bool:
         """Whether torque is enabled."""
         return self.memory[_TORQUE] != 0
 
     def power(self, on: bool, now: float) -> None:
         """Give it power, or take it away: the RAM area forgets everything, indirect addresses and errors too."""
-        self.ready = inf
-        self._start()
-        if on:
-            self.ready = now + BOOT_TIME
-            self.booted = now
-
-    def _start(self) -> None:
+        self.ready = now + BOOT_TIME if on else inf
+        self.booted = now if on else self.booted
         for register in self.table:
             if register.address >= 64 and register.initial is not None:
                 self.put(register.name, register.initial)
@@ -105,7 +102,8 @@ class Servo(Device):
         """A hardware error: it stays until a reboot, and shuts the servo down if `shutdown` says so."""
         self.memory[_HARDWARE_ERROR] |= error
         if self.memory[_HARDWARE_ERROR] & self.get("shutdown"):
-            self._release()
+            self.memory[_TORQUE] = 0
+            self._inform()
 
     def trip(self) -> None:
         """The bus has been silent for too long: free-running, with goals that are read-only until it is cleared."""
@@ -113,22 +111,12 @@ class Servo(Device):
         self.watchdog = inf
         self._inform()
 
-    def _release(self) -> None:
-        self.memory[_TORQUE] = 0
-        self._inform()
-
     def _inform(self) -> None:
         self._firmware.load(self.index, self.get, tripped=self.get("bus_watchdog") == WATCHDOG_ERROR)
 
-    def _targets(self, address: int, length: int) -> list[int]:
-        return [self._pointed(at) for at in range(address, address + length)]
-
     def _pointed(self, address: int) -> int:
         """Where an address of indirect data points; any other address points at itself."""
-        for data, pointers in (
-            (FIRST_INDIRECT_DATA, FIRST_INDIRECT_ADDRESS),
-            (SECOND_INDIRECT_DATA, SECOND_INDIRECT_ADDRESS),
-        ):
+        for pointers, data, _ in self.table.indirect:
             if data <= address < data + INDIRECT_COUNT:
                 at = pointers + 2 * (address - data)
                 return self.memory[at] | self.memory[at + 1] << 8
@@ -160,7 +148,7 @@ class Servo(Device):
         if address == _GOAL_CURRENT and len(data) == 2 and self.memory[_MODE] == OperatingMode.CURRENT:
             return self._write_goal_current(data)
         if address + len(data) > FIRST_INDIRECT_DATA:
-            return self._write_many(self._targets(address, len(data)), data)
+            return self._write_bytes([self._pointed(at) for at in range(address, address + len(data))], data)
         return super().write(address, data)
 
     def _write_goal_current(self, data: bytes) -> int:
@@ -180,8 +168,7 @@ class Servo(Device):
         name = register.name
         if register.eeprom and self.torque:
             return Error.ACCESS
-        error = super().check(register, value)
-        if error:
+        if error := super().check(register, value):
             return error
         tripped = self.get("bus_watchdog") == WATCHDOG_ERROR
         if tripped and (name in _GOALS or (name == "bus_watchdog" and value != 0)):

@@ -12,16 +12,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from op3.deploy.emulator.firmware import PERIOD, Drive
-from op3.robot import (
-    BoardDrive,
-    BoardMotion,
-    WeightDrive,
-    WeightSchedule,
-    board_drive,
-    build_scene,
-    place_tiles,
-    tile_ids,
-)
+from op3.robot import BoardMotion, RobotEntity, WeightSchedule, board_drive, build_scene, place_tiles, tile_ids
 from op3.robot.scenes import Scene
 from op3.robot.units import GRAVITY
 from op3.servo import RobotModel, Stage, Trunk
@@ -119,7 +110,6 @@ class SimPhysics(BatchSimulation):
     Args:
         model: of the robot; see `op3.sim.load_model`.
         scene: a name that `op3.robot.build_scene` knows, or a scene without servos attached.
-        seed: of the IMU's noise.
         joint_position: [joint] in rad at the start; by default home.
         battery: where the servos' voltage comes from; None for a supply at the model's `bus_voltage`.
     """
@@ -155,8 +145,7 @@ class SimPhysics(BatchSimulation):
         self._rng = np.random.default_rng([seed, 5])
         self._blend = 1 - np.exp(-2 * np.pi * IMU_BANDWIDTH * PERIOD * IMU_EVERY)
         self._steps = self._board_since = 0
-        self._board: BoardMotion | WeightSchedule | None = None
-        self._board_drive: BoardDrive | WeightDrive | None = None
+        self._board_drive: Any = None
         if joint_position is None:
             joint_position = self.known.home
         self.reset(self.scene.initial_qpos(joint_position), {"torque_enable": torch.zeros(1, count)})
@@ -166,13 +155,11 @@ class SimPhysics(BatchSimulation):
         self.signals.temperature = torch.from_numpy(self._temperature)
         self.signals.current_bound = UNBOUNDED
         self._resistance = self.parameters["terminal_resistance"][0].numpy()
-        self._find_imu()
-
-    def _find_imu(self) -> None:
-        robot = self.scene.robot
         self._attitude = None
-        if robot is None or self.known.file.imu is None:
-            return
+        if robot is not None and self.known.file.imu is not None:
+            self._find_imu(robot)
+
+    def _find_imu(self, robot: RobotEntity) -> None:
         views = []
         for element in (robot.imu_orientation, robot.imu_gyro, robot.imu_accelerometer):
             sensor = self.batch.model.sensor(element.full_identifier)
@@ -185,40 +172,40 @@ class SimPhysics(BatchSimulation):
         self._felt = np.concatenate([self._rates, self._force])
         if self.scene.floating:
             self._felt[3:] = 0.0, 0.0, GRAVITY
-        self._latch_imu()
+        self._latch_imu(self._attitude)
 
-    def _latch_imu(self) -> None:
-        assert self._attitude is not None
-        felt = self._felt
-        felt += self._blend * (np.concatenate([self._rates, self._force]) - felt)
-        self._imu = self._attitude.copy(), felt + self._imu_spread * self._rng.standard_normal(6)
+    def _latch_imu(self, attitude: Array) -> None:
+        self._felt += self._blend * (np.concatenate([self._rates, self._force]) - self._felt)
+        self._imu = attitude.copy(), self._felt + self._imu_spread * self._rng.standard_normal(6)
 
     @property
     def position(self) -> Array:
-        """Joint angles as the encoders see them [joint] in rad."""
+        """See `Physics`."""
         return self.signals.measured_position[0].numpy()
 
     @property
     def velocity(self) -> Array:
-        """Joint velocities [joint] in rad/s."""
+        """See `Physics`."""
         return self.signals.measured_velocity[0].numpy()
 
     def drive(self, drive: Drive) -> None:
-        """What the drivers do from now on; joints that are not enabled run free, with friction alone."""
+        """See `Physics`."""
         row = self.law.records[0]
         row["torque_enable"], row["target_current"] = drive.enabled, drive.current * drive.enabled
         row["goal_duty"], row["by_voltage"] = drive.duty, drive.voltage
         row["current_bound"] = np.minimum(drive.limit, UNBOUNDED)
 
-    def advance(self, steps: int = 1) -> None:
-        """Let a number of periods pass; a divergence is seen within `SLOW_EVERY` of them."""
-        for _ in range(steps):
-            if self._board_drive is not None:
-                self._move_board()
+    def advance(self, duration: float = PERIOD) -> None:
+        """Let whole periods pass [s]; a divergence is seen within `SLOW_EVERY` of them."""
+        for _ in range(round(duration / PERIOD)):
+            if self._board_drive is not None and (self._steps - self._board_since) % GROUND_EVERY == 0:
+                time = np.array([(self._steps - self._board_since) * PERIOD])
+                forces = self.batch.bind("qfrc_applied")
+                self._board_drive.apply(self._board, time, self._qpos.numpy(), self._qvel.numpy(), forces)
             super().advance()
             self._steps += 1
             if self._attitude is not None and self._steps % IMU_EVERY == 0:
-                self._latch_imu()
+                self._latch_imu(self._attitude)
             if self._steps % SLOW_EVERY == 0:
                 if bool(self.failed[0]):
                     raise RuntimeError(f"the simulated robot's physics diverged at {self._steps * PERIOD:.3f} s")
@@ -227,35 +214,26 @@ class SimPhysics(BatchSimulation):
         self.law.report()
 
     def set_ground(self, board: BoardMotion | WeightSchedule | None = None, tiles: ArrayLike | None = None) -> None:
-        """What the ground does from now on."""
+        """See `Physics`."""
         model = self.batch.model
         self._board_drive = None if board is None else board_drive(model, board, GROUND_EVERY * PERIOD)
         self._board, self._board_since = board, self._steps
         if tiles is not None:
             place_tiles(self.batch.expand("geom_pos"), tile_ids(model), np.asarray(tiles, dtype=float)[None])
 
-    def _move_board(self) -> None:
-        steps = self._steps - self._board_since
-        if steps % GROUND_EVERY == 0:
-            drive: Any = self._board_drive
-            forces = self.batch.bind("qfrc_applied")
-            drive.apply(self._board, np.array([steps * PERIOD]), self._qpos.numpy(), self._qvel.numpy(), forces)
-
     def foremost(self) -> float:
-        """How far ahead the inner tip of the foremost foot is in the world [m]; 0 without feet."""
-        model, (data, tips) = self.batch.model, self._soles
-        if not tips:
+        """See `Physics`."""
+        model, robot, data = self.batch.model, self.scene.robot, self._data
+        if robot is None or not self.known.inner_tips:
             return 0.0
         data.qpos[:] = self._qpos[0].numpy()
         mujoco.mj_kinematics(model, data)
-        return float(data.site_xpos[tips, 0].max())
+        tips = [robot.key_points[number].full_identifier for number in self.known.inner_tips]
+        return max(float(data.site(name).xpos[0]) for name in tips)
 
     @cached_property
-    def _soles(self) -> tuple[mujoco.MjData, list[int]]:
-        """Where positions are computed, and the ids of the soles' inner tips."""
-        model, robot = self.batch.model, self.scene.robot
-        sites = [] if robot is None else [robot.key_points[number] for number in self.known.inner_tips]
-        return mujoco.MjData(model), [model.site(site.full_identifier).id for site in sites]
+    def _data(self) -> mujoco.MjData:
+        return mujoco.MjData(self.batch.model)
 
     def _step_slow(self) -> None:
         signals, duration = self.signals, SLOW_EVERY * PERIOD
@@ -272,7 +250,7 @@ class SimPhysics(BatchSimulation):
         signals.bus_voltage, signals.temperature = self._voltage, torch.from_numpy(self._temperature)
 
     def read(self) -> Sensors:
-        """What all sensors say now."""
+        """See `Physics`."""
         orientation, rates, force = None, None, None
         if self._attitude is not None:
             quaternion, felt = self._imu

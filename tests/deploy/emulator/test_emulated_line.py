@@ -19,7 +19,6 @@ from op3.deploy.emulator import (
     Unplug,
     read_frames,
 )
-from op3.deploy.emulator.line import Line
 from op3.deploy.protocol import Parser, encode
 from op3.deploy.registers import HardwareError
 from op3.sim import load_model
@@ -41,29 +40,21 @@ def tick(bench, address=126, length=10):
     return max(bench.clock.now(), bench.robot.bus.busy_until) - start
 
 
-def test_a_tick_at_2_mbit_takes_what_was_computed():
-    """571 bytes take 2.9 ms on the wire; with turnaround and USB about 5 ms, less than the 8 ms of a cycle."""
-    assert 0.0045 < tick(Bench()) < 0.0062
-
-
-def test_a_tick_with_factory_return_delays_does_not_fit():
-    """500 us before each of 21 answers: 15 to 20 ms."""
-    assert 0.014 < tick(Bench(settings={"baud_rate": 4, "return_delay_time": 250})) < 0.020
-
-
-def test_a_tick_with_linux_latency_timer_does_not_fit():
-    """16 ms until the adapter sends the last bytes of each read."""
-    assert tick(Bench(timing=Timing(latency_timer=0.016))) > 0.012
-
-
-def test_a_tick_at_1_mbit_does_not_fit_with_the_computer():
-    """Twice the time on the wire."""
-    bench = Bench(settings={"baud_rate": 3, "return_delay_time": 0}, power=False)
-    bench.robot.open_cr.put("baud_rate", 3)
-    bench.port.setBaudRate(1_000_000)
-    bench.write(200, 24, 1, 1)
-    bench.clock.sleep(0.1)
-    assert tick(bench) > 0.0072
+@pytest.mark.parametrize(
+    ("options", "low", "high"),
+    [
+        # 571 bytes take 2.9 ms on the wire; with turnaround and USB about 5 ms
+        ({}, 0.0045, 0.0062),
+        # 500 us before each of 21 answers
+        ({"settings": {"baud_rate": 4, "return_delay_time": 250}}, 0.014, 0.020),
+        # 16 ms until the adapter sends the last bytes of each read
+        ({"timing": Timing(latency_timer=0.016)}, 0.012, 0.040),
+    ],
+    ids=["robot", "factory return delay", "latency timer of Linux"],
+)
+def test_a_tick_takes_what_was_computed(options, low, high):
+    """A cycle has 8 ms: enough at 2 Mbit/s, and not with what servos and adapters come with."""
+    assert low < tick(Bench(**options)) < high
 
 
 @pytest.mark.parametrize(
@@ -168,43 +159,13 @@ def session(path, seed=1, physics=None):
     return path.read_bytes(), bench.physics.position.copy()
 
 
-def test_equal_seeds_give_equal_bytes(tmp_path):
+@pytest.mark.parametrize("make", [sim, stand_in])
+def test_equal_seeds_give_equal_bytes(tmp_path, make):
     """Two sessions agree in every byte on the wire and every bit of the physics; another seed does not."""
-    first, second, other = (session(tmp_path / name, seed) for name, seed in (("a", 1), ("b", 1), ("c", 2)))
+    first, second, other = (session(tmp_path / name, seed, make()) for name, seed in (("a", 1), ("b", 1), ("c", 2)))
     assert first[0] == second[0]
     assert (first[1] == second[1]).all()
     assert first[0] != other[0]
-
-
-@pytest.mark.parametrize("make", [sim, stand_in])
-def test_equal_seeds_give_equal_bytes_with_a_robot_behind_them(tmp_path, make):
-    """The same to the bit with MuJoCo and the servo law, or the stand-in, behind the bus."""
-    first, second = (session(tmp_path / name, physics=make()) for name in ("a", "b"))
-    assert first[0] == second[0]
-    assert (first[1] == second[1]).all()
-
-
-def test_a_hundred_thousand_damaged_instructions_reach_no_device():
-    """Writes with up to three wrong bits or a wrong burst of 16: no crash, and nothing that a device would obey."""
-    obeyed = []
-    line = Line(lambda packet, end: obeyed.append(packet) or [], Timing(), Faults(), np.random.default_rng(0), None)
-    line.baud = 2_000_000
-    frames = [encode(14, 3, bytes([64, 0, 1])), encode(254, 0x83, bytes([102, 0, 2, 0, *range(60)]))]
-    numbers = [int.from_bytes(frame, "big") for frame in frames]
-    rng = np.random.default_rng(1)
-    bits, bursts = rng.random((100_000, 3)), rng.integers(1, 1 << 16, 100_000)
-    for number in range(100_000):
-        size, wrong = 8 * len(frames[number % 2]), 0
-        if number % 4 == 3:
-            wrong = int(bursts[number]) << int(bits[number, 0] * (size - 16))
-        for chance in bits[number, : number % 4 + 1] if number % 4 < 3 else ():
-            wrong ^= 1 << int(chance * size)
-        if wrong:
-            # with a pause before each, so that what one leaves behind does not hide the next
-            line.send((numbers[number % 2] ^ wrong).to_bytes(size // 8, "big"), 0.05 * number)
-    assert obeyed == []
-    line.send(frames[0], 0.05 * 100_001)
-    assert len(obeyed) == 1
 
 
 def test_frames_are_recorded_with_their_times(tmp_path):

@@ -26,19 +26,6 @@ def test_servos_are_silent_until_they_have_power():
     assert sorted(bench.packets.broadcastPing(bench.port)[0]) == [*range(1, 21), 200]
 
 
-def test_power_off_drops_torque_and_memory():
-    """Servos that lose power let go, and come back without torque."""
-    bench = Bench()
-    bench.energise(5, 20)
-    bench.write(200, POWER, 1, 0)
-    bench.clock.sleep(0.01)
-    assert not bench.physics.current.any()
-    assert bench.packets.ping(bench.port, 5)[1] == COMM_RX_TIMEOUT
-    bench.write(200, POWER, 1, 1)
-    bench.clock.sleep(0.1)
-    assert bench.read(5, 64, 1) == 0
-
-
 def test_readings_are_in_the_boards_axes():
     """The robot's x and y are minus the board's, z is the same; units are those of the registers."""
     bench = Bench()
@@ -56,11 +43,6 @@ def test_the_accelerometer_clips_at_2_g():
     bench.physics.force[2] = 3 * 9.80665
     bench.clock.sleep(0.01)
     assert imu(bench)[5] == 32767
-
-
-def test_voltage_is_in_tenths():
-    """12 V read 120."""
-    assert Bench().read(200, 31, 1) == 120
 
 
 def test_a_frozen_imu_repeats_itself():

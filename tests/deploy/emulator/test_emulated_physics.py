@@ -8,7 +8,6 @@ from wheels import Bench
 from op3.deploy.emulator import Battery, SimPhysics, StandInPhysics
 from op3.deploy.emulator.firmware import Drive
 from op3.robot import build_scene, pose
-from op3.robot.units import VELOCITY_UNIT
 from op3.sim import BatchSimulation, attach_servos, load_model
 from op3.stand_in import StandIn, World
 from tests.op3_table import JOINTS
@@ -37,7 +36,7 @@ def test_without_torque_the_goal_means_nothing(kind):
     first.drive(drive(enabled=False, current=1.0))
     second.drive(drive(enabled=False, duty=0.5, voltage=True))
     for physics in (first, second):
-        physics.advance(500)
+        physics.advance(0.5)
         assert np.abs(physics.read().current).max() < 0.02
     assert np.abs(first.position - second.position).max() < 0.005
 
@@ -49,9 +48,9 @@ def test_off_is_free_and_a_duty_of_zero_brakes(kind):
     for asked in (drive(enabled=False), drive(voltage=True)):
         physics = hanging(kind)
         physics.drive(drive(current=1.0))
-        physics.advance(60)
+        physics.advance(0.06)
         physics.drive(asked)
-        physics.advance(8)
+        physics.advance(0.008)
         speeds.append(abs(physics.velocity[KNEE]))
     assert speeds[0] > 1.2 * speeds[1]
 
@@ -61,7 +60,7 @@ def test_a_goal_current_flows(kind):
     """A driver that regulates current reads the current that was asked for."""
     physics = hanging(kind)
     physics.drive(drive(current=0.2))
-    physics.advance(20)
+    physics.advance(0.02)
     assert physics.read().current == pytest.approx(0.2, abs=0.01)
 
 
@@ -81,7 +80,7 @@ def test_a_fall_shows_in_the_imu(kind):
     """Without torque the robot on the floor collapses: its accelerometer and attitude say so."""
     physics = SimPhysics(load_model("paper")) if kind == "sim" else StandInPhysics()
     physics.drive(drive(enabled=False))
-    physics.advance(2500)
+    physics.advance(2.5)
     readings = physics.read()
     assert np.linalg.norm(readings.linear_acceleration) == pytest.approx(9.8, rel=0.2)
     assert np.abs(physics.position - pose("stand")).max() > 0.3
@@ -108,7 +107,7 @@ def test_the_simulation_behind_the_bus_is_the_simulation():
     for _ in range(200):
         current = 6.0 * (stand - physics.position) - 0.1 * physics.velocity
         physics.drive(drive(current=np.clip(current, -2.3, 2.3)))
-        physics.advance(1)
+        physics.advance(0.001)
         direct.advance()
     measured = direct.measure()["joint", "position"][0].numpy()
     assert np.abs(physics.position - measured).max() < 1e-9
@@ -123,7 +122,7 @@ def test_the_stand_in_behind_the_bus_is_the_stand_in():
         current = 0.3 * np.sin(0.3 * number + np.arange(20))
         physics.drive(drive(current=current))
         direct.write_current(current)
-        physics.advance(4)
+        physics.advance(0.004)
         direct.advance(0.004)
         sensors = direct.read_sensors()
     assert (physics.position == sensors.position).all()
@@ -136,7 +135,7 @@ def test_any_scene_will_do(scene):
         SimPhysics(load_model("paper").without("payload", "com_offset"), scene),
         StandInPhysics(scene=scene),
     ):
-        physics.advance(5)
+        physics.advance(0.005)
         assert (physics.read().orientation is None) == (scene == "bench")
         assert len(physics.known.joints) == (1 if scene == "bench" else 20)
 
@@ -160,7 +159,7 @@ def test_motors_warm_up_with_their_losses():
     physics, heat = hanging("sim"), 0.0
     physics.drive(drive(current=1.0))
     for _ in range(100):
-        physics.advance(10)
+        physics.advance(0.01)
         heat += 0.01 * physics.parameters["terminal_resistance"][0].numpy() * physics.read().current ** 2
     assert physics.read().temperature - 28.0 == pytest.approx(12.9 * heat / 240.0, rel=0.05)
 
@@ -170,7 +169,7 @@ def test_low_supply_limits_the_current():
     for physics in (hanging("sim"), hanging("stand_in")):
         physics.supply = 2.0
         physics.drive(drive(current=1.5))
-        physics.advance(30)
+        physics.advance(0.03)
         assert np.abs(physics.read().current).max() < 0.8
         assert physics.read().voltage == pytest.approx(2.0)
 
@@ -179,12 +178,3 @@ def test_a_model_driven_by_voltage_is_refused():
     """The emulated servos regulate current."""
     with pytest.raises(ValueError, match="voltage"):
         SimPhysics(load_model("sts3032"), "bench")
-
-
-def test_velocity_reads_in_its_unit():
-    """What the bus says of a free wheel is within a unit of the truth."""
-    bench = Bench()
-    bench.energise(14, 60)
-    bench.clock.sleep(0.5)
-    truth = bench.physics.velocity[KNEE]
-    assert abs(bench.read(14, 128, 4, signed=True) * VELOCITY_UNIT - truth) < VELOCITY_UNIT

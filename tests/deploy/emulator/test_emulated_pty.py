@@ -6,13 +6,11 @@ import time
 import pytest
 from dynamixel_sdk import GroupSyncRead, GroupSyncWrite, PacketHandler, PortHandler
 from serial import SerialException
-from wheels import Bench, Wheels
+from wheels import Wheels
 
 from op3.deploy.emulator import EmulatedRobot, Faults, PtyServer, Unplug
+from op3.deploy.protocol import Error
 from op3.deploy.registers import OPEN_CR_ID
-from tests.op3_table import SERVO_IDS
-
-BY_ID = {number: name for name, number in SERVO_IDS.items()}
 
 
 def patiently(attempt, seconds=20.0):
@@ -50,62 +48,36 @@ class PtyBench:
         return patiently(attempt)
 
 
-@pytest.fixture(params=["in process", "pty"])
-def any_bench(request):
-    if request.param == "in process":
-        bench = Bench(power=False)
-        bench.wait = bench.clock.sleep
-        write = bench.write
-        bench.write = lambda *what: write(*what)[1]
-        yield bench
-    else:
-        robot = EmulatedRobot(Wheels())
-        with PtyServer(robot) as server:
-            bench = PtyBench(server, robot)
-            bench.wait = time.sleep
-            yield bench
-            bench.port.closePort()
-
-
-def test_the_unmodified_sdk_drives_it(any_bench):
-    """Power, registers, errors, sync reads and writes: the same in process and over the terminal."""
-    bench = any_bench
-    assert bench.write(OPEN_CR_ID, 24, 1, 1) == 0
-    bench.wait(0.2)
-    assert patiently(lambda: bench.packets.ping(bench.port, 7)[0] or None) == 1020
-    assert bench.write(7, 11, 1, 0) == 0
-    assert bench.read(7, 102, 2) == 1193
-    assert bench.write(7, 102, 2, 0) == 0
-    assert bench.write(7, 64, 1, 1) == 0
-    assert bench.write(7, 11, 1, 3) == 7
-    reader = GroupSyncRead(bench.port, bench.packets, 132, 4)
-    writer = GroupSyncWrite(bench.port, bench.packets, 65, 1)
-    for number in range(1, 21):
-        reader.addParam(number)
-        writer.addParam(number, [1])
-    assert patiently(lambda: True if reader.txRxPacket() == 0 else None)
-    assert {reader.getData(number, 132, 4) for number in range(1, 21)} == {2048}
-    writer.txPacket()
-    bench.wait(0.05)
-    assert {bench.read(number, 65, 1) for number in (1, 20)} == {1}
-
-
-def powered(bench):
-    assert bench.write(OPEN_CR_ID, 24, 1, 1) == 0
-    bench.wait(0.2)
-    return bench
-
-
-def test_the_sdk_meets_the_watchdog(any_bench):
-    """Armed with 100 ms and left alone the servo frees itself; goals are refused until 0 clears it."""
-    bench = powered(any_bench)
-    for address, size, value in ((11, 1, 0), (102, 2, 0), (64, 1, 1), (98, 1, 5)):
-        assert bench.write(9, address, size, value) == 0
-    bench.wait(0.3)
-    assert bench.read(9, 98, 1) == 255
-    assert bench.write(9, 102, 2, 3) == 4
-    assert bench.write(9, 98, 1, 0) == 0
-    assert bench.write(9, 102, 2, 3) == 0
+def test_the_unmodified_sdk_drives_it():
+    """Power, registers, errors, sync reads and writes, and a watchdog that trips; at another speed nothing answers."""
+    robot = EmulatedRobot(Wheels())
+    with PtyServer(robot) as server:
+        bench = PtyBench(server, robot)
+        assert bench.port.setBaudRate(1_000_000)
+        assert bench.packets.ping(bench.port, OPEN_CR_ID)[1] != 0
+        assert bench.port.setBaudRate(2_000_000)
+        assert bench.write(OPEN_CR_ID, 24, 1, 1) == 0
+        time.sleep(0.2)
+        assert patiently(lambda: bench.packets.ping(bench.port, 7)[0] or None) == 1020
+        for address, size, value in ((11, 1, 0), (102, 2, 0), (64, 1, 1)):
+            assert bench.write(7, address, size, value) == 0
+        assert bench.write(7, 11, 1, 3) == Error.ACCESS
+        reader, writer = (
+            GroupSyncRead(bench.port, bench.packets, 132, 4),
+            GroupSyncWrite(bench.port, bench.packets, 65, 1),
+        )
+        for number in range(1, 21):
+            reader.addParam(number)
+            writer.addParam(number, [1])
+        assert patiently(lambda: True if reader.txRxPacket() == 0 else None)
+        assert {reader.getData(number, 132, 4) for number in range(1, 21)} == {2048}
+        writer.txPacket()
+        time.sleep(0.05)
+        assert {bench.read(number, 65, 1) for number in (1, 20)} == {1}
+        assert bench.write(7, 98, 1, 5) == 0
+        time.sleep(0.3)
+        assert bench.read(7, 98, 1) == 255
+        bench.port.closePort()
 
 
 def test_a_pulled_plug_reaches_the_program():
@@ -128,15 +100,3 @@ def test_closing_leaves_the_files_of_others_alone(tmp_path):
         first.write("a")
         second.write("b")
     assert (tmp_path / "a").read_text() + (tmp_path / "b").read_text() == "ab"
-
-
-def test_a_program_at_another_speed_is_not_understood():
-    """The terminal's speed is the line's."""
-    robot = EmulatedRobot(Wheels())
-    with PtyServer(robot) as server:
-        port, packets = PortHandler(server.path), PacketHandler(2.0)
-        assert port.setBaudRate(1_000_000)
-        assert packets.ping(port, OPEN_CR_ID)[1] != 0
-        assert port.setBaudRate(2_000_000)
-        assert patiently(lambda: packets.ping(port, OPEN_CR_ID)[0] or None) == 29696
-        port.closePort()

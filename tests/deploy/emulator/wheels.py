@@ -25,8 +25,8 @@ class Wheels:
     def drive(self, drive):
         self._drive = drive
 
-    def advance(self, steps):
-        for _ in range(steps):
+    def advance(self, duration):
+        for _ in range(round(duration / 0.001)):
             if self._drive is not None:
                 wanted = (12 * self._drive.duty - 2 * self.velocity) / 5
                 self.current = np.where(self._drive.voltage, wanted, self._drive.current) * self._drive.enabled
