@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import shutil
 import sys
 import threading
 from contextlib import suppress
@@ -86,19 +86,13 @@ class Panel:
 
     def _write(self, lines: list[str]) -> None:
         # A line that is wrapped, or one above the top of the window, could not be rewritten in place.
-        columns, rows = self._size()
+        columns, rows = shutil.get_terminal_size()
         shown = lines if len(lines) < rows else [*lines[: rows - 2], lines[-1]]
         lines = [line[: columns - 1] for line in shown]
         up = f"\x1b[{self._lines}A" if self._lines else ""
         self._stream.write(up + "".join(f"\x1b[2K{line}\n" for line in lines))
         self._stream.flush()
         self._lines = len(lines)
-
-    def _size(self) -> tuple[int, int]:
-        try:
-            return tuple(os.get_terminal_size(self._stream.fileno()))  # type: ignore[return-value]
-        except (OSError, ValueError):
-            return 80, 24
 
     def text(
         self, phase: str, state: State, command: Command, goal: NDArray[Any], verdict: Verdict, ticker: Ticker

@@ -20,7 +20,7 @@ from op3.deploy.registers import (
 )
 from op3.robot import DEFAULT, Robot, load_robot
 from op3.robot.units import ACCELERATION_UNIT, ANGLE_UNIT, GYRO_UNIT, VOLTAGE_UNIT
-from op3.settings import read_yaml
+from op3.settings import Named, Number, read_yaml, settings
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -168,6 +168,13 @@ class State:
         )
 
 
+@settings("calibration")
+class CalibrationFile:
+    """The content of a calibration file: offsets by joint [rad]."""
+
+    offset_rad: Named[Number]
+
+
 class Calibration:
     """What is added to a servo's angle to give the joint angle.
 
@@ -200,14 +207,9 @@ class Calibration:
         path, known = Path(path), load_robot(robot)
         if not path.is_file():
             raise FileNotFoundError(f"there is no calibration file {path}; write one with mode=calibrate")
-        offsets = read_yaml(path).get("offset_rad")
-        if not isinstance(offsets, Mapping):
-            raise ValueError(f"{path}: write `offset_rad:` and below it one line `<joint>: <rad>` per joint")
         try:
+            offsets = CalibrationFile(**read_yaml(path)).offset_rad
             known.indices(offsets)
-            for name, value in offsets.items():
-                if isinstance(value, bool) or not isinstance(value, int | float):
-                    raise ValueError(f"the offset of {name} is {value!r}; write a number in rad")
             return cls([float(offsets.get(name, 0.0)) for name in known.joints], known)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from op3.deploy.registers import DYNAMIXEL_X, OPEN_CR, OPEN_CR_MODEL, HardwareError, Units
+from op3.deploy.registers import DYNAMIXEL_X, OPEN_CR, OPEN_CR_MODEL, Units
 from op3.robot import load_robot
 
 # ROBOTIS e-Manual, XM430-W350: name, address, size, initial value
@@ -68,9 +68,3 @@ def test_a_value_that_does_not_fit_is_refused():
     """Nothing is cut off silently."""
     with pytest.raises(ValueError, match="goal_current"):
         DYNAMIXEL_X["goal_current"].encode(40_000)
-
-
-def test_hardware_errors_have_names():
-    """A status is told in words."""
-    assert HardwareError.describe(0x24) == "overheating, overload"
-    assert HardwareError.describe(0) == "none"
