@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from op3.settings import nearest, parse_yaml
 
@@ -18,6 +18,17 @@ class Record(BaseModel):
     """What a part of a data file may hold: the fields named and no others, fixed once read."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def among(what: str, known: Iterable[str]) -> AfterValidator:
+    """That a field's text is one of these names of a kind."""
+
+    def check(name: str) -> str:
+        if name not in known:
+            raise ValueError(f"names the {what} {name!r}, which there is not{nearest(name, known)}")
+        return name
+
+    return AfterValidator(check)
 
 
 class DataFileError(ValueError):

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import pi
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import mujoco
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
-from op3.robot.data_file import DataFile, Record
+from op3.robot.data_file import DataFile, Record, among
 from op3.robot.servo_make import servo_files
-from op3.settings import nearest
 
 ANGLES: Mapping[str, float | None] = {"rad": 1.0, "deg": pi / 180, "turn": 2 * pi, "count": None}
 """Units of a log's angles [rad]; that of a count is the encoder's."""
@@ -40,15 +39,8 @@ class LogChannel(Record):
     name: str | None = None
     sign: Literal[1, -1] = 1
     zero: float = 0.0
-    unit: str = "rad"
+    unit: Annotated[str, among("unit", ANGLES)] = "rad"
     velocity_factor: float = 1.0
-
-    @field_validator("unit")
-    @classmethod
-    def _known_unit(cls, unit: str) -> str:
-        if unit not in ANGLES:
-            raise ValueError(f"names the unit {unit!r}, which there is not{nearest(unit, ANGLES)}")
-        return unit
 
 
 class JointEntry(Record):
@@ -88,15 +80,8 @@ class AdjustableNumber(Record):
     default: float
     unit: str
     body: str
-    sets: str
+    sets: Annotated[str, among("number", ADJUSTABLE)]
     factor: float = 1.0
-
-    @field_validator("sets")
-    @classmethod
-    def _known_field(cls, name: str) -> str:
-        if name not in ADJUSTABLE:
-            raise ValueError(f"names {name!r}, which cannot be set{nearest(name, ADJUSTABLE)}")
-        return name
 
 
 class RobotFile(Record):

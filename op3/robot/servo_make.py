@@ -6,12 +6,10 @@ from collections.abc import Callable, Mapping
 from functools import lru_cache
 from math import pi
 from pathlib import Path
-from typing import Literal
-
-from pydantic import model_validator
+from typing import Annotated, Literal
 
 from op3.robot.assets import asset_path
-from op3.robot.data_file import DataFile, DataFileError, Record
+from op3.robot.data_file import DataFile, DataFileError, Record, among
 from op3.settings import nearest
 
 TO_SI: Mapping[str, Callable[[float], float]] = {
@@ -42,14 +40,8 @@ class Figure(Record):
 
     value: float
     source: str
-    unit: str = ""
+    unit: Annotated[str, among("unit", TO_SI)] = ""
     at: float | None = None
-
-    @model_validator(mode="after")
-    def _known_unit(self) -> Figure:
-        if self.unit not in TO_SI:
-            raise ValueError(f"has the unit {self.unit!r}, which there is not{nearest(self.unit, TO_SI)}")
-        return self
 
     @property
     def si(self) -> float:

@@ -101,7 +101,7 @@ def test_fallbacks(rig, monkeypatch):
 def test_a_lost_answer_does_not_choose_a_slower_block(tmp_path, seed):
     """With one answer in fifty lost while it is chosen, the fast block of 14 bytes is read all the same."""
     rig = powered(make_rig(tmp_path, seed=seed))
-    rig.robot.bus.faults, rig.robot.bus._faulty = Faults(lost=0.01), True
+    rig.robot.bus.faults = Faults(lost=0.01)
     assert rig.writer.prepare_block().fast
 
 
@@ -196,7 +196,6 @@ def test_spoilt_answers_never_become_values(tmp_path, faults):
     rig.writer.prepare_block()
     rig.bus.read_state()
     rig.robot.bus.faults = faults
-    rig.robot.bus._faulty = True
     missing = 0
     for _ in range(60):
         state = rig.bus.read_state()
@@ -210,19 +209,19 @@ def test_spoilt_answers_never_become_values(tmp_path, faults):
 def test_a_late_answer_is_not_taken_for_another_ones(rig, delay):
     """An answer that comes when something else of the device is asked for has another length: it is passed over."""
     rig.writer.prepare_block()
-    spoilt, whole = Faults(late=1.0, delay=delay), Faults()
+
+    def spoilt(call):
+        rig.robot.bus.faults = Faults(late=1.0, delay=delay)
+        with contextlib.suppress(NoAnswer):
+            call()
+        rig.robot.bus.faults = Faults()
+
     for _ in range(5):
         for call in (lambda: rig.bus.read(BOARD, "present_voltage"), lambda: rig.writer.write("l_knee", "led", 1)):
-            rig.robot.bus.faults, rig.robot.bus._faulty = spoilt, True
-            with contextlib.suppress(NoAnswer):
-                call()
-            rig.robot.bus.faults, rig.robot.bus._faulty = whole, False
+            spoilt(call)
             with contextlib.suppress(NoAnswer):
                 assert rig.bus.read("l_knee", "goal_current") == 1193
-            rig.robot.bus.faults, rig.robot.bus._faulty = spoilt, True
-            with contextlib.suppress(NoAnswer):
-                call()
-            rig.robot.bus.faults, rig.robot.bus._faulty = whole, False
+            spoilt(call)
             rig.bus._read_board()
             rig.robot.clock.sleep(0.05)
             assert rig.bus.read_state().linear_acceleration[2] == pytest.approx(9.81, abs=0.1)

@@ -87,8 +87,7 @@ def test_coast_damp_off(tmp_path):
     others = goals(rig, "r_knee", end=START + 0.2)[1]
     assert np.abs(others[none - 3 : none]).min() > 30
     assert np.abs(others[none + 1 : none + 6]).max() < 30
-    off = [time for time, values in rig.written("torque_enable") if time > START and not any(values.values())]
-    assert START + 0.090 < off[0] < START + 0.112
+    assert START + 0.090 < torque_off(rig) < START + 0.112
 
 
 def test_all_silent_stops_at_96_ms(tmp_path):
@@ -98,8 +97,7 @@ def test_all_silent_stops_at_96_ms(tmp_path):
     assert outcome.code == ExitCode.BUS_LOSS
     assert "no answer from anything on the bus for 12 ticks (96 ms)" in outcome.reason
     assert_released(rig, outcome)
-    off = [time for time, values in rig.written("torque_enable") if time > START and not any(values.values())]
-    assert START + 0.088 < off[0] < START + 0.112
+    assert START + 0.088 < torque_off(rig) < START + 0.112
 
 
 def test_the_robot_comes_back_softly_after_damping(tmp_path):
@@ -132,8 +130,7 @@ def test_a_servo_that_shuts_down_stops_the_run_within_two_ticks(tmp_path, bit, c
     assert outcome.code == ExitCode.SERVO_SHUTDOWN
     assert f"shut down by itself: l_knee ({cause})" in outcome.reason
     assert_released(rig, outcome)
-    off = [time for time, values in rig.written("torque_enable") if time > START and not any(values.values())]
-    assert off[0] - START <= 0.016
+    assert torque_off(rig) - START <= 0.016
 
 
 def lean(rig, end=np.inf):
@@ -199,7 +196,7 @@ def test_one_servo_that_restarts_is_named(tmp_path):
 def test_spoilt_packets_are_coasted(tmp_path, kind, rate):
     """At ten times the losses of the field and in every form the run goes on; no goal moves by more than the losses."""
     rig = faulty(tmp_path)
-    rig.robot.at(2.0, lambda: begin_faults(rig, **{kind: rate}))
+    rig.robot.at(2.0, lambda: setattr(rig.robot.bus, "faults", Faults(**{kind: rate})))
     outcome = go(rig, folder=tmp_path / "logs")
     assert outcome.code == ExitCode.OK, outcome.reason
     answered = Rollout.load(tmp_path / "logs" / "run").array("raw/answered")
@@ -207,11 +204,6 @@ def test_spoilt_packets_are_coasted(tmp_path, kind, rate):
     values = np.array([list(found.values()) for time, found in rig.written("goal_current") if 2.0 < time < 5.0])
     # a late answer, and those behind it, are missed for five ticks: from what was held to none, and softly back
     assert np.abs(np.diff(values, axis=0)).max() <= (120 if kind == "late" else 12)
-
-
-def begin_faults(rig, **rates):
-    rig.robot.bus.faults = Faults(**rates)
-    rig.robot.bus._faulty = True
 
 
 def test_unplugged(tmp_path):

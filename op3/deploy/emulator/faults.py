@@ -99,7 +99,7 @@ class Faults:
     scheduled: Listed[Any] = ()
 
     def __post_init__(self):
-        if self.lost + self.corrupt + self.truncated + self.late > 1:
+        if self.spoiling > 1:
             raise ValueError(
                 "faults: lost, corrupt, truncated and late are shares of the same packets; their sum is above 1"
             )
@@ -107,6 +107,11 @@ class Faults:
             if not isinstance(fault, Scheduled):
                 kinds = ", ".join(kind.__name__ for kind in Scheduled.__args__)
                 raise ValueError(f"faults: what is scheduled is one of {kinds}; got {fault!r}")
+
+    @property
+    def spoiling(self) -> float:
+        """Share of the status packets that do not come as they were sent."""
+        return self.lost + self.corrupt + self.truncated + self.late
 
     def check_on(self, ids: Collection[int]) -> None:
         """Refuse a fault of a device that is not on the bus with these ids."""

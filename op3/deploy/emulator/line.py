@@ -110,7 +110,6 @@ class Line:
         self.baud = 1_000_000
         self.timing, self.faults = timing, faults
         self._answers, self._rng, self._recorder = answers, rng, recorder
-        self._faulty = faults.lost + faults.corrupt + faults.truncated + faults.late > 0
         self._parser = Parser()
         self._host_ends = self._devices_end = self._flushed = self._deadline = self._held_until = 0.0
         self._spoken: list[tuple[float, bytes]] = []
@@ -143,7 +142,7 @@ class Line:
 
     def _speak(self, begin: float, answer: bytes, byte_time: float) -> float:
         """A device answers; returns when it ends."""
-        heard = self._spoil(answer, begin) if self._faulty else answer
+        heard = self._spoil(answer, begin) if self.faults.spoiling else answer
         if self._recorder is not None and heard:
             self._spoken.append((begin, heard))
         self._receive(begin, heard, byte_time)
