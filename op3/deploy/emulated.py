@@ -170,7 +170,7 @@ def emulate(
         place = Place.of_task(task, seed)
     hanging = make("stand", joint_position)
     if jig:
-        hanging.advance = lambda steps: None  # time passes, nothing moves
+        hanging.advance = lambda duration: None  # time passes, nothing moves
     emulated = EmulatedRobot(hanging, seed=seed, faults=faults, timing=timing, settings=settings, record=record)
     if powered:
         emulated.switch_on()
