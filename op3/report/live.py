@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -22,42 +23,41 @@ PATIENCE = (120.0, 6.0)
 
 
 def stretches(folder: Path, model: RobotModel | str | None) -> Iterator[Tracks | None]:
-    """Stretches of the logs in a folder as they grow, oldest log first; None while there is nothing new.
+    """Stretches of the logs in a folder as they grow, one log after the other; None while there is nothing new.
 
     Args:
-        folder: a log, or folders with some, such as the run of a deployment; it may not be there yet.
+        folder: a log, or the folder of a run with some, which share a clock; it may not be there yet.
         model: of the ghost; the robot's own where None.
     """
     shown: dict[Path, float] = {}
-    began = last = time.monotonic()
-    while time.monotonic() - (last if shown else began) < PATIENCE[bool(shown)]:
-        found = next((one for place in _logs(folder) if (one := _unseen(place, shown)) is not None), None)
+    last = time.monotonic()
+    while time.monotonic() - last < PATIENCE[bool(shown)]:
+        found = _unseen(folder, shown)
         if found is None:
             yield None
-            time.sleep(0.1)
+            time.sleep(0.2)
             continue
-        log, begin, end = found
-        yield _tracks(log, begin, end, model)
+        yield _tracks(*found, model)
         last = time.monotonic()
 
 
-def _logs(folder: Path) -> list[Path]:
-    """The logs in a folder, the one begun first before others."""
-    return [path.parent for path in sorted(folder.rglob(METADATA_FILE), key=lambda path: path.stat().st_ctime)]
-
-
-def _unseen(place: Path, shown: dict[Path, float]) -> tuple[Rollout, float, float] | None:
-    """A log with begin and end [s] of what of it is shown next, None where it must grow first; it counts as shown."""
-    try:
-        log = read_log(place)
-    except (LogError, OSError):  # nothing is on the disk yet, or it is being closed at this moment
-        return None
-    times = log.array("time")[:, 0]
-    begin, end = shown.get(place, float(times[0])), float(times[-1])
-    if end - begin < (0.0 if log.metadata.complete else STRETCH) or end <= begin:
-        return None
-    shown[place] = end = min(end, begin + STRETCH)
-    return log, begin, end
+def _unseen(folder: Path, shown: dict[Path, float]) -> tuple[Rollout, float, float] | None:
+    """A log with begin and end [s] of what of it is shown next, and so counts as shown; None: it must grow first."""
+    logs: dict[Path, Rollout] = {}
+    for place in folder.rglob(METADATA_FILE):
+        with suppress(LogError, OSError):  # nothing is on the disk yet, or it is being closed at this moment
+            logs[place.parent] = read_log(place.parent)
+    ordered = sorted(logs.items(), key=lambda item: item[1].array("time")[0, 0])
+    for number, (place, log) in enumerate(ordered, start=1):
+        times = log.array("time")[:, 0]
+        begin, end = shown.get(place, float(times[0])), float(times[-1])
+        over = log.metadata.complete or number < len(ordered)
+        if end > begin and (over or end - begin >= STRETCH):
+            shown[place] = end = min(end, begin + STRETCH)
+            return log, begin, end
+        if not over:
+            return None
+    return None
 
 
 def _tracks(log: Rollout, begin: float, end: float, model: RobotModel | str | None) -> Tracks:

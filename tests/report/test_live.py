@@ -49,6 +49,15 @@ def test_stretches_follow_one_another_to_the_end(log, tmp_path, monkeypatch):
     assert all(list(one.logs) == ["measured", "simulated"] for one in found)
 
 
+def test_the_logs_of_a_run_are_shown_in_the_order_of_their_clock(log, tmp_path, monkeypatch):
+    """The approach, of 1.2 s, comes whole, in two stretches, before what follows it, whatever they are called."""
+    monkeypatch.setattr(live, "PATIENCE", (60.0, 0.1))
+    for name, begin, end in (("run", 1.2, 2.0), ("zero", 0.0, 1.2)):
+        log.between(begin, end).save(tmp_path / name)
+    found = [tracks.logs["measured"].array("time")[0, 0] for tracks in live.stretches(tmp_path, None) if tracks]
+    assert found == pytest.approx([0.0, 1.0, 1.2])
+
+
 def test_a_line_tells_the_joint_that_differs_most(log):
     """A ghost whose left knee is 0.2 rad ahead, of twenty joints: 10 mrad in the mean."""
     knee, ahead = log.joints.index("l_knee"), {key: log.array(key).copy() for key in log.channels}
