@@ -16,7 +16,10 @@ from op3.sim import model_for
 from op3.tasks import Replay
 
 STRETCH, REACH = 1.0, 10.0
-"""How much is shown at once, and how long before its end the ghost has begun, at rest and where the robot was [s]."""
+"""How much is shown at once, and how long before its end the ghost has begun, at rest and where the robot was [s].
+
+On its feet it begins with the stretch: commands alone do not keep it there for long.
+"""
 
 PATIENCE = (120.0, 6.0)
 """Without a first row, and without another one, for so long [s] nothing more is awaited."""
@@ -61,15 +64,15 @@ def _unseen(folder: Path, shown: dict[Path, float]) -> tuple[Rollout, float, flo
 
 
 def _tracks(log: Rollout, begin: float, end: float, model: RobotModel | str | None) -> Tracks:
-    after = float(np.nextafter(end, np.inf))
-    recent = log.between(max(float(log.array("time")[0, 0]), end - REACH), after)
+    after, scene = float(np.nextafter(end, np.inf)), scene_of(log)
+    recent = log.between(begin if scene.floating else max(float(log.array("time")[0, 0]), end - REACH), after)
     logs = {"measured": recent.between(begin, after)}
     try:
         known = model if isinstance(model, RobotModel) else model_for(log.robot, model)
         logs["simulated"] = predicted(Replay([recent], num_threads=1).run(known)[0]).between(begin, after)
     except ValueError:  # commands of this kind do not tell the whole run
         pass
-    return Tracks(logs, scene_of(log))
+    return Tracks(logs, scene)
 
 
 def told(tracks: Tracks) -> str:
