@@ -30,7 +30,7 @@ import contextlib
 
 import foreign_logs
 
-from op3.rollout import LogError, read_episodes
+from op3.rollout import LogError, Metadata, Recorder, Rollout, read_episodes
 from op3.rollout.proposal import as_yaml, propose
 
 LONGEST, MEMORY = 20.0, 6 << 30
@@ -89,6 +89,58 @@ VALUES: list[Any] = [
 
 Files = dict[str, bytes]
 Random = np.random.Generator
+
+
+def rollout() -> Rollout:
+    """The motion as a log of ours."""
+    arrays = {
+        "time": foreign_logs.TIME,
+        "joint/position": foreign_logs.position(),
+        "joint/velocity": foreign_logs.velocity(),
+        "command/position": foreign_logs.target(),
+    }
+    return Rollout.from_arrays(arrays, Metadata(foreign_logs.JOINTS, "real", "stand", foreign_logs.RATE))
+
+
+def wide_csv(folder: Path) -> Path:
+    """Our CSV and its sidecar."""
+    return rollout().to_csv(folder / "run.csv")
+
+
+def saved(folder: Path) -> Path:
+    """Our folder."""
+    return rollout().save(folder / "run")
+
+
+def interrupted(folder: Path) -> Path:
+    """What a recorder leaves behind that was cut off."""
+    log = rollout()
+    recorder = Recorder(folder / "run", log.metadata)
+    for row in range(log.rows):
+        recorder.append({key: log.array(key)[row] for key in log.channels})
+    recorder.abandon()
+    return folder / "run"
+
+
+def servo_bench(folder: Path) -> Path:
+    """One servo on a pendulum, packed."""
+    rows = zip(
+        foreign_logs.TIME.tolist(),
+        foreign_logs.position()[:, 0].tolist(),
+        foreign_logs.velocity()[:, 0].tolist(),
+        foreign_logs.target()[:, 0].tolist(),
+        strict=True,
+    )
+    more = dict(load=10, input_volts=7.4, temp=30, torque_enable=True)
+    entries = [dict(more, timestamp=t, position=q, speed=w, goal_position=goal) for t, q, w, goal in rows]
+    header = dict(mass=0.5, length=0.1, kp=200, vin=7.4, motor="xl330", trajectory="sin_sin", entries=entries)
+    path = folder / "2026-01-15_10h28m10.json.xz"
+    path.write_bytes(lzma.compress(json.dumps(header).encode()))
+    return path
+
+
+OURS = {"wide csv": wide_csv, "folder": saved, "interrupted": interrupted, "servo bench": servo_bench}
+"""Formats of ours, and of one servo."""
 
 
 def bytes_edit(raw: bytes, random: Random) -> bytes:
@@ -277,7 +329,7 @@ def main(edits: int, seed: int, only: str = "") -> int:
     warnings.simplefilter("error", RuntimeWarning)
     signal.signal(signal.SIGALRM, too_slow)
     foreign_logs.TIME = foreign_logs.TIME[:60]
-    formats = {n: make for n, make in {**foreign_logs.FORMATS, **foreign_logs.OURS}.items() if only in n}
+    formats = {n: make for n, make in {**foreign_logs.FORMATS, **OURS}.items() if only in n}
     ends: dict[str, Counter[str]] = {name: Counter() for name in formats}
     sound: dict[str, tuple[Path, Files]] = {}
     place = Path(tempfile.mkdtemp(prefix="fuzz_logs_"))

@@ -1,7 +1,7 @@
 """The one log format: a TensorDict schema, recorder, files, importers and the comparison of two logs."""
 
 from op3.rollout.code_version import git_changes, git_hash
-from op3.rollout.compare import ChannelError, Comparison, compare
+from op3.rollout.compare import ChannelError, compare
 from op3.rollout.errors import LogError
 from op3.rollout.metadata import MOUNTS, ROBOTS, Metadata
 from op3.rollout.read import read_episodes, read_log, read_logs
@@ -16,7 +16,6 @@ __all__ = [
     "ROBOTS",
     "Channel",
     "ChannelError",
-    "Comparison",
     "Key",
     "LogError",
     "Metadata",

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from op3.rollout.errors import LogError
 from op3.rollout.rollout import Rollout
-from op3.rollout.schema import CHANNELS, Channel, Key, key_name, normal_key
+from op3.rollout.schema import CHANNELS, Channel
 
 Pair = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """Time [time] and values [time, name] of one log, and of the other, in one episode."""
@@ -20,7 +19,6 @@ class ChannelError:
     """Differences b - a in one channel; arrays are [joint] or [axis] in the order of `names`.
 
     Attributes:
-        key: The channel.
         unit: Unit of `rmse`, `largest` and `rmse_without_lag`.
         names: Joint names, or axis names.
         rmse: Root mean square difference.
@@ -29,7 +27,6 @@ class ChannelError:
         rmse_without_lag: Root mean square difference after taking out that delay.
     """
 
-    key: Key
     unit: str
     names: tuple[str, ...]
     rmse: np.ndarray
@@ -38,27 +35,7 @@ class ChannelError:
     rmse_without_lag: np.ndarray
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """Two logs compared over the time they share, by the channels that both have."""
-
-    channels: dict[Key, ChannelError]
-
-    def __getitem__(self, key: str | tuple[str, ...]) -> ChannelError:
-        return self.channels[normal_key(key)]
-
-    def table(self) -> list[dict[str, Any]]:
-        """One plain row per channel and name, worst first within a channel."""
-        numbers = ("rmse", "largest", "lag", "rmse_without_lag")
-        return [
-            {"channel": key_name(error.key), "name": error.names[i], "unit": error.unit}
-            | {name: float(getattr(error, name)[i]) for name in numbers}
-            for error in self.channels.values()
-            for i in np.argsort(-error.rmse, kind="stable")
-        ]
-
-
-def compare(a: Rollout, b: Rollout, max_lag: float = 0.1) -> Comparison:
+def compare(a: Rollout, b: Rollout, max_lag: float = 0.1) -> dict[str, ChannelError]:
     """Compare b with a on a's time, channel by channel.
 
     Sampled signals of b are interpolated linearly, commands hold until the next row, and angles of the IMU
@@ -69,6 +46,9 @@ def compare(a: Rollout, b: Rollout, max_lag: float = 0.1) -> Comparison:
         a: Reference.
         b: The other log.
         max_lag: Largest delay considered, either way [s]; at most a quarter of the shared time is used.
+
+    Returns:
+        By channel that both logs have, such as `joint/position`.
     """
     if set(a.joints) != set(b.joints):
         odd = ", ".join(sorted(set(a.joints) ^ set(b.joints)))
@@ -84,8 +64,8 @@ def compare(a: Rollout, b: Rollout, max_lag: float = 0.1) -> Comparison:
             pairs = [
                 (x.array("time")[:, 0], x.array(key), y.array("time")[:, 0], y.array(key)[:, pick]) for x, y in episodes
             ]
-            channels[key] = _channel_error(channel, names, pairs, max_lag)
-    return Comparison(channels)
+            channels[channel.name] = _channel_error(channel, names, pairs, max_lag)
+    return channels
 
 
 def _channel_error(channel: Channel, names: tuple[str, ...], pairs: list[Pair], max_lag: float) -> ChannelError:
@@ -120,7 +100,7 @@ def _channel_error(channel: Channel, names: tuple[str, ...], pairs: list[Pair], 
                 lag[name], least[name] = refined, lower
     every = differences(0.0, 0.0)
     rmse, largest = np.sqrt((every**2).mean(0)), np.abs(every).max(0)
-    return ChannelError(channel.key, channel.unit, tuple(names), rmse, largest, lag, np.sqrt(least))
+    return ChannelError(channel.unit, tuple(names), rmse, largest, lag, np.sqrt(least))
 
 
 def _span(time_a: np.ndarray, time_b: np.ndarray) -> tuple[float, float]:

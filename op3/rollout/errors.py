@@ -60,5 +60,6 @@ def located(**place: Any) -> Iterator[None]:
 
 def rename(name: object, known: Iterable[str], otherwise: str) -> str:
     """The remedy for an unknown name: the nearest one that exists, or what to do where none is near."""
-    close = difflib.get_close_matches(str(name), list(known), n=1)
-    return f"rename it {close[0]} if that is meant" if close else otherwise
+    by_lower = {one.lower(): one for one in known}
+    close = difflib.get_close_matches(str(name).lower(), by_lower, n=1)
+    return f"rename it {by_lower[close[0]]} if that is meant" if close else otherwise

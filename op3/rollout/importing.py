@@ -16,18 +16,17 @@ from typing import Any
 import numpy as np
 
 from op3.rollout.errors import LogError, located, rename
+from op3.rollout.health.finding import WARNING, Finding
 from op3.rollout.metadata import Metadata
 from op3.rollout.readers.reader import Column, Recording, Stream
 from op3.rollout.readers.text import unpacked
 from op3.rollout.rollout import Rollout
 from op3.rollout.schema import CHANNELS, column_names, key_name, place
 from op3.rollout.units import factor
-from op3.rollout.validate import check_time
+from op3.rollout.validate import check_time, holes
 from op3.settings import Listed, Named, Number, read_yaml, settings, shown
 
 SHARED = "columns.yaml"
-GAP_INTERVALS, GAP = 10.0, 0.15
-"""A hole is an interval of so many usual ones that is at least so long [s]."""
 
 Columns = dict[str, np.ndarray]
 """By column of the wide CSV, [time]."""
@@ -121,7 +120,9 @@ def roll_out(recording: Recording, side: Side, path: Path) -> list[Rollout]:
         _mend(chosen, side)
         with located(source=path):
             arrays = _arrays(chosen, metadata, recording.strict, side)
-            logs.append(Rollout.from_arrays({"time": time[part], **arrays}, metadata, path))
+            unread = _unread(arrays, metadata.joints)
+            log = Rollout.from_arrays({"time": time[part], **arrays}, metadata, path)
+            logs.append(log.with_findings(unread))
     return logs
 
 
@@ -203,13 +204,6 @@ def _one_clock(streams: Sequence[Stream]) -> tuple[np.ndarray, Columns]:
     return time, columns
 
 
-def holes(time: np.ndarray) -> np.ndarray:
-    """Rows before which time jumps, counted from 0."""
-    steps = np.diff(time)
-    usual = float(np.median(steps)) if len(steps) else 0.0
-    return np.flatnonzero(steps > max(GAP_INTERVALS * usual, GAP)) + 1
-
-
 def _split(time: np.ndarray) -> list[slice]:
     """The parts between holes; single rows are no part."""
     cuts = [0, *holes(time).tolist(), len(time)]
@@ -280,3 +274,22 @@ def _arrays(columns: Columns, metadata: Metadata, strict: bool, side: Side) -> d
     if gain is not None and key not in arrays:
         arrays[key] = np.full_like(arrays["joint", "position"], gain)
     return arrays
+
+
+def _unread(arrays: dict[Any, np.ndarray], joints: Sequence[str]) -> list[Finding]:
+    """Columns that are not to be used, as cells hold no number; changes these cells to zero.
+
+    Positions, commands and times with such cells are left, to be refused.
+    """
+    findings = []
+    for key, values in arrays.items():
+        empty = ~np.isfinite(values)
+        if key[0] not in ("joint", "imu") or CHANNELS[key].required or not empty.any():
+            continue
+        arrays[key] = np.where(empty, 0.0, values)
+        columns = column_names(CHANNELS[key], joints)
+        for index in np.flatnonzero(empty.any(0) | (key[0] == "imu")):
+            problem = f"{empty[:, index].sum()} of {len(values)} rows hold no number"
+            remedy = "the channel is not used; leave these rows out, or fill them"
+            findings.append(Finding(WARNING, problem, remedy, columns[index], set_aside=True, check="no number"))
+    return findings

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tensordict import TensorDictBase
 
 from op3.rollout import files
 from op3.rollout.errors import LogError, located
@@ -26,6 +25,9 @@ from op3.rollout.metadata import Metadata
 from op3.rollout.rollout import DATA_FOLDER, METADATA_FILE, ROWS_FILE, Rollout
 from op3.rollout.schema import CHANNELS, Key, key_name, normal_key
 from op3.rollout.validate import check_values, known_channel, width_of
+
+FLUSH_INTERVAL = 0.5
+"""Between writes to the disk [s]."""
 
 
 class Recorder:
@@ -37,14 +39,9 @@ class Recorder:
     Args:
         folder: New folder of the rollout.
         metadata: What is known at the start; `complete` is handled here.
-        flush_interval: Seconds between writes to the disk, at most 1.
-        overwrite: Whether a rollout already in the folder is replaced.
     """
 
-    def __init__(self, folder: str | Path, metadata: Metadata, *, flush_interval: float = 0.5, overwrite: bool = False):
-        if not 0 < flush_interval <= 1:
-            remedy = "choose an interval above 0 and of at most 1 s"
-            raise LogError(f"flush_interval is {flush_interval!r}", remedy, source=folder)
+    def __init__(self, folder: str | Path, metadata: Metadata):
         self.folder = Path(folder)
         self.metadata = metadata.replace(complete=False)
         self.rows = 0
@@ -55,17 +52,11 @@ class Recorder:
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._failure: OSError | None = None
-        self._make_folder(overwrite)
-        self._stream = (self.folder / ROWS_FILE).open("wb", buffering=0)
-        self._thread = threading.Thread(target=self._keep_flushing, args=(flush_interval,), daemon=True)
-        self._thread.start()
-
-    def _make_folder(self, overwrite: bool) -> None:
-        folder = self.folder
-        if folder.exists() and not (folder / METADATA_FILE).is_file():
-            raise LogError("something other than a rollout is there", "choose another folder", source=folder)
         text = self.metadata.to_yaml()
-        files.write_folder(folder, lambda f: files.write_text(f / METADATA_FILE, text), overwrite)
+        files.write_folder(self.folder, lambda f: files.write_text(f / METADATA_FILE, text))
+        self._stream = (self.folder / ROWS_FILE).open("wb", buffering=0)
+        self._thread = threading.Thread(target=self._keep_flushing, daemon=True)
+        self._thread.start()
 
     def __enter__(self) -> Recorder:
         return self
@@ -76,20 +67,19 @@ class Recorder:
         else:
             self.abandon()
 
-    def append(self, row: Mapping[Any, Any] | TensorDictBase) -> None:
+    def append(self, row: Mapping[Any, Any]) -> None:
         """Add one row; raises `LogError`, and adds nothing, if the row cannot belong to the log.
 
         Args:
             row: Every channel of the log by key, each with its last axis ([joint], [3], scalar as a number);
-                numbers, arrays or tensors, or a TensorDict without batch axes.
+                numbers, arrays or tensors.
         """
         if self._stop.is_set():
             raise LogError("the recorder is closed", "open another one", source=self.folder)
         if self._failure is not None:
             problem = f"rows can no longer be written ({self._failure.strerror})"
             raise LogError(problem, "free disk space and record again", source=self.folder)
-        items = row.items(True, True) if isinstance(row, TensorDictBase) else row.items()
-        values = {normal_key(key): value for key, value in items}
+        values = {normal_key(key): value for key, value in row.items()}
         with self._lock, located(source=self.folder, row=self.rows + 1):
             if not self._layout:
                 self._set_layout(values)
@@ -141,8 +131,8 @@ class Recorder:
             problem = f"time {out[0]:.10g} s does not come after {self._last_time:.10g} s"
             raise LogError(problem, "give each row a later time", column="time")
 
-    def _keep_flushing(self, interval: float) -> None:
-        while not self._stop.wait(interval):
+    def _keep_flushing(self) -> None:
+        while not self._stop.wait(FLUSH_INTERVAL):
             self._flush()
 
     def _flush(self) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -186,8 +186,12 @@ class Rollout:
             if finding.severity == ERROR:
                 raise finding.error(source)
             _log.warning("%s", finding.error(name))
+        return self.with_findings(findings)
+
+    def with_findings(self, findings: Sequence[Any]) -> Rollout:
+        """The log with what was found, and without the columns that are to be set aside; see `measured`."""
         aside = {str(finding.column) for finding in findings if finding.set_aside}
-        return dataclasses.replace(self._without(aside), findings=findings) if findings else self
+        return dataclasses.replace(self._without(aside), findings=(*self.findings, *findings)) if findings else self
 
     def measured(self, key: str | tuple[str, ...]) -> np.ndarray:
         """Which columns of a channel hold what was measured, [last axis]; the others were set aside."""

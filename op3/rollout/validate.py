@@ -15,6 +15,9 @@ from op3.rollout.errors import LogError
 from op3.rollout.metadata import OUTCOMES, Metadata
 from op3.rollout.schema import CHANNELS, Channel, Key, column_names, key_name
 
+GAP_INTERVALS, GAP = 10.0, 0.15
+"""A hole is an interval of so many usual ones that is at least so long [s]."""
+
 
 def check_schema(tensors: Mapping[Key, Any], batch: Sequence[int], metadata: Metadata) -> None:
     """Raise `LogError` unless channels have the shape and the sanity the schema promises.
@@ -121,7 +124,17 @@ def check_time(time: np.ndarray, episode: int | None = None) -> None:
     row = int(later.argmin())
     if time[row + 1] == time[row]:
         problem, remedy = f"{time[row]:.10g} s repeats the time of row {row + 1}", "remove the duplicated row"
+        if (more := int((~later).sum())) > len(time) // 20:
+            problem += f", and so do {more} rows in all"
+            remedy = "write times with more digits (a float32 is too short for a Unix time), or each row once"
     else:
         problem = f"time goes back from {time[row]:.10g} s to {time[row + 1]:.10g} s"
         remedy = "sort the rows, or split the file where a new recording starts"
     raise LogError(problem, remedy, column="time", row=row + 2, episode=episode)
+
+
+def holes(time: np.ndarray) -> np.ndarray:
+    """Rows before which time jumps, counted from 0."""
+    steps = np.diff(time)
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    return np.flatnonzero(steps > max(GAP_INTERVALS * usual, GAP)) + 1

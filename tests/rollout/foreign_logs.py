@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import functools
 import json
-import lzma
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-from op3.rollout import Metadata, Recorder, Rollout
 
 JOINTS = ("shoulder", "elbow")
 ROWS, RATE = 250, 50.0
@@ -200,46 +197,3 @@ FORMATS = {
     "long csv": long_csv,
     "mapped csv": mapped_csv,
 }
-
-
-def rollout() -> Rollout:
-    """The motion as a log of ours."""
-    arrays = {"time": TIME, "joint/position": position(), "joint/velocity": velocity(), "command/position": target()}
-    return Rollout.from_arrays(arrays, Metadata(JOINTS, "real", "stand", RATE))
-
-
-def wide_csv(folder: Path) -> Path:
-    """Our CSV and its sidecar."""
-    return rollout().to_csv(folder / "run.csv")
-
-
-def saved(folder: Path) -> Path:
-    """Our folder."""
-    return rollout().save(folder / "run")
-
-
-def interrupted(folder: Path) -> Path:
-    """What a recorder leaves behind that was cut off."""
-    log = rollout()
-    recorder = Recorder(folder / "run", log.metadata)
-    for row in range(log.rows):
-        recorder.append({key: log.array(key)[row] for key in log.channels})
-    recorder.abandon()
-    return folder / "run"
-
-
-def servo_bench(folder: Path) -> Path:
-    """One servo on a pendulum, packed."""
-    rows = zip(
-        TIME.tolist(), position()[:, 0].tolist(), velocity()[:, 0].tolist(), target()[:, 0].tolist(), strict=True
-    )
-    more = dict(load=10, input_volts=7.4, temp=30, torque_enable=True)
-    entries = [dict(more, timestamp=t, position=q, speed=w, goal_position=goal) for t, q, w, goal in rows]
-    header = dict(mass=0.5, length=0.1, kp=200, vin=7.4, motor="xl330", trajectory="sin_sin", entries=entries)
-    path = folder / "2026-01-15_10h28m10.json.xz"
-    path.write_bytes(lzma.compress(json.dumps(header).encode()))
-    return path
-
-
-OURS = {"wide csv": wide_csv, "folder": saved, "interrupted": interrupted, "servo bench": servo_bench}
-"""Formats of ours, and of one servo."""

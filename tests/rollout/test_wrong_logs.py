@@ -110,6 +110,11 @@ def swap(one: str, other: str) -> Change:
     return change
 
 
+def copy(one: str, other: str) -> Change:
+    """A column holds the numbers of another one."""
+    return lambda table: table.update({other: table[one]})
+
+
 def swings_around_pi(table: Table) -> None:
     """Zero lies at the far side."""
     table["joint_0.position"] = table["joint_0.position"] % (2 * np.pi) - np.pi
@@ -124,19 +129,13 @@ REFUSED: dict[str, tuple[Change, str]] = {
     "a quarter of a second is missing": (gap(400, 432), r"about 3\d rows are missing"),
     "another turn": (
         add("joint_0.position", -2 * np.pi, 500),
-        r"row 501, column joint_0.position: position jumps by one turn .* at row 501; .*unwrap",
+        r"row 501, .* jumps by one turn .* at row 501; .*unwrap",
     ),
     "two turns": (add("joint_0.position", 4 * np.pi, 500), r"position jumps by 2 turns"),
     "around pi": (swings_around_pi, r"position jumps by one turn .*unwrap: true.*shift"),
-    "a turn off": (
-        add("joint_0.position", 2 * np.pi),
-        r"position is \+6\.\d+ rad away from the command, about \+1 turn",
-    ),
+    "a turn off": (add("joint_0.position", 2 * np.pi), r"position is \+6\.\d+ rad away .* about \+1 turn"),
     "position in degrees": (scale(".*position", 6.5), r"position: the position moves 6\.\d+ times as far"),
-    "both in degrees": (
-        scale(".*(position|target|velocity)", 57.29578),
-        r"in steps of 0\.08789.* as if they were in deg",
-    ),
+    "both in degrees": (scale(".*(position|target|velocity)", 57.29578), r"in steps of 0\.08789.* were in deg"),
     "position in counts": (scale(".*position", 4096 / 2 / np.pi), r"as if it were in counts of 4096 a turn"),
     "gyroscope in degrees": (scale("imu.gyro_.", 57.3), r"gyro_x: the gyroscope reads 57\.\d times .* in deg/s"),
     "gyroscope turned": (scale("imu.gyro_y", -1), r"gyro_y: the gyroscope reads -(1|0.99\d*) .* sign turned round"),
@@ -148,11 +147,15 @@ REFUSED: dict[str, tuple[Change, str]] = {
     "position turned": (scale(".*(position|velocity)", -1), r"position moves against its command"),
     "a spike": (put("joint_0.position", 2.9, 300), r"row 301, .* position jumps by \+\d.* in one row and back"),
     "a dead sensor": (scale("joint_0.position", 0), r"position stands at 0 rad while its command moves by"),
-    "repeated rows": (
-        put("imu.*|joint_0.(position|velocity)", np.nan, 400, 440),
-        r"row 401, column time: all sensors keep their numbers for 40 rows",
-    ),
+    "repeated rows": (put("imu.*|.*(position|velocity)", np.nan, 400, 440), r"row 401, .* keep their .* for 40 rows"),
     "milliseconds": (scale("time", 1e3), r"the time looks like milliseconds"),
+    "a counter set anew": (add("joint_0.position", -0.3, 500), r"row 501, .* jumps by -0\.3\d+ rad in one row, faster"),
+    "turns": (scale(".*(position|target|velocity)", 0.5 / np.pi), r"as if they were in turn"),
+    "the goal recorded": (copy("joint_0.target", "joint_0.position"), r"every row has the number of the command"),
+    "a Unix time as float32": (
+        edit("time", lambda v: np.float32(v + 1.7e9) * 1.0),
+        r"and so do \d+ rows.* more digits",
+    ),
     "gravity in g": (scale("imu.acc_.", 1 / 9.81), r"looks like g"),
 }
 
@@ -190,10 +193,7 @@ def test_a_clock_without_a_rate_beside_it(tmp_path):
     ("change", "expected"),
     [
         (swap("joint_0.position", "joint_2.position"), r"follows the command of joint_\d: the columns .* swapped"),
-        (
-            lambda t: t.update({"joint_1.position": t["joint_0.position"]}),
-            r"joint_1.position: every row has the numbers",
-        ),
+        (copy("joint_0.position", "joint_1.position"), r"joint_1.position: every row has the numbers"),
     ],
 )
 def test_positions_of_other_joints(tmp_path, change, expected):
@@ -202,16 +202,20 @@ def test_positions_of_other_joints(tmp_path, change, expected):
         read_log(write(tmp_path, change, joints=3))
 
 
-@pytest.mark.parametrize(
-    ("change", "expected"),
-    [
-        (edit(".*velocity", lambda v: np.where(v < 0, v + 65536 * 0.024, v)), "16-bit"),
-        (put("joint_0.velocity", 40.0, 300), "a single reading of 40 stands between"),
-    ],
-)
-def test_a_channel_with_wrong_readings(tmp_path, change, expected):
-    """16-bit numbers read without their sign, and a single wrong reading, are named as what they are."""
-    assert expected in read_log(write(tmp_path, change)).findings[0].problem
+WARNED: dict[str, tuple[Change, str]] = {
+    "16 bits without sign": (edit(".*velocity", lambda v: np.where(v < 0, v + 65536 * 0.024, v)), "16-bit"),
+    "a wrong reading": (put("joint_0.velocity", 40.0, 300), "a single reading of 40 stands between"),
+    "held": (edit("joint_0.(position|velocity)", lambda v: v[np.arange(1000) // 10 * 10]), "only in every 10 rows"),
+    "a short hole": (gap(400, 412), "about 12 rows are missing before this one"),
+    "lost rows": (edit(".*", lambda v: v[np.random.default_rng(0).random(1000) > 0.3]), "the rows are missing, singly"),
+}
+
+
+@pytest.mark.parametrize("case", WARNED)
+def test_what_is_suspicious_is_a_warning(tmp_path, case):
+    """The log is used, and says what is strange about it."""
+    change, expected = WARNED[case]
+    assert any(expected in finding.problem for finding in read_log(write(tmp_path, change)).findings)
 
 
 @pytest.mark.parametrize(
@@ -250,11 +254,15 @@ def test_a_dead_position_of_one_joint_is_set_aside(tmp_path):
     assert log.measured("joint/position").tolist() == [True, False, True]
 
 
-def test_lost_rows_are_a_warning(tmp_path):
-    """A third of the rows missing singly is said with its share."""
-    keep = np.random.default_rng(0).random(1000) > 0.3
-    log = read_log(write(tmp_path, edit(".*", lambda values: values[keep])))
-    assert any("of the rows are missing, singly" in finding.problem for finding in log.findings)
+@pytest.mark.parametrize(("columns", "rows"), [("joint_1.velocity", 97), ("joint_1.velocity", 1), ("imu.*", 5)])
+def test_cells_without_a_number_set_a_channel_aside(tmp_path, columns, rows):
+    """A velocity or an inertial sensor that was not read in every row is not used; the rest is."""
+    unread = edit(columns, lambda values: np.where(np.arange(1000) % rows, values, np.nan))
+    path = write(tmp_path, unread, joints=3)
+    path.write_text(path.read_text().replace("nan", ""))
+    log = read_log(path)
+    assert {finding.check for finding in log.findings} == {"no number"}
+    assert log.measured("joint/velocity").tolist() == [True, "joint" not in columns, True]
 
 
 SIDES = {
@@ -268,6 +276,7 @@ SIDES = {
         "battery: 11.1\nbattery: 12\n",
         r"field battery: the key stands at line \d+ and again at line \d+",
     ),
+    "another robot": ("robot_file: op3\n", r"field joints: joint_0 is no joint of op3"),
     "another gain": ("firmware_gain: 3\n", r"firmware_gain is 3 in the metadata and 32 in the column"),
 }
 
@@ -278,7 +287,8 @@ def test_a_sidecar_that_cannot_be_right_is_refused(tmp_path, case):
     text, expected = SIDES[case]
     path = write(tmp_path)
     sidecar = path.with_suffix(".yaml")
-    lines = [line for line in sidecar.read_text().splitlines() if line.split(":")[0] not in text]
+    said = {line.split(":")[0] for line in text.splitlines()}
+    lines = [line for line in sidecar.read_text().splitlines() if line.split(":")[0] not in said]
     sidecar.write_text("\n".join(lines) + "\n" + text)
     with pytest.raises(LogError, match=expected):
         read_log(path)
@@ -302,7 +312,7 @@ def test_a_sidecars_gain_counts_for_every_row(tmp_path):
 
 ASIDE: dict[str, Change] = {
     "stands still": scale("joint_1.velocity", 0),
-    "another joint's": lambda table: table.update({"joint_1.velocity": table["joint_0.velocity"]}),
+    "another joint's": copy("joint_0.velocity", "joint_1.velocity"),
     "late": edit("joint_1.velocity", lambda values: np.roll(values, 60)),
     "in degrees": scale("joint_1.velocity", 57.3),
     "turned": scale("joint_1.velocity", -1),
@@ -380,6 +390,9 @@ FORMS: dict[str, Callable[[str], bytes]] = {
     "spaces": lambda text: text.replace(",", " ").encode(),
     "quoted decimal commas": lambda text: _marks(text, '","', '"').encode(),
     "UTF-16": lambda text: text.encode("utf-16"),
+    "UTF-16 without a mark": lambda text: text.encode("utf-16-le"),
+    "times of the day": lambda text: re.sub(r"(?m)^\d", lambda digit: f"23:05:0{digit[0]}", text).encode(),
+    "dates": lambda text: re.sub(r"(?m)^\d", lambda digit: f"2026-01-15T23:05:0{digit[0]}", text).encode(),
     "a byte order mark": lambda text: b"\xef\xbb\xbf" + text.encode(),
     "remarks": lambda text: ("# made on a Monday\n" + text + "# end\n").encode(),
     "a header of numpy": lambda text: ("# " + text).encode(),

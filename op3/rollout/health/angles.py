@@ -120,12 +120,15 @@ def constant_offset(view: View) -> Iterator[Finding]:
 
 @check("coarse steps")
 def coarse(view: View) -> Iterator[Finding]:
-    """Positions lie on a grid coarser than the encoder's: they were rounded, or are in another unit."""
+    """Positions lie on another grid than the encoder's: they were rounded, or are in another unit."""
     make = find_servo(view.metadata.servo)
     exact = 2 * np.pi / 4096 if make is None else make.position_unit
     steps = step(view.position)
-    for joint in np.flatnonzero(steps > 4 * (0.0025 if make is None else exact)):
+    for joint in np.flatnonzero(steps):
         unit = likely_unit(float(steps[joint] / exact), "rad", 0.01)
+        rough = steps[joint] > 4 * (0.0025 if make is None else exact)
+        if not rough and (unit is None or steps[joint] > exact / 2):  # a finer encoder, or this one
+            continue
         problem = f"positions come in steps of {steps[joint]:.4g} rad, where an encoder's are {exact:.4g} rad"
         problem += f", as if they were in {unit}" if unit else ""
         remedy = "convert them to radians" if unit else "write positions with more digits"

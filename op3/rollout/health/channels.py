@@ -22,6 +22,9 @@ jumped; what was not read for some rows may come in one."""
 _SPIKE = 0.12
 """A position does not go out and back within two rows by more [rad]."""
 
+_SHORT = 0.025
+"""In a longer time from row to row [s] a joint may come to a new place and stop there."""
+
 
 @check("bounds")
 def bounds(view: View) -> Iterator[Finding]:
@@ -147,9 +150,27 @@ def impossible_speed(view: View) -> Iterator[Finding]:
     back = np.zeros(steps.shape, bool)
     out, home = steps[:-1], steps[1:]
     back[:-1] = (np.minimum(np.abs(out), np.abs(home)) > _SPIKE) & (np.abs(out + home) < 0.3 * np.abs(out))
-    for row, joint in np.argwhere((np.abs(steps) > limit) | back)[:1]:
+    for row, joint in np.argwhere((np.abs(steps) > limit) | back | _alone(view, steps, stood))[:1]:
         single = " and back" if back[row, joint] else ""
         problem = f"position jumps by {steps[row, joint]:+.3f} rad in one row{single}, faster than a servo moves"
         yield view.found(
             ERROR, (POSITION, joint), problem, "leave out the row, or repair the encoder or the bus", row + 1
         )
+
+
+def _alone(view: View, steps: np.ndarray, stood: np.ndarray) -> np.ndarray:
+    """Which steps are far larger than all beside them, as where a counter is set anew, [row, joint]."""
+    alone = np.zeros(steps.shape, bool)
+    if len(steps) < 7 or view.interval > _SHORT:
+        return alone
+    near = np.abs(np.lib.stride_tricks.sliding_window_view(steps, 7, axis=0))
+    beside = np.delete(near, 3, axis=-1).max(-1)
+    even = (np.diff(view.time) < 1.5 * view.interval)[3:-3, None]
+    leap = near[..., 3] / (1 + stood[3:-3])
+    alone[3:-3] = (near[..., 3] > _SPIKE) & (leap > 8 * beside) & (beside > 0) & even
+    return alone
+    near = np.abs(np.lib.stride_tricks.sliding_window_view(steps, 7, axis=0))
+    beside = np.delete(near, 3, axis=-1).max(-1)
+    even = (np.diff(view.time) < 1.5 * view.interval)[3:-3, None]
+    alone[3:-3] = (near[..., 3] > np.maximum(_SPIKE, 8 * beside)) & (beside > 0) & (stood[3:-3] == 0) & even
+    return alone

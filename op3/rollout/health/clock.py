@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from op3.rollout.health.finding import ERROR, POSITION, VELOCITY, WARNING, Finding, View, check
-from op3.rollout.health.match import delayed, longest_run
-from op3.rollout.importing import holes
+from op3.rollout.health.match import delayed, longest_run, step
+from op3.rollout.validate import GAP, holes
 
 RATE_TOLERANCE = 0.1
 """Largest relative difference between the clock and the metadata's rate."""
@@ -78,6 +78,9 @@ def uneven(view: View) -> Iterator[Finding]:
         yield view.found(WARNING, "time", text, remedy, row)
     elif lost > 0.12 and even.mean() > 0.9:
         yield view.found(WARNING, "time", f"about {lost:.0%} of the rows are missing, singly", remedy, row)
+    elif 8.5 * view.interval < steps.max() <= GAP:  # what is longer is a hole
+        text = f"about {round(steps.max() / view.interval) - 1} rows are missing before this one"
+        yield view.found(WARNING, "time", text, remedy, row)
 
 
 @check("repeated rows")
@@ -97,6 +100,22 @@ def repeated(view: View) -> Iterator[Finding]:
     if fast or out > max(5 * moving, 0.03 * length * view.interval):
         problem = f"all sensors keep their numbers for {length + 1} rows, while the robot moves"
         yield view.found(ERROR, "time", problem, "leave these rows out; the recorder had no new reading", first, last)
+
+
+@check("stale readings")
+def stale(view: View) -> Iterator[Finding]:
+    """A position gets a new number only in every so many rows, while the joint moves: it was read more rarely."""
+    for key, joint, column in view.columns(POSITION):
+        jumps = np.diff(column)
+        rows = np.flatnonzero(jumps)
+        if len(rows) < 20:
+            continue
+        every = np.gcd.reduce(np.diff(rows))
+        # a slow joint changes by one step of its encoder at a time
+        if every >= 3 and np.median(np.abs(jumps[rows])) > 4 * step(column[:, None])[0]:
+            problem = f"the position has a new number only in every {every} rows"
+            remedy = "read it in every row, or record fewer rows"
+            yield view.found(WARNING, (key, joint), problem, remedy)
 
 
 @check("two clocks")

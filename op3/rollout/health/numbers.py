@@ -35,6 +35,21 @@ def _fits(view: View, kind: str, joint: int) -> bool:
     return float(np.corrcoef(own, view.log.array(VELOCITY)[:, joint])[0, 1]) > 0.5
 
 
+@check("command instead of position")
+def not_measured(view: View) -> Iterator[Finding]:
+    """A position is the command itself, number by number: what was told was recorded, and not what was read."""
+    angle, told = view.position, view.command
+    late = [(angle[n:] == told[: len(told) - n]).all(0) for n in range(3 if len(view.time) >= 20 else 0)]
+    same = np.any(late, axis=0) & (np.ptp(told, axis=0) > 0.05) if late else np.zeros(0, bool)
+    if view.metadata.robot == "simulated":  # which may move as it is told
+        return
+    for joint in np.flatnonzero(same):
+        severity = ERROR if same.all() else WARNING
+        remedy = "record the present position, not the goal"
+        problem = "every row has the number of the command"
+        yield view.found(severity, (POSITION, joint), problem, remedy, aside=severity == WARNING)
+
+
 @check("register without its sign")
 def unsigned(view: View) -> Iterator[Finding]:
     """Negative numbers of a 16-bit or 32-bit register were read as large positive ones."""

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from op3.rollout.errors import LogError, rename
 from op3.rollout.health.finding import ERROR, WARNING, Finding, View, check
 from op3.rollout.units import likely_unit, plausible_unit
 
@@ -30,6 +31,20 @@ def plausible(view: View) -> Iterator[Finding]:
         if unit:
             problem = f"{battery:g} V does not fit the measured {median:.4g} V; it looks like {unit}"
             yield view.found(ERROR, "field battery", problem, f"write battery: {median:.3g}")
+
+
+@check("wrong robot")
+def robot(view: View) -> Iterator[Finding]:
+    """Joints of the log are none of the robot that its metadata name."""
+    try:
+        known = view.log.robot if view.metadata.robot_file else None
+    except LogError as error:
+        yield view.found(WARNING, "field robot_file", error.problem, error.remedy)
+        return
+    odd = [joint for joint in view.joints if known is not None and joint not in known.joints]
+    if known is not None and odd:
+        remedy = rename(odd[0], known.joints, f"correct robot_file; {known.name} has {', '.join(known.joints)}")
+        yield view.found(ERROR, "field joints", f"{odd[0]} is no joint of {known.name}", remedy)
 
 
 @check("firmware gain")

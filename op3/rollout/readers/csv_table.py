@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import datetime
 import functools
+import math
 import re
 import warnings
 from collections.abc import Callable, Iterator
@@ -40,16 +42,16 @@ class CsvTable:
             return [_long(header, table, codes) if codes else _wide(header, table)]
 
 
-def _parsed(path: Path, commas: bool = False) -> tuple[list[str], np.ndarray, dict[str, Codes]]:
+def _parsed(path: Path, slowly: bool = False) -> tuple[list[str], np.ndarray, dict[str, Codes]]:
     """Header, numbers [row, column], and codes of the columns that name a joint or what is measured.
 
-    Cells in quotes may have decimal `commas`, which numpy reads as numbers only where it is told to.
+    Cells may have decimal commas, hold nothing, or times of the day: numpy is told only where it needs to be.
     """
     with open_text(path) as lines:
         header, mark, open_end = _header(lines)
         named, kinds = ([n for n in header if n.lower() in words][:1] for words in (_NAMES, _KINDS))
         codes: dict[str, Codes] = {name: {} for name in named + kinds} if named and len(header) > 2 else {}
-        convert: dict[int | str, Callable[[str], float]] = dict.fromkeys(range(len(header)), _number) if commas else {}
+        convert: dict[int | str, Callable[[str], float]] = dict.fromkeys(range(len(header)), _number) if slowly else {}
         convert |= {header.index(name): functools.partial(_code, known) for name, known in codes.items()}
         plain = lines if mark == "," else (line.replace(",", ".") for line in lines)
         try:
@@ -66,8 +68,8 @@ def _parsed(path: Path, commas: bool = False) -> tuple[list[str], np.ndarray, di
         except UnicodeError:
             raise
         except ValueError as error:
-            if not commas and re.search(r"string '-?\d+,\d", str(error)):
-                return _parsed(path, commas=True)
+            if not slowly and "could not convert" in str(error):
+                return _parsed(path, slowly=True)
             raise _fault(str(error), header) from None
     if not table.size:
         raise LogError("there is a header but no row", "write at least one row", row="row 1")
@@ -81,14 +83,19 @@ def _code(known: Codes, cell: str) -> int:
 
 
 def _number(cell: str) -> float:
+    """A number, also with a decimal comma; NaN for an empty cell, seconds for a date or a time of the day."""
+    cell = cell.strip()
+    if cell.lower() in ("", "-", "n/a", "na", "null", "none"):
+        return math.nan
+    if re.match(r"(\d{4}-\d\d-\d\d[T ])?\d\d:\d\d:", cell):
+        return datetime.datetime.fromisoformat(cell if "-" in cell else f"2001-01-01T{cell}").timestamp()
     return float(cell.replace("_", "?").replace(",", "."))
 
 
 def _fault(said: str, header: list[str]) -> LogError:
     """What numpy says of a cell that is no number, or of a row with more or fewer cells than those before."""
     if cell := re.search(r"string '(.*)' to float64 at row (\d+), column (\d+)", said, re.DOTALL):
-        problem = f"{cell[1][:40]!r} is not a number" if cell[1].strip() else "the cell is empty"
-        remedy = "write a number with a decimal point, or leave out the row"
+        problem, remedy = f"{cell[1][:40]!r} is not a number", "write a number, or leave the cell empty"
         return LogError(problem, remedy, row=int(cell[2]) + 1, column=header[min(int(cell[3]), len(header)) - 1])
     row = re.search(r"at row (\d+)", said)
     problem, remedy = f"the row has not the {len(header)} cells of the header", "complete it or leave it out"

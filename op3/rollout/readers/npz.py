@@ -81,10 +81,11 @@ def _partial(path: Path) -> bool:
 def _signals(content: Content, path: Path) -> tuple[Content, dict[str, Column]]:
     """Signals of `mujoco.sysid`: positions, velocities and controls by their kind, sensors by their name."""
     try:
-        data = content["data"].astype(float)
+        if (data := content["data"]).dtype.kind not in "fiub":
+            raise ValueError(data.dtype)
         mapping = json.loads(str(content["signal_mapping"])).items()
         kinds = {name: int(kind) for name, (kind, index) in mapping if len(index) == 1}
-        columns = {name: data[:, int(index[0])] for name, (_, index) in mapping if name in kinds}
+        columns = {name: data[:, int(index[0])].astype(float) for name, (_, index) in mapping if name in kinds}
     except (KeyError, ValueError, TypeError, IndexError, AttributeError, RecursionError, OverflowError):
         remedy = "save it again with TimeSeries.save_to_disk"
         raise LogError("the signal mapping does not fit the data", remedy, source=path) from None

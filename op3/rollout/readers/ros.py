@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from op3.rollout.errors import LogError
 from op3.rollout.readers.reader import Recording, Stream
@@ -123,10 +124,8 @@ def _imu(message: Any) -> tuple[list[str], list[float]]:
     names = [f"imu.{sensor}_{axis}" for sensor in ("gyro", "acc") for axis in "xyz"]
     numbers = [rate.x, rate.y, rate.z, force.x, force.y, force.z]
     if message.orientation_covariance[0] != -1 and q.w**2 + q.x**2 + q.y**2 + q.z**2 > 0.5:
-        names += ["imu.roll", "imu.pitch", "imu.yaw"]
-        numbers.append(math.atan2(2 * (q.w * q.x + q.y * q.z), 1 - 2 * (q.x**2 + q.y**2)))
-        numbers.append(math.asin(max(-1.0, min(1.0, 2 * (q.w * q.y - q.z * q.x)))))
-        numbers.append(math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2)))
+        names += ["imu.yaw", "imu.pitch", "imu.roll"]
+        numbers += Rotation.from_quat([q.x, q.y, q.z, q.w]).as_euler("ZYX").tolist()
     return names, numbers
 
 

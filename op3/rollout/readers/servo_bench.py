@@ -85,7 +85,7 @@ def _sensed(header: dict[str, Any], table: dict[str, np.ndarray], path: Path) ->
     if "temp" in read and (recorded is None or "temp" in recorded):
         found["temperature"] = read["temp"]
     if "load" in read and recorded is None:
-        found["load"] = read["load"]
+        found["load"] = _signed(read["load"], path) if _registers(read["load"]).all() else read["load"]
     elif "load" in read and make is not None and make.counts.duty and "load" in (recorded or ()):
         found["duty"] = _signed(read["load"], path) / make.counts.duty.si
     if "current" in read:
@@ -95,11 +95,16 @@ def _sensed(header: dict[str, Any], table: dict[str, np.ndarray], path: Path) ->
     return found
 
 
+def _registers(values: np.ndarray) -> np.ndarray:
+    """Which values a 16-bit register may hold, read with its sign or without."""
+    return (values == np.round(values)) & (values >= -32768) & (values <= 65535)
+
+
 def _signed(values: np.ndarray, path: Path) -> np.ndarray:
     """16-bit two's complement read as unsigned, made signed."""
-    wrong = (values != np.round(values)) | (values < -32768) | (values > 65535)
-    if wrong.any():
-        row = int(wrong.argmax())
+    right = _registers(values)
+    if not right.all():
+        row = int(right.argmin())
         problem = f"{values[row]:g} is not a 16-bit register value"
         raise LogError(problem, "write the raw register", source=path, column="load", row=row + 1)
     return np.where(values > 32767, values - 65536, values)

@@ -52,14 +52,24 @@ def read_bytes(path: Path) -> bytes:
     return raw
 
 
+def _encoding(beginning: bytes) -> str:
+    """Of a text, by its mark of order, or by the zeros between letters."""
+    if beginning in (b"\xff\xfe\0\0", b"\0\0\xfe\xff"):
+        return "utf-32"
+    if beginning[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return "utf-16"
+    zeros = [byte == 0 for byte in beginning]
+    spaced = {"utf-16-le": [False, True] * 2, "utf-16-be": [True, False] * 2}
+    return next((name for name, pattern in spaced.items() if zeros == pattern), "utf-8-sig")
+
+
 @contextlib.contextmanager
 def open_text(path: Path) -> Iterator[Iterator[str]]:
-    """Lines of a text in UTF-8, or in UTF-16 where its mark says so."""
+    """Lines of a text in UTF-8, UTF-16 or UTF-32."""
     with _told(path), _PACKED.get(path.suffix, open)(path, "rb") as stream:
-        beginning = stream.read(2)
+        beginning = stream.read(4)
         stream.seek(0)
-        encoding = "utf-16" if beginning in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
-        with io.TextIOWrapper(stream, encoding=encoding, newline=None) as text:
+        with io.TextIOWrapper(stream, encoding=_encoding(beginning), newline=None) as text:
             yield text
 
 
