@@ -7,27 +7,21 @@ import re
 from collections.abc import Iterable, Sequence
 
 from op3.rollout.readers.reader import Column
-from op3.rollout.schema import CHANNELS, Key, place
+from op3.rollout.schema import CHANNELS, normal_key, place
 
-_WORDS: dict[str, Key] = {
-    word: key
-    for words, key in (
-        (
-            "target goal command commanded cmd desired des ref reference setpoint action ctrl control",
-            ("command", "position"),
-        ),
-        ("velocity velocities vel speed speeds qvel dq qd", ("joint", "velocity")),
-        ("current currents cur amps", ("joint", "current")),
-        ("pwm duty", ("joint", "duty")),
-        ("torque torques effort efforts tau load", ("joint", "load")),
-        ("voltage volt volts", ("joint", "voltage")),
-        ("temperature temperatures temp", ("joint", "temperature")),
-        ("enable enabled", ("command", "torque_enable")),
-        ("kp", ("command", "firmware_gain")),
-        ("position positions pos angle angles q qpos theta state", ("joint", "position")),
-    )
-    for word in words.split()
+_SPELLINGS: dict[str, str] = {
+    "command/position": "target goal command commanded cmd desired des ref reference setpoint action ctrl control",
+    "joint/velocity": "velocity velocities vel speed speeds qvel dq qd",
+    "joint/current": "current currents cur amps",
+    "joint/duty": "pwm duty",
+    "joint/load": "torque torques effort efforts tau load",
+    "joint/voltage": "voltage volt volts",
+    "joint/temperature": "temperature temperatures temp",
+    "command/torque_enable": "enable enabled",
+    "command/firmware_gain": "kp",
+    "joint/position": "position positions pos angle angles q qpos theta state",
 }
+_WORDS = {word: normal_key(name) for name, words in _SPELLINGS.items() for word in words.split()}
 """Words that say what is measured; of several in a name the first listed here counts."""
 
 _IMU = {"gyro": "gyro", "gyroscope": "gyro", "angular": "gyro", "acc": "acc", "accel": "acc", "accelerometer": "acc"}

@@ -17,18 +17,7 @@ from op3.rollout.schema import RESERVED
 from op3.settings import Number, Positive, read_yaml, settings, shown
 
 ROBOTS = ("simulated", "emulated", "real", "rig")
-MOUNTS = (
-    "floor",
-    "stand",
-    "pendulum",
-    "board",
-    "board_weight",
-    "bricks_a",
-    "bricks_b",
-    "bricks_c",
-    "bricks_d",
-    "terrain",
-)
+MOUNTS = ("floor", "stand", "pendulum", "board", "board_weight", *(f"bricks_{kind}" for kind in "abcd"), "terrain")
 
 OUTCOMES = ("travelled_distance", "episode_duration", "fallen")
 """Fields of which a batch of episodes may have one value each."""

@@ -52,16 +52,8 @@ OFFSETS = {"K": -273.15, "F": -160 / 9}
 
 _ALIASES = {"degrees": "deg", "°": "deg", "degree": "deg", "radian": "rad", "radians": "rad", "rev": "turn"}
 _ALIASES |= {"dps": "deg/s", "deg_s": "deg/s", "rad_s": "rad/s", "rps": "turn/s", "°/s": "deg/s", "%": "percent"}
-_ALIASES |= {
-    "µs": "us",
-    "sec": "s",
-    "seconds": "s",
-    "usec": "us",
-    "nsec": "ns",
-    "msec": "ms",
-    "°C": "C",
-    "m/s^2": "m/s2",
-}
+_ALIASES |= {"µs": "us", "usec": "us", "nsec": "ns", "msec": "ms", "sec": "s", "seconds": "s", "°C": "C"}
+_ALIASES |= {"m/s^2": "m/s2"}
 
 
 def factor(unit: str | float, quantity: Quantity, column: str) -> tuple[float, float]:

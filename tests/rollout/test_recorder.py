@@ -67,10 +67,8 @@ def spoilt(**changes):
 REFUSED = {
     "not finite": (spoilt(joint__velocity=[0.0, np.nan]), "row 2, column r_knee.velocity: nan"),
     "time stands": (spoilt(time=0.0), "row 2, column time: time 0 s does not come after 0 s"),
-    "width": (spoilt(joint__velocity=[0.0]), "column joint/velocity: 1 numbers where 2 belong"),
     "missing": (spoilt(joint__velocity=None), "differ in joint/velocity"),
     "unknown": (spoilt(joint__speed=[0.0, 0.0]), "differ in joint/speed"),
-    "switch": (spoilt(command__torque_enable=[0.5, 1]), "column l_knee.torque_enable: 0.5 is not 0 or 1"),
     "gain": (spoilt(command__p_gain=[1.0, -6]), "column r_knee.p_gain: -6 is negative"),
 }
 

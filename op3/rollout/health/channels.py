@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 
 import numpy as np
@@ -163,14 +164,9 @@ def _alone(view: View, steps: np.ndarray, stood: np.ndarray) -> np.ndarray:
     alone = np.zeros(steps.shape, bool)
     if len(steps) < 7 or view.interval > _SHORT:
         return alone
-    near = np.abs(np.lib.stride_tricks.sliding_window_view(steps, 7, axis=0))
-    beside = np.delete(near, 3, axis=-1).max(-1)
+    size, count = np.abs(steps), len(steps) - 6
+    beside = functools.reduce(np.maximum, (size[i : i + count] for i in (0, 1, 2, 4, 5, 6)))
     even = (np.diff(view.time) < 1.5 * view.interval)[3:-3, None]
-    leap = near[..., 3] / (1 + stood[3:-3])
-    alone[3:-3] = (near[..., 3] > _SPIKE) & (leap > 8 * beside) & (beside > 0) & even
-    return alone
-    near = np.abs(np.lib.stride_tricks.sliding_window_view(steps, 7, axis=0))
-    beside = np.delete(near, 3, axis=-1).max(-1)
-    even = (np.diff(view.time) < 1.5 * view.interval)[3:-3, None]
-    alone[3:-3] = (near[..., 3] > np.maximum(_SPIKE, 8 * beside)) & (beside > 0) & (stood[3:-3] == 0) & even
+    leap = size[3:-3] / (1 + stood[3:-3])
+    alone[3:-3] = (size[3:-3] > _SPIKE) & (leap > 8 * beside) & (beside > 0) & even
     return alone

@@ -36,15 +36,16 @@ def plausible(view: View) -> Iterator[Finding]:
 @check("wrong robot")
 def robot(view: View) -> Iterator[Finding]:
     """Joints of the log are none of the robot that its metadata name."""
-    try:
-        known = view.log.robot if view.metadata.robot_file else None
-    except LogError as error:
-        yield view.found(WARNING, "field robot_file", error.problem, error.remedy)
+    if view.metadata.robot_file is None:
         return
-    odd = [joint for joint in view.joints if known is not None and joint not in known.joints]
-    if known is not None and odd:
-        remedy = rename(odd[0], known.joints, f"correct robot_file; {known.name} has {', '.join(known.joints)}")
-        yield view.found(ERROR, "field joints", f"{odd[0]} is no joint of {known.name}", remedy)
+    try:
+        known = view.log.robot
+    except LogError:  # who needs its file says so
+        return
+    odd = next((joint for joint in view.joints if joint not in known.joints), None)
+    if odd is not None:
+        remedy = rename(odd, known.joints, f"correct robot_file; {known.name} has {', '.join(known.joints)}")
+        yield view.found(ERROR, "field joints", f"{odd} is no joint of {known.name}", remedy)
 
 
 @check("firmware gain")
