@@ -30,7 +30,7 @@ def log() -> Rollout:
 
 def record(log: Rollout, folder: Path) -> None:
     """Write a log row by row, as a deployment does."""
-    with Recorder(folder, log.metadata, flush_interval=0.1) as recorder:
+    with Recorder(folder, log.metadata) as recorder:
         for row in range(log.rows):
             recorder.append({key: log.array(key)[row] for key in log.channels})
             time.sleep(0.004)
