@@ -27,7 +27,6 @@ def aliasing(diagnosis: Diagnosis, most: int = 60, *, planned: bool = False) -> 
 
     Args:
         diagnosis: not run yet; its base is fitted and the catalogue's columns made.
-        most: pairs that are listed.
         planned: whether the logs were simulated by the model, which is then not fitted.
 
     Returns:

@@ -205,7 +205,6 @@ class Diagnosis:
             both = zip(one.rivals, share[1:], strict=True)
             rivals = tuple(_rival(candidate, joints, float(part)) for (candidate, _), part in both)
             known = one.candidate.model.parameters()[entries[i].parameter]
-            # what it adds to the neutral value, or to what its joints have by themselves
             size = float(stage.base.point[i] + (known.neutral or 0.0))
             half = QUANTILE * float(np.sqrt(self.settings.temperature * variance[i]))
             made = stage.base.linear.base[i] * (stage.base.point[i] / max(abs(stage.base.point[i]), 1e-12))

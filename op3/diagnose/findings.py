@@ -252,22 +252,26 @@ class Search:
 
         Sizes are linear in the judge's rows and too small, as the base gives way only once the effect is there.
         """
-        before, s, result = stage.base, self.settings, []
-        coordinates, judge = before.coordinates, Judge(stage.judge.rows, stage.judge.numbers, s, gaussian)
-        without, own = judge.fit(state=stage.fit.state, rounds=4), len(before.point)
-        alone = stage.judge.fit(state=stage.fit.state, rounds=2).mean[:own]
+        s, result, coordinates, point = self.settings, [], stage.base.coordinates, stage.base.point
+        rows, alone = stage.judge.rows, stage.judge.fit(state=stage.fit.state, rounds=2)
+
+        def refit(joined: Coordinates, start: np.ndarray, state: State) -> tuple[Base, float]:
+            base = settle(self.reduction, joined, start, s, steps=2, state=state, like=stage.base.linear)
+            after = self._stage(base, stage.named, stage.found, stage.columns, state, gaussian, 2, rows)
+            return base, after.fit.evidence
+
+        _, without = refit(coordinates, point, alone.state)  # the base takes as many steps without
         for number in numbers:
             candidate, with_it = stage.found[number], stage.judge.fit([number], stage.fit.state, rounds=2)
             model = candidate.switched_on(coordinates.model, self.reduction.engine.joints)
             coordinate = candidate.coordinate(coordinates.model, float(with_it.mean[-1]), s)
             # what the base would do by itself it has tried: where joints stick, long steps lead astray
-            moved = np.clip(before.point + with_it.mean[:own] - alone, coordinates.low, coordinates.high)
-            start, joined = np.append(moved, coordinate.start), coordinates.extended(model, [coordinate])
-            base = settle(self.reduction, joined, start, s, steps=2, state=with_it.state, like=before.linear)
-            after = self._stage(base, stage.named, stage.found, stage.columns, with_it.state, gaussian, 2, judge.rows)
-            odds = after.fit.evidence - without.evidence + stage.judge.numbers.place[number]
-            truncated = float(log_mass(coordinate.low, coordinate.high, 0.0, coordinate.deviation))
-            result.append((float(odds) - truncated, base, candidate, coordinate))
+            moved = point + with_it.mean[: len(point)] - alone.mean[: len(point)]
+            start = np.append(np.clip(moved, coordinates.low, coordinates.high), coordinate.start)
+            base, evident = refit(coordinates.extended(model, [coordinate]), start, with_it.state)
+            mass = log_mass(coordinate.low, coordinate.high, 0.0, coordinate.deviation)
+            odds = float(evident - without + stage.judge.numbers.place[number] - mass)
+            result.append((odds, base, candidate, coordinate))
         return sorted(result, key=lambda one: -one[0])
 
     def _around(self, stage: Stage, base: Base, named: tuple[Named, ...]) -> Stage:
