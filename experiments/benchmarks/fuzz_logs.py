@@ -34,7 +34,7 @@ from op3.rollout import LogError, Metadata, Recorder, Rollout, read_episodes
 from op3.rollout.proposal import as_yaml, propose
 
 LONGEST, MEMORY = 20.0, 6 << 30
-"""No edit may take longer [s], nor more address space [B]."""
+"""No edit may take more processor time [s], nor more address space [B]."""
 
 ODD = ["0", "-1", "1", "2", "1e5", "1e-300", "1e308", "1e999", "nan", "-inf", "0x10", "1_0", "1,5", "9" * 400]
 ODD += ["true", "null", "~", "-", "é", "[]", "{}", "[[", '"', ";", "\t", " ", ""]
@@ -298,7 +298,7 @@ def main(edits: int, seed: int, only: str = "") -> int:
     logging.disable()
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     warnings.simplefilter("error", RuntimeWarning)
-    signal.signal(signal.SIGALRM, too_slow)
+    signal.signal(signal.SIGPROF, too_slow)
     foreign_logs.TIME = foreign_logs.TIME[:60]
     formats = {n: make for n, make in {**foreign_logs.FORMATS, **OURS}.items() if only in n}
     ends: dict[str, Counter[str]] = {name: Counter() for name in formats}
@@ -321,7 +321,7 @@ def main(edits: int, seed: int, only: str = "") -> int:
         for file, raw in files.items():
             (folder / file).parent.mkdir(parents=True, exist_ok=True)
             (folder / file).write_bytes(raw)
-        signal.setitimer(signal.ITIMER_REAL, LONGEST)
+        signal.setitimer(signal.ITIMER_PROF, LONGEST)
         try:
             end = outcome(folder / path)
             if left := [str(f) for f in folder.rglob("*.tmp")]:
@@ -334,7 +334,7 @@ def main(edits: int, seed: int, only: str = "") -> int:
                 flush=True,
             )
         finally:
-            signal.setitimer(signal.ITIMER_REAL, 0)
+            signal.setitimer(signal.ITIMER_PROF, 0)
             shutil.rmtree(folder, ignore_errors=True)
         ends[name][end] += 1
     shutil.rmtree(place)
