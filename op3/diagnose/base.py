@@ -42,7 +42,7 @@ AT_BOUND = 0.001
 """Share of its range within which a number is at its bound."""
 
 SAME_OPTIMUM, APART = 20.0, 0.15
-"""Bases apart by less in minus two log posterior, and by more of a shared number's range, are two optima."""
+"""Bases apart by less in minus two log evidence, and by more of a shared number's range, are two optima."""
 
 UNTOLD = 0.8
 """Share of its prior standard deviation that a shared number keeps if the logs do not tell it."""
@@ -55,7 +55,7 @@ class Base:
     Attributes:
         linear: the windows around it.
         fit: of the judge, its numbers alone.
-        others: ends of other starts, and by how much worse they are in minus two log posterior.
+        others: ends of other starts, and by how much worse they are in minus two log evidence.
     """
 
     linear: Linear
@@ -106,14 +106,26 @@ def fit_base(
     second = settle(reduction, again, again.start, settings, forms, ELSEWHERE, known=first.point)
     if not far_apart(coordinates, second.point, first.point):
         return first
-    # a misfit depends on how windows are reduced: both ends are judged as the first
-    judge = Judge(reduction.rows(first.linear, ()), base_numbers(first.coordinates, first.point), settings)
-    misfits = [
-        float(cost_of(reduction, judge, first.fit, first.linear, one.coordinates, one.point[None])[0])
-        for one in (first, second)
-    ]
-    best, other = (first, second) if misfits[0] <= misfits[1] else (second, first)
-    return replace(best, others=((other.point, abs(misfits[1] - misfits[0])),))
+    gap = gap_of(reduction, first, second, settings)
+    if gap <= 0:
+        return replace(first, others=((second.point, -gap),))
+    own, point = with_own_spread(second.coordinates, second.point, settings)
+    return replace(settle(reduction, own, point, settings, state=second.fit.state), others=((first.point, gap),))
+
+
+def gap_of(reduction: Reduction, one: Base, other: Base, settings: Settings = SETTINGS) -> float:
+    """How much worse one base is than another in minus two log evidence, mean over the reductions of both.
+
+    Variances are each one's own: weights that a base gave to windows hide what it cannot explain.
+    """
+    gap = 0.0
+    for like in (one, other):
+        rows = reduction.rows(like.linear, ())
+        for base, sign in ((one, -1.0), (other, 1.0)):
+            linear = reduction.linearise(base.coordinates, base.point, like.linear)
+            judge = Judge(reduction.rows(linear, (), rows), base_numbers(base.coordinates, base.point), settings)
+            gap += sign * judge.fit(state=base.fit.state).evidence
+    return gap
 
 
 def unfitted(reduction: Reduction, model: RobotModel, settings: Settings = SETTINGS) -> Base:
@@ -253,12 +265,11 @@ def at_point(coordinates: Coordinates, point: np.ndarray, deviation: np.ndarray 
     return model.with_values(values)
 
 
-def doubts(base: Base, last: Base | None = None) -> list[str]:
-    """Numbers at a bound once what drove them there has its name (`last`), and optima that the logs like alike."""
-    result, last = [], last or base
-    known, effects = last.coordinates.model.parameters(), last.coordinates.model.effects
-    of = {one.name: effect for effect in effects for one in effect.parameters}
-    for entry, value in zip(last.coordinates.entries, last.point, strict=True):
+def doubts(base: Base) -> list[str]:
+    """Numbers at a bound, and optima that the logs like alike."""
+    result, known = [], base.coordinates.model.parameters()
+    of = {one.name: effect for effect in base.coordinates.model.effects for one in effect.parameters}
+    for entry, value in zip(base.coordinates.entries, base.point, strict=True):
         reach, one = AT_BOUND * (entry.high - entry.low), known[split_name(entry.parameter)[0]]
         low, high = value - entry.low < reach, entry.high - value < reach
         natural = entry.low == one.least if low else entry.high == one.most
@@ -267,11 +278,9 @@ def doubts(base: Base, last: Base | None = None) -> list[str]:
             pinned = of[one.name].separating_experiment
             result.append(said + (f" (what pins it: {pinned})" if pinned else ""))
     for point, gap in base.others:
-        far = far_apart(base.coordinates, point, base.point)
-        if gap < SAME_OPTIMUM and far:
-            result.append(
-                f"another start ends as well ({gap:.1f} apart in -2 log posterior) with other {', '.join(far)}"
-            )
+        if gap < SAME_OPTIMUM and (far := far_apart(base.coordinates, point, base.point)):
+            apart = f"{gap:.1f} apart in -2 log evidence"
+            result.append(f"another start ends as well ({apart}) with other {', '.join(far)}")
     return result
 
 
@@ -284,9 +293,8 @@ def far_apart(coordinates: Coordinates, one: np.ndarray, other: np.ndarray) -> l
 def untold(base: Base) -> list[str]:
     """Shared numbers of which the logs say little more than their priors."""
     ratio = np.sqrt(np.diag(base.fit.covariance)) / base.coordinates.deviation
-    return [
-        e.parameter for e, r in zip(base.coordinates.entries, ratio, strict=True) if e.joints is None and r > UNTOLD
-    ]
+    both = zip(base.coordinates.entries, ratio, strict=True)
+    return [entry.parameter for entry, kept in both if entry.joints is None and kept > UNTOLD]
 
 
 def unusual(given: RobotModel, base: Base, fit: Posterior, judge: Judge) -> list[tuple[int, float, float]]:

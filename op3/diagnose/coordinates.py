@@ -261,11 +261,8 @@ def base_coordinates(
     for name, deviation in SPREAD.items() if len(joints) > 1 else ():
         if any(entry.parameter == name for entry in entries):
             reach = SPREAD_LIMIT * deviation
-            entries += [
-                Coordinate(name, (j,), -reach, reach, 0.0, 0.0, deviation, "scale")
-                for j in range(len(joints))
-                if moving[j]
-            ]
+            own_places = [(j,) for j in range(len(joints)) if moving[j]]
+            entries += [Coordinate(name, at, -reach, reach, 0.0, 0.0, deviation, "scale") for at in own_places]
     return Coordinates(model, tuple(joints), tuple(entries))
 
 

@@ -150,9 +150,11 @@ class Diagnosis:
         points = [on_whole_runs(stage.base, self.split.fit) for stage in self.stages]
         models = [at_point(one.base.coordinates, point) for one, point in zip(self.stages, points, strict=True)]
         choice = choose(models, self.split.select) if len(models) > 1 else {"taken": 0, "left": [1.0], "channels": []}
-        doubted = tuple(doubts(first.base, last.base))
+        # what a name frees from a bound may have driven it there, or have let a poor base move on
+        doubted = tuple(dict.fromkeys(doubt for stage in self.stages for doubt in doubts(stage.base)))
         most = LIKELY if doubted or self._short else 1.0
-        findings = [*self._named(reduction, choice["taken"], most), *self._of_base(given, reduction, last, most)]
+        held = LIKELY if points[0] is not first.base.point else most  # whole runs that were refitted know better
+        findings = [*self._named(reduction, choice["taken"], most, held), *self._of_base(given, reduction, last, most)]
         stage, point = self.stages[choice["taken"]], points[choice["taken"]]
         deviation = np.sqrt(np.diag(stage.fit.covariance))[: len(point)]
         deviation = np.hypot(deviation, point - stage.base.point)  # windows and whole runs disagree by so much
@@ -190,8 +192,8 @@ class Diagnosis:
         s = self.settings
         return float(1.0 / (1.0 + np.exp(-np.clip((log_odds - s.alarm) / s.temperature, -50, 50))))
 
-    def _named(self, reduction: Reduction, taken: int, most: float) -> list[Finding]:
-        """Findings of the last stage, each sharing its probability with its rivals."""
+    def _named(self, reduction: Reduction, taken: int, most: float, held: float) -> list[Finding]:
+        """Findings of the last stage, sharing their probability with rivals; not handed back, at most `held`."""
         result, stage = [], self.stages[-1]
         joints = reduction.engine.joints
         variance = np.diag(stage.fit.covariance)
@@ -210,9 +212,8 @@ class Diagnosis:
             made = stage.base.linear.base[i] * (stage.base.point[i] / max(abs(stage.base.point[i]), 1e-12))
             torque = np.sqrt(np.square(made[..., reduction.kinds == 0]).mean((1, 2))) * abs(stage.base.point[i])
             torque = torque / 2 * reduction.unit  # the mean of four pieces is half of their turned sum
-            before, after = (
-                lacking(reduction, self.stages[min(k, len(self.stages) - 1)]) for k in (number, number + 1)
-            )
+            around = [self.stages[min(k, len(self.stages) - 1)] for k in (number, number + 1)]
+            before, after = (lacking(reduction, at) for at in around)
             result.append(
                 Finding(
                     one.candidate.effect.name,
@@ -222,7 +223,7 @@ class Diagnosis:
                     size,
                     known.unit,
                     (size - half, size + half),
-                    min(float(share[0]), most),
+                    min(float(share[0]), most if number < taken else min(most, held)),
                     one.log_odds,
                     rivals,
                     float(1 - np.square(after).sum() / np.square(before).sum()),

@@ -204,9 +204,8 @@ class Reduction:
             for slot, j in enumerate(limb):
                 position[1 + slot, j], velocity[1 + size + slot, j] = INITIAL
         values = coordinates.values(np.repeat(point[None], count, 0))
-        error = self.errors(
-            coordinates.model, values, count, COARSE, position_offset=position, velocity_offset=velocity
-        )
+        offsets = {"position_offset": position, "velocity_offset": velocity}
+        error = self.errors(coordinates.model, values, count, COARSE, **offsets)
         result = []
         for k, limb in enumerate(self.limbs):
             n = len(limb)
@@ -353,15 +352,8 @@ class Reduction:
                 values[-1][..., kinds] = np.clip(values[-1][..., kinds], -8 * usual - 0.5, 8 * usual + 0.5)
         measured = np.where(np.isfinite(variance), linear.lacking, 0.0)
         features = self.features() * torque[:, None]
-        return Rows(
-            tuple(self.engine.joints[j] for j in self.judged),
-            self.kinds,
-            measured,
-            variance,
-            features,
-            tuple(kept),
-            tuple(values),
-        )
+        names = tuple(self.engine.joints[j] for j in self.judged)
+        return Rows(names, self.kinds, measured, variance, features, tuple(kept), tuple(values))
 
     def _on_edge(self, linear: Linear) -> np.ndarray:
         """Variance of windows on the edge of sticking, which little moves far, ``[joint, window]``."""
