@@ -6,6 +6,7 @@ from math import inf
 
 import numpy as np
 import torch
+from scipy.stats import median_abs_deviation, norm
 from torch import Tensor
 
 from op3.diagnose.settings import Settings
@@ -25,9 +26,6 @@ gear trains differs by a tenth to a fifth from one to the next (BAM, Duclusaud e
 
 SPREAD_LIMIT = 3.0
 """Standard deviations that a joint may differ in the base; what differs more is a fault, and a candidate."""
-
-NORMAL_MEDIAN = 0.6745
-"""Median of the magnitude of a standard normal number."""
 
 WIDEST = 10.0
 """How many times smaller or larger than given a parameter may be that lies outside the catalogue's range: between the
@@ -279,7 +277,7 @@ def with_own_spread(coordinates: Coordinates, point: np.ndarray, settings: Setti
         if not own:
             continue
         middle = float(np.median(point[own]))
-        apart = max(float(np.median(np.abs(point[own] - middle))) / NORMAL_MEDIAN, 1e-3)
+        apart = max(float(median_abs_deviation(point[own], scale=norm.ppf(0.75))), 1e-3)
         deviation = float(np.exp((len(own) * np.log(apart) + weight * np.log(usual)) / (len(own) + weight)))
         reach = SPREAD_LIMIT * deviation
         for i in own:

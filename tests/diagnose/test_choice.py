@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import yaml
 
-from op3.diagnose.base import Base, damped, doubts, search
+from op3.diagnose.base import Base, damped, doubts, gap_of, search, settle
 from op3.diagnose.coordinates import base_coordinates, with_chain, with_own_spread
 from op3.diagnose.judge import Numbers, Posterior, State
 from op3.diagnose.reduction import Linear, Reduction
@@ -113,6 +113,17 @@ def test_the_search_finds_a_basin(logs):
     errors = reduction.at(coordinates, np.stack([coordinates.start, point]))
     given, found = np.log1p(np.square(np.concatenate(errors, -1)).mean(2)).sum(1)
     assert found < 0.67 * given
+
+
+def test_two_ends_of_a_base_are_compared_without_favour(truth, logs):
+    """The numbers that made the logs win over given ones, by the same whichever of them is called the first."""
+    reduction = Reduction(WindowResiduals(logs, windows=8))
+    coordinates = base_coordinates(with_chain(load_model("paper")), LEG_JOINTS, reduction.moving)
+    known = base_coordinates(with_chain(truth), LEG_JOINTS, reduction.moving).start
+    right, wrong = (settle(reduction, coordinates, point, steps=0) for point in (known, coordinates.start))
+    worse = gap_of(reduction, wrong, right)
+    assert worse > 100.0
+    assert gap_of(reduction, right, wrong) == pytest.approx(-worse)
 
 
 def verdict(**changes) -> Verdict:

@@ -44,7 +44,7 @@ def base_at(known: Coordinates, **factors: float) -> Base:
     """A base as windows would have left it, some numbers multiplied, each known to a twentieth."""
     point = known.start * [factors.get(entry.parameter, 1.0) for entry in known.entries]
     fit: Any = SimpleNamespace(precision=np.diag((20.0 / np.maximum(known.start, 1e-3)) ** 2))
-    return Base(Linear(known, point, (), (), np.zeros(0), np.zeros(0)), fit, 0.0)
+    return Base(Linear(known, point, (), (), np.zeros(0), np.zeros(0)), fit)
 
 
 def test_whole_runs_find_what_a_window_hardly_shows(known, logs):
