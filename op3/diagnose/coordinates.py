@@ -277,7 +277,7 @@ def with_own_spread(coordinates: Coordinates, point: np.ndarray, settings: Setti
         if not own:
             continue
         middle = float(np.median(point[own]))
-        apart = max(float(median_abs_deviation(point[own], scale=norm.ppf(0.75))), 1e-3)
+        apart = max(float(median_abs_deviation(point[own], scale=float(norm.ppf(0.75)))), 1e-3)
         deviation = float(np.exp((len(own) * np.log(apart) + weight * np.log(usual)) / (len(own) + weight)))
         reach = SPREAD_LIMIT * deviation
         for i in own:
