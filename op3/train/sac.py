@@ -38,7 +38,8 @@ class SACSettings:
         initial_temperature: of the entropy bonus.
         target_entropy: per number of the action [nats].
         clip: bound of a normalised observation.
-        bfloat16: whether the critics multiply in bfloat16; faster on processors with avx512_bf16 or amx.
+        bfloat16: whether the critics multiply in bfloat16; None: where the processor has instructions for it
+            (avx512_bf16 or amx_bf16); others take forty times as long for it as for float32.
         compile: whether the losses run through torch.compile; on a GPU with CUDA graphs.
     """
 
@@ -58,8 +59,16 @@ class SACSettings:
     initial_temperature: Positive = 0.01
     target_entropy: Number = -1.0
     clip: Positive = 10.0
-    bfloat16: bool = False
+    bfloat16: bool | None = False
     compile: bool = False
+
+
+def _arithmetic(bfloat16: bool | None) -> torch.dtype:
+    """What critics multiply in; None: bfloat16 where this processor has instructions for it."""
+    if bfloat16 is None:
+        has = torch.cpu.get_capabilities()
+        bfloat16 = bool(has.get("avx512_bf16") or has.get("amx_bf16"))
+    return torch.bfloat16 if bfloat16 else torch.float32
 
 
 class SAC:
@@ -105,7 +114,7 @@ class SAC:
             settings.critic_hidden or settings.hidden,
             weights,
             settings.layer_norm,
-            torch.bfloat16 if settings.bfloat16 else torch.float32,
+            _arithmetic(settings.bfloat16),
         ).to(self.device)
         self.targets = copy.deepcopy(self.critics).requires_grad_(False)
         self.log_temperature = torch.tensor(settings.initial_temperature, device=self.device).log().requires_grad_()

@@ -78,6 +78,13 @@ def test_bfloat16_critics_are_close():
     assert all(parameter.dtype == torch.float32 for parameter in rough.parameters())
 
 
+@pytest.mark.parametrize(("asked", "able", "gets"), [(None, True, True), (None, False, False), (True, False, True)])
+def test_bfloat16_is_taken_where_the_processor_is_fast_at_it(monkeypatch, asked, able, gets):
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": able, "amx_bf16": False})
+    critics = SAC(6, 2, SACSettings(hidden=(8, 8), bfloat16=asked), generator()).critics
+    assert critics.dtype == (torch.bfloat16 if gets else torch.float32)
+
+
 def plain_update(sac: SAC, batch: Batch, noise: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, float]:
     """Gradients of SAC written out with torch.distributions; gamma and alpha as in Haarnoja et al. 2018."""
 
