@@ -48,7 +48,7 @@ def open_robot(cfg: DictConfig) -> Connection:
     """The robot on the configured port."""
     emulation: dict[str, Any] = {}
     if cfg.port == EMULATED:
-        emulation = {name: cfg[name] for name in ("world", "world_seed", "model", "battery", "seed", "scene")} | {
+        emulation = {name: cfg[name] for name in ("world", "world_seed", "model", "seed", "scene")} | {
             "record": cfg.frames,
             "faults": seeded_faults(cfg.faults),
             # as the person would hold it

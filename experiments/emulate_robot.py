@@ -30,7 +30,7 @@ LARGEST_LAG = 0.03
 
 def robot(cfg: DictConfig) -> EmulatedRobot:
     """The robot, its bus and what goes wrong."""
-    chosen = {name: cfg[name] for name in ("world", "world_seed", "model", "seed", "battery")}
+    chosen = {name: cfg[name] for name in ("world", "world_seed", "model", "seed")}
     make, _ = physics_maker(cfg.robot, **chosen)
     return EmulatedRobot(
         make(cfg.scene, None if cfg.scene == "bench" else load_robot(cfg.robot).pose(cfg.pose)),

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from op3.deploy.emulator import Battery, EmulatedRobot, Faults, Physics, SimPhysics, StandInPhysics, Timing
+from op3.deploy.emulator import EmulatedRobot, Faults, Physics, SimPhysics, StandInPhysics, Timing
 from op3.deploy.operator import Operator
 from op3.deploy.registers import Units
 from op3.robot import DEFAULT, BoardMotion, Robot, Waves, WeightSchedule, build_scene, draw_tiles, load_robot
@@ -109,7 +109,6 @@ def physics_maker(
     world_seed: int = 0,
     model: str | Path | None = None,
     seed: int = 0,
-    battery: float | None = 0.7,
 ) -> tuple[MakePhysics, str]:
     """What makes a robot on a scene, and what identifies it without telling its truth; see `emulate`."""
     known = load_robot(robot)
@@ -117,9 +116,8 @@ def physics_maker(
         truth = World.find(world, world_seed)
         kind, identity = partial(StandInPhysics, truth), truth.identity
     else:
-        source = None if battery is None else Battery(charge=float(battery))
         law = model_for(known, None if model == "own" else model)
-        kind, identity = partial(SimPhysics, law, battery=source), str(model)
+        kind, identity = partial(SimPhysics, law), str(model)
 
     def make(where: str, position: ArrayLike | None) -> Physics:
         return kind(build_scene(where, robot=known), seed=seed, joint_position=position)
@@ -143,7 +141,6 @@ def emulate(
     record: str | Path | None = None,
     powered: bool = False,
     jig: bool = False,
-    battery: float | None = 0.7,
 ) -> tuple[EmulatedRobot, Hands, str]:
     """An emulated robot in virtual time.
 
@@ -158,14 +155,13 @@ def emulate(
         joint_position: [joint] in rad at the start; None for home.
         powered: whether someone has pressed the robot's power button; otherwise the servos' supply is off.
         jig: whether something holds the joints where they are at the start.
-        battery: charge of a model's battery, 0 to 1; None: a supply at its bus voltage. A stand-in has its own.
 
     Returns:
         The robot, the operator who holds it, and what identifies the robot without telling its truth.
     """
     Units(load_robot(robot))  # refuses servos of another bus before anything is made of them
     where, place = seed if world_seed is None else world_seed, Place(scene)
-    make, identity = physics_maker(robot, world=world, world_seed=where, model=model, seed=seed, battery=battery)
+    make, identity = physics_maker(robot, world=world, world_seed=where, model=model, seed=seed)
     if task is not None:
         place = Place.of_task(task, seed)
     hanging = make("stand", joint_position)

@@ -49,7 +49,6 @@ class Instruction(IntEnum):
     SYNC_WRITE = 0x83
     FAST_SYNC_READ = 0x8A
     BULK_READ = 0x92
-    BULK_WRITE = 0x93
     FAST_BULK_READ = 0x9A
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from enum import IntEnum, IntFlag
+from enum import IntFlag
 from itertools import pairwise
 
 import numpy as np
@@ -19,8 +19,11 @@ Array = NDArray[np.float64]
 POSITION_ZERO = 2048
 """Reading of the encoder where a joint's angle is zero."""
 
-PWM_UNIT = 1 / 885
-"""One unit of PWM, as a duty cycle."""
+OPERATING_MODES = (0, 1, 3, 4, 5, 16)
+"""Values of the register `operating_mode`: current, velocity, position, extended and current-based position, PWM."""
+
+CURRENT_MODE = OPERATING_MODES[0]
+"""The mode in which a computer commands currents."""
 
 WATCHDOG_UNIT = 0.02
 """Unit of the register `bus_watchdog` [s]."""
@@ -172,17 +175,6 @@ class Units:
         self.fastest: Array = np.array([make.limits.no_load_speed.si for make in makes])
         self.peak: Array = robot.peak_currents / self.current
         self.continuous = np.array([make.continuous_current for make in makes]) / self.current
-
-
-class OperatingMode(IntEnum):
-    """Values of the register `operating_mode`."""
-
-    CURRENT = 0
-    VELOCITY = 1
-    POSITION = 3
-    EXTENDED_POSITION = 4
-    CURRENT_BASED_POSITION = 5
-    PWM = 16
 
 
 class HardwareError(IntFlag):

@@ -19,7 +19,7 @@ from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command, CurrentLimiter, Limits
 from op3.deploy.monitors import Monitor, Verdict
 from op3.deploy.operator import told
-from op3.deploy.registers import WATCHDOG_UNIT, OperatingMode
+from op3.deploy.registers import CURRENT_MODE, WATCHDOG_UNIT
 from op3.deploy.start_checks import StartChecks
 from op3.deploy.state import State
 from op3.deploy.ticker import PERIOD, Tick
@@ -184,9 +184,7 @@ class Safety(Onlooker):
         self.touched = True
         peak = np.floor(self._limiter.limit).astype(int)
         current_limits = {name: int(value) for name, value in zip(self._joints, peak, strict=True)}
-        self.write_settings(
-            {"bus_watchdog": 0, "operating_mode": OperatingMode.CURRENT, "current_limit": current_limits}
-        )
+        self.write_settings({"bus_watchdog": 0, "operating_mode": CURRENT_MODE, "current_limit": current_limits})
         try:
             self._set("goal_current", 0, always=True)
             self._set("torque_enable", 1)

@@ -106,10 +106,6 @@ SIGNALS = {
     "packet": "whether that of this tick arrived, where it is known: 1, -1 where it was lost; 0 elsewhere",
     "bus_voltage": "[V]",
     "temperature": "of the servo, as it measures it [C]",
-    # what a servo's registers say, where its motor is driven by them
-    "goal_duty": "-1 to 1",
-    "by_voltage": "1 where a voltage is applied, 0 where current is regulated",
-    "current_bound": "of a servo that applies a voltage [A]",
     # clocks
     "time": "since the start [s]",
     "phase": "simulation steps since the last tick",

@@ -11,7 +11,6 @@ import numpy as np
 
 from op3.deploy.dynamixel_bus import Bus
 from op3.deploy.emulator import EmulatedRobot, Faults, Timing, VirtualPort, read_frames
-from op3.deploy.emulator.firmware import Drive
 from op3.deploy.limits import Limits
 from op3.deploy.operator import Operator
 from op3.deploy.phases import GainRamp, Hold, Move, Phase
@@ -48,10 +47,10 @@ class CheapPhysics:
         self._current = np.zeros(len(JOINTS))
         self._rng = np.random.default_rng(1)
 
-    def drive(self, drive: Drive) -> None:
+    def drive(self, enabled: np.ndarray, current: np.ndarray) -> None:
         """Currents from now on. Until torque is on once, the joints are held where they are."""
-        self._current = np.where(drive.enabled, drive.current, 0.0)
-        self.clamped &= not drive.enabled.any()
+        self._current = np.where(enabled, current, 0.0)
+        self.clamped &= not enabled.any()
 
     def advance(self, duration: float) -> None:
         self.time += duration
@@ -71,7 +70,6 @@ class CheapPhysics:
             position=self.position,
             velocity=self.velocity,
             current=self._current,
-            duty=np.zeros(count),
             voltage=np.full(count, volts),
             temperature=np.full(count, 30.0),
             orientation=np.array([roll, 0.0, 0.0]),

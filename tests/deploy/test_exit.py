@@ -173,9 +173,9 @@ def test_a_program_that_dies_frees_all_servos_within_120_ms(tmp_path):
     def die():
         last = rig.robot._heard
         rig.robot.clock.sleep_until(last + 0.098)
-        seen["before"] = int(rig.robot._firmware.enabled.sum())
+        seen["before"] = int(rig.robot.driven.sum())
         rig.robot.clock.sleep_until(last + 0.120)
-        seen["after"] = int(rig.robot._firmware.enabled.sum())
+        seen["after"] = int(rig.robot.driven.sum())
         seen["watchdog"] = rig.register("bus_watchdog")
         seen["current"] = float(abs(rig.physics._current).max())
         raise SystemExit(137)
@@ -194,7 +194,7 @@ def test_a_bus_that_stays_silent(tmp_path):
     assert "torque off verified 0/20; NOT VERIFIED: head_pan (no answer)" in outcome.reason
     assert "Switch the robot's power off by hand" in outcome.reason
     # their own watchdogs have freed them long ago
-    assert not rig.robot._firmware.enabled.any()
+    assert not rig.robot.driven.any()
 
 
 def test_a_servo_that_does_not_let_go(tmp_path):
@@ -283,7 +283,7 @@ def test_the_script_on_a_pty_is_ended(tmp_path, number):
             if process.returncode != -number:
                 pytest.skip(f"the machine is too busy: the run had ended before it was killed: {output[-200:]}")
             assert wait_for(lambda: len(trips) >= 20, 5)
-            assert not robot._firmware.enabled.any()
+            assert not robot.driven.any()
             assert all(freed - heard <= 0.12 for freed, heard in trips)
             return
     assert "torque off verified 20/20" in output

@@ -214,7 +214,7 @@ def test_unplugged(tmp_path):
     assert "check the USB cable" in outcome.reason
     assert "NOT VERIFIED" in outcome.reason
     assert rig.register("bus_watchdog") == [-1] * 20
-    assert not rig.robot._firmware.enabled.any()
+    assert not rig.robot.driven.any()
 
 
 def test_plugged_in_again_with_the_latency_of_a_new_adapter(tmp_path):

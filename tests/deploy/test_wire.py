@@ -98,7 +98,7 @@ def test_goal_currents_are_the_pd_of_the_bytes_just_read(tmp_path):
 
 def blocked(rig):
     """Joints that do not move whatever flows, as against a stop."""
-    rig.physics.drive = lambda drive: None
+    rig.physics.drive = lambda enabled, current: None
     return rig
 
 

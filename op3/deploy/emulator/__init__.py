@@ -14,11 +14,10 @@ from op3.deploy.emulator.line import Frame, Timing, read_frames
 from op3.deploy.emulator.physics import Physics, StandInPhysics
 from op3.deploy.emulator.port import VirtualPort
 from op3.deploy.emulator.pty_server import PtyServer
-from op3.deploy.emulator.sim_physics import Battery, SimPhysics
+from op3.deploy.emulator.sim_physics import SimPhysics
 
 __all__ = [
     "USUAL_SETTINGS",
-    "Battery",
     "BrownOut",
     "Clock",
     "EmulatedRobot",

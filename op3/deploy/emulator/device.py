@@ -26,7 +26,6 @@ OPEN_CR_INSTRUCTIONS = (
     Instruction.SYNC_READ,
     Instruction.SYNC_WRITE,
     Instruction.BULK_READ,
-    Instruction.BULK_WRITE,
 )
 """What the board understands."""
 
@@ -42,12 +41,7 @@ class Device:
 
     Attributes:
         ready: time from which it answers [s]; infinite while it has no power.
-        alert: whether its answers carry the alert bit.
-        protocol: that it speaks, 1 or 2.
     """
-
-    alert = False
-    protocol = 2
 
     def __init__(self, table: ControlTable, device_id: int):
         self.table = table
@@ -62,6 +56,16 @@ class Device:
             if register.initial is not None:
                 self.put(register.name, register.initial)
         self.put("id", device_id)
+
+    @property
+    def alert(self) -> bool:
+        """Whether its answers carry the alert bit."""
+        return False
+
+    @property
+    def protocol(self) -> int:
+        """Version of the protocol that it speaks, 1 or 2."""
+        return 2
 
     @property
     def id(self) -> int:
@@ -147,7 +151,7 @@ class OpenCR(Device):
     """IMU, battery voltage, and the switch that gives the servos power.
 
     After the OP3's firmware of the board (`opencr_op3`, ROBOTIS-GIT/OpenCR): it answers pings, reads and writes, sync
-    and bulk ones too, and no fast reads or reboots; writes to read-only bytes are accepted and do nothing.
+    ones too and bulk reads, and no fast reads or reboots; writes to read-only bytes are accepted and do nothing.
 
     Attributes:
         frozen: whether the IMU has stopped; its registers keep what they hold.

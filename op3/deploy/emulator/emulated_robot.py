@@ -23,13 +23,12 @@ from op3.deploy.emulator.faults import (
     Silent,
     Unplug,
 )
-from op3.deploy.emulator.firmware import PERIOD, Firmware
 from op3.deploy.emulator.instructions import Dispatcher
 from op3.deploy.emulator.line import FrameRecorder, Line, Timing
-from op3.deploy.emulator.physics import Physics
-from op3.deploy.emulator.servo import BOOT_TIME, Servo
+from op3.deploy.emulator.physics import PERIOD, Physics
+from op3.deploy.emulator.servo import BOOT_TIME, WATCHDOG_ERROR, Servo
 from op3.deploy.protocol import BROADCAST_ID, Instruction, Packet
-from op3.deploy.registers import DYNAMIXEL_X, POSITION_ZERO, PWM_UNIT, HardwareError, Units
+from op3.deploy.registers import CURRENT_MODE, DYNAMIXEL_X, POSITION_ZERO, HardwareError, Units
 from op3.stand_in.sensors import Sensors
 
 USUAL_SETTINGS: dict[str, int] = {"baud_rate": 4, "return_delay_time": 0}
@@ -38,7 +37,7 @@ USUAL_SETTINGS: dict[str, int] = {"baud_rate": 4, "return_delay_time": 0}
 CHECK_PERIOD = 0.01
 """How often servos look at their voltage and temperature [s] (inferred)."""
 
-_WRITES = (Instruction.WRITE, Instruction.SYNC_WRITE, Instruction.BULK_WRITE)
+_WRITES = (Instruction.WRITE, Instruction.SYNC_WRITE)
 """Instructions that need no measurements; those that do ask for them."""
 
 _FIRST, _LAST = DYNAMIXEL_X["realtime_tick"].address, DYNAMIXEL_X["present_temperature"].end
@@ -85,6 +84,7 @@ class EmulatedRobot:
 
     Attributes:
         open_cr: it is there for a robot without one too, and on no bus.
+        driven: which motors regulate a current; the others run free [joint].
 
     Raises:
         ValueError: if the robot has servos that this bus does not know, or a fault is of none of its devices.
@@ -104,14 +104,11 @@ class EmulatedRobot:
         self.faults, timing = faults or Faults(), timing or Timing()
         known = physics.known
         self._units = Units(known)
-        self._firmware = Firmware(self._units)
         eeprom = dict(USUAL_SETTINGS if settings is None else settings)
         self.servos = {
-            joint: Servo(known.bus_ids[joint], index, self._firmware, self._units.models[joint], eeprom)
+            joint: Servo(known.bus_ids[joint], index, self._units.models[joint], eeprom)
             for index, joint in enumerate(known.joints)
         }
-        for servo in self.servos.values():
-            servo.measure = self._refresh
         self.open_cr = OpenCR()
         board = known.file.board is not None
         self._all = tuple(self.servos.values())
@@ -131,6 +128,8 @@ class EmulatedRobot:
         self._present = np.zeros(len(self._all), dtype=_PRESENT)
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._numbers = count()
+        for servo in self._all:
+            servo.changed = self._reconsider
         self._reconsider()
         self._schedule_faults()
         self.at(CHECK_PERIOD, self._check_servos)
@@ -171,24 +170,14 @@ class EmulatedRobot:
         steps = floor(time / PERIOD + 1e-6) - self._ticks
         if steps <= 0:
             return
-        firmware, physics = self._firmware, self.physics
-        if firmware.looping:
-            for _ in range(steps):
-                firmware.step(physics.position, physics.velocity)
-                physics.drive(firmware.drive)
-                physics.advance(PERIOD)
-        else:
-            if firmware.changed:
-                physics.drive(firmware.drive)
-            physics.advance(steps * PERIOD)
-        firmware.changed = False
+        self.physics.drive(self.driven, self._goal_current())
+        self.physics.advance(steps * PERIOD)
         self._ticks += steps
         self._stale = self._board_stale = True
 
     def replace(self, physics: Physics) -> None:
         """Another physics behind the same bus, such as the same robot in another place."""
         physics.supply = self.physics.supply
-        physics.drive(self._firmware.drive)
         self.physics, self._stale, self._board_stale = physics, True, True
 
     def _hears(self, device: Device) -> bool:
@@ -201,22 +190,31 @@ class EmulatedRobot:
             self._measure(packet)
         self._heard = end
         answers = self._dispatcher.answers(packet, end)
-        if self._loads != self._firmware.loads:
-            self._reconsider()
         if self.open_cr.power != self._powered:
             self._switch(self.open_cr.power)
         return answers
 
     def _reconsider(self) -> None:
         """Registers have changed: look up what depends on them."""
-        self._loads = self._firmware.loads
+        column = self._column
+        running = (column("torque_enable") != 0) & (column("operating_mode") == CURRENT_MODE)
+        self.driven = running & (column("bus_watchdog") != WATCHDOG_ERROR)
         self._dispatcher.relist()
         self._booted = np.array([round(servo.booted / PERIOD) for servo in self._all])
-        self._zero = POSITION_ZERO + np.array([servo.get("homing_offset") for servo in self._all])
-        self._threshold = np.array([servo.get("moving_threshold") for servo in self._all])
-        limits = ("temperature_limit", "min_voltage_limit", "max_voltage_limit")
-        self._limits = np.array([[servo.get(name) for servo in self._all] for name in limits])
+        self._zero = POSITION_ZERO + column("homing_offset")
+        self._limits = [column(name) for name in ("temperature_limit", "min_voltage_limit", "max_voltage_limit")]
         self._watchdog = min((servo.watchdog for servo in self._all if servo.torque), default=inf)
+
+    def _column(self, name: str) -> NDArray[np.int64]:
+        """A register of all servos, [joint]."""
+        register = DYNAMIXEL_X[name]
+        bytes_ = np.ascontiguousarray(self._memory[:, register.address : register.end])
+        return bytes_.view(register.kind)[:, 0].astype(np.int64)
+
+    def _goal_current(self) -> NDArray[np.float64]:
+        """What the servos regulate [joint] in A; the limit may have been lowered since the goal was written."""
+        bound = self._column("current_limit")
+        return self._column("goal_current").clip(-bound, bound) * self._units.current
 
     def _switch(self, on: bool) -> None:
         """The OpenCR gives the servos power, or takes it away."""
@@ -226,7 +224,6 @@ class EmulatedRobot:
     def _power_servos(self, on: bool) -> None:
         for servo in self._all:
             servo.power(on, self.time)
-        self._reconsider()
 
     def switch_on(self) -> None:
         """Give the servos power, as the robot's power button does, and let them boot."""
@@ -248,7 +245,6 @@ class EmulatedRobot:
         for servo in self._all:
             if servo.torque and self._last_heard(servo) + servo.watchdog <= now:
                 servo.trip()
-        self._reconsider()
 
     def _measure(self, packet: Packet) -> None:
         """Bring the registers up to date that an instruction may ask for."""
@@ -269,12 +265,9 @@ class EmulatedRobot:
         self._stale, self._refreshed = False, self.time
         readings, present = self.physics.read(), self._present
         units = self._units
-        velocity = np.rint(readings.velocity / units.velocity)
         present["realtime_tick"] = (self._ticks - self._booted) % 32768
-        present["moving"] = np.abs(velocity) > self._threshold
-        present["present_pwm"] = np.rint(np.asarray(readings.duty) / PWM_UNIT)
         present["present_current"] = np.rint(readings.current / units.current)
-        present["present_velocity"] = velocity
+        present["present_velocity"] = np.rint(readings.velocity / units.velocity)
         present["present_position"] = np.rint(readings.position / units.position) + self._zero
         present["present_input_voltage"] = np.rint(readings.voltage / units.voltage)
         present["present_temperature"] = np.minimum(np.rint(self._temperature(readings)), 255)
@@ -304,8 +297,6 @@ class EmulatedRobot:
             error = HardwareError.OVERHEATING * int(hot[index]) | HardwareError.INPUT_VOLTAGE * int(odd[index])
             if servo.ready <= self.time and error & ~servo.get("hardware_error_status"):
                 servo.fail(error)
-        if self._loads != self._firmware.loads:
-            self._reconsider()
 
     def _schedule_faults(self) -> None:
         for fault in self.faults.scheduled:
@@ -329,7 +320,6 @@ class EmulatedRobot:
             for servo in self._all:
                 if servo.id == fault.device and servo.ready <= self.time:
                     servo.fail(fault.error)
-            self._reconsider()
         elif isinstance(fault, Unplug):
             self.unplugged = True
 

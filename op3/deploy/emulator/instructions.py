@@ -60,8 +60,8 @@ class Dispatcher:
             return self._chain(_reads(instruction, parameters))
         if instruction in (Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ):
             return self._fast(list(_reads(instruction, parameters)))
-        if instruction in (Instruction.SYNC_WRITE, Instruction.BULK_WRITE):
-            for number, address, data in _writes(instruction, parameters):
+        if instruction == Instruction.SYNC_WRITE:
+            for number, address, data in _writes(parameters):
                 if device := self._listening(number):
                     device.write(address, data)
             return []
@@ -170,18 +170,9 @@ def _reads(instruction: int, parameters: bytes) -> Iterator[tuple[int, int, int]
             yield parameters[at], _word(parameters, at + 1), _word(parameters, at + 3)
 
 
-def _writes(instruction: int, parameters: bytes) -> Iterator[tuple[int, int, bytes]]:
-    """Id, address and data of all that a sync or bulk write sets, as far as it is whole."""
-    if instruction == Instruction.SYNC_WRITE:
-        if len(parameters) > 4:
-            address, length = _word(parameters, 0), _word(parameters, 2)
-            for at in range(4, len(parameters) - length, length + 1):
-                yield parameters[at], address, parameters[at + 1 : at + 1 + length]
-        return
-    at = 0
-    while at + 5 <= len(parameters):
-        length = _word(parameters, at + 3)
-        if at + 5 + length > len(parameters):
-            return
-        yield parameters[at], _word(parameters, at + 1), parameters[at + 5 : at + 5 + length]
-        at += 5 + length
+def _writes(parameters: bytes) -> Iterator[tuple[int, int, bytes]]:
+    """Id, address and data of all that a sync write sets, as far as it is whole."""
+    if len(parameters) > 4:
+        address, length = _word(parameters, 0), _word(parameters, 2)
+        for at in range(4, len(parameters) - length, length + 1):
+            yield parameters[at], address, parameters[at + 1 : at + 1 + length]

@@ -8,13 +8,15 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from op3.deploy.emulator.firmware import Drive
 from op3.robot import BoardMotion, Robot, WeightSchedule
 from op3.robot.scenes import Scene
 from op3.stand_in import StandIn, World
 from op3.stand_in.sensors import Sensors
 
 Array = NDArray[np.float64]
+
+PERIOD = 0.001
+"""Period of the servos' own loops [s] (inferred: the register `realtime_tick` counts in it)."""
 
 
 class Physics(Protocol):
@@ -39,21 +41,16 @@ class Physics(Protocol):
         """Joint angles as the encoders see them [joint] in rad."""
         ...
 
-    @property
-    def velocity(self) -> Array:
-        """Joint velocities [joint] in rad/s."""
-        ...
-
-    def drive(self, drive: Drive) -> None:
-        """What the drivers do from now on; joints that are not enabled run free, with friction alone."""
+    def drive(self, enabled: NDArray[np.bool_], current: Array) -> None:
+        """Currents [joint] in A from now on; joints that are not enabled run free, with friction alone."""
         ...
 
     def advance(self, duration: float) -> None:
-        """Let whole periods of `op3.deploy.emulator.firmware.PERIOD` pass [s]; a RuntimeError if it diverges."""
+        """Let whole periods of `PERIOD` pass [s]; a RuntimeError if it diverges."""
         ...
 
     def read(self) -> Sensors:
-        """What all sensors say now in SI units, which the registers round; `duty` too, the IMU where there is one."""
+        """What all sensors say now in SI units, which the registers round; the IMU where there is one."""
         ...
 
     def set_ground(self, board: BoardMotion | WeightSchedule | None = None, tiles: ArrayLike | None = None) -> None:
@@ -91,15 +88,10 @@ class StandInPhysics(StandIn):
         """See `Physics`."""
         return self._sensors.position
 
-    @property
-    def velocity(self) -> Array:
+    def drive(self, enabled: NDArray[np.bool_], current: Array) -> None:
         """See `Physics`."""
-        return self._sensors.velocity
-
-    def drive(self, drive: Drive) -> None:
-        """See `Physics`."""
-        self.write_drive(drive.enabled, drive.voltage, drive.duty, drive.limit)
-        self.write_current(drive.current)
+        self.write_drive(enabled, by_voltage=False, duty=0.0, limit=np.inf)
+        self.write_current(current)
 
     def advance(self, duration: float) -> None:
         """See `Physics`."""
@@ -109,5 +101,4 @@ class StandInPhysics(StandIn):
     def read(self) -> Sensors:
         """See `Physics`."""
         sensors, supply = self._sensors, self.supply
-        voltage = sensors.voltage if supply is None else np.full_like(sensors.voltage, supply)
-        return replace(sensors, voltage=voltage, duty=self.servos.duty)
+        return sensors if supply is None else replace(sensors, voltage=np.full_like(sensors.voltage, supply))

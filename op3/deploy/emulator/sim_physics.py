@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from op3.deploy.emulator.firmware import PERIOD, Drive
+from op3.deploy.emulator.physics import PERIOD
 from op3.robot import BoardMotion, RobotEntity, WeightSchedule, board_drive, build_scene, place_tiles, tile_ids
 from op3.robot.scenes import Scene
 from op3.robot.units import GRAVITY
@@ -23,7 +22,7 @@ from op3.stand_in.sensors import Sensors, roll_pitch_yaw
 Array = NDArray[np.float64]
 
 SLOW_EVERY = 10
-"""Battery and temperatures move on, and divergence is looked for, once in this many periods."""
+"""Temperatures move on, and divergence is looked for, once in this many periods."""
 
 GROUND_EVERY = 8
 """A board is driven once in this many periods, as in the environments."""
@@ -44,52 +43,12 @@ IMU_EVERY = 5
 """The IMU's loop runs at 200 Hz: once in this many periods."""
 
 
-@dataclass
-class Battery:
-    """Three lithium-polymer cells behind a resistance.
-
-    Attributes:
-        full: voltage without load when full [V]; 3 x 4.2 V.
-        empty: voltage without load when empty [V]; 3 x 3.4 V.
-        capacity: [A s]; the OP3's battery has 1.8 Ah (ROBOTIS e-Manual).
-        resistance: of battery and harness [ohm].
-        idle: current of computer, boards and idle servos [A] (inferred: 20 W computer, 20 x 40 mA).
-        charge: share that is left, 1 for full.
-    """
-
-    full: float = 12.6
-    empty: float = 10.2
-    capacity: float = 6480.0
-    resistance: float = 0.2
-    idle: float = 2.5
-    charge: float = 0.7
-    voltage: float = 0.0
-
-    def __post_init__(self):
-        if not 0 <= self.charge <= 1:
-            raise ValueError(f"the charge of a battery lies between 0 and 1, got {self.charge}")
-        self.voltage = self._open - self.resistance * self.idle
-
-    @property
-    def _open(self) -> float:
-        return self.empty + (self.full - self.empty) * self.charge
-
-    def step(self, motor_power: float, duration: float) -> None:
-        """Deliver power to the motors [W] for a while [s]; what they feed back charges nothing."""
-        current = self.idle + max(motor_power, 0.0) / self.voltage
-        self.charge = max(0.0, self.charge - current * duration / self.capacity)
-        self.voltage = max(1.0, self._open - self.resistance * current)
-
-
-UNBOUNDED = 1e3
-"""Stands for a current without bound [A]."""
-
 BUS_EFFECTS = ("latency", "packet_drop")
 """Effects that the emulated bus has by itself."""
 
 
 def behind_bus(model: RobotModel) -> RobotModel:
-    """A model as it stands behind the bus: without a PD and delays of its own, its motor driven by the registers.
+    """A model as it stands behind the bus: without a PD and delays of its own; its motor gets currents.
 
     Raises:
         ValueError: if the model's motor does not regulate current.
@@ -101,7 +60,7 @@ def behind_bus(model: RobotModel) -> RobotModel:
             " with `motor: {drive: current}`"
         )
     gone = [e.name for e in model.effects if e.stage in (Stage.COMMAND, Stage.CONTROLLER) or e.name in BUS_EFFECTS]
-    return model.without(*gone).with_effect(replace(motor, drive="registers"))  # pyright: ignore[reportArgumentType]
+    return model.without(*gone)
 
 
 class SimPhysics(BatchSimulation):
@@ -111,7 +70,9 @@ class SimPhysics(BatchSimulation):
         model: of the robot; see `op3.sim.load_model`.
         scene: a name that `op3.robot.build_scene` knows, or a scene without servos attached.
         joint_position: [joint] in rad at the start; by default home.
-        battery: where the servos' voltage comes from; None for a supply at the model's `bus_voltage`.
+
+    Attributes:
+        supply: voltage of the servos' supply [V]; None: the model's `bus_voltage`.
     """
 
     def __init__(
@@ -121,7 +82,6 @@ class SimPhysics(BatchSimulation):
         *,
         seed: int = 0,
         joint_position: ArrayLike | None = None,
-        battery: Battery | None = None,
     ):
         self.scene = build_scene(scene) if isinstance(scene, str) else scene
         attach_servos(self.scene.joints)
@@ -136,7 +96,6 @@ class SimPhysics(BatchSimulation):
             joint_names=self.known.joints,
             num_threads=1,
         )
-        self.battery = battery
         self._thermal_resistance = np.array([make.thermal_resistance for make in self.known.servos])
         self.supply: float | None = None
         count = len(self.known.joints)
@@ -150,10 +109,7 @@ class SimPhysics(BatchSimulation):
             joint_position = self.known.home
         self.reset(self.scene.initial_qpos(joint_position), {"torque_enable": torch.zeros(1, count)})
         self.law.sense()
-        self._voltage = self.model.bus_voltage if battery is None else battery.voltage
-        self.signals.bus_voltage = self._voltage
-        self.signals.temperature = torch.from_numpy(self._temperature)
-        self.signals.current_bound = UNBOUNDED
+        self._tell_slow()
         self._resistance = self.parameters["terminal_resistance"][0].numpy()
         self._attitude = None
         if robot is not None and self.known.file.imu is not None:
@@ -183,17 +139,10 @@ class SimPhysics(BatchSimulation):
         """See `Physics`."""
         return self.signals.measured_position[0].numpy()
 
-    @property
-    def velocity(self) -> Array:
-        """See `Physics`."""
-        return self.signals.measured_velocity[0].numpy()
-
-    def drive(self, drive: Drive) -> None:
-        """See `Physics`."""
+    def drive(self, enabled: NDArray[np.bool_], current: Array) -> None:
+        """See `Physics`; a motor that regulates no current at all runs free."""
         row = self.law.records[0]
-        row["torque_enable"], row["target_current"] = drive.enabled, drive.current * drive.enabled
-        row["goal_duty"], row["by_voltage"] = drive.duty, drive.voltage
-        row["current_bound"] = np.minimum(drive.limit, UNBOUNDED)
+        row["torque_enable"], row["target_current"] = enabled, current * enabled
 
     def advance(self, duration: float = PERIOD) -> None:
         """Let whole periods pass [s]; a divergence is seen within `SLOW_EVERY` of them."""
@@ -236,18 +185,13 @@ class SimPhysics(BatchSimulation):
         return mujoco.MjData(self.batch.model)
 
     def _step_slow(self) -> None:
-        signals, duration = self.signals, SLOW_EVERY * PERIOD
-        current = signals.current[0].numpy()
-        if self.battery is not None:
-            self.battery.step(float((signals.voltage[0] * signals.current[0]).sum()), duration)
-            self._voltage = self.battery.voltage
-        if self.supply is not None:
-            self._voltage = self.supply
-        elif self.battery is None:
-            self._voltage = self.model.bus_voltage
-        rise = self._thermal_resistance * self._resistance * current**2
-        self._temperature += duration / WARMING * (AMBIENT + rise - self._temperature)
-        signals.bus_voltage, signals.temperature = self._voltage, torch.from_numpy(self._temperature)
+        rise = self._thermal_resistance * self._resistance * self.signals.current[0].numpy() ** 2
+        self._temperature += SLOW_EVERY * PERIOD / WARMING * (AMBIENT + rise - self._temperature)
+        self._tell_slow()
+
+    def _tell_slow(self) -> None:
+        self._voltage = self.model.bus_voltage if self.supply is None else self.supply
+        self.signals.bus_voltage, self.signals.temperature = self._voltage, torch.from_numpy(self._temperature)
 
     def read(self) -> Sensors:
         """See `Physics`."""
@@ -260,9 +204,8 @@ class SimPhysics(BatchSimulation):
             orientation = roll_pitch_yaw(quaternion)
         return Sensors(
             position=self.position.copy(),
-            velocity=self.velocity.copy(),
+            velocity=self.signals.measured_velocity[0].numpy().copy(),
             current=self.signals.measured_current[0].numpy().copy(),
-            duty=self.signals.duty[0].numpy().copy(),
             voltage=np.full(len(self._temperature), self._voltage),
             temperature=self._temperature.copy(),
             orientation=orientation,

@@ -9,7 +9,7 @@ from op3.servo.effect import Effect, ModelEdit, Parameter, Stage, register
 from op3.servo.law import clip
 from op3.servo.machine_code import part
 
-CURRENT, VOLTAGE, REGISTERS = range(3)
+CURRENT, VOLTAGE = range(2)
 """Places of the drives in their list."""
 
 SETTLING = 4
@@ -29,8 +29,7 @@ class Motor(Effect):
 
     Attributes:
         gear_ratio: motor turns per turn of the joint.
-        drive: whether the driver regulates current, applies a voltage, or does either as the servo's registers say
-            (``by_voltage``, ``goal_duty`` and ``current_bound`` of the signals).
+        drive: whether the driver regulates current or applies a voltage.
     """
 
     name = "motor"
@@ -47,7 +46,7 @@ class Motor(Effect):
     edits = (ModelEdit("dof_armature", "joint_dof", "set", "armature"),)
 
     gear_ratio: float = load_robot().servos[0].motor.gear_ratio.si
-    drive: Literal["current", "voltage", "registers"] = "current"
+    drive: Literal["current", "voltage"] = "current"
 
     @staticmethod
     def prepare(p):
@@ -69,38 +68,25 @@ class Motor(Effect):
             s.voltage *= enabled
             implicit = enabled > 0.0
         else:
-            wanted = back_emf + resistance * s.target_current
-            implicit = False
-            if p.motor_drive == REGISTERS and s.by_voltage > 0.0:
-                applied, reach = s.goal_duty * bus, resistance * s.current_bound
-                wanted = clip(applied, back_emf - reach, back_emf + reach)
-                implicit = wanted == applied
-            s.voltage = clip(wanted, -bus, bus)
+            s.voltage = clip(back_emf + resistance * s.target_current, -bus, bus)
             s.duty = s.voltage / bus
-            implicit = implicit or abs(s.voltage) >= bus
+            implicit = abs(s.voltage) >= bus
         s.current = (s.voltage - back_emf) / resistance
-        damping = constant * constant / resistance if implicit else 0.0
-        if p.motor_drive != CURRENT:
+        if p.motor_drive == VOLTAGE:
             s.current *= enabled
-        if p.motor_drive == REGISTERS:
-            s.duty *= enabled
-            damping *= enabled
         s.motor_torque = constant * s.current
-        s.applied_torque, s.damping = s.motor_torque, damping
+        s.applied_torque = s.motor_torque
+        s.damping = constant * constant / resistance if implicit else 0.0
 
     @staticmethod
     def report(s, p):
         """Read the current of now: what is wanted at the end of the step, as far as the supply allows it."""
-        if p.motor_drive == VOLTAGE or (p.motor_drive == REGISTERS and s.torque_enable == 0.0):
+        if p.motor_drive == VOLTAGE:
             return
         constant = p.motor_constant * s.torque_constant_factor
         resistance = p.terminal_resistance * s.resistance_factor
         back_emf, bus = constant * s.velocity, s.motor_bus_voltage
-        if p.motor_drive == REGISTERS and s.by_voltage > 0.0:
-            # a bound holds the current, but where the whole voltage is applied
-            now = s.current if abs(s.duty) < 1.0 else (s.voltage - back_emf) / resistance
-        else:
-            now = clip(s.motor_wanted + s.ahead, (-bus - back_emf) / resistance, (bus - back_emf) / resistance)
+        now = clip(s.motor_wanted + s.ahead, (-bus - back_emf) / resistance, (bus - back_emf) / resistance)
         s.measured_current += now - s.current
 
 

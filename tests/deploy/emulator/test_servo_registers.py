@@ -6,7 +6,7 @@ from wheels import Bench
 
 from op3.deploy.emulator import Faults, HardwareFault, Overheat
 from op3.deploy.protocol import Error
-from op3.deploy.registers import HardwareError, OperatingMode
+from op3.deploy.registers import CURRENT_MODE, HardwareError
 
 ID = 14
 
@@ -39,7 +39,7 @@ def test_what_may_be_written(bench, address, size, value, error):
 def test_a_new_mode_sets_the_goal_current_to_the_limit(bench):
     """The energise hazard: torque on right after a change of mode drives the joint with the current limit."""
     bench.write(ID, 102, 2, 0)
-    assert bench.write(ID, 11, 1, OperatingMode.CURRENT) == (0, 0)
+    assert bench.write(ID, 11, 1, CURRENT_MODE) == (0, 0)
     assert bench.read(ID, 102, 2) == 1193
     bench.write(ID, 64, 1, 1)
     bench.clock.sleep(0.05)
@@ -171,36 +171,6 @@ def test_the_tick_counts_milliseconds(bench):
     assert bench.read(ID, 120, 2) - first in range(499, 504)
     bench.clock.sleep(32.5)
     assert bench.read(ID, 120, 2) < 1500
-
-
-def test_a_position_servo_holds_and_moves(bench):
-    """Torque on holds the present angle; a goal is reached by the servo's own loop."""
-    index = bench.robot.servos["l_knee"].index
-    bench.physics.position[index] = 0.5
-    bench.write(ID, 64, 1, 1)
-    assert bench.read(ID, 116, 4) == 2048 + 326
-    bench.clock.sleep(0.2)
-    assert bench.physics.position[index] == pytest.approx(0.5, abs=0.01)
-    assert bench.write(ID, 116, 4, 1024) == (0, 0)
-    bench.clock.sleep(1.0)
-    assert bench.physics.position[index] == pytest.approx(-1.571, abs=0.01)
-    assert bench.write(ID, 116, 4, 4096) == (0, Error.DATA_LIMIT)
-
-
-@pytest.mark.parametrize(
-    ("mode", "address", "size", "goal", "speed"),
-    [(OperatingMode.VELOCITY, 104, 4, 100, 2.398), (OperatingMode.PWM, 100, 2, 443, 2.4)],
-)
-def test_velocity_and_pwm_modes_turn_the_wheel(bench, mode, address, size, goal, speed):
-    """100 units of velocity are 2.4 rad/s; half the duty turns the wheel at the speed that its motor has there."""
-    bench.write(ID, 11, 1, mode)
-    if mode == OperatingMode.PWM:
-        bench.write(ID, 100, 2, 0)
-        speed = 0.5 * 12 * 2 / 5 / (0.1 + 4 / 5)  # duty V K/R over friction and back-EMF
-    bench.write(ID, 64, 1, 1)
-    assert bench.write(ID, address, size, goal) == (0, 0)
-    bench.clock.sleep(1.5)
-    assert bench.physics.velocity[bench.robot.servos["l_knee"].index] == pytest.approx(speed, rel=0.05)
 
 
 def test_a_group_reads_all_servos_at_one_instant(bench):

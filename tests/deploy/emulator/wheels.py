@@ -20,32 +20,19 @@ class Wheels:
         self.tilt = np.zeros(3)
         self.rates = np.zeros(3)
         self.force = np.array([0.0, 0.0, 9.80665])
-        self._drive = None
 
-    def drive(self, drive):
-        self._drive = drive
+    def drive(self, enabled, current):
+        self.current = current * enabled
 
     def advance(self, duration):
         for _ in range(round(duration / 0.001)):
-            if self._drive is not None:
-                wanted = (12 * self._drive.duty - 2 * self.velocity) / 5
-                self.current = np.where(self._drive.voltage, wanted, self._drive.current) * self._drive.enabled
             self.velocity += 0.001 * (2 * self.current - 0.1 * self.velocity) / 0.01
             self.position += 0.001 * self.velocity
 
     def read(self):
         voltage = np.full(20, 12.0 if self.supply is None else self.supply)
-        duty = (5 * self.current + 2 * self.velocity) / 12
         return Sensors(
-            self.position,
-            self.velocity,
-            self.current,
-            voltage,
-            self.temperature,
-            self.tilt,
-            self.rates,
-            self.force,
-            duty,
+            self.position, self.velocity, self.current, voltage, self.temperature, self.tilt, self.rates, self.force
         )
 
 
