@@ -34,7 +34,7 @@ from op3.robot import squat
 from op3.rollout import Rollout, read_logs
 from op3.sim import load_model, model_for
 from op3.sim.model_file import model_names
-from op3.tasks import Replay, play, squat_task
+from op3.tasks import Replay, simulate_motion
 from op3.tasks.task import POLICY_PERIOD, find_task
 
 
@@ -72,7 +72,7 @@ def of_policy(cfg: DictConfig, path: Path) -> Tracks:
 
 def of_model(cfg: DictConfig) -> Tracks:
     """A squat on the floor as a model does it, the ghost of what it is told."""
-    log = play(squat_task(load_model(cfg.what), squat(duration=6.0), mount="floor"))
+    log = simulate_motion(load_model(cfg.what), squat(duration=6.0), mount="floor")
     told = {key: log.array(key) for key in log.channels} | {("joint", "position"): log.array("command/position")}
     return Tracks({"commanded": Rollout.from_arrays(told, log.metadata), "simulated": log}, scene_of(log))
 

@@ -12,10 +12,10 @@ import torch
 from mujoco.batch import Batch
 
 from op3.report import machine
-from op3.robot import hold, load_robot, pose
+from op3.robot import load_robot, pose
 from op3.servo import Servos
 from op3.sim import BatchSimulation, load_model
-from op3.tasks import Setup, playback_environment, squat_task
+from op3.tasks import LocomotionTask, Setup, find_task, locomotion_environment
 
 SIMS = 64
 ROUNDS = 7
@@ -86,10 +86,11 @@ def processor_seconds(batch: Batch, steps: int) -> float:
 
 def composer() -> Callable[[], float]:
     """A step through dm_control composer, one robot."""
-    environment = playback_environment(squat_task(load_model("paper"), hold(pose("stand"), 1000.0)))
+    task = LocomotionTask(find_task("walk", duration=1e6), load_model("paper"))
+    environment, stand = locomotion_environment(task), task.action_map.stand()
     environment.reset()
-    none = np.zeros(0)
-    return lambda: seconds_per_step(lambda: [environment.step(none) for _ in range(TICKS)], TICKS * 8)
+    count = TICKS // 4
+    return lambda: seconds_per_step(lambda: [environment.step(stand) for _ in range(count)], count * 32)
 
 
 def main() -> None:

@@ -101,7 +101,7 @@ class BatchedEnv(EnvBase):
         if self._fixed:
             self.simulation.set_parameters(self._fixed)
         self._beginnings: dict[int, Beginning] = {}
-        self._practice = {"speed_bonus": 0.0, "largest_lag": inf}
+        self.rules = Rules(task, self.action_map, num_envs)
         self._beginning_task = task
         self._ground: Ground | None = None
         self._trunk = batch.bind("xfrc_applied")[:, batch.model.body(robot.trunk.full_identifier).id]
@@ -121,9 +121,6 @@ class BatchedEnv(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         self.seed = 0 if seed is None else int(seed)
         self._episodes = np.zeros(self.num_envs, dtype=np.int64)
-        generator = torch.Generator().manual_seed(self.seed)
-        self.rules = Rules(self.task, self.action_map, self.num_envs, generator)
-        vars(self.rules).update(self._practice)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDict:
         mask = torch.ones(self.num_envs, dtype=torch.bool)
@@ -155,8 +152,7 @@ class BatchedEnv(EnvBase):
             largest_lag: the same.
             **task: numbers of the task, such as `terrain_height`, for the episodes that begin from now on.
         """
-        self._practice = {"speed_bonus": speed_bonus, "largest_lag": largest_lag}
-        vars(self.rules).update(self._practice)
+        self.rules.speed_bonus, self.rules.largest_lag = speed_bonus, largest_lag
         self._beginning_task = find_task(self.task, **task)
 
     def set_parameters(self, values: Mapping[str, Tensor | float]) -> None:
@@ -223,12 +219,9 @@ class BatchedEnv(EnvBase):
             if self._ground is not None:
                 self._ground.drive(now, self._qpos, self._qvel, self._forces)
             self.simulation.advance()
-            if self.rules.bank.depth > 1 and tick < TICKS - 1:
-                self.rules.bank.push(self.snapshot().readings)
-        snapshot = self.snapshot()
-        self.rules.bank.push(snapshot.readings)
         throughout = self._whole_step.result()
-        return self._answer(self.rules.finish(action, snapshot, throughout, self.simulation.failed), throughout)
+        outcome = self.rules.finish(action, self.snapshot(), throughout, self.simulation.failed)
+        return self._answer(outcome, throughout)
 
     def _scaled(self, commands: dict[str, Tensor]) -> dict[str, Tensor]:
         """Commands as the servos get them."""

@@ -14,7 +14,6 @@ from op3.servo import RobotModel
 from op3.sim import GearedServo
 from op3.tasks.beginning import begin, episode_seed
 from op3.tasks.ground import Ground
-from op3.tasks.playback import PHYSICS_TIMESTEP
 from op3.tasks.pushes import Pushes
 from op3.tasks.rules import Outcome, Rules
 from op3.tasks.setups import OP3_CONTROL_PERIOD
@@ -22,13 +21,16 @@ from op3.tasks.snapshot import Probe, Snapshot
 from op3.tasks.task import POLICY_PERIOD, Task
 from op3.tasks.whole_step import WholeStep
 
+PHYSICS_TIMESTEP = 0.001
+"""Step of the physics [s]; paper, 1 ms."""
+
 
 class LocomotionTask(composer.Task):
     """A robot at a task; the action is the policy's.
 
     Build an environment with `locomotion_environment`: only then is the order of steps that of the batched environment,
     whose observations and rewards this one gives to rounding. A time step's ``observation`` has one entry of that name,
-    history included, whose sensors are the task's own.
+    history included.
 
     Args:
         task: the task.
@@ -49,12 +51,12 @@ class LocomotionTask(composer.Task):
         seen = observable.Generic(lambda physics: self.observation[0].numpy())
         seen.enabled = True
         self._observables: dict[str, observable.Observable] = {"observation": seen}
+        self.rules = Rules(task, self.action_map, 1)
         self.seed(seed)
 
     def seed(self, seed: int) -> None:
         """Start the episodes of another seed."""
         self._seed, self._episodes = seed, 0
-        self.rules = Rules(self.task, self.action_map, 1, torch.Generator().manual_seed(seed))
 
     @property
     def root_entity(self) -> composer.Entity:
@@ -110,8 +112,6 @@ class LocomotionTask(composer.Task):
         """Drive the board and tick the servos every 8 ms; run the servo law."""
         del action
         if self._substep % self._every == 0:
-            if self._substep and self.rules.bank.depth > 1:
-                self.rules.bank.push(self._snapshot(physics).readings)
             data, time = physics.data.ptr, self._start + self._substep * PHYSICS_TIMESTEP
             if self._pushes is not None:
                 self._pushes.drive(time, data.xfrc_applied[self._trunk][None])
@@ -132,7 +132,6 @@ class LocomotionTask(composer.Task):
         """Judge the step."""
         del random_state
         snapshot = self._snapshot(physics)
-        self.rules.bank.push(snapshot.readings)
         data = physics.data.ptr
         failed = torch.tensor([not np.isfinite(data.qacc).all() or bool(data.warning.number.any())])
         self.throughout = self._whole_step.result()

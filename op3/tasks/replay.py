@@ -28,6 +28,9 @@ COMMAND_CHANNELS = {
 Two of them are measured: the voltage of the bus, and the temperature of the servos."""
 
 
+BENCH_SAMPLING = 0.005
+"""Time between looks at a pendulum, whose servo has a much faster loop [s]; those between are interpolated."""
+
 SAME_RATE = 0.02
 """Relative difference up to which a measured rate is the usual one."""
 
@@ -62,8 +65,6 @@ class Replay:
     Args:
         logs: what to replay; mounts may differ.
         settle: time before the first row in which the first command is held [s].
-        record_period: time between recorded samples [s], a multiple of the control period; by default 8 ms on
-            the robot and 5 ms on the bench. Predictions are interpolated to the logs' times.
         duration: replay no more than this [s].
         bench_timestep: simulation step of bench logs [s].
         num_threads: threads that step the physics of a robot; 0 for all processors.
@@ -74,7 +75,6 @@ class Replay:
         logs: Sequence[Rollout],
         *,
         settle: float = 0.2,
-        record_period: float | None = None,
         duration: float | None = None,
         bench_timestep: float = BENCH_CONTROL_PERIOD,
         num_threads: int = 0,
@@ -86,7 +86,7 @@ class Replay:
         mounts = [(*_mount(log), log.joints, _control_period(log), log.robot.reference) for log in logs]
         for mount, members in groupby(sorted(range(len(logs)), key=mounts.__getitem__), key=mounts.__getitem__):
             setup = Setup.of_mount(mount[0], bench_timestep, mount[1:3], *mount[3:])
-            self._groups.append(_Group(list(members), logs, setup, settle, record_period, duration, num_threads))
+            self._groups.append(_Group(list(members), logs, setup, settle, duration, num_threads))
 
     @property
     def seconds(self) -> float:
@@ -127,13 +127,12 @@ class Replay:
 class _Group:
     """Logs of one mount, padded to one length."""
 
-    def __init__(self, members, logs, setup, settle, record_period, duration, num_threads):
+    def __init__(self, members, logs, setup, settle, duration, num_threads):
         self.members, self.num_threads = members, num_threads
         self.logs = [logs[i] for i in members]
         self.setup = setup
         self.period = self.setup.control_period
-        default = 0.005 if self.setup.pendulum else self.period
-        self.every = max(1, round((record_period or default) / self.period))
+        self.every = max(1, round(BENCH_SAMPLING / self.period)) if self.setup.pendulum else 1
         self.settle = round(settle / self.period)
         times = [log.array("time")[:, 0] - log.array("time")[0, 0] for log in self.logs]
         if duration is not None:

@@ -8,11 +8,19 @@ from torch import Tensor
 
 from op3.policy import ActionMap
 from op3.policy.observation import History, observe
+from op3.robot.units import ANGLE_UNIT, GYRO_UNIT, POSITION_UNIT, VELOCITY_UNIT
 from op3.tasks import rewards
-from op3.tasks.sensing import SensorBank
 from op3.tasks.snapshot import Snapshot
 from op3.tasks.task import POLICY_PERIOD, Task
 from op3.tasks.whole_step import Throughout
+
+UNITS = {
+    "joint_position": POSITION_UNIT,
+    "joint_velocity": VELOCITY_UNIT,
+    "orientation": ANGLE_UNIT,
+    "angular_velocity": GYRO_UNIT,
+}
+"""One count of what the policy's computer reads [rad, rad/s]; registers of servo and OpenCR (ROBOTIS e-Manual)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,13 +49,15 @@ class Rules:
         task: the task.
         action_map: what actions mean.
         num_sims: number of robots.
-        generator: of the sensors' noise.
+
+    Attributes:
+        readings: what the computer read last, in whole counts: by the names of `UNITS`, ``[sim, joint | 3]``.
     """
 
-    def __init__(self, task: Task, action_map: ActionMap, num_sims: int, generator: torch.Generator):
+    def __init__(self, task: Task, action_map: ActionMap, num_sims: int):
         self.task = task
         self.action_map = action_map
-        self.bank = SensorBank(task.sensors, generator)
+        self.readings: dict[str, Tensor] = {}
         self.steps = torch.zeros(num_sims, dtype=torch.int64)
         self.first_phase = torch.zeros(num_sims, dtype=torch.float64)
         self.speed_bonus = 0.0
@@ -80,8 +90,7 @@ class Rules:
         self._lag[rows] = 0.0
         self.first_phase = torch.where(rows, phase, self.first_phase)
         self._previous = torch.where(rows[:, None], self._first_action, self._previous)
-        self.bank.reset(snapshot.readings, rows)
-        return self._history.reset(self._observe(), rows)
+        return self._history.reset(self._observe(snapshot), rows)
 
     def resting_commands(self, count: int) -> dict[str, Tensor]:
         """Commands that are in force when an episode begins, ``[count, joint]``."""
@@ -92,7 +101,7 @@ class Rules:
 
         Args:
             action: taken at its beginning, ``[sim, action]``; beyond [-1, 1] it counts as clipped, as it was commanded.
-            snapshot: at its end; its readings must have been given to `bank`.
+            snapshot: at its end.
             throughout: what it was like.
             failed: simulations that diverged, ``[sim]``.
         """
@@ -106,7 +115,7 @@ class Rules:
         self._lag = (self._lag + POLICY_PERIOD * shortfall).clamp(min=0.0)
         terminated = tilted | (snapshot.height < self.task.fall_height) | failed | (self._lag > self.largest_lag)
         self._previous = action
-        observation = self._history.push(self._observe())
+        observation = self._history.push(self._observe(snapshot))
         if failed.any():  # what a diverged state would say is worth nothing
             reward = torch.where(failed, 0.0, reward)
             terms = {name: torch.where(failed, 0.0, term) for name, term in terms.items()}
@@ -138,7 +147,7 @@ class Rules:
         assert self.task.cycle is not None
         return torch.remainder(self.time / self.task.cycle + self.first_phase, 1.0)
 
-    def _observe(self) -> Tensor:
-        readings = self.bank.read()
+    def _observe(self, snapshot: Snapshot) -> Tensor:
+        self.readings = {name: torch.round(snapshot.readings[name] / unit) * unit for name, unit in UNITS.items()}
         phase = None if self.task.cycle is None else self._phase()
-        return observe(**readings, previous_action=self._previous, phase=phase)
+        return observe(**self.readings, previous_action=self._previous, phase=phase)

@@ -26,7 +26,7 @@ class Snapshot:
     """Robots at one time, tensors ``[sim, ...]``.
 
     Attributes:
-        readings: what sensors say before quantisation, by the names of `op3.tasks.task.Sensors`.
+        readings: what sensors say before quantisation, by the names of `op3.tasks.rules.UNITS`.
         current: of the motors, ``[sim, joint]`` in A.
         specific_force: of the IMU, ``[sim, 3]`` in m/s^2.
         height: of the trunk's origin above the ground's, ``[sim]`` in m.

@@ -7,7 +7,6 @@ from typing import Any
 
 from op3.policy.observation import BALANCE_LAYOUT, WALK_LAYOUT
 from op3.robot.surfaces import TILE_HEIGHT
-from op3.robot.units import ANGLE_UNIT, GYRO_UNIT, POSITION_UNIT, VELOCITY_UNIT
 from op3.tasks import rewards
 from op3.tasks.rewards import Coefficients
 from op3.tasks.setups import OP3_CONTROL_PERIOD
@@ -20,51 +19,6 @@ POLICY_PERIOD = TICKS * OP3_CONTROL_PERIOD
 
 BOARD_MOTIONS = ("still", "waves", "tilts", "weight")
 """What moves a board: nothing, random waves, steps between two tilts, or a weight that is lowered on it."""
-
-
-@dataclass(frozen=True)
-class Sensor:
-    """What one kind of sensor does to its quantity before the policy sees it.
-
-    Attributes:
-        unit: one step of its register, in the unit of the quantity; 0: not quantised.
-        noise: standard deviation, in the unit of the quantity.
-        delay: age of the reading beyond that of the control tick [s], a multiple of 8 ms.
-    """
-
-    unit: float = 0.0
-    noise: float = 0.0
-    delay: float = 0.0
-
-    def __post_init__(self):
-        ticks = self.delay / OP3_CONTROL_PERIOD
-        if min(self.unit, self.noise, self.delay) < 0 or abs(ticks - round(ticks)) > 1e-9:
-            raise ValueError(
-                f"a sensor's unit, noise and delay must be at least 0, and the delay a multiple of "
-                f"{OP3_CONTROL_PERIOD} s, got unit {self.unit}, noise {self.noise}, delay {self.delay} s"
-            )
-
-    @property
-    def ticks(self) -> int:
-        """The delay in control ticks."""
-        return round(self.delay / OP3_CONTROL_PERIOD)
-
-
-@dataclass(frozen=True)
-class Sensors:
-    """The robot's sensors; units from the control tables of XM430-W350 and OpenCR (ROBOTIS e-Manual).
-
-    Attributes:
-        joint_position: encoder, 4096 counts per turn [rad].
-        joint_velocity: 0.229 rpm per count [rad/s].
-        orientation: roll, pitch and yaw, 0.1 degrees per count [rad].
-        angular_velocity: gyro, 2000 / 32800 degrees per second and count [rad/s].
-    """
-
-    joint_position: Sensor = Sensor(unit=POSITION_UNIT)
-    joint_velocity: Sensor = Sensor(unit=VELOCITY_UNIT)
-    orientation: Sensor = Sensor(unit=ANGLE_UNIT)
-    angular_velocity: Sensor = Sensor(unit=GYRO_UNIT)
 
 
 @dataclass(frozen=True)
@@ -108,7 +62,6 @@ class Task:
         whole_step: whether currents, motion of the body, forces and speeds of the feet enter the training reward as
             means over the policy step, or as they are at its end, where most of a landing escapes.
         placement: scatter of the beginning.
-        sensors: the robot's sensors.
     """
 
     name: str
@@ -128,7 +81,6 @@ class Task:
     first_phase: float | None = 0.0
     whole_step: bool = True
     placement: Placement = field(default_factory=Placement)
-    sensors: Sensors = field(default_factory=Sensors)
 
     def __post_init__(self):
         object.__setattr__(self, "desired_velocity", tuple(self.desired_velocity))

@@ -26,7 +26,7 @@ def test_observation_is_that_of_training(task):
     state = env.reset()
     worst = 0.0
     for step in range(25):
-        now = {name: value[0].numpy() for name, value in env.rules.bank.read().items()}
+        now = {name: value[0].numpy() for name, value in env.rules.readings.items()}
         observation = runner.observe(*(now[name] for name in ORDER), step)
         worst = max(worst, float(np.abs(observation - state["observation"][0].double().numpy()).max()))
         # the environment keeps single precision, of the phase before its sine is taken; nothing else may differ

@@ -6,14 +6,14 @@ from op3.diagnose import diagnosed_mount, on_other_mounts
 from op3.robot import squat
 from op3.rollout import LogError, Rollout
 from op3.sim import load_model
-from op3.tasks import play, squat_task
+from op3.tasks import simulate_motion
 
 
 @pytest.fixture(scope="module")
 def logs() -> list[Rollout]:
     """A squat on the floor, twice, and one on the stand."""
     model, short = load_model("paper"), squat(duration=1.0)
-    floor, stand = (play(squat_task(model, short, mount=mount)) for mount in ("floor", "stand"))
+    floor, stand = (simulate_motion(model, short, mount=mount) for mount in ("floor", "stand"))
     return [floor, stand, floor]
 
 

@@ -19,7 +19,7 @@ from op3.policy import PolicyBundle
 from op3.robot import squat
 from op3.rollout import Rollout
 from op3.sim import load_model, save_model
-from op3.tasks import play, squat_task
+from op3.tasks import simulate_motion
 from op3.tasks.task import find_task
 
 SEARCH = "hydra.sweeper.n_trials=4 hydra.sweeper.population=4 wandb=disabled"
@@ -55,9 +55,9 @@ def given(tmp_path_factory) -> Path:
     for name in ("model", "other_model"):
         save_model(model, folder / f"{name}.yaml")
     for name, frequency in (("log", 1.0), ("other_log", 0.7)):
-        play(squat_task(model, squat(frequency=frequency, duration=1.0))).save(folder / name)
+        simulate_motion(model, squat(frequency=frequency, duration=1.0)).save(folder / name)
     for number, frequency in enumerate((0.4, 0.7, 1.0)):
-        log = play(squat_task(model, squat(frequency=frequency, duration=2.0), mount="stand"))
+        log = simulate_motion(model, squat(frequency=frequency, duration=2.0), mount="stand")
         arrays = {k: log.array(k)[:, 14:] if k[0] in ("joint", "command") else log.array(k) for k in log.channels}
         arrays["joint", "position"] += noise.normal(0, 6e-4, arrays["joint", "position"].shape)
         metadata = log.metadata.replace(joints=log.joints[14:], recording=f"squat_{number}")

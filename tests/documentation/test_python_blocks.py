@@ -11,7 +11,7 @@ from documented import PAGES, ROOT
 from op3.robot import load_robot, squat
 from op3.servo import Servos
 from op3.sim import load_model
-from op3.tasks import play, squat_task
+from op3.tasks import simulate_motion
 
 BLOCK = re.compile(r"(<!-- not executed: [^>]+-->\n+)?^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
@@ -34,7 +34,7 @@ WITH_PYTHON = [page for page in PAGES if any(not skipped for skipped, _ in BLOCK
 
 @pytest.fixture(scope="module")
 def log():
-    return play(squat_task(load_model("paper"), squat(frequency=1.0, duration=0.6), mount="stand"))
+    return simulate_motion(load_model("paper"), squat(frequency=1.0, duration=0.6), mount="stand")
 
 
 def known(log) -> dict:

@@ -12,7 +12,7 @@ import yaml
 from op3.robot import squat
 from op3.rollout import Rollout
 from op3.sim import load_model
-from op3.tasks import play, squat_task
+from op3.tasks import simulate_motion
 
 LEG = ("hip_yaw", "hip_roll", "hip_pitch", "knee", "ank_pitch", "ank_roll")
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -28,14 +28,14 @@ def logs(tmp_path_factory) -> Path:
     """Three squats of the right leg on the stand, with a little noise, and one of the whole robot on the floor."""
     folder, model, rng = tmp_path_factory.mktemp("logs"), load_model("paper"), np.random.default_rng(3)
     for number, frequency in enumerate((0.4, 0.7, 1.0)):
-        log = play(squat_task(model, squat(frequency=frequency, duration=3.0), mount="stand"))
+        log = simulate_motion(model, squat(frequency=frequency, duration=3.0), mount="stand")
         arrays = {k: log.array(k)[:, 14:] if k[0] in ("joint", "command") else log.array(k) for k in log.channels}
         arrays["joint", "position"] = arrays["joint", "position"] + rng.normal(
             0, 6e-4, arrays["joint", "position"].shape
         )
         metadata = log.metadata.replace(joints=log.joints[14:], recording=f"squat_{number}")
         Rollout.from_arrays(arrays, metadata).save(folder / f"squat_{number}")
-    play(squat_task(model, squat(duration=1.0), mount="floor")).save(folder / "floor")
+    simulate_motion(model, squat(duration=1.0), mount="floor").save(folder / "floor")
     return folder
 
 

@@ -9,7 +9,7 @@ import pytest
 from op3.report import read_result
 from op3.robot import squat
 from op3.sim import load_model
-from op3.tasks import play, squat_task
+from op3.tasks import simulate_motion
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 BENCH = REPOSITORY / ".." / "shared" / "data" / "servo_bench" / "sts3032"
@@ -24,14 +24,14 @@ def identify(*arguments: str) -> subprocess.CompletedProcess[str]:
 @pytest.fixture(scope="module")
 def log(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("logs") / "squat"
-    play(squat_task(load_model("paper"), squat(frequency=1.0, duration=0.8))).save(folder)
+    simulate_motion(load_model("paper"), squat(frequency=1.0, duration=0.8)).save(folder)
     return folder
 
 
 @pytest.fixture(scope="module")
 def heldout(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("logs") / "slower"
-    play(squat_task(load_model("paper"), squat(frequency=1.2, duration=0.8))).save(folder)
+    simulate_motion(load_model("paper"), squat(frequency=1.2, duration=0.8)).save(folder)
     return folder
 
 

@@ -9,7 +9,7 @@ import pytest
 from op3.report import read_result
 from op3.robot import hold, pose, squat
 from op3.sim import load_model, save_model
-from op3.tasks import play, squat_task
+from op3.tasks import simulate_motion
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 BENCH = REPOSITORY / ".." / "shared" / "data" / "servo_bench" / "sts3032"
@@ -25,7 +25,7 @@ def logs(tmp_path_factory) -> Path:
     """Two logs of the robot, one of them held still."""
     folder = tmp_path_factory.mktemp("logs")
     for motion in (squat(frequency=1.0, duration=0.4), hold(pose("stand"), 0.4)):
-        play(squat_task(load_model("paper"), motion)).save(folder / motion.name)
+        simulate_motion(load_model("paper"), motion).save(folder / motion.name)
     return folder
 
 

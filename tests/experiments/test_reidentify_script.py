@@ -12,7 +12,7 @@ from op3.report import read_result
 from op3.robot import squat
 from op3.rollout import Rollout
 from op3.sim import load_model, save_model
-from op3.tasks import play, squat_task
+from op3.tasks import simulate_motion
 from op3.tasks.task import find_task
 from tests.envs.holding import holding_bundle
 
@@ -32,7 +32,7 @@ def given(tmp_path_factory) -> tuple[Path, list[str]]:
     model, policy, task = load_model("paper"), holding_bundle(p_gain=2.0), find_task("balance_eval")
     robot = model.with_values({"torque_constant": 0.0049})
     save_model(model.with_values({"torque_constant@joint=l_knee": 0.0066}), folder / "model.yaml")
-    play(squat_task(robot, squat(frequency=1.0, duration=0.8))).save(folder / "squat")
+    simulate_motion(robot, squat(frequency=1.0, duration=0.8)).save(folder / "squat")
     env = BatchedEnv(task, robot, 2, 3, action_map=policy.manifest.action_map)
     for number, log in enumerate(record_episodes(env, policy)):
         log.save(folder / "episodes" / f"episode-{number}")

@@ -10,7 +10,7 @@ from op3.robot import squat
 from op3.rollout import Rollout
 from op3.servo import RobotModel
 from op3.sim import load_model
-from op3.tasks import play, squat_task
+from op3.tasks import simulate_motion
 from tests.op3_table import CONTROLLED_JOINTS
 
 TRUTH = {"torque_constant": 0.0072, "backward_efficiency": 0.7}
@@ -30,7 +30,7 @@ def model() -> RobotModel:
 @pytest.fixture(scope="module")
 def logs(model) -> list[Rollout]:
     truth = model.with_values(TRUTH)
-    return [play(squat_task(truth, squat(frequency=f, duration=1.0))) for f in (1.0, 0.8)]
+    return [simulate_motion(truth, squat(frequency=f, duration=1.0)) for f in (1.0, 0.8)]
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +98,7 @@ def test_joints_that_differ_are_told_apart():
     names = [f"coulomb_friction@joint={joint}" for joint in ("l_knee", "r_knee")]
     model = load_model("paper")
     # with the feet on the ground the legs carry one another, and a log hardly tells left from right
-    log = play(squat_task(model.with_values({names[0]: 0.2}), squat(frequency=1.0, duration=1.0), mount="stand"))
+    log = simulate_motion(model.with_values({names[0]: 0.2}), squat(frequency=1.0, duration=1.0), mount="stand")
     identification = Identification(model, [log], [], names, joints=CONTROLLED_JOINTS)
     space = parse_search_space({PREFIX + name: "interval(0.01, 0.25)" for name in names})
     trials = run_study(identification.evaluate, space, sampler="random", n_trials=12, population=12, seed=0)
@@ -119,7 +119,7 @@ def test_joints_that_differ_go_along_with_a_shared_value(model):
     """A search for one value keeps what a model knows of its joints, in what it simulates and in what it finds."""
     knee = "torque_constant@joint=l_knee"
     known = model.with_values({"torque_constant": 0.006, knee: 0.0066})
-    log = play(squat_task(known.moved({"torque_constant": 0.007}), squat(frequency=1.0, duration=1.0)))
+    log = simulate_motion(known.moved({"torque_constant": 0.007}), squat(frequency=1.0, duration=1.0))
     identification = Identification(known, [log], [], ["torque_constant"], joints=CONTROLLED_JOINTS)
     space = parse_search_space({PREFIX + "torque_constant": "interval(0.003, 0.009)"})
     study = run_study(identification.evaluate, space, sampler="random", n_trials=6, population=6, seed=0)

@@ -13,7 +13,7 @@ from op3.robot import squat
 from op3.rollout import Metadata, Rollout
 from op3.servo import Estimate
 from op3.sim import load_model
-from op3.tasks import Replay, play, squat_task
+from op3.tasks import Replay, simulate_motion
 from tests.op3_table import CONTROLLED_JOINTS
 
 
@@ -36,7 +36,7 @@ def bench_log(mass: float = 0.3, length: float = 0.1, gain: float = 8.0, motion:
 def logs() -> list[Rollout]:
     """Half a second of two squats by a model of another friction."""
     truth = load_model("paper").with_values({"coulomb_friction": 0.2})
-    return [play(squat_task(truth, squat(frequency=f, duration=0.5))) for f in (1.0, 0.8)]
+    return [simulate_motion(truth, squat(frequency=f, duration=0.5)) for f in (1.0, 0.8)]
 
 
 def test_a_model_predicts_its_own_log(logs):

@@ -17,7 +17,7 @@ from op3.policy import PolicyBundle
 from op3.robot import squat
 from op3.rollout import LogError, Rollout
 from op3.sim import load_model
-from op3.tasks import play, squat_task
+from op3.tasks import simulate_motion
 from op3.tasks.task import find_task
 from tests.envs.holding import holding_bundle
 
@@ -33,7 +33,7 @@ def recorded():
     robot = model.with_values({"torque_constant": 0.0049})
     motion = squat()
     short = type(motion)(motion.time[:126], motion.position[:126], motion.joints, motion.name)
-    excitation = [play(squat_task(robot, short))]
+    excitation = [simulate_motion(robot, short)]
     env = BatchedEnv(TASK, robot, 4, 3, action_map=policy.manifest.action_map)
     env.reset = lambda *_, **__: env.begin({i: i for i in range(4)})  # the episodes that candidates play
     return model, excitation, record_episodes(env, policy), policy, NAMES

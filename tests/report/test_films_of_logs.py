@@ -7,14 +7,14 @@ import pytest
 from op3.report.video import states_of_log
 from op3.robot import build_scene, squat
 from op3.sim import load_model
-from op3.tasks import play, squat_task
+from op3.tasks import simulate_motion
 
 
 @pytest.fixture(scope="module")
 def log():
     """One second of a squat."""
     motion = squat()
-    return play(squat_task(load_model("paper"), type(motion)(motion.time[:126], motion.position[:126], motion.joints)))
+    return simulate_motion(load_model("paper"), type(motion)(motion.time[:126], motion.position[:126], motion.joints))
 
 
 def test_joints_and_trunk_are_those_of_the_log(log):

@@ -17,7 +17,7 @@ from op3.report.tracks import Tracks, scene_of
 from op3.robot import squat
 from op3.rollout import Recorder, Rollout
 from op3.sim import load_model
-from op3.tasks import play, squat_task
+from op3.tasks import simulate_motion
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.fixture(scope="module")
 def log() -> Rollout:
     """Two seconds in the stand."""
-    return play(squat_task(load_model("paper"), squat(duration=2.0), mount="stand"))
+    return simulate_motion(load_model("paper"), squat(duration=2.0), mount="stand")
 
 
 def record(log: Rollout, folder: Path) -> None:

@@ -5,12 +5,11 @@ import pytest
 import torch
 
 from op3.robot import squat
-from op3.robot.motions import Motion
-from op3.rollout import LogError, Rollout
+from op3.rollout import LogError, Metadata, Rollout
 from op3.servo import RobotModel
 from op3.servo.effects import Coulomb, EncoderOffset, Motor, PositionServo
 from op3.sim import load_model
-from op3.tasks import Replay, bench_task, play, squat_task
+from op3.tasks import Replay, simulate_motion
 from tests.op3_table import JOINTS, LIMBS
 
 SHORT = squat(duration=0.6)
@@ -19,7 +18,7 @@ SHORT = squat(duration=0.6)
 @pytest.fixture(scope="module")
 def logs() -> list[Rollout]:
     model = load_model("paper")
-    return [play(squat_task(model, SHORT, mount=mount)) for mount in ("stand", "floor")]
+    return [simulate_motion(model, SHORT, mount=mount) for mount in ("stand", "floor")]
 
 
 def test_a_log_of_the_model_itself_is_reproduced(logs):
@@ -120,21 +119,25 @@ def bench_model() -> RobotModel:
     )
 
 
-def swing() -> Motion:
+def swung(model: RobotModel, mass: float, length: float) -> Rollout:
+    """A pendulum whose goal swings for a second."""
     time = np.arange(1000) * 0.001
-    return Motion(time, np.sin(4 * time)[:, None], ("servo",), "sine", robot="bench")
+    goal = np.sin(4 * time)[:, None]
+    facts = Metadata(joints=("servo",), robot="simulated", mount="pendulum", rate=1000.0, mass=mass, length=length)
+    commands = {"time": time, "command/position": goal, "command/firmware_gain": np.full_like(goal, 16.0)}
+    asked = Rollout.from_arrays({**commands, "joint/position": goal}, facts)
+    position = Replay([asked], settle=0.0).run(model)[0].channels["joint", "position"][0]
+    return Rollout.from_arrays({**commands, "joint/position": position}, facts)
 
 
-def test_the_bench_replays_position_servos_of_any_pendulum():
-    """Composer and batch agree on the bench, for pendulums of different mass and length in one batch."""
-    model, pendulums = bench_model(), [(0.2, 0.05), (0.45, 0.1)]
-    logs = [play(bench_task(model, swing(), mass, length, firmware_gain=16.0)) for mass, length in pendulums]
-    assert [log.metadata.mass for log in logs] == [0.2, 0.45]
+def test_pendulums_of_one_batch_move_as_each_alone():
+    """Pendulums of different mass and length are replayed side by side as one by one."""
+    model = bench_model()
+    logs = [swung(model, mass, length) for mass, length in ((0.2, 0.05), (0.45, 0.1))]
     for log, prediction in zip(logs, Replay(logs, settle=0.0).run(model), strict=True):
         error = prediction.channels[("joint", "position")][0] - torch.from_numpy(log.array("joint/position"))
         assert error.abs().max() < 1e-3
-    moved = np.ptp(logs[1].array("joint/position"))
-    assert moved > 0.5
+    assert np.ptp(logs[1].array("joint/position")) > 0.5
 
 
 @pytest.mark.parametrize("effect", ["payload", "com_offset", "stribeck", "dte", "latency"])
@@ -151,7 +154,7 @@ def test_neutral_effects_leave_the_whole_robot_bit_identical(logs, effect):
 def test_values_under_a_condition_reach_their_logs():
     """Each log has the value of its own length, whether the model holds it or a candidate brings it."""
     model, name = bench_model(), "encoder_offset@length=1e-1"
-    logs = [play(bench_task(model, swing(), 0.3, length, firmware_gain=16.0)) for length in (0.05, 0.1)]
+    logs = [swung(model, 0.3, length) for length in (0.05, 0.1)]
     replay = Replay(logs, settle=0.0, duration=0.3)
 
     def positions(model, parameters=None):
@@ -182,23 +185,12 @@ def test_values_of_single_joints_reach_them(logs):
 
 def test_longer_steps_of_a_bench_agree():
     """With 2 ms steps the replay differs by less than a milliradian on average."""
-    log = play(bench_task(bench_model(), swing(), 0.3, 0.07, firmware_gain=16.0))
+    log = swung(bench_model(), 0.3, 0.07)
     fine, coarse = (
         Replay([log], settle=0.0, bench_timestep=step).run(bench_model())[0].channels[("joint", "position")]
         for step in (0.001, 0.002)
     )
     assert 0 < (fine - coarse).abs().mean() < 1e-3
-
-
-def test_a_played_bench_has_the_values_of_its_length():
-    """Composer and batch read the same conditions, so a log of a model with conditions is reproduced."""
-    model = bench_model().with_values({"encoder_offset@length=1e-1": 0.1})
-    log = play(bench_task(model, swing(), 0.3, 0.1, firmware_gain=16.0))
-    position = torch.from_numpy(log.array("joint/position"))
-    error = Replay([log], settle=0.0).run(model)[0].channels[("joint", "position")][0] - position
-    assert error.abs().max() < 1e-3
-    shared = Replay([log], settle=0.0).run(bench_model())[0].channels[("joint", "position")][0] - position
-    assert shared.abs().max() > 1e-2
 
 
 def test_a_leg_alone_moves_as_on_the_whole_robot(logs):
@@ -234,7 +226,7 @@ def test_a_push_turns_the_joint_that_it_acts_on(logs):
 def test_a_bench_is_not_pushed():
     """A pendulum has no place for a torque beside its servo's, and says so."""
     model = bench_model()
-    log = play(bench_task(model, swing(), 0.3, 0.1, firmware_gain=16.0))
+    log = swung(model, 0.3, 0.1)
     with pytest.raises(ValueError, match="push"):
         Replay([log]).run(model, push=[np.zeros((len(log), 1))])
 
@@ -242,7 +234,7 @@ def test_a_bench_is_not_pushed():
 def test_logs_of_nearly_one_rate_are_simulated_together(logs):
     """Recorders tell the rate that they measured: on a bench it never matters, on a robot two percent do not."""
     model = bench_model()
-    bench = [play(bench_task(model, swing(), 0.3, length, firmware_gain=16.0)) for length in (0.05, 0.1)]
+    bench = [swung(model, 0.3, length) for length in (0.05, 0.1)]
     uneven = [
         Rollout(log.data, log.metadata.replace(rate=rate)) for log, rate in zip(bench, (189.3, 190.7), strict=True)
     ]
