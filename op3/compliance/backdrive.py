@@ -49,10 +49,8 @@ def back_drive(model: RobotModel, position: Array, commands: Mapping[str, Array]
     """Hold the trunk, freeze the commands, and turn one controlled joint after the other, both ways.
 
     Args:
-        model: of the robot.
         position: joint angles of the states, ``[state, joint]`` in rad.
         commands: in force there, by the names of `BatchSimulation.command`, ``[state, joint]``.
-        num_threads: that step the physics.
     """
     setup = Setup.of_mount("stand")
     robot = load_robot()

@@ -62,8 +62,6 @@ def measure_energy(logs: Sequence[Rollout], model: RobotModel, mass: float, trav
     """The costs of episodes, from their logs with `joint/current` and `joint/velocity`.
 
     Args:
-        logs: of the episodes.
-        model: of the robot.
         mass: of the robot [kg].
         travels: whether it walks, so that a cost of transport has a meaning.
     """

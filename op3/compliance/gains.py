@@ -67,8 +67,6 @@ def measure_gains(logs: Sequence[Rollout], traces: Traces, task: Task, model: Ro
 
     Args:
         logs: one per robot, with `command/p_gain`.
-        traces: of the same robots.
-        task: that was attempted.
         model: of the robots, for the torque that a current gives.
     """
     known = load_robot()

@@ -58,7 +58,6 @@ def find_landings(traces: Traces, lengths: NDArray[np.int64]) -> Landings:
     """All landings of robots while they walk.
 
     Args:
-        traces: of the robots.
         lengths: milliseconds for which each robot's episode lasted, [sim].
     """
     found: list[tuple[Any, ...]] = []

@@ -70,11 +70,7 @@ def lead(
     """Pull walking robots in every way of `PULLS`, with a force that grows evenly.
 
     Args:
-        actor: who walks.
-        model: of the robots.
-        task: that is attempted.
         episodes: for each pull; all pulls and the twins begin alike.
-        seed: of the episodes.
         **options: further arguments of `op3.envs.make_env`.
     """
     count = len(PULLS) * episodes

@@ -74,13 +74,9 @@ def survive_pushes(
     Beginnings, directions and times of the pushes depend on the seed alone, so that policies meet the same.
 
     Args:
-        actor: who acts.
-        model: of the robots.
-        task: that is attempted.
         most: impulse up to which the ladder reaches [N s].
         rungs: of the ladder, each with so many episodes in each direction.
         episodes: see `rungs`.
-        seed: of the episodes.
         **options: further arguments of `op3.envs.make_env`.
     """
     impulse = most * (np.arange(rungs) + 0.5) / rungs

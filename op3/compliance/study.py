@@ -128,12 +128,9 @@ class Study:
     """Measures policies that walk.
 
     Args:
-        model: of the robots.
         grounds: names of tasks in which walking is counted; the first one is looked at in all detail.
-        sizes: how much is measured.
         seed: of the episodes, alike for all policies.
         gain_scale: factor on every gain that is commanded.
-        num_threads: that step the physics.
     """
 
     def __init__(
@@ -225,11 +222,7 @@ def _mass(env: Any) -> float:
 
 
 class StiffFamily(StiffWalk):
-    """Stiff walks, one after the other on the robots of a batch.
-
-    Args:
-        gaits: the walks.
-    """
+    """Stiff walks, one after the other on the robots of a batch."""
 
     def __init__(self, gaits: Sequence[SinusoidalGait]):
         super().__init__()

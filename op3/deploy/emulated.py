@@ -151,7 +151,6 @@ def emulate(
         model: name or file of a model, instead of a stand-in; "own" for that which its servos' makes give.
         scene: where it is put down: a name that `op3.robot.build_scene` knows.
         task: whose ground it is put down on, moving as in the episode of the seed; None for the scene.
-        seed: of everything else that is random.
         joint_position: [joint] in rad at the start; None for home.
         powered: whether someone has pressed the robot's power button; otherwise the servos' supply is off.
         jig: whether something holds the joints where they are at the start.

@@ -31,7 +31,6 @@ class Panel:
 
     Args:
         wanted: whether anything is to be shown in place; what is said always is.
-        every: ticks between two refreshes.
     """
 
     def __init__(self, robot: Robot, wanted: bool = True, stream: TextIO | None = None, every: int = 31):

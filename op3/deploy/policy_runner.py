@@ -79,7 +79,6 @@ class PolicyRunner:
             joint_velocity: [joint] in rad/s.
             orientation: [3] roll, pitch, yaw in rad.
             angular_velocity: [3] in rad/s.
-            step: policy steps since the episode began.
         """
         angles = np.array(orientation, dtype=float)
         if not self._begun:

@@ -78,7 +78,6 @@ class FixedGain:
 
     Args:
         policy: with a function ``act``.
-        action_map: what its actions mean.
         p_gain: [A/rad].
     """
 
@@ -103,8 +102,6 @@ def find_actor(
 
     Args:
         name: folder of a bundle, or hold, zero, random or stiff.
-        task: that it will attempt.
-        seed: of a random policy.
         hold_gain: of a policy that holds [A/rad].
         gain_scale: factor on the gain of the stiff walk's own position loop; other gains are scaled by the environment.
         field: of the config that named it, for messages.
@@ -141,7 +138,6 @@ class Watched:
 
     Args:
         policy: with a function ``act``, and perhaps ``commands``.
-        env: its robots.
     """
 
     def __init__(self, policy: Any, env: BatchedEnv):

@@ -33,11 +33,7 @@ class BatchedEnv(EnvBase):
     and the k-th episode of robot i depends on the seed, i and k alone.
 
     Args:
-        task: the task.
         model: effects and parameter values of the robots.
-        num_envs: number of robots.
-        seed: of everything random.
-        action_map: what actions mean.
         parameters: values by parameter name, ``[num_envs]`` or ``[num_envs, joint]`` or a number, that replace the
             model's for good.
         randomisation: draws each robot's parameters anew for every episode; None: they stay.
@@ -149,7 +145,6 @@ class BatchedEnv(EnvBase):
 
         Args:
             speed_bonus: see `op3.tasks.rules.Rules`.
-            largest_lag: the same.
             **task: numbers of the task, such as `terrain_height`, for the episodes that begin from now on.
         """
         self.rules.speed_bonus, self.rules.largest_lag = speed_bonus, largest_lag

@@ -20,10 +20,7 @@ class ComposerEnv(EnvBase):
     ``mujoco.Batch``; for training the batched one is many times faster.
 
     Args:
-        task: the task.
         model: effects and parameter values of the robot.
-        seed: of everything random.
-        action_map: what actions mean.
     """
 
     def __init__(self, task: Task, model: RobotModel, seed: int = 0, *, action_map: ActionMap | None = None):

@@ -30,13 +30,8 @@ def downstream(
     """The return R_eval of a policy under two models, and on the robot where its episodes were recorded.
 
     Args:
-        policy: that acts.
-        before: the refitted base.
-        after: the model with what was named.
         task: that is attempted; the same as on the robot.
-        episodes: under each model, the same ones.
         actual: logs of single episodes of the same policy and task on the robot.
-        seed: of episodes and bootstrap.
         progress: called with the stage and the share done.
 
     Returns:

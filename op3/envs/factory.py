@@ -31,11 +31,9 @@ def make_env(
         task: a `Task`, or a name from `op3.tasks.TASKS`.
         model: a model, the path of a model.yaml, or a name from `op3.sim.model_names`.
         num_envs: number of robots; None: 64, and one with the composer backend, which has no more.
-        seed: of everything random.
         backend: ``batched`` steps all robots together; ``composer`` is the same task in dm_control composer.
         randomisation: "ranges" (Table I) or "intervals" (the model's own) draws each robot's parameters anew for every
             episode; None: they stay.
-        **options: further arguments of the backend's class.
 
     Raises:
         ValueError: if a name is unknown, or the backend cannot do what is asked.

@@ -70,7 +70,6 @@ def record_episodes(
     """Run every robot for one episode and record it; then again, until there are as many as asked.
 
     Args:
-        env: its robots are put down anew.
         policy: a function from observations to actions, or anything with such a function ``act``, as a policy bundle.
             With a function ``commands`` of time it commands the servos itself, as `op3.tasks.StiffWalk`.
         episodes: how many; None: one per robot.

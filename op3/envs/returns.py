@@ -45,11 +45,7 @@ class ReturnsBench:
     An episode costs nothing after a fall: its robot is put down again as the next candidate's.
 
     Args:
-        policy: that acts.
         model: effects, and the values of parameters that candidates do not give.
-        task: what is attempted.
-        episodes: number of episodes of each candidate.
-        seed: of the episodes.
         num_threads: threads that step the physics; 0 for all processors.
     """
 
@@ -83,7 +79,6 @@ class ReturnsBench:
         Args:
             parameters: shared values by name, ``[candidate]``; joints that have values of their own go along
                 (`RobotModel.for_joints`).
-            candidates: number of models.
             progress: called with the share of episodes done.
             episodes: numbers of the episodes that are played; None: all of them, 0 to the bench's number of them.
         """

@@ -60,7 +60,6 @@ def identifiability(
     """Whiten the sensitivity matrix with the noise of each channel and look at its singular values.
 
     Args:
-        sensitivity: at the optimum.
         blocks: indices of residuals that belong together; those of different blocks are taken as independent.
         channels: indices of the residuals of each channel.
         intervals: low and high of each parameter's interval.
@@ -97,8 +96,6 @@ def noise_scale(residual: Array, index: np.ndarray, blocks: Sequence[np.ndarray]
     what it varies by instead says how many rows count as one. It is never taken to be better than independent.
 
     Args:
-        residual: all residuals.
-        index: those of the channel.
         blocks: indices of all residuals that belong together.
     """
     own = np.zeros(len(residual), dtype=bool)
@@ -117,7 +114,6 @@ def in_words(names: Sequence[str], direction: Array) -> str:
     """A combination that the logs do not tell, in one sentence.
 
     Args:
-        names: of the parameters.
         direction: ``[parameter]``, of length one.
     """
     order = np.argsort(-np.abs(direction))

@@ -163,13 +163,10 @@ class Identification:
 
     Args:
         model: effects that are on, and values of parameters that are not searched.
-        logs: what to fit.
-        heldout: logs for testing only.
         names: parameters to search; one with a condition, such as ``encoder_offset@length=7e-2``, counts for the logs
             that meet it, one such as ``coulomb_friction@joint=elbow`` for that joint.
         joints: joints whose traces count; all of a log where empty.
         loss: what to minimise; by default paper eq. (7) with unit weights.
-        label: what the model is called.
         bench_timestep: simulation step of bench logs [s].
     """
 
@@ -221,8 +218,6 @@ class Identification:
         """Choose the best trial of a finished study, search on from there as `Refine` says, and score what is found.
 
         Args:
-            study: finished.
-            progress: called with iteration and loss.
             refine: fields of `Refine`.
 
         Raises:

@@ -43,7 +43,6 @@ def intervals_of(sensitivity: Sensitivity, blocks: Sequence[np.ndarray]) -> dict
     Student's t with one degree of freedom less than there are blocks; clipped to the bounds.
 
     Args:
-        sensitivity: at the estimate.
         blocks: indices into the residual, one array per block.
 
     Returns:
@@ -79,8 +78,6 @@ def followed_from_bounds(
     its end was expected to raise it.
 
     Args:
-        residuals: of points in the unit box.
-        sensitivity: at the estimate.
         found: low and high by parameter name, from `intervals_of`.
     """
     box, unit, result = sensitivity.box, sensitivity.unit, dict(found)

@@ -23,8 +23,6 @@ def draw_level_set(
         hessian: ``J^T J``, ``[parameter, parameter]``.
         gradient: ``J^T r``, ``[parameter]``.
         allowed: rise of the loss; positive.
-        count: number of points.
-        rng: for everything random.
 
     Returns:
         Points of the unit box, ``[point, parameter]``.

@@ -96,8 +96,6 @@ class LevelSetSampler(NSGAIISampler):
     Args:
         proposals: at most so many of each population, for which this sampler is made anew.
         tolerated: the first objective may be so many times that of the trial marked as nominal, or of the lowest.
-        seed: of everything random.
-        options: of NSGA-II.
     """
 
     def __init__(self, *, proposals: int, tolerated: float = 1.25, seed: int | None = None, **options: Any):

@@ -52,13 +52,11 @@ def polish(
 
     Args:
         residuals: points of the unit box ``[candidate, parameter]`` to ``[candidate, residual]``.
-        box: ranges of the parameters.
         values: the point to start from; outside the box it is clipped.
         steps: at most; 0 measures the sensitivities only.
         curvature: what is known of the Jacobian's product with itself, ``[parameter, parameter]``; None: nothing.
         known: residual at the point to start from, ``[residual]``; None: it is simulated.
         failed_loss: a squared length of the residual that only a diverged simulation has.
-        progress: called with step and loss.
     """
     unit = box.unit(values)
     residual = simulate(residuals, unit[None])[0] if known is None else known

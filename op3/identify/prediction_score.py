@@ -82,10 +82,8 @@ def predict_logs(
     Args:
         model: values that hold under a condition go before shared ones; a log whose condition the model does not know
             gets the shared value.
-        logs: what to predict.
         joints: joints whose traces count; all of a log where empty.
         bench_timestep: simulation step of bench logs [s].
-        seed: of the bootstrap.
 
     Raises:
         LogError: if a log lacks a joint, or a command that the model's servos need.
@@ -214,11 +212,6 @@ def bootstrap_interval(
 
     Percentiles of the bootstrap are too narrow for few clusters; the expanded percentile interval (Hesterberg, The
     American Statistician 69, 2015) takes those at which a normal mean of so many values would be right.
-
-    Args:
-        weights: of the clusters.
-        values: mean of each cluster.
-        seed: of the draws.
 
     Returns:
         Low and high; None where there is only one cluster.

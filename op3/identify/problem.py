@@ -22,8 +22,6 @@ class Problem:
 
     Args:
         model: effects that are on, and values of parameters that are not given.
-        logs: what to reproduce.
-        loss: what to minimise.
         replay: options of `op3.tasks.Replay`.
     """
 
@@ -40,7 +38,6 @@ class Problem:
         Args:
             parameters: by name, which may carry a condition: ``[candidate, joint]``, or shared ones ``[candidate]``;
                 with these, joints that have values of their own go along (`RobotModel.for_joints`).
-            candidates: number of parameter sets.
         """
         self.simulated_seconds += self.replay.seconds * candidates
         joints = self.replay.logs[0].joints

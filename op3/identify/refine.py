@@ -43,11 +43,9 @@ def refine(
 
     Args:
         residuals: points of the unit box ``[candidate, parameter]`` to ``[candidate, residual]``.
-        box: ranges of the parameters.
         starts: values to start from; those outside the box are clipped.
         max_iterations: at most so many Jacobians of a start.
         tolerance: a start has converged when an iteration lowers its loss by less than this share.
-        progress: called with iteration and best loss.
 
     Raises:
         ValueError: if there are no parameters or no starts.
@@ -91,7 +89,6 @@ def least_squares(
     """Go down within the unit box by a trust region (`scipy.optimize.least_squares`).
 
     Args:
-        residuals: of points in the unit box.
         unit: where to begin, ``[parameter]``.
         residual: there, ``[residual]``.
         jacobian: at a point, from it and its residual: ``[residual, parameter]``.

@@ -96,14 +96,10 @@ class Reidentification:
 
     Args:
         model: that the policy was trained on; its effects stay, its values are the start.
-        excitation: logs of the excitation.
         episodes: logs of the policy's episodes on the robot.
-        policy: whose episodes they are.
-        names: parameters to search.
         task: that was attempted; None: as the episodes say.
         repeats: episodes of each candidate, K in the paper.
         race: whether a candidate whose first episodes promise nothing is spared the others; else all play all.
-        seed: of the simulated episodes.
         processes: processes that share the simulations of a population; 0 for all processors.
         joints: focusing joints of the excitation loss; those of a log where it has others.
 
@@ -190,7 +186,6 @@ class Reidentification:
         Args:
             count: number of them, as many from within each of the `RISES`.
             bounds: range that the study searches, by parameter name.
-            seed: of the draws.
         """
         problem = self.simulations.problem
         box = Box.of({name: bounds[name] for name in self.names})
@@ -285,10 +280,6 @@ class Reidentification:
         play as many episodes again: the best of hundreds has been lucky with those it was chosen by, so these count no
         more. The smallest distance over the new ones wins; the start takes part. Where the start's returns are as close
         to the robot's as chance would leave them, it stays. A third set of episodes then says what that is worth.
-
-        Args:
-            study: finished.
-            finalists: how many play again.
 
         Raises:
             ValueError: if no trial of the study completed.

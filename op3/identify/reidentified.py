@@ -86,13 +86,7 @@ def better_half(losses: Array, distances: Array, start: tuple[float, float]) -> 
 
 
 def chance_distances(returns: Array, actual: int, simulated: int) -> Array:
-    """Wasserstein-1 distances of two samples of the same returns, whose mean no model can be expected to undercut.
-
-    Args:
-        returns: to draw from, with replacement.
-        actual: size of one sample.
-        simulated: size of the other.
-    """
+    """Wasserstein-1 distances of two samples of the same returns, whose mean no model can be expected to undercut."""
     rng = np.random.default_rng(0)
     known = returns[np.isfinite(returns)]
     return np.array(

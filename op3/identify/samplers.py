@@ -46,8 +46,6 @@ def make_sampler_factory(
             or `{_target_: optuna.samplers.TPESampler, **options}`; or a function from a seed to a sampler.
         population: how many trials are asked at once. CMA-ES and NSGA-II take a generation of 7/8 of it,
             so that a few failed trials do not cost a generation.
-        directions: number of objectives.
-        nominal: the nominal parameters, where CMA-ES starts.
 
     Returns:
         A function from a seed to a sampler.

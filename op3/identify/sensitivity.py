@@ -120,8 +120,6 @@ def sensitivity_at(
     `RISE` of itself and by `ABOVE_JUMPS` times what jumps do to it.
 
     Args:
-        residuals: of points in the unit box.
-        box: of the parameters.
         unit: the point, ``[parameter]``.
         residual: there, ``[residual]``.
         curvature: what is known of the Jacobian's product with itself; None for short arms along the parameters.

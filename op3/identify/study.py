@@ -94,10 +94,8 @@ def run_study(
         sampler: how parameters are proposed, see `op3.identify.samplers`.
         directions: `minimize` or `maximize` for each objective.
         storage: see `op3.identify.storage`; None keeps the study in memory.
-        study_name: in the storage.
         n_trials: finished trials, complete or failed, that the study shall have in all; each further worker may add two
             populations.
-        population: trials asked and evaluated together.
         nominal: parameters of the first trial, the baseline; None starts without one.
         starts: parameters of the trials that follow it, before the sampler proposes any; a resumed study needs the
             same.

@@ -74,14 +74,10 @@ def explore(
     is drawn from what the surrogate holds possible at twice the best loss, mostly along what is known least.
 
     Args:
-        residuals: of points in the unit box.
         points: to begin with, spread over the box, ``[point, parameter]``.
         residual: of these, ``[point, residual]``.
         rounds: at most so many.
-        batch: points per round.
-        seed: of the draws.
         failed_loss: a loss that only a diverged simulation has.
-        progress: called with round and best loss.
 
     Raises:
         ValueError: if there are no points, or if all simulations diverged.
@@ -210,7 +206,6 @@ class Surrogate:
         Args:
             starts: ``[candidate, parameter]``.
             caution: ``[candidate]``.
-            steps: of Adam.
         """
         unit = starts.clone().requires_grad_()
         optimiser = torch.optim.Adam([unit])

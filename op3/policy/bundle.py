@@ -29,7 +29,6 @@ class PolicyBundle:
     """A trained policy: a = tanh(mean(observation)), without exploration.
 
     Args:
-        manifest: what it reads and commands.
         weights: tensors by the names and shapes of `weight_shapes`; ``observation.mean`` and
             ``observation.scale`` normalise as clip((observation - mean) / scale).
 
@@ -83,7 +82,6 @@ class PolicyBundle:
         """Write the bundle; the folder appears whole or not at all.
 
         Args:
-            folder: to write.
             overwrite: whether a bundle already there is replaced.
         """
         folder = Path(folder)

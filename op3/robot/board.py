@@ -156,7 +156,6 @@ class BoardDrive:
     between ticks it follows the motion to some microradians, whatever stands on it, and contacts see its velocity.
 
     Args:
-        model: compiled scene.
         period: time between ticks [s].
     """
 
@@ -206,9 +205,6 @@ class WeightDrive:
     """The hand that lowers the weight of the scene "board_weight", once per control tick.
 
     It holds the weight up like a spring and damper and cannot push it down, so the board takes the load over gently.
-
-    Args:
-        model: compiled scene.
     """
 
     def __init__(self, model: mujoco.MjModel):
@@ -230,7 +226,6 @@ def board_drive(
     """What makes a scene's board do this.
 
     Args:
-        model: compiled scene.
         board: motion of the scene "board", or schedule of the scene "board_weight".
         period: time between ticks [s].
 

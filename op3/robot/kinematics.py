@@ -33,7 +33,6 @@ def sole_corners(joint_position: ArrayLike, robot: str | Robot = DEFAULT) -> Arr
 
     Args:
         joint_position: angles [joint] in rad.
-        robot: a robot with soles.
 
     Returns:
         [sole box, corner, xyz], boxes in the order of the robot's file.
@@ -64,7 +63,6 @@ def standing_height(
         joint_position: angles [joint] in rad.
         roll: roll of the base in rad.
         pitch: pitch of the base in rad, positive forward.
-        robot: a robot with soles.
     """
     corners = sole_corners(joint_position, robot) @ rotation_matrix(roll, pitch).T
     return float(-corners[..., 2].min())

@@ -292,7 +292,6 @@ class Effect:
         """Change what the trunk's IMU says.
 
         Args:
-            trunk: what it says so far.
             values: parameters of the model, ``[sim, 1]`` those of the whole robot.
         """
 

@@ -161,9 +161,7 @@ class RobotModel:
         effect stays without it. Where the shared value is zero or has another sign, it keeps its difference.
 
         Args:
-            name: of the parameter.
             values: shared ones, ``[candidate]``.
-            joints: joint names.
 
         Returns:
             ``[candidate, joint]``, or the values as they are where no joint has its own.

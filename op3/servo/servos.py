@@ -50,7 +50,6 @@ class Servos:
     Args:
         effects: what is on; their order does not matter.
         joints: names of the joints; ``l_`` and ``r_`` begin those of the left and the right side.
-        num_sims: number of robots.
         timestep: simulation step [s].
         period: time between ticks [s].
 

@@ -32,8 +32,6 @@ class BatchSimulation:
     Args:
         mj_model: compiled scene with servos attached to `joints`.
         joints: full joint names, in the order of every ``[sim, joint]`` tensor.
-        model: effects and parameter values.
-        num_sims: number of simulations.
         control_period: time between ticks [s], a multiple of the model's time step.
         base_body: full name of the robot's base body; None for a scene without one.
         joint_names: names by which the model's per-joint values address the joints; by default the last part

@@ -27,7 +27,6 @@ class Crew(Generic[T]):
 
     Args:
         make: makes the object; a function or class of a module, which is called in each process.
-        arguments: of it, which can be pickled.
         size: how many objects, that of this process included; 0 for as many as there are processors.
     """
 
@@ -43,7 +42,6 @@ class Crew(Generic[T]):
         """Call a method once per part, at most `size` of them, side by side.
 
         Args:
-            method: name.
             parts: keyword arguments of each call; the first is done here.
 
         Returns:

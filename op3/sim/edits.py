@@ -31,11 +31,8 @@ def edited_fields(
 
     Args:
         model: compiled model, whose values the edits start from.
-        effects: that are on.
         values: of parameters, ``[sim, joint]`` or ``[sim, 1]``.
-        ports: where the servos are.
         base_body: id of the base body, or -1.
-        num_sims: number of simulations.
 
     Raises:
         ValueError: if an effect edits the base of a scene that has none.

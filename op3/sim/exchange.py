@@ -31,12 +31,8 @@ def hand_over(s, at, timestep, rotor, ctrl, armature, friction, failed):
 
     Args:
         s: signals, ``[sim, joint]``.
-        at: addresses.
         timestep: h [s].
         rotor: the rotors' own inertia [kg m^2], ``[sim, joint]``.
-        ctrl: of the model's motors.
-        armature: of the model's degrees of freedom.
-        friction: of these.
         failed: ``[sim]``, set where what is handed over is no finite number.
     """
     for i in range(s.shape[0]):

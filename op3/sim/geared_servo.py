@@ -24,7 +24,6 @@ class GearedServo:
 
     Args:
         joints: dm_control MJCF elements of hinge joints; each gets a motor and a torque sensor.
-        model: effects and parameter values.
         base_body: MJCF element of the robot's base body, where there is one.
         control_period: time between the task's steps [s].
     """
@@ -72,7 +71,6 @@ class GearedServo:
         """A control period begins: take commands and let the PD look at the sensors.
 
         Args:
-            physics: composer physics.
             **commands: ``position_target`` [rad], ``p_gain`` [A/rad], ``d_gain`` [A s/rad] and the others of
                 `op3.servo.Signals`, each ``[joint]``; those not named are held.
         """

@@ -21,7 +21,6 @@ class FixedBase:
     """The limbs of a robot on a stand that are in the logs, compiled with their servos.
 
     Args:
-        joints: of the logs.
         tilt: roll and pitch of the stand [rad].
         robot: a name in `assets/robots`, or the path of its file.
     """

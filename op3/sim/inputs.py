@@ -45,9 +45,7 @@ def expand_parameters(
 
     Args:
         model: gives the values that are not named.
-        joints: joint names.
         values: by parameter name, ``[sim]`` or ``[sim, joint]`` or a number.
-        num_sims: number of simulations.
 
     Raises:
         ValueError: if the model has no such parameter, or a shape does not fit.

@@ -20,9 +20,6 @@ def attach_servos(joints: Sequence[Any]) -> None:
     body a site whose z axis is the joint axis with a torque sensor ``<joint>_transmitted`` and a force sensor
     ``<joint>_force``; sets the solver parameters of the joint's friction. Attach before compiling, once.
 
-    Args:
-        joints: dm_control MJCF elements of hinge joints.
-
     Raises:
         ValueError: if a joint is not a hinge.
     """

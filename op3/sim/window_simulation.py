@@ -93,14 +93,11 @@ class WindowSimulation:
     whatever has memory (latency, filters, contacts) starts from the data.
 
     Args:
-        model: effects and values.
         motions: all with the same period and joints.
         windows: where the windows start; `preroll` ticks must lie before, `ticks` behind.
-        ticks: length of every window.
         joints: joint names, by which the model's per-joint values address the columns.
         timestep: of the simulation [s]; must divide the period.
         preroll: ticks for which the joints are led.
-        num_threads: threads that share the windows.
         dtype: of the results; the simulation is in double precision.
 
     Raises:
@@ -172,7 +169,6 @@ class WindowSimulation:
 
         Args:
             parameters: by name, ``[candidate]`` or ``[candidate, joint]``; those not named are the model's.
-            candidates: number of parameter sets.
             position_offset: added to the initial joint angles [rad], ``[candidate, joint]``.
             velocity_offset: added to the initial joint velocities [rad/s], ``[candidate, joint]``.
 

@@ -17,7 +17,6 @@ class Hold:
 
     Args:
         p_gain: of every controlled joint [A/rad]; None: the highest, 6 A/rad.
-        action_map: what actions mean.
     """
 
     def __init__(self, p_gain: float | None = None, action_map: ActionMap | None = None):
@@ -40,12 +39,7 @@ class Zero:
 
 
 class Random:
-    """Uniform actions.
-
-    Args:
-        seed: of the actions.
-        action_map: what actions mean.
-    """
+    """Uniform actions."""
 
     def __init__(self, seed: int = 0, action_map: ActionMap | None = None):
         self._size = (action_map or ActionMap.around_stand()).size

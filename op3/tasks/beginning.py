@@ -60,11 +60,5 @@ def board_of(task: Task, seed: int) -> Waves | Tilts | WeightSchedule | None:
 
 
 def episode_seed(seed: int, index: int, episode: int) -> int:
-    """The seed of an environment's k-th episode, whatever happens in the others.
-
-    Args:
-        seed: of the whole batch.
-        index: of the environment in it.
-        episode: number of its episode.
-    """
+    """The seed of an environment's k-th episode, whatever happens in the others."""
     return int(np.random.SeedSequence([seed, index, episode]).generate_state(1)[0])

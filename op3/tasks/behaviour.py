@@ -88,7 +88,6 @@ def gait_profile(
 
     Args:
         logs: episodes of walking; rows of one phase are put together.
-        task: that was attempted.
         joint: name; None: the last but one of the right leg, an ankle.
         bins: parts of the cycle; bins without a row are NaN.
         skip: time at the beginning that is left out [s].

@@ -20,8 +20,6 @@ def parameters_per_log(
     Args:
         model: gives conditional values that are not given.
         parameters: by name, which may carry a condition: ``[candidate]`` or ``[candidate, joint]`` or a number.
-        logs: whose metadata decide.
-        candidates: number of parameter sets.
 
     Returns:
         By name without conditions, ``[candidate * log]`` or ``[candidate * log, joint]`` or a number.

@@ -69,9 +69,7 @@ def evaluation_terms(
     """R_eval of steps, ``[...]``; without the part of the velocity where that is not known yet.
 
     Args:
-        task: that is attempted.
         action: ``[..., action]``.
-        previous: the action before.
         current: of all motors, ``[..., joint]`` in A.
         orientation: roll, pitch and yaw, ``[..., 3]`` in rad.
         rates: of the body, ``[..., 3]`` in rad/s.
@@ -116,8 +114,6 @@ def succeeded(log: Rollout, task: str | Task, least_distance: float = LEAST_DIST
     """Whether an episode is what the task asks for: upright to its end and, in walking, forwards.
 
     Args:
-        log: of one episode.
-        task: that was attempted.
         least_distance: that counts as walking forwards [m].
     """
     if not stood(log):

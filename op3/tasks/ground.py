@@ -18,12 +18,7 @@ Array = NDArray[np.float64]
 
 
 class Ground:
-    """Boards under many robots, each with a motion of its own, driven once per control tick.
-
-    Args:
-        model: compiled scene.
-        motions: one per robot.
-    """
+    """Boards under many robots, each with a motion of its own, driven once per control tick."""
 
     def __init__(self, model: mujoco.MjModel, motions: Sequence[Any]):
         self._motion = stack(motions)

@@ -33,10 +33,7 @@ class LocomotionTask(composer.Task):
     history included.
 
     Args:
-        task: the task.
-        model: effects and parameter values.
         seed: of everything random; episodes are those of the batched environment's first robot.
-        action_map: what actions mean.
     """
 
     def __init__(self, task: Task, model: RobotModel, seed: int = 0, action_map: ActionMap | None = None):

@@ -54,7 +54,6 @@ def planned_suite(model: RobotModel, suite: Sequence[Excitation]) -> list[Rollou
     """Logs of one leg on the stand under the runs of a suite, each command once.
 
     Args:
-        model: of the robot.
         suite: see `op3.robot.leg_suite`.
     """
     once = list({run.motion.name: run for run in suite}.values())
@@ -76,7 +75,6 @@ def planned_motions(model: RobotModel, motions: Sequence[Motion]) -> list[Rollou
     """Logs of the joints that move, of motions of the library on the stand.
 
     Args:
-        model: of the robot.
         motions: all of which can be played on the stand.
 
     Raises:

@@ -47,11 +47,7 @@ class Push:
 
 
 class Pushes:
-    """The pushes of many robots, written into the simulator's external forces once per tick.
-
-    Args:
-        pushes: one per robot.
-    """
+    """The pushes of many robots, written into the simulator's external forces once per tick."""
 
     def __init__(self, pushes: Sequence[Push]):
         self._start = np.array([push.start for push in pushes])

@@ -106,7 +106,6 @@ class Replay:
         Args:
             model: effects, and values for parameters that are not given.
             parameters: by name, which may carry a condition: ``[candidate]`` or ``[candidate, joint]``.
-            candidates: number of parameter sets.
             progress: called with the share done, 0 to 1.
             push: torque on the joints beside the servos' [N m], of each log ``[row, joint]``; of a robot only.
 

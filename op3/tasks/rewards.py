@@ -70,9 +70,7 @@ def command_term(velocity: Tensor, desired: Tensor, orientation: Tensor, coeffic
 
     Args:
         velocity: of the body forwards and sideways, ``[..., 2]`` in m/s.
-        desired: the same, commanded.
         orientation: roll and pitch, more columns are ignored, ``[..., 2 | 3]`` in rad; level is desired.
-        coefficients: gives the steepness.
     """
     error = (desired - velocity).abs()
     return (

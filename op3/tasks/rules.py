@@ -45,11 +45,6 @@ class Outcome:
 class Rules:
     """The rules of a task, and the little memory they need.
 
-    Args:
-        task: the task.
-        action_map: what actions mean.
-        num_sims: number of robots.
-
     Attributes:
         readings: what the computer read last, in whole counts: by the names of `UNITS`, ``[sim, joint | 3]``.
     """
@@ -79,8 +74,6 @@ class Rules:
         """Episodes begin for the rows of a mask ``[sim]``; the robots hold the stand pose with the highest gain.
 
         Args:
-            snapshot: of all robots.
-            rows: which of them begin.
             phase: of the gait, ``[sim]`` in cycles, which counts for those.
 
         Returns:
@@ -101,8 +94,6 @@ class Rules:
 
         Args:
             action: taken at its beginning, ``[sim, action]``; beyond [-1, 1] it counts as clipped, as it was commanded.
-            snapshot: at its end.
-            throughout: what it was like.
             failed: simulations that diverged, ``[sim]``.
         """
         action = action.clamp(-1.0, 1.0)

@@ -94,9 +94,6 @@ class Setup:
         """A simulation for every candidate and log; simulation ``c * len(logs) + l`` is candidate c on log l.
 
         Args:
-            model: effects and values.
-            logs: of this mount.
-            candidates: number of parameter sets.
             num_threads: threads that step the physics of a robot; 0 for all processors.
 
         Raises:

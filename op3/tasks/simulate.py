@@ -28,7 +28,6 @@ def simulate_motion(
     """Play a motion with its own gains, or with those of the firmware where that closes the loop.
 
     Args:
-        model: of the robot.
         motion: with one row per tick of the robot's PD loop; joints that it does not name stay at home.
         mount: ``floor`` or ``stand``; by default the first that the motion is made for.
         settle: how long the first pose is held before the log starts [s].

@@ -65,8 +65,6 @@ class Probe:
     """Takes snapshots of robots from the arrays of their simulation.
 
     Args:
-        model: compiled scene with servos.
-        scene: the scene.
         feet: whether to look at the feet, which walking needs.
     """
 

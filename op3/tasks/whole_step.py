@@ -46,9 +46,6 @@ class WholeStep:
     """Adds up what `Throughout` tells, over live arrays of a simulation.
 
     Args:
-        model: compiled scene.
-        scene: the scene, with a robot.
-        num_sims: number of robots.
         feet: whether to look at the feet, which tasks with a gait need.
     """
 

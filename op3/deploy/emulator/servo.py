@@ -35,7 +35,6 @@ class Servo(Device):
     """One servo's registers.
 
     Args:
-        index: its place among the robot's joints.
         settings: values of its EEPROM, by register name, where they differ from the factory's.
 
     Attributes:

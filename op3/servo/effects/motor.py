@@ -99,7 +99,6 @@ def settle(s, p):
 
     Args:
         s: signals of its joints, ``[joint]``.
-        p: their parameters.
     """
     supply = s[0].supply_resistance
     for _ in range(SETTLING):
