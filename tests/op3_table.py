@@ -1,5 +1,6 @@
 """The OP3's joints as its file gives them, for tests that are about the OP3."""
 
+import mujoco
 import numpy as np
 
 from op3.robot import load_robot
@@ -16,3 +17,12 @@ LEG_JOINTS = OP3.legs[1]
 LIMBS = OP3.limbs
 IS_LEG = np.array([any(joint in leg for leg in OP3.legs) for joint in JOINTS])
 indices, mirror = OP3.indices, OP3.mirrored
+
+
+def center_of_mass(joint_position) -> np.ndarray:
+    """Centre of mass of the whole robot relative to its base [m]."""
+    data = mujoco.MjData(OP3.bare_model)
+    data.qpos[:] = joint_position
+    mujoco.mj_kinematics(OP3.bare_model, data)
+    mujoco.mj_comPos(OP3.bare_model, data)
+    return data.subtree_com[0]

@@ -12,11 +12,10 @@ from torchrl.envs import EnvBase
 
 from op3.envs.specs import PEAKS, set_specs
 from op3.policy import ActionMap
-from op3.robot import build_scene, place_tiles, tile_ids
+from op3.robot import board_drive, build_scene, place_tiles, stack, tile_ids
 from op3.servo import RobotModel
 from op3.sim import BatchSimulation, attach_servos
 from op3.tasks.beginning import Beginning, begin, episode_seed
-from op3.tasks.ground import Ground
 from op3.tasks.pushes import Pushes
 from op3.tasks.randomisation import Randomisation
 from op3.tasks.rules import Outcome, Rules
@@ -99,7 +98,7 @@ class BatchedEnv(EnvBase):
         self._beginnings: dict[int, Beginning] = {}
         self.rules = Rules(task, self.action_map, num_envs)
         self._beginning_task = task
-        self._ground: Ground | None = None
+        self._board: Any = None
         self._trunk = batch.bind("xfrc_applied")[:, batch.model.body(robot.trunk.full_identifier).id]
         self.pushes: Pushes | None = None
         """What pushes the trunks; those of the episodes, unless others are set after a reset."""
@@ -193,9 +192,9 @@ class BatchedEnv(EnvBase):
         self.simulation.reset(qpos, commands, qvel, rows=None if len(rows) == self.num_envs else rows)
         if self.task.board is not None:
             motions = [self._beginnings[row].board for row in range(self.num_envs)]
-            if self._ground is None:
-                self._ground = Ground(self.simulation.batch.model, motions)
-            self._ground.replace(rows, [motions[row] for row in rows])
+            if self._board is None:
+                self._drive: Any = board_drive(self.simulation.batch.model, motions[0], OP3_CONTROL_PERIOD)
+            self._board = stack(motions)
         if self.task.push:
             pushes = [self._beginnings[row].push for row in range(self.num_envs)]
             self.pushes = Pushes([push for push in pushes if push is not None])
@@ -211,8 +210,8 @@ class BatchedEnv(EnvBase):
             now = time + tick * OP3_CONTROL_PERIOD
             if self.pushes is not None:
                 self.pushes.drive(now, self._trunk)
-            if self._ground is not None:
-                self._ground.drive(now, self._qpos, self._qvel, self._forces)
+            if self._board is not None:
+                self._drive.apply(self._board, now, self._qpos, self._qvel, self._forces)
             self.simulation.advance()
         throughout = self._whole_step.result()
         outcome = self.rules.finish(action, self.snapshot(), throughout, self.simulation.failed)

@@ -20,20 +20,17 @@ SamplerFactory = Callable[[int], BaseSampler]
 """Makes the sampler of one population from its seed."""
 
 
-_STATEFUL = (optuna.samplers.QMCSampler, optuna.samplers.GridSampler, optuna.samplers.BruteForceSampler)
-
 _BY_NAME: Mapping[str, type[BaseSampler]] = {
     "tpe": optuna.samplers.TPESampler,
     "cmaes": optuna.samplers.CmaEsSampler,
     "nsga2": optuna.samplers.NSGAIISampler,
     "nsga2+surrogate": LevelSetSampler,
-    "gp": optuna.samplers.GPSampler,
     "random": optuna.samplers.RandomSampler,
 }
 
 
 def make_sampler_factory(
-    sampler: str | Mapping[str, Any] | SamplerFactory,
+    sampler: str | Mapping[str, Any],
     *,
     population: int,
     directions: int = 1,
@@ -42,42 +39,23 @@ def make_sampler_factory(
     """Choose how new parameters are proposed.
 
     Args:
-        sampler: a name (`tpe`, `cmaes`, `nsga2`, `nsga2+surrogate`, `gp`, `random`); a mapping `{name: tpe, **options}`
-            or `{_target_: optuna.samplers.TPESampler, **options}`; or a function from a seed to a sampler.
+        sampler: a name (`tpe`, `cmaes`, `nsga2`, `nsga2+surrogate`, `random`), or `{name: tpe, **options}`.
         population: how many trials are asked at once. CMA-ES and NSGA-II take a generation of 7/8 of it,
             so that a few failed trials do not cost a generation.
-
-    Returns:
-        A function from a seed to a sampler.
+        directions: number of objectives.
+        nominal: the nominal parameters, where CMA-ES starts.
 
     Raises:
         StudyError: if the name or an option is unknown, or the sampler does not fit the study.
     """
-    if callable(sampler):
-        return sampler
     options = {"name": sampler} if isinstance(sampler, str) else {str(key): sampler[key] for key in sampler}
     options.pop("seed", None)
-    target, name = options.pop("_target_", None), str(options.pop("name", ""))
-    if target is not None:
-        name = str(target).removeprefix("optuna.samplers.")
-        build = getattr(optuna.samplers, name, None)
-    elif name in _BY_NAME:
-        build = _BY_NAME[name]
-        options = _defaults(name, population, nominal) | options
-    else:
-        raise StudyError(
-            f"The sampler {name!r} is unknown: use one of {', '.join(_BY_NAME)}, "
-            "or {_target_: optuna.samplers.<class>}."
-        )
-    if not (isinstance(build, type) and issubclass(build, BaseSampler)):
-        raise StudyError(f"The sampler {name!r} is not a class of optuna.samplers.")
-    if build in _STATEFUL:
-        raise StudyError(
-            f"{name} counts its points outside the trials, so it would repeat them: use one of {', '.join(_BY_NAME)}."
-        )
-    if directions > 1 and build is optuna.samplers.CmaEsSampler:
+    name = str(options.pop("name", ""))
+    if name not in _BY_NAME:
+        raise StudyError(f"The sampler {name!r} is unknown: use one of {', '.join(_BY_NAME)}.")
+    if directions > 1 and name == "cmaes":
         raise StudyError(f"The sampler {name!r} takes one objective, the study has {directions}: use nsga2.")
-    factory = functools.partial(_build, build, options)
+    factory = functools.partial(_build, _BY_NAME[name], _defaults(name, population, nominal) | options)
     try:
         factory(0)
     except (TypeError, ValueError, ImportError) as error:
@@ -110,4 +88,4 @@ def _defaults(name: str, population: int, nominal: Mapping[str, Any] | None) -> 
         operators = {"crossover": nsgaii.SBXCrossover, "mutation": nsgaii.PolynomialMutation}
         size = {"population_size": generation if population >= 16 else 50}
         return operators | size | ({"proposals": population // 2} if name == "nsga2+surrogate" else {})
-    return {"warn_independent_sampling": False} if name == "gp" else {}
+    return {}

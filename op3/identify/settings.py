@@ -29,7 +29,7 @@ class PopulationSweeperConf:
     _target_: str = f"{PLUGIN_MODULE}.PopulationSweeper"
     # The sampler is built by us, once for every population.
     _recursive_: bool = False
-    # tpe, cmaes, nsga2, gp, random; {name: tpe, **options}; {_target_: optuna.samplers.TPESampler, **options}
+    # tpe, cmaes, nsga2, nsga2+surrogate, random; {name: tpe, **options}
     sampler: Any = "tpe"
     # minimize or maximize; a list for several objectives
     direction: Any = "minimize"

@@ -70,7 +70,7 @@ def run_study(
     evaluate: Evaluate,
     search_space: SearchSpace,
     *,
-    sampler: str | Mapping[str, Any] | SamplerFactory = "tpe",
+    sampler: str | Mapping[str, Any] = "tpe",
     directions: Sequence[str] = ("minimize",),
     storage: str | Path | BaseStorage | None = None,
     study_name: str = "study",

@@ -1,10 +1,10 @@
 """Robots and servos as data, scenes and motions; what is the OP3's by nature is in `op3_motions` and `op3_suites`."""
 
 from op3.robot.assets import asset_path, named_configs
-from op3.robot.board import BoardDrive, BoardMotion, Tilts, Waves, WeightDrive, WeightSchedule, board_drive
+from op3.robot.board import BoardDrive, BoardMotion, Tilts, Waves, WeightDrive, WeightSchedule, board_drive, stack
 from op3.robot.entity import RobotEntity
 from op3.robot.excitations import chirp, multisine, staircase, triangle
-from op3.robot.kinematics import center_of_mass, key_points, quaternion, sole_corners, standing_height
+from op3.robot.kinematics import key_points, quaternion, sole_corners, standing_height
 from op3.robot.motion_checks import check_motion, motion_faults
 from op3.robot.motions import Motion, hold
 from op3.robot.op3_motions import SinusoidalGait, push_down, soften, squat, sway
@@ -34,7 +34,6 @@ __all__ = [
     "board_drive",
     "build_bench",
     "build_scene",
-    "center_of_mass",
     "check_motion",
     "chirp",
     "draw_tiles",
@@ -56,6 +55,7 @@ __all__ = [
     "soften",
     "sole_corners",
     "squat",
+    "stack",
     "staircase",
     "standing_height",
     "sway",

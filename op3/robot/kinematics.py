@@ -1,4 +1,4 @@
-"""Forward kinematics of a bare robot, by MuJoCo: where soles, key points and the centre of mass are.
+"""Forward kinematics of a bare robot, by MuJoCo: where soles and key points are.
 
 All results are in the frame of the base (of the OP3: origin between the hip yaw axes, x forward, y left, z up).
 """
@@ -23,7 +23,6 @@ def _forward(joint_position: ArrayLike, robot: str | Robot) -> tuple[Robot, mujo
     data = mujoco.MjData(known.bare_model)
     data.qpos[:] = known.position(joint_position)
     mujoco.mj_kinematics(known.bare_model, data)
-    mujoco.mj_comPos(known.bare_model, data)
     base = known.file.base
     return known, data, np.zeros(3) if base is None else data.body(base).xpos.copy()
 
@@ -46,12 +45,6 @@ def key_points(joint_position: ArrayLike, robot: str | Robot = DEFAULT) -> Array
     """The key points relative to the base [m], [key point, xyz] in the order of the robot's file."""
     known, data, base = _forward(joint_position, robot)
     return np.array([data.site(name).xpos for name in known.file.key_points]) - base
-
-
-def center_of_mass(joint_position: ArrayLike, robot: str | Robot = DEFAULT) -> Array:
-    """Centre of mass of the whole robot relative to the base [m], [xyz]."""
-    _, data, base = _forward(joint_position, robot)
-    return data.subtree_com[0] - base
 
 
 def standing_height(

@@ -24,9 +24,6 @@ VELOCITY_UNIT = _SERVO.counts.velocity.si
 CURRENT_UNIT = _SERVO.unit("current")
 """One unit of present and goal current [A]."""
 
-CONTINUOUS_CURRENT_COUNTS = round(_SERVO.continuous_current / CURRENT_UNIT)
-"""What a servo carries for ever, in units of current."""
-
 VOLTAGE_UNIT = _SERVO.counts.voltage.si
 """One unit of input voltage [V]."""
 

@@ -12,7 +12,6 @@ from op3.servo.effect import (
     effect_class,
     parameter,
     register,
-    secant_values,
 )
 from op3.servo.robot_model import Estimate, RobotModel
 from op3.servo.servos import Servos, Signals
@@ -32,5 +31,4 @@ __all__ = [
     "effect_class",
     "parameter",
     "register",
-    "secant_values",
 ]

@@ -355,22 +355,6 @@ def parameter(name: str) -> Parameter:
     return known[name]
 
 
-def secant_values(secant: Mapping[str, float], values: Mapping[str, float]) -> dict[str, float]:
-    """Parameter values at a secant, kept within what physics allows.
-
-    Args:
-        secant: one of `Effect.secants`.
-        values: what parameters are now; those missing have their neutral value, and parameters of effects that are
-            off may be left out.
-    """
-    moved = {}
-    for name, change in secant.items():
-        known = parameter(name)
-        start = 0.0 if known.neutral is None else values.get(name, known.neutral)
-        moved[name] = min(max(start + change, known.least), known.most)
-    return moved
-
-
 def in_stage_order(effects: Sequence[Effect]) -> list[Effect]:
     """Effects sorted by stage and rank; those of one rank keep their order.
 

@@ -9,11 +9,10 @@ from dm_control.composer.observation import observable
 from dm_env import specs
 
 from op3.policy import ActionMap
-from op3.robot import build_scene, place_tiles, tile_ids
+from op3.robot import board_drive, build_scene, place_tiles, stack, tile_ids
 from op3.servo import RobotModel
 from op3.sim import GearedServo
 from op3.tasks.beginning import begin, episode_seed
-from op3.tasks.ground import Ground
 from op3.tasks.pushes import Pushes
 from op3.tasks.rules import Outcome, Rules
 from op3.tasks.setups import OP3_CONTROL_PERIOD
@@ -90,7 +89,9 @@ class LocomotionTask(composer.Task):
             place_tiles(model.geom_pos, self._tiles, beginning.tiles)
         data.xfrc_applied[:] = 0.0
         self._pushes = None if beginning.push is None else Pushes([beginning.push])
-        self._ground = None if beginning.board is None else Ground(model, [beginning.board])
+        if beginning.board is not None:
+            self._board: Any = stack([beginning.board])
+            self._drive: Any = board_drive(model, beginning.board, OP3_CONTROL_PERIOD)
         first = {name: value[0] for name, value in self.rules.resting_commands(1).items()}
         self.servo.initialize_episode(physics, **first)
         phase = torch.tensor([beginning.phase], dtype=torch.float64)
@@ -112,8 +113,8 @@ class LocomotionTask(composer.Task):
             data, time = physics.data.ptr, self._start + self._substep * PHYSICS_TIMESTEP
             if self._pushes is not None:
                 self._pushes.drive(time, data.xfrc_applied[self._trunk][None])
-            if self._ground is not None:
-                self._ground.drive(time, data.qpos[None], data.qvel[None], data.qfrc_applied[None])
+            if self.task.board is not None:
+                self._drive.apply(self._board, time, data.qpos[None], data.qvel[None], data.qfrc_applied[None])
             self.servo.before_step(physics, **self._commands)
         self.servo.before_substep(physics)
         self._substep += 1

@@ -10,7 +10,8 @@ import torch
 from scipy.special import ive
 from torch import Tensor
 
-from op3.robot.units import CONTINUOUS_CURRENT_COUNTS, CURRENT_UNIT, GRAVITY
+from op3.robot import load_robot
+from op3.robot.units import GRAVITY
 
 STANCE_SHARE = 0.7
 """Share of the cycle in which a foot carries the robot; paper, 0.7:0.3."""
@@ -107,7 +108,7 @@ def overload_term(current: Tensor) -> Tensor:
     Args:
         current: of all motors, ``[..., joint]`` in A.
     """
-    load = (current / (CONTINUOUS_CURRENT_COUNTS * CURRENT_UNIT)).square()
+    load = (current / load_robot().servos[0].continuous_current).square()
     return _penalty((load - 0.5).clamp(min=0.0).sum(-1))
 
 

@@ -159,7 +159,7 @@ def test_board_follows_its_motion():
     """Under a robot the board is where the motion of the episode's seed says, to 0.1 mrad."""
     env = make_env("balance", num_envs=2, seed=2)
     roll(env, 60)
-    angle, _ = env._ground._motion.at(env.rules.time.numpy())
+    angle, _ = env._board.at(env.rules.time.numpy())
     np.testing.assert_allclose(env._qpos[:, [28, 27]], angle, atol=1e-4)
     assert np.abs(angle).max() > 0.01
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from op3.robot import Motion, center_of_mass, hold, pose, sole_corners, squat
+from op3.robot import Motion, hold, pose, sole_corners, squat
 from op3.robot.kinematics import rotation_matrix, sole_normals
 from op3.robot.motions import minimum_jerk
 from op3.robot.op3_motions import SQUAT_LEAN
-from tests.op3_table import JOINTS, SOFT_LIMITS, indices, mirror
+from tests.op3_table import JOINTS, SOFT_LIMITS, center_of_mass, indices, mirror
 
 LIMITS = np.array([SOFT_LIMITS[name] for name in JOINTS])
 

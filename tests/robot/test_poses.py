@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from op3.robot import center_of_mass, pose, sole_corners, standing_height
+from op3.robot import pose, sole_corners, standing_height
 from op3.robot.kinematics import level_soles, rotation_matrix, sole_normals
 from op3.robot.op3_motions import squat_position
-from tests.op3_table import JOINTS, OP3, SOFT_LIMITS, indices, mirror
+from tests.op3_table import JOINTS, OP3, SOFT_LIMITS, center_of_mass, indices, mirror
 
 LIMITS = np.array([SOFT_LIMITS[name] for name in JOINTS])
 

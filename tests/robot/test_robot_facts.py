@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import yaml
 
-from op3.robot import asset_path, center_of_mass, pose, standing_height
-from tests.op3_table import JOINTS, SERVO_IDS, SOFT_LIMITS
+from op3.robot import asset_path, pose, standing_height
+from tests.op3_table import JOINTS, SERVO_IDS, SOFT_LIMITS, center_of_mass
 
 FACTS_PATH = Path(__file__).resolve().parents[2] / ".." / "shared" / "robot" / "op3_facts.yaml"
 

@@ -6,7 +6,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from op3.servo import Effect, RobotModel, Servos, Signals, catalogue, parameter, secant_values
+from op3.servo import Effect, RobotModel, Servos, Signals, catalogue, parameter
 from op3.servo.effect import Trunk
 from op3.servo.effects import (
     AsymmetricFriction,
@@ -34,6 +34,7 @@ from op3.servo.effects import (
     Viscous,
     VoltageSag,
 )
+from tests.secants import secant_values
 
 MOTOR = {"torque_constant": 0.006, "terminal_resistance": 5.0, "armature": 0.005}
 CONSTANT = 0.006 * 353.5

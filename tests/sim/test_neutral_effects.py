@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from op3.servo import RobotModel, catalogue, parameter, secant_values
+from op3.servo import RobotModel, catalogue, parameter
 from op3.servo.effects import (
     Coulomb,
     CurrentPD,
@@ -17,6 +17,7 @@ from op3.servo.effects import (
 )
 from op3.sim import BatchSimulation, PendulumSimulation
 from op3.tasks import Setup
+from tests.secants import secant_values
 
 NEUTRAL = [n for n, e in catalogue().items() if e.secants and n != "position_servo"]
 """All but the motor and what closes its loop, without which there is no servo to compare with."""

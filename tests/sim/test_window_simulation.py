@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from op3.robot import pose
-from op3.servo import RobotModel, catalogue, secant_values
+from op3.servo import RobotModel, catalogue
 from op3.servo.effects import CurrentPD, Motor
 from op3.servo.machine_code import scalar
 from op3.sim import (
@@ -24,6 +24,7 @@ from op3.sim import (
 from op3.sim.window_steps import coupled, solve_dry, solve_linear
 from op3.tasks.setups import Setup
 from tests.op3_table import JOINTS
+from tests.secants import secant_values
 
 LEG = ("r_hip_yaw", "r_hip_roll", "r_hip_pitch", "r_knee", "r_ank_pitch", "r_ank_roll")
 PERIOD = 0.008
