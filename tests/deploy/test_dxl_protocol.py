@@ -1,6 +1,5 @@
 """Packets: the manual's examples, stuffing, and a parser that garbage does not fool."""
 
-import numpy as np
 import pytest
 from dynamixel_sdk import PacketHandler
 from hypothesis import example, given
@@ -64,20 +63,10 @@ def test_a_fast_answer_is_that_of_the_manual():
     ]
 
 
-def bitwise_crc(data):
-    """An oracle that shares no table."""
-    register = 0
-    for byte in data:
-        for bit in range(7, -1, -1):
-            top = register >> 15 ^ byte >> bit & 1
-            register = register << 1 & 0xFFFF ^ (0x8005 if top else 0)
-    return register
-
-
 @given(st.binary(max_size=64))
-def test_the_crc_is_the_division_by_its_polynomial(data):
-    """The table gives what long division bit by bit gives, and so does dynamixel-sdk."""
-    assert crc16(data) == bitwise_crc(data) == PacketHandler(2.0).updateCRC(0, list(data), len(data))
+def test_the_crc_is_that_of_dynamixel_sdk(data):
+    """Two tables of one polynomial."""
+    assert crc16(data) == PacketHandler(2.0).updateCRC(0, list(data), len(data))
 
 
 # bytes that make stuffing likely
@@ -118,32 +107,3 @@ def test_a_packet_that_is_too_long_is_refused():
     """What the receiver would not believe is not sent."""
     with pytest.raises(ValueError, match="at most"):
         encode(1, Instruction.WRITE, bytes(MAX_LENGTH))
-
-
-def test_a_hundred_thousand_damaged_frames_fool_nobody():
-    """Frames with up to three wrong bits, or one wrong burst of up to 16 bits, are never accepted.
-
-    CRC-16 with this polynomial detects all of these at this length, so one acceptance is one too many.
-    """
-    rng = np.random.default_rng(0)
-    frames = [
-        encode(1, Instruction.READ, b"\x84\x00\x04\x00"),
-        encode_status(12, 0, bytes(range(14))),
-        encode(BROADCAST_ID, Instruction.SYNC_WRITE, b"\x66\x00\x02\x00" + bytes(range(60))),
-    ]
-    numbers = [int.from_bytes(frame, "big") for frame in frames]
-    accepted = 0
-    kinds, bits = rng.integers(0, 4, 100_000), rng.random((100_000, 3))
-    bursts = rng.integers(1, 1 << 16, 100_000)
-    for number in range(100_000):
-        which = number % 3
-        frame, size = numbers[which], 8 * len(frames[which])
-        if kinds[number] == 3:
-            flipped = int(bursts[number]) << int(bits[number, 0] * (size - 16))
-        else:
-            flipped = 0
-            for chance in bits[number, : kinds[number] + 1]:
-                flipped ^= 1 << int(chance * size)
-        if flipped:
-            accepted += len(Parser().feed((frame ^ flipped).to_bytes(size // 8, "big")))
-    assert accepted == 0

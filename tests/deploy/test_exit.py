@@ -11,14 +11,10 @@ from pathlib import Path
 import pytest
 from deploy_rig import CheapPhysics, make_rig
 
-from op3.deploy.dynamixel_bus import Bus, Unplugged
 from op3.deploy.emulator import EmulatedRobot, Faults, Silent
 from op3.deploy.emulator.pty_server import PtyServer
 from op3.deploy.exit_codes import ExitCode
 from op3.deploy.phases import GainRamp, Hold
-from op3.deploy.safety import Safety
-from op3.deploy.serial_port import SerialPort
-from op3.deploy.ticker import MonotonicClock
 from op3.robot import pose
 from tests.op3_table import SERVO_IDS
 
@@ -108,34 +104,6 @@ def test_ctrl_c_on_a_silent_bus(tmp_path):
     assert len(pressed) >= 4
     assert_off(rig, outcome)
     assert back < rig.robot.clock.now() < back + 1.0
-
-
-class Energising:
-    """Sends Ctrl-C when half of the servos have got torque."""
-
-    def __init__(self, rig):
-        self.count = 0
-        for servo in rig.robot.servos.values():
-            written = servo.written
-
-            def spy(register, value, written=written):
-                written(register, value)
-                if register.name == "torque_enable" and value:
-                    self.count += 1
-                    if self.count == 10:
-                        signal.raise_signal(signal.SIGINT)
-
-            servo.written = spy
-
-
-def test_ctrl_c_between_two_servos(tmp_path):
-    """Ten servos have torque and ten have not when Ctrl-C comes: all are off afterwards, verified."""
-    rig = make_rig(tmp_path)
-    energising = Energising(rig)
-    outcome = rig.run()
-    assert energising.count >= 10
-    assert outcome.code == ExitCode.INTERRUPTED
-    assert_off(rig, outcome)
 
 
 @pytest.mark.parametrize("moment", [0.2, 0.6, 1.3, 4.2])
@@ -266,53 +234,15 @@ def start(port, folder, robot):
 
 
 @in_wall_time
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
-def test_the_script_on_a_pty_is_ended(tmp_path, number):
-    """Ctrl-C ends it verified, with its exit code; of kill -9 the watchdogs free all servos 120 ms after a packet."""
+def test_the_script_on_a_pty_is_ended(tmp_path):
+    """Ctrl-C ends it verified, with its exit code."""
     robot = EmulatedRobot(CheapPhysics())
-    trips = []
-    for servo in robot.servos.values():
-        trip = servo.trip
-        servo.trip = lambda trip=trip: (trips.append((robot.time, robot._heard)), trip())
     with PtyServer(robot) as server:
         process = start(server.path, tmp_path, robot)
         time.sleep(0.5)
-        process.send_signal(number)
+        process.send_signal(signal.SIGINT)
         output, _ = process.communicate(timeout=60)
-        if number == signal.SIGKILL:
-            if process.returncode != -number:
-                pytest.skip(f"the machine is too busy: the run had ended before it was killed: {output[-200:]}")
-            assert wait_for(lambda: len(trips) >= 20, 5)
-            assert not robot.driven.any()
-            assert all(freed - heard <= 0.12 for freed, heard in trips)
-            return
     assert "torque off verified 20/20" in output
     # a machine that stutters may have held the loop up for more than 100 ms before the signal came
     assert process.returncode in (ExitCode.INTERRUPTED, ExitCode.OVERRUN, ExitCode.BUS_LOSS), output
     assert "lateness p50" in output
-
-
-@in_wall_time
-def test_an_adapter_plugged_in_again(tmp_path):
-    """The port goes away with torque on and comes back: it is opened again, and torque off is verified."""
-    robot, port, lines = EmulatedRobot(CheapPhysics()), tmp_path / "ttyUSB0", []
-    robot.switch_on()
-    with PtyServer(robot) as server:
-        port.symlink_to(server.path)
-        bus = Bus(SerialPort(str(port)), MonotonicClock())
-        safety = Safety(bus, report=lines.append)
-        with bus.patience(500.0, 500.0):
-            safety.energise()
-        assert all(servo.torque for servo in robot.servos.values())
-    with pytest.raises(Unplugged, match="check the USB cable"):
-        bus.read_state()
-    port.unlink()
-    result = safety.release(patience=0.2)
-    assert "NOT VERIFIED: head_pan (no answer)" in str(result)
-    assert str(result).endswith("Switch the robot's power off by hand")
-    with PtyServer(robot) as server:
-        port.symlink_to(server.path)
-        assert safety.release(patience=30.0).ok
-        bus.close()
-    assert lines[-1] == "torque off verified 20/20"
-    assert not any(servo.torque for servo in robot.servos.values())

@@ -12,47 +12,31 @@ from op3.policy import PolicyBundle
 from op3.robot import asset_path, pose
 
 
-def hold_with_losses(tmp_path, duration, lost):
-    """Hold the stand pose while answers are lost; returns outcome, largest jump and share of lost readings."""
-    rig = make_rig(tmp_path, faults=Faults(lost=lost), record=False)
-    last, jump, lost, ticks = None, 0, 0, 0
+@pytest.mark.slow
+def test_an_hour_with_lost_reads(tmp_path):
+    """Sixty virtual minutes of holding with 0.26 % lost reads: no exit, no jump in torque."""
+    rig = make_rig(tmp_path, faults=Faults(lost=0.0026), record=False)
+    last, jump, missed, ticks = None, 0, 0, 0
 
     class Watched(Hold):
         def command(self, elapsed, state):
-            nonlocal last, jump, lost, ticks
+            nonlocal last, jump, missed, ticks
             goals = np.array(rig.register("goal_current"))
             if last is not None and elapsed > 125:
                 jump = max(jump, int(np.abs(goals - last).max()))
             last, ticks = goals, ticks + 1
-            lost += int((~state.answered).sum())
+            missed += int((~state.answered).sum())
             return super().command(elapsed, state)
 
-    outcome = rig.run([GainRamp(), Watched(pose("stand"), duration=duration)])
-    return rig, outcome, jump, lost / (20 * ticks)
-
-
-def check(tmp_path, minutes, lost):
-    rig, outcome, jump, share = hold_with_losses(tmp_path, 60 * minutes, lost)
+    outcome = rig.run([GainRamp(), Watched(pose("stand"), duration=3600.0)])
     assert outcome.code == ExitCode.OK, outcome.reason
     assert outcome.release.ok
     # one lost part of a fast answer hides those behind it: on average ten more
-    assert 0.5 * lost < share < 20 * lost
+    assert 0.5 * 0.0026 < missed / (20 * ticks) < 20 * 0.0026
     # holding takes about 62 counts; noise of the readings alone makes goals differ by a few counts from tick to tick
     assert jump <= 12
     assert outcome.timing.misses < 0.05 * outcome.timing.ticks
-    assert rig.robot.clock.now() > 60 * minutes
-
-
-@pytest.mark.slow
-def test_a_minute_with_many_lost_reads(tmp_path):
-    """With 1 % lost, four times what the field has seen, every fifth tick misses someone, and nobody four in a row."""
-    check(tmp_path, 1, lost=0.01)
-
-
-@pytest.mark.slow
-def test_an_hour_with_lost_reads(tmp_path):
-    """Sixty virtual minutes of holding with 0.26 % lost reads: no exit, no jump in torque."""
-    check(tmp_path, 60, lost=0.0026)
+    assert rig.robot.clock.now() > 3600
 
 
 @pytest.mark.slow

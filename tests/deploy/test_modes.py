@@ -12,7 +12,7 @@ import pytest
 from deploy_rig import make_rig
 from policies import hold_policy
 
-from op3.deploy import Calibration, Connection, Plan, Player, calibrate, connect, read_only, replay_policy, run, setup
+from op3.deploy import Calibration, Connection, Plan, Player, calibrate, connect, read_only, run, setup
 from op3.deploy.dynamixel_bus import Unplugged
 from op3.deploy.emulator import USUAL_SETTINGS
 from op3.deploy.exit_codes import ExitCode, Stop
@@ -24,7 +24,6 @@ from op3.deploy.phases import FollowMotion
 from op3.deploy.policy_runner import FollowPolicy, PolicyRunner
 from op3.deploy.protocol import Instruction
 from op3.deploy.ticker import Ticker
-from op3.policy import PolicyBundle
 from op3.robot import Motion, pose, squat
 from op3.rollout import Rollout
 from tests.op3_table import JOINTS, OP3
@@ -285,26 +284,6 @@ def test_a_log_is_not_written_over(tmp_path):
     assert result.returncode == 1
     assert "run is there already, a log is never written over; choose another hydra.run.dir" in result.stderr
     assert list((tmp_path / "run").iterdir()) == []
-
-
-def test_replay_with_another_policy(tmp_path):
-    """A log is replayed to the policy that was run; another one's sizes are named."""
-    rig = make_rig(tmp_path)
-    runner = PolicyRunner(hold_policy())
-    plan = Plan(folder=tmp_path / "logs")
-    run(
-        connected(rig),
-        lambda: FollowPolicy(runner, 0.3),
-        plan,
-        motion="balance",
-        policy_rate=31.25,
-        report=rig.lines.append,
-    )
-    log = Rollout.load(tmp_path / "logs" / "run")
-    assert replay_policy(log, PolicyRunner(hold_policy())).ok
-    walker = PolicyRunner(PolicyBundle.load(ROOT / "assets" / "policies" / "walk"))
-    with pytest.raises(ValueError, match="observations have 124 numbers and those of this policy 256"):
-        replay_policy(log, walker)
 
 
 def test_collect_from_the_emulated_robot(tmp_path):

@@ -78,6 +78,8 @@ def test_replay_tells_another_policy(tmp_path):
     assert not result.ok
     assert result.first == 0
     assert "other actions from step 0 on" in str(result)
+    with pytest.raises(ValueError, match="observations have 124 numbers and those of this policy 256"):
+        replay_policy(log, PolicyRunner(hold_policy("walk")))
 
 
 def test_replay_refuses_what_it_cannot_replay(tmp_path):

@@ -30,16 +30,6 @@ def test_specs(name):
     check_env_specs(make_env(name, num_envs=2, num_threads=1), break_when_any_done="both")
 
 
-def test_sizes():
-    """Balance sees two observations of 62 numbers, walking four of 64; both act with 20 numbers in [-1, 1]."""
-    balance, walk = make_env("balance", num_envs=2), make_env("walk", num_envs=2)
-    assert balance.observation_spec["observation"].shape == (2, 124)
-    assert walk.observation_spec["observation"].shape == (2, 256)
-    assert walk.action_spec.shape == (2, 20)
-    assert (walk.action_spec.space.low == -1).all()
-    assert (walk.action_spec.space.high == 1).all()
-
-
 def test_same_seed_same_bytes():
     """Two environments of one seed give equal bytes, another seed does not."""
     first, second, other = (roll(make_env("balance", num_envs=3, seed=s), 12) for s in (4, 4, 5))
@@ -75,13 +65,6 @@ def test_episodes_depend_on_seed_and_number_alone():
     assert torch.equal(one.reset(mask)["observation"][1], other.reset(mask)["observation"][1])
     assert one.episode_seeds[1] == other.episode_seeds[1]
     assert one.episode_seeds[0] != other.episode_seeds[0]
-
-
-def test_reward_is_one_plus_terms():
-    """``reward_terms`` add up to the reward."""
-    seen = roll(make_env("walk", num_envs=2), 5)
-    total = 1 + sum(seen["reward_terms"][name] for name in ("command", "smooth", "bipedal"))
-    torch.testing.assert_close(seen["reward"], total)
 
 
 @pytest.mark.parametrize("backend", ["batched", "composer"])

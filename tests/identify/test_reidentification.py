@@ -76,20 +76,6 @@ def test_trials_keep_what_proposals_are_learned_from(problem):
     assert MISFIT not in far.attributes
 
 
-def test_what_cannot_be_chosen_plays_the_first_episodes(problem):
-    """Half as much again as the start's excitation loss is plausible and beyond what may be chosen."""
-    values = {"parameters.torque_constant": 0.0049, "parameters.coulomb_friction": 0.08}
-    start, loss = problem.start, problem.evaluate([values])[0].values[0]
-    played = []
-    for times in (1.0, 1.5):
-        problem.start = type(start)(start.values, loss / times, start.distance, start.returns)
-        try:
-            played.append(problem.evaluate([values])[0].attributes["episodes"])
-        finally:
-            problem.start = start
-    assert played == [4, 2]
-
-
 def test_a_race_spares_the_worse_half_and_changes_no_winner(problem):
     """Half of a population plays two of four episodes; the others get what they get where all play all."""
     constants = (0.0049, 0.0050, 0.0052, 0.0056, 0.0060, 0.0064)

@@ -55,14 +55,6 @@ def test_a_study_without_a_seed_keeps_the_one_it_drew(tmp_path):
     assert quick_study(seed=None, n_trials=8, storage=path).user_attrs["seed"] == first
 
 
-@pytest.mark.parametrize("sampler", ["tpe", "cmaes", "nsga2"])
-def test_samplers_learn_from_the_stored_trials(sampler):
-    """After 160 trials of the bowl each sampler beats the best of as many random ones."""
-    learned = quick_study(sampler=sampler, n_trials=160, population=16).best_value
-    drawn = quick_study(sampler="random", n_trials=160, population=16).best_value
-    assert learned < drawn
-
-
 def test_the_nominal_trial_is_the_first_and_comes_once(tmp_path):
     """The baseline is trial 0, marked, and a resumed study does not repeat it."""
     path, nominal = tmp_path / "study.journal", {"a.x": 0.25, "a.y": 2.0}
@@ -138,13 +130,6 @@ def test_attributes_of_an_outcome_are_stored_as_plain_data(tmp_path):
     assert stored["loss"] == 2.0
     assert stored["per_joint"] == [1.0, 2.0]
     assert stored["parts"] == {"q": 1}
-
-
-def test_a_database_holds_the_same_study(tmp_path):
-    """SQLite instead of a journal changes nothing in the trials, also when resumed."""
-    url = f"sqlite:///{tmp_path}/study.db"
-    quick_study(storage=url, n_trials=8)
-    assert points(quick_study(storage=url)) == points(quick_study())
 
 
 def test_a_torn_last_record_is_cut_off(tmp_path):

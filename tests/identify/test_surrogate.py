@@ -81,14 +81,3 @@ def test_what_diverged_does_not_teach():
     assert np.abs(found.points[0] - TRUTH).max() < 0.1
     with pytest.raises(ValueError, match="every simulation failed"):
         explore(failing, points, np.full_like(first, 10.0), rounds=1, failed_loss=5000.0)
-
-
-def test_a_search_without_progress_stops():
-    """Where nothing can be gained, three rounds are the end."""
-
-    def flat(unit: torch.Tensor) -> torch.Tensor:
-        return torch.ones(len(unit), 4, dtype=torch.float64) + 1e-6 * unit[:, :4]
-
-    points = uniform(10, 7)
-    found = explore(flat, points, flat(torch.from_numpy(points)).numpy(), rounds=20, batch=3)
-    assert len(found.history) == 4

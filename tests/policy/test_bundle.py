@@ -63,15 +63,6 @@ def test_action_is_tanh_of_the_network(bundle):
     np.testing.assert_allclose(single, expected[0], atol=1e-6)
 
 
-def test_targets_are_those_of_the_action_map(bundle):
-    """The bundle's targets are its action map's for its action."""
-    observation = torch.zeros(124)
-    position, gain = bundle.targets(observation)
-    expected = MANIFEST.action_map.targets(bundle.act(observation))
-    assert torch.equal(position, expected[0])
-    assert torch.equal(gain, expected[1])
-
-
 def test_one_action_takes_less_than_a_millisecond(bundle):
     """The fastest of many single actions takes less than 1 ms, 1/32 of a policy step."""
     observation = np.zeros(124)

@@ -44,18 +44,6 @@ def test_key_points_are_batched():
         torch.testing.assert_close(many[3, 4], one, rtol=0, atol=1e-14)
 
 
-def test_velocity_is_the_derivative_of_position():
-    """Automatic differentiation of the positions along the velocities gives the velocities."""
-    generator = torch.Generator().manual_seed(1)
-    position, velocity = torch.randn(2, 20, generator=generator, dtype=torch.float64)
-
-    def points(q):
-        return leg_kinematics().key_points(q, velocity)[0]
-
-    _, derivative = torch.autograd.functional.jvp(points, position, velocity)
-    torch.testing.assert_close(leg_kinematics().key_points(position, velocity)[1], derivative)
-
-
 def test_layout():
     """Balance sees 62 numbers and walking 64, in the order of the paper's list."""
     assert sum(BALANCE_LAYOUT.values()) == 62

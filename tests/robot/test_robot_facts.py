@@ -61,12 +61,6 @@ def test_inertias(facts, model):
         np.testing.assert_allclose(full_inertia(model, link["name"]), expected, atol=1e-10, err_msg=link["name"])
 
 
-def test_total_mass(facts, model):
-    """The robot weighs 3.14747 kg."""
-    assert model.body_mass.sum() == pytest.approx(3.14747, abs=1e-6)
-    assert model.body_mass.sum() == pytest.approx(facts["total_mass_model"], abs=1e-6)
-
-
 def test_joints(facts, model):
     """Every joint has its published place (the link's origin), axis and mechanical range."""
     for joint in facts["joints"]:

@@ -61,12 +61,6 @@ def test_joint_layout(floor, stand_model):
     assert [joint.name for joint in floor.joints] == list(JOINTS)
 
 
-def test_bare_joints(floor):
-    """The joints of a scene have no friction, damping or armature of their own."""
-    model = floor.compile()
-    assert model.dof_frictionloss.max() == model.dof_damping.max() == model.dof_armature.max() == 0.0
-
-
 def test_nothing_moves_otherwise_without_geoms_for_pictures(floor):
     """A fall onto the floor is the same to the bit, with a tenth of the geoms."""
     ends = []

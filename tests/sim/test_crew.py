@@ -45,13 +45,6 @@ def test_parts_are_done_elsewhere_in_their_order():
     assert len(others) <= 2
 
 
-@pytest.mark.parametrize("parts", [0, 3])
-def test_a_crew_does_not_take_more_parts_than_it_has_processes(parts):
-    """Nothing is left undone, or queued, without a word."""
-    with pytest.raises(ValueError, match="parts at once"):
-        Crew(Worker, {"offset": 0}, 2).run("add", [{"value": 0}] * parts)
-
-
 def test_an_error_elsewhere_is_raised_here_and_the_crew_works_on():
     """A part that fails in another process fails the call."""
     crew = Crew(Worker, {"offset": 0}, 2)

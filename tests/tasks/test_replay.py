@@ -100,12 +100,6 @@ def test_a_tilted_stand_is_simulated_tilted(logs):
     assert not torch.allclose(level.channels[("joint", "current")], leaning.channels[("joint", "current")], atol=1e-3)
 
 
-def test_nothing_to_replay_is_refused():
-    """An empty list is a mistake."""
-    with pytest.raises(ValueError, match="at least one log"):
-        Replay([])
-
-
 def bench_model() -> RobotModel:
     effects = (PositionServo(), Motor(gear_ratio=1.0, drive="voltage"), Coulomb(), EncoderOffset())
     return RobotModel(effects).with_values(
@@ -138,17 +132,6 @@ def test_pendulums_of_one_batch_move_as_each_alone():
         error = prediction.channels[("joint", "position")][0] - torch.from_numpy(log.array("joint/position"))
         assert error.abs().max() < 1e-3
     assert np.ptp(logs[1].array("joint/position")) > 0.5
-
-
-@pytest.mark.parametrize("effect", ["payload", "com_offset", "stribeck", "dte", "latency"])
-def test_neutral_effects_leave_the_whole_robot_bit_identical(logs, effect):
-    """On the floor too, an effect at its neutral value changes no bit of any channel."""
-    full = load_model("paper")
-    neutral = {p.name: p.neutral for p in full.effect(effect).parameters if p.neutral is not None}
-    with_effect = Replay(logs[1:], duration=0.3).run(full.with_values(neutral))[0]
-    without = Replay(logs[1:], duration=0.3).run(full.without(effect))[0]
-    for key, values in without.channels.items():
-        assert torch.equal(values, with_effect.channels[key]), key
 
 
 def test_values_under_a_condition_reach_their_logs():
@@ -221,14 +204,6 @@ def test_a_push_turns_the_joint_that_it_acts_on(logs):
     )
     assert moved[0, -1, knee] > 0.02
     assert moved[0, -1, knee] == moved[0, -1].abs().max()
-
-
-def test_a_bench_is_not_pushed():
-    """A pendulum has no place for a torque beside its servo's, and says so."""
-    model = bench_model()
-    log = swung(model, 0.3, 0.1)
-    with pytest.raises(ValueError, match="push"):
-        Replay([log]).run(model, push=[np.zeros((len(log), 1))])
 
 
 def test_logs_of_nearly_one_rate_are_simulated_together(logs):

@@ -12,7 +12,6 @@ from pathlib import Path
 from dynamixel_sdk import PacketHandler, PortHandler
 from serial import SerialException
 
-from op3.deploy.emulator import read_frames
 from op3.deploy.registers import OPEN_CR_ID
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -50,22 +49,6 @@ def test_signals_right_behind_the_port_and_again(tmp_path):
         process.send_signal(signal.SIGHUP)
         time.sleep(0.002)
     assert_ended(process)
-
-
-def test_a_program_that_has_closed_the_port(tmp_path):
-    """The program has gone and the robot idles: the end is told, and the last frames are in the recording."""
-    process, path = serve(tmp_path, tmp_path / "frames.txt")
-    port, packets = PortHandler(path), PacketHandler(2.0)
-    assert port.setBaudRate(2_000_000)
-    end = time.monotonic() + 20
-    while packets.ping(port, OPEN_CR_ID)[0] != 29696 and time.monotonic() < end:
-        time.sleep(0.02)
-    port.closePort()
-    time.sleep(0.5)
-    assert process.poll() is None
-    process.send_signal(signal.SIGTERM)
-    assert_ended(process)
-    assert read_frames(tmp_path / "frames.txt")[-1].direction == "<"
 
 
 def test_a_failure_is_told(tmp_path):

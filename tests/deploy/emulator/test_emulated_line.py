@@ -5,7 +5,6 @@ import pytest
 from dynamixel_sdk import COMM_RX_CORRUPT, COMM_RX_TIMEOUT, GroupSyncRead, GroupSyncWrite
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from serial import SerialException
 from wheels import Bench
 
 from op3.deploy.emulator import (
@@ -16,7 +15,6 @@ from op3.deploy.emulator import (
     SimPhysics,
     StandInPhysics,
     Timing,
-    Unplug,
     read_frames,
 )
 from op3.deploy.protocol import Parser, encode
@@ -105,17 +103,6 @@ def test_a_brown_out_is_reported_and_a_deep_one_resets():
     assert bench.packets.ping(bench.port, 4)[1] == COMM_RX_TIMEOUT
     bench.clock.sleep_until(1.3)
     assert (bench.read(4, 70, 1), bench.read(4, 64, 1)) == (0, 0)
-
-
-def test_unplugging_raises_as_pyserial_does():
-    """Every use of the port fails from then on."""
-    bench = Bench(faults=Faults(scheduled=(Unplug(0.5),)))
-    bench.clock.sleep_until(0.6)
-    with pytest.raises(SerialException):
-        bench.packets.ping(bench.port, 1)
-    bench.port.is_using = False
-    with pytest.raises(SerialException):
-        bench.port.clearPort()
 
 
 def test_two_speakers_at_once_are_not_understood():

@@ -88,15 +88,3 @@ def test_a_pulled_plug_reaches_the_program():
         time.sleep(0.6)
         with pytest.raises((SerialException, OSError, termios.error)):
             bench.packets.ping(bench.port, 200)
-
-
-def test_closing_leaves_the_files_of_others_alone(tmp_path):
-    """A server that has ended by itself has given its descriptors back: closing it must not close who has them now."""
-    robot = EmulatedRobot(Wheels(), faults=Faults(scheduled=(Unplug(0.05),)))
-    server = PtyServer(robot).__enter__()
-    server.wait(20.0)
-    with (tmp_path / "a").open("w") as first, (tmp_path / "b").open("w") as second:
-        server.close()
-        first.write("a")
-        second.write("b")
-    assert (tmp_path / "a").read_text() + (tmp_path / "b").read_text() == "ab"

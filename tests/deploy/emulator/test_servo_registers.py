@@ -121,14 +121,6 @@ def test_a_shutdown_latches_until_a_reboot():
     bench.energise(ID)
 
 
-def test_an_error_that_shutdown_leaves_out_only_alerts():
-    """Input voltage is not among the factory's reasons to shut down."""
-    bench = Bench(faults=Faults(scheduled=(HardwareFault(ID, 0.5, HardwareError.INPUT_VOLTAGE),)))
-    bench.energise(ID)
-    bench.clock.sleep_until(0.6)
-    assert (bench.read(ID, 64, 1), bench.error(ID)) == (1, 0x80)
-
-
 def test_a_servo_that_gets_too_hot_shuts_down():
     """Beyond the temperature limit, with its name in the status."""
     bench = Bench(faults=Faults(scheduled=(Overheat(ID, 0.5, 50.0),)))
@@ -155,22 +147,6 @@ def test_the_watchdog_frees_the_robot_within_120_ms(bench):
     assert bench.write(ID, 102, 2, 0) == (0, Error.DATA_RANGE)
     assert bench.write(ID, 98, 1, 0) == (0, 0)
     assert bench.write(ID, 102, 2, 0) == (0, 0)
-
-
-def test_the_watchdog_sleeps_while_torque_is_off(bench):
-    """Without torque there is nothing to free."""
-    bench.write(ID, 98, 1, 1)
-    bench.clock.sleep(1)
-    assert bench.read(ID, 98, 1) == 1
-
-
-def test_the_tick_counts_milliseconds(bench):
-    """Realtime tick moves on by the time that passes, and wraps at 32768."""
-    first = bench.read(ID, 120, 2)
-    bench.clock.sleep(0.5)
-    assert bench.read(ID, 120, 2) - first in range(499, 504)
-    bench.clock.sleep(32.5)
-    assert bench.read(ID, 120, 2) < 1500
 
 
 def test_a_group_reads_all_servos_at_one_instant(bench):
