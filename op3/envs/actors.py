@@ -45,6 +45,7 @@ class Actor:
         model = position_mode(model) if self.stiff else model
         made = make_env(task, model, num_envs, seed, action_map=self.action_map, **options)
         assert isinstance(made, BatchedEnv)
+        made.commander = self.policy if self.stiff else None
         return made
 
     def step(self, env: BatchedEnv, state: TensorDictBase) -> TensorDictBase:
@@ -58,19 +59,7 @@ class Actor:
             The state after it, without the reward.
         """
         state["action"] = self.policy.act(state["observation"]).to(torch.float32).clamp(-1.0, 1.0)
-        before = env.on_tick
-
-        def command(tick: int) -> None:
-            env.simulation.command(**self.policy.commands(env.rules.time + tick * OP3_CONTROL_PERIOD))
-            if before is not None:
-                before(tick)
-
-        if self.stiff:
-            env.on_tick = command
-        try:
-            return env.step(state)["next"].exclude("reward")
-        finally:
-            env.on_tick = before
+        return env.step(state)["next"].exclude("reward")
 
 
 class FixedGain:

@@ -10,7 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from op3.envs.specs import PEAKS, set_specs
+from op3.envs.specs import answer, set_specs
 from op3.policy import ActionMap
 from op3.robot import board_drive, build_scene, place_tiles, stack, tile_ids
 from op3.servo import RobotModel
@@ -18,11 +18,11 @@ from op3.sim import BatchSimulation, attach_servos
 from op3.tasks.beginning import Beginning, begin, episode_seed
 from op3.tasks.pushes import Pushes
 from op3.tasks.randomisation import Randomisation
-from op3.tasks.rules import Outcome, Rules
+from op3.tasks.rules import Rules
 from op3.tasks.setups import OP3_CONTROL_PERIOD
 from op3.tasks.snapshot import Probe, Snapshot
 from op3.tasks.task import POLICY_PERIOD, TICKS, Task, find_task
-from op3.tasks.whole_step import Throughout, WholeStep
+from op3.tasks.whole_step import WholeStep
 
 
 class BatchedEnv(EnvBase):
@@ -103,6 +103,8 @@ class BatchedEnv(EnvBase):
         self.pushes: Pushes | None = None
         """What pushes the trunks; those of the episodes, unless others are set after a reset."""
         self.episode_seeds = np.zeros(num_envs, dtype=np.int64)
+        self.commander: Any = None
+        """Commands the servos itself at every tick, as `op3.tasks.StiffWalk` does; None: the actions do."""
         self.on_tick: Callable[[int], None] | None = None
         """Called with the number of the tick in the step, before it; a recorder looks at the robots here."""
         set_specs(self, task, self.action_map, num_envs)
@@ -166,14 +168,7 @@ class BatchedEnv(EnvBase):
             self._beginnings[row] = begin(self._beginning_task, self.scene, seed)
         self._place(rows)
         phase = torch.tensor([self._beginnings[row].phase for row in range(self.num_envs)], dtype=torch.float64)
-        observation = self.rules.begin(self.snapshot(), mask, phase)
-        zeros = torch.zeros(self.num_envs, 1)
-        done = torch.zeros(self.num_envs, 1, dtype=torch.bool)
-        terms = {name: zeros.clone() for name in self.observation_spec["reward_terms"].keys(True)}
-        flags = {name: done.clone() for name in ("done", "terminated", "truncated")}
-        peaks = {name: zeros.clone() for name in PEAKS}
-        content = {"observation": observation.float(), "reward_terms": terms, "peak": peaks, **flags}
-        return TensorDict(content, self.batch_size)
+        return answer(self.task, self.rules.begin(self.snapshot(), mask, phase))
 
     def _place(self, rows: np.ndarray) -> None:
         """Put robots at their beginnings, on their grounds, with their parameters."""
@@ -205,9 +200,11 @@ class BatchedEnv(EnvBase):
         time = self.rules.time.numpy()
         self._whole_step.begin(self._sites)
         for tick in range(TICKS):
+            now = time + tick * OP3_CONTROL_PERIOD
+            if self.commander is not None:
+                self.simulation.command(**self.commander.commands(torch.from_numpy(now)))
             if self.on_tick is not None:
                 self.on_tick(tick)
-            now = time + tick * OP3_CONTROL_PERIOD
             if self.pushes is not None:
                 self.pushes.drive(now, self._trunk)
             if self._board is not None:
@@ -215,7 +212,7 @@ class BatchedEnv(EnvBase):
             self.simulation.advance()
         throughout = self._whole_step.result()
         outcome = self.rules.finish(action, self.snapshot(), throughout, self.simulation.failed)
-        return self._answer(outcome, throughout)
+        return answer(self.task, outcome.observation, outcome, throughout)
 
     def _scaled(self, commands: dict[str, Tensor]) -> dict[str, Tensor]:
         """Commands as the servos get them."""
@@ -226,25 +223,6 @@ class BatchedEnv(EnvBase):
     def _look(self) -> None:
         simulation = self.simulation
         self._whole_step.look(self._qpos, self._qvel, self._sensordata.numpy(), self._sites, simulation.motor_current)
-
-    def _answer(self, outcome: Outcome, throughout: Throughout) -> TensorDict:
-        def column(values: Tensor) -> Tensor:
-            return values.float()[:, None]
-
-        done = (outcome.terminated | outcome.truncated)[:, None]
-        terms = {name: column(term) for name, term in outcome.terms.items()}
-        return TensorDict(
-            {
-                "observation": outcome.observation.float(),
-                "reward": column(outcome.reward),
-                "reward_terms": terms,
-                "peak": {name: column(getattr(throughout, f"peak_{name}")) for name in PEAKS},
-                "done": done,
-                "terminated": outcome.terminated[:, None].clone(),
-                "truncated": outcome.truncated[:, None].clone(),
-            },
-            self.batch_size,
-        )
 
     def snapshot(self) -> Snapshot:
         """The robots now."""

@@ -6,7 +6,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import EnvBase
 
-from op3.envs.specs import PEAKS, set_specs
+from op3.envs.specs import answer, set_specs
 from op3.policy import ActionMap
 from op3.servo import RobotModel
 from op3.tasks.locomotion import LocomotionTask, locomotion_environment
@@ -36,29 +36,9 @@ class ComposerEnv(EnvBase):
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDict:
         del tensordict, kwargs
         self.composer.reset()
-        zeros = torch.zeros(1, 1)
-        terms = {name: zeros.clone() for name in self.task.reward_terms}
-        peaks = {name: zeros.clone() for name in PEAKS}
-        return self._pack(terms, peaks, torch.zeros(1, dtype=torch.bool), torch.zeros(1, dtype=torch.bool))
+        return answer(self.task, self.composer_task.observation)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         self.composer.step(tensordict["action"][0].double().numpy())
-        outcome = self.composer_task.outcome
-        assert outcome is not None
-        terms = {name: term.float()[:, None] for name, term in outcome.terms.items()}
-        throughout = self.composer_task.throughout
-        peaks = {name: getattr(throughout, f"peak_{name}").float()[:, None] for name in PEAKS}
-        answer = self._pack(terms, peaks, outcome.terminated, outcome.truncated)
-        return answer.set("reward", outcome.reward.float()[:, None])
-
-    def _pack(self, terms: dict, peaks: dict, terminated: torch.Tensor, truncated: torch.Tensor) -> TensorDict:
-        flags = {"done": terminated | truncated, "terminated": terminated, "truncated": truncated}
-        return TensorDict(
-            {
-                "observation": self.composer_task.observation.float(),
-                "reward_terms": terms,
-                "peak": peaks,
-                **{name: flag.clone()[:, None] for name, flag in flags.items()},
-            },
-            self.batch_size,
-        )
+        made = self.composer_task
+        return answer(self.task, made.observation, made.outcome, made.throughout)

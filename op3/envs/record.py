@@ -22,16 +22,14 @@ Policy = Callable[[Tensor], Tensor]
 class _Tape:
     """Channels of all robots, tick by tick; a policy's are filled in when its step is over."""
 
-    def __init__(self, env: BatchedEnv, commander: Any | None):
-        self._env, self._commander = env, commander
+    def __init__(self, env: BatchedEnv):
+        self._env = env
         self.ticks: list[dict[Any, Tensor]] = []
         self.tips: list[Tensor] = []
 
     def on_tick(self, tick: int) -> None:
         """Log the sensors now, and the commands that hold from now."""
         env, signals = self._env, self._env.simulation.signals
-        if self._commander is not None:
-            env.simulation.command(**self._commander.commands(env.rules.time + tick * OP3_CONTROL_PERIOD))
         snapshot: Snapshot = env.snapshot()
         if snapshot.tip is not None:
             self.tips.append(snapshot.tip)
@@ -47,14 +45,14 @@ class _Tape:
             ("command", "p_gain"): signals.p_gain,
             ("command", "d_gain"): signals.d_gain,
         }
-        if self._commander is not None:
+        if env.commander is not None:
             del row["command", "p_gain"], row["command", "d_gain"]
             row["command", "firmware_gain"] = signals.firmware_gain
         self.ticks.append({key: value.clone() for key, value in row.items()})
 
     def fill(self, observation: Tensor, action: Tensor, reward: Tensor) -> None:
         """Add what the policy saw, did and got to the ticks of the step that is over."""
-        if self._commander is not None:  # what it commanded, on the scale of actions, as if with the highest gain
+        if self._env.commander is not None:  # what it commanded, on the scale of actions, as if with the highest gain
             made, legs = self._env.action_map, load_robot().indices(self._env.action_map.joints)
             target = self.ticks[-TICKS]["command", "position"][:, legs]
             action = made.action(target, torch.full_like(target, made.gain_high))
@@ -82,16 +80,14 @@ def record_episodes(
     wanted = env.num_envs if episodes is None else episodes
     logs: list[Rollout] = []
     act: Policy = getattr(policy, "act", policy)
-    commander = policy if hasattr(policy, "commands") else None
+    env.commander = policy if hasattr(policy, "commands") else None
     while len(logs) < wanted:
-        logs += _record_once(env, act, commander, recording, len(logs))[: wanted - len(logs)]
+        logs += _record_once(env, act, recording, len(logs))[: wanted - len(logs)]
     return logs
 
 
-def _record_once(
-    env: BatchedEnv, act: Policy, commander: Any | None, recording: str | None, first: int
-) -> list[Rollout]:
-    tape = _Tape(env, commander)
+def _record_once(env: BatchedEnv, act: Policy, recording: str | None, first: int) -> list[Rollout]:
+    tape = _Tape(env)
     state: TensorDictBase = env.reset()
     start = env.snapshot().tip
     length = torch.zeros(env.num_envs, dtype=torch.int64)

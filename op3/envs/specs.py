@@ -1,11 +1,15 @@
 """The keys of an environment, the same for every backend."""
 
 import torch
+from tensordict import TensorDict
+from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from op3.policy import ActionMap
+from op3.tasks.rules import Outcome
 from op3.tasks.task import Task
+from op3.tasks.whole_step import Throughout
 
 PEAKS = ("force", "acceleration")
 """Largest force on a foot [N] and acceleration of the body [m/s^2] within a step, for logs."""
@@ -34,3 +38,27 @@ def set_specs(env: EnvBase, task: Task, action_map: ActionMap, num_envs: int) ->
     env.action_spec = Bounded(-1.0, 1.0, shape=torch.Size([num_envs, action_map.size]), dtype=torch.float32)
     env.reward_spec = numbers(1)
     env.done_spec = Composite(done=flag(), terminated=flag(), truncated=flag(), shape=batch)
+
+
+def answer(
+    task: Task, observation: Tensor, outcome: Outcome | None = None, throughout: Throughout | None = None
+) -> TensorDict:
+    """What an environment says of all robots after a step; without an outcome, where episodes begin."""
+    count = len(observation)
+
+    def column(values: Tensor | None) -> Tensor:
+        return torch.zeros(count, 1) if values is None else values.float()[:, None]
+
+    none = torch.zeros(count, dtype=torch.bool)
+    terminated, truncated = (none, none) if outcome is None else (outcome.terminated, outcome.truncated)
+    content = {
+        "observation": observation.float(),
+        "reward_terms": {name: column(None if outcome is None else outcome.terms[name]) for name in task.reward_terms},
+        "peak": {name: column(getattr(throughout, f"peak_{name}", None)) for name in PEAKS},
+        "done": (terminated | truncated)[:, None],
+        "terminated": terminated.clone()[:, None],
+        "truncated": truncated.clone()[:, None],
+    }
+    if outcome is not None:
+        content["reward"] = column(outcome.reward)
+    return TensorDict(content, [count])

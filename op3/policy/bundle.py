@@ -74,10 +74,6 @@ class PolicyBundle:
         action: Any = torch.tanh(values @ weight + bias).to(given.dtype)
         return action if isinstance(observation, torch.Tensor) else action.numpy()
 
-    def targets(self, observation: Array) -> tuple[Array, Array]:
-        """Target angles [..., joint] in rad and P gains [..., joint] in A/rad for observations."""
-        return self.manifest.action_map.targets(self.act(observation))
-
     def save(self, folder: str | Path, overwrite: bool = False) -> Path:
         """Write the bundle; the folder appears whole or not at all.
 

@@ -56,18 +56,14 @@ def planned_suite(model: RobotModel, suite: Sequence[Excitation]) -> list[Rollou
     Args:
         suite: see `op3.robot.leg_suite`.
     """
-    once = list({run.motion.name: run for run in suite}.values())
     commands, begin = [], BEGIN
-    for number, run in enumerate(once):
+    for number, run in enumerate({run.motion.name: run for run in suite}.values()):
         commands.append(_command(run, number, begin))
         begin += datetime.timedelta(seconds=run.motion.duration + PAUSE)
-    predictions = Replay([with_whole_limbs(log) for log in commands]).run(model)
     logs = []
-    for log, prediction in zip(commands, predictions, strict=True):
-        columns = [prediction.log.joints.index(joint) for joint in log.joints]
-        arrays = {key: log.array(key) for key in log.channels}
-        arrays.update({key: prediction.channels[key][0].numpy()[:, columns] for key in SIMULATED})
-        logs.append(Rollout.from_arrays(arrays, log.metadata))
+    for log, prediction in zip(commands, Replay(commands).run(model), strict=True):
+        simulated = {key: prediction.channels[key][0].numpy() for key in SIMULATED}
+        logs.append(Rollout.from_arrays({key: log.array(key) for key in log.channels} | simulated, log.metadata))
     return logs
 
 
@@ -105,8 +101,6 @@ def _command(run: Excitation, number: int, begin: datetime.datetime) -> Rollout:
     arrays: dict[Any, np.ndarray] = {
         "time": run.motion.time,
         ("joint", "position"): target[:1] * ones,
-        ("joint", "velocity"): 0.0 * ones,
-        ("joint", "current"): 0.0 * ones,
         ("joint", "temperature"): (WARM if run.warm else COLD) * ones,
         ("command", "position"): target,
         ("command", "p_gain"): run.p_gain * ones,
