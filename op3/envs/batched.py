@@ -186,7 +186,7 @@ class BatchedEnv(EnvBase):
         commands = self._scaled(self.rules.resting_commands(len(rows)))
         self.simulation.reset(qpos, commands, qvel, rows=None if len(rows) == self.num_envs else rows)
         if self.task.board is not None:
-            motions = [self._beginnings[row].board for row in range(self.num_envs)]
+            motions: list[Any] = [self._beginnings[row].board for row in range(self.num_envs)]
             if self._board is None:
                 self._drive: Any = board_drive(self.simulation.batch.model, motions[0], OP3_CONTROL_PERIOD)
             self._board = stack(motions)
