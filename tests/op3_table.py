@@ -25,4 +25,4 @@ def center_of_mass(joint_position) -> np.ndarray:
     data.qpos[:] = joint_position
     mujoco.mj_kinematics(OP3.bare_model, data)
     mujoco.mj_comPos(OP3.bare_model, data)
-    return data.subtree_com[0]
+    return data.subtree_com[0] - data.body(OP3.file.base).xpos
