@@ -99,25 +99,6 @@ def test_proposals_stay_where_the_first_objective_is_tolerated_and_breed():
     assert all(any(key.endswith(":generation") for key in t.system_attrs) for t in found)
 
 
-def test_without_what_trials_tell_it_is_nsga2():
-    """Trials of another experiment have no images; the same children are then asked as without surrogates."""
-
-    def plain(population: list[dict]) -> list[tuple[float, ...]]:
-        return [tuple(outcome.values or ()) for outcome in evaluate(population)]
-
-    asked = [
-        [
-            trial.params
-            for trial in run_study(
-                plain, SPACE, sampler=name, directions=("minimize", "minimize"), n_trials=96, population=32, seed=0,
-                progress=False,
-            ).trials
-        ]
-        for name in ("nsga2", "nsga2+surrogate")
-    ]  # fmt: skip
-    assert asked[0] == asked[1]
-
-
 def test_an_image_keeps_lengths_and_angles():
     """To about an eighth, and is linear."""
     rng = np.random.default_rng(0)

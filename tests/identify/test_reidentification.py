@@ -127,27 +127,6 @@ def test_processes_share_a_population(problem, recorded):
     assert shared.simulated_seconds - before == pytest.approx(spent)
 
 
-def test_starts_are_those_that_the_excitation_hardly_tells_from_the_identified(problem):
-    """Around the truth the loss rises about as expected; the same seed gives the same starts."""
-    start = problem.start
-    truth = problem.model.with_values({"torque_constant": 0.0049})
-    here = {name: truth.value(name) for name in NAMES}
-    problem.start = problem._measure([here])[0]
-    try:
-        bounds = {"torque_constant": (0.003, 0.009), "coulomb_friction": (0.01, 0.25)}
-        starts = problem.propose(6, bounds, seed=1)
-        again = problem.propose(6, bounds, seed=1)
-        excess = [one.values[0] / problem.start.excitation - 1 for one in problem.evaluate(starts)]
-    finally:
-        problem.start = start
-    assert starts == again
-    assert len({tuple(values.values()) for values in starts}) == 6
-    assert max(excess) < 1.5
-    for values in starts:
-        for name, (low, high) in bounds.items():
-            assert low <= values[f"parameters.{name}"] <= high
-
-
 def test_a_study_moves_towards_the_robot(problem):
     """A small NSGA-II study finds a model that is closer to the robot's returns and excitation than the start."""
     space = {

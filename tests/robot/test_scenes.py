@@ -1,7 +1,5 @@
 """Scenes: what compiles, what touches, where things start."""
 
-from typing import Any
-
 import mujoco
 import numpy as np
 import pytest
@@ -73,20 +71,6 @@ def test_nothing_moves_otherwise_without_geoms_for_pictures(floor):
     assert np.array_equal(ends[0][0], ends[1][0])
     assert ends[0][1] == ends[1][1] > 0
     assert ends[1][2] < ends[0][2] / 5
-
-
-def test_compile_sees_later_edits(floor):
-    """What is added to the joints after a compilation is in the next one."""
-    scene = build_scene("floor")
-    root: Any = scene.mjcf_model
-    assert scene.compile().nu == 0
-    for joint in scene.joints:
-        joint.armature = 0.01
-        root.actuator.add("motor", joint=joint)
-    model = scene.compile()
-    assert model.nu == 20
-    np.testing.assert_array_equal(model.dof_armature[6:], 0.01)
-    assert floor.compile().nu == 0
 
 
 @pytest.mark.parametrize(("name", "lean"), [("zero", 0.0), ("stand", 0.0), ("squat_low", SQUAT_LEAN)])

@@ -138,33 +138,6 @@ def test_the_register_does_not_see_the_lift():
     assert simulation.signals.voltage.item() / 6.0 > duty + 0.03
 
 
-@pytest.mark.parametrize("length", [0.05, 0.1])
-def test_the_weights_own_inertia_slows_the_swing(length):
-    """A free pendulum swings with the period of ``l + k^2 / l``, small angles."""
-    effects = (CurrentPD(), Motor(), LinkInertia())
-    values = {"torque_constant": 1e-6, "armature": 0.0025, "gyration_squared": 8e-4}
-    model = RobotModel(effects).with_values(values)
-    simulation = PendulumSimulation(model, torch.tensor([0.4]), torch.tensor([length]), timestep=1e-4)
-    simulation.reset([[0.05]], {"p_gain": 0.0, "d_gain": 0.0})
-    steps = 0
-    while simulation.signals.position.item() > 0:
-        simulation.advance()
-        steps += 1
-    inertia = 0.4 * (length**2 + 8e-4) + 0.0025
-    assert 4 * steps * 1e-4 == pytest.approx(2 * np.pi * np.sqrt(inertia / (0.4 * 9.81 * length)), rel=5e-3)
-
-
-def test_the_shaft_bears_gravity_and_the_centripetal_force():
-    """At rest the weight; passing the bottom at speed w, ``m (g + l w^2)``."""
-    model = RobotModel((CurrentPD(), Motor(), BearingFriction())).with_values({"torque_constant": 1e-6})
-    simulation = PendulumSimulation(model, torch.tensor([0.4]), torch.tensor([0.1]))
-    simulation.reset([[0.0]], {"p_gain": 0.0, "d_gain": 0.0}, [[5.0]])
-    assert simulation.signals.radial_force.item() == pytest.approx(0.4 * 9.81)
-    simulation.advance()
-    velocity = simulation.signals.velocity.item()
-    assert simulation.signals.radial_force.item() == pytest.approx(0.4 * (9.81 + 0.1 * velocity**2), rel=1e-3)
-
-
 @settings(max_examples=40, deadline=None)
 @given(st.floats(-3, 3), st.floats(-5, 5), st.floats(0.0, 0.3))
 def test_friction_only_takes_energy(angle, velocity, friction):

@@ -2,12 +2,11 @@
 
 import mujoco
 import numpy as np
-import pytest
 import torch
 
 from op3.envs import BatchedEnv, make_env
 from op3.tasks import find_task
-from op3.tasks.pushes import DIRECTIONS, FIRST_PUSH, PUSH_DURATION, Push, Pushes
+from op3.tasks.pushes import DIRECTIONS, FIRST_PUSH, Push, Pushes
 
 
 def momentum(env: BatchedEnv, robot: int) -> np.ndarray:
@@ -43,15 +42,3 @@ def test_pushes_are_drawn():
     assert len(np.unique(np.rint(angles) % DIRECTIONS)) == DIRECTIONS
     starts = np.array([push.start for push in pushes]) - FIRST_PUSH
     assert starts.min() < 0.05 < 0.95 < starts.max() <= 1.0
-
-
-def test_no_force_beside_its_time():
-    """Of 12 ticks each pushes, and none before or after."""
-    pushes, external = Pushes([Push.towards(2, 0.96, 0.08)]), np.zeros((1, 6))
-    total = np.zeros(6)
-    for tick in range(40):
-        pushes.drive(np.array([tick * 0.008]), external)
-        assert (external[0, 1] != 0) == (10 <= tick < 22)
-        total += 0.008 * external[0]
-    np.testing.assert_allclose(total, [0, 0.96, 0, 0, 0, 0], atol=1e-12)
-    assert pytest.approx(0.096) == PUSH_DURATION

@@ -8,7 +8,7 @@ from omegaconf import OmegaConf
 from op3.robot import build_scene, named_configs, pose
 from op3.servo import Estimate
 from op3.sim import load_model
-from op3.tasks import TASKS, Randomisation, Setup, episode_seed, find_task
+from op3.tasks import TASKS, Randomisation, Setup, find_task
 from op3.tasks.beginning import begin
 
 
@@ -53,12 +53,6 @@ def test_beginnings():
     assert not np.array_equal(first.qpos, other.qpos)
     assert np.abs(first.qpos[7:27] - pose("stand")).max() < 0.1
     assert first.qvel[[2, 5]].tolist() == [0.0, 0.0]
-
-
-def test_episode_seeds_differ():
-    """Robots, episodes and batches have seeds of their own."""
-    seeds = {episode_seed(s, i, k) for s in range(5) for i in range(20) for k in range(20)}
-    assert len(seeds) == 2000
 
 
 def test_randomisation_from_intervals():
