@@ -44,7 +44,7 @@ LINE_SECONDS = 15.0
 """Least time between two lines of progress where standard error is no terminal [s]."""
 
 _OPTIMIZER_STATE = re.compile(r"(sepcma|cmawm|cma):optimizer")
-_SCRATCH = re.compile(r"(tpe|gp):relative_params")
+_SCRATCH = re.compile(r"tpe:relative_params")
 
 
 @dataclass(frozen=True)

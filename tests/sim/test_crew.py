@@ -15,9 +15,7 @@ from op3.sim.crew import Crew
 class Worker:
     """Does what the tests ask."""
 
-    def __init__(self, offset: int, home: int = 0):
-        if home and os.getpid() != home:
-            raise ValueError("not at home")
+    def __init__(self, offset: int):
         self.offset = offset
 
     def add(self, value: int) -> tuple[int, int]:
