@@ -110,12 +110,9 @@ def on_robot(cfg: DictConfig) -> list[str]:
     return [*where, f"port={cfg.port}"]
 
 
-def train(stages: Stages, cfg: DictConfig, budget: dict, number: int, model: str, start: Path | None) -> Path:
+def train(stages: Stages, cfg: DictConfig, budget: dict, number: int, model: str, start: Path | str | None) -> Path:
     """Train a policy on a model, from an earlier policy's networks where there is one; returns the bundle."""
     how = budget["train" if start is None else "retrain"]
-    if start is None and chosen("task") in budget.get("start", {}):
-        start = Path(budget["start"][chosen("task")])
-        how = budget["retrain"]
     condition = cfg.conditions[cfg.condition]
     randomised = condition.get("randomisation")
     overrides = [f"task={chosen('task')}", f"model={model}", f"seed={cfg.seed + 100 * number}", *how]
@@ -213,7 +210,8 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
         model, policy, began = promising, Path(cfg.policy), "given"
     else:
         model = base if condition.get("randomisation") == "ranges" else identified()
-        policy, began = train(stages, cfg, budget, 0, model, None), "nothing"
+        start = budget.get("start", {}).get(chosen("task"))
+        policy, began = train(stages, cfg, budget, 0, model, start), start or "nothing"
     transfers = [transfer(stages, cfg, budget, 0, policy, model, began)]
     learned = Learned()
     for number in range(1, cfg.rounds + 1):
