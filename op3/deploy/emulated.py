@@ -34,20 +34,18 @@ class Place:
         scene: a name that `op3.robot.build_scene` knows.
         board: what moves the board once the policy begins; None for a scene without one.
         tiles: heights of the terrain's tiles [m]; None for a scene without them.
-        walks: whether the robot walks there, and cannot be left to itself when its policy ends.
     """
 
     scene: str = "floor"
     board: BoardMotion | WeightSchedule | None = None
     tiles: NDArray[np.float64] | None = None
-    walks: bool = False
 
     @classmethod
     def of_task(cls, task: str | Task, seed: int) -> Place:
         """The ground of a task's episode."""
         task = find_task(task)
         tiles = draw_tiles(seed, task.terrain_height, task.terrain_steps) if task.scene == "terrain" else None
-        return cls(task.scene, board_of(task, seed), tiles, task.cycle is not None)
+        return cls(task.scene, board_of(task, seed), tiles)
 
     @property
     def waiting(self) -> BoardMotion | WeightSchedule | None:
@@ -86,10 +84,9 @@ class Hands(Operator):
         self._look()
 
     def ends(self) -> None:
-        """Lift a robot that walks, as a person does: its way to the end pose is for one that stands."""
-        if self._place.walks:
-            self.holding = True
-            self._robot.replace(self._make("stand", np.array(self._robot.physics.position)))
+        """Lift the robot, as a person does: on its way to the end pose it could neither walk nor balance."""
+        self.holding = True
+        self._robot.replace(self._make("stand", np.array(self._robot.physics.position)))
 
     def _look(self) -> None:
         if self.holding:

@@ -24,7 +24,7 @@ class Operator:
         """The policy begins now: set the ground in motion."""
 
     def ends(self) -> None:
-        """The policy is over: take hold of a robot that walks."""
+        """The policy is over: take hold of the robot."""
 
     def travelled(self) -> float | None:
         """How far the robot has got since then [m]; None where nobody measured it, as a person does by hand."""
