@@ -22,7 +22,6 @@ from typing import Any
 
 import hydra
 import numpy as np
-import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
@@ -35,7 +34,6 @@ from support import (
     library_motion,
     one_sentence,
     plain,
-    positive,
     remember,
     source_word,
 )
@@ -47,6 +45,7 @@ from op3.deploy.exit_codes import ExitCode
 from op3.policy import PolicyBundle
 from op3.robot import Motion, check_motion, load_robot
 from op3.rollout import MOUNTS, Rollout, git_hash
+from op3.settings import read_yaml
 
 
 def build(node: DictConfig) -> Any:
@@ -59,12 +58,9 @@ def build(node: DictConfig) -> Any:
 
 def collect(cfg: DictConfig) -> list[Path]:
     """Record as often as asked and return the rollout folders."""
-    if isinstance(cfg.repeats, bool) or not isinstance(cfg.repeats, int) or cfg.repeats < 1:
-        raise ValueError(f"repeats must be a whole number of at least 1, got {cfg.repeats!r}")
     check_same(place(ASKED), asked())
     if cfg.plan is not None:
         return collect_plan(cfg, read_plan(Path(cfg.plan)))
-    positive(cfg, "duration", "seconds")
     if cfg.mount not in MOUNTS[:2]:
         raise ValueError(f"mount must be {' or '.join(MOUNTS[:2])}, got {cfg.mount!r}")
     if cfg.policy is not None:
@@ -114,8 +110,7 @@ def read_plan(path: Path) -> list[tuple[str, str]]:
     Raises:
         ValueError: naming what is wrong, if it is no plan.
     """
-    content = yaml.safe_load(path.read_text())
-    entries = content.get("plan") if isinstance(content, dict) else None
+    entries = read_yaml(path).get("plan")
     if not isinstance(entries, list) or not entries:
         raise ValueError(f"{path} is no plan: write `plan:` with a list of {{motion: ..., mount: ...}}")
     for number, entry in enumerate(entries):
@@ -194,7 +189,7 @@ def _own(motion: Motion, name: str) -> Any:
 @hydra.main(version_base="1.3", config_path="../conf", config_name="collect")
 def main(cfg: DictConfig) -> None:
     """Compose the robot and the motion, record, save."""
-    with one_sentence():
+    with one_sentence(cfg=cfg):
         try:
             collect(cfg)
         except (Stop, Unplugged) as error:

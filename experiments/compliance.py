@@ -14,7 +14,7 @@ import hydra
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
-from support import check_given, one_sentence, plain, positive, whole
+from support import check_given, one_sentence, plain
 
 from op3.command_line import launch
 from op3.compliance.compare import difference
@@ -36,15 +36,12 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     """Measure all policies and report."""
     torch.set_num_threads(1)
     check_given(cfg, "policy", "folder of a bundle")
-    whole(cfg, "seed", 0)
-    whole(cfg, "threads", 0)
-    scale = positive(cfg, "gain_scale", "a factor")
-    options = {"gain_scale": scale, "num_threads": cfg.threads}
+    options = {"gain_scale": cfg.gain_scale, "num_threads": cfg.threads}
     model, sizes = load_model(cfg.model), Sizes(**plain(cfg.sizes))
     study = Study(model, plain(cfg.grounds), sizes, cfg.seed, **options)
     asked = names(plain(cfg.policy))
     asked += [cfg.baseline] if cfg.baseline is not None and cfg.baseline not in asked else []
-    actors = contestants(asked, study.task, plain(cfg.fixed_gains), scale)
+    actors = contestants(asked, study.task, plain(cfg.fixed_gains), cfg.gain_scale)
     standing = {Path(name).name: study.stand(name) for name in plain(cfg.standing)}
     measured = [study.measure(actor, led=cfg.led) for actor in actors]
     landings = study.stiff_landings() if any(actor.stiff for actor in actors[1:]) else None
@@ -53,7 +50,7 @@ def run(cfg: DictConfig) -> dict[str, Any]:
         for actor, other in zip(actors[1:], measured[1:], strict=True)
     }
     folder = Path(HydraConfig.get().runtime.output_dir)
-    settings = {"policies": asked, "model": cfg.model, "sizes": plain(cfg.sizes), "gain_scale": scale}
+    settings = {"policies": asked, "model": cfg.model, "sizes": plain(cfg.sizes), "gain_scale": cfg.gain_scale}
     provenance = {**run_provenance(seed=cfg.seed), **settings}
     return report_compliance(measured, differences, standing, RunFolder(folder, provenance))
 
@@ -61,7 +58,7 @@ def run(cfg: DictConfig) -> dict[str, Any]:
 @hydra.main(config_path="../conf", config_name="compliance", version_base="1.3")
 def main(cfg: DictConfig) -> None:
     """Measure and report."""
-    with one_sentence("Nothing is kept but what the folder holds."):
+    with one_sentence("Nothing is kept but what the folder holds.", cfg):
         run(cfg)
 
 

@@ -18,7 +18,7 @@ from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
-from support import CONF, Progress, one_sentence, whole
+from support import CONF, Progress, one_sentence
 from threadpoolctl import threadpool_limits
 
 from op3.command_line import launch
@@ -81,7 +81,7 @@ def ending(content: Mapping[str, Any], answer: Mapping[str, Any], folder: Path) 
 
 def run(cfg: DictConfig, folder: Path) -> str:
     """Draw, seal, record, diagnose, open; returns the last lines."""
-    case = draw_case(whole(cfg, "seed", 0), "single", cfg.severity, cfg.effect, robot=cfg.robot)
+    case = draw_case(cfg.seed, "single", cfg.severity, cfg.effect, robot=cfg.robot)
     sealed = commit([case], folder / "answers")
     digest = hashlib.sha256(sealed.read_bytes()).hexdigest()
     print(f"A robot with something hidden; the answer is sealed, SHA-256 {digest[:16]}.", flush=True)
@@ -97,7 +97,7 @@ def run(cfg: DictConfig, folder: Path) -> str:
 @hydra.main(config_path="../conf", config_name="demo_diagnose", version_base="1.3")
 def main(cfg: DictConfig) -> None:
     """Run the demonstration."""
-    with one_sentence("Nothing goes on from here: run it again."):
+    with one_sentence("Nothing goes on from here: run it again.", cfg):
         torch.set_num_threads(1)
         threadpool_limits(1)
         print(run(cfg, Path(HydraConfig.get().runtime.output_dir)))

@@ -14,7 +14,7 @@ import hydra
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
-from support import one_sentence, positive, seeded_faults
+from support import one_sentence, seeded_faults
 
 from op3.command_line import launch
 from op3.deploy import (
@@ -78,7 +78,6 @@ def deploy(cfg: DictConfig) -> ExitCode:
         result = replay_policy(read_log(cfg.log), runner)
         print(result)
         return ExitCode.OK if result.ok else ExitCode.REPLAY
-    duration = positive(cfg, "duration", "seconds")
     limits = Limits(**OmegaConf.to_container(cfg.limits, resolve=True))  # type: ignore[arg-type]
     folder = Path(HydraConfig.get().runtime.output_dir)
     taken = next((folder / name for name in LOGS if (folder / name).exists()), None)
@@ -95,12 +94,12 @@ def deploy(cfg: DictConfig) -> ExitCode:
     connection = open_robot(cfg)
     try:
         if cfg.mode == "read_only":
-            return read_only(connection, duration, plan).code
+            return read_only(connection, cfg.duration, plan).code
         if cfg.mode == "setup":
             return setup(connection)
         if cfg.mode == "calibrate":
             return calibrate(connection, cfg.calibration_out, pose_name=cfg.pose)
-        outcome = run_on(connection, runner, plan, duration)
+        outcome = run_on(connection, runner, plan, cfg.duration)
     finally:
         connection.close()
     for log in outcome.logs:
@@ -124,7 +123,7 @@ def run_on(connection: Connection, runner: PolicyRunner | None, plan: Plan, dura
 def main(cfg: DictConfig) -> None:
     """Compose, run, and end with the exit code."""
     torch.set_num_threads(1)
-    with one_sentence():
+    with one_sentence(cfg=cfg):
         try:
             code = deploy(cfg)
         except Unplugged as error:

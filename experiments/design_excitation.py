@@ -55,7 +55,7 @@ def judge(cfg: DictConfig, bounds: dict[str, tuple[float, float]]) -> tuple[list
 @hydra.main(config_path="../conf", config_name="design_excitation", version_base="1.3")
 def main(cfg: DictConfig) -> dict[str, Any]:
     """Judge the library, choose, write the plan."""
-    with one_sentence():
+    with one_sentence(cfg=cfg):
         torch.set_num_threads(1)
         started = time.monotonic()
         folder = Path(HydraConfig.get().runtime.output_dir)

@@ -8,7 +8,6 @@ python experiments/diagnose.py planned=leg_suite mode=aliasing   # what a suite 
 python experiments/diagnose.py "planned=[squat_fast,multisine_legs]" mode=aliasing
 """
 
-import os
 import time
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from support import Progress, library_motion, model_file, one_sentence, plain
+from support import Progress, library_motion, one_sentence, plain, run_folder, whole
 from threadpoolctl import threadpool_limits
 
 from op3.command_line import launch
@@ -36,7 +35,6 @@ from op3.diagnose import (
 )
 from op3.identify.resolvers import chosen_model
 from op3.policy import PolicyBundle
-from op3.report import RunFolder, run_provenance
 from op3.report.diagnosis import report_diagnosis
 from op3.robot import DEFAULT, leg_suite
 from op3.rollout import Rollout, read_logs
@@ -73,6 +71,7 @@ def diagnose(cfg: DictConfig, folder: Path) -> dict[str, Any]:
         raise ValueError(f"mode must be once, loop or aliasing, got {cfg.mode!r}")
     if cfg.planned and not OmegaConf.is_missing(cfg, "data"):
         raise ValueError("planned= and data= exclude each other: the one is simulated, the other was recorded")
+    whole(cfg, "episodes", 1)
     for name in cfg.without:
         effect_class(name)
     if cfg.planned and cfg.mode != "aliasing":
@@ -104,15 +103,7 @@ def diagnose(cfg: DictConfig, folder: Path) -> dict[str, Any]:
         content["downstream"] = returns(cfg, verdict)
     content["processor_seconds"] = round(time.process_time() - IMPORTED, 1)
     print(f"\n{verdict.sentence}")
-    where = RunFolder(
-        folder,
-        run_provenance(seed=cfg.seed, data=data),
-        plain(cfg),
-        os.environ.get("WANDB_MODE", cfg.wandb),
-        used=[("log", data), *model_file(cfg)],
-        made=[("model", folder / "model.yaml")],
-    )
-    report_diagnosis(verdict, split, content, where)
+    report_diagnosis(verdict, split, content, run_folder(cfg, folder, model="model.yaml"))
     # last, so that a verdict means that all is there
     (folder / "verdict.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
     return content
@@ -121,7 +112,7 @@ def diagnose(cfg: DictConfig, folder: Path) -> dict[str, Any]:
 @hydra.main(config_path="../conf", config_name="diagnose", version_base="1.3")
 def main(cfg: DictConfig) -> None:
     """Compose the config and diagnose."""
-    with one_sentence():
+    with one_sentence(cfg=cfg):
         torch.set_num_threads(1)
         threadpool_limits(1)  # as in `Diagnosis.run`, for what is outside of it
         if OmegaConf.is_missing(cfg, "data") and not cfg.planned:

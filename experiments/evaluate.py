@@ -6,7 +6,6 @@ python experiments/evaluate.py -m policy=<bundle>,hold,random task=balance_eval,
 python experiments/evaluate.py -m policy=<bundle>,stiff task=walk,walk_bricks_a,walk_bricks_b,walk_bricks_c
 """
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,14 +16,12 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from support import Progress, model_file, one_sentence, plain, positive, whole
+from support import Progress, one_sentence, run_folder, whole
 
 from op3.command_line import launch
 from op3.envs import BatchedEnv, record_episodes
 from op3.envs.actors import Watched, find_actor
 from op3.intervals import mean_interval, wilson_interval
-from op3.policy.actions import GAIN_HIGH, GAIN_LOW
-from op3.report import RunFolder, run_provenance
 from op3.report.evaluation_page import report_evaluation
 from op3.report.video import film
 from op3.robot import load_robot
@@ -58,10 +55,9 @@ class Told(Watched):
 
 def play(cfg: DictConfig, task: Task, name: str, field: str = "policy") -> tuple[list[Rollout], Watched, BatchedEnv]:
     """The episodes of the seed, which begin alike for every policy; and who acted where."""
-    scale = positive(cfg, "gain_scale", "a factor")
-    known = dict(seed=cfg.seed, hold_gain=cfg.hold_gain, gain_scale=scale, field=field)
+    known = dict(seed=cfg.seed, hold_gain=cfg.hold_gain, gain_scale=cfg.gain_scale, field=field)
     actor = find_actor(name, task, **known)
-    options = dict(num_threads=cfg.threads, randomisation=cfg.randomisation, gain_scale=scale)
+    options = dict(num_threads=cfg.threads, randomisation=cfg.randomisation, gain_scale=cfg.gain_scale)
     env = actor.environment(task, cfg.model, cfg.episodes, cfg.seed, **options)
     watched = Told(actor.policy, env, task.steps)
     return record_episodes(env, watched, cfg.episodes, recording=f"{task.name}-{cfg.seed}"), watched, env
@@ -99,12 +95,9 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     torch.set_num_threads(1)
     if OmegaConf.is_missing(cfg, "policy"):
         raise ValueError("policy is missing: add policy=<folder of a bundle>, or hold, zero, random or stiff")
-    for name, least in (("episodes", 1), ("seed", 0), ("threads", 0)):
-        whole(cfg, name, least)
+    whole(cfg, "episodes", 1)
     if cfg.joint not in load_robot().controlled:
         raise ValueError(f"joint={cfg.joint}: choose {', '.join(load_robot().controlled)}")
-    if not GAIN_LOW <= cfg.hold_gain <= GAIN_HIGH:
-        raise ValueError(f"hold_gain must be between {GAIN_LOW} and {GAIN_HIGH} A/rad, got {cfg.hold_gain}")
     folder, task = Path(HydraConfig.get().runtime.output_dir), instantiate(cfg.task)
     logs, watched, env = play(cfg, task, cfg.policy)
     stiff = hasattr(watched, "commands")
@@ -149,14 +142,7 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     long_enough = [log for log in logs if log.duration > 1.5 and not stiff]
     return report_evaluation(
         logs,
-        RunFolder(
-            folder,
-            run_provenance(seed=cfg.seed),
-            plain(cfg),
-            os.environ.get("WANDB_MODE", cfg.wandb),
-            used=[("policy", cfg.policy), *model_file(cfg)],
-            made=[("log", folder / "logs")] if cfg.logs else [],
-        ),
+        run_folder(cfg, folder, **({"log": "logs"} if cfg.logs else {})),
         label=label,
         task=task.name,
         numbers=numbers,
@@ -170,7 +156,7 @@ def run(cfg: DictConfig) -> dict[str, Any]:
 @hydra.main(config_path="../conf", config_name="evaluate", version_base="1.3")
 def main(cfg: DictConfig) -> Any:
     """Evaluate and report; a sweep maximises the mean return."""
-    with one_sentence("Nothing is kept but what the folder holds."):
+    with one_sentence("Nothing is kept but what the folder holds.", cfg):
         return run(cfg)["evaluation.return_mean"]
 
 

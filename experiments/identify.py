@@ -6,7 +6,6 @@ python experiments/identify.py experiment=servo_bench data=<folder of bench logs
 """
 
 import dataclasses
-import os
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -16,16 +15,15 @@ import optuna
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
-from support import check_given, focus_joints, logs_where, model_file, one_sentence, plain
+from support import check_given, focus_joints, logs_where, one_sentence, plain, run_folder
 
 from op3.command_line import launch
-from op3.identify.identification import PREFIX, Fit, Identification
+from op3.identify.identification import PREFIX, Fit, Identification, Refine
 from op3.identify.loss import UNIT_WEIGHTS, TrajectoryLoss
 from op3.identify.resolvers import chosen_model
 from op3.identify.resolvers import register as register_interpolations
 from op3.identify.settings import read_settings, search_space_of
 from op3.identify.sweeper import sweep_or_report
-from op3.report import RunFolder, run_provenance
 from op3.report.identification_page import report_identification
 from op3.rollout import Rollout, read_logs
 from op3.servo import RobotModel, effect_class
@@ -113,15 +111,18 @@ def duration(started: datetime, study: optuna.Study) -> float:
 def main(cfg: DictConfig) -> Any:
     """Evaluate a population for the sweeper, or run the study and report it."""
     register_interpolations()  # a launcher's worker process has not run this file from the top
-    with one_sentence():
+    with one_sentence(cfg=cfg):
         torch.set_num_threads(1)
         started = datetime.now()
         check_given(cfg, "data", "a log, a folder of logs, or a list of them")
         for name in cfg.ablate:
             effect_class(name)
+        folder = Path(HydraConfig.get().runtime.output_dir)
+        if cfg.population is None:  # before anything is simulated
+            Refine(**plain(cfg.refine))
+            read_settings(cfg, HydraConfig.get().sweeper, folder)
         model = base_model(cfg)
         identification = build(cfg, model, f"with {', '.join(cfg.ablate).upper()}" if cfg.ablate else "model")
-        folder = Path(HydraConfig.get().runtime.output_dir)
         if cfg.population is None:
             identification.check()
 
@@ -137,14 +138,7 @@ def main(cfg: DictConfig) -> Any:
             return report_identification(
                 fit,
                 ablated,
-                RunFolder(
-                    folder,
-                    run_provenance(seed=cfg.seed, data=plain(cfg.data)),
-                    plain(cfg),
-                    os.environ.get("WANDB_MODE", cfg.wandb),
-                    used=[*(("log", plain(one)) for one in (cfg.data, cfg.heldout) if one), *model_file(cfg)],
-                    made=[("model", folder / "model.yaml")],
-                ),
+                run_folder(cfg, folder, model="model.yaml"),
                 wall_seconds=wall_seconds,
                 ablated_seconds=(datetime.now() - compared).total_seconds(),
                 joints=identification.joints,

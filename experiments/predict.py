@@ -4,7 +4,6 @@ python experiments/predict.py model=<model.yaml or name> data=<logs> [where='{fi
 python experiments/predict.py -m model=outputs/identify/<run>,paper data=<logs>
 """
 
-import os
 import time
 from pathlib import Path
 from typing import Any
@@ -13,11 +12,10 @@ import hydra
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
-from support import check_given, focus_joints, logs_where, model_file, one_sentence, plain
+from support import check_given, focus_joints, logs_where, one_sentence, plain, run_folder
 
 from op3.command_line import launch
 from op3.identify.prediction_score import predict_logs
-from op3.report import RunFolder, run_provenance
 from op3.report.prediction_page import report_prediction
 from op3.rollout import read_logs
 from op3.sim import find_model, model_for
@@ -26,7 +24,7 @@ from op3.sim import find_model, model_for
 @hydra.main(config_path="../conf", config_name="predict", version_base="1.3")
 def main(cfg: DictConfig) -> dict[str, Any]:
     """Predict, measure, report."""
-    with one_sentence():
+    with one_sentence(cfg=cfg):
         torch.set_num_threads(1)
         started = time.monotonic()
         check_given(cfg, "data", "a log, a folder of logs, or a list of them")
@@ -38,13 +36,7 @@ def main(cfg: DictConfig) -> dict[str, Any]:
         path = Path(logs[0].robot.name) if cfg.model is None else find_model(cfg.model)
         return report_prediction(
             score,
-            RunFolder(
-                Path(HydraConfig.get().runtime.output_dir),
-                run_provenance(seed=cfg.seed, data=plain(cfg.data)),
-                plain(cfg),
-                os.environ.get("WANDB_MODE", cfg.wandb),
-                used=[("log", plain(cfg.data)), *model_file(cfg)],
-            ),
+            run_folder(cfg, Path(HydraConfig.get().runtime.output_dir)),
             model=path.parent.name if path.name == "model.yaml" else path.stem,
             wall_seconds=time.monotonic() - started,
             joints=joints,

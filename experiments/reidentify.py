@@ -5,7 +5,6 @@ python experiments/reidentify.py ... diagnose=true diagnosis=<folder of logs fro
 python experiments/reidentify.py -m policy=... model=... data=... episodes=... seed=0,1,2
 """
 
-import os
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +18,7 @@ from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from stages import Stages
-from support import ASKED, check_same, model_file, one_sentence, plain, remember, whole
+from support import ASKED, check_same, one_sentence, plain, remember, run_folder
 
 from op3.command_line import launch
 from op3.identify.episodes import ended_by, that_count
@@ -29,7 +28,6 @@ from op3.identify.resolvers import register as register_interpolations
 from op3.identify.search_space import parse_search_space
 from op3.identify.sweeper import sweep_or_report
 from op3.policy import PolicyBundle
-from op3.report import RunFolder, run_provenance
 from op3.report.reidentification_page import report_reidentification
 from op3.rollout import read_logs
 from op3.sim import load_model, save_model
@@ -89,15 +87,12 @@ def diagnosed(cfg: DictConfig, folder: Path) -> str:
 def main(cfg: DictConfig) -> Any:
     """Evaluate a population for the sweeper, or run the study and report it."""
     register_interpolations()  # a launcher's worker process has not run this file from the top
-    with one_sentence():
+    with one_sentence(cfg=cfg):
         torch.set_num_threads(1)
         started = time.monotonic()
         missing = [key for key in ("policy", "model", "data", "episodes") if OmegaConf.is_missing(cfg, key)]
         if missing:
             raise ValueError(f"{missing[0]} is missing: add {missing[0]}=<path>")
-        whole(cfg, "repeats", 1)
-        whole(cfg, "finalists", 1)
-        whole(cfg, "processes", 0)
         folder = Path(HydraConfig.get().runtime.output_dir)
         if cfg.diagnose:
             cfg.model = diagnosed(cfg, folder)
@@ -113,19 +108,7 @@ def main(cfg: DictConfig) -> Any:
             return report_reidentification(
                 found,
                 study,
-                RunFolder(
-                    folder,
-                    run_provenance(seed=cfg.seed, data=plain(cfg.data)),
-                    plain(cfg),
-                    os.environ.get("WANDB_MODE", cfg.wandb),
-                    used=[
-                        ("policy", cfg.policy),
-                        ("log", plain(cfg.data)),
-                        ("log", plain(cfg.episodes)),
-                        *model_file(cfg),
-                    ],
-                    made=[("model", folder / "model.yaml")],
-                ),
+                run_folder(cfg, folder, model="model.yaml"),
                 wall_seconds=time.monotonic() - started,
                 simulated_seconds=problem.simulated_seconds,
             )

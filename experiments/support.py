@@ -2,26 +2,33 @@
 
 import dataclasses
 import math
+import os
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import yaml
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import CompactHydraException, InstantiationException
+from hydra.errors import CompactHydraException, HydraException, InstantiationException
 from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from pydantic import Field
 
+from op3.command_line import told
+from op3.policy.actions import GAIN_HIGH, GAIN_LOW
 from op3.private import scrub
+from op3.report import RunFolder, run_provenance
 from op3.robot import DEFAULT, Motion, named_configs
 from op3.rollout import Metadata, Rollout
 from op3.rollout.files import write_text
+from op3.settings import Count, Number, Positive, Whole, settings
 from op3.sim.model_file import find_model
 
 CONF = Path(__file__).resolve().parents[1] / "conf"
@@ -31,23 +38,58 @@ LINE_SECONDS = 10.0
 """Least time between two lines of progress in a file [s]."""
 
 
+Gain = Annotated[Number, Field(ge=GAIN_LOW, le=GAIN_HIGH)]
+"""A P gain [A/rad] that the servos take."""
+
+
+@settings()
+class Common:
+    """What fields must be that mean the same in every experiment which has them."""
+
+    seed: Whole = 0
+    world_seed: Whole = 0
+    threads: Whole = 0
+    processes: Whole = 0
+    number: Whole = 0
+    rounds: Whole = 0
+    repeats: Count = 1
+    environments: Count = 1
+    finalists: Count = 1
+    windows: Count | None = None
+    duration: Positive = 1.0
+    speed: Positive = 1.0
+    span: Positive = 1.0
+    initial_gain: Gain = 1.0
+    fixed_gain: Gain | None = None
+    hold_gain: Gain = 1.0
+    gain_scale: Positive = 1.0
+    criterion: Positive = 1.0
+    bench_timestep: Positive = 1.0
+    wandb: Literal["offline", "online", "disabled"] = "offline"
+
+
 @contextmanager
 def one_sentence(
     interrupted: str = "The same command with the same hydra.run.dir goes on from the trials done.",
+    cfg: DictConfig | None = None,
 ) -> Iterator[None]:
     """Let wrong input end a script with its one sentence and a non-zero exit, without a stack trace.
 
     Args:
         interrupted: what is said after Ctrl-C of how to go on.
+        cfg: config whose common fields are checked first; see `Common`.
     """
     try:
+        if cfg is not None:
+            names = [field.name for field in dataclasses.fields(Common) if field.name in cfg]
+            Common(**{name: cfg[name] for name in names if not OmegaConf.is_missing(cfg, name)})
         yield
-    except (ValueError, FileNotFoundError, ChildProcessError, InstantiationException) as error:
+    except (ValueError, OSError, MemoryError, HydraException, OmegaConfBaseException) as error:
         if isinstance(error, InstantiationException):  # what it was that would not be built says enough
             error = error.__cause__ or error
         if HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN:
-            raise CompactHydraException(str(error)) from error  # the sweeper says which job it was
-        print(scrub(str(error)) if "://" in str(error) else error, file=sys.stderr)
+            raise CompactHydraException(told(error)) from error  # the sweeper says which job it was
+        print(told(error), file=sys.stderr)
         raise SystemExit(1) from None
     except KeyboardInterrupt:
         print(f"\nInterrupted. {interrupted}", file=sys.stderr)
@@ -162,6 +204,24 @@ def check_given(cfg: DictConfig, name: str, what: str) -> None:
 def model_file(cfg: DictConfig) -> list[tuple[str, Path]]:
     """The file of a config's model, as an artifact that the run has read; none where the model is the robot's own."""
     return [("model", find_model(cfg.model))] if cfg.get("model") else []
+
+
+READ = {"policy": "policy", "data": "log", "heldout": "log", "episodes": "log"}
+"""What fields name that a run reads, besides its model."""
+
+
+def run_folder(cfg: DictConfig, folder: Path, **made: str) -> RunFolder:
+    """A run's folder with its provenance; `made` is the name in it of what the run makes, by kind."""
+    given = {name: plain(cfg.get(name)) for name in READ}
+    used = [(READ[name], where) for name, where in given.items() if isinstance(where, str | list)]
+    return RunFolder(
+        folder,
+        run_provenance(seed=cfg.seed, data=given["data"]),
+        plain(cfg),
+        os.environ.get("WANDB_MODE", cfg.wandb),
+        used=[*used, *model_file(cfg)],
+        made=[(kind, folder / name) for kind, name in made.items()],
+    )
 
 
 def source_word(argument: str) -> str:

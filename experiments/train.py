@@ -18,7 +18,7 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig
-from support import model_file, one_sentence, plain, positive, whole
+from support import model_file, one_sentence, plain, whole
 
 from op3.command_line import launch
 from op3.envs import BatchedEnv, make_env
@@ -40,6 +40,7 @@ from op3.train import (
     evaluate,
     train,
 )
+from op3.train.training import CHECKPOINT
 
 KEPT = (
     "task",
@@ -70,8 +71,7 @@ def actions(cfg: DictConfig) -> ActionMap:
     made = ActionMap.around_stand(cfg.span) if start is None else start.manifest.action_map
     if cfg.fixed_gain is None:
         return made
-    gain = positive(cfg, "fixed_gain", "A/rad")
-    return replace(made, gain_low=gain, gain_high=gain)
+    return replace(made, gain_low=cfg.fixed_gain, gain_high=cfg.fixed_gain)
 
 
 def environment(cfg: DictConfig, task: Task, count: int, seed: int) -> BatchedEnv:
@@ -145,14 +145,17 @@ def learner(cfg: DictConfig, manifest: Manifest) -> SAC:
 def run(cfg: DictConfig) -> dict[str, Any]:
     """Train, judge the kept policy, and write page, numbers and film."""
     torch.set_num_threads(1)
-    for name, least in (("seed", 0), ("environments", 1), ("threads", 0)):
-        whole(cfg, name, least)
     for name, least in (("episodes", 1), ("seed", 0), ("final_seed", 0)):
         whole(cfg, f"evaluation.{name}", least)
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
+    if cfg.resume is not None and not (folder / CHECKPOINT).is_file():
+        raise ValueError(
+            f"resume={cfg.resume}: there is no {CHECKPOINT}; give the folder of a training, or leave it out"
+        )
     task, provenance = instantiate(cfg.task), run_provenance(seed=cfg.seed)
     if (start := earlier(cfg)) is not None:
         cfg.sac.hidden = list(start.manifest.hidden)
+    SACSettings(**plain(cfg.sac))
     manifest, settings = describe(cfg, task, provenance), TrainSettings(**plain(cfg.train))
     judge_task = task if cfg.evaluation.task is None else find_task(cfg.evaluation.task)
     judge = environment(cfg, judge_task, cfg.evaluation.episodes, cfg.evaluation.seed)
@@ -248,7 +251,7 @@ def commands(policy: PolicyBundle, actions: Any) -> dict[str, Any]:
 @hydra.main(config_path="../conf", config_name="train", version_base="1.3")
 def main(cfg: DictConfig) -> Any:
     """Train and report; a sweep maximises the return."""
-    with one_sentence("The same command with resume=<folder of the run> goes on from its last checkpoint."):
+    with one_sentence("The same command with resume=<folder of the run> goes on from its last checkpoint.", cfg):
         return run(cfg)["evaluation.return"]
 
 

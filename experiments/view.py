@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
-from support import check_given, one_sentence, positive, whole
+from support import check_given, one_sentence
 
 from op3.command_line import launch
 from op3.envs import record_episodes
@@ -92,11 +92,11 @@ def tracks_of(cfg: DictConfig) -> Tracks:
     return of_model(cfg) if is_model else of_log(cfg)
 
 
-def watch(cfg: DictConfig, out: Path, speed: float) -> None:
+def watch(cfg: DictConfig, out: Path) -> None:
     """Show a log while it is recorded: in a window, or a line per second and a film in the end."""
     coming = stretches(Path(cfg.what), cfg.model)
     if has_screen() and cfg.out is None:
-        window(coming, cfg.joint, speed)
+        window(coming, cfg.joint, cfg.speed)
         return
     seen = []
     for tracks in filter(None, coming):
@@ -104,15 +104,15 @@ def watch(cfg: DictConfig, out: Path, speed: float) -> None:
         seen.append(tracks)
     if not seen:
         raise ValueError(f"what={cfg.what}: no log began there; start op3 deploy with hydra.run.dir={cfg.what}")
-    draw(seen, cfg, out, speed)
+    draw(seen, cfg, out)
 
 
-def draw(stretches: list[Tracks], cfg: DictConfig, out: Path, speed: float) -> None:
+def draw(stretches: list[Tracks], cfg: DictConfig, out: Path) -> None:
     """Write a film of all stretches."""
-    seconds = sum(tracks.duration for tracks in stretches) / speed
+    seconds = sum(tracks.duration for tracks in stretches) / cfg.speed
     print(f"drawing {int(seconds * RATE) + 1} pictures ...", file=sys.stderr, flush=True)
     try:
-        print(write_film((one for tracks in stretches for one in pictures(tracks, cfg.joint, speed)), out, RATE))
+        print(write_film((one for tracks in stretches for one in pictures(tracks, cfg.joint, cfg.speed)), out, RATE))
     except RenderError as error:
         raise ValueError(str(error)) from None
 
@@ -125,13 +125,13 @@ def has_screen() -> bool:
 def run(cfg: DictConfig, folder: Path) -> None:
     """Show it, or write it."""
     check_given(cfg, "what", "a log, a policy bundle, a model.yaml or the run of a diagnosis")
-    whole(cfg, "number", 0)
-    speed = positive(cfg, "speed", "times real time")
     out = None if cfg.out is None else Path(cfg.out)
     if out is not None and out.name != "rerun" and out.suffix not in (".mp4", ".webp", ".rrd"):
         raise ValueError(f"out must end with .mp4, .webp or .rrd, or be rerun, got {cfg.out}")
+    if out is not None and not os.access(next(place for place in out.absolute().parents if place.exists()), os.W_OK):
+        raise ValueError(f"out={cfg.out}: nothing can be written there; choose another folder")
     if cfg.live:
-        watch(cfg, out or folder / "view.mp4", speed)
+        watch(cfg, out or folder / "view.mp4")
         return
     tracks = tracks_of(cfg)
     joints = next(iter(tracks.logs.values())).joints
@@ -142,15 +142,15 @@ def run(cfg: DictConfig, folder: Path) -> None:
 
         print(record(tracks, None if out.name == "rerun" else out) or "shown in rerun")
     elif out is None and has_screen():
-        window([tracks], cfg.joint, speed)
+        window([tracks], cfg.joint, cfg.speed)
     else:
-        draw([tracks], cfg, out or folder / "view.mp4", speed)
+        draw([tracks], cfg, out or folder / "view.mp4")
 
 
 @hydra.main(config_path="../conf", config_name="view", version_base="1.3")
 def main(cfg: DictConfig) -> None:
     """Show one thing."""
-    with one_sentence("Nothing is kept."):
+    with one_sentence("Nothing is kept.", cfg):
         torch.set_num_threads(1)
         run(cfg, Path(HydraConfig.get().runtime.output_dir))
 

@@ -10,6 +10,7 @@ import itertools
 import os
 import re
 import runpy
+import shutil
 import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -47,9 +48,6 @@ PRESETS: Mapping[str, Sequence[str]] = {
 }
 """Overrides that a command begins with."""
 
-FIRST: Mapping[str, str] = {"view": "what"}
-"""Setting that the first word after a command is, where it is written without one."""
-
 
 def files() -> Path:
     """The folder that holds ``experiments/`` and ``conf/``: the checkout, or the part of an installed wheel."""
@@ -71,19 +69,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
         return
     words = 2 if " ".join(given[:2]) in COMMANDS else 1
     command, rest = " ".join(given[:words]), given[words:]
-    if command == "doctor":
+    if command in ("doctor", "completion"):
         from op3.doctor import report
 
-        print(report())
-        return
-    if command == "completion":
-        print(completion(available))
+        if rest:
+            end(f"{command} takes no settings, got {rest[0]}")
+        print(report() if command == "doctor" else completion(available))
         return
     if command not in available:
         end(f"op3 has no command {command!r}{nearest(command, [*available, 'doctor', 'completion'])}")
     path = available[command]
-    if command in FIRST and rest and not rest[0].startswith("-") and (Path(rest[0]).exists() or "=" not in rest[0]):
-        rest[0] = f"{FIRST[command]}={rest[0]}"
+    if rest and not rest[0].startswith(("-", "~")) and (Path(rest[0]).exists() or "=" not in rest[0]):
+        rest[0] = f"{asked_for(command) or end(f'{rest[0]} is no setting: write setting=value')}={rest[0]}"
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # as Python has it: a closed socket is an error, not the end
     sys.argv = [str(path), *PRESETS.get(command, ()), *rest]
     sys.path.insert(0, str(path.parent))
@@ -99,6 +96,12 @@ def config_file(config: str) -> Path:
 def script(command: str) -> Path:
     """The experiment of a command."""
     return files() / "experiments" / f"{COMMANDS[command]}.py"
+
+
+def asked_for(command: str) -> str | None:
+    """The setting that a command cannot do without, whose name may be left out: ``op3 view <log>``."""
+    found = re.search(r"^(\w+): \?\?\?", config_file(COMMANDS[command]).read_text(encoding="utf-8"), re.MULTILINE)
+    return found and found[1]
 
 
 def overview(available: Mapping[str, Path]) -> str:
@@ -200,12 +203,15 @@ def launch(run: Callable[[], Any], config: str, documentation: str | None) -> No
         config: name of its config.
         documentation: docstring of the script.
     """
-    from hydra.errors import HydraException, MissingConfigException
+    from hydra.core.hydra_config import HydraConfig
+    from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
 
     if {"-h", "--help"} & set(sys.argv[1:]):
         print(usage(config, documentation or ""))
         return
+    if empty := next((word for word in sys.argv[1:] if word.endswith(".dir=")), None):
+        end(f"{empty} is empty: give a folder, or leave it out")
     sys.argv[1:] = [hide(quoted(argument)) for argument in sys.argv[1:]]
     # Hydra's own handler prints a wall of text; with this it lets errors through
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
@@ -214,9 +220,11 @@ def launch(run: Callable[[], Any], config: str, documentation: str | None) -> No
         sys.argv.append(os.environ.setdefault(CLAIMED, f"hydra.{_kind(sys.argv)}.dir={folder}"))
     try:
         run()
-    except MissingConfigException as error:
-        end(missing(error))
-    except (HydraException, OmegaConfBaseException) as error:
+    except (HydraException, OmegaConfBaseException, OSError) as error:
+        end(scrub(explained(error, config)))
+    except ValueError as error:
+        if HydraConfig.initialized():  # it is ours, and a mistake
+            raise
         end(scrub(explained(error, config)))
     finally:
         if _kind(sys.argv) == "sweep":
@@ -266,10 +274,13 @@ def _kind(arguments: Sequence[str]) -> str:
 
 
 def leave(folder: Path) -> None:
-    """Take secrets and paths out of what Hydra has written, and empty folders away."""
+    """Take secrets and paths out of what Hydra has written, and away what it has written of a run that left nothing."""
     for place in (folder, *folder.rglob(".hydra")):
         if place.is_dir():
             scrub_folder(place)
+    files = [file for file in folder.rglob("*") if file.is_file() and ".hydra" not in file.parts]
+    if not any(file.stat().st_size for file in files if file.name != "multirun.yaml"):
+        shutil.rmtree(folder, ignore_errors=True)
     for place in (folder, *list(folder.parents)[:2]):
         if place.is_dir() and not any(place.iterdir()):
             place.rmdir()
@@ -299,34 +310,41 @@ def _in_quotes(text: str) -> str:
     return f"'{escaped}'"
 
 
-def missing(error: Any) -> str:
-    """A group or a name in it that does not exist, with the nearest one that does."""
-    asked = str(error.missing_cfg_file or "")
-    group, _, name = asked.rpartition("/")
-    options = [str(option) for option in error.options or []]
-    if group and options:
-        return f"{group}={name}: there is no such file in conf/{group}{nearest(name, options)}"
-    groups = sorted(folder.name for folder in (files() / "conf").iterdir() if folder.is_dir())
-    return f"{asked}: there is no such config{nearest(asked.split('/')[0], groups)}"
-
-
 def explained(error: Exception, config: str) -> str:
-    """Hydra's complaint as one sentence, with the nearest setting where one is misspelt."""
+    """What Hydra or the system complains of as one sentence, with the nearest setting or name where one is misspelt."""
     text = " ".join(str(error).split())
+    if asked := getattr(error, "missing_cfg_file", None):
+        group, _, name = str(asked).rpartition("/")
+        return no_such(group, name) if group else f"there is no config {name!r}"
+    if "Config group override must be" in text:
+        named = [word.partition("=") for word in sys.argv[1:]]
+        return next((no_such(group, name) for group, _, name in named if (files() / "conf" / group).is_dir()), text)
     if found := re.search(r"Could not override '([^']+)'", text):
-        asked = found.group(1).lstrip("+")
-        known = known_settings(config)
+        asked, known = found[1].lstrip("+"), known_settings(config)
         if asked in known and (unknown := re.search(r"Key '([^']+)' is not in struct", str(error.__cause__))):
-            parts = [name.removeprefix(f"{asked}.") for name in known if name.startswith(f"{asked}.")]
-            return f"{asked} has no part {unknown.group(1)!r}{nearest(unknown.group(1), parts)}"
+            asked = f"{asked}.{unknown[1]}"
+        group, _, part = asked.rpartition(".")
+        if parts := [name.removeprefix(f"{group}.") for name in known if group and name.startswith(f"{group}.")]:
+            return f"{group} has no part {part!r}{nearest(part, parts)}"
         close = difflib.get_close_matches(asked, known, n=1)
         return f"there is no setting {asked!r}{nearest(asked, close or [name for name in known if '.' not in name])}"
-    if found := re.search(r"(?:Error parsing override|OverrideParseException:?) '([^']*)'", text):
-        name = found.group(1).partition("=")[0]
-        return f"{found.group(1)}: cannot be read; put the value in quotes, \"{name}='...'\""
-    if found := re.search(r"Could not find '([^']+)'", text):
-        return f"there is no config {found.group(1)!r}: {text[:200]}"
-    return text
+    if asked := getattr(error, "override", None):
+        return f"{asked}: cannot be read; write setting=value"
+    return told(error)
+
+
+def no_such(group: str, name: str) -> str:
+    """That a group has no such name, with the nearest one that it has."""
+    return f"{group}={name}: there is no {name!r} in the group {group}{nearest(name, names_in(group))}"
+
+
+def told(error: BaseException) -> str:
+    """An error as one sentence: the system's by what it is about, others in their own words."""
+    if isinstance(error, MemoryError):
+        return "there is not enough memory for so much at once; ask for fewer robots, episodes or trials"
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {(error.strerror or str(error)).lower()}; choose another place"
+    return " ".join(str(error).split()) if "\n" not in str(error) else str(error)
 
 
 def known_settings(config: str) -> list[str]:
@@ -341,7 +359,7 @@ def known_settings(config: str) -> list[str]:
     names: list[str] = []
 
     def walk(node: DictConfig, prefix: str) -> None:
-        for key in node:
+        for key in (key for key in node if not str(key).startswith("_")):
             names.append(f"{prefix}{key}")
             value = node._get_node(key)
             if isinstance(value, DictConfig) and not value._is_none() and not value._is_missing():

@@ -13,13 +13,12 @@ A group of settings is a frozen dataclass whose fields have the types below:
 What fields have to do with each other is checked in ``__post_init__`` as in any dataclass.
 """
 
-import dataclasses
 import difflib
 import functools
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, dataclass_transform
+from typing import Annotated, Any, NamedTuple, TypeVar, dataclass_transform
 
 import pydantic
 import pydantic.dataclasses
@@ -70,11 +69,15 @@ Raise = Callable[[str, str, Any], Exception]
 """Makes the error of a field, what it must be, and the value given."""
 
 _WANTED = {
-    "greater_than": "above {gt}",
-    "greater_than_equal": "at least {ge}",
-    "less_than": "below {lt}",
-    "less_than_equal": "at most {le}",
+    "greater_than": "above {gt:g}",
+    "greater_than_equal": "at least {ge:g}",
+    "less_than": "below {lt:g}",
+    "less_than_equal": "at most {le:g}",
     "float_type": "a number",
+    "float_parsing": "a number",
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
+    "bool_parsing": "true or false",
     "finite_number": "a finite number",
     "int_type": "a whole number",
     "bool_type": "true or false",
@@ -84,7 +87,6 @@ _WANTED = {
     "tuple_type": "a list",
     "too_short": "a list of at least {min_length}",
     "too_long": "a list of {max_length}",
-    "missing": "given",
     "mapping_type": "a mapping of names to values",
     "dict_type": "a mapping of names to values",
     "dataclass_type": "a mapping of its fields",
@@ -104,9 +106,6 @@ def settings(what: str = "", raises: Raise | None = None) -> Callable[[type[_Gro
     """
     before = f"{what}: " if what else ""
 
-    def fault(field: str, wanted: str, given: Any) -> Exception:
-        return ValueError(f"{before}{field} must be {wanted}, got {shown(given)}")
-
     def decorate(cls: type[_Group]) -> type[_Group]:
         config = pydantic.ConfigDict(strict=True, arbitrary_types_allowed=True, extra="forbid")
         made: Any = pydantic.dataclasses.dataclass(cls, frozen=True, config=config)
@@ -117,9 +116,14 @@ def settings(what: str = "", raises: Raise | None = None) -> Callable[[type[_Gro
             try:
                 checked(self, *args, **kwargs)
             except pydantic.ValidationError as error:
-                raise _first(
-                    error, [field.name for field in dataclasses.fields(made)], before, raises or fault
-                ) from None
+                raise refused(error) from None
+
+        def refused(error: pydantic.ValidationError) -> Exception:
+            place, given, wanted, problem = first_fault(error, made)
+            field = ".".join(map(str, place))
+            if isinstance(problem, Exception):  # a check of ours, which speaks for itself
+                return problem
+            return raises(field, wanted, given) if wanted and raises else ValueError(f"{before}{field} {problem}")
 
         made.__init__ = __init__
         return made
@@ -127,19 +131,45 @@ def settings(what: str = "", raises: Raise | None = None) -> Callable[[type[_Gro
     return decorate
 
 
-def _first(error: pydantic.ValidationError, known: Sequence[str], before: str, raises: Raise) -> Exception:
-    """The first fault that pydantic found, in our words."""
+class Fault(NamedTuple):
+    """Where something is wrong, what it is, what it must be (nothing where that is not the matter), and all of that in
+    words that follow the field's name, or the error of a check of ours."""
+
+    place: tuple[str | int, ...]
+    given: Any
+    wanted: str
+    problem: str | Exception
+
+
+def first_fault(error: pydantic.ValidationError, kind: Any) -> Fault:
+    """The first that pydantic found in a dataclass or a record of this kind."""
     detail: Any = error.errors()[0]
-    kind, context, given = detail["type"], detail.get("ctx", {}), detail["input"]
-    name = ".".join(str(part) for part in detail["loc"])
-    if kind == "value_error":  # a check of ours, which speaks for itself
-        return context["error"]
-    if kind in ("unexpected_keyword_argument", "extra_forbidden"):
-        return ValueError(f"{before}there is no field {name!r}{nearest(name, known)}")
-    if kind == "missing":
-        return ValueError(f"{before}{name} is missing: give it")
-    wanted = _WANTED.get(kind)
-    return raises(name, wanted.format(**context) if wanted else f"as it is described ({detail['msg']})", given)
+    place, given, name, context = tuple(detail["loc"]), detail["input"], detail["type"], detail.get("ctx", {})
+    place = tuple("/".join(step) if isinstance(step, tuple) else step for step in place)  # a key of several parts
+    if place and isinstance(place[0], int):  # it was given by its place, not by name
+        place = (list(kind.__pydantic_fields__)[place[0]], *place[1:])
+    if name == "value_error":
+        return Fault(place, given, "", context["error"])
+    if name in ("unexpected_keyword_argument", "extra_forbidden"):
+        return Fault(place, given, "", f"is no field{nearest(place[-1], _fields(kind, place))}")
+    if name in ("missing", "missing_argument"):
+        return Fault(place, given, "", "is missing: give it")
+    wanted = _WANTED[name].format(**context) if name in _WANTED else f"as it is described ({detail['msg']})"
+    return Fault(place, given, wanted, f"must be {wanted}, got {shown(given)}")
+
+
+def _fields(kind: Any, place: Sequence[str | int]) -> list[str]:
+    """Fields of the record that an entry stands in."""
+    for step in place[:-1]:
+        known = getattr(kind, "__pydantic_fields__", {})
+        parts = _parts(known[step].annotation if step in known else kind)
+        kind = next((part for part in parts if hasattr(part, "__pydantic_fields__")), parts[0])
+    return list(getattr(kind, "__pydantic_fields__", {}))
+
+
+def _parts(annotation: Any) -> list[Any]:
+    """An annotation and everything between its brackets."""
+    return [annotation, *(part for inner in getattr(annotation, "__args__", ()) for part in _parts(inner))]
 
 
 def shown(value: Any) -> str:

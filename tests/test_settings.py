@@ -41,7 +41,7 @@ class Motor:
         ({"joints": "knee"}, "motor: joints must be a list, got 'knee'"),
         ({"gains": {"p": 0}}, "motor: gains.p must be above 0, got 0"),
         ({"on": 1}, "motor: on must be true or false, got 1"),
-        ({"voltag": 1}, "motor: there is no field 'voltag'; the nearest is 'voltage'"),
+        ({"voltag": 1}, "motor: voltag is no field; the nearest is 'voltage'"),
         ({"offset": 13}, "motor: the offset lies above the voltage"),
     ],
 )

@@ -45,7 +45,7 @@ class TrajectoryLoss:
     """
 
     joints: Listed[str] = ()
-    weights: Mapping[tuple[str, str], NotNegative] = field(default_factory=lambda: UNIT_WEIGHTS)
+    weights: Mapping[tuple[str, ...], NotNegative] = field(default_factory=lambda: UNIT_WEIGHTS)
     robust_scale: Positive | None = None
     skip: NotNegative = 0.0
 

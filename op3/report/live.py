@@ -3,14 +3,17 @@
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from operator import itemgetter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from op3.report.style import words
 from op3.report.tracks import Tracks, predicted, scene_of
-from op3.rollout import LogError, Rollout, read_log
-from op3.rollout.rollout import METADATA_FILE
+from op3.rollout import LogError, Metadata, Rollout
+from op3.rollout.files import GrowingRows
+from op3.rollout.rollout import DATA_FOLDER, METADATA_FILE, ROWS_FILE
 from op3.servo import RobotModel
 from op3.sim import model_for
 from op3.tasks import Replay
@@ -25,6 +28,36 @@ PATIENCE = (120.0, 6.0)
 """Without a first row, and without another one, for so long [s] nothing more is awaited."""
 
 
+class Growing:
+    """A log that may still grow: then rows from `REACH` before what was shown are kept, and none is read twice.
+
+    Args:
+        folder: of the log, with its metadata.
+
+    Attributes:
+        shown: until when [s] it was; minus infinity where nothing was.
+    """
+
+    def __init__(self, folder: Path):
+        self.folder, self.shown = folder, -np.inf
+        self._rows = GrowingRows(folder / ROWS_FILE)
+        self._arrays: dict[Any, np.ndarray] = {}
+        self._whole: Rollout | None = None
+
+    def now(self) -> Rollout | None:
+        """What there is of it; None before the first row."""
+        if self._whole is None and (self.folder / DATA_FOLDER).is_dir():
+            log = Rollout.load(self.folder)
+            self._whole = log if log.metadata.complete else None
+            return log
+        if self._whole is None and (new := self._rows.more()):
+            late = self._arrays["time"][:, 0] >= self.shown - REACH if self._arrays else slice(0)
+            self._arrays = {k: np.concatenate([self._arrays.get(k, v)[late], v]) for k, v in new.items()}
+        if self._whole is None and self._arrays:
+            return Rollout.from_arrays(self._arrays, Metadata.read(self.folder / METADATA_FILE))
+        return self._whole
+
+
 def stretches(folder: Path, model: RobotModel | str | None) -> Iterator[Tracks | None]:
     """Stretches of the logs in a folder as they grow, one log after the other; None while there is nothing new.
 
@@ -32,31 +65,32 @@ def stretches(folder: Path, model: RobotModel | str | None) -> Iterator[Tracks |
         folder: a log, or the folder of a run with some, which share a clock; it may not be there yet.
         model: of the ghost; the robot's own where None.
     """
-    shown: dict[Path, float] = {}
-    last = time.monotonic()
-    while time.monotonic() - last < PATIENCE[bool(shown)]:
-        found = _unseen(folder, shown)
+    known: dict[Path, Growing] = {}
+    seen, last = False, time.monotonic()
+    while time.monotonic() - last < PATIENCE[seen]:
+        found = _unseen(folder, known)
         if found is None:
             yield None
             time.sleep(0.2)
             continue
         yield _tracks(*found, model)
-        last = time.monotonic()
+        seen, last = True, time.monotonic()
 
 
-def _unseen(folder: Path, shown: dict[Path, float]) -> tuple[Rollout, float, float] | None:
+def _unseen(folder: Path, known: dict[Path, Growing]) -> tuple[Rollout, float, float] | None:
     """A log with begin and end [s] of what of it is shown next, and so counts as shown; None: it must grow first."""
-    logs: dict[Path, Rollout] = {}
+    logs = []
     for place in folder.rglob(METADATA_FILE):
-        with suppress(LogError, OSError):  # nothing is on the disk yet, or it is being closed at this moment
-            logs[place.parent] = read_log(place.parent)
-    ordered = sorted(logs.items(), key=lambda item: item[1].array("time")[0, 0])
-    for number, (place, log) in enumerate(ordered, start=1):
-        times = log.array("time")[:, 0]
-        begin, end = shown.get(place, float(times[0])), float(times[-1])
+        one = known.setdefault(place.parent, Growing(place.parent))
+        with suppress(LogError, OSError):  # it is being closed at this moment
+            if (log := one.now()) is not None:
+                logs.append((log.array("time")[0, 0], one, log))
+    ordered = sorted(logs, key=itemgetter(0))
+    for number, (first, one, log) in enumerate(ordered, start=1):
+        begin, end = max(one.shown, float(first)), float(log.array("time")[-1, 0])
         over = log.metadata.complete or number < len(ordered)
         if end > begin and (over or end - begin >= STRETCH):
-            shown[place] = end = min(end, begin + STRETCH)
+            one.shown = end = min(end, begin + STRETCH)
             return log, begin, end
         if not over:
             return None

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
-from op3.settings import nearest, parse_yaml
+from op3.settings import first_fault, nearest, parse_yaml
 
 Content = TypeVar("Content", bound="Record")
 
@@ -83,17 +83,8 @@ class DataFile:
         try:
             return kind.model_validate(self.content)
         except ValidationError as error:
-            raise self._sentence(kind, error.errors()[0]) from None
-
-    def _sentence(self, kind: type[Record], first: Any) -> DataFileError:
-        place, known = tuple(first["loc"]), _fields(kind, first["loc"])
-        if first["type"] == "extra_forbidden":
-            return self.fault(place, f"is no field{nearest(str(place[-1]), known)}")
-        if first["type"] == "missing":
-            return self.fault(place, "is missing: add it")
-        if first["type"] == "value_error":
-            return self.fault(place, str(first["ctx"]["error"]))
-        return self.fault(place, f"is {first['input']!r}, but {_lower(first['msg'])}")
+            place, *_, problem = first_fault(error, kind)
+            raise self.fault(place, str(problem)) from None
 
 
 def _step(node: yaml.Node | None, step: str | int) -> tuple[int, yaml.Node] | None:
@@ -104,24 +95,3 @@ def _step(node: yaml.Node | None, step: str | int) -> tuple[int, yaml.Node] | No
     if isinstance(node, yaml.SequenceNode) and isinstance(step, int) and step < len(node.value):
         return node.value[step].start_mark.line + 1, node.value[step]
     return None
-
-
-def _fields(kind: type[Record], place: Sequence[str | int]) -> list[str]:
-    """Fields of the record that an entry stands in."""
-    found: Any = kind
-    for step in place[:-1]:
-        fields = getattr(found, "model_fields", {})
-        if step in fields:
-            found = fields[step].annotation
-        records = [part for part in _parts(found) if hasattr(part, "model_fields")]
-        found = records[0] if records else found
-    return list(getattr(found, "model_fields", {}))
-
-
-def _parts(annotation: Any) -> list[Any]:
-    """An annotation and everything between its brackets."""
-    return [annotation, *(part for inner in getattr(annotation, "__args__", ()) for part in _parts(inner))]
-
-
-def _lower(text: str) -> str:
-    return text[:1].lower() + text[1:]

@@ -120,33 +120,45 @@ CHUNK = struct.Struct("<4sIII")
 MARK = b"rows"
 
 
-def read_rows(path: Path) -> dict[Key, np.ndarray]:
-    """Every whole chunk of a recording's `rows.bin`, a line of JSON with the channels and then chunks.
+class GrowingRows:
+    """The rows of a recording's `rows.bin`, a line of JSON with the channels and then chunks, as they reach the disk.
 
-    Returns:
-        By channel, [time, last axis].
+    Args:
+        path: of the file.
     """
-    raw = path.read_bytes()
-    line, _, body = raw.partition(b"\n")
-    rows: list[np.ndarray] = []
-    try:
-        layout = [(normal_key(name), int(width)) for name, width in json.loads(line)]
-        width = sum(w for _, w in layout)
-        offset = 0
-        while offset + CHUNK.size <= len(body):
-            mark, count, size, check = CHUNK.unpack_from(body, offset)
-            payload = body[offset + CHUNK.size : offset + CHUNK.size + size]
-            if mark != MARK or zlib.crc32(payload) != check:
-                break
-            rows.append(np.frombuffer(payload).reshape(count, width))
-            offset += CHUNK.size + size
-    except (ValueError, TypeError, struct.error):
-        rows = rows or []
-    if not rows:
-        remedy = "nothing reached the disk, record again"
-        raise LogError("the interrupted recording holds no rows", remedy, source=path)
-    table, columns, start = np.concatenate(rows), {}, 0
-    for key, entries in layout:
-        columns[key] = table[:, start : start + entries]
-        start += entries
-    return columns
+
+    def __init__(self, path: Path):
+        self.path = path
+        self._offset = 0
+        self._layout: list[tuple[Key, int]] = []
+
+    def more(self) -> dict[Key, np.ndarray]:
+        """Every whole chunk that was not read before, by channel, [time, last axis]; no channel where there is none."""
+        rows: list[np.ndarray] = []
+        with self.path.open("rb") as stream:
+            stream.seek(self._offset)
+            try:
+                if not self._layout:
+                    self._layout = [(normal_key(name), int(width)) for name, width in json.loads(stream.readline())]
+                    self._offset = stream.tell()
+                while len(head := stream.read(CHUNK.size)) == CHUNK.size:
+                    mark, count, size, check = CHUNK.unpack(head)
+                    payload = stream.read(size)
+                    if mark != MARK or zlib.crc32(payload) != check:
+                        break
+                    rows.append(np.frombuffer(payload).reshape(count, sum(width for _, width in self._layout)))
+                    self._offset = stream.tell()
+            except (ValueError, TypeError):
+                pass  # what came before is whole
+        if not rows:
+            return {}
+        ends = np.cumsum([width for _, width in self._layout])
+        columns = np.split(np.concatenate(rows), ends[:-1], axis=1)
+        return {key: values for (key, _), values in zip(self._layout, columns, strict=True)}
+
+
+def read_rows(path: Path) -> dict[Key, np.ndarray]:
+    """Every whole chunk of a recording, by channel, [time, last axis]."""
+    if columns := GrowingRows(path).more():
+        return columns
+    raise LogError("the interrupted recording holds no rows", "nothing reached the disk, record again", source=path)

@@ -265,7 +265,7 @@ def test_deploy_script_and_replay(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (("duration=nan", "limits.peak_current=oops"), 1, "duration must be a number of seconds above 0, got nan"),
+        (("duration=nan", "limits.peak_current=oops"), 1, "duration must be a finite number, got nan"),
         (("port=/dev/ttyNOWHERE",), 12, "cannot be opened"),
     ],
 )

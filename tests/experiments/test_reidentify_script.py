@@ -70,8 +70,8 @@ def test_bad_input_is_named(given, tmp_path):
     flat = log.metadata.replace(extra={**log.metadata.extra, "exit": "voltage"})
     Rollout(log.data, flat).save(tmp_path / "flat" / "episode-0")
     for extra, sentence in (
-        (["repeats=2.5"], "repeats must be a whole number of at least 1, got 2.5"),
-        (["finalists=-1"], "finalists must be a whole number of at least 1"),
+        (["repeats=2.5"], "repeats must be a whole number, got 2.5"),
+        (["finalists=-1"], "finalists must be at least 1, got -1"),
         ([f"episodes={tmp_path / 'flat'}"], "all ended by voltage, as no simulation of the policy does"),
     ):
         names = {argument.split("=")[0] for argument in extra}

@@ -58,6 +58,24 @@ def test_the_logs_of_a_run_are_shown_in_the_order_of_their_clock(log, tmp_path, 
     assert found == pytest.approx([0.0, 1.0, 1.2])
 
 
+def test_of_a_run_of_hours_only_the_last_seconds_are_held_and_none_is_read_twice(log, tmp_path, monkeypatch):
+    """Half a second is kept before what was shown; what was read once may be gone from the disk."""
+    monkeypatch.setattr(live, "REACH", 0.5)
+    rows = [{key: log.array(key)[row] for key in log.channels} for row in range(log.rows)]
+    recorder, growing = Recorder(tmp_path / "log", log.metadata), live.Growing(tmp_path / "log")
+    for part, rest in ((rows[:150], log.between(0.0, 1.2)), (rows[150:], log.between(0.7, 9.0))):
+        for row in part:
+            recorder.append(row)
+        recorder._flush()
+        now = growing.now()
+        assert np.array_equal(now.array("joint/position"), rest.array("joint/position"))
+        growing.shown = 1.2
+        with (tmp_path / "log" / "rows.bin").open("r+b") as file:
+            file.write(b"x" * 1000)
+    recorder.abandon()
+    assert not growing.now().metadata.complete
+
+
 def test_a_line_tells_the_joint_that_differs_most(log):
     """A ghost whose left knee is 0.2 rad ahead, of twenty joints: 10 mrad in the mean."""
     knee, ahead = log.joints.index("l_knee"), {key: log.array(key).copy() for key in log.channels}

@@ -95,7 +95,7 @@ def test_robots_travel_between_processes(tmp_path):
         ({"unit: count": "unit: conut"}, r"line 10: joints.j2.log.unit names the unit 'conut'.* nearest is 'count'"),
         ({"base: base": "base: bas"}, r"line 4: base names the body 'bas', which there is not; the nearest is 'base'"),
         ({"{bus_id: 2,": "{bus_id: 1,"}, r"line 9: joints.j1.bus_id is 1, as that of j0; give each its own"),
-        ({"sign: -1": "sign: 2"}, r"line 10: joints.j2.log.sign is 2, but input should be 1 or -1"),
+        ({"sign: -1": "sign: 2"}, r"line 10: joints.j2.log.sign must be one of 1 or -1, got 2"),
         ({"home: 0.4": "home: 4"}, r"line 9: joints.j1.home is 4 rad, outside its limits -1.5 to 1.5"),
         ({"home: 0.4": "hmoe: 4"}, r"line 9: joints.j1.hmoe is no field; the nearest is 'home'"),
         ({"four.xml": "for.xml"}, r"line 3: model names .*for.xml, where there is no file"),
@@ -115,7 +115,7 @@ def test_robots_travel_between_processes(tmp_path):
             r"line 6: poses.up.j5 names the joint 'j5', which there is not; there are j0",
         ),
         ({"servo:": "soles: [foot]\nservo:"}, r"line 6: soles.0 names the geom 'foot', which there is not"),
-        ({"{bus_id: 1}": "{bus_id: 1, peak_current: 0}"}, r"line 8: joints.j0.peak_current is 0, but input should be"),
+        ({"{bus_id: 1}": "{bus_id: 1, peak_current: 0}"}, r"line 8: joints.j0.peak_current must be above 0, got 0"),
     ],
 )
 def test_a_wrong_file_is_refused_in_one_sentence(tmp_path, change, sentence):
