@@ -117,11 +117,11 @@ def main(cfg: DictConfig) -> Any:
         check_given(cfg, "data", "a log, a folder of logs, or a list of them")
         for name in cfg.ablate:
             effect_class(name)
+        model = base_model(cfg)
         folder = Path(HydraConfig.get().runtime.output_dir)
         if cfg.population is None:  # before anything is simulated
             Refine(**plain(cfg.refine))
             read_settings(cfg, HydraConfig.get().sweeper, folder)
-        model = base_model(cfg)
         identification = build(cfg, model, f"with {', '.join(cfg.ablate).upper()}" if cfg.ablate else "model")
         if cfg.population is None:
             identification.check()

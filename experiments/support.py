@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import yaml
 from hydra import compose, initialize_config_dir
@@ -24,12 +24,14 @@ from pydantic import Field
 from op3.command_line import told
 from op3.policy.actions import GAIN_HIGH, GAIN_LOW
 from op3.private import scrub
-from op3.report import RunFolder, run_provenance
 from op3.robot import DEFAULT, Motion, named_configs
 from op3.rollout import Metadata, Rollout
 from op3.rollout.files import write_text
 from op3.settings import Count, Number, Positive, Whole, settings
 from op3.sim.model_file import find_model
+
+if TYPE_CHECKING:
+    from op3.report import RunFolder
 
 CONF = Path(__file__).resolve().parents[1] / "conf"
 """The configs of this project."""
@@ -210,8 +212,10 @@ READ = {"policy": "policy", "data": "log", "heldout": "log", "episodes": "log"}
 """What fields name that a run reads, besides its model."""
 
 
-def run_folder(cfg: DictConfig, folder: Path, **made: str) -> RunFolder:
+def run_folder(cfg: DictConfig, folder: Path, **made: str) -> "RunFolder":
     """A run's folder with its provenance; `made` is the name in it of what the run makes, by kind."""
+    from op3.report import RunFolder, run_provenance  # brings plotly, which a deployment need not load
+
     given = {name: plain(cfg.get(name)) for name in READ}
     used = [(READ[name], where) for name, where in given.items() if isinstance(where, str | list)]
     return RunFolder(

@@ -80,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         end(f"op3 has no command {command!r}{nearest(command, [*available, 'doctor', 'completion'])}")
     path = available[command]
     if rest and not rest[0].startswith(("-", "~")) and (Path(rest[0]).exists() or "=" not in rest[0]):
-        rest[0] = f"{asked_for(command) or end(f'{rest[0]} is no setting: write setting=value')}={rest[0]}"
+        rest[0] = f"{asked_for(COMMANDS[command]) or end(f'{rest[0]} is no setting: write setting=value')}={rest[0]}"
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # as Python has it: a closed socket is an error, not the end
     sys.argv = [str(path), *PRESETS.get(command, ()), *rest]
     sys.path.insert(0, str(path.parent))
@@ -98,9 +98,9 @@ def script(command: str) -> Path:
     return files() / "experiments" / f"{COMMANDS[command]}.py"
 
 
-def asked_for(command: str) -> str | None:
+def asked_for(config: str) -> str | None:
     """The setting that a command cannot do without, whose name may be left out: ``op3 view <log>``."""
-    found = re.search(r"^(\w+): \?\?\?", config_file(COMMANDS[command]).read_text(encoding="utf-8"), re.MULTILINE)
+    found = re.search(r"^(\w+): \?\?\?", config_file(config).read_text(encoding="utf-8"), re.MULTILINE)
     return found and found[1]
 
 
@@ -191,6 +191,8 @@ def usage(config: str, documentation: str) -> str:
     parts = [documentation.strip(), "Settings, with defaults (setting=value; group.field=value):", body]
     if listed:
         parts += ["Groups (group=name):", "\n".join(listed)]
+    if asked := asked_for(config):
+        parts.append(f"`{asked}=` may be left out where it comes first.")
     parts.append("Several values (seed=0,1,2) run one after the other with -m; --cfg job prints all settings.")
     return "\n\n".join(parts)
 

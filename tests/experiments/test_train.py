@@ -65,7 +65,7 @@ def in_process(name: str, overrides: list[str], folder: Path) -> object:
     cfg = OmegaConf.masked_copy(cfg, [name for name in cfg if name != "hydra"])
     made = module(name)
     try:
-        with made.one_sentence():
+        with made.one_sentence(cfg=cfg):
             return made.run(cfg)
     finally:
         HydraConfig.instance().cfg = None
