@@ -33,7 +33,7 @@ def main(cfg: DictConfig) -> dict[str, Any]:
         score = predict_logs(
             model_for(logs[0].robot, cfg.model), logs, joints=joints, bench_timestep=cfg.bench_timestep, seed=cfg.seed
         )
-        path = Path(logs[0].robot.name) if cfg.model is None else find_model(cfg.model)
+        path = Path(f"{logs[0].robot.name}'s data sheets") if cfg.model is None else find_model(cfg.model)
         return report_prediction(
             score,
             run_folder(cfg, Path(HydraConfig.get().runtime.output_dir)),

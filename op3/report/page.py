@@ -118,7 +118,7 @@ class Page:
         # `<` inside the data must not end the script element
         self._figures.append(Markup(str(figure.to_json()).replace("<", "\\u003c")))
         margin, columns = figure.layout.margin, len({axis.domain for axis in figure.select_xaxes()})
-        width = max(320, 240 * columns) + (margin.l or 0) + (margin.r or 0)  # narrower screens move it sideways
+        width = max(320, 280 * columns) + (margin.l or 0) + (margin.r or 0)  # narrower screens move it sideways
         self._add("figure", caption, height=int(figure.layout.height or 420), width=width)
 
     def table(self, header: Sequence[str], rows: Sequence[Sequence[Cell]], caption: str = "", digits: int = 4) -> None:
