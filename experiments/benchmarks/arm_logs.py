@@ -91,13 +91,13 @@ class Windows:
         rows = np.unique([*range(0, len(angle), EVERY), len(angle) - 1])
         start = setup.scene.initial_qpos(angle[0])
         known = trajectory_dynamics(setup.mj_model, setup.scene.joint_names, angle[rows], speed[rows], start)
-        fields = (known.mass, known.bias, known.gradient, known.damping, known.radial_force)
+        fields = (known.mass, known.bias, known.gradient, known.damping, known.radial_force, known.carried)
         dynamics = TrajectoryDynamics(*(_between(field, rows, len(angle)) for field in fields))
         none = [np.zeros_like(field) for field in (dynamics.mass, dynamics.bias, dynamics.gradient, dynamics.damping)]
         # a joint whose encoder reads more stands at a smaller angle
         turned: dict[tuple[str, int | None], TrajectoryDynamics] = {
             ("encoder_offset", j): TrajectoryDynamics(
-                none[0], -dynamics.gradient[:, :, j].copy(), none[2], none[3], none[1]
+                none[0], -dynamics.gradient[:, :, j].copy(), none[2], none[3], none[1], 0 * dynamics.carried
             )
             for j in range(len(self.joints))
         }

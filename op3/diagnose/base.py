@@ -291,10 +291,10 @@ def far_apart(coordinates: Coordinates, one: np.ndarray, other: np.ndarray) -> l
 
 
 def untold(base: Base) -> list[str]:
-    """Shared numbers of which the logs say little more than their priors."""
-    ratio = np.sqrt(np.diag(base.fit.covariance)) / base.coordinates.deviation
-    both = zip(base.coordinates.entries, ratio, strict=True)
-    return [entry.parameter for entry, kept in both if entry.joints is None and kept > UNTOLD]
+    """Shared numbers that do something, of which the logs say little more than their priors."""
+    kept = np.sqrt(np.diag(base.fit.covariance)) / base.coordinates.deviation * base.linear.base.any((1, 2, 3))
+    both = zip(base.coordinates.entries, kept, strict=True)
+    return [entry.parameter for entry, share in both if entry.joints is None and share > UNTOLD]
 
 
 def unusual(given: RobotModel, base: Base, fit: Posterior, judge: Judge) -> list[tuple[int, float, float]]:

@@ -1,7 +1,7 @@
 """The workflow: windows, base, findings one after another, the model that predicts best, the gap before and after."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -108,8 +108,7 @@ class Diagnosis:
     def reduction(self) -> Reduction:
         """The windows of the fitted runs."""
         windows = self.settings.windows or max(FEWEST, PER_RUN * len(self.split.fit))
-        engine = WindowResiduals(self.split.fit, windows=windows)
-        return Reduction(engine, self.settings)
+        return Reduction(WindowResiduals(self.split.fit, windows=windows), self.settings)
 
     def _once(self, model: RobotModel) -> Verdict:
         if self.split.fit[0].metadata.mount not in HELD:
@@ -147,13 +146,14 @@ class Diagnosis:
 
     def _verdict(self, given: RobotModel, reduction: Reduction) -> Verdict:
         first, last = self.stages[0], self.stages[-1]
-        points = [on_whole_runs(stage.base, self.split.fit) for stage in self.stages]
+        whole = [on_whole_runs(stage.base, self.split.fit) for stage in self.stages]
+        points = [stage.base.point if at is None else at for stage, at in zip(self.stages, whole, strict=True)]
         models = [at_point(one.base.coordinates, point) for one, point in zip(self.stages, points, strict=True)]
         choice = choose(models, self.split.select) if len(models) > 1 else {"taken": 0, "left": [1.0], "channels": []}
         # what a name frees from a bound may have driven it there, or have let a poor base move on
         doubted = tuple(dict.fromkeys(doubt for stage in self.stages for doubt in doubts(stage.base)))
         most = LIKELY if doubted or self._short else 1.0
-        held = LIKELY if points[0] is not first.base.point else most  # whole runs that were refitted know better
+        held = most if whole[0] is None else LIKELY  # whole runs that were refitted know better
         findings = [*self._named(reduction, choice["taken"], most, held), *self._of_base(given, reduction, last, most)]
         stage, point = self.stages[choice["taken"]], points[choice["taken"]]
         deviation = np.sqrt(np.diag(stage.fit.covariance))[: len(point)]
@@ -212,6 +212,7 @@ class Diagnosis:
             made = stage.base.linear.base[i] * (stage.base.point[i] / max(abs(stage.base.point[i]), 1e-12))
             torque = np.sqrt(np.square(made[..., reduction.kinds == 0]).mean((1, 2))) * abs(stage.base.point[i])
             torque = torque / 2 * reduction.unit  # the mean of four pieces is half of their turned sum
+            felt = np.flatnonzero(torque > 0.1 * torque.max())
             around = [self.stages[min(k, len(self.stages) - 1)] for k in (number, number + 1)]
             before, after = (lacking(reduction, at) for at in around)
             result.append(
@@ -227,7 +228,7 @@ class Diagnosis:
                     one.log_odds,
                     rivals,
                     float(1 - np.square(after).sum() / np.square(before).sum()),
-                    _largest(dict(zip([joints[j] for j in reduction.judged], torque.tolist(), strict=True))),
+                    {joints[reduction.judged[k]]: float(torque[k]) for k in felt},
                     in_model=number < taken,
                 )
             )
@@ -280,9 +281,3 @@ class Diagnosis:
 def _rival(candidate: Candidate, joints: Sequence[str], probability: float) -> Rival:
     where = tuple(joints) if candidate.joints is None else tuple(joints[j] for j in candidate.joints)
     return Rival(candidate.effect.name, where, candidate.joints is None, probability)
-
-
-def _largest(torque: Mapping[str, float]) -> dict[str, float]:
-    """Joints with at least a tenth of the largest torque."""
-    most = max(torque.values(), default=0.0)
-    return {joint: value for joint, value in torque.items() if value > 0.1 * most}

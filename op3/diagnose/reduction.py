@@ -10,6 +10,7 @@ On a stand limbs do not couple, so that one simulation carries a local change in
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -44,6 +45,10 @@ STEP = 0.02
 
 MOVES = 0.05
 """A joint moves if its speed has this standard deviation [rad/s]."""
+
+SWAY = (0.2, 0.005)
+"""How far what a swaying stand asks of joints is known: a share of it, as nobody knows the point about which the stand
+bends, and a time [s], as nobody knows the gyro's filter (low-passes of IMUs are 1 to 18 ms late)."""
 
 COARSE = 2
 """How many times longer than usual the steps are of which only differences count: a column."""
@@ -351,7 +356,7 @@ class Reduction:
                 usual = np.quantile(np.abs(values[-1][..., kinds]), 0.97, axis=(1, 2), keepdims=True)
                 values[-1][..., kinds] = np.clip(values[-1][..., kinds], -8 * usual - 0.5, 8 * usual + 0.5)
         measured = np.where(np.isfinite(variance), linear.lacking, 0.0)
-        features = self.features() * torque[:, None]
+        features = self.features * torque[:, None]
         names = tuple(self.engine.joints[j] for j in self.judged)
         return Rows(names, self.kinds, measured, variance, features, tuple(kept), tuple(values))
 
@@ -364,9 +369,13 @@ class Reduction:
                 extra = extra + np.maximum(moved - np.quantile(moved, 0.75, axis=1, keepdims=True), 0.0)
         return s.edge**2 * np.minimum(extra, 0.9 * UNKNOWN)
 
-    def features(self, seed: int = 0) -> np.ndarray:
-        """Random features of what a joint goes through, ``[joint, window, row, feature]``; of currents the same."""
-        engine, rng, count = self.engine, np.random.default_rng(seed), self.settings.features
+    @cached_property
+    def features(self) -> np.ndarray:
+        """Random features of what a joint goes through, ``[joint, window, row, feature]``; of currents the same.
+
+        Behind them what is not known of a stand's sway.
+        """
+        engine, rng, count = self.engine, np.random.default_rng(0), self.settings.features
         q, v, i = (engine.by_window(a)[..., self.judged] for a in
                    (engine.motion.position, engine.motion.velocity, engine.motion.current))  # fmt: skip
         time = np.broadcast_to(engine.by_window(engine.motion.time), q.shape)
@@ -384,6 +393,9 @@ class Reduction:
             weight = np.zeros(7)
             weight[picked] = rng.standard_normal(len(picked)) / (1.5 if number % 4 < 2 else 0.6)
             made.append(np.sqrt(2) * np.cos(x @ weight + rng.uniform(0, 2 * np.pi)))
+        carried = np.einsum("tjk,tok->otj", engine.motion.dynamics.carried, engine.sway) / self.unit
+        for share, torque in zip(SWAY, carried, strict=True):  # of what the gyro says of the stand
+            made.append(share / self.settings.law * engine.by_window(torque)[..., self.judged])
         mean = self._mean[:, :-1] / self._mean[:, :-1].sum(1, keepdims=True)
         pieces = np.einsum("pt,fwtj->jwpf", mean, np.stack(made))
         turned = np.einsum("rp,jwpf->jwrf", self._turn, pieces)

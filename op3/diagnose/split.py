@@ -139,15 +139,11 @@ def _same_commands(one: Rollout, other: Rollout) -> bool:
     return all(np.allclose(one.array(key)[:rows], other.array(key)[:rows], rtol=0, atol=SAME_COMMAND) for key in keys)
 
 
-def _kind(log: Rollout) -> str:
-    return re.sub(r"[\d_.-]+$", "", log.metadata.motion or "motion")
-
-
 def _pick(logs: Sequence[Rollout], among: Sequence[int], count: int, rng: np.random.Generator) -> list[int]:
     """Runs drawn one of each kind in turn, the kind with the most runs left first."""
     left: dict[str, list[int]] = {}
     for i in among:
-        left.setdefault(_kind(logs[i]), []).append(i)
+        left.setdefault(re.sub(r"[\d_.-]+$", "", logs[i].metadata.motion or "motion"), []).append(i)
     picked: list[int] = []
     taken = dict.fromkeys(left, 0)
     while len(picked) < count:

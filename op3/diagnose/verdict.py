@@ -67,10 +67,6 @@ class Finding:
         """Name, place and size in a few words."""
         return f"{_place(self.effect, self.joints, self.shared)} ({self.parameter} {self.size:.3g} {self.unit})"
 
-    def plain(self) -> dict[str, Any]:
-        """Plain values for YAML."""
-        return plain(self) | {"separate_by": self.separate_by}
-
 
 @dataclass(frozen=True)
 class JointGap:
@@ -135,9 +131,8 @@ class Verdict:
         nothing can be told; ``nothing_missing``."""
         if self.findings:
             return "ambiguous" if any(finding.alternatives for finding in self.findings) else "named"
-        if self.cannot_tell and not self.joints:
-            return "unknown"
-        return "unknown" if any(gap.flagged for gap in self.joints.values()) else "nothing_missing"
+        lost = (self.cannot_tell and not self.joints) or any(gap.flagged for gap in self.joints.values())
+        return "unknown" if lost else "nothing_missing"
 
     @property
     def sentence(self) -> str:
@@ -159,7 +154,7 @@ class Verdict:
             "verdict": self.verdict,
             "sentence": self.sentence,
             "base": plain({"doubts": self.doubts, "untold": self.untold, "chain": self.chain}),
-            "findings": [finding.plain() for finding in self.findings],
+            "findings": [plain(one) | {"separate_by": one.separate_by} for one in self.findings],
             **{
                 name: plain(getattr(self, name))
                 for name in ("joints", "cannot_tell", "choice", "gap", "loss", "ranking", "seconds")

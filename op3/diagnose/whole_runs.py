@@ -26,8 +26,10 @@ REACH = 50.0
 """Standard deviations of the windows by which a number may move: what they model wrong is no noise."""
 
 
-def on_whole_runs(base: Base, logs: Sequence[Rollout]) -> np.ndarray:
+def on_whole_runs(base: Base, logs: Sequence[Rollout]) -> np.ndarray | None:
     """The point of a base at which it predicts the angles of whole runs best, by its shared numbers.
+
+    None where that costs too much, or whole runs tell nothing.
 
     Differences beyond the median count less than their squares (pseudo-Huber), as in some runs something else happens.
     A window's length counts as one reading, the windows' numbers as a prior, as wide as the base's own.
@@ -36,11 +38,11 @@ def on_whole_runs(base: Base, logs: Sequence[Rollout]) -> np.ndarray:
     step = BENCH_CONTROL_PERIOD * (1 if coordinates.model.stiff else 2)
     replay = Replay(logs, settle=settle_time(logs), bench_timestep=step, num_threads=1)
     if replay.seconds * len(logs[0].joints) * (len(at) + 1) > AFFORDABLE:
-        return base.point
+        return None
     first = replay.run(coordinates.model, coordinates.values(base.point[None]))
     usual = float(position_error(first).nanmedian())
     if not usual > 0.0:  # all diverged, or nothing is left
-        return base.point
+        return None
     loss = TrajectoryLoss(weights={("joint", "position"): 1.0}, robust_scale=usual)
     reading = np.sqrt(float(loss(first)[0]) / sum(log.duration for log in logs) * LENGTH)
     reach = REACH * np.sqrt(np.diag(np.linalg.inv(base.fit.precision)))[at]

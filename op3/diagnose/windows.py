@@ -104,7 +104,9 @@ class WindowResiduals:
     def _stack(self, logs: Sequence[SmoothLog]) -> None:
         """One long motion of all windows' ticks, each with its lead."""
         bench = logs[0].log.metadata.mount == "pendulum"
-        self.known = np.stack([np.all([_measured(log, key) for log in logs], 0) for key in CHANNELS], -1)
+        silent = np.zeros(len(self.joints), bool)
+        told = [[log.log.measured(key) if key in log.readings else silent for log in logs] for key in CHANNELS]
+        self.known = np.stack([np.all(one, 0) for one in told], -1)
         self.known[:, CHANNELS.index(("joint", "velocity"))] &= not bench
         spans = [(logs[i], slice(t - PREROLL, t + self.ticks + 1)) for i, t in self.windows]
         rows = PREROLL + self.ticks + 1
@@ -127,6 +129,8 @@ class WindowResiduals:
             mine = [k for k, own in enumerate(bases) if own == base]
             at = np.concatenate([np.arange(k * rows, (k + 1) * rows) for k in mine])
             self._mounts.append((spans[mine[0]][0], at))
+        sways = all(log.sway is not None for log in logs)
+        self.sway = stacked(lambda log: log.sway) if sways else np.zeros((len(self._position), 2, 3))
         q, v = stacked(lambda log: log.control[0]), stacked(lambda log: log.control[1])
         self.motion = MeasuredMotion(
             self.period,
@@ -164,7 +168,8 @@ class WindowResiduals:
             inputs["bus_voltage"] = inputs["bus_voltage"] - whole.supply_resistance * beside[:, None]
         along = whole.dynamics
         square = {name: getattr(along, name)[:, at][:, :, at] for name in ("mass", "gradient", "damping")}
-        dynamics = TrajectoryDynamics(bias=along.bias[:, at], radial_force=along.radial_force[:, at], **square)
+        rows = {name: getattr(along, name)[:, at] for name in ("bias", "radial_force", "carried")}
+        dynamics = TrajectoryDynamics(**rows, **square)
         states = ("position", "velocity", "acceleration", "read_position", "read_velocity", "current")
         sliced = {name: getattr(whole, name)[:, at] for name in states}
         other.motion = replace(whole, inputs=inputs, dynamics=dynamics, **sliced)
@@ -184,42 +189,36 @@ class WindowResiduals:
         parts = [
             (at, base.dynamics(self._position[at], self._velocity[at], radial_force=True)) for base, at in self._held
         ]
-        return _merged(parts, len(self._position))
+        return self._swaying(_merged(parts, len(self._position)))
+
+    def _swaying(self, still: TrajectoryDynamics) -> TrajectoryDynamics:
+        """What is known along the motion on a stand that stands still, on one that sways as the gyro says."""
+        return replace(still, bias=still.bias + np.einsum("tjk,tk->tj", still.carried, self.sway[:, 0]))
 
     def _change(self, model: RobotModel, name: str, joint: int | None, amount: float) -> TrajectoryDynamics | None:
         """Dynamics added per unit of a parameter that edits bodies; None where it changes nothing here."""
         key = (name, joint)
         if key not in self._edits:
-            parts = []
-            for base, at in self._held:
-                changed = base.changed(model, name, joint, amount)
-                if changed is None:
-                    break
-                here = base.along(changed, self._position[at], self._velocity[at])
-                parts.append((at, _difference(here, self._as_read(base, at), amount)))
-            self._edits[key] = _merged(parts, len(self._position)) if len(parts) == len(self._held) else None
+            bodies = [base.changed(model, name, joint, amount) for base, _ in self._held]
+            nothing = any(one is None for one in bodies)
+            self._edits[key] = None if nothing else self._added(bodies, self._position, amount)
         return self._edits[key]
 
     def _elsewhere(self, joint: int) -> TrajectoryDynamics:
         """Dynamics added per unit of a zero error of a joint's encoder: it stands behind its reading."""
-        key = (ZERO, joint)
-        if key not in self._edits:
-            parts = []
-            for base, at in self._held:
-                position = self._position[at].copy()
-                position[:, joint] -= ZERO_STEP
-                here = base.along(base.mj_model, position, self._velocity[at])
-                parts.append((at, _difference(here, self._as_read(base, at), ZERO_STEP)))
-            self._edits[key] = _merged(parts, len(self._position))
-        found = self._edits[key]
-        assert found is not None
-        return found
+        position = self._position.copy()
+        position[:, joint] -= ZERO_STEP
+        return self._added([base.mj_model for base, _ in self._held], position, ZERO_STEP)
 
-    def _as_read(self, base: Any, at: np.ndarray) -> TrajectoryDynamics:
-        """Mass and bias of a sound robot along a motion."""
-        if base not in self._unchanged:
-            self._unchanged[base] = base.along(base.mj_model, self._position[at], self._velocity[at])
-        return self._unchanged[base]
+    def _added(self, bodies: Sequence[Any], position: np.ndarray, amount: float) -> TrajectoryDynamics:
+        """What other bodies, by base, or other angles add to a sound robot's mass and bias, per unit of an amount."""
+        parts = []
+        for (base, at), edited in zip(self._held, bodies, strict=True):
+            if base not in self._unchanged:
+                self._unchanged[base] = base.along(base.mj_model, self._position[at], self._velocity[at])
+            here = base.along(edited, position[at], self._velocity[at])
+            parts.append((at, _difference(here, self._unchanged[base], amount)))
+        return self._swaying(_merged(parts, len(self._position)))
 
     def simulation(
         self, model: RobotModel, stretch: int = 1, parameters: Mapping[str, Tensor] | None = None
@@ -241,7 +240,9 @@ class WindowResiduals:
                     if change is not None:
                         self._changes[edit.parameter, joint] = change
         if set(MISREADING) & set(model.effect_names):
-            self._changes |= {(ZERO, joint): self._elsewhere(joint) for joint in range(len(self.joints))}
+            for joint in range(len(self.joints)):
+                if (ZERO, joint) not in self._changes:
+                    self._changes[ZERO, joint] = self._elsewhere(joint)
         # the law lets the bus fall where the driver regulates current; others get what was measured
         regulated = all(e.drive == "current" for e in model.effects if isinstance(e, Motor))
         supplied = regulated or not self.motion.supply_resistance
@@ -350,11 +351,6 @@ def _begins(logs: Sequence[SmoothLog]) -> dict[int, float]:
     return {id(log): stamp - min(stamps) for log, stamp in zip(logs, stamps, strict=True)}
 
 
-def _measured(log: SmoothLog, key: tuple[str, str]) -> np.ndarray:
-    """Of which joints a log tells a channel, ``[joint]``."""
-    return log.log.measured(key) if key in log.readings else np.zeros(len(log.log.joints), bool)
-
-
 def _base(log: SmoothLog, joints: tuple[str, ...]) -> Base:
     """What holds and carries the joints of a log."""
     told = log.log.metadata
@@ -365,7 +361,7 @@ def _base(log: SmoothLog, joints: tuple[str, ...]) -> Base:
 
 def _merged(parts: Sequence[tuple[np.ndarray, TrajectoryDynamics]], rows: int) -> TrajectoryDynamics:
     fields = {}
-    for name in ("mass", "bias", "gradient", "damping", "radial_force"):
+    for name in ("mass", "bias", "gradient", "damping", "radial_force", "carried"):
         whole = np.zeros((rows, *getattr(parts[0][1], name).shape[1:]))
         for at, part in parts:
             whole[at] = getattr(part, name)
@@ -375,6 +371,6 @@ def _merged(parts: Sequence[tuple[np.ndarray, TrajectoryDynamics]], rows: int) -
 
 def _difference(one: TrajectoryDynamics, other: TrajectoryDynamics, amount: float) -> TrajectoryDynamics:
     """What an edit adds per unit of its parameter; how it changes derivatives is left out."""
-    added = {k: (getattr(one, k) - getattr(other, k)) / amount for k in ("mass", "bias", "radial_force")}
+    added = {k: (getattr(one, k) - getattr(other, k)) / amount for k in ("mass", "bias", "radial_force", "carried")}
     none = {k: np.broadcast_to(0.0, getattr(one, k).shape) for k in ("gradient", "damping")}
     return TrajectoryDynamics(**added, **none)

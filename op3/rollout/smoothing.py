@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import savgol_filter
 
 from op3.rollout.errors import LogError
 from op3.rollout.robot_log import stand_tilt
@@ -29,6 +30,9 @@ LEAST_VELOCITY_NOISE = 0.015
 
 VELOCITY_LAG = 0.002
 """How late a velocity reading is [s]: the expected time constant of the servo's filter."""
+
+GYRO_LAG = 0.006
+"""How late a gyro's reading is [s], behind a low-pass of 40 Hz (register map of the MPU-9250)."""
 
 EXCITED = 2.0
 """Accelerations tell a lag from so many times on what noise of the velocities makes of them."""
@@ -70,6 +74,8 @@ class SmoothLog:
         rough: how far the readings are from the smoothed state, in standard deviations, ``[tick]``.
         inputs: by signal name.
         tilt: roll and pitch of the stand [rad].
+        sway: angular acceleration of the trunk in its axes [rad/s2] and its rate [rad/s3], as the gyro tells,
+            ``[tick, 2, 3]``; None without one.
         sensing: what its velocity readings are like.
     """
 
@@ -84,6 +90,7 @@ class SmoothLog:
     rough: np.ndarray
     inputs: Mapping[str, np.ndarray]
     tilt: tuple[float, float]
+    sway: np.ndarray | None
     sensing: "VelocitySensing"
 
     @property
@@ -239,8 +246,13 @@ def smooth(log: Rollout, sensing: VelocitySensing | None = None, period: float |
     if "bus_voltage" in inputs:
         inputs["bus_voltage"] = _interpolated(log.array("joint/voltage"), time, grid)
     tilt = stand_tilt(log) or (0.0, 0.0)
+    sway = None
+    if "imu/angular_velocity" in log:
+        rate = _interpolated(log.array("imu/angular_velocity"), time - GYRO_LAG, grid)
+        sway = np.stack([savgol_filter(rate, 2 * half + 1, 3, n, period, axis=0) for n in (1, 2)], 1)
     rough = _roughness(state, lagged, period, sensing)
-    return SmoothLog(log, period, grid, state[0], state[1], state[2], readings, control, rough, inputs, tilt, sensing)
+    states = (state[0], state[1], state[2])
+    return SmoothLog(log, period, grid, *states, readings, control, rough, inputs, tilt, sway, sensing)
 
 
 def _roughness(state: np.ndarray, lagged: np.ndarray, period: float, sensing: VelocitySensing) -> np.ndarray:

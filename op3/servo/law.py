@@ -16,6 +16,9 @@ ROUNDING = 1e-9
 CURRENT = 0
 """Place of the target current in the lists of signals that can be late, lag or be lost."""
 
+GAUSSIAN, LORENTZ = 1, 2
+"""Places of these fades of static friction in their list, which an exponential begins."""
+
 TRACE = 1e-12
 """Share of a torque that decides a direction only where the joint rests exactly."""
 
@@ -90,14 +93,17 @@ def dte_power_loss(motor_torque, load_torque, direction, forward_efficiency, bac
 
 
 @scalar
-def stribeck_fade(speed, stribeck_velocity, gaussian):
+def stribeck_fade(speed, stribeck_velocity, form):
     """Share of the friction near rest that is left at a speed [rad/s], paper eq. (4): ``exp(-|w| / w_static)``.
 
     The paper prints ``s = exp(|w|) / w_static``, which grows without bound; the decaying exponential of the Stribeck
-    function is meant. Armstrong (1994) finds it and the gaussian ``exp(-(w / w_static)^2)``.
+    function is meant. Armstrong (1994) finds it, the gaussian ``exp(-(w / w_static)^2)``, and Lorentz's curve
+    ``1 / (1 + (w / w_static)^2)`` of Hess & Soom (1990).
     """
     ratio = speed / stribeck_velocity
-    return exp(-ratio * ratio) if gaussian else exp(-ratio)
+    if form == GAUSSIAN:
+        return exp(-ratio * ratio)
+    return 1.0 / (1.0 + ratio * ratio) if form == LORENTZ else exp(-ratio)
 
 
 @scalar

@@ -45,11 +45,15 @@ class FixedBase:
 
     def dynamics(self, position: np.ndarray, velocity: np.ndarray, radial_force: bool = False) -> TrajectoryDynamics:
         """Dynamics along a motion, ``[tick, joint]``."""
-        return trajectory_dynamics(self.mj_model, self.names, position, velocity, self.qpos, radial_force=radial_force)
+        return trajectory_dynamics(
+            self.mj_model, self.names, position, velocity, self.qpos, base=self.base, radial_force=radial_force
+        )
 
     def along(self, mj_model: mujoco.MjModel, position: np.ndarray, velocity: np.ndarray) -> TrajectoryDynamics:
         """Mass and bias of an edited model along a motion."""
-        return trajectory_dynamics(mj_model, self.names, position, velocity, self.qpos, derivatives=False)
+        return trajectory_dynamics(
+            mj_model, self.names, position, velocity, self.qpos, base=self.base, derivatives=False
+        )
 
     def changed(self, model: RobotModel, parameter: str, joint: int | None, amount: float) -> mujoco.MjModel | None:
         """A sound robot but for one parameter of a joint, larger by `amount`; None if nothing changes for the limbs."""
@@ -112,9 +116,8 @@ class PendulumBase:
         whole = np.ones((len(position), 1, 1))
         pull = bench.mass * (GRAVITY * np.cos(position) + bench.length * velocity**2)
         force = np.hypot(pull, bench.mass * GRAVITY * np.sin(position)) if radial_force else np.zeros_like(position)
-        return TrajectoryDynamics(
-            inertia * whole, moment * np.sin(position), moment * np.cos(position)[..., None], 0.0 * whole, force
-        )
+        bias, gradient = moment * np.sin(position), moment * np.cos(position)[..., None]
+        return TrajectoryDynamics(inertia * whole, bias, gradient, 0.0 * whole, force, np.zeros((*force.shape, 3)))
 
     def changed(self, model: RobotModel, parameter: str, joint: int | None, amount: float) -> "PendulumBase | None":
         """The bench but for one parameter, larger by `amount`; None if nothing changes for it."""

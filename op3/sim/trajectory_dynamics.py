@@ -26,6 +26,8 @@ class TrajectoryDynamics:
         gradient: derivative of the bias by the joint angles [N m/rad], ``[tick, joint, joint]``.
         damping: derivative of the bias by the joint velocities [N m s/rad], ``[tick, joint, joint]``.
         radial_force: across the output shafts at zero acceleration [N], ``[tick, joint]``.
+        carried: torque per angular acceleration of the body that carries the limbs, about its own frame and in its
+            axes [kg m^2], ``[tick, joint, 3]``.
     """
 
     mass: np.ndarray
@@ -33,6 +35,7 @@ class TrajectoryDynamics:
     gradient: np.ndarray
     damping: np.ndarray
     radial_force: np.ndarray
+    carried: np.ndarray
 
 
 def trajectory_dynamics(
@@ -42,6 +45,7 @@ def trajectory_dynamics(
     velocity: np.ndarray,
     qpos: np.ndarray,
     *,
+    base: int = 0,
     radial_force: bool = False,
     derivatives: bool = True,
 ) -> TrajectoryDynamics:
@@ -53,6 +57,7 @@ def trajectory_dynamics(
         position: their angles [rad], ``[tick, joint]``.
         velocity: their velocities [rad/s], ``[tick, joint]``.
         qpos: full position in which the other joints are held, ``[nq]``.
+        base: number of the body that carries the limbs.
         radial_force: whether to compute the radial force, which costs a pass more.
         derivatives: whether to compute gradient and damping; zero otherwise.
 
@@ -75,7 +80,10 @@ def trajectory_dynamics(
         gradient=np.zeros((ticks, count, count)),
         damping=np.zeros((ticks, count, count)),
         radial_force=np.zeros((ticks, count)),
+        carried=np.zeros((ticks, count, 3)),
     )
+    axes, inertia, arm, turned = (np.zeros((ticks, *shape)) for shape in ((count, 6), (count, 10), (3,), (9,)))
+    bodies, root = model.dof_bodyid[dof], model.body_rootid[base]
 
     def torque() -> np.ndarray:
         mujoco.mj_kinematics(model, data)
@@ -92,6 +100,8 @@ def trajectory_dynamics(
         mujoco.mj_crb(model, data)
         mujoco.mj_fullM(model, data, full_mass)
         result.mass[tick] = full_mass[rows, dof] - armature
+        axes[tick], inertia[tick], turned[tick] = data.cdof[dof], data.crb[bodies], data.xmat[base]
+        arm[tick] = data.subtree_com[root] - data.xpos[base]
         if radial_force:
             mujoco.mj_forward(model, data)
             data.qacc[:] = 0.0
@@ -119,4 +129,25 @@ def trajectory_dynamics(
             mujoco.mj_rne(model, data, 0, bias)
             result.damping[tick, :, j] = (ahead - bias[dof]) / 2.0
             data.qvel[dof[j]] = velocity[tick, j]
+    result.carried[:] = _carried(axes, inertia, arm) @ turned.reshape(ticks, 3, 3)
     return result
+
+
+def _carried(axes: np.ndarray, inertia: np.ndarray, arm: np.ndarray) -> np.ndarray:
+    """Torque of joints per angular acceleration of their base in the world's axes, ``[tick, joint, 3]``.
+
+    What hangs on a joint is one body of composite inertia (Featherstone 2008, chapter 6), which is taken along.
+
+    Args:
+        axes: of the joints, as spatial vectors about one point, ``[tick, joint, 6]``.
+        inertia: composite, as MuJoCo packs it about the same point, ``[tick, joint, 10]``.
+        arm: from the base's frame to that point [m], ``[tick, 3]``.
+    """
+    xx, yy, zz, xy, xz, yz, x, y, z, mass = np.moveaxis(inertia, -1, 0)
+    whole = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], -1).reshape(*mass.shape, 3, 3)
+    first = np.stack([x, y, z], -1)[..., None, :]
+    unit = np.eye(3)  # the accelerations, in turn along the last axis but one
+    moving = np.cross(unit, arm[:, None, None])
+    torque = whole + np.cross(first, moving)
+    force = mass[..., None, None] * moving - np.cross(first, unit)
+    return np.einsum("tjka,tja->tjk", np.concatenate([torque, force], -1), axes)

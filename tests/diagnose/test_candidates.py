@@ -118,8 +118,8 @@ def test_the_chain_is_on_and_per_joint_where_joints_differ():
 
 
 def test_forms_of_a_law_are_all_there():
-    """Two of DTE times two of static friction, less the one that is given."""
-    assert len(other_forms(load_model("paper"))) == 3
+    """Two of DTE times three of static friction, less the one that is given."""
+    assert len(other_forms(load_model("paper"))) == 5
 
 
 def test_experiments_are_said_once():

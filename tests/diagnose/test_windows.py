@@ -85,6 +85,20 @@ def test_loose_gears_take_no_longer_steps(name, parameter):
     assert np.array_equal(exact, coarse) == model.stiff == (name == "backlash")
 
 
+def test_what_the_gyro_tells_of_a_stand_that_sways_is_asked_of_the_joints():
+    """A trunk that pitches by 0.05 rad/s four times a second; the gyro tells it 6 ms late."""
+    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith("multisine")][:1]
+    (still,) = planned_suite(load_model("paper"), runs)
+    time, rate = still.array("time"), 2 * np.pi * 4
+    gyro = 0.05 * np.sin(rate * (time - 0.006)) * [0.0, 1.0, 0.0]
+    arrays = {key: still.array(key) for key in still.channels} | {("imu", "angular_velocity"): gyro}
+    swaying = WindowResiduals([Rollout.from_arrays(arrays, still.metadata)], windows=6)
+    known = WindowResiduals([still], windows=6).motion
+    asked = 0.05 * rate * np.cos(rate * known.time) * known.dynamics.carried[:, :, 1]
+    np.testing.assert_allclose(swaying.motion.dynamics.bias - known.dynamics.bias, asked, atol=0.05 * asked.max())
+    np.testing.assert_allclose(swaying.motion.dynamics.mass, known.dynamics.mass)
+
+
 def test_a_bench_has_the_dynamics_of_a_pendulum():
     """0.5 kg on 0.1 m: 0.005 kg m^2, 0.49 N m held level; a gyration of 0.05 m adds a quarter of the inertia."""
     bench = PendulumBase(0.5, 0.1)

@@ -140,7 +140,7 @@ def test_gyroscopic_torques_do_not_throw_light_joints_about():
     """Two joints of 1 g dm^2 that turn each other at 200 rad/s keep the speed that they are off by, or lose it."""
     none, light = np.zeros((60, 2)), np.tile(1e-4 * np.eye(2) + 1e-6, (60, 1, 1))
     turning = np.tile(np.array([[0.0, 0.02], [-0.02, 0.0]]), (60, 1, 1))
-    dynamics = TrajectoryDynamics(light, none, 0 * light, turning, none)
+    dynamics = TrajectoryDynamics(light, none, 0 * light, turning, none, np.zeros((60, 2, 3)))
     inputs = {"p_gain": none, "d_gain": none, "bus_voltage": none + 11.1}
     motion = MeasuredMotion(PERIOD, *[none] * 6, np.arange(60)[:, None] * PERIOD, inputs, dynamics, {})
     model = RobotModel((CurrentPD(), Motor())).with_values({"armature": 0.0})

@@ -13,7 +13,7 @@ from op3.servo.effects.electrical import (
     VoltageSag,
 )
 from op3.servo.effects.friction import AsymmetricFriction, BearingFriction, Coulomb, QuadraticDrag, Stribeck, Viscous
-from op3.servo.effects.gear import DirectionalEfficiency
+from op3.servo.effects.gear import DirectionalEfficiency, MixedLubrication
 from op3.servo.effects.ground import FootCompliance, FootFriction, GroundTilt
 from op3.servo.effects.load import AntagonisticFriction, DirectionalFriction, LoadFriction
 from op3.servo.effects.motor import Motor

@@ -12,9 +12,6 @@ import numpy as np
 from op3.servo.effect import Effect, Parameter, Stage, register
 from op3.servo.law import clip, stribeck_fade
 
-GAUSSIAN = 1
-"""Place of that fade in its list."""
-
 
 @register
 class Coulomb(Effect):
@@ -43,7 +40,7 @@ class Stribeck(Effect):
     """Friction that is higher near rest and fades with speed.
 
     Attributes:
-        fade: how it fades: ``exponential`` as in the paper, or ``gaussian``.
+        fade: how it fades: ``exponential`` as in the paper, ``gaussian``, or ``lorentz``.
     """
 
     name = "stribeck"
@@ -66,12 +63,12 @@ class Stribeck(Effect):
     confounders = ("viscous", "lugre", "backlash", "load_friction")
     separating_experiment = "slow sweeps at 0.02, 0.05, 0.1 and 0.2 rad/s at two loads"
 
-    fade: Literal["exponential", "gaussian"] = "exponential"
+    fade: Literal["exponential", "gaussian", "lorentz"] = "exponential"
 
     @staticmethod
     def apply(s, p):
         """Raise the bound near rest, and tell other friction how much of it is left at this speed."""
-        s.fade = stribeck_fade(s.speed, p.stribeck_velocity, p.stribeck_fade == GAUSSIAN)
+        s.fade = stribeck_fade(s.speed, p.stribeck_velocity, p.stribeck_fade)
         s.friction_bound += p.static_friction_excess * s.fade
 
 

@@ -1,5 +1,6 @@
 """Losses of the gear train that depend on load."""
 
+from math import exp
 from typing import Literal
 
 import numpy as np
@@ -64,3 +65,32 @@ class DirectionalEfficiency(Effect):
             s.applied_torque += dte_brake(motor, load, forward, backward)
             drives, driven = zones(motor, load, forward, backward)
             s.damping *= forward if drives else (1.0 if driven else 0.0)
+
+
+@register
+class MixedLubrication(Effect):
+    """Teeth that slide slowly rub dry: what `dte` loses by friction is more near rest than at speed.
+
+    The coefficient of friction of a mesh falls from boundary to mixed lubrication as it speeds up. Static friction,
+    that of what presses the teeth together without load, fades as the effect `stribeck` says.
+    """
+
+    name = "mixed_lubrication"
+    stage = Stage.GEAR
+    rank = 1  # of a loss that is known
+    equation = "tau_loss *= 1 + b exp(-|w| / w_b)"
+    source = (
+        "Pelchen, Schweiger & Otter (2002), efficiency of gearboxes over speed; load-dependent Stribeck friction of"
+        " Duclusaud et al. (2024), model M4, whose velocities are 0.02 to 3 rad/s"
+    )
+    parameters = (
+        Parameter("near_rest_loss", "-", 0.0, 1.0, 0.0, 0.0, "b, more of the loss near rest", least=0.0),
+        Parameter("lubrication_velocity", "rad/s", 0.03, 3.0, 0.5, None, "w_b", least=0.03, most=3.0, searched=False),
+    )
+    fingerprint = "odd in velocity and in proportion to the load where the load drives, at low speed alone"
+    confounders = ("dte", "load_friction", "stribeck")
+    separating_experiment = "slow sweeps at 0.02, 0.05, 0.1 and 0.5 rad/s at two loads"
+
+    @staticmethod
+    def apply(s, p):
+        s.friction_bound *= 1.0 + p.near_rest_loss * exp(-s.speed / p.lubrication_velocity)
