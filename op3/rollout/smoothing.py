@@ -249,7 +249,8 @@ def smooth(log: Rollout, sensing: VelocitySensing | None = None, period: float |
     sway = None
     if "imu/angular_velocity" in log:
         rate = _interpolated(log.array("imu/angular_velocity"), time - GYRO_LAG, grid)
-        sway = np.stack([savgol_filter(rate, 2 * half + 1, 3, n, period, axis=0) for n in (1, 2)], 1)
+        slopes = [np.asarray(savgol_filter(rate, 2 * half + 1, 3, n, period, axis=0)) for n in (1, 2)]
+        sway = np.stack(slopes, 1)
     rough = _roughness(state, lagged, period, sensing)
     states = (state[0], state[1], state[2])
     return SmoothLog(log, period, grid, *states, readings, control, rough, inputs, tilt, sway, sensing)
