@@ -1,7 +1,6 @@
-"""The one log format: a TensorDict schema, recorder, files, importers and the comparison of two logs."""
+"""The one log format: a TensorDict schema, recorder, files and importers."""
 
 from op3.rollout.code_version import git_changes, git_hash
-from op3.rollout.compare import ChannelError, compare
 from op3.rollout.errors import LogError
 from op3.rollout.metadata import MOUNTS, ROBOTS, Metadata
 from op3.rollout.read import read_episodes, read_log, read_logs
@@ -15,14 +14,12 @@ __all__ = [
     "MOUNTS",
     "ROBOTS",
     "Channel",
-    "ChannelError",
     "Key",
     "LogError",
     "Metadata",
     "Recorder",
     "Rollout",
     "column_names",
-    "compare",
     "git_changes",
     "git_hash",
     "read_episodes",

@@ -11,8 +11,6 @@ import json
 import math
 import os
 import shutil
-import struct
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -114,14 +112,10 @@ def _map(folder: Path, name: str, entry: dict[str, Any]) -> Any:
     return torch.from_numpy(np.memmap(path, dtype=dtype, mode="c", shape=tuple(shape)))
 
 
-CHUNK = struct.Struct("<4sIII")
-"""Before each chunk: mark, rows, bytes, CRC-32 of the bytes."""
-
-MARK = b"rows"
-
-
 class GrowingRows:
-    """The rows of a recording's `rows.bin`, a line of JSON with the channels and then chunks, as they reach the disk.
+    """The rows of a recording's `rows.bin` as they reach the disk: a line of JSON with the channels, then float64.
+
+    A row ends in its time: what a crash tore does not, or its time does not increase.
 
     Args:
         path: of the file.
@@ -129,36 +123,33 @@ class GrowingRows:
 
     def __init__(self, path: Path):
         self.path = path
-        self._offset = 0
+        self._offset, self._last = 0, -np.inf
         self._layout: list[tuple[Key, int]] = []
 
     def more(self) -> dict[Key, np.ndarray]:
-        """Every whole chunk that was not read before, by channel, [time, last axis]; no channel where there is none."""
-        rows: list[np.ndarray] = []
+        """Every whole row that was not read before, by channel, [time, last axis]; no channel where there is none."""
         with self.path.open("rb") as stream:
             stream.seek(self._offset)
             try:
                 if not self._layout:
                     self._layout = [(normal_key(name), int(width)) for name, width in json.loads(stream.readline())]
                     self._offset = stream.tell()
-                while len(head := stream.read(CHUNK.size)) == CHUNK.size:
-                    mark, count, size, check = CHUNK.unpack(head)
-                    payload = stream.read(size)
-                    if mark != MARK or zlib.crc32(payload) != check:
-                        break
-                    rows.append(np.frombuffer(payload).reshape(count, sum(width for _, width in self._layout)))
-                    self._offset = stream.tell()
-            except (ValueError, TypeError):
-                pass  # what came before is whole
-        if not rows:
+                ends = np.cumsum([width for _, width in self._layout])
+                raw, size = stream.read(), 8 * (int(ends[-1]) + 1)
+                table = np.frombuffer(bytearray(raw[: len(raw) // size * size])).reshape(-1, size // 8)
+            except (ValueError, TypeError, IndexError, ArithmeticError, MemoryError):
+                return {}
+        whole = (table[:, 0] == table[:, -1]) & (np.diff(table[:, 0], prepend=self._last) > 0)
+        table = table[: len(table) if whole.all() else int(whole.argmin())]
+        if not len(table):
             return {}
-        ends = np.cumsum([width for _, width in self._layout])
-        columns = np.split(np.concatenate(rows), ends[:-1], axis=1)
+        self._offset, self._last = self._offset + table.nbytes, float(table[-1, 0])
+        columns = np.split(table[:, :-1], ends[:-1], axis=1)
         return {key: values for (key, _), values in zip(self._layout, columns, strict=True)}
 
 
 def read_rows(path: Path) -> dict[Key, np.ndarray]:
-    """Every whole chunk of a recording, by channel, [time, last axis]."""
+    """Every whole row of a recording, by channel, [time, last axis]."""
     if columns := GrowingRows(path).more():
         return columns
     raise LogError("the interrupted recording holds no rows", "nothing reached the disk, record again", source=path)

@@ -28,21 +28,8 @@ _IMU = {"gyro": "gyro", "gyroscope": "gyro", "angular": "gyro", "acc": "acc", "a
 _IMU |= {"linear": "acc", "acceleration": "acc"}
 _UNITS = {"deg": "deg", "degrees": "deg", "degree": "deg", "rad": None, "radians": None, "rpm": "rpm", "dps": "deg/s"}
 _UNITS |= {"ma": "mA", "mv": "mV", "ms": "ms", "us": "us", "ns": "ns", "percent": "percent", "mrad": "mrad"}
-_FILLERS = {
-    "joint",
-    "joints",
-    "present",
-    "measured",
-    "actual",
-    "motor",
-    "s",
-    "value",
-    "observation",
-    "imu",
-    "of",
-    "main",
-}
-_TIMES = {"time", "timestamp", "t", "stamp", "secs", "seconds", "times"}
+_FILLERS = re.split(" ", "joint joints present measured actual motor s value observation imu of main")
+_TIMES = ("time", "timestamp", "t", "stamp", "secs", "seconds", "times")
 
 
 def guess(name: str, joints: Sequence[str] = ()) -> Column | None:

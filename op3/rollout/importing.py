@@ -105,7 +105,9 @@ def roll_out(recording: Recording, side: Side, path: Path) -> list[Rollout]:
         raise LogError("the sidecar is missing", remedy, source=side.source)
     meanings = _meanings(recording, side)
     with located(source=path):
-        time, columns = _one_clock([_named(stream, meanings, recording, side) for stream in recording.streams])
+        time, columns = _one_clock(
+            [_named(s, meanings, recording, side) for s in recording.streams], side.options.split
+        )
     about = {"joints": _joints(columns), **recording.metadata, **side.metadata}
     if not recording.strict:
         about = {"recording": recording.name or side_path(path).stem, **about}
@@ -175,13 +177,15 @@ def _unknown(name: str, position: int, side: Side) -> LogError:
     return LogError("unknown column", remedy, column=shown_name, row="header")
 
 
-def _one_clock(streams: Sequence[Stream]) -> tuple[np.ndarray, Columns]:
+def _one_clock(streams: Sequence[Stream], split: bool) -> tuple[np.ndarray, Columns]:
     """All columns at the times of the first stream, where every stream has begun and none has ended.
 
     Signals are interpolated. A command counts from the row nearest to when it was issued, so that what is lost is
     at most half a row and nothing on average.
     """
     first, *others = streams
+    if split and not others:  # its parts are checked
+        return first.time, first.columns
     for stream in streams:
         check_time(stream.time)
     if not others:
@@ -211,7 +215,7 @@ def _split(time: np.ndarray) -> list[slice]:
 
 
 def _rate(time: np.ndarray) -> float:
-    span = float(time[-1] - time[0])
+    span = float(np.ptp(time)) if len(time) else 0.0
     return (len(time) - 1) / span if span > 0 else 1.0
 
 

@@ -2,8 +2,8 @@
 
 `append` only copies numbers into a buffer. A thread writes the buffer to `rows.bin` and forces it to the disk
 twice a second, so a slow disk never holds up the control loop. The file is one JSON line (the channels and
-their widths) followed by chunks, each with its length and checksum; what a crash leaves behind is read up to
-the last whole chunk.
+their widths) followed by rows of float64, each with its time once more at its end; what a crash leaves behind is
+read up to the last whole row.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import json
 import os
 import shutil
 import threading
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -86,8 +85,8 @@ class Recorder:
             if self._count == len(self._buffer):
                 self._buffer = np.concatenate([self._buffer, np.empty_like(self._buffer)])
             out = self._buffer[self._count]
-            self._fill(out, values)
-            self._last_time = out[0]
+            self._fill(out[:-1], values)
+            self._last_time = out[-1] = out[0]
             self._count += 1
             self.rows += 1
 
@@ -108,7 +107,7 @@ class Recorder:
             high += [1.0 if quantity.binary else np.finfo(float).max] * width
             binary += [quantity.binary] * width
         self._low, self._high, self._binary = np.array(low), np.array(high), np.flatnonzero(binary)
-        self._buffer = np.empty((max(64, int(self.metadata.rate)), start))
+        self._buffer = np.empty((max(64, int(self.metadata.rate)), start + 1))
         self._layout = layout
 
     def _fill(self, out: np.ndarray, row: dict[Key, Any]) -> None:
@@ -141,13 +140,11 @@ class Recorder:
             if count == 0:
                 return
             self._buffer, self._count = np.empty_like(rows), 0
-        payload = rows[:count].tobytes()
-        header = b""
+        chunk = rows[:count].tobytes()
         if self._stream.tell() == 0:
             widths = [[key_name(key), place.stop - place.start] for key, place in self._layout.items()]
-            header = json.dumps(widths).encode() + b"\n"
+            chunk = json.dumps(widths).encode() + b"\n" + chunk
         try:
-            chunk = header + files.CHUNK.pack(files.MARK, count, len(payload), zlib.crc32(payload)) + payload
             while chunk:
                 chunk = chunk[self._stream.write(chunk) or 0 :]
             os.fsync(self._stream.fileno())

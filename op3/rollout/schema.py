@@ -56,13 +56,8 @@ BODY_RATE = Quantity("rad/s", 60.0, RATE.mistake, RATE.remedy)
 FORCE = Quantity("m/s2", 1e5, "is beyond anything an accelerometer reads", "convert to m/s2")
 STIFFNESS = Quantity("A/rad", 100.0, _GAIN, "convert to A/rad or name the column <joint>.firmware_gain", True)
 DAMPING = Quantity("A s/rad", 100.0, _GAIN, "convert to A s/rad or leave the column out", True)
-FIRMWARE = Quantity(
-    "firmware units",
-    16383.0,
-    "is beyond the largest Dynamixel gain register, 16383",
-    "write the register's value",
-    True,
-)
+_TOO_LARGE = "is beyond the largest Dynamixel gain register, 16383"
+FIRMWARE = Quantity("firmware units", 16383.0, _TOO_LARGE, "write the register's value", True)
 CURRENT = Quantity("A", 20.0, "looks like mA", "divide by 1000")
 FULL_SCALE = "divide by the full scale (100, or 885 on X-series Dynamixels) so that full duty is 1"
 DUTY = Quantity("", 1.01, "looks like percent or a PWM register", FULL_SCALE)

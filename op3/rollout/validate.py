@@ -129,12 +129,12 @@ def check_time(time: np.ndarray, episode: int | None = None) -> None:
             remedy = "write times with more digits (a float32 is too short for a Unix time), or each row once"
     else:
         problem = f"time goes back from {time[row]:.10g} s to {time[row + 1]:.10g} s"
-        remedy = "sort the rows, or split the file where a new recording starts"
+        remedy = "sort the rows, or write `split: true` into its YAML where a new recording starts"
     raise LogError(problem, remedy, column="time", row=row + 2, episode=episode)
 
 
 def holes(time: np.ndarray) -> np.ndarray:
-    """Rows before which time jumps, counted from 0."""
+    """Rows before which time jumps, forward or back, counted from 0."""
     steps = np.diff(time)
     usual = float(np.median(steps)) if len(steps) else 0.0
-    return np.flatnonzero(steps > max(GAP_INTERVALS * usual, GAP)) + 1
+    return np.flatnonzero((steps > max(GAP_INTERVALS * usual, GAP)) | (steps < 0)) + 1

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from op3.rollout.health.finding import COMMAND, CURRENT, ERROR, POSITION, WARNING, Finding, View, check
+from op3.rollout.health.finding import COMMAND, CURRENT, ERROR, POSITION, VELOCITY, WARNING, Finding, View, check
 from op3.rollout.health.match import match, step
 from op3.rollout.robot_log import find_servo
 from op3.rollout.units import likely_unit
@@ -37,11 +37,11 @@ def command(view: View) -> Iterator[Finding]:
         others = [k for k in np.argsort(-best[joint]) if k != joint and asked[k] and best[joint, k] > 0.97]
         other = next((view.joints[k] for k in others if best[k, k] < 0.5), None)
         if asked[joint] and sure > 0.95 and (ratio > _MOST or ratio < 1 / 30):
-            unit = likely_unit(ratio, "rad") or likely_unit(1 / ratio, "rad")
+            unit = likely_unit(ratio, "rad") or (likely_unit(1 / ratio, "rad") if ratio else None)
             cause = f", as if {'it' if ratio > 1 else 'the command'} were in {unit}" if unit else ""
             problem = f"the position moves {ratio:.3g} times as far as its command{cause}"
             yield view.found(ERROR, where, problem, "convert both to radians (57.3 is degrees)")
-        elif asked[joint] and own[:4, joint].min() < -0.95 and sure < 0.5:
+        elif asked[joint] and own[:, joint].min() < -0.95 and sure < 0.8:
             problem = "the position moves against its command: the sign of one of them is turned round"
             problem += f", or it was swapped with that of {other}" if other else ""
             yield view.found(ERROR, where, problem, "write `sign: -1` for one of them into its YAML")
@@ -77,9 +77,12 @@ def lost_turns(view: View) -> Iterator[Finding]:
 def a_turn_off(view: View) -> Iterator[Finding]:
     """A position is whole turns away from its command."""
     error = view.position - view.command
-    offset = np.median(error, axis=0)
+    if not view.driven.all() and view.driven.any(0).all():
+        error = np.where(view.driven, error, np.nan)
+    offset = np.median(error, axis=0) if view.driven.all() else np.nanmedian(error, axis=0)
+    span = np.nanmax(error, axis=0) - np.nanmin(error, axis=0)
     turns = np.round(offset / _TURN)
-    follows = (np.ptp(error, axis=0) < np.pi) & _small(view.position) & _small(view.command)
+    follows = (span < np.pi) & _small(view.position) & _small(view.command)
     for joint in np.flatnonzero((turns != 0) & follows & (np.abs(offset - turns * _TURN) < 1.0)):
         problem = f"the position is {offset[joint]:+.3f} rad away from the command, about {turns[joint]:+.0f} turn"
         yield view.found(ERROR, (POSITION, joint), problem, "write `unwrap: true` into its YAML")
@@ -118,18 +121,26 @@ def constant_offset(view: View) -> Iterator[Finding]:
         yield view.found(WARNING, (POSITION, joint), problem, remedy)
 
 
+_ROUGHEST = {VELOCITY: 50 * _TURN / 4096, CURRENT: 0.0065}
+"""Steps in which the roughest servos tell: Feetech STS [rad/s], and HLS [A]."""
+
+
 @check("coarse steps")
 def coarse(view: View) -> Iterator[Finding]:
-    """Positions lie on another grid than the encoder's: they were rounded, or are in another unit."""
+    """Numbers lie on another grid than the sensor's: they were rounded, or are in another unit."""
     make = find_servo(view.metadata.servo)
-    exact = 2 * np.pi / 4096 if make is None else make.position_unit
-    steps = step(view.position)
-    for joint in np.flatnonzero(steps):
-        unit = likely_unit(float(steps[joint] / exact), "rad", 0.01)
-        rough = steps[joint] > 4 * (0.0025 if make is None else exact)
-        if not rough and (unit is None or steps[joint] > exact / 2):  # a finer encoder, or this one
-            continue
-        problem = f"positions come in steps of {steps[joint]:.4g} rad, where an encoder's are {exact:.4g} rad"
-        problem += f", as if they were in {unit}" if unit else ""
-        remedy = "convert them to radians" if unit else "write positions with more digits"
-        yield view.found(ERROR if unit else WARNING, (POSITION, joint), problem, remedy)
+    exact = _TURN / 4096 if make is None else make.position_unit
+    for key, usual, least in (
+        (POSITION, exact, 0.01 if make is None else 4 * exact),
+        *((k, u, 4 * u) for k, u in _ROUGHEST.items()),
+    ):
+        values = view.get(key)
+        steps = step(values) if values is not None else np.zeros(0)
+        for joint in np.flatnonzero(steps):
+            unit = likely_unit(float(steps[joint] / exact), "rad", 0.01) if key == POSITION else None
+            if steps[joint] <= least and (unit is None or steps[joint] > exact / 2):  # a finer encoder, or this one
+                continue
+            problem = f"the numbers come in steps of {steps[joint]:.4g}, where a servo's are {usual:.4g} or less"
+            problem += f", as if they were in {unit}" if unit else ""
+            remedy = "convert them to radians" if unit else "write them with more digits"
+            yield view.found(ERROR if unit else WARNING, (key, joint), problem, remedy)

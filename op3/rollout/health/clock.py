@@ -17,6 +17,9 @@ SLOWEST, FASTEST = 2.0, 20e3
 """No log of a robot has fewer rows per second, or more [Hz]."""
 
 _UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
+
+LONGEST, AHEAD = 0.8, -0.5
+"""A position follows its command by at most so long [s], and one so far ahead of it is looked for."""
 _SPLIT = "split the file there, or write `split: true` into its YAML to read the parts"
 
 
@@ -48,25 +51,30 @@ def rate(view: View) -> Iterator[Finding]:
     if len(view.time) < 3:
         return
     steps, said = np.diff(view.time), view.metadata.rate
-    row, unit = 1, None
+    row, unit, remedy = 1, None, "correct the rate or the time"
     # The mean suits a clock that alternates between two intervals, the median one with gaps.
     if min(abs(view.interval * said - 1), abs(float(steps.mean()) * said - 1)) > RATE_TOLERANCE:
         problem = f"the median interval of {view.interval:.6g} s is {1 / view.interval:.6g} Hz, but the metadata says "
         problem += f"rate: {said:g} Hz"
         unit = next((name for scale, name in _UNITS.items() if 0.5 < view.interval * said / scale < 2), None)
         row = int(np.argmax(np.abs(steps * said - 1) > RATE_TOLERANCE)) + 1
+        interval = next(
+            (name for s, name in {1.0: "seconds", **_UNITS}.items() if 0.9 < view.interval * s / said < 1.1), None
+        )
+        if interval:
+            remedy = f"that is the interval in {interval}; write rate: {1 / view.interval:.4g}"
     elif not SLOWEST < 1 / view.interval < FASTEST:
         problem = f"the median interval of {view.interval:.6g} s is that of no robot"
         unit = next((name for scale, name in _UNITS.items() if SLOWEST < scale / view.interval < FASTEST), None)
     else:
         return
-    remedy = f"the time looks like {unit}, convert it to seconds" if unit else "correct the rate or the time"
+    remedy = f"the time looks like {unit}, convert it to seconds" if unit else remedy
     yield view.found(ERROR, "time", problem, remedy, row)
 
 
 @check("uneven rows")
 def uneven(view: View) -> Iterator[Finding]:
-    """Many rows are missing, or many intervals are several times the usual one."""
+    """Many rows are missing, many intervals are several times the usual one, or rows come in bursts."""
     steps = np.diff(view.time)
     if len(steps) <= 50:
         return
@@ -78,6 +86,9 @@ def uneven(view: View) -> Iterator[Finding]:
         yield view.found(WARNING, "time", text, remedy, row)
     elif lost > 0.12 and even.mean() > 0.9:
         yield view.found(WARNING, "time", f"about {lost:.0%} of the rows are missing, singly", remedy, row)
+    elif (short := float((steps < 0.5 * view.interval).mean())) > 0.05:
+        text = f"{short:.0%} of the intervals are shorter than half the usual {view.interval:.4g} s"
+        yield view.found(WARNING, "time", text, "stamp rows when they are read, not when they are written", row)
     elif 8.5 * view.interval < steps.max() <= GAP:  # what is longer is a hole
         text = f"about {round(steps.max() / view.interval) - 1} rows are missing before this one"
         yield view.found(WARNING, "time", text, remedy, row)
@@ -121,26 +132,34 @@ def stale(view: View) -> Iterator[Finding]:
 @check("two clocks")
 def two_clocks(view: View) -> Iterator[Finding]:
     """Command and position were stamped by different clocks: their delay is long, or grows."""
-    third = len(view.time) // 3
-    if third * view.interval < 1:
+    third, stride = len(view.time) // 3, max(1, round(0.02 / view.interval))
+    if third * view.interval < 1 or view.interval > 0.1 or not np.ptp(view.command, axis=0).any():
         return
     joint = int(np.ptp(view.command, axis=0).argmax())
-    lags = range(0, round(0.8 / view.interval), max(1, round(0.02 / view.interval)))
-    best, near = [], []
+    most = third // 2
+    lags = np.arange(max(round(AHEAD / view.interval), -most), min(round(LONGEST / view.interval), most), stride)
+    curves = []
     for part in (slice(0, third), slice(-third, None)):
-        pair = view.position[part, joint], view.command[part, joint]
-        found = [delayed(*pair, rows) for rows in lags if rows < third // 2]
-        if not found:
-            return
-        best.append((max(found), lags[int(np.argmax(found))] * view.interval))
-        near.append(max(found[:8]))
-    (sure, early), (sure_too, late) = best
+        angle, told = view.position[part, joint], view.command[part, joint]
+        curves.append(
+            np.array([delayed(angle, told, int(n)) if n >= 0 else delayed(told, angle, -int(n)) for n in lags])
+        )
+    best = [int(curve.argmax()) for curve in curves]
+    left = [1 - curve.max() for curve in curves]
+    early, late = (float(lags[n] * view.interval) for n in best)
+
+    def worse(places: list[np.ndarray]) -> bool:
+        """Whether other delays explain clearly less, in both parts."""
+        return all(1 - p.max() > 4 * rest + 0.02 for p, rest in zip(places, left, strict=True))
+
     where, remedy = (POSITION, joint), "stamp both by one clock, or cut the log into short parts"
-    if min(sure, sure_too) < 0.98:
+    if max(left) > 0.05 or max(best) == len(lags) - 1 or min(best) == 0:
         return
-    if abs(late - early) > 0.2 and third * view.interval >= 3:
+    if abs(late - early) > 0.15 and worse([curve[[n]] for curve, n in zip(curves, best[::-1], strict=True)]):
         problem = f"the position follows the command by {early:.2f} s at the beginning and {late:.2f} s at the end"
         yield view.found(WARNING, where, f"{problem}: they were stamped by clocks that run apart", remedy)
-    elif min(early, late) > 0.25 and abs(late - early) < 0.06 and max(near) < 0.9:
+    elif abs(late - early) < 0.06 and worse(
+        [curve[(lags * view.interval > -0.05) & (lags * view.interval < 0.2)] for curve in curves]
+    ):
         problem = f"the position follows the command by {early:.2f} s throughout"
         yield view.found(WARNING, where, f"{problem}: their clocks differ, or one is shifted", remedy)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from op3.rollout.health.finding import CURRENT, ERROR, VELOCITY, WARNING, Finding, View, check
-from op3.rollout.health.match import Match, delayed, integral, match, step, windows
+from op3.rollout.health.match import Match, delayed, integral, longest_run, match, step, windows
 from op3.rollout.units import likely_unit
 
 SURE = 0.9
@@ -37,11 +37,13 @@ def velocity(view: View) -> Iterator[Finding]:
         return
     turned, summed = angle[last] - angle[first], integral(view.time, rate)
     found = match(summed := summed[last] - summed[first], turned)
-    moves = found.size_b > np.maximum(4 * step(angle), 0.03 * span)
-    moving = np.flatnonzero(moves & ((found.size_a > 3 * step(rate) * span) | (found.size_b > 0.3 * span)))
-    findings = [(int(joint), *f) for joint in moving if (f := _judge(view, found, int(joint), summed, turned, span))]
+    moving = np.flatnonzero(found.size_b > np.maximum(4 * step(angle), 0.03 * span))
+    # what rounding to the sensor's steps explains is none of its faults
+    odd = np.sqrt(((summed - turned) ** 2).mean(0)) > 1.5 * step(rate) * span
+    findings = [(int(joint), *f) for joint in moving[odd[moving]] if (f := _judge(view, found, int(joint), summed))]
     # where most joints are wrong by a factor, the channel is in another unit
-    refuse = 2 * sum(_impossible(ratio) for _, _, ratio in findings) > len(moving)
+    bad = sum(_impossible(ratio) for _, _, ratio in findings)
+    refuse = 2 * bad > len(moving) and (bad > 1 or len(view.joints) == 1)
     for joint, problem, ratio in findings:
         if refuse and _impossible(ratio):
             remedy = "convert both to radians and the same sign, or write `scale:` into its YAML"
@@ -58,63 +60,93 @@ def _impossible(ratio: float | None) -> bool:
     return ratio < 0 or not 0.2 < ratio < 5 or likely_unit(ratio, "rad/s", 0.05) is not None
 
 
-def _judge(
-    view: View, found: Match, joint: int, summed: np.ndarray, turned: np.ndarray, span: float
-) -> tuple[str, float | None] | None:
+def _judge(view: View, found: Match, joint: int, summed: np.ndarray) -> tuple[str, float | None] | None:
     """What is wrong with a joint's velocity, and the factor where it is one."""
     own, ratio = found.correlation[joint, joint], float(found.ratio[joint, joint])
     sure = np.abs(found.correlation[joint])
     fits = sure > 0.97 if abs(own) < SURE or ratio < 0 else np.zeros(len(sure), bool)
     other = next((int(k) for k in np.argsort(-sure) if k != joint and fits[k] and found.ratio[joint, k] > 0), None)
-    if abs(own) > SURE:
-        if 0.6 < ratio < 1.6:
-            return None
+    if abs(own) > SURE and not 0.6 < ratio < 1.6:
         whose = f", or it is that of {view.joints[other]}" if other is not None else ""
         return f"the velocity is {ratio:.3g} times the change of position per second{_says(ratio)}{whose}", ratio
     if found.size_a[joint] < 0.02 * found.size_b[joint]:
         return "velocity stands still while the joint moves", None
-    if summed[:, joint].min() >= 0 and delayed(np.abs(turned[:, joint]), summed[:, joint], 0) > SURE:
-        return "velocity has lost its sign", None
-    # a joint that shakes faster than the windows are long, seen through a filter
-    rate, change = view.log.array(VELOCITY)[:, joint], np.gradient(view.position[:, joint], view.time)
-    if max(delayed(rate, change, n) for n in range(round(0.05 / view.interval) + 1)) > 0.85:
+    lag, best, least, sizes = _late(view, joint, summed[:, joint])
+    # what shakes is in step with itself a period later again, but not between
+    if lag > 0.08 and best > 0.95 and 1 - best < 0.3 * (1 - own) and (own < 0.5 or least > own - 0.05):
+        return f"velocity comes {lag:.2g} s after the position's change", None
+    if own > SURE:
         return None
-    stride = span / 2
-    lags = range(1, min(round(1.0 / stride), len(summed) // 2))
-    late = [delayed(summed[:, joint], turned[:, joint], n) for n in lags]
-    if late and max(late) > max(0.95, own + 0.1):
-        return f"velocity comes {(int(np.argmax(late)) + 1) * stride:.2g} s after the position's change", None
-    if other is not None and abs(own) < 0.7:
+    if summed[:, joint].min() >= 0 and sizes > SURE:
+        return "velocity has lost its sign", None
+    rate, change = view.log.array(VELOCITY)[:, joint], np.gradient(view.position[:, joint], view.time)
+    near = [delayed(rate, change, n) for n in range(round(0.05 / view.interval) + 1)]
+    if max(near) > 0.85:  # it shakes faster than the windows are long, seen through a filter
+        return None
+    if other is not None and own < 0.7:
         return f"velocity is that of {view.joints[other]}", None
-    if abs(own) < 0.3:
+    if own < 0.3 and longest_run(np.diff(rate) == 0)[1] * view.interval < 0.4:  # else it stands still
         return f"velocity does not follow the position (correlation {own:.2f})", None
     return None
 
 
+def _late(view: View, joint: int, summed: np.ndarray) -> tuple[float, float, float, float]:
+    """How long after the position's change velocity comes [s], their correlation then, the least on the way there, and
+    that of their sizes now."""
+    first, last, _ = windows(view.time)
+    angle, found = view.position[:, joint], []
+    most = min(round(1.0 / view.interval), len(view.time) // 3)
+    for lag in range(0, most, max(1, round(0.02 / view.interval))):
+        rows = first >= lag
+        turned = angle[last[rows] - lag] - angle[first[rows] - lag]
+        found.append((delayed(summed[rows], turned, 0), lag * view.interval))
+    best, lag = max(found)
+    least = min(correlation for correlation, after in found if after <= lag)
+    return lag, best, least, delayed(summed, np.abs(angle[last] - angle[first]), 0)
+
+
 @check("current against position error")
 def drive(view: View) -> Iterator[Finding]:
-    """Current or duty drives away from the target, or is in another unit than gain times error says."""
-    gain, error = view.get(("command", "p_gain")), view.command - view.position
-    rows = view.driven.all(1)
+    """Current or duty drives away from the target, is another joint's, or is in another unit than gain times error."""
+    gain, error, rows = view.get(("command", "p_gain")), view.command - view.position, np.array(view.driven.all(1))
+    rows &= np.arange(len(view.time)) % (1 + len(view.time) // 20_000) == 0  # so many tell
+    speed = np.gradient(view.position, view.time, axis=0) if len(view.time) > 1 else error
     for key in (CURRENT, ("joint", "duty")):
         values = view.get(key)
         if values is None or rows.sum() < 20:
             continue
         known = gain is not None and key == CURRENT
-        values, wanted = values[rows], (error * gain if known else error)[rows]
-        found, sizes = match(values, wanted), match(np.abs(values), np.abs(wanted))
-        sure, ratio = np.diag(found.correlation), np.diag(found.ratio)
-        moving = (found.size_b > 0.01) & (found.size_a > 0)
-        signless = moving & (values.min(0) >= 0) & (wanted.min(0) < -0.3 * wanted.max(0))
-        signless &= np.diag(sizes.correlation) > np.maximum(0.8, sure + 0.2)
-        off = moving & (sure > 0.8) & known & ((ratio > 20) | (ratio < 0.01))
-        factor = np.median(ratio[off]) if off.any() else 0.0
+        values, wanted, moved = values[rows], (error * gain if known else error)[rows], speed[rows]
+        sure, factor = _law(values, wanted, moved)
+        sure_of_sizes, grows = _law(values, np.abs(wanted), moved * np.sign(wanted))
+        sure = np.where(wanted.std(0) > 0.01, sure, 0.0)
+        signless = (values.min(0) >= 0) & (wanted.min(0) < -0.3 * wanted.max(0)) & (wanted.std(0) > 0.01)
+        signless &= (grows > 0) & (sure_of_sizes > np.maximum(0.64, sure + 0.25))
+        away = (sure > 0.6) & (factor < 0) & ~signless
+        off = known & (sure > 0.8) & ~away & ~signless & ((factor > 2.5) | (factor < 0.4))
+        usual = float(np.median(factor[off])) if off.any() else 1.0
+        whose = {"it": likely_unit(usual, "A"), "the gain": likely_unit(1 / usual if usual else 0.0, "A/rad")}
+        cause = next((f", as if {what} were in {unit}" for what, unit in whose.items() if unit), "")
         for problem, wrong, remedy in (
             (f"{key[1]} has lost its sign", signless, "record it with its sign"),
-            (f"{key[1]} drives away from the target", moving & (sure < -0.8) & ~signless, "turn its sign round"),
-            (f"current is {factor:.3g} times gain times error, as mA or counts would be", off, "convert it to A"),
+            (f"{key[1]} drives away from the target", away, "turn its sign round"),
+            (f"current is {usual:.3g} times gain times error{cause}", off, "convert it to A, and the gain to A/rad"),
         ):
             # what most joints show that show anything is the channel's, not a joint's
-            all_of_them = 2 * wrong.sum() > (moving & (np.abs(sure) > 0.5) | wrong).sum() and wrong.sum() > 1
+            all_of_them = 2 * wrong.sum() > (sure > 0.5).sum() and wrong.sum() > 1
             for joint in np.flatnonzero(wrong | all_of_them) if wrong.any() else ():
                 yield view.found(WARNING, (key, joint), problem, remedy, aside=True)
+        for joint in np.flatnonzero((sure < 0.3) & (wanted.std(0) > 0.01) & (values.std(0) > 0)):
+            fits = _law(values[:, [joint]], wanted, moved)[0]
+            if fits.max() > 0.95:
+                problem = f"{key[1]} is that of {view.joints[int(np.argmax(fits))]}"
+                yield view.found(WARNING, (key, joint), problem, "swap the columns back", aside=True)
+
+
+def _law(values: np.ndarray, wanted: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Share of currents [row, joint] that a proportional and a damping term explain, and the factor of the first."""
+    v, w, s = (x - x.mean(0) for x in (values, wanted, speed))
+    vw, vs, ws, ww, ss = ((x * y).mean(0) for x, y in ((v, w), (v, s), (w, s), (w, w), (s, s)))
+    spread = np.maximum(ww * ss - ws * ws, 1e-24)
+    factor, damping = (vw * ss - vs * ws) / spread, (vs * ww - vw * ws) / spread
+    return (factor * vw + damping * vs) / np.maximum((v * v).mean(0), 1e-24), factor

@@ -66,12 +66,14 @@ def unsigned(view: View) -> Iterator[Finding]:
 
 @check("single readings")
 def spikes(view: View) -> Iterator[Finding]:
-    """A velocity or current leaps away for a row or two and comes back."""
-    for key, index, column in view.columns(VELOCITY, CURRENT):
+    """A velocity, current, voltage or temperature leaps away for a row and comes back."""
+    for key, index, column in view.columns(VELOCITY, CURRENT, ("joint", "voltage"), ("joint", "temperature")):
         size = np.minimum(np.abs(column[1:-1] - column[:-2]), np.abs(column[1:-1] - column[2:]))
-        usual, level = (float(np.quantile(np.abs(x), 0.99)) for x in (np.diff(column), column))
+        away = np.abs(column - np.median(column))
+        some = 1 + len(column) // 20_000
+        usual, level = (float(np.quantile(np.abs(x[::some]), 0.95)) for x in (np.diff(column), away))
         row = int(size.argmax()) + 1
-        if size[row - 1] > max(12 * usual, 6 * level, 5.0):
+        if size[row - 1] > max(12 * usual, 3 * level, 5.0):
             problem = f"a single reading of {column[row]:.4g} stands between {column[row - 1]:.4g} and "
             problem += f"{column[row + 1]:.4g}"
             remedy = "leave the row out; until then the channel is not used"

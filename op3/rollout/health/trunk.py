@@ -13,6 +13,17 @@ from op3.rollout.units import likely_unit
 _ORIENTATION, _RATE, _FORCE = ("imu", "orientation"), ("imu", "angular_velocity"), ("imu", "linear_acceleration")
 
 
+_STANDARD = 9.80665
+
+_MISTAKES = {"all axes read downwards": -np.eye(3)}
+_MISTAKES |= {f"{'xyz'[i]} reads downwards": np.diag(1 - 2 * np.eye(3)[i]) for i in (2, 0, 1)}
+_MISTAKES |= {
+    f"{'xyz'[i]} and {'xyz'[j]} are swapped": np.eye(3)[[j if k == i else i if k == j else k for k in range(3)]]
+    for i, j in ((0, 1), (0, 2), (1, 2))
+}
+"""What turns gravity round, and what takes it back, the likeliest first."""
+
+
 @check("gyroscope against orientation")
 def gyroscope(view: View) -> Iterator[Finding]:
     """The gyroscope and the derivative of the orientation differ in unit, sign or axes."""
@@ -34,7 +45,7 @@ def gyroscope(view: View) -> Iterator[Finding]:
     for axis in np.flatnonzero((np.abs(drift) > 0.25) & (turned_on < 0.05)):
         problem = f"the gyroscope turns at {drift[axis]:.3g} rad/s on average while the orientation stands still"
         yield view.found(WARNING, (_RATE, axis), problem, "look at its unit and its bias")
-    for axis in np.flatnonzero(found.size_b > np.maximum(4 * step(angles), 0.08 * span)):
+    for axis in np.flatnonzero(found.size_b > np.maximum(4 * step(angles), 0.03 * span)):
         own, ratio = found.correlation[axis, axis], float(found.ratio[axis, axis])
         other = int(np.abs(found.correlation[:, axis]).argmax())
         if abs(own) > 0.9 and not 0.5 < ratio < 2:
@@ -44,7 +55,7 @@ def gyroscope(view: View) -> Iterator[Finding]:
             problem = f"the gyroscope reads {ratio:.3g} times the change of orientation per second{cause}"
             remedy = "convert it to rad/s in the body frame, or write `scale:`"
             yield view.found(ERROR, (_RATE, axis), problem, remedy)
-        elif abs(own) < 0.5 and abs(found.correlation[other, axis]) > 0.95:
+        elif abs(own) < 0.5 and abs(found.correlation[other, axis]) > 0.9:
             sign = "-" if found.correlation[other, axis] < 0 else ""
             problem = (
                 f"turning about {'xyz'[axis]} shows as {sign}{'xyz'[other]} of the gyroscope: its axes are swapped"
@@ -57,36 +68,33 @@ def gyroscope(view: View) -> Iterator[Finding]:
 def gravity(view: View) -> Iterator[Finding]:
     """The accelerometer's size or direction is not that of gravity."""
     force, angles = view.get(_FORCE), view.get(_ORIENTATION)
-    if force is None:
+    if force is None or not np.ptp(force, axis=0).any():
         return
-    size = float(np.median(np.linalg.norm(force, axis=1)))
-    if 0.5 < size < 2 or size > 200:
-        problem = f"the median specific force is {size:.4g} m/s2, which looks like "
-        problem += "g" if size < 2 else "mg or raw counts"
-        yield view.found(ERROR, (_FORCE, 0), problem, "convert to m/s2 (a robot at rest reads 9.81)", 0)
-    elif size <= 0.5 and np.ptp(force, axis=0).any():
-        problem = f"the median specific force is {size:.3g} m/s2: gravity was taken out of it"
-        for axis in range(3):
-            yield view.found(
-                WARNING, (_FORCE, axis), problem, "record it with gravity; until then it is not used", aside=True
-            )
-    elif angles is not None and 7 < size < 13:
-        yield from _direction(view, force, angles)
-
-
-def _direction(view: View, force: np.ndarray, angles: np.ndarray) -> Iterator[Finding]:
-    """Where gravity is found, against where the orientation says that it is."""
-    roll, pitch = angles[:, 0], angles[:, 1]
+    size, mean = float(np.median(np.linalg.norm(force, axis=1))), np.median(force, axis=0)
+    roll, pitch = (angles[:, 0], angles[:, 1]) if angles is not None else (np.zeros(1), np.zeros(1))
     up = np.stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=1)
-    mean, expected = np.median(force, axis=0), np.median(up, axis=0)
-    cosine = float(mean @ expected / max(np.linalg.norm(mean) * np.linalg.norm(expected), 1e-9))
-    if np.linalg.norm(expected) < 0.9 or cosine > 0.6:
-        return
-    if cosine < -0.9:
-        problem = "the accelerometer reads gravity downwards, where its reaction upwards belongs"
-        yield view.found(ERROR, (_FORCE, 2), problem, "turn the sign of all three axes round")
-    else:
-        axis = "xyz"[int(np.abs(mean).argmax())]
-        problem = f"gravity shows on {axis} of the accelerometer, and the orientation says {np.round(expected, 2)}"
-        remedy = "name the axes anew, or turn the sensor's frame into the body's"
-        yield view.found(WARNING, (_FORCE, 0), problem, remedy)
+    expected = np.median(up, axis=0)
+    tells = angles is not None and float(np.linalg.norm(expected)) > 0.9
+    problem = f"the median specific force is {size:.3g} m/s2"
+    if size > 200 or (0.5 < size < 2 and not (tells and _apart(mean, expected) > 0.5)):
+        problem += f", which looks like {'g' if size < 2 else 'mg or raw counts'}"
+        yield view.found(ERROR, (_FORCE, 0), problem, "convert to m/s2 (a robot at rest reads 9.81)", 0)
+    elif size <= 0.5 or (tells and np.linalg.norm(mean + _STANDARD * (np.array([0, 0, 1]) - expected)) < 1):
+        for axis in range(3):
+            remedy = "record it with gravity; until then it is not used"
+            yield view.found(WARNING, (_FORCE, axis), f"{problem}: gravity was taken out of it", remedy, aside=True)
+    elif not 7 < size < 13:
+        yield view.found(WARNING, (_FORCE, 0), f"{problem}, and gravity alone is 9.81", "look at its scale and offset")
+    elif tells and _apart(mean, expected) > 0.9:
+        # of what may have been done to its axes, the least that brings gravity where the orientation says
+        done, rest = min(_MISTAKES.items(), key=lambda item: _apart(item[1] @ mean, expected) // 0.1)
+        problem = f"gravity lies along {np.round(mean / size, 2)}, and the orientation says {np.round(expected, 2)}"
+        problem += f": {done}" if _apart(rest @ mean, expected) < 0.3 else ""
+        remedy = "write `sign: -1` for these, or name the axes anew"
+        yield view.found(ERROR if "all" in done else WARNING, (_FORCE, int(np.abs(mean).argmax())), problem, remedy)
+
+
+def _apart(force: np.ndarray, other: np.ndarray) -> float:
+    """Angle between two directions [rad]; 0 for none."""
+    size = float(np.linalg.norm(force) * np.linalg.norm(other))
+    return float(np.arccos(np.clip(force @ other / size, -1, 1))) if size else 0.0

@@ -14,7 +14,7 @@ import numpy as np
 
 from op3.rollout.errors import LogError
 from op3.rollout.guess import guess_all
-from op3.rollout.readers.reader import Column, Recording, Stream
+from op3.rollout.readers.reader import Column, Recording, Stream, needed
 from op3.rollout.readers.text import numbers, read_json
 
 _STEP = 2 * math.pi / 4096
@@ -72,12 +72,7 @@ def _names(info: dict[str, Any], feature: str, path: Path) -> list[str]:
 
 
 def _parquet(path: Path, columns: list[str]) -> dict[str, Any]:
-    try:
-        import pyarrow
-        import pyarrow.parquet as parquet
-    except ImportError:
-        remedy = "install it with `pip install 'op3[lerobot]'`"
-        raise LogError("LeRobot datasets are read with pyarrow, which is missing", remedy, source=path) from None
+    pyarrow, parquet = (needed(name, "lerobot", path) for name in ("pyarrow", "pyarrow.parquet"))
     try:
         tables = [parquet.ParquetFile(f).read(columns=columns) for f in sorted((path / "data").rglob("*.parquet"))]
         table = pyarrow.concat_tables(tables).to_pydict()

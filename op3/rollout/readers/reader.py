@@ -10,11 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from op3.rollout.errors import LogError
 from op3.rollout.rollout import Rollout
 from op3.settings import Number, settings
 
@@ -68,6 +70,15 @@ class Recording:
     columns: dict[str, Column] = field(default_factory=dict)
     name: str = ""
     strict: bool = False
+
+
+def needed(module: str, extra: str, path: Path) -> Any:
+    """A module of a package that not everybody has; refused with what installs it where it is missing."""
+    try:
+        return import_module(module)
+    except ImportError:
+        problem = f"it is read with the package {module.partition('.')[0]}, which is missing"
+        raise LogError(problem, f"install it with `pip install 'op3[{extra}]'`", source=path) from None
 
 
 class Reader(Protocol):

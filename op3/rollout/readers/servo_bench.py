@@ -84,30 +84,22 @@ def _sensed(header: dict[str, Any], table: dict[str, np.ndarray], path: Path) ->
         found["voltage"] = read["input_volts"] * _volts(read["input_volts"], header.get("vin"), path)
     if "temp" in read and (recorded is None or "temp" in recorded):
         found["temperature"] = read["temp"]
-    if "load" in read and recorded is None:
-        found["load"] = _signed(read["load"], path) if _registers(read["load"]).all() else read["load"]
-    elif "load" in read and make is not None and make.counts.duty and "load" in (recorded or ()):
-        found["duty"] = _signed(read["load"], path) / make.counts.duty.si
+    if "load" in read and (recorded is None or "load" in recorded):
+        registers = (read["load"] == np.round(read["load"])) & (np.abs(read["load"] - 16383.5) <= 49151.5)
+        signed = np.where(read["load"] > 32767, read["load"] - 65536, read["load"])  # two's complement of 16 bits
+        if recorded is None:
+            found["load"] = signed if registers.all() else read["load"]
+        elif not registers.all():
+            problem = f"{read['load'][registers.argmin()]:g} is not a 16-bit register value"
+            row = int(registers.argmin()) + 1
+            raise LogError(problem, "write the raw register", source=path, column="load", row=row)
+        elif make is not None and make.counts.duty:
+            found["duty"] = signed / make.counts.duty.si
     if "current" in read:
         found["current"] = read["current"]
     if "control" in read and make is not None and make.loop == "current":
-        found["current"] = read["control"]
+        found["current"] = -read["control"]  # it counts against the position: gravity and friction say so
     return found
-
-
-def _registers(values: np.ndarray) -> np.ndarray:
-    """Which values a 16-bit register may hold, read with its sign or without."""
-    return (values == np.round(values)) & (values >= -32768) & (values <= 65535)
-
-
-def _signed(values: np.ndarray, path: Path) -> np.ndarray:
-    """16-bit two's complement read as unsigned, made signed."""
-    right = _registers(values)
-    if not right.all():
-        row = int(right.argmin())
-        problem = f"{values[row]:g} is not a 16-bit register value"
-        raise LogError(problem, "write the raw register", source=path, column="load", row=row + 1)
-    return np.where(values > 32767, values - 65536, values)
 
 
 def _volts(volts: np.ndarray, supply: Any, path: Path) -> float:

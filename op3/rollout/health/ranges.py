@@ -1,0 +1,77 @@
+"""Checks of what numbers can be at all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from op3.rollout.health.finding import ERROR, POSITION, WARNING, Finding, View, check
+from op3.rollout.schema import CHANNELS
+
+_ASIDE = ("velocity", "current", "duty", "voltage", "temperature")
+"""Channels of a joint that a log can do without."""
+
+_FASTEST, _JUMP = 40.0, 0.15
+"""A position that changes from row to row by more than this speed allows [rad/s], and this much beside it [rad], has
+jumped; what was not read for some rows may come in one."""
+
+_SPIKE = 0.12
+"""No change from row to row differs from those beside it by more, unless they differ among themselves [rad]."""
+
+_SHORT = 0.025
+"""In a longer time from row to row [s] a joint may come to a new place and stop there."""
+
+
+@check("bounds")
+def bounds(view: View) -> Iterator[Finding]:
+    """A value is beyond what its unit allows, in single rows or throughout."""
+    for key in view.log.channels:
+        quantity, values = CHANNELS[key].quantity, view.log.array(key)
+        if quantity.binary or (-quantity.bound <= values.min() and values.max() <= quantity.bound):
+            continue
+        wrong = np.abs(values) > quantity.bound
+        names = np.flatnonzero(wrong.any(0))
+        single = float(wrong[:, names].mean()) < 0.02 and len(values) > 50
+        few = key[0] == "joint" and key[1] in _ASIDE and (2 * len(names) < wrong.shape[1] or single)
+        for index in names if few else names[:1]:
+            row = int(wrong[:, index].argmax())
+            likely = "stands there in single rows" if single else _likely(values[:, index], quantity.mistake)
+            problem = f"{values[row, index]:.10g} is beyond {quantity.bound:g} {quantity.unit}".rstrip()
+            remedy = "leave these rows out" if single else quantity.remedy
+            severity = WARNING if few else ERROR
+            yield view.found(severity, (key, index), f"{problem} and {likely}", remedy, row, aside=few)
+
+
+def _likely(values: np.ndarray, mistake: str) -> str:
+    """What values beyond their bound look like."""
+    whole = bool((values == np.round(values)).all())
+    counts = "degrees" in mistake and "per second" not in mistake and whole and np.abs(values).max() > 360
+    return "looks like counts of an encoder" if counts else mistake
+
+
+@check("impossible speed")
+def impossible_speed(view: View) -> Iterator[Finding]:
+    """A position moves further from row to row than any servo does, or leaps where it moves evenly before and after."""
+    steps, taken = np.diff(view.position, axis=0), np.diff(view.time)
+    if not len(steps):
+        return
+    row = np.arange(len(steps))[:, None]
+    moved = np.maximum.accumulate(np.where(steps != 0, row, -1), axis=0)
+    stood = np.concatenate([np.zeros((1, steps.shape[1])), row[:-1] - moved[:-1]])  # rows before with nothing new
+    far = np.abs(steps) > _FASTEST * taken[:, None] * (1 + stood) + _JUMP
+    rows, joints = np.nonzero(np.abs(steps[3:-3]) > _SPIKE)
+    rows = rows + 3
+    beside = steps[rows[:, None] + np.array([-3, -2, -1, 1, 2, 3]), joints[:, None]]
+    usual = np.median(beside, axis=1)
+    # the largest difference beside it may be that of the way back
+    spread = np.sort(np.abs(beside - usual[:, None]), axis=1)[:, -2]
+    leap = np.abs(steps[rows, joints] / (1 + stood[rows, joints]) - usual)
+    back = np.abs(beside[:, 2:4] + steps[rows, joints][:, None]).min(1) < 0.3 * np.abs(steps[rows, joints])
+    even = (taken < 1.5 * view.interval)[rows]
+    alone = (np.abs(steps[rows, joints] - usual) > _SPIKE) & (leap > 8 * spread) & (spread > 0)
+    far[rows, joints] |= alone & even & (back | (view.interval < _SHORT))
+    for at, joint in np.argwhere(far)[:1]:
+        problem = f"position jumps by {steps[at, joint]:+.3f} rad in one row, faster than a servo moves"
+        remedy = "leave out the row, or repair the encoder or the bus"
+        yield view.found(ERROR, (POSITION, joint), problem, remedy, at + 1)

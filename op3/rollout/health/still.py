@@ -1,0 +1,107 @@
+"""Checks of channels that stand still, or at the largest number that their sensor has."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from op3.rollout.health.finding import CURRENT, ERROR, POSITION, VELOCITY, WARNING, Finding, View, check
+from op3.rollout.health.match import integral, longest_run, step
+
+_INERTIAL = (("imu", "angular_velocity"), ("imu", "linear_acceleration"))
+
+
+@check("saturated")
+def saturated(view: View) -> Iterator[Finding]:
+    """A rate or acceleration is cut off at its largest number."""
+    for key, index, column in view.columns(VELOCITY, *_INERTIAL):
+        top, size = np.abs(column).max(), float(step(column[:, None])[0])
+        flat = np.abs(column) == top
+        within = flat[1:-1] & flat[:-2] & flat[2:]
+        first, length = longest_run(flat)
+        if not top or not max(0.002, 3 / len(flat)) < within.mean() < 0.6:
+            continue
+        last, faster = first + length - 1, 0.0
+        if key == VELOCITY and (np.diff(within.astype(int)) == 1).sum() > 1:  # one stretch is a channel that stood
+            turned = np.abs(view.position[2:, index] - view.position[:-2, index])[within]
+            faster = float(turned.sum() / (view.time[2:] - view.time[:-2])[within].sum())
+        aside = faster > 1.05 * top + size + 0.02
+        ends = ((first, first - 1), (last, last + 1))
+        beside = min((abs(column[i] - column[j]) for i, j in ends if 0 <= j < len(column)), default=0)
+        if aside or (key != VELOCITY and beside > max(5 * size, 0.05 * top)):
+            how = f"while the joint moves at {faster:.3g} rad/s" if aside else "where it came and left fast"
+            problem = f"the value stays at {top:.4g} for up to {length} rows, {how}: it is cut off"
+            remedy = "choose a larger range of the sensor, or slower motions"
+            yield view.found(WARNING, (key, index), problem, remedy, first, last, aside=aside)
+
+
+@check("stands still")
+def stands_still(view: View) -> Iterator[Finding]:
+    """A channel keeps one number while the joint moves, or a position while its command travels far."""
+    rows = round(0.2 / view.interval) if len(view.time) > 20 else 0
+    if rows:
+        yield from _dead(view)
+        for _, joint, velocity in view.columns(VELOCITY):
+            yield from _velocity_stands(view, joint, velocity, rows)
+        for joint, position in enumerate(view.position.T):
+            yield from _position_stands(view, joint, position)
+
+
+def _velocity_stands(view: View, joint: int, velocity: np.ndarray, rows: int) -> Iterator[Finding]:
+    first, length = longest_run(np.diff(velocity) == 0)
+    if length <= 2 * rows:
+        return
+    part = slice(first, first + length + 1)
+    angle, time = view.position[part, joint], view.time[part]
+    speed = (angle[rows:] - angle[:-rows]) / (time[rows:] - time[:-rows])
+    fastest = speed[np.abs(speed - velocity[first]).argmax()]
+    # a velocity may rightly keep a number while the joint is slower than its step
+    if abs(fastest - velocity[first]) > max(0.15, 3 * step(velocity[:, None])[0]):
+        problem = f"velocity stands at {velocity[first]:.4g} rad/s for {length} rows, while the joint moves at up to "
+        problem += f"{fastest:.3g} rad/s"
+        where = VELOCITY, joint
+        yield view.found(WARNING, where, problem, "the channel is not used", first, first + length, aside=True)
+
+
+def _position_stands(view: View, joint: int, position: np.ndarray) -> Iterator[Finding]:
+    first, length = longest_run(np.diff(position) == 0)
+    last = first + length
+    rows = slice(first, last + 1)
+    told = float(np.abs(np.diff(view.command[rows, joint])).sum()) if view.driven[rows, joint].all() else 0.0
+    rate, half = view.get(VELOCITY), max(1, round(0.5 / view.interval))
+    rate = np.zeros(length + 1) if rate is None else rate[rows, joint]
+    turned = integral(view.time[rows], rate)
+    said = float(np.abs(turned[half:] - turned[:-half]).max(initial=0.0)) if np.ptp(rate) else 0.0
+    if length * view.interval <= 0.5 or (told <= 1.2 and said <= 0.5):
+        return
+    problem = f"position stands at {position[first] + 0.0:.4g} rad while "
+    problem += f"its command moves by {told:.3g} rad" if told > 1.2 else f"its velocity says {said:.3g} rad in 0.5 s"
+    dead = length >= len(position) - 2
+    all_dead = dead and bool((np.ptp(view.position, axis=0) == 0).all())
+    remedy = "look whether the joint is blocked or its sensor dead"
+    severity, aside = ERROR if all_dead else WARNING, dead and not all_dead
+    yield view.found(severity, (POSITION, joint), problem, remedy, first, last, aside=aside)
+
+
+def _dead(view: View) -> Iterator[Finding]:
+    """Channels that hold one number throughout, where they cannot."""
+    moves = np.ptp(view.position, axis=0) > 0.2
+    angles, rates = (view.get(("imu", name)) for name in ("orientation", "angular_velocity"))
+    tilted = angles is not None and bool((np.ptp(angles, axis=0) > 0.1).any())
+    turned = integral(view.time, rates - rates.mean(0)) if rates is not None else np.zeros((1, 3))
+    turns = bool((np.ptp(turned, axis=0) > 0.05).any())  # a bias is no turning
+    for key in (CURRENT, ("joint", "voltage"), ("joint", "temperature"), ("imu", "orientation"), *_INERTIAL):
+        values = view.get(key)
+        if values is None:
+            continue
+        still, zero = np.ptp(values, axis=0) == 0, values[0] == 0
+        if key[0] == "joint":
+            dead = still & zero & (moves | (key != CURRENT))
+        elif key == _INERTIAL[1]:
+            dead = still.all() & (zero.all() | tilted)
+        else:  # a robot that does not turn has no rates, and keeps its orientation
+            dead = still.all() & (tilted if key == _INERTIAL[0] else turns)
+        for index in np.flatnonzero(np.broadcast_to(dead, still.shape)):
+            problem = f"{key[1].replace('_', ' ')} stands at {values[0, index]:.4g} in every row"
+            yield view.found(WARNING, (key, index), problem, "the channel is not used", aside=True)

@@ -1,0 +1,112 @@
+"""Tables of numbers in text: a header and rows, however they are separated, packed and encoded."""
+
+from __future__ import annotations
+
+import csv
+import datetime
+import functools
+import math
+import re
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from op3.rollout.errors import LogError
+from op3.rollout.readers.text import open_text
+
+Codes = dict[str, int]
+"""Texts of a column by the numbers that stand for them in the table."""
+
+
+def read_table(
+    path: Path, texts: Callable[[Sequence[str]], Sequence[str]], slowly: bool = False
+) -> tuple[list[str], np.ndarray, dict[str, Codes]]:
+    """Header, numbers [row, column], and the codes of columns that hold texts.
+
+    Cells may have decimal commas, hold nothing, or times of the day: numpy is told only where it needs to be.
+
+    Args:
+        path: Of the file.
+        texts: Which columns of a header hold texts.
+        slowly: Whether cells are more than plain numbers.
+    """
+    with open_text(path) as lines:
+        header, mark, open_end = _header(lines)
+        codes: dict[str, Codes] = {name: {} for name in texts(header)}
+        convert: dict[int | str, Callable[[str], float]] = dict.fromkeys(range(len(header)), _number) if slowly else {}
+        convert |= {header.index(name): functools.partial(_code, known) for name, known in codes.items()}
+        plain = lines if mark == "," else (line.replace(",", ".") for line in lines)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)  # of a table without rows
+                table = np.loadtxt(
+                    plain,
+                    delimiter=None if mark == " " else mark,
+                    converters=convert or None,
+                    usecols=range(len(header)) if open_end else None,
+                    quotechar='"',
+                    ndmin=2,
+                )
+        except UnicodeError:
+            raise
+        except ValueError as error:
+            if not slowly and "could not convert" in str(error):
+                return read_table(path, texts, slowly=True)
+            raise _fault(str(error), header) from None
+    if not table.size:
+        raise LogError("there is a header but no row", "write at least one row", row="row 1")
+    if table.shape[1] != len(header):
+        raise _fault("at row 1", header)
+    return header, table, codes
+
+
+def _code(known: Codes, cell: str) -> int:
+    return known.setdefault(cell.strip(), len(known))
+
+
+def _number(cell: str) -> float:
+    """A number, also with a decimal comma; NaN for an empty cell, seconds for a date or a time of the day."""
+    cell = cell.strip()
+    if cell.lower() in ("", "-", "n/a", "na", "null", "none"):
+        return math.nan
+    if re.match(r"(\d{4}-\d\d-\d\d[T ])?\d\d:\d\d:", cell):
+        return datetime.datetime.fromisoformat(cell if "-" in cell else f"2001-01-01T{cell}").timestamp()
+    return float(cell.replace("_", "?").replace(",", "."))
+
+
+def _fault(said: str, header: list[str]) -> LogError:
+    """What numpy says of a cell that is no number, or of a row with more or fewer cells than those before."""
+    if cell := re.search(r"string '(.*)' to float64 at row (\d+), column (\d+)", said, re.DOTALL):
+        problem, remedy = f"{cell[1][:40]!r} is not a number", "write a number, or leave the cell empty"
+        return LogError(problem, remedy, row=int(cell[2]) + 1, column=header[min(int(cell[3]), len(header)) - 1])
+    row = re.search(r"at row (\d+)", said)
+    problem, remedy = f"the row has not the {len(header)} cells of the header", "complete it or leave it out"
+    return LogError(problem, f"{remedy} (a file cut short ends like this)", row=int(row[1]) if row else None)
+
+
+def _header(lines: Iterator[str]) -> tuple[list[str], str, bool]:
+    """Names, what separates them, and whether rows end with a separator; passes over remarks and what Excel writes."""
+
+    def skipped(line: str) -> bool:
+        remark = line.startswith("#") and not any(mark in line for mark in ",;\t")
+        return not line.strip(" #\t\r\n,;") or remark or line.lower().startswith("sep=")
+
+    first = next((line for line in lines if not skipped(line)), "").lstrip("# \t")
+    mark = next((m for m in (",", ";", "\t", " ") if m in first.strip()), ",")
+    try:
+        header = [name.strip() for name in next(csv.reader([first], delimiter=mark, strict=True), [])]
+    except csv.Error as error:
+        raise LogError(f"the header is not CSV ({error})", "write names and commas", row="header") from None
+    open_end = len(header) > 1 and not header[-1]
+    header = header[:-1] if open_end else header
+    if not header:
+        raise LogError("the file is empty", "write a header and at least one row")
+    if all(re.fullmatch(r"[-+]?[0-9.]+(e[-+]?[0-9]+)?", name) for name in header):
+        remedy = "write the names of the columns into the first line"
+        raise LogError("there is no header, the first row holds numbers", remedy, row=1)
+    for position, name in enumerate(header):
+        if name in header[:position]:
+            raise LogError("the column is there twice", "keep one", column=name, row="header")
+    return header, mark, open_end
