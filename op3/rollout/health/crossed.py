@@ -117,10 +117,11 @@ def drive(view: View) -> Iterator[Finding]:
             continue
         known = gain is not None and key == CURRENT
         values, wanted, moved = values[rows], (error * gain if known else error)[rows], speed[rows]
+        asked = error[rows].std(0) > 0.002
         sure, factor = _law(values, wanted, moved)
         sure_of_sizes, grows = _law(values, np.abs(wanted), moved * np.sign(wanted))
-        sure = np.where(wanted.std(0) > 0.01, sure, 0.0)
-        signless = (values.min(0) >= 0) & (wanted.min(0) < -0.3 * wanted.max(0)) & (wanted.std(0) > 0.01)
+        sure = np.where(asked, sure, 0.0)
+        signless = (values.min(0) >= 0) & (wanted.min(0) < -0.3 * wanted.max(0)) & asked
         signless &= (grows > 0) & (sure_of_sizes > np.maximum(0.64, sure + 0.25))
         away = (sure > 0.6) & (factor < 0) & ~signless
         off = known & (sure > 0.8) & ~away & ~signless & ((factor > 2.5) | (factor < 0.4))
@@ -136,7 +137,7 @@ def drive(view: View) -> Iterator[Finding]:
             all_of_them = 2 * wrong.sum() > (sure > 0.5).sum() and wrong.sum() > 1
             for joint in np.flatnonzero(wrong | all_of_them) if wrong.any() else ():
                 yield view.found(WARNING, (key, joint), problem, remedy, aside=True)
-        for joint in np.flatnonzero((sure < 0.3) & (wanted.std(0) > 0.01) & (values.std(0) > 0)):
+        for joint in np.flatnonzero((sure < 0.3) & asked & (values.std(0) > 0)):
             fits = _law(values[:, [joint]], wanted, moved)[0]
             if fits.max() > 0.95:
                 problem = f"{key[1]} is that of {view.joints[int(np.argmax(fits))]}"
