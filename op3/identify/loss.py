@@ -96,7 +96,8 @@ class TrajectoryLoss:
         log = prediction.log
         columns, first = self.columns(log), self.first_row(log)
         result = {}
-        for key in self.weights:
+        for group, name in self.weights:
+            key = group, name
             if key not in log or key not in prediction.channels:
                 continue
             simulated = prediction.channels[key]
@@ -104,7 +105,7 @@ class TrajectoryLoss:
             difference = simulated[:, first:] - measured[first:]
             if log.metadata.set_aside:  # what was not measured does not count
                 difference = difference * torch.from_numpy(log.measured(key))
-            if key[0] == "joint":
+            if group == "joint":
                 difference = difference[..., columns]
             elif key == ("imu", "orientation"):
                 difference = _wrap(difference[..., :2])

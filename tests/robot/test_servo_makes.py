@@ -64,7 +64,10 @@ def test_a_new_make_is_one_file(tmp_path):
     [
         ({"unit": "rmp"}, r"line 15: counts.velocity.unit names the unit 'rmp'.* the nearest is 'rpm'"),
         ({"source": "sheeet"}, r"line 11: motor.armature.source names the source 'sheeet'.* the nearest is 'sheet'"),
-        ({"loop: current": "loop: curent"}, r"line 5: loop must be one of 'current' or 'firmware', got 'curent'"),
+        (
+            {"loop: current": "loop: curent"},
+            r"line 5: loop must be one of 'current', 'pwm' or 'firmware', got 'curent'",
+        ),
         ({"loop: current": "loop: firmware"}, r"line 5: loop is 'firmware', so that the file needs a position_law"),
         ({"gear_ratio": "gear_ration"}, r"motor.gear_ratio is missing"),
         (

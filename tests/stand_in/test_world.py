@@ -96,7 +96,7 @@ def test_spread():
     ("content", "message"),
     [
         ({"torque_konstant": 0.005}, "torque_konstant.*the nearest is 'torque_constant'"),
-        ({"wings": 2}, "no field 'wings'; there are torque_constant"),
+        ({"wings": 2}, "wings is no field; there are torque_constant"),
         ({"armature": 0.0}, "armature must be above 0, got 0.0"),
         ({"coulomb_friction": -0.1}, "coulomb_friction must be at least 0"),
         ({"backward_efficiency": 1.2}, "backward_efficiency must be at most 1"),
