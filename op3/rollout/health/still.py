@@ -68,15 +68,16 @@ def _position_stands(view: View, joint: int, position: np.ndarray) -> Iterator[F
     first, length = longest_run(np.diff(position) == 0)
     last = first + length
     rows = slice(first, last + 1)
-    told = float(np.abs(np.diff(view.command[rows, joint])).sum()) if view.driven[rows, joint].all() else 0.0
+    # how far, not how much: a soft joint rightly stands while a policy dithers about it
+    told = float(np.ptp(view.command[rows, joint])) if view.driven[rows, joint].all() else 0.0
     rate, half = view.get(VELOCITY), max(1, round(0.5 / view.interval))
     rate = np.zeros(length + 1) if rate is None else rate[rows, joint]
     turned = integral(view.time[rows], rate)
     said = float(np.abs(turned[half:] - turned[:-half]).max(initial=0.0)) if np.ptp(rate) else 0.0
-    if length * view.interval <= 0.5 or (told <= 1.2 and said <= 0.5):
+    if length * view.interval <= 0.5 or (told <= 0.4 and said <= 0.5):
         return
     problem = f"position stands at {position[first] + 0.0:.4g} rad while "
-    problem += f"its command moves by {told:.3g} rad" if told > 1.2 else f"its velocity says {said:.3g} rad in 0.5 s"
+    problem += f"its command moves by {told:.3g} rad" if told > 0.4 else f"its velocity says {said:.3g} rad in 0.5 s"
     dead = length >= len(position) - 2
     all_dead = dead and bool((np.ptp(view.position, axis=0) == 0).all())
     remedy = "look whether the joint is blocked or its sensor dead"
