@@ -122,14 +122,14 @@ class EmulatedRobot:
         self.time = self._refreshed = self._heard = 0.0
         self._ticks = 0
         self._stale = self._board_stale = True
-        self.unplugged = self._powered = False
+        self.unplugged = self._powered = self._known = False
         self._silent: dict[int, float] = {}
         self._heat: dict[int, tuple[float, float]] = {}
         self._present = np.zeros(len(self._all), dtype=_PRESENT)
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._numbers = count()
         for servo in self._all:
-            servo.changed = self._reconsider
+            servo.changed = self._forget
         self._reconsider()
         self._schedule_faults()
         self.at(CHECK_PERIOD, self._check_servos)
@@ -190,12 +190,20 @@ class EmulatedRobot:
             self._measure(packet)
         self._heard = end
         answers = self._dispatcher.answers(packet, end)
+        self._reconsider()
         if self.open_cr.power != self._powered:
             self._switch(self.open_cr.power)
         return answers
 
+    def _forget(self) -> None:
+        """Registers have changed; an instruction may change hundreds, so what depends on them is looked up later."""
+        self._known = False
+
     def _reconsider(self) -> None:
-        """Registers have changed: look up what depends on them."""
+        """Look up what depends on registers that have changed."""
+        if self._known:
+            return
+        self._known = True
         column = self._column
         running = (column("torque_enable") != 0) & (column("operating_mode") == CURRENT_MODE)
         self.driven = running & (column("bus_watchdog") != WATCHDOG_ERROR)
@@ -235,6 +243,7 @@ class EmulatedRobot:
         return min(self._heard, self._silent.get(servo.id, inf))
 
     def _next_trip(self) -> float:
+        self._reconsider()
         if self._watchdog == inf:
             return inf
         if not self._silent:
