@@ -292,6 +292,15 @@ def test_a_sidecar_that_cannot_be_right_is_refused(tmp_path, case):
         read_log(path)
 
 
+def test_a_robot_that_is_not_there_is_told(tmp_path):
+    """Its log can be read all the same; the field and the known robots are named."""
+    path = write(tmp_path)
+    sidecar = path.with_suffix(".yaml")
+    sidecar.write_text(sidecar.read_text() + "robot_file: nosuch\n")
+    (finding,) = [finding for finding in read_log(path).findings if finding.column == "field robot_file"]
+    assert "nosuch" in finding.problem and not finding.set_aside
+
+
 def test_exponents_are_numbers(tmp_path):
     """150e-3 is a number, as in every other language."""
     path = write(tmp_path)

@@ -35,12 +35,13 @@ def plausible(view: View) -> Iterator[Finding]:
 
 @check("wrong robot")
 def robot(view: View) -> Iterator[Finding]:
-    """Joints of the log are none of the robot that its metadata name."""
+    """The robot that the metadata name is not there, or joints of the log are none of its."""
     if view.metadata.robot_file is None:
         return
     try:
         known = view.log.robot
-    except LogError:  # who needs its file says so
+    except LogError as error:  # the log can be read all the same; who needs its robot refuses it
+        yield view.found(WARNING, "field robot_file", error.problem, error.remedy)
         return
     odd = next((joint for joint in view.joints if joint not in known.joints), None)
     if odd is not None:
