@@ -13,7 +13,7 @@ from pathlib import Path
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from sim2real import loop
 from support import one_sentence
 
@@ -21,6 +21,8 @@ from op3.command_line import launch
 from op3.report import finish
 from op3.report.transfer_table_page import FAILED, read_cells, write_table
 from op3.rollout.files import write_text
+
+OmegaConf.register_new_resolver("stem", lambda path: Path(path).stem, replace=True)
 
 
 @hydra.main(config_path="../conf", config_name="transfer_table", version_base="1.3")
