@@ -68,8 +68,9 @@ def _position_stands(view: View, joint: int, position: np.ndarray) -> Iterator[F
     first, length = longest_run(np.diff(position) == 0)
     last = first + length
     rows = slice(first, last + 1)
-    # how far, not how much: a soft joint rightly stands while a policy dithers about it
-    told = float(np.ptp(view.command[rows, joint])) if view.driven[rows, joint].all() else 0.0
+    # how far, not how much: a soft joint rightly stands while a policy dithers about it; and time to act on it
+    heeded = slice(first, max(last - round(0.2 / view.interval), first) + 1)
+    told = float(np.ptp(view.command[heeded, joint])) if view.driven[rows, joint].all() else 0.0
     rate, half = view.get(VELOCITY), max(1, round(0.5 / view.interval))
     rate = np.zeros(length + 1) if rate is None else rate[rows, joint]
     turned = integral(view.time[rows], rate)
