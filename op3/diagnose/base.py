@@ -16,6 +16,7 @@ from op3.diagnose.coordinates import (
     Coordinates,
     base_coordinates,
     other_forms,
+    own_spread,
     with_chain,
     with_own_spread,
     with_setups,
@@ -73,6 +74,11 @@ class Base:
         return self.linear.point
 
     @property
+    def told(self) -> np.ndarray:
+        """Standard deviations of its numbers, ``[coordinate]``."""
+        return np.sqrt(np.diag(self.fit.covariance))
+
+    @property
     def model(self) -> RobotModel:
         """The model that it is."""
         return at_point(self.coordinates, self.point)
@@ -99,7 +105,7 @@ def fit_base(
     coordinates = base_coordinates(full, reduction.engine.joints, reduction.moving, priors)
     found = search(reduction, coordinates, rng, lambda share: progress(0.5 * share))
     first = settle(reduction, coordinates, found, settings, forms)
-    own, point = with_own_spread(first.coordinates, first.point, settings)
+    own, point = with_own_spread(first.coordinates, first.point, first.told, settings)
     first = settle(reduction, own, point, settings, state=first.fit.state)
     progress(0.8)
     again = replace(coordinates, entries=own.entries)
@@ -109,7 +115,7 @@ def fit_base(
     gap = gap_of(reduction, first, second, settings)
     if gap <= 0:
         return replace(first, others=((second.point, -gap),))
-    own, point = with_own_spread(second.coordinates, second.point, settings)
+    own, point = with_own_spread(second.coordinates, second.point, second.told, settings)
     return replace(settle(reduction, own, point, settings, state=second.fit.state), others=((first.point, gap),))
 
 
@@ -297,18 +303,24 @@ def untold(base: Base) -> list[str]:
     return [entry.parameter for entry, share in both if entry.joints is None and share > UNTOLD]
 
 
-def unusual(given: RobotModel, base: Base, fit: Posterior, judge: Judge) -> list[tuple[int, float, float]]:
-    """Log odds of the chain's numbers against being usual, or what the given model says; which, and how well told."""
+def unusual(
+    given: RobotModel, base: Base, fit: Posterior, judge: Judge, settings: Settings = SETTINGS
+) -> list[tuple[int, float, float]]:
+    """Log odds of the chain's numbers against being usual, or what the given model says; which, and how well told.
+
+    A number that every servo has for itself is usual where it differs no more than those of this robot's others.
+    """
     linear, curvature = judge.likelihoods(fit)
-    known, found = given.parameters(), []
-    for i, entry in enumerate(base.coordinates.entries):
-        chain = CHAIN.get(entry.parameter)
-        if chain is None or entry.kind != "value":
-            continue
-        expected = given.value(entry.parameter) if entry.parameter in known else chain.usual
-        usual = np.array(expected - base.point[i])
-        low, high = entry.low - base.point[i], entry.high - base.point[i]
-        slab = evidence(linear[i], curvature[i], usual, np.array(chain.most / 2), low, high)
-        spike = evidence(linear[i], curvature[i], usual, np.array(chain.spread))
-        found.append((i, float(slab - spike), float(1 / np.sqrt(curvature[i]))))
+    known, found, point = given.parameters(), [], base.point
+    for name, chain in CHAIN.items():
+        mine = [i for i, e in enumerate(base.coordinates.entries) if e.parameter == name and e.kind == "value"]
+        told = 1 / np.sqrt(curvature[mine])
+        spread = own_spread(point[mine], told, chain.spread, settings) if chain.own and len(mine) > 1 else chain.spread
+        expected = given.value(name) if name in known else chain.usual
+        for i, deviation in zip(mine, told, strict=True):
+            entry, usual = base.coordinates.entries[i], np.array(expected - point[i])
+            low, high = entry.low - point[i], entry.high - point[i]
+            slab = evidence(linear[i], curvature[i], usual, np.array(chain.most / 2), low, high)
+            spike = evidence(linear[i], curvature[i], usual, np.array(spread))
+            found.append((i, float(slab - spike), float(deviation)))
     return found

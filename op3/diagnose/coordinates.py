@@ -16,6 +16,7 @@ from op3.servo.effects import LinkInertia
 
 SPREAD: Mapping[str, float] = {
     "torque_constant": 0.05,
+    "terminal_resistance": 0.05,
     "coulomb_friction": 0.15,
     "viscous_friction": 0.15,
     "static_friction_excess": 0.15,
@@ -268,21 +269,37 @@ def base_coordinates(
     return Coordinates(model, tuple(joints), tuple(entries))
 
 
-def with_own_spread(coordinates: Coordinates, point: np.ndarray, settings: Settings) -> tuple[Coordinates, np.ndarray]:
-    """Numbers of servos that differ as most of this robot's do: what any make may have hides a fault.
+def own_spread(found: np.ndarray, told: np.ndarray, usual: float, settings: Settings) -> float:
+    """How much the servos of this robot differ, as a standard deviation: what any make may have hides a fault.
 
-    Medians are what most servos have, whatever one of them does. What they have in common goes to the shared number, so
-    that the point ``[coordinate]`` is handed back too, as the same base.
+    The median is what most servos have, whatever one of them does. What the logs do not tell of them may differ too.
+
+    Args:
+        found: their numbers, ``[servo]``.
+        told: standard deviations of these, ``[servo]``.
+        usual: what servos of one make usually differ by.
     """
-    entries, point, weight = list(coordinates.entries), point.copy(), 1 / settings.law_spread**2
+    apart = np.hypot(median_abs_deviation(found, scale=float(norm.ppf(0.75))), np.median(told))
+    weight = 1 / settings.law_spread**2
+    return float(np.exp((len(found) * np.log(apart) + weight * np.log(usual)) / (len(found) + weight)))
+
+
+def with_own_spread(
+    coordinates: Coordinates, point: np.ndarray, told: np.ndarray, settings: Settings
+) -> tuple[Coordinates, np.ndarray]:
+    """Numbers of servos that differ as this robot's do.
+
+    What they have in common goes to the shared number, so that the point ``[coordinate]`` is handed back too, as the
+    same base; `told` are the standard deviations of its numbers.
+    """
+    entries, point = list(coordinates.entries), point.copy()
     for name, usual in SPREAD.items():
         mine = [i for i, entry in enumerate(entries) if entry.parameter == name]
         own = [i for i in mine if entries[i].kind == "scale" and entries[i].joints is not None]
         if not own:
             continue
         middle = float(np.median(point[own]))
-        apart = max(float(median_abs_deviation(point[own], scale=float(norm.ppf(0.75)))), 1e-3)
-        deviation = float(np.exp((len(own) * np.log(apart) + weight * np.log(usual)) / (len(own) + weight)))
+        deviation = own_spread(point[own], told[own], usual, settings)
         reach = SPREAD_LIMIT * deviation
         for i in own:
             entries[i] = replace(entries[i], low=-reach, high=reach, deviation=deviation)

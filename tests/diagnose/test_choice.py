@@ -97,9 +97,11 @@ def test_servos_differ_as_most_of_the_robot_do():
     named = [(entry.parameter, entry.kind) for entry in coordinates.entries]
     own = [i for i, name in enumerate(named) if name == ("coulomb_friction", "scale")]
     point[own] = [-0.08, -0.12, -0.09, -0.11, -0.1, 0.45]
-    spread, moved = with_own_spread(coordinates, point, Settings())
+    spread, moved = with_own_spread(coordinates, point, np.full(len(point), 0.005), Settings())
     assert spread.entries[own[0]].deviation < 0.05
     assert np.abs(moved[own[:5]]).max() < 0.03
+    untold, _ = with_own_spread(coordinates, coordinates.start, coordinates.deviation, Settings())
+    assert untold.entries[own[0]].deviation == pytest.approx(coordinates.entries[own[0]].deviation)
     before, after = (coordinates.values(one[None])["coulomb_friction"] for one in (point, moved))
     assert after.numpy() == pytest.approx(before.numpy())
 
