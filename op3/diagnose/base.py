@@ -103,12 +103,12 @@ def fit_base(
     forms = [full, *other_forms(full)]
     priors = {**CHAIN, **BENCH} if lengths else CHAIN
     coordinates = base_coordinates(full, reduction.engine.joints, reduction.moving, priors)
-    found = search(reduction, coordinates, rng, lambda share: progress(0.5 * share))
+    coordinates, found = search(reduction, coordinates, rng, forms, lambda share: progress(0.5 * share))
     first = settle(reduction, coordinates, found, settings, forms)
     own, point = with_own_spread(first.coordinates, first.point, first.told, settings)
     first = settle(reduction, own, point, settings, state=first.fit.state)
     progress(0.8)
-    again = replace(coordinates, entries=own.entries)
+    again = replace(first.coordinates, entries=own.entries)
     second = settle(reduction, again, again.start, settings, forms, ELSEWHERE, known=first.point)
     if not far_apart(coordinates, second.point, first.point):
         return first
@@ -148,9 +148,14 @@ def search(
     reduction: Reduction,
     coordinates: Coordinates,
     rng: np.random.Generator,
+    forms: Sequence[RobotModel] = (),
     progress: Callable[[float], None] = lambda share: None,
-) -> np.ndarray:
-    """A cross-entropy search over the shared numbers, in logarithms where they are positive."""
+) -> tuple[Coordinates, np.ndarray]:
+    """A cross-entropy search over the shared numbers, in logarithms where they are positive, and the forms of laws.
+
+    Each form does best with numbers of its own, so that it is drawn like a number.
+    """
+    options = [replace(coordinates, model=form) for form in forms] or [coordinates]
     shared = [i for i, entry in enumerate(coordinates.entries) if entry.joints is None]
     low, high = coordinates.low[shared], coordinates.high[shared]
     positive = (low >= 0) & (coordinates.start[shared] > 0)
@@ -163,23 +168,32 @@ def search(
         whole[:, shared] = np.clip(np.where(positive, np.exp(np.where(positive, x, 0.0)), x), low, high)
         return whole
 
+    def costs_of(x: np.ndarray, form: np.ndarray, stretch: int) -> np.ndarray:
+        whole, cost = points(x), np.zeros(len(x))
+        for number, option in enumerate(options):
+            if (mine := form == number).any():
+                cost[mine] = _robust(reduction.at(option, whole[mine], stretch))
+        return cost + coordinates.penalties(whole)
+
     strata = np.argsort(rng.random((len(shared), POPULATION)), 1).T + rng.random((POPULATION, len(shared)))
     x = ends[0] + strata / POPULATION * (ends[1] - ends[0])
     for k, i in enumerate(shared):  # the chain begins near what is usual
         if (chain := {**CHAIN, **BENCH}.get(coordinates.entries[i].parameter)) is not None:
             drawn = np.clip(chain.usual + chain.spread * rng.standard_normal(POPULATION), bottom[k] + 1e-9, high[k])
             x[:, k] = np.log(drawn) if positive[k] else drawn
+    form = rng.permutation(np.arange(POPULATION) % len(options))
     for generation in range(GENERATIONS):
-        error = reduction.at(coordinates, points(x), stretch=4 if generation < 3 else 2)
-        cost = _robust(error) + coordinates.penalties(points(x))
-        order = np.argsort(cost)[:ELITE]
-        best, mean = x[order[0]], x[order].mean(0)
+        order = np.argsort(costs_of(x, form, 4 if generation < 3 else 2))[:ELITE]
+        best, mean, kind = x[order[0]], x[order].mean(0), form[order[0]]
         spread = np.cov(x[order].T).reshape(len(shared), -1) + 1e-6 * np.diag((ends[1] - ends[0]) ** 2)
+        often = np.bincount(form[order], minlength=len(options)) + 1 / len(options)
         x = np.clip(rng.multivariate_normal(mean, spread, POPULATION), *ends)
-        x[0] = best
+        form = rng.choice(len(options), POPULATION, p=often / often.sum())
+        x[0], form[0] = best, kind
         progress((generation + 1) / GENERATIONS)
-    last = points(np.stack([best, mean]))
-    return last[int(_robust(reduction.at(coordinates, last)).argmin())]
+    last = np.stack([best, mean])
+    pick = int(costs_of(last, np.full(2, kind), 1).argmin())
+    return options[kind], points(last)[pick]
 
 
 def _robust(errors: Sequence[np.ndarray]) -> np.ndarray:

@@ -6,7 +6,7 @@ from math import inf
 
 import numpy as np
 import torch
-from scipy.stats import median_abs_deviation, norm
+from scipy.stats import norm
 from torch import Tensor
 
 from op3.diagnose.settings import Settings
@@ -279,7 +279,7 @@ def own_spread(found: np.ndarray, told: np.ndarray, usual: float, settings: Sett
         told: standard deviations of these, ``[servo]``.
         usual: what servos of one make usually differ by.
     """
-    apart = np.hypot(median_abs_deviation(found, scale=float(norm.ppf(0.75))), np.median(told))
+    apart = np.sqrt(np.median(np.square((found - np.median(found)) / norm.ppf(0.75)) + np.square(told)))
     weight = 1 / settings.law_spread**2
     return float(np.exp((len(found) * np.log(apart) + weight * np.log(usual)) / (len(found) + weight)))
 
