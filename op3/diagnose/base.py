@@ -13,6 +13,7 @@ import numpy as np
 from op3.diagnose.coordinates import (
     BENCH,
     CHAIN,
+    FORMS,
     Coordinates,
     base_coordinates,
     other_forms,
@@ -31,7 +32,10 @@ POPULATION, ELITE, GENERATIONS = 80, 12, 5
 """Of the search: points in a generation, those that make the next, and generations."""
 
 STEPS, ELSEWHERE = 12, 4
-"""Gauss-Newton steps at most from where the search ends, and from the given model, which only tells of other optima."""
+"""Gauss-Newton steps at most of the best start, and of every start before they are compared."""
+
+GEAR = ("dte", "load_friction")
+"""Effects whose forms say where the gear's losses go."""
 
 DAMPING = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)
 """Dampings of a step that are tried at once, as shares of each number's curvature."""
@@ -100,23 +104,30 @@ def fit_base(
     """Fit a model's own numbers, its servos' spread and the chain of measurement, from several starts."""
     lengths = reduction.engine.lengths
     full = with_chain(with_setups(model, lengths))
-    forms = [full, *other_forms(full)]
     priors = {**CHAIN, **BENCH} if lengths else CHAIN
     coordinates = base_coordinates(full, reduction.engine.joints, reduction.moving, priors)
-    coordinates, found = search(reduction, coordinates, rng, forms, lambda share: progress(0.5 * share))
-    first = settle(reduction, coordinates, found, settings, forms)
+    # another law of the gear does best with other numbers everywhere: each gets a start of its own
+    gears = [full, *other_forms(full, GEAR)]
+    groups = [[gear, *other_forms(gear, [name for name in FORMS if name not in GEAR])] for gear in gears]
+    starts, ends = groups if len(groups) > 1 else groups * 2, []
+    for number, forms in enumerate(starts):
+        searched = number < len(groups)
+        start = search(reduction, coordinates, rng, forms) if searched else (coordinates, coordinates.start)
+        ends.append(settle(reduction, *start, settings, forms, ELSEWHERE))
+        progress(0.7 * (number + 1) / len(starts))
+    best = 0
+    for other in range(1, len(ends)):
+        best = other if gap_of(reduction, ends[best], ends[other], settings) > 0 else best
+    first, forms = ends[best], starts[best]
+    first = settle(reduction, first.coordinates, first.point, settings, forms, state=first.fit.state)
     own, point = with_own_spread(first.coordinates, first.point, first.told, settings)
-    first = settle(reduction, own, point, settings, state=first.fit.state)
-    progress(0.8)
-    again = replace(first.coordinates, entries=own.entries)
-    second = settle(reduction, again, again.start, settings, forms, ELSEWHERE, known=first.point)
-    if not far_apart(coordinates, second.point, first.point):
-        return first
-    gap = gap_of(reduction, first, second, settings)
-    if gap <= 0:
-        return replace(first, others=((second.point, -gap),))
-    own, point = with_own_spread(second.coordinates, second.point, second.told, settings)
-    return replace(settle(reduction, own, point, settings, state=second.fit.state), others=((first.point, gap),))
+    first, others = settle(reduction, own, point, settings, state=first.fit.state), []
+    for end in ends:
+        if end is not ends[best] and far_apart(coordinates, end.point, first.point):
+            joined, point = replace(own, model=end.coordinates.model), np.clip(end.point, own.low, own.high)
+            end = replace(end, linear=replace(end.linear, coordinates=joined, point=point))
+            others.append((point, gap_of(reduction, end, first, settings)))
+    return replace(first, others=tuple(others))
 
 
 def gap_of(reduction: Reduction, one: Base, other: Base, settings: Settings = SETTINGS) -> float:
@@ -149,7 +160,6 @@ def search(
     coordinates: Coordinates,
     rng: np.random.Generator,
     forms: Sequence[RobotModel] = (),
-    progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[Coordinates, np.ndarray]:
     """A cross-entropy search over the shared numbers, in logarithms where they are positive, and the forms of laws.
 
@@ -190,7 +200,6 @@ def search(
         x = np.clip(rng.multivariate_normal(mean, spread, POPULATION), *ends)
         form = rng.choice(len(options), POPULATION, p=often / often.sum())
         x[0], form[0] = best, kind
-        progress((generation + 1) / GENERATIONS)
     last = np.stack([best, mean])
     pick = int(costs_of(last, np.full(2, kind), 1).argmin())
     return options[kind], points(last)[pick]
@@ -210,13 +219,11 @@ def settle(
     steps: int = STEPS,
     state: State | None = None,
     like: Linear | None = None,
-    known: np.ndarray | None = None,
 ) -> Base:
     """Gauss-Newton from a point until the base no longer moves; other forms of its laws are tried on the way.
 
-    A fit that comes near an end that is `known` is not followed further. With a linearisation that it is to be `like`,
-    its reduction is kept, so that evidences compare, and its columns of numbers that both have, which decide little
-    where a fit ends.
+    With a linearisation that it is to be `like`, its reduction is kept, so that evidences compare, and its columns of
+    numbers that both have, which decide little where a fit ends.
     """
     point, linear = np.clip(point, coordinates.low, coordinates.high), None
     number, done = 0, steps == 0
@@ -237,8 +244,6 @@ def settle(
         pick = min(range(len(costs)), key=lambda i: float(costs[i].min()))
         gained = costs[0][0] - costs[pick].min()
         coordinates, point = options[pick][0], options[pick][1][int(costs[pick].argmin())]
-        if known is not None and not far_apart(coordinates, point, known):
-            return Base(replace(linear, point=point), fit)
         number += 1
         done = number == steps or gained < SETTLED
     return Base(linear, fit)

@@ -149,13 +149,12 @@ class Search:
         found: tuple[Candidate, ...],
         columns: Mapping[tuple, np.ndarray],
         state: State | None,
-        gaussian: bool = False,
         rounds: int = 6,
         like: Rows | None = None,
     ) -> Stage:
         rows = self.reduction.rows(base.linear, list(columns.values()), like)
         numbers = numbers_of(base, found, list(columns), rows, self.settings)
-        judge = Judge(rows, numbers, self.settings, gaussian)
+        judge = Judge(rows, numbers, self.settings)
         return Stage(base, named, found, columns, judge, judge.fit(state=state, rounds=rounds))
 
     def run(self, base: Base, most: int = MOST) -> list[Stage]:
@@ -178,23 +177,25 @@ class Search:
 
     def further(self, stage: Stage) -> Stage | None:
         """The stage with one more effect named; None where no candidate is worth its slab."""
-        tails = self.leaders(stage, stage.judge, stage.fit, self.settings.alarm)
-        found = self._name(stage, tails) if tails else None
+        found = self._name(stage, self.leaders(stage, stage.judge.scores(stage.fit), stage.fit.state))
         if found is not None:
             return found
+        # what happens in few windows only is hidden where these count for little: let them count in full to propose it,
+        # and begin anew with it, so that windows which it explains count again
         gaussian = Judge(stage.judge.rows, stage.judge.numbers, self.settings, gaussian=True)
-        fit = gaussian.fit(rounds=6)
-        hidden = self._in_wild_windows(stage)
-        rare = [one for one in self.leaders(stage, gaussian, fit, self.settings.rare_alarm) if hidden[one[1]]]
-        less = self.settings.rare_alarm - self.settings.alarm
-        return self._name(stage, rare, less) if rare else None
+        odds = np.where(self._in_wild_windows(stage), gaussian.scores(gaussian.fit(rounds=6)), -np.inf)
+        return self._name(stage, self.leaders(stage, odds, None))
 
-    def leaders(self, stage: Stage, judge: Judge, fit: Posterior, alarm: float) -> list[tuple[float, int]]:
+    def leaders(self, stage: Stage, odds: np.ndarray, state: State | None) -> list[tuple[float, int, Posterior]]:
         """Log odds and numbers of candidates of different places, estimated anew with everything else, best first.
 
         Empty unless the best is within a family of the alarm: sizes are linear here, and a refit finds more.
+
+        Args:
+            odds: by which candidates are proposed, ``[candidate]``.
+            state: variances from which the estimates begin; None: the judge's start.
         """
-        odds = judge.scores(fit)
+        s, judge, n = self.settings, stage.judge, stage.judge.numbers
         best: dict[Place, tuple[float, int]] = {}
         for number in np.argsort(-odds):
             if not np.isfinite(odds[number]):
@@ -203,23 +204,21 @@ class Search:
             if place in best:
                 so_far = best[place]
                 best[place] = (float(np.logaddexp(so_far[0], odds[number])), so_far[1])
-            elif len(best) < 4 * self.settings.leaders:
+            elif len(best) < 4 * s.leaders:
                 best[place] = (float(odds[number]), int(number))
-        ranked = sorted(best.values(), reverse=True)[: self.settings.leaders]
-        if not ranked or ranked[0][0] < alarm - self.settings.family:
+        ranked = sorted(best.values(), reverse=True)[: s.leaders]
+        if not ranked or ranked[0][0] < s.alarm - s.family:
             return []
-        control = judge.fit(state=fit.state, rounds=2)
-        anew = []
+        rounds = 2 if state else 6
+        control, anew = judge.fit(state=state, rounds=rounds), []
         for _, number in ranked:
-            with_it = judge.fit([number], fit.state, rounds=2)
-            n = judge.numbers
-            size = with_it.mean[-1]
-            if not n.low[number] <= size <= n.high[number]:
+            with_it = judge.fit([number], state, rounds=rounds)
+            if not n.low[number] <= with_it.mean[-1] <= n.high[number]:
                 continue
             truncated = float(log_mass(n.low[number], n.high[number], 0.0, n.slab[number]))
-            anew.append((with_it.evidence - control.evidence + n.place[number] - truncated, number))
-        anew.sort(reverse=True)
-        return anew if anew and anew[0][0] > alarm - self.settings.family else []
+            anew.append((with_it.evidence - control.evidence + n.place[number] - truncated, number, with_it))
+        anew.sort(key=lambda one: -one[0])
+        return anew if anew and anew[0][0] > s.alarm - s.family else []
 
     def _in_wild_windows(self, stage: Stage) -> np.ndarray:
         """Candidates most of whose torque lies in windows that Student's tails weigh down, ``[candidate]``."""
@@ -231,13 +230,12 @@ class Search:
         members = [list(one) for one in stage.judge.numbers.members]
         return np.array([wild[one].sum() > 0.5 * total[one].sum() for one in members])
 
-    def _name(self, stage: Stage, leaders: list[tuple[float, int]], less: float = 0.0) -> Stage | None:
-        """The leaders refitted with the base; the best is named, those that are as good are its rivals.
-
-        Odds that count wild windows in full are so much `less`.
-        """
-        near = [number for odds, number in leaders if odds > leaders[0][0] - 2 * self.settings.family][:MOST]
-        refitted = [(one[0] - less, *one[1:]) for one in self._refitted(stage, near, gaussian=less > 0)]
+    def _name(self, stage: Stage, leaders: list[tuple[float, int, Posterior]]) -> Stage | None:
+        """The leaders refitted with the base; the best is named, those that are as good are its rivals."""
+        near = [one for one in leaders if one[0] > leaders[0][0] - 2 * self.settings.family][:MOST]
+        if not near:
+            return None
+        refitted = self._refitted(stage, [(number, with_it) for _, number, with_it in near])
         odds, base, candidate, coordinate = refitted[0]
         if odds < self.settings.alarm - self.settings.temperature:
             return None
@@ -246,7 +244,7 @@ class Search:
         return self._around(stage, base, named)
 
     def _refitted(
-        self, stage: Stage, numbers: Sequence[int], gaussian: bool = False
+        self, stage: Stage, estimates: Sequence[tuple[int, Posterior]]
     ) -> list[tuple[float, Base, Candidate, Coordinate]]:
         """Log odds of candidates refitted with the base against the base without, and what the refit gave, best first.
 
@@ -257,12 +255,12 @@ class Search:
 
         def refit(joined: Coordinates, start: np.ndarray, state: State) -> tuple[Base, float]:
             base = settle(self.reduction, joined, start, s, steps=2, state=state, like=stage.base.linear)
-            after = self._stage(base, stage.named, stage.found, stage.columns, state, gaussian, 2, rows)
+            after = self._stage(base, stage.named, stage.found, stage.columns, state, 2, rows)
             return base, after.fit.evidence
 
         _, without = refit(coordinates, point, alone.state)  # the base takes as many steps without
-        for number in numbers:
-            candidate, with_it = stage.found[number], stage.judge.fit([number], stage.fit.state, rounds=2)
+        for number, with_it in estimates:
+            candidate = stage.found[number]
             model = candidate.switched_on(coordinates.model, self.reduction.engine.joints)
             coordinate = candidate.coordinate(coordinates.model, float(with_it.mean[-1]), s)
             # what the base would do by itself it has tried: where joints stick, long steps lead astray

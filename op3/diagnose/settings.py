@@ -24,7 +24,6 @@ class Settings:
         law_spread: standard deviation of its logarithm, and of that of the servos' spread.
         features: of a joint's unexplained law; twice as many change no name.
         alarm: log odds from which on a finding is as likely as not: what sound robots reach now and then.
-        rare_alarm: the same with Gaussian noise, where a few wild windows count in full.
         temperature: by which log odds are divided before they are probabilities; model error is not independent.
         family: log odds within which names are one finding.
         windows: of the fitted runs; more add what model error repeats. None: five of each run, at least 72.
@@ -44,7 +43,6 @@ class Settings:
     law_spread: float = 0.5
     features: int = 40
     alarm: float = 6.0
-    rare_alarm: float = 30.0
     temperature: float = 2.0
     family: float = 6.0
     windows: int | None = None
