@@ -63,10 +63,9 @@ def _left_by_base(judge: Judge, stage: Stage, own: int) -> tuple[np.ndarray, np.
     """Products of the candidates' columns that the base does not imitate, and all of them."""
     products = judge.products(stage.fit.state)
     prior = 1.0 / base_numbers(stage.base.coordinates, stage.base.point).deviation ** 2
-    inner, across = products[:own, :own] + np.diag(prior), products[:own, own:]
     sums = judge.sums(range(len(judge.numbers.members)))[own:]
+    inner, across = products[:own, :own] + np.diag(prior), products[:own, own:] @ sums
     whole = sums.T @ products[own:, own:] @ sums
-    across = across @ sums
     return whole - across.T @ np.linalg.solve(inner, across), whole
 
 

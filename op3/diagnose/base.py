@@ -115,19 +115,13 @@ def fit_base(
         start = search(reduction, coordinates, rng, forms) if searched else (coordinates, coordinates.start)
         ends.append(settle(reduction, *start, settings, forms, ELSEWHERE))
         progress(0.7 * (number + 1) / len(starts))
-    best = 0
-    for other in range(1, len(ends)):
-        best = other if gap_of(reduction, ends[best], ends[other], settings) > 0 else best
+    better = [0.0, *(gap_of(reduction, ends[0], end, settings) for end in ends[1:])]
+    best = int(np.argmax(better))
     first, forms = ends[best], starts[best]
+    others = [(end.point, better[best] - gain) for end, gain in zip(ends, better, strict=True) if end is not first]
     first = settle(reduction, first.coordinates, first.point, settings, forms, state=first.fit.state)
     own, point = with_own_spread(first.coordinates, first.point, first.told, settings)
-    first, others = settle(reduction, own, point, settings, state=first.fit.state), []
-    for end in ends:
-        if end is not ends[best] and far_apart(coordinates, end.point, first.point):
-            joined, point = replace(own, model=end.coordinates.model), np.clip(end.point, own.low, own.high)
-            end = replace(end, linear=replace(end.linear, coordinates=joined, point=point))
-            others.append((point, gap_of(reduction, end, first, settings)))
-    return replace(first, others=tuple(others))
+    return replace(settle(reduction, own, point, settings, state=first.fit.state), others=tuple(others))
 
 
 def gap_of(reduction: Reduction, one: Base, other: Base, settings: Settings = SETTINGS) -> float:

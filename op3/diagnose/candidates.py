@@ -4,7 +4,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from op3.diagnose.coordinates import CHAIN, FORMS, Coordinate, other_forms
@@ -141,7 +140,8 @@ def candidates(
         if not _possible(effect, model) or name in without:
             continue
         on = name in model.effect_names
-        with_it = model if on else switched_on(model, effect)
+        neutral = {p.name: p.nominal if p.neutral is None else p.neutral for p in effect.parameters}
+        with_it = model if on else model.with_effect(effect(), neutral)
         forms = [with_it, *(other_forms(with_it, (name,)) if name in FORMS and not on else ())]
         for variant in forms:
             for secant in _own(effect, on):
@@ -206,12 +206,6 @@ def mirror_pairs(joints: Sequence[str], moving: Sequence[bool], mirror: Mapping[
     return sorted((at[first], at[second]) for first, second in pairs)
 
 
-def switched_on(model: RobotModel, effect: type[Effect]) -> RobotModel:
-    """The model with an effect on, where it changes nothing."""
-    neutral = {p.name: p.nominal if p.neutral is None else p.neutral for p in effect.parameters}
-    return model.with_effect(effect(), neutral)
-
-
 def place_priors(found: Sequence[Candidate]) -> np.ndarray:
     """Log prior of every candidate, ``[candidate]``: secants of one effect in one place share that of the place, and
     each number that a law has beyond its first halves it."""
@@ -223,8 +217,3 @@ def place_priors(found: Sequence[Candidate]) -> np.ndarray:
     numbers = [sum(p.neutral is not None for p in c.effect.parameters) for c in found]
     shares = [PLACES[c.scope] / len(places[c.scope]) / secants[c.place] for c in found]
     return np.log(shares) - np.log(2.0) * (np.array(numbers) - 1)
-
-
-def stacked(values: Sequence[Mapping[str, Tensor]]) -> dict[str, Tensor]:
-    """Parameter sets ``[1, joint]`` as one, ``[candidate, joint]``."""
-    return {name: torch.cat([value[name] for value in values]) for name in values[0]}

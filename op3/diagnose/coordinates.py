@@ -68,7 +68,7 @@ CHAIN: Mapping[str, Chain] = {
     "command_latency": Chain(0.004, 0.0015, 0.004, 0.03),
     # what a mesh loses depends on its speed (Pelchen, Schweiger & Otter 2002): near rest up to as much again, fading
     # over 0.02 to 3 rad/s of the output (load-dependent Stribeck friction of servos, M4 of Duclusaud et al. 2024)
-    "near_rest_loss": Chain(0.0, 0.4, 0.4, 1.0),
+    "near_rest_loss": Chain(0.0, 0.4, 0.4, 3.0),
     "lubrication_velocity": Chain(0.5, 1.0, 0.5, 3.0, least=0.03),
 }
 """What is part of every base, whatever the given model holds: expected values and how far they may lie from them."""

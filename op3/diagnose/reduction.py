@@ -17,7 +17,7 @@ import torch
 from scipy import linalg, sparse
 from torch import Tensor
 
-from op3.diagnose.candidates import Candidate, stacked
+from op3.diagnose.candidates import Candidate
 from op3.diagnose.coordinates import Coordinate, Coordinates
 from op3.diagnose.judge import Rows
 from op3.diagnose.settings import SETTINGS, Settings
@@ -329,7 +329,8 @@ class Reduction:
             for i in group:
                 moved = found[i].moved(moved)
             sets.append(moved)
-        error = self.errors(model, stacked(sets), len(sets), COARSE)
+        values = {name: torch.cat([one[name] for one in sets]) for name in sets[0]}
+        error = self.errors(model, values, len(sets), COARSE)
         changes = self.reduce(linear.reducers, [one[1:] - one[:1] for one in error])
         for number, group in enumerate(members):
             for i in group:

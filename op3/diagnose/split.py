@@ -4,6 +4,7 @@ import hashlib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -43,11 +44,6 @@ class LogSplit:
     select: tuple[Rollout, ...]
     show: tuple[Rollout, ...]
     repeats: tuple[tuple[int, ...], ...] = ()
-
-    @property
-    def logs(self) -> tuple[Rollout, ...]:
-        """All of them: fit, select, show."""
-        return (*self.fit, *self.select, *self.show)
 
 
 def split_logs(logs: Sequence[Rollout], seed: int = 0) -> LogSplit:
@@ -101,10 +97,8 @@ def _different(logs: Sequence[Rollout]) -> list[Rollout]:
     """Each log once, whatever it is called."""
     known: dict[bytes, Rollout] = {}
     for log in logs:
-        numbers = hashlib.sha256()
-        for key in log.channels:
-            numbers.update(np.ascontiguousarray(log.array(key)).tobytes())
-        known.setdefault(numbers.digest(), log)
+        numbers = b"".join(np.ascontiguousarray(log.array(key)).tobytes() for key in log.channels)
+        known.setdefault(hashlib.sha256(numbers).digest(), log)
     return list(known.values())
 
 
@@ -141,28 +135,17 @@ def _same_commands(one: Rollout, other: Rollout) -> bool:
 
 def _pick(logs: Sequence[Rollout], among: Sequence[int], count: int, rng: np.random.Generator) -> list[int]:
     """Runs drawn one of each kind in turn, the kind with the most runs left first."""
-    left: dict[str, list[int]] = {}
-    for i in among:
-        left.setdefault(re.sub(r"[\d_.-]+$", "", logs[i].metadata.motion or "motion"), []).append(i)
-    picked: list[int] = []
-    taken = dict.fromkeys(left, 0)
-    while len(picked) < count:
-        kind = max(left, key=lambda k: (len(left[k]) / (1 + 2 * taken[k]), k))
-        picked.append(left[kind].pop(int(rng.integers(len(left[kind])))))
-        taken[kind] += 1
-        if not left[kind]:
-            del left[kind]
-        if not left:
-            break
-    return picked
+    kinds: dict[str, list[int]] = {}
+    for i in rng.permutation(np.array(among, int)).tolist():
+        kinds.setdefault(re.sub(r"[\d_.-]+$", "", logs[i].metadata.motion or "motion"), []).append(i)
+    turns = [((len(of) - k) / (1 + 2 * k), kind, i) for kind, of in kinds.items() for k, i in enumerate(of)]
+    return [i for *_, i in sorted(turns, reverse=True)[:count]]
 
 
 def _split_in_time(logs: Sequence[Rollout]) -> LogSplit:
-    parts: tuple[list[Rollout], ...] = ([], [], [])
+    parts = []
     for log in logs:
-        time = log.array("time")[:, 0]
-        cuts = time[0] + log.duration * np.array([0.0, 0.6, 0.8, 1.0])
+        cuts = float(log.array("time")[0, 0]) + log.duration * np.array([0.0, 0.6, 0.8, 1.0])
         cuts[-1] += 1.0
-        for part, begin, end in zip(parts, cuts[:-1], cuts[1:], strict=True):
-            part.append(log.between(float(begin), float(end)))
-    return LogSplit(tuple(parts[0]), tuple(parts[1]), tuple(parts[2]))
+        parts.append([log.between(float(begin), float(end)) for begin, end in pairwise(cuts)])
+    return LogSplit(*(tuple(part) for part in zip(*parts, strict=True)))

@@ -13,8 +13,7 @@ BINS = 8
 def lacking(reduction: Reduction, stage: Stage) -> np.ndarray:
     """Torque that each joint lacks at a stage, root mean square over windows by their weight [units], ``[joint]``."""
     own = np.concatenate([stage.fit.mean[: len(stage.base.point)], np.zeros(len(stage.found))])
-    mean = reduction.kinds == 0
-    result = []
+    mean, result = reduction.kinds == 0, []
     for j in range(len(stage.judge.rows.joints)):
         left = stage.judge.residual(j, own, np.zeros_like(stage.fit.laws[j]))[:, mean]
         known = np.isfinite(stage.judge.rows.variance[j][:, mean])
@@ -28,8 +27,7 @@ def joint_gaps(reduction: Reduction, first: Stage, last: Stage) -> dict[str, Joi
 
     What nobody explains is flagged where it is larger than of two standard deviations of sound joints.
     """
-    s = reduction.settings
-    unit = reduction.unit
+    s, unit = reduction.settings, reduction.unit
     before, after = lacking(reduction, first), lacking(reduction, last)
     mean = reduction.kinds == 0
     result = {}
@@ -66,8 +64,7 @@ def _shape(reduction: Reduction, joint: int, law: np.ndarray) -> dict[str, float
 
 def _explained(x: np.ndarray, y: np.ndarray) -> float:
     """Share of the variance of y that its means over ranges of x have, less what chance gives them."""
-    order = np.argsort(np.argsort(x))
-    place = order * BINS // len(x)
+    place = np.argsort(np.argsort(x)) * BINS // len(x)
     means = np.array([y[place == b].mean() if (place == b).any() else 0.0 for b in range(BINS)])
     total = y.var()
     if total <= 0:

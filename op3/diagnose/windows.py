@@ -75,8 +75,7 @@ class WindowResiduals:
                     column="joints",
                 )
         self.joints = first.joints
-        smoothed = smooth_all(logs)
-        self.smooth_logs = smoothed
+        self.smooth_logs = smoothed = smooth_all(logs)
         self.period = smoothed[0].period
         self.ticks = ticks = round(LENGTH / self.period) if ticks is None else ticks
         self.timestep = self.period / np.ceil(self.period / STEP - 1e-6)
@@ -186,10 +185,9 @@ class WindowResiduals:
         return [(_base(log, self.joints), at) for log, at in self._mounts]
 
     def _dynamics(self) -> TrajectoryDynamics:
-        parts = [
-            (at, base.dynamics(self._position[at], self._velocity[at], radial_force=True)) for base, at in self._held
-        ]
-        return self._swaying(_merged(parts, len(self._position)))
+        q, v = self._position, self._velocity
+        parts = [(at, base.dynamics(q[at], v[at], radial_force=True)) for base, at in self._held]
+        return self._swaying(_merged(parts, len(q)))
 
     def _swaying(self, still: TrajectoryDynamics) -> TrajectoryDynamics:
         """What is known along the motion on a stand that stands still, on one that sways as the gyro says."""
@@ -333,8 +331,7 @@ def _choose(logs: Sequence[SmoothLog], count: int, ticks: int) -> list[tuple[int
         raise LogError("the logs are shorter than a window", "record a few seconds per run", column="time")
     total = int(room.sum())
     stride = max(total / count, ticks / 2)
-    starts = []
-    edges = np.cumsum([0, *room])
+    starts, edges = [], np.cumsum([0, *room])
     aside = int(0.5 * max(0.0, min(stride - ticks, SEARCH / logs[0].period)))
     for at in np.arange(stride / 2, total, stride):
         log = int(np.searchsorted(edges, at, side="right") - 1)
