@@ -114,7 +114,7 @@ def _tables(verdict: Verdict, split: LogSplit, content: Mapping[str, Any]) -> di
             ],
         ),
         "choice": _choice(verdict.choice),
-        "checks": checks_table(split.logs),
+        "checks": checks_table((*split.fit, *split.select, *split.show)),
         "motions": _motions(verdict, split),
         "returns": _returns(content.get("downstream", {})),
         "base": (
