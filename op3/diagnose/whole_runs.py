@@ -19,9 +19,6 @@ from op3.rollout import Rollout
 from op3.tasks import Replay
 from op3.tasks.setups import BENCH_CONTROL_PERIOD
 
-AFFORDABLE = 1e4
-"""Time of all joints in all runs and parameter sets of a Jacobian beyond which runs are not simulated whole [s]."""
-
 REACH = 50.0
 """Standard deviations of the windows by which a number may move: what they model wrong is no noise."""
 
@@ -29,16 +26,16 @@ REACH = 50.0
 def on_whole_runs(base: Base, logs: Sequence[Rollout]) -> np.ndarray | None:
     """The point of a base at which it predicts the angles of whole runs best, by its shared numbers.
 
-    None where that costs too much, or whole runs tell nothing.
+    None where that costs too much, which it does but for the closed form of a bench, or whole runs tell nothing.
 
     Differences beyond the median count less than their squares (pseudo-Huber), as in some runs something else happens.
     A window's length counts as one reading, the windows' numbers as a prior, as wide as the base's own.
     """
+    if logs[0].metadata.mount != "pendulum":
+        return None
     coordinates, at = base.coordinates, [i for i, e in enumerate(base.coordinates.entries) if e.joints is None]
     step = BENCH_CONTROL_PERIOD * (1 if coordinates.model.stiff else 2)
     replay = Replay(logs, settle=settle_time(logs), bench_timestep=step, num_threads=1)
-    if replay.seconds * len(logs[0].joints) * (len(at) + 1) > AFFORDABLE:
-        return None
     first = replay.run(coordinates.model, coordinates.values(base.point[None]))
     usual = float(position_error(first).nanmedian())
     if not usual > 0.0:  # all diverged, or nothing is left

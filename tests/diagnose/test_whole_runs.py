@@ -57,8 +57,10 @@ def test_whole_runs_find_what_a_window_hardly_shows(known, logs):
     assert found["velocity_time_constant"] == pytest.approx(0.012, rel=0.02)
 
 
-def test_runs_that_take_too_long_are_not_simulated(known, logs, monkeypatch):
+def test_runs_of_a_robot_are_not_simulated(known, logs):
     """Then the numbers stay as windows say them."""
-    monkeypatch.setattr(whole_runs, "AFFORDABLE", 1.0)
-    base = base_at(known, encoder_offset=1.1)
-    assert whole_runs.on_whole_runs(base, logs) is None
+    held = [
+        Rollout.from_arrays({key: log.array(key) for key in log.channels}, log.metadata.replace(mount="stand"))
+        for log in logs
+    ]
+    assert whole_runs.on_whole_runs(base_at(known), held) is None
