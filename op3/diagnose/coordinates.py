@@ -21,16 +21,18 @@ SPREAD: Mapping[str, float] = {
     "viscous_friction": 0.15,
     "static_friction_excess": 0.15,
 }
-"""How much servos of one make differ, as a standard deviation relative to the shared value. Magnets and windings hold
-10 % between the extremes (remanence +-3 %, winding resistance +-8 %: maxon catalogue, "tolerances"); friction of small
-gear trains differs by a tenth to a fifth from one to the next (BAM, Duclusaud et al. 2025, refits of one make)."""
+"""How much servos of one make differ, as a standard deviation relative to the shared value. No maker of hobby servos
+says it. Data of motors hold within +-10 % (Beckhoff AM8100, "technical data"), taken here as two standard deviations of
+torque constant and resistance. That of friction is our own choice: no finer than four fits of one XL330 to more and fewer of its
+runs tell it, which differ by 17 % (`friction_base` of m1 on four branches of github.com/Rhoban/bam)."""
 
 SPREAD_LIMIT = 3.0
 """Standard deviations that a joint may differ in the base; what differs more is a fault, and a candidate."""
 
 WIDEST = 10.0
-"""How many times smaller or larger than given a parameter may be that lies outside the catalogue's range: between the
-smallest and the largest hobby servo of a class lie a factor of ten in torque and of ten in resistance."""
+"""How many times smaller or larger than given a parameter may be that lies outside the catalogue's range. Our own
+choice: all hobby servos differ by more (XL330-M288 and MX-106: 0.52 and 8.4 N m at stall, ROBOTIS e-Manual), but what
+is given is that of one alike."""
 
 
 @dataclass(frozen=True)
@@ -55,19 +57,22 @@ class Chain:
 
 
 CHAIN: Mapping[str, Chain] = {
-    # present velocity is averaged in the servo over an unpublished time: 2 to 15 ms on Dynamixel X, 18 to 20 ms on
-    # Feetech STS (from their logs: positions against velocities), so nothing up to 20 ms is a fault
+    # no maker publishes how present velocity is averaged; in bench logs of an STS3032 it is 17 ms late, of an XL330 20
+    # ms or more (`velocity_sensing` in op3/rollout/smoothing.py), so nothing up to 20 ms is a fault
     "velocity_time_constant": Chain(0.006, 0.006, 0.008, 0.04),
-    # current loops of hobby servos settle in 0.5 to 5 ms (maxon ESCON: 0.3 ms; Dynamixel X: 1 kHz loop)
+    # our own choice: ROBOTIS does not disclose it (ROBOTIS-GIT/emanual issue 1331), only that loops run much faster
+    # than 1 kHz (DynamixelSDK issue 534)
     "current_time_constant": Chain(0.001, 0.001, 0.002, 0.01),
-    # 2.69 mA a count (ROBOTIS e-manual, XM430), zeros of shunt amplifiers 1 to 10 counts
+    # our own choice: about two counts of 2.69 mA (ROBOTIS e-Manual, XM430); no maker states the zero
     "current_offset": Chain(0.0, 0.006, 0.01, 0.06, own=True),
-    # bristles of greased gears: 20 to 400 N m/rad (Olsson et al. 1998; Harmonic Drive catalogue, stiffness K1)
+    # our own choice, 1 / (330 N m/rad): friction of 0.1 N m grips within 0.3 mrad, a fifth of an encoder's count
     "bristle_compliance": Chain(0.003, 0.003, 0.004, 0.05),
-    # one sync write and read of twenty servos at 1 to 4 Mbit/s takes 2 to 6 ms (ROBOTIS protocol 2.0)
+    # a sync write of 2 and a sync read of 10 bytes by twenty servos are 530 bytes of ROBOTIS' protocol 2.0: 5.3 ms at
+    # 1 Mbit/s and 1.3 ms at 4 Mbit/s, and the pauses before the answers
     "command_latency": Chain(0.004, 0.0015, 0.004, 0.03),
-    # what a mesh loses depends on its speed (Pelchen, Schweiger & Otter 2002): near rest up to as much again, fading
-    # over 0.02 to 3 rad/s of the output (load-dependent Stribeck friction of servos, M4 of Duclusaud et al. 2024)
+    # a mesh's efficiency depends on speed, as a table (Pelchen, Schweiger & Otter 2002). The fade is that of M4 of
+    # Duclusaud et al. (2025), whose fits fade over 0.35 to 2.6 rad/s. How much more is lost near rest is our own
+    # choice: there 1.1 times as much on the XL330, nothing on XL-320 and eRob80:50, nearly all on MX-64 and MX-106
     "near_rest_loss": Chain(0.0, 0.4, 0.4, 3.0),
     "lubrication_velocity": Chain(0.5, 1.0, 0.5, 3.0, least=0.03),
 }
@@ -86,8 +91,8 @@ FORMS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "load_friction": ("form", ("sum", "motor")),
     "encoder_nonlinearity": ("velocity", ("bent", "apart")),
 }
-"""Laws that the literature writes in several ways with the same parameters. Which of them a servo obeys is not what is
-asked, so none of them may decide a name."""
+"""Laws that can be written in several ways with the same parameters; the effects say whose each is. Which of them a
+servo obeys is not what is asked, so none of them may decide a name."""
 
 
 @dataclass(frozen=True)

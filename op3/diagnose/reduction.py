@@ -25,8 +25,9 @@ from op3.diagnose.windows import WindowResiduals
 from op3.servo import RobotModel
 
 FLOORS = {("joint", "position"): 0.0005, ("joint", "velocity"): 0.010, ("joint", "current"): 0.0035}
-"""Of a reading [rad, rad/s, A]: a count of a 4096-step encoder, of 0.024 rad/s and of 2.69 mA over sqrt(12), and a
-little more (ROBOTIS e-manual, XM430; Feetech's magnetic encoders have as many steps)."""
+"""Of a reading [rad, rad/s, A]: a count of a 4096-step encoder and of 0.024 rad/s over sqrt(12), and a little more
+(ROBOTIS e-Manual, XM430; Feetech's magnetic encoders have as many steps). A current is noisier than its count of
+2.69 mA, by how much no maker says: 1.3 counts are our own choice."""
 
 INITIAL = (0.0015, 0.06)
 """Standard deviations of a window's initial angle [rad] and velocity [rad/s]: what smoothing leaves."""
@@ -48,7 +49,7 @@ MOVES = 0.05
 
 SWAY = (0.2, 0.005)
 """How far what a swaying stand asks of joints is known: a share of it, as nobody knows the point about which the stand
-bends, and a time [s], as nobody knows the gyro's filter (low-passes of IMUs are 1 to 18 ms late)."""
+bends, and a time [s], as nobody knows the gyro's filter (register map of the MPU-9250: 1 to 18 ms)."""
 
 COARSE = 2
 """How many times longer than usual the steps are of which only differences count: a column."""

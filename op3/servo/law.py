@@ -83,8 +83,8 @@ def dte_passive_loss(motor_torque, load_torque, forward_efficiency, backward_eff
 def dte_power_loss(motor_torque, load_torque, direction, forward_efficiency, backward_efficiency):
     """Bound [N m] on a friction that loses by the direction of power: torque arrives as eta_fw or as 1 / eta_bw.
 
-    `direction` has the sign of the motion; where it is zero the stronger torque says which. The others are those of
-    `dte_brake`.
+    Mesh efficiency of Pelchen, Schweiger & Otter (2002), constant over speed. `direction` has the sign of the motion;
+    where it is zero the stronger torque says which. The others are those of `dte_brake`.
     """
     power = motor_torque * (direction + TRACE * (motor_torque + load_torque))
     if power < 0:
@@ -97,8 +97,8 @@ def stribeck_fade(speed, stribeck_velocity, form):
     """Share of the friction near rest that is left at a speed [rad/s], paper eq. (4): ``exp(-|w| / w_static)``.
 
     The paper prints ``s = exp(|w|) / w_static``, which grows without bound; the decaying exponential of the Stribeck
-    function is meant. Armstrong (1994) finds it, the gaussian ``exp(-(w / w_static)^2)``, and Lorentz's curve
-    ``1 / (1 + (w / w_static)^2)`` of Hess & Soom (1990).
+    function is meant (Tustin 1947). Armstrong-Helouvry, Dupont & Canudas de Wit (1994) compare it with the gaussian
+    ``exp(-(w / w_static)^2)`` and Lorentz's curve ``1 / (1 + (w / w_static)^2)`` of Hess & Soom (1990).
     """
     ratio = speed / stribeck_velocity
     if form == GAUSSIAN:
@@ -120,7 +120,7 @@ def lifted_voltage(voltage, bus_voltage, lift, fade):
 def load_friction(motor_torque, load_torque, motor_share, load_share):
     """Friction bound [N m] in proportion to the torque that the gear passes on: ``|lm tau_m - le tau_a|``.
 
-    Torques that oppose each other press the teeth together. Duclusaud et al. (2024), models M3 to M5.
+    Torques that oppose each other press the teeth together. Duclusaud et al. (2025), models M3 to M5.
     """
     return abs(motor_share * motor_torque - load_share * load_torque)
 
@@ -129,7 +129,7 @@ def load_friction(motor_torque, load_torque, motor_share, load_share):
 def antagonistic_friction(motor_torque, load_torque, motor_square, load_square):
     """Friction bound [N m] that grows with the square of the weaker torque where motor and load oppose each other.
 
-    The squares qm and qe are in 1/(N m). Duclusaud et al. (2024), model M6.
+    The squares qm and qe are in 1/(N m). Duclusaud et al. (2025), model M6.
     """
     if motor_torque * load_torque >= 0:
         return 0.0

@@ -56,7 +56,7 @@ class LinkInertia(Effect):
     name = "link_inertia"
     stage = Stage.BODY
     equation = "J_link += m_link k^2"
-    source = "rigid body; a disc of radius r about its axis has k^2 = r^2 / 2"
+    source = "rigid body; a disc of radius r about its axis has k^2 = r^2 / 2, so the range is one of 0.16 m at most"
     parameters = (Parameter("gyration_squared", "m^2", 0.0, 0.0125, 0.0, 0.0, "squared radius of gyration added, k^2"),)
     edits = (ModelEdit("body_inertia", "joint_body", "add", "gyration_squared", per="body_mass"),)
     secants = ({"gyration_squared": 2e-3},)
@@ -72,7 +72,7 @@ class LinkMass(Effect):
     name = "link_mass"
     stage = Stage.BODY
     equation = "m_link += dm"
-    source = "models from CAD miss screws and cables, about 10 % of a link"
+    source = "models from CAD miss screws and cables; range our own choice"
     parameters = (Parameter("link_mass_offset", "kg", -0.01, 0.3, 0.0, 0.0, "added to the moved link", least=-0.011),)
     edits = (ModelEdit("body_mass", "joint_body", "add", "link_mass_offset"),)
     secants = ({"link_mass_offset": 0.02}, {"link_mass_offset": 0.1})
@@ -89,7 +89,7 @@ class LinkCentreOfMass(Effect):
     name = "link_com"
     stage = Stage.BODY
     equation = "c_link += (dx, dy, dz)"
-    source = "models from CAD, up to 10 mm"
+    source = "models from CAD miss screws and cables; range our own choice"
     parameters = (
         Parameter("link_com_offset_x", "m", -0.02, 0.02, 0.0, 0.0, "forwards in the stand pose with straight legs"),
         Parameter("link_com_offset_y", "m", -0.02, 0.02, 0.0, 0.0, "to the left"),

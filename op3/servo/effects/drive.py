@@ -51,7 +51,7 @@ class Latency(Effect):
     name = "latency"
     stage = Stage.TRANSPORT
     equation = "u(t) -> u(t - d)"
-    source = "sensor to torque on a 2 Mbit/s bus: about 6 ms sequential, 10 ms pipelined"
+    source = "a read and a write of twenty servos at 2 Mbit/s, 3 ms and more; range our own choice, two control periods"
     parameters = (
         Parameter("command_latency", "s", 0.0, 0.016, 0.006, 0.0, "time from reading sensors to torque", least=0.0),
     )
@@ -192,7 +192,9 @@ class MinimumDuty(Effect):
     name = "minimum_duty"
     stage = Stage.DRIVER
     equation = "V += V_bus d0 sign(V) (1 - exp(-|V| / (V_bus d1))), |V| <= V_bus"
-    source = "start-up duty of the Feetech STS3032 (its registers have one); seen on Rhoban's servo bench"
+    source = (
+        "start-up duty (Feetech's memory table, minimum startup force); its shape is our own, from Rhoban's servo bench"
+    )
     parameters = (
         Parameter("minimum_duty", "-", 0.0, 0.15, 0.03, 0.0, "duty added, d0", least=0.0),
         Parameter("minimum_duty_fade", "-", 0.01, 0.3, 0.08, None, "duty over which the lift sets in, d1", least=1e-4),

@@ -24,7 +24,10 @@ class TorqueConstant(Effect):
     name = "torque_constant"
     stage = Stage.MOTOR
     equation = "Kt *= 1 + e"
-    source = "XM430: 1.79 N m/A loaded (ROBOTIS graph) against 2.35 V s/rad from its no-load speed"
+    source = (
+        "XM430-W350: 1.78 N m/A at stall against 2.49 V s/rad from its no-load speed at 12 V (ROBOTIS e-Manual); range"
+        " our own choice, nearly as far as these are apart"
+    )
     parameters = (Parameter("torque_constant_error", "-", -0.25, 0.25, 0.0, 0.0, "e, relative", least=-0.9),)
     secants = ({"torque_constant_error": 0.05},)
     fingerprint = "in proportion to current, the same whether the motor drives or is driven"
@@ -42,7 +45,7 @@ class TerminalResistance(Effect):
     name = "terminal_resistance"
     stage = Stage.DRIVER
     equation = "R *= (1 + e) (1 + a (T - 25 C))"
-    source = "copper: 0.0039 per K (IEC 60228)"
+    source = "copper: 0.00393 per K at 20 C (IEC 60028); range our own choice, that with half as much again"
     parameters = (
         Parameter("terminal_resistance_error", "-", -0.3, 0.3, 0.0, 0.0, "e, relative", least=-0.9),
         Parameter("resistance_temperature_coefficient", "1/K", 0.0, 0.006, 0.0, 0.0, "a, per measured K", least=0.0),
@@ -69,7 +72,7 @@ class TorqueConstantTemperature(Effect):
     name = "torque_constant_temperature"
     stage = Stage.DRIVER
     equation = "Kt *= 1 - a (T - 25 C)"
-    source = "remanence of NdFeB falls 0.0011 per K, of ferrite 0.002 per K"
+    source = "makers of magnets: remanence of sintered NdFeB falls 0.0009 to 0.0012 per K, of ferrite 0.002 per K"
     parameters = (Parameter("magnet_temperature_coefficient", "1/K", 0.0, 0.004, 0.0, 0.0, "a, per measured K"),)
     reads = ("temperature",)
     secants = ({"magnet_temperature_coefficient": 0.001},)
@@ -99,7 +102,7 @@ class VoltageSag(Effect):
     name = "voltage_sag"
     stage = Stage.TRANSPORT
     equation = "V_bus = V0 - Rb sum |I|"
-    source = "inner resistance of a 3S pack with harness, 0.1 to 0.6 ohm"
+    source = "Ohm's law of battery and harness; range our own choice"
     parameters = (Parameter("supply_resistance", "ohm", 0.0, 0.6, 0.0, 0.0, "Rb", per_joint=False, least=0.0),)
     memory = ("drawn",)
     constants = ("keep",)
@@ -143,7 +146,7 @@ class CurrentLag(Effect):
     stage = Stage.DRIVER
     rank = 1
     equation = "dI/dt = (u - I) / Tc"
-    source = "closed current loop of a servo, 0.5 to 5 ms"
+    source = "closed current loop; ROBOTIS does not disclose its lag, so the range is our own choice"
     parameters = (Parameter("current_time_constant", "s", 0.0, 0.01, 0.0, 0.0, "Tc", least=0.0),)
     memory = ("end", "wanted")
     constants = ("rate", "left")
@@ -202,7 +205,7 @@ class CurrentOffset(Effect):
     name = "current_offset"
     stage = Stage.DRIVER
     equation = "I_measured = I + o; regulated: I = I* - o"
-    source = "current unit of the XM430 2.69 mA; offsets of 5 to 30 mA"
+    source = "zero of a shunt's amplifier; range our own choice, 19 counts of the XM430's 2.69 mA (ROBOTIS e-Manual)"
     parameters = (Parameter("current_offset", "A", -0.05, 0.05, 0.0, 0.0, "o, reading without current"),)
     secants = ({"current_offset": 0.01},)
     fingerprint = "a constant torque in all poses, in both directions and at rest"

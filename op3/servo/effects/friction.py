@@ -46,7 +46,10 @@ class Stribeck(Effect):
     name = "stribeck"
     stage = Stage.FRICTION
     equation = "tau_fric += (fs - fc) exp(-|w| / w_static)"
-    source = "paper eq. (4), the exponential corrected; range of fs - fc from Table I"
+    source = (
+        "paper eq. (4), the exponential corrected; range of fs - fc from Table I, of w_static our own choice; fades:"
+        " Armstrong-Helouvry, Dupont & Canudas de Wit (1994)"
+    )
     parameters = (
         Parameter("static_friction_excess", "N m", 0.0, 0.25, 0.05, 0.0, "fs - fc", least=0.0),
         Parameter(
@@ -98,7 +101,7 @@ class BearingFriction(Effect):
     name = "bearing_friction"
     stage = Stage.FRICTION
     equation = "tau_fric += kb F_r |w|"
-    source = "plain bearing under load; on Rhoban's servo bench, damping grows with the weight carried"
+    source = "our own: on Rhoban's servo bench damping grows with the weight carried; a range that holds what it fits"
     parameters = (Parameter("bearing_friction", "m s/rad", 0.0, 0.001, 0.0001, 0.0, "kb, per radial force", least=0.0),)
     reads = ("radial_force",)
     secants = ({"bearing_friction": 5e-5},)
@@ -126,7 +129,7 @@ class AsymmetricFriction(Effect):
     stage = Stage.FRICTION
     rank = 2  # what is less than nothing has to be known
     equation = "tau_fric += sign(w) a / 2, not below 0"
-    source = "skewed teeth, worms and preloaded seals; differences of 0.01 to 0.1 N m"
+    source = "skewed teeth, worms and preloaded seals; range our own choice, about that of Coulomb friction"
     parameters = (
         Parameter("asymmetric_friction", "N m", -0.15, 0.15, 0.0, 0.0, "a, friction for w > 0 less that for w < 0"),
     )
@@ -151,7 +154,7 @@ class QuadraticDrag(Effect):
     name = "quadratic_drag"
     stage = Stage.FRICTION
     equation = "tau_fric += c w^2"
-    source = "churning loss of a gear box; 0.001 to 0.03 N m s2/rad2"
+    source = "churning loss of a gear box; range our own choice: at 3 rad/s as much as Coulomb friction"
     parameters = (Parameter("quadratic_drag", "N m s^2/rad^2", 0.0, 0.03, 0.0, 0.0, "c", least=0.0),)
     secants = ({"quadratic_drag": 0.005},)
     fingerprint = "odd in velocity and growing faster than in proportion to it"

@@ -21,14 +21,17 @@ class DirectionalEfficiency(Effect):
     the same range of loads at rest, and never adds energy. The form by power goes by the direction of motion.
 
     Attributes:
-        form: ``passive``, a friction bound by the torques; ``power``, one by the direction of motion; or ``printed``,
-            the brake torque of paper eq. (3).
+        form: ``passive``, a friction bound by the torques, our own; ``power``, one by the direction of motion, as
+            Pelchen, Schweiger & Otter (2002); or ``printed``, the brake torque of paper eq. (3).
     """
 
     name = "dte"
     stage = Stage.GEAR
     equation = "tau_loss = (1 - eta_fw) |tau_m| where the motor leads, (1 - eta_bw) |tau_a| where the load leads"
-    source = "paper eq. (3), its second condition corrected; ranges from Table I"
+    source = (
+        "paper eq. (3), its second condition corrected; ranges from Table I;"
+        " form `power`: Pelchen, Schweiger & Otter (2002)"
+    )
     parameters = (
         Parameter(
             "forward_efficiency", "-", 0.6, 1.0, 1.0, 1.0, "of the motor's torque", least=0.0, most=1.0, searched=False
@@ -71,8 +74,10 @@ class DirectionalEfficiency(Effect):
 class MixedLubrication(Effect):
     """Teeth that slide slowly rub dry: what `dte` loses by friction is more near rest than at speed.
 
-    The coefficient of friction of a mesh falls from boundary to mixed lubrication as it speeds up. Static friction,
-    that of what presses the teeth together without load, fades as the effect `stribeck` says.
+    The coefficient of friction of a mesh falls from boundary to mixed lubrication as it speeds up. That the loss of
+    `dte` fades so is our own: of the sources one tabulates efficiency over speed, the other fades the sum of both
+    torques, with an exponent as well. Static friction, that of what presses the teeth together without load, fades as
+    the effect `stribeck` says.
     """
 
     name = "mixed_lubrication"
@@ -80,8 +85,8 @@ class MixedLubrication(Effect):
     rank = 1  # of a loss that is known
     equation = "tau_loss *= 1 + b exp(-|w| / w_b)"
     source = (
-        "Pelchen, Schweiger & Otter (2002), efficiency of gearboxes over speed; load-dependent Stribeck friction of"
-        " Duclusaud et al. (2024), model M4, whose velocities are 0.02 to 3 rad/s"
+        "after Pelchen, Schweiger & Otter (2002), mesh efficiency over speed, and Duclusaud et al. (2025), model M4,"
+        " whose velocities are searched from 0.1 to 3 rad/s"
     )
     parameters = (
         Parameter("near_rest_loss", "-", 0.0, 1.0, 0.0, 0.0, "b, more of the loss near rest", least=0.0),

@@ -15,7 +15,7 @@ class FootFriction(Effect):
     name = "foot_friction"
     stage = Stage.GROUND
     equation = "mu *= 1 + e"
-    source = "aluminium and rubber soles on floors: mu 0.3 to 1.1"
+    source = "aluminium and rubber soles on floors; range our own choice"
     parameters = (
         Parameter("foot_friction_error", "-", -0.65, 0.4, 0.0, 0.0, "e, relative", per_joint=False, least=-0.99),
     )
@@ -36,7 +36,7 @@ class FootCompliance(Effect):
     name = "foot_compliance"
     stage = Stage.GROUND
     equation = "T_contact += dT"
-    source = "MuJoCo solref, 4 to 20 ms; stiffness falls with its square"
+    source = "MuJoCo solref, 20 ms by default; stiffness falls with its square; range our own choice"
     parameters = (Parameter("contact_time_added", "s", 0.0, 0.02, 0.0, 0.0, "dT", per_joint=False, least=0.0),)
     edits = (
         ModelEdit("geom_solref", "foot_geom", "add", "contact_time_added", column=0),
@@ -59,7 +59,7 @@ class GroundTilt(Effect):
     name = "ground_tilt"
     stage = Stage.GROUND
     equation = "g = R_floor' g_0, R_measured = R_floor R"
-    source = "floors of buildings, 0 to 2 degrees"
+    source = "rigid motion; floors of up to 3 degrees, our own choice"
     parameters = (
         Parameter("ground_roll", "rad", -0.05, 0.05, 0.0, 0.0, "about the x axis of the scene", per_joint=False),
         Parameter("ground_pitch", "rad", -0.05, 0.05, 0.0, 0.0, "about its y axis", per_joint=False),

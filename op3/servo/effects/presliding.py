@@ -27,7 +27,8 @@ class LuGre(Effect):
     the velocity at its end, which goes to the physics as implicit damping: stable at 1 ms from any softness down to a
     rigid grip. Slipping for the speed at the beginning instead, a joint that gains speed would be braked by more than
     F, as if its rotor were heavier. The bristle's own damping acts on the mean rate of its deflection over the step,
-    and so vanishes while the joint slides.
+    and so vanishes while the joint slides. In the original viscous friction stands beside the bristle; here F holds it,
+    and sliding steadily both give the same.
 
     Attributes:
         damping_ratio: of the rotor alone on its bristle; without damping a held joint rings like a bell.
@@ -36,8 +37,11 @@ class LuGre(Effect):
     name = "lugre"
     stage = Stage.TRANSMISSION
     equation = "tau_fric = z / s + sigma_1 dz/dt, dz/dt = w - |w| z / (s F), sigma_1 = 2 zeta sqrt(Ja / s)"
-    source = "Canudas de Wit et al. (1995), sigma_0 = 1 / s; F from the other effects"
-    parameters = (Parameter("bristle_compliance", "rad/(N m)", 0.0, 0.05, 0.0, 0.0, "s; 20 to 200 N m/rad", least=0.0),)
+    source = (
+        "Canudas de Wit, Olsson, Astrom & Lischinsky (1995), sigma_0 = 1 / s; F from the other effects, viscous"
+        " friction too; range of s and damping our own choice"
+    )
+    parameters = (Parameter("bristle_compliance", "rad/(N m)", 0.0, 0.05, 0.0, 0.0, "s", least=0.0),)
     memory = ("bent", "left", "gain", "velocity")
     constants = ("stiffness", "rate")
     secants = ({"bristle_compliance": 0.005}, {"bristle_compliance": 0.02})

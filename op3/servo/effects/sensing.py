@@ -43,7 +43,10 @@ class EncoderNonlinearity(Effect):
     name = "encoder_nonlinearity"
     stage = Stage.SENSING
     equation = "q_measured = q + a sin(q + p)"
-    source = "AS5045 class of magnetic encoders: up to 9 to 25 mrad by a magnet off centre"
+    source = (
+        "magnet off centre; AS5045, the encoder of Dynamixel X 430 (ROBOTIS e-Manual): 0.5 degrees centred, 1.4"
+        " degrees off centre (ams data sheet, INL)"
+    )
     parameters = (
         Parameter("encoder_nonlinearity", "rad", -0.03, 0.03, 0.0, 0.0, "a", least=-0.5, most=0.5),
         Parameter("encoder_nonlinearity_phase", "rad", -pi, pi, 0.0, None, "p"),
@@ -76,7 +79,7 @@ class VelocityFilter(Effect):
     stage = Stage.SENSING
     rank = 1
     equation = "dw_measured/dt = (w - w_measured) / Tw"
-    source = "velocity estimate of a servo's firmware, 2 to 15 ms"
+    source = "velocity estimate of a servo's firmware, which no maker publishes; range our own choice, from bench logs"
     parameters = (Parameter("velocity_time_constant", "s", 0.0, 0.02, 0.0, 0.0, "Tw", least=0.0),)
     memory = ("filtered", "velocity", "now", "knows")
     constants = ("left", "behind")

@@ -70,7 +70,10 @@ class Backlash(Effect):
     stage = Stage.TRANSMISSION
     rank = 1
     equation = "tau = K dz(q_rotor - q, delta), dz(x, delta) = sign(x) max(|x| - delta, 0)"
-    source = "X series: 15 arcmin in all, delta = 2.2 mrad when new (ROBOTIS e-Manual)"
+    source = (
+        "X series: 15 arcmin in all, delta = 2.2 mrad when new, MX 20 arcmin (ROBOTIS e-Manual); Feetech STS 0.5"
+        " degrees at most; stiffness and inertia our own choice"
+    )
     parameters = (
         Parameter("backlash_half_gap", "rad", 0.0, 0.012, 0.0, 0.0, "delta, half of the play", least=0.0),
         Parameter("contact_stiffness", "N m/rad", 100.0, 500.0, 300.0, None, "K, of teeth", least=1.0, searched=False),
@@ -189,7 +192,7 @@ class Compliance(Effect):
     stage = Stage.TRANSMISSION
     rank = 1
     equation = "tau = (q_rotor - q) / c"
-    source = "gear train and bracket, 50 to 500 N m/rad, loss factor 0.02 to 0.1"
+    source = "spring and damper between rotor and link; from 50 N m/rad on, loss factor 0.08, our own choice"
     parameters = (
         Parameter("gear_compliance", "rad/(N m)", 0.0, 0.02, 0.0, 0.0, "c = 1 / K", least=0.0),
         Parameter("wheel_inertia", "kg m2", 0.0, 0.001, 0.0, None, "J_o, behind the spring", least=0.0, searched=False),

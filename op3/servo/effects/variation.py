@@ -20,7 +20,10 @@ class FrictionDrift(Effect):
     stage = Stage.FRICTION
     rank = 1
     equation = "tau_fric -= c (1 - exp(-t / T)) (fc + kv |w|)"
-    source = "warm-up of grease: c 0.2 to 0.6 within 1 to 10 minutes"
+    source = (
+        "friction of robot joints falls with temperature (Bittencourt, Wernholt et al. 2010); time in its place, and"
+        " the ranges, are our own"
+    )
     parameters = (
         Parameter("friction_drift", "-", -0.6, 0.6, 0.0, 0.0, "c, share of the friction that is lost", most=1.0),
         Parameter("friction_drift_time", "s", 30.0, 600.0, 180.0, None, "T", least=1e-3),
@@ -54,7 +57,7 @@ class LeftRightAsymmetry(Effect):
     name = "left_right_asymmetry"
     stage = Stage.FRICTION
     equation = "fc, kv, fs - fc *= 1 +- a; Kt *= 1 +- b; + left, - right"
-    source = "unit-to-unit spread and wear, 5 to 30 %"
+    source = "unit-to-unit spread and wear; ranges our own choice"
     parameters = (
         Parameter("friction_asymmetry", "-", -0.4, 0.4, 0.0, 0.0, "a", per_joint=False, least=-1.0, most=1.0),
         Parameter("torque_asymmetry", "-", -0.2, 0.2, 0.0, 0.0, "b", per_joint=False, least=-0.9, most=0.9),
