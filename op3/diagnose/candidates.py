@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import pi, remainder
 
 import numpy as np
 from torch import Tensor
@@ -26,6 +27,7 @@ class Candidate:
         scope: key of `PLACES`.
         model: the base's model with the effect on, neutral.
         secant: amounts by parameter name.
+        partner: those in the second joint of a pair, where an angle is at its mirror image; None: the same.
     """
 
     effect: type[Effect]
@@ -33,6 +35,7 @@ class Candidate:
     scope: str
     model: RobotModel
     secant: Mapping[str, float]
+    partner: Mapping[str, float] | None = None
 
     @property
     def place(self) -> tuple[str, tuple[int, ...] | None]:
@@ -42,8 +45,16 @@ class Candidate:
     @property
     def shape(self) -> tuple:
         """Effect, secant and form: all but where it sits."""
+        return self._shaped(self.secant)
+
+    def _shaped(self, secant: Mapping[str, float]) -> tuple:
         form = repr(self.model.effect(self.effect.name))
-        return self.effect.name, tuple(sorted(self.secant.items())), form
+        return self.effect.name, tuple(sorted(secant.items())), form
+
+    def secants(self) -> list[Mapping[str, float]]:
+        """Amounts in each of its joints."""
+        count = len(self.joints or ())
+        return [self.secant] * count if self.partner is None else [self.secant, self.partner]
 
     @property
     def key(self) -> tuple:
@@ -52,9 +63,12 @@ class Candidate:
 
     @property
     def parts(self) -> tuple[tuple, ...]:
-        """Keys of what it is the sum of, to first order: of a pair or a side the same in each of its joints."""
+        """Keys of what it is the sum of, to first order: of a pair or a side what it is in each of its joints."""
         if self.scope in ("pair", "side"):
-            return tuple(((joint,), self.shape) for joint in self.joints or ())
+            return tuple(
+                ((joint,), self._shaped(secant))
+                for joint, secant in zip(self.joints or (), self.secants(), strict=True)
+            )
         return (self.key,)
 
     def label(self, names: Sequence[str]) -> str:
@@ -115,19 +129,18 @@ class Candidate:
         if self.effect.name in base.effect_names:
             given = {name: base.estimate(name) for name in given}
         model = base.with_effect(effect, given)
-        values = {}
-        where = ("",) if self.joints is None else tuple(f"@joint={names[j]}" for j in self.joints)
-        for name, amount in self.secant.items():
-            if parameter(name).neutral is None:
-                values |= {f"{name}{place}": amount for place in where}
-        return model.with_values(values)
+        where = {"": self.secant}
+        if self.joints is not None:
+            where = {f"@joint={names[j]}": secant for j, secant in zip(self.joints, self.secants(), strict=True)}
+        shape = {name for name in self.secant if parameter(name).neutral is None}
+        return model.with_values({f"{name}{at}": secant[name] for at, secant in where.items() for name in shape})
 
 
 def candidates(
     model: RobotModel,
     joints: Sequence[str],
     moving: Sequence[bool],
-    mirror: Mapping[str, str],
+    mirror: Mapping[str, tuple[str, int]],
     without: Sequence[str] = (),
 ) -> list[Candidate]:
     """Every effect of the catalogue that logs of a robot with a held base could show, in every place.
@@ -146,7 +159,9 @@ def candidates(
         for variant in forms:
             for secant in _own(effect, on):
                 for scope, place in _places(model, effect, joints, moving, mirror):
-                    found.append(Candidate(effect, place, scope, variant, secant))
+                    sign = mirror[joints[place[0]]][1] if scope == "pair" and place else 1
+                    partner = _mirrored(effect, secant) if sign < 0 else None
+                    found.append(Candidate(effect, place, scope, variant, secant, partner))
     return found
 
 
@@ -176,8 +191,23 @@ def _own(effect: type[Effect], on: bool) -> list[dict[str, float]]:
     return kept
 
 
+def _mirrored(effect: type[Effect], secant: Mapping[str, float]) -> dict[str, float]:
+    """That of the effect's secants with its angles at their mirror image."""
+
+    def image(name: str, value: float) -> float:
+        if not parameter(name).mirrored:
+            return value
+        return min((one[name] for one in effect.secants), key=lambda other: abs(remainder(other + value, 2 * pi)))
+
+    return {name: image(name, value) for name, value in secant.items()}
+
+
 def _places(
-    model: RobotModel, effect: type[Effect], joints: Sequence[str], moving: Sequence[bool], mirror: Mapping[str, str]
+    model: RobotModel,
+    effect: type[Effect],
+    joints: Sequence[str],
+    moving: Sequence[bool],
+    mirror: Mapping[str, tuple[str, int]],
 ) -> Iterator[tuple[str, tuple[int, ...] | None]]:
     """Scopes and places in which an effect can sit."""
     of_motor = "motor" in model.effect_names and effect.name in ("torque_constant", "terminal_resistance")
@@ -199,10 +229,12 @@ def _places(
         yield from (("side", tuple(pair[side] for pair in pairs)) for side in (0, 1))
 
 
-def mirror_pairs(joints: Sequence[str], moving: Sequence[bool], mirror: Mapping[str, str]) -> list[tuple[int, int]]:
+def mirror_pairs(
+    joints: Sequence[str], moving: Sequence[bool], mirror: Mapping[str, tuple[str, int]]
+) -> list[tuple[int, int]]:
     """Columns of joints and their partners, each pair once, the alphabetically first side first."""
     at = {joint: j for j, joint in enumerate(joints) if moving[j]}
-    pairs = {(joint, other) for joint in at if (other := mirror.get(joint, joint)) in at and other > joint}
+    pairs = {(joint, other) for joint in at if (other := mirror.get(joint, (joint, 1))[0]) in at and other > joint}
     return sorted((at[first], at[second]) for first, second in pairs)
 
 

@@ -23,8 +23,8 @@ SPREAD: Mapping[str, float] = {
 }
 """How much servos of one make differ, as a standard deviation relative to the shared value. No maker of hobby servos
 says it. Data of motors hold within +-10 % (Beckhoff AM8100, "technical data"), taken here as two standard deviations of
-torque constant and resistance. That of friction is our own choice: no finer than four fits of one XL330 to more and fewer of its
-runs tell it, which differ by 17 % (`friction_base` of m1 on four branches of github.com/Rhoban/bam)."""
+torque constant and resistance. That of friction is our own choice: no finer than four fits of one XL330 to more and
+fewer of its runs tell it, which differ by 17 % (`friction_base` of m1 on four branches of github.com/Rhoban/bam)."""
 
 SPREAD_LIMIT = 3.0
 """Standard deviations that a joint may differ in the base; what differs more is a fault, and a candidate."""

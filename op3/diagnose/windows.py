@@ -90,9 +90,10 @@ class WindowResiduals:
         return [float(one.length) for one in told if one.mount == "pendulum" and one.length]
 
     @property
-    def mirror(self) -> dict[str, str]:
-        """Partners of joints on the other side, as the robot's file names them."""
-        return self.smooth_logs[0].log.robot.partners
+    def mirror(self) -> dict[str, tuple[str, int]]:
+        """Partners of joints on the other side, where the robot's file names them, and the sign of angles there."""
+        robot = self.smooth_logs[0].log.robot
+        return robot.mirror if robot.partners else {}
 
     def _readings(self, key: tuple[str, str]) -> np.ndarray:
         """A channel in all windows, zero where it was not recorded, ``[window, tick, joint]``."""

@@ -52,6 +52,7 @@ class Parameter:
         most: largest value that physics allows.
         text: what it is, in a sentence.
         searched: whether it is searched where its effect is; others are fixed unless a config names them.
+        mirrored: whether it is an angle of the joint, to be found at the mirrored angle in the joint on the other side.
     """
 
     name: str
@@ -65,6 +66,7 @@ class Parameter:
     least: float = -inf
     most: float = inf
     searched: bool = True
+    mirrored: bool = False
 
 
 @dataclass(frozen=True)

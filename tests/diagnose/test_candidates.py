@@ -1,5 +1,7 @@
 """What could be missing: places, neutral columns, priors."""
 
+from math import pi, remainder
+
 import numpy as np
 import pytest
 
@@ -40,7 +42,8 @@ def test_every_place_of_a_leg_and_no_number_of_the_base():
 
 def test_mirror_pairs_are_places_and_still_joints_are_none():
     """Each pair once; a joint that is still, or has no partner, is in none."""
-    joints, mirror = ("l_a", "l_b", "neck", "r_a", "r_b"), {"l_a": "r_a", "r_a": "l_a", "l_b": "r_b", "r_b": "l_b"}
+    joints = ("l_a", "l_b", "neck", "r_a", "r_b")
+    mirror = {"l_a": ("r_a", 1), "r_a": ("l_a", 1), "l_b": ("r_b", -1), "r_b": ("l_b", -1)}
     assert mirror_pairs(joints, [True] * 5, mirror) == [(0, 3), (1, 4)]
     assert mirror_pairs(joints, [True, True, True, True, False], mirror) == [(0, 3)]
 
@@ -74,8 +77,8 @@ def test_columns_stay_in_the_limb(reduction):
 
 
 def test_pairs_are_sums_of_their_joints():
-    """Each of two parts, one in each joint, both with the same secant."""
-    mirror = {"r_knee": "r_ank_pitch", "r_ank_pitch": "r_knee"}
+    """Each of two parts, one in each joint, where an axis turns the other way with angles at their mirror image."""
+    mirror = {"r_knee": ("r_ank_pitch", -1), "r_ank_pitch": ("r_knee", -1)}
     found = candidates(with_chain(load_model("paper")), LEG_JOINTS, EVERY, mirror)
     by_key = {one.key: one for one in found}
     pairs = [one for one in found if one.scope == "pair"]
@@ -83,7 +86,15 @@ def test_pairs_are_sums_of_their_joints():
     for pair in pairs:
         parts = [by_key[key] for key in pair.parts]
         assert [part.joints for part in parts] == [(j,) for j in pair.joints or ()]
-        assert all(part.secant == pair.secant for part in parts)
+        first, second = (part.secant for part in parts)
+        for name in pair.secant:
+            turned = parameter(name).mirrored
+            image = remainder(second[name] + first[name], 2 * pi) if turned else second[name] - first[name]
+            assert image == pytest.approx(0.0, abs=1e-12)
+        values = pair.switched_on(load_model("paper"), LEG_JOINTS).tensors(LEG_JOINTS)
+        for part in parts:
+            alone = part.switched_on(load_model("paper"), LEG_JOINTS).tensors(LEG_JOINTS)
+            assert all(values[name][0, list(part.joints)] == alone[name][0, list(part.joints)] for name in pair.secant)
 
 
 def test_places_and_secants_share_one_prior():

@@ -45,10 +45,10 @@ class CableSpring(Effect):
     source = "cable harness across a joint; range our own choice"
     parameters = (
         Parameter("cable_stiffness", "N m/rad", 0.0, 0.3, 0.0, 0.0, "k", least=0.0),
-        Parameter("cable_rest_angle", "rad", -1.5, 1.5, 0.0, None, "q0"),
+        Parameter("cable_rest_angle", "rad", -1.5, 1.5, 0.0, None, "q0", mirrored=True),
     )
     memory = ("pull",)
-    secants = ({"cable_stiffness": 0.05, "cable_rest_angle": 0.0}, {"cable_stiffness": 0.05, "cable_rest_angle": 1.0})
+    secants = tuple({"cable_stiffness": 0.05, "cable_rest_angle": angle} for angle in (-1.0, 0.0, 1.0))
     fingerprint = "a function of the angle, the same in both directions, whatever the robot's attitude"
     confounders = ("link_com", "com_offset", "encoder_offset", "current_offset")
     separating_experiment = "turn the base by a quarter: gravity turns, a spring does not"
@@ -79,7 +79,7 @@ class PositionFriction(Effect):
     source = "eccentric output shaft: one period per turn; range our own choice"
     parameters = (
         Parameter("position_friction", "N m", 0.0, 0.2, 0.0, 0.0, "A, friction added at the worst angle", least=0.0),
-        Parameter("position_friction_angle", "rad", -pi, pi, 0.0, None, "q_w, the worst angle"),
+        Parameter("position_friction_angle", "rad", -pi, pi, 0.0, None, "q_w, the worst angle", mirrored=True),
     )
     secants = tuple(
         {"position_friction": 0.05, "position_friction_angle": angle} for angle in (0.0, pi / 2, pi, -pi / 2)
