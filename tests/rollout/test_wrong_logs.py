@@ -202,6 +202,18 @@ def test_positions_of_other_joints(tmp_path, change, expected):
         read_log(write(tmp_path, change, joints=3))
 
 
+def test_a_joint_that_goes_with_another_one_is_not_swapped_with_it(tmp_path):
+    """One follows the command of another, which does something else: a soft robot that leans, not exchanged columns."""
+
+    def lean(table: Table) -> None:
+        other = 0.3 * np.sin(0.9 * table["time"] + 1.0)
+        for joint, angle in ((0, table["joint_2.target"].copy()), (2, other)):
+            table[f"joint_{joint}.position"] = angle
+            table[f"joint_{joint}.velocity"] = np.gradient(angle, table["time"])
+
+    assert not any("swapped" in finding.problem for finding in read_log(write(tmp_path, lean, joints=3)).findings)
+
+
 WARNED: dict[str, tuple[Change, str]] = {
     "16 bits without sign": (edit(".*velocity", lambda v: np.where(v < 0, v + 65536 * 0.024, v)), "16-bit"),
     "a wrong reading": (put("joint_0.velocity", 40.0, 300), "a single reading of 40 stands between"),

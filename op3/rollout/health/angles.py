@@ -33,9 +33,10 @@ def command(view: View) -> Iterator[Finding]:
     for joint in map(int, np.flatnonzero(asked | moved)):
         sure, ratio = float(best[joint, joint]), float(matches[int(own[:, joint].argmax())].ratio[joint, joint])
         where = POSITION, joint
-        # whose command it follows, where that joint does not follow it itself
+        # whose command it follows, where that joint does not follow it itself; of two that swapped both do so
         others = [k for k in np.argsort(-best[joint]) if k != joint and asked[k] and best[joint, k] > 0.97]
-        other = next((view.joints[k] for k in others if best[k, k] < 0.5), None)
+        mutual = [k for k in others if best[k, k] < 0.5 and (best[k, joint] > 0.97 or not asked[joint])]
+        other = view.joints[mutual[0]] if mutual else None
         if asked[joint] and sure > 0.95 and (ratio > _MOST or ratio < 1 / 30):
             unit = likely_unit(ratio, "rad") or (likely_unit(1 / ratio, "rad") if ratio else None)
             cause = f", as if {'it' if ratio > 1 else 'the command'} were in {unit}" if unit else ""
