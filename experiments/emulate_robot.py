@@ -13,7 +13,7 @@ from types import FrameType
 
 import hydra
 from omegaconf import DictConfig
-from support import one_sentence, seeded_faults
+from support import one_sentence, positive, seeded_faults, whole
 
 from op3.command_line import launch
 from op3.deploy.emulated import physics_maker
@@ -89,6 +89,9 @@ def main(cfg: DictConfig) -> None:
     """Build the robot and serve it."""
     ending, say = Ending(), told(lambda text: print(text, flush=True))
     with one_sentence():
+        whole(cfg, "baud", 1)
+        if cfg.duration is not None:
+            positive(cfg, "duration", "seconds")
         emulated = robot(cfg)
     failure = ""
     with PtyServer(emulated, cfg.baud) as server:

@@ -17,7 +17,7 @@ import hydra
 import numpy as np
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
-from support import one_sentence
+from support import goes_on, one_sentence
 
 from op3.command_line import launch
 from op3.report import finish, run_provenance, write_result
@@ -82,7 +82,7 @@ def report(
 @hydra.main(config_path="../conf", config_name="hidden_effects", version_base="1.3")
 def main(cfg: DictConfig) -> None:
     """Draw, seal, record, diagnose, open, score."""
-    with one_sentence():
+    with one_sentence(goes_on("cases")):
         folder = Path(HydraConfig.get().runtime.output_dir)
         mix: Any = OmegaConf.to_container(cfg.mix, resolve=True)
         cases = draw_mix(mix, cfg.set, cfg.first_seed, read_ranges(cfg.ranges))[: cfg.limit]

@@ -15,7 +15,7 @@ import optuna
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
-from support import check_given, focus_joints, logs_where, one_sentence, plain, run_folder
+from support import check_given, focus_joints, goes_on, logs_where, one_sentence, plain, run_folder
 
 from op3.command_line import launch
 from op3.identify.identification import PREFIX, Fit, Identification, Refine
@@ -111,7 +111,7 @@ def duration(started: datetime, study: optuna.Study) -> float:
 def main(cfg: DictConfig) -> Any:
     """Evaluate a population for the sweeper, or run the study and report it."""
     register_interpolations()  # a launcher's worker process has not run this file from the top
-    with one_sentence(cfg=cfg):
+    with one_sentence(goes_on("trials"), cfg):
         torch.set_num_threads(1)
         started = datetime.now()
         check_given(cfg, "data", "a log, a folder of logs, or a list of them")

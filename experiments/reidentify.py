@@ -18,7 +18,7 @@ from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from stages import Stages
-from support import ASKED, check_same, one_sentence, plain, remember, run_folder
+from support import ASKED, check_same, goes_on, one_sentence, plain, remember, run_folder
 
 from op3.command_line import launch
 from op3.identify.episodes import ended_by, that_count
@@ -87,7 +87,7 @@ def diagnosed(cfg: DictConfig, folder: Path) -> str:
 def main(cfg: DictConfig) -> Any:
     """Evaluate a population for the sweeper, or run the study and report it."""
     register_interpolations()  # a launcher's worker process has not run this file from the top
-    with one_sentence(cfg=cfg):
+    with one_sentence(goes_on("trials"), cfg):
         torch.set_num_threads(1)
         started = time.monotonic()
         missing = [key for key in ("policy", "model", "data", "episodes") if OmegaConf.is_missing(cfg, key)]

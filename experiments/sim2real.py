@@ -18,7 +18,7 @@ import yaml
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from stages import Stages
-from support import ASKED, check_same, library_motion, one_sentence, plain, remember, source_word
+from support import ASKED, check_same, goes_on, library_motion, one_sentence, plain, positive, remember, source_word
 
 from op3.command_line import launch
 from op3.identify.episodes import ended_by, that_count
@@ -139,7 +139,7 @@ def check(cfg: DictConfig) -> dict[str, Any]:
     name = chosen("budget")
     if name not in cfg.budgets:
         raise ValueError(f"budget must be one of {', '.join(cfg.budgets)}, got {name}")
-    if cfg.criterion > MOST:
+    if positive(cfg, "criterion", "promised returns") > MOST:
         raise ValueError(f"criterion is a share of the promised return, 0.8 for 80 %, got {cfg.criterion}")
     if chosen("source") == "emulated":
         World.find(cfg.world, cfg.world_seed)
@@ -334,7 +334,7 @@ def report(
 @hydra.main(config_path="../conf", config_name="sim2real", version_base="1.3")
 def main(cfg: DictConfig) -> Any:
     """Run all stages; a sweep maximises the share of the promised return that the robot reaches."""
-    with one_sentence(cfg=cfg):
+    with one_sentence(goes_on("stages"), cfg):
         values = loop(cfg, Path(HydraConfig.get().runtime.output_dir).absolute())
         return values[f"transfer_{values['rounds']}"]["share"]
 

@@ -27,7 +27,7 @@ from op3.private import scrub
 from op3.robot import DEFAULT, Motion, named_configs
 from op3.rollout import Metadata, Rollout
 from op3.rollout.files import write_text
-from op3.settings import Count, Number, Positive, Whole, settings
+from op3.settings import Count, Listed, Number, Positive, Whole, settings
 from op3.sim.model_file import find_model
 
 if TYPE_CHECKING:
@@ -58,6 +58,13 @@ class Common:
     environments: Count = 1
     finalists: Count = 1
     windows: Count | None = None
+    joints: Listed[str] | None = None
+    ablate: Listed[str] = ()
+    per_joint: Listed[str] = ()
+    without: Listed[str] = ()
+    wanted: Listed[str] | None = None
+    motions: Listed[str] | None = None
+    mounts: Listed[str] = ()
     duration: Positive = 1.0
     speed: Positive = 1.0
     span: Positive = 1.0
@@ -65,14 +72,19 @@ class Common:
     fixed_gain: Gain | None = None
     hold_gain: Gain = 1.0
     gain_scale: Positive = 1.0
-    criterion: Positive = 1.0
     bench_timestep: Positive = 1.0
     wandb: Literal["offline", "online", "disabled"] = "offline"
+
+    @classmethod
+    def of(cls, cfg: DictConfig) -> "Common":
+        """Those that a config has and that are given."""
+        names = [field.name for field in dataclasses.fields(cls) if field.name in cfg]
+        return cls(**{name: cfg[name] for name in names if not OmegaConf.is_missing(cfg, name)})
 
 
 @contextmanager
 def one_sentence(
-    interrupted: str = "The same command with the same hydra.run.dir goes on from the trials done.",
+    interrupted: str = "Nothing goes on from here: run it again.",
     cfg: DictConfig | None = None,
 ) -> Iterator[None]:
     """Let wrong input end a script with its one sentence and a non-zero exit, without a stack trace.
@@ -83,8 +95,7 @@ def one_sentence(
     """
     try:
         if cfg is not None:
-            names = [field.name for field in dataclasses.fields(Common) if field.name in cfg]
-            Common(**{name: cfg[name] for name in names if not OmegaConf.is_missing(cfg, name)})
+            Common.of(cfg)
         yield
     except (ValueError, OSError, MemoryError, HydraException, OmegaConfBaseException) as error:
         if isinstance(error, InstantiationException):  # what it was that would not be built says enough
@@ -96,6 +107,11 @@ def one_sentence(
     except KeyboardInterrupt:
         print(f"\nInterrupted. {interrupted}", file=sys.stderr)
         raise SystemExit(130) from None
+
+
+def goes_on(done: str) -> str:
+    """What is said after Ctrl-C of a run that keeps what it has done: trials, recordings or stages."""
+    return f"The same command with the same hydra.run.dir goes on from the {done} done."
 
 
 class Progress:
