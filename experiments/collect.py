@@ -31,6 +31,7 @@ from support import (
     Progress,
     by_name,
     check_same,
+    goes_on,
     library_motion,
     one_sentence,
     plain,
@@ -125,7 +126,9 @@ def collect_episodes(cfg: DictConfig) -> list[Path]:
     if not hasattr(robot, "run_policy"):
         raise ValueError("this source only plays motions; record a policy with source=emulated or source=real")
     bundle, task = PolicyBundle.load(cfg.policy), cfg.get("task")
-    task = None if task is None else build(task)
+    if task is not None:
+        task = build(task)
+        task.check_policy(bundle.manifest, f"policy={cfg.policy}")
     folders, say = [], Progress()
     for number in range(cfg.repeats):
         say("episodes", number / cfg.repeats)
@@ -189,7 +192,7 @@ def _own(motion: Motion, name: str) -> Any:
 @hydra.main(version_base="1.3", config_path="../conf", config_name="collect")
 def main(cfg: DictConfig) -> None:
     """Compose the robot and the motion, record, save."""
-    with one_sentence(cfg=cfg):
+    with one_sentence(goes_on("recordings"), cfg):
         try:
             collect(cfg)
         except (Stop, Unplugged) as error:

@@ -54,13 +54,18 @@ def planned_logs(cfg: DictConfig) -> list[Rollout]:
     return planned_motions(model, [library_motion(name, cfg.robot or DEFAULT) for name in names])
 
 
-def returns(cfg: DictConfig, verdict: Verdict) -> dict[str, Any]:
+def attempts(cfg: DictConfig) -> tuple[PolicyBundle, list[Rollout]]:
+    """The policy whose return is predicted, once it is known to fit the task, and its episodes on the robot."""
+    policy = PolicyBundle.load(cfg.policy)
+    instantiate(cfg.task).check_policy(policy.manifest, f"policy={cfg.policy}")
+    actual = () if cfg.actual is None else read_logs(plain(cfg.actual))
+    return policy, [episode for log in actual for episode in (log.episodes() if log.batched else [log])]
+
+
+def returns(cfg: DictConfig, verdict: Verdict, policy: PolicyBundle, episodes: list[Rollout]) -> dict[str, Any]:
     """What a policy would return before and after, and what it did where its episodes are given."""
     from op3.envs.downstream import downstream  # brings TorchRL, which a diagnosis without a policy need not load
 
-    policy = PolicyBundle.load(cfg.policy)
-    actual = () if cfg.actual is None else read_logs(plain(cfg.actual))
-    episodes = [episode for log in actual for episode in (log.episodes() if log.batched else [log])]
     options = {"task": instantiate(cfg.task), "episodes": cfg.episodes, "seed": cfg.seed, "progress": Progress()}
     return {"policy": str(cfg.policy)} | downstream(policy, verdict.base, verdict.model, actual=episodes, **options)
 
@@ -76,6 +81,7 @@ def diagnose(cfg: DictConfig, folder: Path) -> dict[str, Any]:
         effect_class(name)
     if cfg.planned and cfg.mode != "aliasing":
         raise ValueError("planned= has no measurement to diagnose: add mode=aliasing, or give data= instead")
+    attempted = None if cfg.policy is None else attempts(cfg)  # what is wrong with it is said before minutes of work
     data: Any = None if cfg.planned else plain(cfg.data)
     logs, others = diagnosed_mount(planned_logs(cfg) if cfg.planned else read_logs(data, cfg.robot))
     model = suited(model_for(logs[0].robot, cfg.model), logs)
@@ -99,8 +105,8 @@ def diagnose(cfg: DictConfig, folder: Path) -> dict[str, Any]:
         content["mount"] = logs[0].metadata.mount
         content["other_mounts"] = on_other_mounts(verdict.base, verdict.model, others, cfg.seed)
     save_model(verdict.model, folder / "model.yaml")
-    if cfg.policy is not None:
-        content["downstream"] = returns(cfg, verdict)
+    if attempted is not None:
+        content["downstream"] = returns(cfg, verdict, *attempted)
     content["processor_seconds"] = round(time.process_time() - IMPORTED, 1)
     print(f"\n{verdict.sentence}")
     report_diagnosis(verdict, split, content, run_folder(cfg, folder, model="model.yaml"))

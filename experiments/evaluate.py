@@ -99,6 +99,8 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     if cfg.joint not in load_robot().controlled:
         raise ValueError(f"joint={cfg.joint}: choose {', '.join(load_robot().controlled)}")
     folder, task = Path(HydraConfig.get().runtime.output_dir), instantiate(cfg.task)
+    if cfg.baseline is not None:  # before minutes of episodes
+        find_actor(cfg.baseline, task, field="baseline")
     logs, watched, env = play(cfg, task, cfg.policy)
     stiff = hasattr(watched, "commands")
     returns = [evaluation_return(log) for log in logs]

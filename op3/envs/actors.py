@@ -15,8 +15,7 @@ from op3.policy import ActionMap, PolicyBundle
 from op3.servo import RobotModel
 from op3.sim import load_model
 from op3.tasks.baselines import POSITION_GAIN, Hold, Random, StiffWalk, Zero, position_mode
-from op3.tasks.setups import OP3_CONTROL_PERIOD
-from op3.tasks.task import POLICY_PERIOD, Task
+from op3.tasks.task import Task
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,10 +114,7 @@ def find_actor(
     if not Path(name).exists():
         raise FileNotFoundError(f"{field}={name}: no such folder; give a bundle's, or {', '.join(baselines)}")
     bundle = PolicyBundle.load(name)
-    try:
-        bundle.manifest.check_fits(task.layout, task.history, 1 / OP3_CONTROL_PERIOD, 1 / POLICY_PERIOD)
-    except ValueError as error:
-        raise ValueError(f"{field}={name} does not fit task {task.name}: {error}") from None
+    task.check_policy(bundle.manifest, f"{field}={name}")
     return Actor(Path(name).name, bundle, bundle.manifest.action_map)
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from math import ceil, inf, radians
 from typing import Any
 
+from op3.policy.manifest import Manifest
 from op3.policy.observation import BALANCE_LAYOUT, WALK_LAYOUT
 from op3.robot.surfaces import TILE_HEIGHT
 from op3.tasks import rewards
@@ -126,6 +127,13 @@ class Task:
     def observation_size(self) -> int:
         """Numbers that the policy sees, history included."""
         return sum(self.layout.values()) * (self.history + 1)
+
+    def check_policy(self, manifest: Manifest, name: str) -> None:
+        """Refuse a policy that cannot attempt the task; a ValueError that begins with its name."""
+        try:
+            manifest.check_fits(self.layout, self.history, 1 / OP3_CONTROL_PERIOD, 1 / POLICY_PERIOD)
+        except ValueError as error:
+            raise ValueError(f"{name} does not fit task {self.name}: {error}") from None
 
 
 def _balance(name: str, board: str) -> Task:

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
-from op3.robot import build_scene, named_configs, pose
+from op3.policy import PolicyBundle
+from op3.robot import asset_path, build_scene, named_configs, pose
 from op3.servo import Estimate
 from op3.sim import load_model
 from op3.tasks import TASKS, Randomisation, Setup, find_task
@@ -79,3 +80,12 @@ def test_moving_ground_cannot_be_replayed():
     """A log of a board is not replayed on a board that stays level."""
     with pytest.raises(ValueError, match="cannot be replayed"):
         Setup.of_mount("board")
+
+
+def test_a_policy_of_another_task_is_refused():
+    """The one that walks sees the phase of its gait, which balancing has not."""
+    manifest = PolicyBundle.load(asset_path("policies/walk")).manifest
+    find_task("walk").check_policy(manifest, "policy=walk")
+    balance = find_task("balance")
+    with pytest.raises(ValueError, match="policy=walk does not fit task balance: field layout"):
+        balance.check_policy(manifest, "policy=walk")
