@@ -163,9 +163,9 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     def judged(policy: Any, seed: int = cfg.evaluation.seed) -> dict[str, float]:
         return evaluate(judge, policy, seed, judge_task.steps)
 
+    sac, collector, practice = learner(cfg, manifest), robots(cfg, task), Practice(**plain(cfg.practice))
     mode = os.environ.get("WANDB_MODE", cfg.wandb)
     with RunLogger(folder, config=plain(cfg), mode=mode) as logger:
-        sac, collector = learner(cfg, manifest), robots(cfg, task)
         progress = train(
             sac,
             collector,
@@ -173,7 +173,7 @@ def run(cfg: DictConfig) -> dict[str, Any]:
             settings,
             manifest,
             folder,
-            practice=Practice(**plain(cfg.practice)),
+            practice=practice,
             mirror=Mirror(manifest.layout, manifest.history, manifest.action_map.joints),
             log=lambda measures, step: logger.log(measures, step),
             say=lambda line: print(line, flush=True),

@@ -119,6 +119,7 @@ def test_wrong_input_ends_with_one_sentence(tmp_path):
     ("overrides", "message"),
     [
         (["device=gpu"], "device=gpu: give cpu or cuda"),
+        (["practice.mirrored=2"], "practice: mirrored must be at most 1, got 2"),
         (["train.steps=many"], "steps must be a whole number, got 'many'"),
         (["seed=1.5"], "seed must be a whole number, got 1.5"),
         (["environments=0"], "environments must be at least 1, got 0"),
@@ -132,11 +133,19 @@ def test_wrong_input_ends_with_one_sentence(tmp_path):
 def test_settings_that_cannot_be_end_with_one_sentence(overrides, message, tmp_path, capsys):
     """The sentence names the setting, and there is no more than it."""
     with pytest.raises(SystemExit) as end:
-        in_process("train", [*TINY, *overrides], tmp_path)
+        in_process("train", [*TINY, "wandb=offline", *overrides], tmp_path)
     assert end.value.code == 1
+    assert not (tmp_path / "wandb").exists()
     said = capsys.readouterr().err
     assert message in said
     assert len(said.strip().splitlines()) == 1
+
+
+def test_a_baseline_that_is_not_there_is_told_before_the_episodes(tmp_path, capsys):
+    """No episode of the policy is played for nothing."""
+    with pytest.raises(SystemExit):
+        in_process("evaluate", ["policy=hold", "baseline=nobody"], tmp_path)
+    assert capsys.readouterr().err.startswith("baseline=nobody: no such folder")
 
 
 @pytest.mark.parametrize(
