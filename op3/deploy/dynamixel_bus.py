@@ -10,6 +10,7 @@ interrupted call is cleared; a port that went away is one error, `Unplugged`.
 
 from __future__ import annotations
 
+import os
 import termios
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -108,7 +109,11 @@ class Bus:
             with self._plugged():
                 opened = self.port.setBaudRate(BAUD_RATE)
         except Unplugged as error:
-            raise Unplugged(f"the port {self.port_name} cannot be opened ({error.__cause__})") from error.__cause__
+            code = getattr(error.__cause__, "errno", None)  # its text names the port and the reason twice
+            raise Unplugged(
+                f"the port {self.port_name} cannot be opened ({os.strerror(code) if code else error.__cause__});"
+                " plug the adapter in, or name another one with port="
+            ) from error.__cause__
         if not opened:
             raise Unplugged(f"the port {self.port_name} cannot be opened at {BAUD_RATE} bit/s")
 

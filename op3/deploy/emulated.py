@@ -14,6 +14,7 @@ from op3.deploy.emulator import EmulatedRobot, Faults, Physics, SimPhysics, Stan
 from op3.deploy.operator import Operator
 from op3.deploy.registers import Units
 from op3.robot import DEFAULT, BoardMotion, Robot, Waves, WeightSchedule, build_scene, draw_tiles, load_robot
+from op3.robot.scenes import check_scene
 from op3.sim import model_for
 from op3.stand_in import World
 from op3.tasks.beginning import board_of
@@ -160,6 +161,7 @@ def emulate(
     make, identity = physics_maker(robot, world=world, world_seed=where, model=model, seed=seed)
     if task is not None:
         place = Place.of_task(task, seed)
+    check_scene(place.scene, load_robot(robot))  # it is put down later, with torque on
     hanging = make("stand", joint_position)
     if jig:
         hanging.advance = lambda duration: None  # time passes, nothing moves

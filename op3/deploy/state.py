@@ -207,8 +207,9 @@ class Calibration:
         path, known = Path(path), load_robot(robot)
         if not path.is_file():
             raise FileNotFoundError(f"there is no calibration file {path}; write one with mode=calibrate")
+        content = read_yaml(path)
         try:
-            offsets = CalibrationFile(**read_yaml(path)).offset_rad
+            offsets = CalibrationFile(**content).offset_rad
             known.indices(offsets)
             return cls([float(offsets.get(name, 0.0)) for name in known.joints], known)
         except ValueError as error:

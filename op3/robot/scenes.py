@@ -177,15 +177,14 @@ def build_scene(
             None: the whole robot.
         robot: a robot, its name, or the path of its file; on the stand any, elsewhere one with soles.
     """
-    if name not in SCENES:
-        raise ValueError(f"unknown scene {name!r}; the scenes are {', '.join(SCENES)}")
+    known = load_robot(robot)
+    check_scene(name, known)
     if name != "stand" and (tilt_roll or tilt_pitch):
         raise ValueError(f"only the scene 'stand' can be tilted, got tilt_roll and tilt_pitch for {name!r}")
     if name != "stand" and joints is not None:
         raise ValueError(f"only on the scene 'stand' limbs can be left away, got joints for {name!r}")
     if name == "bench":
         return build_bench()
-    known = load_robot(robot)
     if name == "stand":
         arena, entity = composer.Arena(xml_path=str(asset_path("scenes/stand.xml"))), RobotEntity(known)
         kept = _without_limbs(entity, known.joints if joints is None else joints)
@@ -194,9 +193,15 @@ def build_scene(
         mount.quat = quaternion(tilt_roll, tilt_pitch)
         arena.attach(entity, mount)
         return Scene(arena, entity, kept, name, name, tilt_roll, tilt_pitch)
-    if not known.file.soles:
-        raise ValueError(f"{known.name} does not walk: the scene {name!r} needs soles, and its file names none")
     return _on_floor(name, known)
+
+
+def check_scene(name: str, robot: Robot) -> None:
+    """Refuse a scene that there is not, or on which a robot cannot be put down."""
+    if name not in SCENES:
+        raise ValueError(f"unknown scene {name!r}; the scenes are {', '.join(SCENES)}")
+    if name not in ("stand", "bench") and not robot.file.soles:
+        raise ValueError(f"{robot.name} does not walk: the scene {name!r} needs soles, and its file names none")
 
 
 def _without_limbs(entity: RobotEntity, wanted: Sequence[str]) -> tuple[mjcf.Element, ...]:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from op3.deploy import Player
+from op3.deploy.deploy import connect
 from op3.deploy.dynamixel_bus import Bus
 from op3.deploy.emulator import EmulatedRobot, SimPhysics, VirtualPort
 from op3.robot import build_scene, load_robot, multisine
@@ -53,3 +54,10 @@ def test_a_robot_of_other_servos_is_refused(tmp_path):
     path = write_robot(tmp_path, "four")
     with pytest.raises(ValueError, match=r"four: the bus speaks to Dynamixel X servos .* the sts3215 of j0 is none"):
         Player("emulated", "stand", robot=path, folder=tmp_path, model="own").play(multisine(robot=str(path)))
+
+
+def test_a_robot_without_soles_is_not_put_on_the_floor(tmp_path):
+    """It is refused before its servos are energised."""
+    path = write_robot(tmp_path, "four", CHANGES["four"])
+    with pytest.raises(ValueError, match="four does not walk: the scene 'floor' needs soles"):
+        connect("emulated", robot=path, model="own")

@@ -135,6 +135,9 @@ def test_calibration_file_round_trip(tmp_path):
     path.write_text("offset_rad: {l_knee: 0.9}")
     with pytest.raises(ValueError, match=r"l_knee is off by 0\.900 rad"):
         Calibration.load(path)
+    path.write_text("")
+    with pytest.raises(ValueError, match=f"^{path}: the file is empty"):
+        Calibration.load(path)
 
 
 def test_the_alert_bit_is_seen(rig):
