@@ -80,7 +80,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         end(f"op3 has no command {command!r}{nearest(command, [*available, 'doctor', 'completion'])}")
     path = available[command]
     if rest and not rest[0].startswith(("-", "~")) and (Path(rest[0]).exists() or "=" not in rest[0]):
-        rest[0] = f"{asked_for(COMMANDS[command]) or end(f'{rest[0]} is no setting: write setting=value')}={rest[0]}"
+        if (asked := asked_for(COMMANDS[command])) is None:
+            longer = [name for name in available if name.startswith(f"{command} ")]
+            close = nearest(f"{command} {rest[0]}", longer) if longer else ""
+            end(f"{rest[0]} is no setting: write setting=value{close}")
+        rest[0] = f"{asked}={rest[0]}"
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # as Python has it: a closed socket is an error, not the end
     sys.argv = [str(path), *PRESETS.get(command, ()), *rest]
     sys.path.insert(0, str(path.parent))
@@ -217,6 +221,8 @@ def launch(run: Callable[[], Any], config: str, documentation: str | None) -> No
     sys.argv[1:] = [hide(quoted(argument)) for argument in sys.argv[1:]]
     # Hydra's own handler prints a wall of text; with this it lets errors through
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
+    if (other := taken(sys.argv[1:])) not in (None, Path(sys.argv[0]).stem):
+        end(f"hydra.run.dir is the folder of a run of {other}, which would be written over: choose another")
     folder = claim(config, sys.argv[1:])
     if folder is not None:
         sys.argv.append(os.environ.setdefault(CLAIMED, f"hydra.{_kind(sys.argv)}.dir={folder}"))
@@ -269,6 +275,14 @@ def claim(config: str, arguments: Sequence[str]) -> Path | None:
             continue
         break
     return folder
+
+
+def taken(arguments: Sequence[str]) -> str | None:
+    """The experiment whose run the folder holds that is asked for; None where no folder is, or it holds none."""
+    asked = next((found[1] for word in arguments if (found := re.match(r"\+*hydra\.run\.dir=(.+)", word))), "")
+    file = Path(asked.strip("'\"")) / ".hydra" / "hydra.yaml"
+    found = re.search(r"^  job:\n    name: (\w+)", file.read_text("utf-8"), re.MULTILINE) if file.is_file() else None
+    return found and found[1]
 
 
 def _kind(arguments: Sequence[str]) -> str:
@@ -326,10 +340,14 @@ def explained(error: Exception, config: str) -> str:
         if asked in known and (unknown := re.search(r"Key '([^']+)' is not in struct", str(error.__cause__))):
             asked = f"{asked}.{unknown[1]}"
         group, _, part = asked.rpartition(".")
+        if group and re.search(rf"^{re.escape(group)}: {{}}$", config_file(config).read_text("utf-8"), re.MULTILINE):
+            return f"{group} has no entry {part!r} yet: add it with +{asked}=..."
         if parts := [name.removeprefix(f"{group}.") for name in known if group and name.startswith(f"{group}.")]:
             return f"{group} has no part {part!r}{nearest(part, parts)}"
         close = difflib.get_close_matches(asked, known, n=1)
         return f"there is no setting {asked!r}{nearest(asked, close or [name for name in known if '.' not in name])}"
+    if text.startswith("Error merging override") and error.__cause__:
+        return f"{text.split()[-1]}: {str(error.__cause__).splitlines()[0]}"
     if asked := getattr(error, "override", None):
         return f"{asked}: cannot be read; write setting=value"
     return told(error)

@@ -57,6 +57,10 @@ def _run(arguments: Sequence[str], cwd: Path, said: Path) -> None:
         (["train", '"seed=3'], "\"seed='3': cannot be read; write setting=value"),
         (["doctor", "all"], "doctor takes no settings, got all"),
         (["collect", "twice"], "twice is no setting: write setting=value"),
+        (["demo", "diagnos"], "diagnos is no setting: write setting=value; the nearest is 'demo diagnose'"),
+        (["identify", "effects={dte: {}}"], "effects has no entry 'dte' yet: add it with +effects.dte=..."),
+        (["identify", "hydra.sweeper.n_trials=x"], "hydra.sweeper.n_trials=x: Value 'x' of type 'str' could not be"),
+        (["predict", "data=x", "joints=r_knee"], "joints must be a list, got 'r_knee'"),
         (["identify", "groups=[motr]"], "groups=motr: there is no 'motr' in the group groups; the nearest is 'motor'"),
         (["import"], "data is missing: add data=<a log, a folder of logs, or a list of them>"),
         (["import", "runs/8 (2).csv"], "runs/8 (2).csv: there is no such file; name a rollout folder"),
@@ -70,6 +74,18 @@ def test_wrong_input_is_answered_in_one_sentence_and_leaves_nothing(op3, argumen
     code, said = op3(*arguments, cwd=tmp_path)
     assert (code, said[: len(sentence)], said.count("\n")) == (1, sentence, 0)
     assert not list(tmp_path.iterdir())
+
+
+def test_the_folder_of_another_command_is_not_written_over(op3, tmp_path):
+    """Pages and results of all commands have the same names."""
+    (tmp_path / "run" / ".hydra").mkdir(parents=True)
+    (tmp_path / "run" / ".hydra" / "hydra.yaml").write_text("hydra:\n  job:\n    name: identify\n")
+    code, said = op3("predict", "data=x", "hydra.run.dir=run", cwd=tmp_path)
+    assert (code, said) == (
+        1,
+        "hydra.run.dir is the folder of a run of identify, which would be written over: choose another",
+    )
+    assert op3("identify", "data=x", "hydra.run.dir=run", cwd=tmp_path)[1].startswith("x: there is no such file")
 
 
 @pytest.mark.parametrize(
