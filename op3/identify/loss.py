@@ -50,7 +50,7 @@ class TrajectoryLoss:
     skip: NotNegative = 0.0
 
     def __post_init__(self):
-        unknown = [key for key in self.weights if key not in CHANNELS]
+        unknown = ", ".join("/".join(key) for key in self.weights if key not in CHANNELS)
         if unknown or not self.weights:
             names = ", ".join("/".join(key) for key in UNIT_WEIGHTS)
             raise ValueError(f"weights: unknown channel {unknown or 'list (empty)'}; weigh channels such as {names}")

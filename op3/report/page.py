@@ -32,9 +32,9 @@ class Page:
     """
 
     def __init__(self, title: str, lead: str):
-        lead = " ".join(lead.split())
+        title, lead = (scrub(" ".join(text.split())) for text in (title, lead))
         end = re.search(r"(?<=[.!?])\s+(?=[^a-z])", lead)
-        self._title, self._verdict = " ".join(title.split()), lead[: end.start()] if end else lead
+        self._title, self._verdict = title, lead[: end.start()] if end else lead
         self._detail = lead[end.end() :] if end else ""
         self.template = ""
         self._blocks: list[dict[str, Any]] = []

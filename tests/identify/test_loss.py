@@ -86,6 +86,12 @@ def test_a_failed_simulation_has_no_loss_but_a_large_residual():
     assert TrajectoryLoss().residuals([failed]).square().sum() > FAILED_RESIDUAL**2
 
 
+def test_an_unknown_channel_is_named_as_it_is_written():
+    """As in the config, with a slash."""
+    with pytest.raises(ValueError, match="weights: unknown channel joint/speed; weigh channels such as"):
+        TrajectoryLoss(weights={("joint", "speed"): 1.0})
+
+
 def test_a_log_without_comparable_channels_is_refused():
     """The message names the channels that would do."""
     with pytest.raises(LogError, match="imu/orientation"):

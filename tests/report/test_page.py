@@ -73,6 +73,13 @@ def test_a_template_tells_the_page(example):
     assert ("all numbers" in reader.text, "Gone" in reader.text) == (True, False)
 
 
+def test_title_and_lead_do_not_tell_where_the_files_are(tmp_path):
+    """Folders of the machine are left out, as they are in the text below."""
+    page = Page(f"Training on {tmp_path}/runs/identify/model.yaml, seed 0", f"Made from {tmp_path}/a/b.csv.").html()
+    assert ".../identify/model.yaml, seed 0" in page
+    assert str(tmp_path) not in page
+
+
 @pytest.mark.parametrize(
     ("lead", "verdict", "detail"),
     [
