@@ -88,7 +88,7 @@ def run(cfg: DictConfig, folder: Path) -> str:
     data = record(case, folder / "data")
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        given = compose("diagnose", [f"wandb={cfg.wandb}"])
+        given = compose("diagnose", [f"wandb={cfg.wandb}", f"seed={cfg.seed}"])
     given.data, given.model = str(data), case.base
     content = diagnose(given, folder)
     return ending(content, open_answers(folder / "answers")[case.name], folder)
@@ -97,7 +97,7 @@ def run(cfg: DictConfig, folder: Path) -> str:
 @hydra.main(config_path="../conf", config_name="demo_diagnose", version_base="1.3")
 def main(cfg: DictConfig) -> None:
     """Run the demonstration."""
-    with one_sentence("Nothing goes on from here: run it again.", cfg):
+    with one_sentence(cfg=cfg):
         torch.set_num_threads(1)
         threadpool_limits(1)
         print(run(cfg, Path(HydraConfig.get().runtime.output_dir)))
