@@ -45,6 +45,9 @@ def of_log(cfg: DictConfig) -> Tracks:
         raise ValueError(f"number={cfg.number}: {cfg.what} holds {len(logs)} logs, counted from 0")
     log = logs[cfg.number]
     shown: dict[str, Rollout] = {"measured": log}
+    if log.metadata.policy_rate is not None and log.metadata.mount == "floor":
+        print("no ghost: what a policy commands on its feet answers what its robot felt", file=sys.stderr)
+        return Tracks(shown, scene_of(log))
     try:
         prediction = Replay([log], num_threads=1).run(model_for(log.robot, cfg.model))[0]
         shown["simulated"] = predicted(prediction)
