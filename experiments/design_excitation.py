@@ -13,10 +13,10 @@ import torch
 import yaml
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
-from support import library_motion, one_sentence, plain
+from support import library_motion, one_sentence, plain, positive
 
 from op3.command_line import launch
-from op3.identify.design import Candidate, choose, information
+from op3.identify.design import Candidate, check_choice, choose, information
 from op3.identify.identification import PREFIX
 from op3.identify.resolvers import chosen_model
 from op3.identify.resolvers import register as register_interpolations
@@ -62,6 +62,8 @@ def main(cfg: DictConfig) -> dict[str, Any]:
         space = parse_search_space(plain(HydraConfig.get().sweeper.params))
         bounds = {name: _ends(space[PREFIX + name]) for name in cfg.parameters if PREFIX + name in space}
         wanted = list(bounds) if cfg.wanted is None else list(cfg.wanted)
+        check_choice(list(bounds), wanted, cfg.criterion)
+        positive(cfg, "seconds", "seconds")
         candidates, left_out = judge(cfg, bounds)
         steps = choose(
             candidates,

@@ -118,6 +118,17 @@ def information(
     return result
 
 
+def check_choice(names: Sequence[str], wanted: Sequence[str], criterion: str) -> None:
+    """Refuse what `choose` cannot go by, which takes candidates that take minutes."""
+    unknown = [name for name in wanted if name not in names]
+    if unknown:
+        raise ValueError(f"design: unknown parameter {unknown[0]!r}; there are {', '.join(names)}")
+    if not wanted:
+        raise ValueError("design: there is no parameter to choose for")
+    if criterion not in ("D", "A"):
+        raise ValueError(f"design: criterion must be D or A, got {criterion!r}")
+
+
 def choose(
     candidates: Sequence[Candidate],
     names: Sequence[str],
@@ -149,13 +160,9 @@ def choose(
     Raises:
         ValueError: if there is no candidate, a wanted parameter is unknown, or the criterion is.
     """
-    unknown = [name for name in wanted if name not in names]
-    if unknown:
-        raise ValueError(f"design: unknown parameter {unknown[0]!r}; there are {', '.join(names)}")
-    if not wanted or not candidates:
+    check_choice(names, wanted, criterion)
+    if not candidates:
         raise ValueError("design: there is nothing to choose from")
-    if criterion not in ("D", "A"):
-        raise ValueError(f"design: criterion must be D or A, got {criterion!r}")
     places = [list(names).index(name) for name in wanted]
     known = np.eye(len(names)) * PRIOR
     steps: list[Step] = []
