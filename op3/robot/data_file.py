@@ -17,7 +17,7 @@ Content = TypeVar("Content", bound="Record")
 class Record(BaseModel):
     """What a part of a data file may hold: the fields named and no others, fixed once read."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 def among(what: str, known: Iterable[str]) -> AfterValidator:

@@ -95,6 +95,7 @@ def test_robots_travel_between_processes(tmp_path):
         ({"unit: count": "unit: conut"}, r"line 10: joints.j2.log.unit names the unit 'conut'.* nearest is 'count'"),
         ({"base: base": "base: bas"}, r"line 4: base names the body 'bas', which there is not; the nearest is 'base'"),
         ({"{bus_id: 2,": "{bus_id: 1,"}, r"line 9: joints.j1.bus_id is 1, as that of j0; give each its own"),
+        ({"zero: 2048": "zero: .nan"}, r"line 10: joints.j2.log.zero must be a finite number, got nan"),
         ({"sign: -1": "sign: 2"}, r"line 10: joints.j2.log.sign must be one of 1 or -1, got 2"),
         ({"home: 0.4": "home: 4"}, r"line 9: joints.j1.home is 4 rad, outside its limits -1.5 to 1.5"),
         ({"home: 0.4": "hmoe: 4"}, r"line 9: joints.j1.hmoe is no field; the nearest is 'home'"),
