@@ -1,17 +1,22 @@
 """Looking at a run: robots in one scene, plots beside them, a film, and what the keys of the window do."""
 
 from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
 
 import numpy as np
 import pytest
+from omegaconf import OmegaConf
 from report_logs import squat_log
 
 from op3.report.frames import RenderError, draw_frames
 from op3.report.tracks import Tracks, scene_of
 from op3.report.video import write_film
 from op3.report.view import RATE, Player, Strip, lines_of
-from op3.robot import load_robot
+from op3.robot import load_robot, squat
 from op3.rollout import Metadata, Rollout
+from op3.sim import load_model
+from op3.tasks import simulate_motion
 
 
 def arm_tracks(rows: int = 126, late: float = 0.3) -> Tracks:
@@ -120,3 +125,14 @@ def test_joints_that_a_log_lacks_are_at_home():
     log = squat_log()
     states = Tracks({"measured": log}, scene_of(log)).states(25.0)
     assert states.shape == (1, 12, 12)
+
+
+def test_a_policy_on_its_feet_has_no_ghost(tmp_path, monkeypatch):
+    """Its commands without what it felt make any simulation fall; a motion's do not."""
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[2] / "experiments"))
+    log, told = simulate_motion(load_model("paper"), squat(duration=0.5), mount="floor"), []
+    for rate in (None, 31.25):
+        folder = Rollout(log.data, log.metadata.replace(policy_rate=rate)).save(tmp_path / str(rate))
+        cfg = OmegaConf.create({"what": str(folder), "robot": None, "number": 0, "model": None})
+        told.append(list(import_module("view").of_log(cfg).logs))
+    assert told == [["measured", "simulated"], ["measured"]]
