@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import bz2
+import gzip
+import io
+import lzma
 import re
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -113,6 +118,16 @@ def swap(one: str, other: str) -> Change:
     return change
 
 
+def rotate(channel: str) -> Change:
+    """Every one of three joints has the numbers of the next."""
+
+    def change(table: Table) -> None:
+        names = [f"joint_{joint}.{channel}" for joint in (0, 1, 2)]
+        table.update(zip(names, [table[name] for name in names[1:] + names[:1]], strict=True))
+
+    return change
+
+
 def copy(one: str, other: str) -> Change:
     """A column holds the numbers of another one."""
     return lambda table: table.update({other: table[one]})
@@ -193,6 +208,7 @@ def test_a_clock_without_a_rate_beside_it(tmp_path):
     ("change", "expected"),
     [
         (swap("joint_0.position", "joint_2.position"), r"follows the command of joint_\d: the columns .* swapped"),
+        (rotate("position"), r"follows the command of joint_\d: the columns .* swapped"),
         (copy("joint_0.position", "joint_1.position"), r"joint_1.position: every row has the numbers"),
     ],
 )
@@ -467,6 +483,10 @@ FORMS: dict[str, Callable[[str], bytes]] = {
     "row numbers of pandas": lambda text: _numbered(text).encode(),
     "commas at the end": lambda text: text.replace("\n", ",\n").encode(),
     "carriage returns": lambda text: text.replace("\n", "\r").encode(),
+    "lines of spaces": lambda text: (text + "\n  \n\t\r\n").encode(),
+    "packed by gzip": lambda text: gzip.compress(text.encode()),
+    "packed by xz": lambda text: lzma.compress(text.encode()),
+    "packed by bzip2": lambda text: bz2.compress(text.encode()),
 }
 
 
@@ -486,6 +506,16 @@ def test_other_forms_of_csv(tmp_path, form):
     path = write(tmp_path)
     path.write_bytes(FORMS[form](path.read_text()))
     assert np.array_equal(read_log(path).array("joint/position"), bench_log().array("joint/position"))
+
+
+def test_a_spreadsheet_is_no_table(tmp_path):
+    """A zip archive, as of a spreadsheet, says so whatever its name is."""
+    path, stream = write(tmp_path), io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        archive.writestr("run.csv", path.read_text())
+    path.write_bytes(stream.getvalue())
+    with pytest.raises(LogError, match=r"run.csv: it is a zip archive or a spreadsheet; unpack it, or export"):
+        read_log(path)
 
 
 def test_a_table_without_a_header(tmp_path):

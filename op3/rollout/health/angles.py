@@ -13,6 +13,9 @@ from op3.rollout.units import likely_unit
 
 _TURN = 2 * np.pi
 
+SURE = 0.9
+"""Correlation above which one signal follows another."""
+
 _MOST = 1.9
 """A servo does not move this many times as far as it is told to."""
 
@@ -30,13 +33,16 @@ def command(view: View) -> Iterator[Finding]:
     every = np.stack([m.correlation for m in matches])
     own, best = np.diagonal(every, axis1=1, axis2=2), every.max(0)
     asked, moved = np.ptp(target[driven], axis=0) > 0.05, np.ptp(angle[driven], axis=0) > 0.05
+    # whose command explains a position much better than its own; where columns were exchanged, that joint has such a
+    # one as well
+    foreign = np.where(asked & ~np.eye(len(best), dtype=bool), best, -1.0)
+    leader, strength = foreign.argmax(1), foreign.max(1)
+    follows = (strength > SURE) & (1 - strength < 0.1 * (1 - np.diagonal(best)))
     for joint in map(int, np.flatnonzero(asked | moved)):
         sure, ratio = float(best[joint, joint]), float(matches[int(own[:, joint].argmax())].ratio[joint, joint])
         where = POSITION, joint
-        # whose command it follows, where that joint does not follow it itself; of two that swapped both do so
-        others = [k for k in np.argsort(-best[joint]) if k != joint and asked[k] and best[joint, k] > 0.97]
-        mutual = [k for k in others if best[k, k] < 0.5 and (best[k, joint] > 0.97 or not asked[joint])]
-        other = view.joints[mutual[0]] if mutual else None
+        whose = int(leader[joint])
+        other = view.joints[whose] if follows[joint] and (follows[whose] or not asked[joint]) else None
         if asked[joint] and sure > 0.95 and (ratio > _MOST or ratio < 1 / 30):
             unit = likely_unit(ratio, "rad") or (likely_unit(1 / ratio, "rad") if ratio else None)
             cause = f", as if {'it' if ratio > 1 else 'the command'} were in {unit}" if unit else ""
@@ -46,7 +52,7 @@ def command(view: View) -> Iterator[Finding]:
             problem = "the position moves against its command: the sign of one of them is turned round"
             problem += f", or it was swapped with that of {other}" if other else ""
             yield view.found(ERROR, where, problem, "write `sign: -1` for one of them into its YAML")
-        elif sure < 0.4 and other:
+        elif other:
             problem = f"the position follows the command of {other}: the columns of the two are swapped"
             yield view.found(ERROR, where, problem, "swap the columns")
 
