@@ -235,6 +235,19 @@ WARNED: dict[str, tuple[Change, str]] = {
     "a wrong reading": (put("joint_0.velocity", 40.0, 300), "a single reading of 40 stands between"),
     "held": (edit("joint_0.(position|velocity)", lambda v: v[np.arange(1000) // 10 * 10]), "only in every 10 rows"),
     "a short hole": (gap(400, 412), "about 12 rows are missing before this one"),
+    "no target": (
+        put("joint_0.target", np.nan, 0, 1000),
+        "target stands at 0 rad in every row while the joint moves by",
+    ),
+    "a gyroscope that is late": (edit("imu.gyro_.", lambda v: np.roll(v, 80)), "does not follow the change of orient"),
+    "a single rate": (put("imu.gyro_y", 34.9, 300), "a single reading of 34.9 stands between"),
+    "a single angle": (put("imu.pitch", -0.9, 300), "a single reading of -0.9 stands between"),
+    "a gyroscope that stops": (put("imu.gyro_.", np.nan, 500, 1000), "angular velocity keeps its numbers for 499 rows"),
+    "an orientation that stops": (
+        put("imu.(roll|pitch|yaw)", np.nan, 500, 1000),
+        "orientation keeps its numbers for 499",
+    ),
+    "another zero of a bench": (add("joint_0.position", 0.5), "0.548 rad off its command in every pose"),
     "lost rows": (edit(".*", lambda v: v[np.random.default_rng(0).random(1000) > 0.3]), "the rows are missing, singly"),
 }
 
@@ -353,6 +366,8 @@ ASIDE: dict[str, Change] = {
     "in degrees": scale("joint_1.velocity", 57.3),
     "turned": scale("joint_1.velocity", -1),
     "2.3 times": scale("joint_1.velocity", 2.3),
+    "early": edit("joint_1.velocity", lambda values: np.roll(values, -40)),
+    "off by a constant": add("joint_1.velocity", 1.5),
     "dead from the middle on": put("joint_1.velocity", 0.5, 500, 1000),
     "noise": edit("joint_1.velocity", lambda _: np.random.default_rng(0).normal(0, 1, 1000)),
 }
@@ -366,6 +381,36 @@ def test_one_joints_bad_velocity_is_set_aside(tmp_path, case):
     assert log.measured("joint/velocity").tolist() == [True, False, True]
     assert [f.column for f in log.findings if f.set_aside][:1] == ["joint_1.velocity"]
     assert np.abs(log.column("joint_1.velocity") - np.gradient(log.column("joint_1.position"), 1 / RATE)).max() < 1e-9
+
+
+def driven(table: Table) -> None:
+    """Currents are gain times error."""
+    for joint in ("joint_0", "joint_1", "joint_2"):
+        error = table[f"{joint}.target"] - table[f"{joint}.position"]
+        table |= {f"{joint}.p_gain": np.full(1000, 4.0), f"{joint}.current": 4.0 * error}
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (rotate("current"), "current is that of joint_2"),
+        (edit("joint_1.current", np.abs), "current has lost its sign"),
+        (put("joint_1.current", 0.0, 0, 1000), "current stands at 0 in every row"),
+        (edit("joint_1.current", lambda v: np.full(1000, 0.31)), "current stands at 0.31 in every row"),
+        (put("joint_1.current", np.nan, 300, 1000), "current keeps its numbers for 699 rows"),
+    ],
+)
+def test_one_joints_bad_current_is_set_aside(tmp_path, change, expected):
+    """Exchanged, without its sign, or standing: it does not count as measured, and the cause is named."""
+
+    def both(table: Table) -> None:
+        driven(table)
+        change(table)
+
+    log = read_log(write(tmp_path, both, joints=3))
+    (finding,) = [finding for finding in log.findings if finding.column == "joint_1.current"]
+    assert expected in finding.problem
+    assert log.measured("joint/position").all()
 
 
 def test_the_only_joints_bad_velocity_is_gone(tmp_path):

@@ -103,6 +103,7 @@ def constant_offset(view: View) -> Iterator[Finding]:
     """
     joints = np.flatnonzero(view.driven.mean(0) > 0.5) if len(view.time) >= 20 else []
     error, gain, current = view.position - view.command, view.get(("command", "p_gain")), view.get(CURRENT)
+    speed = np.gradient(view.position, view.time, axis=0) if len(joints) else error
     middle = np.array([np.median(error[view.driven[:, joint], joint]) for joint in joints])
     for place, joint in enumerate(joints):
         driven = view.driven[:, joint]
@@ -110,10 +111,10 @@ def constant_offset(view: View) -> Iterator[Finding]:
         others, offset = np.delete(np.abs(middle), place), float(middle[place])
         if len(others) >= 3:
             odd = abs(offset) > max(0.15, 5 * float(np.quantile(others, 0.75)))
-        else:  # what gravity and a soft loop leave goes with the angle
-            about = np.sin(angle)
-            fit = np.polynomial.polynomial.polyfit(about, off, 1) if np.ptp(about) > 0.5 else np.zeros(2)
-            odd, offset = abs(fit[0]) > max(0.2, 3 * float((off - fit[0] - fit[1] * about).std())), float(fit[0])
+        else:  # what gravity and a soft loop leave goes with the angle, and what a slow one leaves with the speed
+            causes = np.stack([np.ones(len(angle)), np.sin(angle), speed[driven, joint]], axis=1)
+            fit = np.linalg.lstsq(causes, off)[0] if np.ptp(causes[:, 1]) > 0.5 else np.zeros(3)
+            odd, offset = abs(fit[0]) > max(0.2, 3 * float((off - causes @ fit).std())), float(fit[0])
         yields = False
         if gain is not None and current is not None:
             pulled = -gain[:, joint] * error[:, joint]

@@ -69,7 +69,7 @@ def impossible_speed(view: View) -> Iterator[Finding]:
     leap = np.abs(steps[rows, joints] / (1 + stood[rows, joints]) - usual)
     back = np.abs(beside[:, 2:4] + steps[rows, joints][:, None]).min(1) < 0.3 * np.abs(steps[rows, joints])
     even = (taken < 1.5 * view.interval)[rows]
-    alone = (np.abs(steps[rows, joints] - usual) > _SPIKE) & (leap > 8 * spread) & (spread > 0)
+    alone = (np.abs(steps[rows, joints] - usual) > _SPIKE) & (leap > 8 * spread)
     far[rows, joints] |= alone & even & (back | (view.interval < _SHORT))
     for at, joint in np.argwhere(far)[:1]:
         problem = f"position jumps by {steps[at, joint]:+.3f} rad in one row, faster than a servo moves"

@@ -48,6 +48,7 @@ def gyroscope(view: View) -> Iterator[Finding]:
     for axis in np.flatnonzero(found.size_b > np.maximum(4 * step(angles), 0.03 * span)):
         own, ratio = found.correlation[axis, axis], float(found.ratio[axis, axis])
         other = int(np.abs(found.correlation[:, axis]).argmax())
+        fits = abs(float(found.correlation[other, axis]))
         if abs(own) > 0.9 and not 0.5 < ratio < 2:
             unit = likely_unit(ratio, "rad/s")
             cause = f", as if it were in {unit}" if unit else ""
@@ -55,13 +56,16 @@ def gyroscope(view: View) -> Iterator[Finding]:
             problem = f"the gyroscope reads {ratio:.3g} times the change of orientation per second{cause}"
             remedy = "convert it to rad/s in the body frame, or write `scale:`"
             yield view.found(ERROR, (_RATE, axis), problem, remedy)
-        elif abs(own) < 0.5 and abs(found.correlation[other, axis]) > 0.9:
+        elif fits > 0.9 and 1 - fits < 0.1 * (1 - abs(own)):
             sign = "-" if found.correlation[other, axis] < 0 else ""
             problem = (
                 f"turning about {'xyz'[axis]} shows as {sign}{'xyz'[other]} of the gyroscope: its axes are swapped"
             )
             remedy = "name the axes anew, or turn the sensor's frame into the body's"
             yield view.found(ERROR, (_RATE, axis), problem, remedy)
+        elif abs(own) < 0.5:
+            problem = f"the gyroscope does not follow the change of orientation (correlation {own:.2f})"
+            yield view.found(WARNING, (_RATE, axis), problem, "look which of them is late, or another sensor's")
 
 
 @check("gravity")
