@@ -139,6 +139,20 @@ def swings_around_pi(table: Table) -> None:
     table["joint_0.target"] = table["joint_0.target"] + np.pi
 
 
+def lost_unevenly(table: Table) -> None:
+    """Rows are missing, and the intervals of the others are not the same."""
+    random = np.random.default_rng(0)
+    table["time"] = table["time"] + random.normal(0, 0.06 / RATE, 1000)
+    edit(".*", lambda v: v[np.random.default_rng(1).random(1000) > 0.3])(table)
+
+
+def slow_and_jumps(table: Table) -> None:
+    """A joint that moves by a step of its encoder now and then is elsewhere from one row to the next."""
+    step = 2 * np.pi / 4096
+    edit("joint_0.(position|target|velocity)", lambda v: 0.1 * v)(table)
+    edit("joint_0.position", lambda v: np.round(v / step) * step + 0.4 * (np.arange(1000) >= 400))(table)
+
+
 REFUSED: dict[str, tuple[Change, str]] = {
     "clock set forward": (add("time", 3600, 500), r"row 501, column time: time jumps .* the clock was set here; split"),
     "clock set back": (add("time", -2.0, 500), r"row 501, column time: time goes back"),
@@ -161,6 +175,7 @@ REFUSED: dict[str, tuple[Change, str]] = {
     "velocity in rpm": (scale(".*velocity", 9.549), r"in rpm"),
     "velocity turned": (scale(".*velocity", -1), r"velocity is -(1|0.99\d*) times .* sign turned round"),
     "position turned": (scale(".*(position|velocity)", -1), r"position moves against its command"),
+    "a slow joint's jump": (slow_and_jumps, r"row 401, column joint_0.position: position jumps by \+0\.4"),
     "a spike": (put("joint_0.position", 2.9, 300), r"row 301, .* position jumps by \+\d.* in one row, faster"),
     "a dead sensor": (scale("joint_0.position", 0), r"position stands at 0 rad while its command moves by"),
     "repeated rows": (put("imu.*|.*(position|velocity)", np.nan, 400, 440), r"row 401, .* keep their .* for 40 rows"),
@@ -235,6 +250,8 @@ WARNED: dict[str, tuple[Change, str]] = {
     "a wrong reading": (put("joint_0.velocity", 40.0, 300), "a single reading of 40 stands between"),
     "held": (edit("joint_0.(position|velocity)", lambda v: v[np.arange(1000) // 10 * 10]), "only in every 10 rows"),
     "a short hole": (gap(400, 412), "about 12 rows are missing before this one"),
+    "a slower clock": (edit("time", lambda v: v + np.maximum(v - 4.5, 0)), "the intervals become 2 times as long"),
+    "lost rows of an uneven clock": (lost_unevenly, "the rows are missing, singly"),
     "no target": (
         put("joint_0.target", np.nan, 0, 1000),
         "target stands at 0 rad in every row while the joint moves by",

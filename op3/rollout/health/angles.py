@@ -37,7 +37,7 @@ def command(view: View) -> Iterator[Finding]:
     # one as well
     foreign = np.where(asked & ~np.eye(len(best), dtype=bool), best, -1.0)
     leader, strength = foreign.argmax(1), foreign.max(1)
-    follows = (strength > SURE) & (1 - strength < 0.1 * (1 - np.diagonal(best)))
+    follows = (strength > SURE) & (1 - strength < 0.2 * (1 - np.diagonal(best)))
     for joint in map(int, np.flatnonzero(asked | moved)):
         sure, ratio = float(best[joint, joint]), float(matches[int(own[:, joint].argmax())].ratio[joint, joint])
         where = POSITION, joint
@@ -101,7 +101,8 @@ def constant_offset(view: View) -> Iterator[Finding]:
 
     Where the recorded current is the gain times this angle, the joint is just soft, and yields to what it carries.
     """
-    joints = np.flatnonzero(view.driven.mean(0) > 0.5) if len(view.time) >= 20 else []
+    told = (view.driven.mean(0) > 0.5) & _small(view.position) & _small(view.command)
+    joints = np.flatnonzero(told) if len(view.time) >= 20 else []
     error, gain, current = view.position - view.command, view.get(("command", "p_gain")), view.get(CURRENT)
     speed = np.gradient(view.position, view.time, axis=0) if len(joints) else error
     middle = np.array([np.median(error[view.driven[:, joint], joint]) for joint in joints])

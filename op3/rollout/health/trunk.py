@@ -15,6 +15,9 @@ _ORIENTATION, _RATE, _FORCE = ("imu", "orientation"), ("imu", "angular_velocity"
 
 _STANDARD = 9.80665
 
+_STEEP = 1.2
+"""Pitch beyond which roll and yaw tell little [rad]."""
+
 _MISTAKES = {"all axes read downwards": -np.eye(3)}
 _MISTAKES |= {f"{'xyz'[i]} reads downwards": np.diag(1 - 2 * np.eye(3)[i]) for i in (2, 0, 1)}
 _MISTAKES |= {
@@ -31,6 +34,9 @@ def gyroscope(view: View) -> Iterator[Finding]:
     if angles is None or rate is None or len(view.time) < 20:
         return
     first, last, span = windows(view.time)
+    # where the trunk stands on end, roll and yaw are one
+    flat = (np.abs(angles[[first, last], 1]) < _STEEP).all(0)
+    first, last = first[flat], last[flat]
     if len(first) < 8:
         return
     roll, pitch, _ = angles[(first + last) // 2].T
