@@ -37,7 +37,8 @@ def command(view: View) -> Iterator[Finding]:
     # one as well
     foreign = np.where(asked & ~np.eye(len(best), dtype=bool), best, -1.0)
     leader, strength = foreign.argmax(1), foreign.max(1)
-    follows = (strength > SURE) & (1 - strength < 0.2 * (1 - np.diagonal(best)))
+    itself = np.diagonal(best)
+    follows = (strength > SURE) & (itself < 0.95) & (1 - strength < 0.2 * (1 - itself))
     for joint in map(int, np.flatnonzero(asked | moved)):
         sure, ratio = float(best[joint, joint]), float(matches[int(own[:, joint].argmax())].ratio[joint, joint])
         where = POSITION, joint
