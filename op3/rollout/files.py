@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+import operator
 import os
 import shutil
 from collections.abc import Callable
@@ -105,7 +106,8 @@ def _map(folder: Path, name: str, entry: dict[str, Any]) -> Any:
     """A channel by its entry in `meta.json`, or the group of channels in a folder of its own."""
     if "dtype" not in entry:
         return map_tensordict(folder / name)
-    dtype, shape, path = _DTYPES[entry["dtype"]], entry["shape"], folder / f"{name}.memmap"
+    dtype, path = _DTYPES[entry["dtype"]], folder / f"{name}.memmap"
+    shape = [operator.index(size) for size in entry["shape"]]
     size, wanted = path.stat().st_size if path.is_file() else 0, math.prod(shape) * dtype.itemsize
     if size != wanted:
         raise LogError(f"the file has {size} bytes where {wanted} belong", _RESTORE, source=path)

@@ -67,7 +67,8 @@ def guess(name: str, joints: Sequence[str] = ()) -> Column | None:
 def _joint(name: str, joints: Sequence[str]) -> str:
     """The joint that a name means; the only one where the name is empty."""
     if not joints:
-        return re.sub(r"[^A-Za-z0-9_-]", "_", name).strip("_") or "servo"
+        name = re.sub(r"[^A-Za-z0-9_-]", "_", name).strip("_") or "servo"
+        return f"joint_{name}" if name[0].isdigit() else name
     if not name and len(joints) == 1:
         return joints[0]
     by_lower = {joint.lower(): joint for joint in joints}

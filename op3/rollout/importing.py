@@ -22,7 +22,7 @@ from op3.rollout.readers.reader import Column, Recording, Stream
 from op3.rollout.readers.text import unpacked
 from op3.rollout.rollout import Rollout
 from op3.rollout.schema import CHANNELS, column_names, key_name, place
-from op3.rollout.units import factor
+from op3.rollout.units import factor, likely_unit
 from op3.rollout.validate import check_time, holes
 from op3.settings import Listed, Named, Number, read_yaml, settings, shown
 
@@ -122,7 +122,7 @@ def roll_out(recording: Recording, side: Side, path: Path) -> list[Rollout]:
         _mend(chosen, side)
         with located(source=path):
             arrays = _arrays(chosen, metadata, recording.strict, side)
-            unread = _unread(arrays, metadata.joints)
+            unread = _unread(arrays, metadata.joints) + _unshared(len(time), len(recording.streams[0].time))
             log = Rollout.from_arrays({"time": time[part], **arrays}, metadata, path)
             logs.append(log.with_findings(unread))
     return logs
@@ -180,8 +180,8 @@ def _unknown(name: str, position: int, side: Side) -> LogError:
 def _one_clock(streams: Sequence[Stream], split: bool) -> tuple[np.ndarray, Columns]:
     """All columns at the times of the first stream, where every stream has begun and none has ended.
 
-    Signals are interpolated. A command counts from the row nearest to when it was issued, so that what is lost is
-    at most half a row and nothing on average.
+    Signals are interpolated, but not across a hole, where they hold no number. A command counts from the row nearest to
+    when it was issued, so that what is lost is at most half a row and nothing on average.
     """
     first, *others = streams
     if split and not others:  # its parts are checked
@@ -190,21 +190,28 @@ def _one_clock(streams: Sequence[Stream], split: bool) -> tuple[np.ndarray, Colu
         check_time(stream.time)
     if not others:
         return first.time, first.columns
+    spans = sorted(float(np.ptp(s.time)) for s in streams)
+    if spans[0] > 0 and (unit := likely_unit(spans[-1] / spans[0], "s", 0.5)):
+        problem = f"one clock runs over {spans[-1]:.4g} s and another over {spans[0]:.4g} s, as if one were in {unit}"
+        raise LogError(problem, "convert both to seconds", column="time")
     start, end = max(s.time[0] for s in streams), min(s.time[-1] for s in streams)
     half = float(np.median(np.diff(first.time))) / 2 if len(first.time) > 1 else 0.0
     inside = (first.time >= start - half) & (first.time <= end + max(half, 0.25))
     if not inside.any():
-        spans = " and ".join(f"{s.time[0]:.6g} to {s.time[-1]:.6g} s" for s in streams)
+        each = " and ".join(f"{s.time[0]:.6g} to {s.time[-1]:.6g} s" for s in streams)
         remedy = "shift one of the clocks, by `offset:` of its time column, to a common start"
-        raise LogError(f"the clocks share no time: {spans}", remedy, column="time")
+        raise LogError(f"the clocks share no time: {each}", remedy, column="time")
     time = first.time[inside]
     columns = {name: values[inside] for name, values in first.columns.items()}
     for stream in others:
         row = np.clip(np.searchsorted(stream.time, time + half, side="right") - 1, 0, None)
+        after = np.searchsorted(stream.time, time)
+        lost = np.isin(after, holes(stream.time)) & ~np.isin(time, stream.time)
         for name, values in stream.columns.items():
             known = place(name)
             held = known is not None and known[0].hold
-            columns.setdefault(name, values[row] if held else np.interp(time, stream.time, values))
+            signal = np.where(lost, np.nan, np.interp(time, stream.time, values))
+            columns.setdefault(name, values[row] if held else signal)
     return time, columns
 
 
@@ -278,6 +285,12 @@ def _arrays(columns: Columns, metadata: Metadata, strict: bool, side: Side) -> d
     if gain is not None and key not in arrays:
         arrays[key] = np.full_like(arrays["joint", "position"], gain)
     return arrays
+
+
+def _unshared(used: int, rows: int) -> list[Finding]:
+    """A warning where most rows lie where not every clock runs."""
+    problem, remedy = f"{used} of {rows} rows lie where every clock runs, and are used", "record all of them throughout"
+    return [Finding(WARNING, problem, remedy, "time", check="shared time")] if used < rows / 2 else []
 
 
 def _unread(arrays: dict[Any, np.ndarray], joints: Sequence[str]) -> list[Finding]:

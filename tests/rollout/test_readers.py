@@ -3,12 +3,29 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from foreign_logs import FORMATS, JOINTS, RATE, ROWS, TIME, lerobot, position, ros2, sage, target, velocity
+from foreign_logs import (
+    FORMATS,
+    JOINTS,
+    RATE,
+    ROWS,
+    TIME,
+    lerobot,
+    long_csv,
+    npz,
+    position,
+    ros2,
+    sage,
+    target,
+    velocity,
+)
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rollout_logs import SERVO_BENCH, refusal
@@ -65,6 +82,78 @@ def test_normalised_units_come_with_the_calibration(tmp_path):
     (path / "calibration.json").write_text(json.dumps(dict.fromkeys(JOINTS, entry)))
     scale = (np.pi / 2 / 100) / np.deg2rad(1)
     assert np.abs(read_log(path).array("joint/position") - scale * position()).max() < 1e-4
+
+
+def rewrite(path: Path, change: Callable[[dict[str, Any]], Any]) -> None:
+    """Change the description of a dataset, or the columns of its table."""
+    parquet, pyarrow = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow")
+    if path.suffix == ".json":
+        content = json.loads(path.read_text())
+        change(content)
+        path.write_text(json.dumps(content))
+    else:
+        table = parquet.read_table(path).to_pydict()
+        change(table)
+        parquet.write_table(pyarrow.table(table), path)
+
+
+def test_a_dataset_in_radians(tmp_path):
+    """Where no number is as large as a turn in radians, they are no degrees."""
+    path = lerobot(tmp_path)
+
+    def radians(table: dict[str, Any]) -> None:
+        table |= {name: np.deg2rad(table[name]).tolist() for name in ("action", "observation.state")}
+
+    rewrite(next(path.rglob("*.parquet")), radians)
+    assert np.abs(read_log(path).array("joint/position") - position()).max() < 1e-4
+
+
+def test_a_dataset_without_names(tmp_path):
+    """Motors that have no name are joints by their number; a name that stands there twice is refused."""
+    path = lerobot(tmp_path)
+    features = ("action", "observation.state")
+    rewrite(path / "meta" / "info.json", lambda info: [info["features"][name].pop("names") for name in features])
+    assert read_log(path).joints == ("joint_0", "joint_1")
+    rewrite(path / "meta" / "info.json", lambda info: info["features"]["action"].update(names=["a.pos", "a.pos"]))
+    with pytest.raises(LogError, match=r"info.json, column action: the name 'a.pos' is there twice"):
+        read_log(path)
+
+
+def test_clocks_in_two_units(tmp_path):
+    """Commands stamped in milliseconds beside states in microseconds are refused, and not cut to what they share."""
+    path = sage(tmp_path)
+    control = path / "control.csv"
+    control.write_text(re.sub(r"CONTROL,([\d.]+)", lambda row: f"CONTROL,{float(row[1]) / 1e3}", control.read_text()))
+    with pytest.raises(LogError, match=r"column time: one clock runs over .* as if one were in ms"):
+        read_log(path)
+
+
+def test_commands_for_a_part_of_the_time(tmp_path):
+    """Rows without commands are left out, and where these are most of the rows, that is said."""
+    path = sage(tmp_path)
+    control = path / "control.csv"
+    control.write_text("\n".join(control.read_text().splitlines()[:60]))
+    log = read_log(path)
+    assert log.rows < 80
+    assert [finding.check for finding in log.findings] == ["shared time"]
+
+
+def test_a_joint_that_was_not_read_for_a_second(tmp_path):
+    """Nothing is made up for the hole in one joint's readings."""
+    path = long_csv(tmp_path)
+    rows = path.read_text().splitlines()
+    path.write_text("\n".join(row for number, row in enumerate(rows) if "elbow" not in row or not 200 < number < 300))
+    with pytest.raises(LogError, match=r"row 101, column elbow.position: nan is not a finite number"):
+        read_log(path)
+
+
+def test_an_array_of_another_length(tmp_path):
+    """An array with fewer rows than the time is refused with both numbers."""
+    path = npz(tmp_path)
+    content = dict(np.load(path))
+    np.savez(path, **{**content, "q": content["q"][:-5]})
+    with pytest.raises(LogError, match=r"the column has 245 rows and its clock 250"):
+        read_log(path)
 
 
 @pytest.mark.parametrize(("module", "make", "extra"), [("pyarrow", lerobot, "lerobot"), ("rosbags", ros2, "ros")])

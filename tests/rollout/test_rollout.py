@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -137,6 +138,16 @@ def test_broken_folders_are_refused(tmp_path, file):
     assert file in load_error(Rollout.load, tmp_path / "run")
     (tmp_path / "run" / "data" / file).unlink()
     assert file in load_error(Rollout.load, tmp_path / "run")
+
+
+def test_a_shape_of_words_is_refused(tmp_path):
+    """A channel whose shape is no numbers is told in a sentence, and not repeated in it."""
+    rollout().save(tmp_path / "run")
+    meta = tmp_path / "run" / "data" / "joint" / "meta.json"
+    content = json.loads(meta.read_text())
+    content["position"]["shape"] = ["nan"] * 2
+    meta.write_text(json.dumps(content))
+    assert "joint/meta.json: the file is missing or broken" in load_error(Rollout.load, tmp_path / "run")
 
 
 def test_saving_never_overwrites_unasked(tmp_path):

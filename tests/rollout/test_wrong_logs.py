@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import bz2
+import gzip
+import io
+import lzma
 import re
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -113,6 +118,16 @@ def swap(one: str, other: str) -> Change:
     return change
 
 
+def rotate(channel: str) -> Change:
+    """Every one of three joints has the numbers of the next."""
+
+    def change(table: Table) -> None:
+        names = [f"joint_{joint}.{channel}" for joint in (0, 1, 2)]
+        table.update(zip(names, [table[name] for name in names[1:] + names[:1]], strict=True))
+
+    return change
+
+
 def copy(one: str, other: str) -> Change:
     """A column holds the numbers of another one."""
     return lambda table: table.update({other: table[one]})
@@ -122,6 +137,20 @@ def swings_around_pi(table: Table) -> None:
     """Zero lies at the far side."""
     table["joint_0.position"] = table["joint_0.position"] % (2 * np.pi) - np.pi
     table["joint_0.target"] = table["joint_0.target"] + np.pi
+
+
+def lost_unevenly(table: Table) -> None:
+    """Rows are missing, and the intervals of the others are not the same."""
+    random = np.random.default_rng(0)
+    table["time"] = table["time"] + random.normal(0, 0.06 / RATE, 1000)
+    edit(".*", lambda v: v[np.random.default_rng(1).random(1000) > 0.3])(table)
+
+
+def slow_and_jumps(table: Table) -> None:
+    """A joint that moves by a step of its encoder now and then is elsewhere from one row to the next."""
+    step = 2 * np.pi / 4096
+    edit("joint_0.(position|target|velocity)", lambda v: 0.1 * v)(table)
+    edit("joint_0.position", lambda v: np.round(v / step) * step + 0.4 * (np.arange(1000) >= 400))(table)
 
 
 REFUSED: dict[str, tuple[Change, str]] = {
@@ -146,6 +175,7 @@ REFUSED: dict[str, tuple[Change, str]] = {
     "velocity in rpm": (scale(".*velocity", 9.549), r"in rpm"),
     "velocity turned": (scale(".*velocity", -1), r"velocity is -(1|0.99\d*) times .* sign turned round"),
     "position turned": (scale(".*(position|velocity)", -1), r"position moves against its command"),
+    "a slow joint's jump": (slow_and_jumps, r"row 401, column joint_0.position: position jumps by \+0\.4"),
     "a spike": (put("joint_0.position", 2.9, 300), r"row 301, .* position jumps by \+\d.* in one row, faster"),
     "a dead sensor": (scale("joint_0.position", 0), r"position stands at 0 rad while its command moves by"),
     "repeated rows": (put("imu.*|.*(position|velocity)", np.nan, 400, 440), r"row 401, .* keep their .* for 40 rows"),
@@ -193,6 +223,7 @@ def test_a_clock_without_a_rate_beside_it(tmp_path):
     ("change", "expected"),
     [
         (swap("joint_0.position", "joint_2.position"), r"follows the command of joint_\d: the columns .* swapped"),
+        (rotate("position"), r"follows the command of joint_\d: the columns .* swapped"),
         (copy("joint_0.position", "joint_1.position"), r"joint_1.position: every row has the numbers"),
     ],
 )
@@ -219,6 +250,21 @@ WARNED: dict[str, tuple[Change, str]] = {
     "a wrong reading": (put("joint_0.velocity", 40.0, 300), "a single reading of 40 stands between"),
     "held": (edit("joint_0.(position|velocity)", lambda v: v[np.arange(1000) // 10 * 10]), "only in every 10 rows"),
     "a short hole": (gap(400, 412), "about 12 rows are missing before this one"),
+    "a slower clock": (edit("time", lambda v: v + np.maximum(v - 4.5, 0)), "the intervals become 2 times as long"),
+    "lost rows of an uneven clock": (lost_unevenly, "the rows are missing, singly"),
+    "no target": (
+        put("joint_0.target", np.nan, 0, 1000),
+        "target stands at 0 rad in every row while the joint moves by",
+    ),
+    "a gyroscope that is late": (edit("imu.gyro_.", lambda v: np.roll(v, 80)), "does not follow the change of orient"),
+    "a single rate": (put("imu.gyro_y", 34.9, 300), "a single reading of 34.9 stands between"),
+    "a single angle": (put("imu.pitch", -0.9, 300), "a single reading of -0.9 stands between"),
+    "a gyroscope that stops": (put("imu.gyro_.", np.nan, 500, 1000), "angular velocity keeps its numbers for 499 rows"),
+    "an orientation that stops": (
+        put("imu.(roll|pitch|yaw)", np.nan, 500, 1000),
+        "orientation keeps its numbers for 499",
+    ),
+    "another zero of a bench": (add("joint_0.position", 0.5), "0.548 rad off its command in every pose"),
     "lost rows": (edit(".*", lambda v: v[np.random.default_rng(0).random(1000) > 0.3]), "the rows are missing, singly"),
 }
 
@@ -337,6 +383,8 @@ ASIDE: dict[str, Change] = {
     "in degrees": scale("joint_1.velocity", 57.3),
     "turned": scale("joint_1.velocity", -1),
     "2.3 times": scale("joint_1.velocity", 2.3),
+    "early": edit("joint_1.velocity", lambda values: np.roll(values, -40)),
+    "off by a constant": add("joint_1.velocity", 1.5),
     "dead from the middle on": put("joint_1.velocity", 0.5, 500, 1000),
     "noise": edit("joint_1.velocity", lambda _: np.random.default_rng(0).normal(0, 1, 1000)),
 }
@@ -350,6 +398,36 @@ def test_one_joints_bad_velocity_is_set_aside(tmp_path, case):
     assert log.measured("joint/velocity").tolist() == [True, False, True]
     assert [f.column for f in log.findings if f.set_aside][:1] == ["joint_1.velocity"]
     assert np.abs(log.column("joint_1.velocity") - np.gradient(log.column("joint_1.position"), 1 / RATE)).max() < 1e-9
+
+
+def driven(table: Table) -> None:
+    """Currents are gain times error."""
+    for joint in ("joint_0", "joint_1", "joint_2"):
+        error = table[f"{joint}.target"] - table[f"{joint}.position"]
+        table |= {f"{joint}.p_gain": np.full(1000, 4.0), f"{joint}.current": 4.0 * error}
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (rotate("current"), "current is that of joint_2"),
+        (edit("joint_1.current", np.abs), "current has lost its sign"),
+        (put("joint_1.current", 0.0, 0, 1000), "current stands at 0 in every row"),
+        (edit("joint_1.current", lambda v: np.full(1000, 0.31)), "current stands at 0.31 in every row"),
+        (put("joint_1.current", np.nan, 300, 1000), "current keeps its numbers for 699 rows"),
+    ],
+)
+def test_one_joints_bad_current_is_set_aside(tmp_path, change, expected):
+    """Exchanged, without its sign, or standing: it does not count as measured, and the cause is named."""
+
+    def both(table: Table) -> None:
+        driven(table)
+        change(table)
+
+    log = read_log(write(tmp_path, both, joints=3))
+    (finding,) = [finding for finding in log.findings if finding.column == "joint_1.current"]
+    assert expected in finding.problem
+    assert log.measured("joint/position").all()
 
 
 def test_the_only_joints_bad_velocity_is_gone(tmp_path):
@@ -467,6 +545,10 @@ FORMS: dict[str, Callable[[str], bytes]] = {
     "row numbers of pandas": lambda text: _numbered(text).encode(),
     "commas at the end": lambda text: text.replace("\n", ",\n").encode(),
     "carriage returns": lambda text: text.replace("\n", "\r").encode(),
+    "lines of spaces": lambda text: (text + "\n  \n\t\r\n").encode(),
+    "packed by gzip": lambda text: gzip.compress(text.encode()),
+    "packed by xz": lambda text: lzma.compress(text.encode()),
+    "packed by bzip2": lambda text: bz2.compress(text.encode()),
 }
 
 
@@ -486,6 +568,16 @@ def test_other_forms_of_csv(tmp_path, form):
     path = write(tmp_path)
     path.write_bytes(FORMS[form](path.read_text()))
     assert np.array_equal(read_log(path).array("joint/position"), bench_log().array("joint/position"))
+
+
+def test_a_spreadsheet_is_no_table(tmp_path):
+    """A zip archive, as of a spreadsheet, says so whatever its name is."""
+    path, stream = write(tmp_path), io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        archive.writestr("run.csv", path.read_text())
+    path.write_bytes(stream.getvalue())
+    with pytest.raises(LogError, match=r"run.csv: it is a zip archive or a spreadsheet; unpack it, or export"):
+        read_log(path)
 
 
 def test_a_table_without_a_header(tmp_path):

@@ -13,6 +13,9 @@ from op3.rollout.units import likely_unit
 
 _TURN = 2 * np.pi
 
+SURE = 0.9
+"""Correlation above which one signal follows another."""
+
 _MOST = 1.9
 """A servo does not move this many times as far as it is told to."""
 
@@ -30,13 +33,17 @@ def command(view: View) -> Iterator[Finding]:
     every = np.stack([m.correlation for m in matches])
     own, best = np.diagonal(every, axis1=1, axis2=2), every.max(0)
     asked, moved = np.ptp(target[driven], axis=0) > 0.05, np.ptp(angle[driven], axis=0) > 0.05
+    # whose command explains a position much better than its own; where columns were exchanged, that joint has such a
+    # one as well
+    foreign = np.where(asked & ~np.eye(len(best), dtype=bool), best, -1.0)
+    leader, strength = foreign.argmax(1), foreign.max(1)
+    itself = np.diagonal(best)
+    follows = (strength > SURE) & (itself < 0.95) & (1 - strength < 0.2 * (1 - itself))
     for joint in map(int, np.flatnonzero(asked | moved)):
         sure, ratio = float(best[joint, joint]), float(matches[int(own[:, joint].argmax())].ratio[joint, joint])
         where = POSITION, joint
-        # whose command it follows, where that joint does not follow it itself; of two that swapped both do so
-        others = [k for k in np.argsort(-best[joint]) if k != joint and asked[k] and best[joint, k] > 0.97]
-        mutual = [k for k in others if best[k, k] < 0.5 and (best[k, joint] > 0.97 or not asked[joint])]
-        other = view.joints[mutual[0]] if mutual else None
+        whose = int(leader[joint])
+        other = view.joints[whose] if follows[joint] and (follows[whose] or not asked[joint]) else None
         if asked[joint] and sure > 0.95 and (ratio > _MOST or ratio < 1 / 30):
             unit = likely_unit(ratio, "rad") or (likely_unit(1 / ratio, "rad") if ratio else None)
             cause = f", as if {'it' if ratio > 1 else 'the command'} were in {unit}" if unit else ""
@@ -46,7 +53,7 @@ def command(view: View) -> Iterator[Finding]:
             problem = "the position moves against its command: the sign of one of them is turned round"
             problem += f", or it was swapped with that of {other}" if other else ""
             yield view.found(ERROR, where, problem, "write `sign: -1` for one of them into its YAML")
-        elif sure < 0.4 and other:
+        elif other:
             problem = f"the position follows the command of {other}: the columns of the two are swapped"
             yield view.found(ERROR, where, problem, "swap the columns")
 
@@ -95,8 +102,10 @@ def constant_offset(view: View) -> Iterator[Finding]:
 
     Where the recorded current is the gain times this angle, the joint is just soft, and yields to what it carries.
     """
-    joints = np.flatnonzero(view.driven.mean(0) > 0.5) if len(view.time) >= 20 else []
+    told = (view.driven.mean(0) > 0.5) & _small(view.position) & _small(view.command)
+    joints = np.flatnonzero(told) if len(view.time) >= 20 else []
     error, gain, current = view.position - view.command, view.get(("command", "p_gain")), view.get(CURRENT)
+    speed = np.gradient(view.position, view.time, axis=0) if len(joints) else error
     middle = np.array([np.median(error[view.driven[:, joint], joint]) for joint in joints])
     for place, joint in enumerate(joints):
         driven = view.driven[:, joint]
@@ -104,10 +113,10 @@ def constant_offset(view: View) -> Iterator[Finding]:
         others, offset = np.delete(np.abs(middle), place), float(middle[place])
         if len(others) >= 3:
             odd = abs(offset) > max(0.15, 5 * float(np.quantile(others, 0.75)))
-        else:  # what gravity and a soft loop leave goes with the angle
-            about = np.sin(angle)
-            fit = np.polynomial.polynomial.polyfit(about, off, 1) if np.ptp(about) > 0.5 else np.zeros(2)
-            odd, offset = abs(fit[0]) > max(0.2, 3 * float((off - fit[0] - fit[1] * about).std())), float(fit[0])
+        else:  # what gravity and a soft loop leave goes with the angle, and what a slow one leaves with the speed
+            causes = np.stack([np.ones(len(angle)), np.sin(angle), speed[driven, joint]], axis=1)
+            fit = np.linalg.lstsq(causes, off)[0] if np.ptp(causes[:, 1]) > 0.5 else np.zeros(3)
+            odd, offset = abs(fit[0]) > max(0.2, 3 * float((off - causes @ fit).std())), float(fit[0])
         yields = False
         if gain is not None and current is not None:
             pulled = -gain[:, joint] * error[:, joint]

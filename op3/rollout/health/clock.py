@@ -13,6 +13,9 @@ from op3.rollout.validate import GAP, holes
 RATE_TOLERANCE = 0.1
 """Largest relative difference between the clock and the metadata's rate."""
 
+CHANGE = 1.8
+"""No recorder's usual interval at the end is so many times that at the beginning, or the other way round."""
+
 SLOWEST, FASTEST = 2.0, 20e3
 """No log of a robot has fewer rows per second, or more [Hz]."""
 
@@ -74,16 +77,20 @@ def rate(view: View) -> Iterator[Finding]:
 
 @check("uneven rows")
 def uneven(view: View) -> Iterator[Finding]:
-    """Many rows are missing, many intervals are several times the usual one, or rows come in bursts."""
+    """Rows are missing, many intervals are several times the usual one, the rate changes, or rows come in bursts."""
     steps = np.diff(view.time)
     if len(steps) <= 50:
         return
+    third = len(steps) // 3
     long, lost = steps > 4 * view.interval, 1 - view.interval * len(steps) / float(steps.sum())
-    even = np.abs(steps / view.interval - np.round(steps / view.interval)) < 0.1
+    even = np.abs(steps / view.interval - np.round(steps / view.interval)) < 0.25
     row, remedy = int(steps.argmax()) + 1, "record with a clock that keeps its rate, and look what loses rows"
     if long.mean() > 0.02:
         text = f"{long.sum()} intervals are over four times the usual {view.interval:.4g} s, up to {steps.max():.4g} s"
         yield view.found(WARNING, "time", text, remedy, row)
+    elif not 1 / CHANGE < (change := float(np.median(steps[-third:]) / np.median(steps[:third]))) < CHANGE:
+        text = f"the intervals become {change:.2g} times as long in the course of the recording"
+        yield view.found(WARNING, "time", text, "look whether the clock or the rate was changed", row)
     elif lost > 0.12 and even.mean() > 0.9:
         yield view.found(WARNING, "time", f"about {lost:.0%} of the rows are missing, singly", remedy, row)
     elif (short := float((steps < 0.5 * view.interval).mean())) > 0.05:

@@ -13,6 +13,9 @@ from op3.rollout.units import likely_unit
 SURE = 0.9
 """Correlation above which a factor and a sign mean something."""
 
+DRIFT = 0.25
+"""No sensor of a velocity is so far off at rest [rad/s]."""
+
 
 def _says(ratio: float) -> str:
     """What a factor between velocity and the change of position means, in words."""
@@ -40,7 +43,12 @@ def velocity(view: View) -> Iterator[Finding]:
     moving = np.flatnonzero(found.size_b > np.maximum(4 * step(angle), 0.03 * span))
     # what rounding to the sensor's steps explains is none of its faults
     odd = np.sqrt(((summed - turned) ** 2).mean(0)) > 1.5 * step(rate) * span
-    findings = [(int(joint), *f) for joint in moving[odd[moving]] if (f := _judge(view, found, int(joint), summed))]
+    bias, findings = np.median(summed - turned, axis=0) / span, []
+    for joint in map(int, moving[odd[moving]]):
+        if fault := _judge(view, found, joint, summed[:, joint]):
+            findings.append((joint, *fault))
+        elif abs(bias[joint]) > DRIFT:
+            findings.append((joint, f"velocity is {bias[joint]:+.3g} rad/s off the change of position", None))
     # where most joints are wrong by a factor, the channel is in another unit
     bad = sum(_impossible(ratio) for _, _, ratio in findings)
     refuse = 2 * bad > len(moving) and (bad > 1 or len(view.joints) == 1)
@@ -71,13 +79,15 @@ def _judge(view: View, found: Match, joint: int, summed: np.ndarray) -> tuple[st
         return f"the velocity is {ratio:.3g} times the change of position per second{_says(ratio)}{whose}", ratio
     if found.size_a[joint] < 0.02 * found.size_b[joint]:
         return "velocity stands still while the joint moves", None
-    lag, best, least, sizes = _late(view, joint, summed[:, joint])
+    lag, best, least = _late(view, view.position[:, joint], summed)
     # what shakes is in step with itself a period later again, but not between
-    if lag > 0.08 and best > 0.95 and 1 - best < 0.3 * (1 - own) and (own < 0.5 or least > own - 0.05):
-        return f"velocity comes {lag:.2g} s after the position's change", None
+    if abs(lag) > 0.08 and best > 0.95 and 1 - best < 0.3 * (1 - own) and (own < 0.5 or least > own - 0.05):
+        return f"velocity comes {abs(lag):.2g} s {'after' if lag > 0 else 'before'} the position's change", None
     if own > SURE:
         return None
-    if summed[:, joint].min() >= 0 and sizes > SURE:
+    first, last, _ = windows(view.time)
+    sizes = delayed(summed, np.abs(view.position[last, joint] - view.position[first, joint]), 0)
+    if summed.min() >= 0 and sizes > SURE:
         return "velocity has lost its sign", None
     rate, change = view.log.array(VELOCITY)[:, joint], np.gradient(view.position[:, joint], view.time)
     near = [delayed(rate, change, n) for n in range(round(0.05 / view.interval) + 1)]
@@ -90,19 +100,18 @@ def _judge(view: View, found: Match, joint: int, summed: np.ndarray) -> tuple[st
     return None
 
 
-def _late(view: View, joint: int, summed: np.ndarray) -> tuple[float, float, float, float]:
-    """How long after the position's change velocity comes [s], their correlation then, the least on the way there, and
-    that of their sizes now."""
+def _late(view: View, angle: np.ndarray, summed: np.ndarray) -> tuple[float, float, float]:
+    """How long after the position's change velocity comes [s], their correlation then, and the least up to there."""
     first, last, _ = windows(view.time)
-    angle, found = view.position[:, joint], []
-    most = min(round(1.0 / view.interval), len(view.time) // 3)
-    for lag in range(0, most, max(1, round(0.02 / view.interval))):
-        rows = first >= lag
+    most, found = min(round(1.0 / view.interval), len(view.time) // 3), []
+    stride = max(1, round(0.02 / view.interval))
+    for lag in range(-(most // stride) * stride, most, stride):
+        rows = (first >= lag) & (last - lag < len(angle))
         turned = angle[last[rows] - lag] - angle[first[rows] - lag]
         found.append((delayed(summed[rows], turned, 0), lag * view.interval))
     best, lag = max(found)
-    least = min(correlation for correlation, after in found if after <= lag)
-    return lag, best, least, delayed(summed, np.abs(angle[last] - angle[first]), 0)
+    least = min(correlation for correlation, after in found if min(lag, 0) <= after <= max(lag, 0))
+    return lag, best, least
 
 
 @check("current against position error")
@@ -122,12 +131,12 @@ def drive(view: View) -> Iterator[Finding]:
         sure_of_sizes, grows = _law(values, np.abs(wanted), moved * np.sign(wanted))
         sure = np.where(asked, sure, 0.0)
         signless = (values.min(0) >= 0) & (wanted.min(0) < -0.3 * wanted.max(0)) & asked
-        signless &= (grows > 0) & (sure_of_sizes > np.maximum(0.64, sure + 0.25))
+        signless &= (grows > 0) & (sure_of_sizes > np.maximum(0.4, sure + 0.25))
         away = (sure > 0.6) & (factor < 0) & ~signless
         off = known & (sure > 0.8) & ~away & ~signless & ((factor > 2.5) | (factor < 0.4))
         usual = float(np.median(factor[off])) if off.any() else 1.0
-        whose = {"it": likely_unit(usual, "A"), "the gain": likely_unit(1 / usual if usual else 0.0, "A/rad")}
-        cause = next((f", as if {what} were in {unit}" for what, unit in whose.items() if unit), "")
+        units = {"it": likely_unit(usual, "A"), "the gain": likely_unit(1 / usual if usual else 0.0, "A/rad")}
+        cause = next((f", as if {what} were in {unit}" for what, unit in units.items() if unit), "")
         for problem, wrong, remedy in (
             (f"{key[1]} has lost its sign", signless, "record it with its sign"),
             (f"{key[1]} drives away from the target", away, "turn its sign round"),
@@ -137,10 +146,12 @@ def drive(view: View) -> Iterator[Finding]:
             all_of_them = 2 * wrong.sum() > (sure > 0.5).sum() and wrong.sum() > 1
             for joint in np.flatnonzero(wrong | all_of_them) if wrong.any() else ():
                 yield view.found(WARNING, (key, joint), problem, remedy, aside=True)
-        for joint in np.flatnonzero((sure < 0.3) & asked & (values.std(0) > 0)):
-            fits = _law(values[:, [joint]], wanted, moved)[0]
-            if fits.max() > 0.95:
-                problem = f"{key[1]} is that of {view.joints[int(np.argmax(fits))]}"
+        weak = [int(joint) for joint in np.flatnonzero((sure < 0.6) & asked & (values.std(0) > 0))]
+        fits = {joint: _law(values[:, [joint]], wanted, moved)[0] for joint in weak}
+        whose = {joint: int(fit.argmax()) for joint, fit in fits.items() if 1 - fit.max() < 0.5 * (1 - sure[joint])}
+        for joint, other in whose.items():  # of those that were exchanged none is its own
+            if fits[joint][other] > (0.5 if other in whose else 0.95):
+                problem = f"{key[1]} is that of {view.joints[other]}"
                 yield view.found(WARNING, (key, joint), problem, "swap the columns back", aside=True)
 
 

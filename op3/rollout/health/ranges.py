@@ -66,12 +66,16 @@ def impossible_speed(view: View) -> Iterator[Finding]:
     usual = np.median(beside, axis=1)
     # the largest difference beside it may be that of the way back
     spread = np.sort(np.abs(beside - usual[:, None]), axis=1)[:, -2]
+    typical = np.array([np.quantile(np.abs(s[s != 0]), 0.95) if s.any() else 0.0 for s in steps.T])
+    spread = np.where(spread > 0, spread, typical[joints])  # where it stands, or is read more rarely
     leap = np.abs(steps[rows, joints] / (1 + stood[rows, joints]) - usual)
     back = np.abs(beside[:, 2:4] + steps[rows, joints][:, None]).min(1) < 0.3 * np.abs(steps[rows, joints])
     even = (taken < 1.5 * view.interval)[rows]
-    alone = (np.abs(steps[rows, joints] - usual) > _SPIKE) & (leap > 8 * spread) & (spread > 0)
+    alone = (np.abs(steps[rows, joints] - usual) > _SPIKE) & (leap > 8 * spread)
     far[rows, joints] |= alone & even & (back | (view.interval < _SHORT))
     for at, joint in np.argwhere(far)[:1]:
+        returns = at > 0 and abs(steps[at - 1, joint] + steps[at, joint]) < 0.3 * abs(steps[at, joint])
+        at = at - 1 if returns else at
         problem = f"position jumps by {steps[at, joint]:+.3f} rad in one row, faster than a servo moves"
         remedy = "leave out the row, or repair the encoder or the bus"
         yield view.found(ERROR, (POSITION, joint), problem, remedy, at + 1)

@@ -6,9 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from op3.rollout.health.finding import CURRENT, ERROR, POSITION, VELOCITY, WARNING, Finding, View, check
+from op3.rollout.health.finding import COMMAND, CURRENT, ERROR, POSITION, VELOCITY, WARNING, Finding, View, check
 from op3.rollout.health.match import integral, longest_run, step
 
+_GIVES = 0.5
+"""No servo that holds its target yields by so much [rad]."""
+
+_ANGLES = ("imu", "orientation")
 _INERTIAL = (("imu", "angular_velocity"), ("imu", "linear_acceleration"))
 
 
@@ -42,10 +46,16 @@ def stands_still(view: View) -> Iterator[Finding]:
     rows = round(0.2 / view.interval) if len(view.time) > 20 else 0
     if rows:
         yield from _dead(view)
+        yield from _stops(view, rows)
         for _, joint, velocity in view.columns(VELOCITY):
             yield from _velocity_stands(view, joint, velocity, rows)
         for joint, position in enumerate(view.position.T):
             yield from _position_stands(view, joint, position)
+            if np.ptp(view.command[:, joint]) == 0 and view.driven[:, joint].all() and np.ptp(position) > _GIVES:
+                problem = f"target stands at {view.command[0, joint]:.4g} rad in every row while the joint moves by "
+                problem += f"{np.ptp(position):.3g} rad"
+                remedy = "record what was sent, or `torque_enable: 0` where it was pushed by hand"
+                yield view.found(WARNING, (COMMAND, joint), problem, remedy)
 
 
 def _velocity_stands(view: View, joint: int, velocity: np.ndarray, rows: int) -> Iterator[Finding]:
@@ -86,20 +96,52 @@ def _position_stands(view: View, joint: int, position: np.ndarray) -> Iterator[F
     yield view.found(severity, (POSITION, joint), problem, remedy, first, last, aside=aside)
 
 
+def _stops(view: View, rows: int) -> Iterator[Finding]:
+    """Currents and inertial sensors that keep their numbers for far longer than ever else, while a joint moves."""
+    turned = _turned(view)
+    for key in (CURRENT, _ANGLES, *_INERTIAL):
+        values = view.get(key)
+        parts = [] if values is None else np.split(values, values.shape[1] if key == CURRENT else 1, axis=1)
+        for index, part in enumerate(parts):
+            same = (np.diff(part, axis=0) == 0).all(1)
+            first, length = longest_run(same)
+            run = slice(first, first + length + 1)
+            through = turned if key == _ANGLES else view.position[:, [index]] if key == CURRENT else view.position
+            moved = np.ptp(through[run], axis=0).max() > (0.1 if key == _ANGLES else 0.2)
+            limited = key == CURRENT and abs(part[first, 0]) == np.abs(part).max()
+            if length <= 2 * rows or length == len(same) or not moved or limited:
+                continue
+            same[run] = False
+            if length > 5 * max(longest_run(same)[1], 1):
+                problem = f"{key[1].replace('_', ' ')} keeps its numbers for {length} rows, while the robot moves"
+                for column in [index] if key == CURRENT else range(3):
+                    remedy = "the channel is not used"
+                    yield view.found(WARNING, (key, column), problem, remedy, first, first + length, aside=True)
+
+
+def _turned(view: View) -> np.ndarray:
+    """Integral of the gyroscope [time, axis] without its bias, which is no turning, and single wrong readings."""
+    rates = view.get(_INERTIAL[0])
+    if rates is None:
+        return np.zeros((len(view.time), 3))
+    rates = rates.copy()
+    rates[1:-1] = np.median([rates[:-2], rates[1:-1], rates[2:]], axis=0)
+    return integral(view.time, rates - rates.mean(0))
+
+
 def _dead(view: View) -> Iterator[Finding]:
     """Channels that hold one number throughout, where they cannot."""
     moves = np.ptp(view.position, axis=0) > 0.2
-    angles, rates = (view.get(("imu", name)) for name in ("orientation", "angular_velocity"))
+    angles = view.get(_ANGLES)
     tilted = angles is not None and bool((np.ptp(angles, axis=0) > 0.1).any())
-    turned = integral(view.time, rates - rates.mean(0)) if rates is not None else np.zeros((1, 3))
-    turns = bool((np.ptp(turned, axis=0) > 0.05).any())  # a bias is no turning
-    for key in (CURRENT, ("joint", "voltage"), ("joint", "temperature"), ("imu", "orientation"), *_INERTIAL):
+    turns = bool((np.ptp(_turned(view), axis=0) > 0.05).any())
+    for key in (CURRENT, ("joint", "voltage"), ("joint", "temperature"), _ANGLES, *_INERTIAL):
         values = view.get(key)
         if values is None:
             continue
         still, zero = np.ptp(values, axis=0) == 0, values[0] == 0
         if key[0] == "joint":
-            dead = still & zero & (moves | (key != CURRENT))
+            dead = still & (moves if key == CURRENT else zero)
         elif key == _INERTIAL[1]:
             dead = still.all() & (zero.all() | tilted)
         else:  # a robot that does not turn has no rates, and keeps its orientation

@@ -15,6 +15,9 @@ _ORIENTATION, _RATE, _FORCE = ("imu", "orientation"), ("imu", "angular_velocity"
 
 _STANDARD = 9.80665
 
+_STEEP = 1.2
+"""Pitch beyond which roll and yaw tell little [rad]."""
+
 _MISTAKES = {"all axes read downwards": -np.eye(3)}
 _MISTAKES |= {f"{'xyz'[i]} reads downwards": np.diag(1 - 2 * np.eye(3)[i]) for i in (2, 0, 1)}
 _MISTAKES |= {
@@ -31,6 +34,9 @@ def gyroscope(view: View) -> Iterator[Finding]:
     if angles is None or rate is None or len(view.time) < 20:
         return
     first, last, span = windows(view.time)
+    # where the trunk stands on end, roll and yaw are one
+    flat = (np.abs(angles[[first, last], 1]) < _STEEP).all(0)
+    first, last = first[flat], last[flat]
     if len(first) < 8:
         return
     roll, pitch, _ = angles[(first + last) // 2].T
@@ -48,6 +54,7 @@ def gyroscope(view: View) -> Iterator[Finding]:
     for axis in np.flatnonzero(found.size_b > np.maximum(4 * step(angles), 0.03 * span)):
         own, ratio = found.correlation[axis, axis], float(found.ratio[axis, axis])
         other = int(np.abs(found.correlation[:, axis]).argmax())
+        fits = abs(float(found.correlation[other, axis]))
         if abs(own) > 0.9 and not 0.5 < ratio < 2:
             unit = likely_unit(ratio, "rad/s")
             cause = f", as if it were in {unit}" if unit else ""
@@ -55,13 +62,16 @@ def gyroscope(view: View) -> Iterator[Finding]:
             problem = f"the gyroscope reads {ratio:.3g} times the change of orientation per second{cause}"
             remedy = "convert it to rad/s in the body frame, or write `scale:`"
             yield view.found(ERROR, (_RATE, axis), problem, remedy)
-        elif abs(own) < 0.5 and abs(found.correlation[other, axis]) > 0.9:
+        elif fits > 0.9 and 1 - fits < 0.1 * (1 - abs(own)):
             sign = "-" if found.correlation[other, axis] < 0 else ""
             problem = (
                 f"turning about {'xyz'[axis]} shows as {sign}{'xyz'[other]} of the gyroscope: its axes are swapped"
             )
             remedy = "name the axes anew, or turn the sensor's frame into the body's"
             yield view.found(ERROR, (_RATE, axis), problem, remedy)
+        elif abs(own) < 0.5:
+            problem = f"the gyroscope does not follow the change of orientation (correlation {own:.2f})"
+            yield view.found(WARNING, (_RATE, axis), problem, "look which of them is late, or another sensor's")
 
 
 @check("gravity")

@@ -1,7 +1,7 @@
 """LeRobot datasets, version 3 and 2.1: parquet with `action` and `observation.state`, an episode per recording.
 
-Positions are in degrees, or normalised to a joint's range, which the calibration file tells: LeRobot's
-`calibration/.../<robot>.json`, copied into the dataset's folder as `calibration.json`.
+Positions are in degrees, in radians where no number is as large as a turn, or normalised to a joint's range, which the
+calibration file tells: LeRobot's `calibration/.../<robot>.json`, copied into the folder as `calibration.json`.
 """
 
 from __future__ import annotations
@@ -65,10 +65,13 @@ def _names(info: dict[str, Any], feature: str, path: Path) -> list[str]:
     while isinstance(names, dict) and names:
         names = next(iter(names.values()))
     if isinstance(names, list):
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            problem, remedy = f"the name {twice!r} is there twice", "name every motor once"
+            raise LogError(problem, remedy, source=path / "meta" / "info.json", column=feature)
         return [str(name) for name in names]
     shape = entry.get("shape")
     count = shape[0] if isinstance(shape, list) and shape and isinstance(shape[0], int) else 0
-    return [f"motor_{i}" for i in range(min(count, 1000))]
+    return [f"motor_{i}.pos" for i in range(min(count, 1000))]
 
 
 def _parquet(path: Path, columns: list[str]) -> dict[str, Any]:
@@ -84,14 +87,17 @@ def _parquet(path: Path, columns: list[str]) -> dict[str, Any]:
 
 
 def _units(columns: dict[str, np.ndarray], meanings: dict[str, Column], path: Path) -> None:
-    """Give positions and targets their unit: normalised where the calibration says so, else degrees."""
+    """Give positions and targets their unit: normalised where the calibration says so, else degrees or radians."""
     file = next((f for f in (path / "calibration.json", path / "meta" / "calibration.json") if f.is_file()), None)
     calibration = read_json(file) if file else {}
+    unit, why = "deg", "LeRobot writes degrees where no calibration is beside it"
+    if max(float(np.abs(values).max()) for values in columns.values()) < 2 * math.pi:
+        unit, why = "rad", "no number is as large as a turn in radians"
     for name, column in meanings.items():
         joint, _, kind = str(column.name).rpartition(".")
         if kind not in ("position", "target"):
             continue
-        meanings[name] = Column(column.name, "deg", why="LeRobot writes degrees where no calibration is beside it")
+        meanings[name] = Column(column.name, unit, why=why)
         entry = calibration.get(joint)
         if entry is not None:
             try:

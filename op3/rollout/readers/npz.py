@@ -101,9 +101,9 @@ def _arrays(content: Content, rows: int, joints: list[str]) -> Content:
     """Arrays by name; the last axis of two-dimensional ones is the joints."""
     columns: Content = {}
     for name, array in content.items():
-        if array.dtype.kind not in "fiub" or name in _TIMES or array.ndim not in (1, 2) or len(array) != rows:
-            continue
-        table = array.reshape(rows, -1).astype(float)
+        if array.dtype.kind not in "fiub" or name in _TIMES or array.ndim not in (1, 2) or 2 * len(array) < rows:
+            continue  # a number of each joint, or of the recording
+        table = array.reshape(len(array), -1).astype(float)
         axes = joints if len(joints) == table.shape[1] else [f"joint_{i}" for i in range(table.shape[1])]
         kind = name.replace("command/position", "target").replace("/", "_")
         if table.shape[1] == 3 and any(word in name for word in ("imu", "gyro", "acc")):

@@ -30,7 +30,7 @@ def read_table(
     Args:
         path: Of the file.
         texts: Which columns of a header hold texts.
-        slowly: Whether cells are more than plain numbers.
+        slowly: Whether cells are more than plain numbers, or lines hold nothing but spaces.
     """
     with open_text(path) as lines:
         header, mark, open_end = _header(lines)
@@ -38,6 +38,7 @@ def read_table(
         convert: dict[int | str, Callable[[str], float]] = dict.fromkeys(range(len(header)), _number) if slowly else {}
         convert |= {header.index(name): functools.partial(_code, known) for name, known in codes.items()}
         plain = lines if mark == "," else (line.replace(",", ".") for line in lines)
+        plain = (line for line in plain if line.strip()) if slowly else plain
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)  # of a table without rows
@@ -52,7 +53,7 @@ def read_table(
         except UnicodeError:
             raise
         except ValueError as error:
-            if not slowly and "could not convert" in str(error):
+            if not slowly:
                 return read_table(path, texts, slowly=True)
             raise _fault(str(error), header) from None
     if not table.size:

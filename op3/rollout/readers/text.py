@@ -19,6 +19,7 @@ import numpy as np
 from op3.rollout.errors import LogError
 
 _PACKED = {".xz": lzma.open, ".gz": gzip.open, ".bz2": bz2.open}
+_BEGINNINGS = {b"\xfd7zXZ\0": ".xz", b"\x1f\x8b": ".gz", b"BZh": ".bz2"}
 
 _MOST = 1 << 30
 """No log is so large when unpacked [B]; a few bytes can be packed so that they fill the memory."""
@@ -37,15 +38,26 @@ def _told(path: Path) -> Iterator[None]:
         at = f"byte {error.start}" if isinstance(error, UnicodeDecodeError) else "the beginning"
         raise LogError(f"{at} is not UTF-8 text", "save it as UTF-8", source=path) from None
     except (lzma.LZMAError, EOFError, gzip.BadGzipFile, zlib.error) as error:
-        problem = f"the {path.suffix[1:]} data is broken or cut short"
+        problem = "the packed data is broken or cut short"
         raise LogError(problem, "copy or download the file again", source=path) from error
     except OSError as error:
         raise LogError(f"the file cannot be read ({error.strerror or error})", "check the path", source=path) from None
 
 
+def _opened(path: Path) -> Any:
+    """The bytes of a file, unpacked where its name or its beginning says that it is packed."""
+    with path.open("rb") as stream:
+        beginning = stream.read(6)
+    if beginning[:4] == b"PK\3\4":
+        remedy = "unpack it, or export the sheet as CSV"
+        raise LogError("it is a zip archive or a spreadsheet", remedy, source=path)
+    kind = next((kind for start, kind in _BEGINNINGS.items() if beginning.startswith(start)), path.suffix)
+    return _PACKED.get(kind, open)(path, "rb")
+
+
 def read_bytes(path: Path) -> bytes:
-    """Contents, unpacked where the name ends in .xz, .gz or .bz2."""
-    with _told(path), _PACKED.get(path.suffix, open)(path, "rb") as stream:
+    """Contents, unpacked where they are packed."""
+    with _told(path), _opened(path) as stream:
         raw = stream.read(_MOST)
     if len(raw) == _MOST:
         raise LogError("the file is larger than a gigabyte", "split it", source=path)
@@ -66,7 +78,7 @@ def _encoding(beginning: bytes) -> str:
 @contextlib.contextmanager
 def open_text(path: Path) -> Iterator[Iterator[str]]:
     """Lines of a text in UTF-8, UTF-16 or UTF-32."""
-    with _told(path), _PACKED.get(path.suffix, open)(path, "rb") as stream:
+    with _told(path), _opened(path) as stream:
         beginning = stream.read(4)
         stream.seek(0)
         with io.TextIOWrapper(stream, encoding=_encoding(beginning), newline=None) as text:
@@ -105,7 +117,8 @@ def numbers(cells: Sequence[Any], source: Path, column: str, width: int = 1) -> 
     if table is not None:
         return table
     row = next((row for row, cell in enumerate(cells) if _table([cell], width) is None), 0)
-    wanted = "is not a finite number" if width == 1 else f"does not hold {width} finite numbers"
+    plain = width == 1 and not isinstance(cells[row], list)
+    wanted = "is not a finite number" if plain else f"is not {width} finite numbers"
     problem = "the value is missing" if cells[row] is None else f"{str(cells[row])[:40]!r} {wanted}"
     raise LogError(problem, "complete, repair or remove the row", source=source, column=column, row=row + 1)
 
