@@ -1,19 +1,21 @@
 """The base that findings are held against: several starts, Gauss-Newton with the judge's weights, and what to distrust.
 
-Stiction kills gradients, so a cross-entropy search (Rubinstein 1999) over the shared numbers finds the basins, in long
-steps; Gauss-Newton steps with the judge's noise then settle in each. Numbers at a bound, basins that the logs like
-alike and directions that they do not tell are said with the verdict.
+Stiction kills gradients, so an evolution strategy (CatCMA: Hamano et al. 2024) over the shared numbers finds the
+basins, in long steps; Gauss-Newton steps with the judge's noise then settle in each. Numbers at a bound, basins that
+the logs like alike and directions that they do not tell are said with the verdict.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from cmaes import CatCMA
 
 from op3.diagnose.coordinates import (
     BENCH,
     CHAIN,
     FORMS,
+    WIDEST,
     Coordinates,
     base_coordinates,
     other_forms,
@@ -25,11 +27,12 @@ from op3.diagnose.coordinates import (
 from op3.diagnose.judge import Judge, Numbers, Posterior, State, evidence
 from op3.diagnose.reduction import Linear, Reduction
 from op3.diagnose.settings import SETTINGS, Settings
-from op3.servo import Estimate, RobotModel
+from op3.servo import Estimate, RobotModel, Stage
 from op3.servo.conditions import split_name
 
-POPULATION, ELITE, GENERATIONS = 80, 12, 5
-"""Of the search: points in a generation, those that make the next, and generations."""
+GENERATIONS, FINE, SIGMA = 70, 10, 0.2
+"""Of the search: generations, the last of them in steps half as long, and the first one's standard deviation as a share
+of every range."""
 
 STEPS, ELSEWHERE = 12, 4
 """Gauss-Newton steps at most of the best start, and of every start before they are compared."""
@@ -113,15 +116,27 @@ def fit_base(
     for number, forms in enumerate(starts):
         searched = number < len(groups)
         start = search(reduction, coordinates, rng, forms) if searched else (coordinates, coordinates.start)
-        ends.append(settle(reduction, *start, settings, forms, ELSEWHERE))
-        progress(0.7 * (number + 1) / len(starts))
+        ends.append(settle(reduction, *start, settings, ELSEWHERE))
+        progress(0.6 * (number + 1) / len(starts))
     better = [0.0, *(gap_of(reduction, ends[0], end, settings) for end in ends[1:])]
     best = int(np.argmax(better))
     first, forms = ends[best], starts[best]
     others = [(end.point, better[best] - gain) for end, gain in zip(ends, better, strict=True) if end is not first]
-    first = settle(reduction, first.coordinates, first.point, settings, forms, state=first.fit.state)
+    # what sticks has a basin for every form of its law: friction begins anew where all else is by now
+    anew = [settle(reduction, *_afresh(first, form), settings, ELSEWHERE) for form in forms]
+    worse = [gap_of(reduction, first, end, settings) for end in anew]
+    first = max(zip([0.0, *worse], [first, *anew], strict=True), key=lambda pair: pair[0])[1]
+    progress(0.8)
+    first = settle(reduction, first.coordinates, first.point, settings, state=first.fit.state)
     own, point = with_own_spread(first.coordinates, first.point, first.told, settings)
     return replace(settle(reduction, own, point, settings, state=first.fit.state), others=tuple(others))
+
+
+def _afresh(base: Base, form: RobotModel) -> tuple[Coordinates, np.ndarray]:
+    """A base with another form of its laws, and the numbers of friction where they started."""
+    friction = {p.name for effect in form.effects if effect.stage == Stage.FRICTION for p in effect.parameters}
+    mine = np.array([entry.parameter in friction for entry in base.coordinates.entries])
+    return replace(base.coordinates, model=form), np.where(mine, base.coordinates.start, base.point)
 
 
 def gap_of(reduction: Reduction, one: Base, other: Base, settings: Settings = SETTINGS) -> float:
@@ -155,48 +170,46 @@ def search(
     rng: np.random.Generator,
     forms: Sequence[RobotModel] = (),
 ) -> tuple[Coordinates, np.ndarray]:
-    """A cross-entropy search over the shared numbers, in logarithms where they are positive, and the forms of laws.
+    """An evolution strategy over the shared numbers, in logarithms where they are positive, and the forms of laws.
 
-    Each form does best with numbers of its own, so that it is drawn like a number.
+    Each form does best with numbers of its own, so that it is drawn like a number. Noise of the judge is not known yet,
+    and what servos differ by neither.
     """
     options = [replace(coordinates, model=form) for form in forms] or [coordinates]
     shared = [i for i, entry in enumerate(coordinates.entries) if entry.joints is None]
-    low, high = coordinates.low[shared], coordinates.high[shared]
-    positive = (low >= 0) & (coordinates.start[shared] > 0)
-    bottom = np.where(positive, np.maximum(low, 0.03 * high), low)
+    low, high, start = coordinates.low[shared], coordinates.high[shared], coordinates.start[shared]
+    positive = (low >= 0) & (start > 0)
+    bottom = np.where(positive, np.maximum(low, start / WIDEST), low)
     with np.errstate(divide="ignore", invalid="ignore"):
-        ends = [np.where(positive, np.log(end), end) for end in (bottom, high)]
+        least, most, given = (np.where(positive, np.log(end), end) for end in (bottom, high, start))
 
-    def points(x: np.ndarray) -> np.ndarray:
-        whole = np.tile(coordinates.start, (len(x), 1))
+    def costs_of(drawn: Sequence, stretch: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Costs, points and forms of what was drawn."""
+        x = least + np.array([one for one, _ in drawn]) * (most - least)
+        form = np.array([one.argmax() for _, one in drawn]) % len(options)
+        whole, cost = np.tile(coordinates.start, (len(x), 1)), np.zeros(len(x))
         whole[:, shared] = np.clip(np.where(positive, np.exp(np.where(positive, x, 0.0)), x), low, high)
-        return whole
-
-    def costs_of(x: np.ndarray, form: np.ndarray, stretch: int) -> np.ndarray:
-        whole, cost = points(x), np.zeros(len(x))
         for number, option in enumerate(options):
             if (mine := form == number).any():
                 cost[mine] = _robust(reduction.at(option, whole[mine], stretch))
-        return cost + coordinates.penalties(whole)
+        return cost + coordinates.penalties(whole), whole, form
 
-    strata = np.argsort(rng.random((len(shared), POPULATION)), 1).T + rng.random((POPULATION, len(shared)))
-    x = ends[0] + strata / POPULATION * (ends[1] - ends[0])
-    for k, i in enumerate(shared):  # the chain begins near what is usual
-        if (chain := {**CHAIN, **BENCH}.get(coordinates.entries[i].parameter)) is not None:
-            drawn = np.clip(chain.usual + chain.spread * rng.standard_normal(POPULATION), bottom[k] + 1e-9, high[k])
-            x[:, k] = np.log(drawn) if positive[k] else drawn
-    form = rng.permutation(np.arange(POPULATION) % len(options))
+    strategy = CatCMA(
+        np.clip((given - least) / (most - least), 0.05, 0.95),
+        SIGMA,
+        cat_num=np.array([max(2, len(options))]),  # it asks for a choice: one form stands there twice
+        bounds=np.array([[0.0, 1.0]] * len(shared)),
+        seed=int(rng.integers(2**31)),
+    )
+    best = np.inf, coordinates.start, 0
     for generation in range(GENERATIONS):
-        order = np.argsort(costs_of(x, form, 4 if generation < 3 else 2))[:ELITE]
-        best, mean, kind = x[order[0]], x[order].mean(0), form[order[0]]
-        spread = np.cov(x[order].T).reshape(len(shared), -1) + 1e-6 * np.diag((ends[1] - ends[0]) ** 2)
-        often = np.bincount(form[order], minlength=len(options)) + 1 / len(options)
-        x = np.clip(rng.multivariate_normal(mean, spread, POPULATION), *ends)
-        form = rng.choice(len(options), POPULATION, p=often / often.sum())
-        x[0], form[0] = best, kind
-    last = np.stack([best, mean])
-    pick = int(costs_of(last, np.full(2, kind), 1).argmin())
-    return options[kind], points(last)[pick]
+        drawn = [strategy.ask() for _ in range(strategy.population_size)]
+        fine = generation >= GENERATIONS - FINE
+        cost, whole, form = costs_of(drawn, 2 if fine else 4)
+        strategy.tell([(one, float(its)) for one, its in zip(drawn, cost, strict=True)])
+        if fine and cost.min() < best[0]:
+            best = cost.min(), whole[cost.argmin()], form[cost.argmin()]
+    return options[best[2]], best[1]
 
 
 def _robust(errors: Sequence[np.ndarray]) -> np.ndarray:
@@ -209,12 +222,11 @@ def settle(
     coordinates: Coordinates,
     point: np.ndarray,
     settings: Settings = SETTINGS,
-    forms: Sequence[RobotModel] = (),
     steps: int = STEPS,
     state: State | None = None,
     like: Linear | None = None,
 ) -> Base:
-    """Gauss-Newton from a point until the base no longer moves; other forms of its laws are tried on the way.
+    """Gauss-Newton from a point until the base no longer moves.
 
     With a linearisation that it is to be `like`, its reduction is kept, so that evidences compare, and its columns of
     numbers that both have, which decide little where a fit ends.
@@ -230,14 +242,8 @@ def settle(
             break
         tried = np.concatenate([point[None], point + damped(fit, judge.numbers)])
         tried = np.clip(tried, coordinates.low, coordinates.high)
-        options = [(coordinates, tried)]
-        if number in (1, 3):
-            others = [replace(coordinates, model=form) for form in forms if form is not coordinates.model]
-            options += [(other, tried[:2]) for other in others]
-        costs = [cost_of(reduction, judge, fit, linear, c, points) for c, points in options]
-        pick = min(range(len(costs)), key=lambda i: float(costs[i].min()))
-        gained = costs[0][0] - costs[pick].min()
-        coordinates, point = options[pick][0], options[pick][1][int(costs[pick].argmin())]
+        costs = cost_of(reduction, judge, fit, linear, coordinates, tried)
+        gained, point = costs[0] - costs.min(), tried[int(costs.argmin())]
         number += 1
         done = number == steps or gained < SETTLED
     return Base(linear, fit)

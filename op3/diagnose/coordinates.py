@@ -73,7 +73,7 @@ CHAIN: Mapping[str, Chain] = {
     # a mesh's efficiency depends on speed, as a table (Pelchen, Schweiger & Otter 2002). The fade is that of M4 of
     # Duclusaud et al. (2025), whose fits fade over 0.35 to 2.6 rad/s. How much more is lost near rest is our own
     # choice: there 1.1 times as much on the XL330, nothing on XL-320 and eRob80:50, nearly all on MX-64 and MX-106
-    "near_rest_loss": Chain(0.0, 0.4, 0.4, 3.0),
+    "near_rest_loss": Chain(0.0, 1.0, 0.4, 3.0),
     "lubrication_velocity": Chain(0.5, 1.0, 0.5, 3.0, least=0.03),
 }
 """What is part of every base, whatever the given model holds: expected values and how far they may lie from them."""

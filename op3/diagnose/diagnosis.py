@@ -198,9 +198,13 @@ class Diagnosis:
         joints = reduction.engine.joints
         variance = np.diag(stage.fit.covariance)
         entries = stage.base.coordinates.entries
-        for number, one in enumerate(stage.named):
+        assert self.search is not None
+        in_the_end = self.search.backward_odds(stage)
+        for number, (one, last) in enumerate(zip(stage.named, in_the_end, strict=True)):
             i = entries.index(one.coordinate)
-            whole = self._probability(one.log_odds)
+            # a refit gains where it lets a poor base move on: what the name is worth there, it is not worth in the end
+            log_odds = min(one.log_odds, last + one.place_prior)
+            whole = self._probability(log_odds)
             odds = np.array([one.log_odds, *(odds for _, odds in one.rivals)]) / self.settings.temperature
             share = np.exp(odds - odds.max())
             share = whole * share / share.sum()
@@ -208,7 +212,8 @@ class Diagnosis:
             rivals = tuple(_rival(candidate, joints, float(part)) for (candidate, _), part in both)
             known = one.candidate.model.parameters()[entries[i].parameter]
             size = float(stage.base.point[i] + (known.neutral or 0.0))
-            half = QUANTILE * float(np.sqrt(self.settings.temperature * variance[i]))
+            form = self.settings.form * stage.base.point[i]
+            half = QUANTILE * float(np.sqrt(self.settings.temperature * variance[i] + form**2))
             made = stage.base.linear.base[i] * (stage.base.point[i] / max(abs(stage.base.point[i]), 1e-12))
             torque = np.sqrt(np.square(made[..., reduction.kinds == 0]).mean((1, 2))) * abs(stage.base.point[i])
             torque = torque / 2 * reduction.unit  # the mean of four pieces is half of their turned sum
@@ -225,7 +230,7 @@ class Diagnosis:
                     known.unit,
                     (size - half, size + half),
                     min(float(share[0]), most if number < taken else min(most, held)),
-                    one.log_odds,
+                    log_odds,
                     rivals,
                     float(1 - np.square(after).sum() / np.square(before).sum()),
                     {joints[reduction.judged[k]]: float(torque[k]) for k in felt},

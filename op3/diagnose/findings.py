@@ -31,13 +31,15 @@ class Named:
     Attributes:
         candidate: what it is.
         coordinate: its number in the fit.
-        log_odds: against its being there only a little.
+        log_odds: against its being there only a little, when it was named.
+        place_prior: how probable its place is beforehand, a logarithm.
         rivals: names that the logs tell from it by less than `Settings.family`, with their log odds.
     """
 
     candidate: Candidate
     coordinate: Coordinate
     log_odds: float
+    place_prior: float
     rivals: tuple[tuple[Candidate, float], ...]
 
 
@@ -240,7 +242,8 @@ class Search:
         if odds < self.settings.alarm - self.settings.temperature:
             return None
         rivals = [(one[2], one[0]) for one in refitted[1:] if one[0] > odds - self.settings.family]
-        named = (*stage.named, Named(candidate, coordinate, odds, tuple(rivals)))
+        prior = float(stage.judge.numbers.place[stage.found.index(candidate)])
+        named = (*stage.named, Named(candidate, coordinate, odds, prior, tuple(rivals)))
         return self._around(stage, base, named)
 
     def _refitted(

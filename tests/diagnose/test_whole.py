@@ -36,6 +36,7 @@ def test_a_strong_effect_is_found_in_its_joint_and_a_sound_leg_is_silent():
     (finding,) = [one for one in found.findings if one.probability > 0.5]
     assert (finding.effect, finding.joints) == ("cable_spring", ("r_knee",))
     assert finding.size == pytest.approx(0.25, rel=0.2)
+    assert finding.interval[0] < 0.25 < finding.interval[1]
     assert finding.in_model
     assert found.gap["joint/position"]["after"] < found.gap["joint/position"]["before"]
     quiet = Diagnosis(load_model("paper"), split_logs(logs_of(sound)), settings=Settings(windows=40)).run()

@@ -16,6 +16,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from op3.command_line import main
+from op3.private import CLAIMED
 
 MAKES = re.compile(r"(?:^|[._])(dir|out|record|frames|storage)$")
 """Settings that name what a command writes."""
@@ -66,7 +67,8 @@ def accept(monkeypatch, tmp_path):
     monkeypatch.setattr(argparse.ArgumentParser, "parse_args", parse)
     monkeypatch.setattr(sys.modules["hydra.main"], "_run_hydra", run_hydra)
     monkeypatch.setattr(sys, "path", [str(ROOT / "experiments"), *sys.path])
-    monkeypatch.delenv("OP3_CLAIMED", raising=False)
+    monkeypatch.setenv(CLAIMED, "")  # set first, so that it is gone again after the test
+    monkeypatch.delenv(CLAIMED)
     monkeypatch.chdir(tmp_path)
     for name in ("assets", "conf"):
         (tmp_path / name).symlink_to(ROOT / name)
