@@ -7,14 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from op3.rollout.health.finding import COMMAND, CURRENT, ERROR, POSITION, VELOCITY, WARNING, Finding, View, check
-from op3.rollout.health.match import match, step
+from op3.rollout.health.match import SURE, match, step
 from op3.rollout.robot_log import find_servo
 from op3.rollout.units import likely_unit
 
 _TURN = 2 * np.pi
-
-SURE = 0.9
-"""Correlation above which one signal follows another."""
 
 _MOST = 1.9
 """A servo does not move this many times as far as it is told to."""

@@ -7,11 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from op3.rollout.health.finding import CURRENT, ERROR, VELOCITY, WARNING, Finding, View, check
-from op3.rollout.health.match import Match, delayed, integral, longest_run, match, step, windows
+from op3.rollout.health.match import SURE, Match, delayed, integral, longest_run, match, step, windows
 from op3.rollout.units import likely_unit
-
-SURE = 0.9
-"""Correlation above which a factor and a sign mean something."""
 
 DRIFT = 0.25
 """No sensor of a velocity is so far off at rest [rad/s]."""

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 POSITION, COMMAND = ("joint", "position"), ("command", "position")
 VELOCITY, CURRENT = ("joint", "velocity"), ("joint", "current")
+ORIENTATION, RATE, FORCE = ("imu", "orientation"), ("imu", "angular_velocity"), ("imu", "linear_acceleration")
 
 ERROR, WARNING = "error", "warning"
 """An error cannot be right and refuses the log; a warning is suspicious and lets it pass."""

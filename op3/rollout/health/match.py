@@ -10,6 +10,9 @@ from scipy.integrate import cumulative_trapezoid
 WINDOW = 0.12
 """Time over which increments are compared, so that the steps of an encoder average out [s]."""
 
+SURE = 0.9
+"""Correlation above which one signal follows another, so that a factor and a sign mean something."""
+
 
 @dataclass(frozen=True)
 class Match:

@@ -6,13 +6,23 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from op3.rollout.health.finding import CURRENT, ERROR, POSITION, VELOCITY, WARNING, Finding, View, check
+from op3.rollout.health.finding import (
+    CURRENT,
+    ERROR,
+    ORIENTATION,
+    POSITION,
+    RATE,
+    VELOCITY,
+    WARNING,
+    Finding,
+    View,
+    check,
+)
 from op3.rollout.health.match import step
 from op3.rollout.schema import Key
 
-_ANGLES = ("imu", "orientation")
 _LEAST: dict[Key, float] = {VELOCITY: 5.0, CURRENT: 5.0, ("joint", "voltage"): 2.0, ("joint", "temperature"): 5.0}
-_LEAST |= {("imu", "angular_velocity"): 5.0, _ANGLES: 0.2}
+_LEAST |= {RATE: 5.0, ORIENTATION: 0.2}
 """A single reading leaps at least so far, in the unit of its channel."""
 
 
@@ -74,14 +84,14 @@ def unsigned(view: View) -> Iterator[Finding]:
 def spikes(view: View) -> Iterator[Finding]:
     """A velocity, current, voltage, temperature, or rate or angle of the trunk leaps away for a row and comes back."""
     for key, index, column in view.columns(*_LEAST):
-        column = np.unwrap(column) if key == _ANGLES else column
+        column = np.unwrap(column) if key == ORIENTATION else column
         size = np.minimum(np.abs(column[1:-1] - column[:-2]), np.abs(column[1:-1] - column[2:]))
         size *= np.abs(column[2:] - column[:-2]) < 0.5 * size  # it comes back
         away = np.abs(column - np.median(column))
         some = 1 + len(column) // 20_000
         usual, level = (float(np.quantile(np.abs(x[::some]), 0.95)) for x in (np.diff(column), away))
         row = int(size.argmax()) + 1
-        if size[row - 1] > max(12 * usual, 0 if key == _ANGLES else 3 * level, _LEAST[key]):
+        if size[row - 1] > max(12 * usual, 0 if key == ORIENTATION else 3 * level, _LEAST[key]):
             problem = f"a single reading of {column[row]:.4g} stands between {column[row - 1]:.4g} and "
             problem += f"{column[row + 1]:.4g}"
             remedy = "leave the row out; until then the channel is not used"

@@ -6,20 +6,30 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from op3.rollout.health.finding import COMMAND, CURRENT, ERROR, POSITION, VELOCITY, WARNING, Finding, View, check
+from op3.rollout.health.finding import (
+    COMMAND,
+    CURRENT,
+    ERROR,
+    FORCE,
+    ORIENTATION,
+    POSITION,
+    RATE,
+    VELOCITY,
+    WARNING,
+    Finding,
+    View,
+    check,
+)
 from op3.rollout.health.match import integral, longest_run, step
 
 _GIVES = 0.5
 """No servo that holds its target yields by so much [rad]."""
 
-_ANGLES = ("imu", "orientation")
-_INERTIAL = (("imu", "angular_velocity"), ("imu", "linear_acceleration"))
-
 
 @check("saturated")
 def saturated(view: View) -> Iterator[Finding]:
     """A rate or acceleration is cut off at its largest number."""
-    for key, index, column in view.columns(VELOCITY, *_INERTIAL):
+    for key, index, column in view.columns(VELOCITY, RATE, FORCE):
         top, size = np.abs(column).max(), float(step(column[:, None])[0])
         flat = np.abs(column) == top
         within = flat[1:-1] & flat[:-2] & flat[2:]
@@ -99,15 +109,15 @@ def _position_stands(view: View, joint: int, position: np.ndarray) -> Iterator[F
 def _stops(view: View, rows: int) -> Iterator[Finding]:
     """Currents and inertial sensors that keep their numbers for far longer than ever else, while a joint moves."""
     turned = _turned(view)
-    for key in (CURRENT, _ANGLES, *_INERTIAL):
+    for key in (CURRENT, ORIENTATION, RATE, FORCE):
         values = view.get(key)
         parts = [] if values is None else np.split(values, values.shape[1] if key == CURRENT else 1, axis=1)
         for index, part in enumerate(parts):
             same = (np.diff(part, axis=0) == 0).all(1)
             first, length = longest_run(same)
             run = slice(first, first + length + 1)
-            through = turned if key == _ANGLES else view.position[:, [index]] if key == CURRENT else view.position
-            moved = np.ptp(through[run], axis=0).max() > (0.1 if key == _ANGLES else 0.2)
+            through = turned if key == ORIENTATION else view.position[:, [index]] if key == CURRENT else view.position
+            moved = np.ptp(through[run], axis=0).max() > (0.1 if key == ORIENTATION else 0.2)
             limited = key == CURRENT and abs(part[first, 0]) == np.abs(part).max()
             if length <= 2 * rows or length == len(same) or not moved or limited:
                 continue
@@ -121,7 +131,7 @@ def _stops(view: View, rows: int) -> Iterator[Finding]:
 
 def _turned(view: View) -> np.ndarray:
     """Integral of the gyroscope [time, axis] without its bias, which is no turning, and single wrong readings."""
-    rates = view.get(_INERTIAL[0])
+    rates = view.get(RATE)
     if rates is None:
         return np.zeros((len(view.time), 3))
     rates = rates.copy()
@@ -132,20 +142,20 @@ def _turned(view: View) -> np.ndarray:
 def _dead(view: View) -> Iterator[Finding]:
     """Channels that hold one number throughout, where they cannot."""
     moves = np.ptp(view.position, axis=0) > 0.2
-    angles = view.get(_ANGLES)
+    angles = view.get(ORIENTATION)
     tilted = angles is not None and bool((np.ptp(angles, axis=0) > 0.1).any())
     turns = bool((np.ptp(_turned(view), axis=0) > 0.05).any())
-    for key in (CURRENT, ("joint", "voltage"), ("joint", "temperature"), _ANGLES, *_INERTIAL):
+    for key in (CURRENT, ("joint", "voltage"), ("joint", "temperature"), ORIENTATION, RATE, FORCE):
         values = view.get(key)
         if values is None:
             continue
         still, zero = np.ptp(values, axis=0) == 0, values[0] == 0
         if key[0] == "joint":
             dead = still & (moves if key == CURRENT else zero)
-        elif key == _INERTIAL[1]:
+        elif key == FORCE:
             dead = still.all() & (zero.all() | tilted)
         else:  # a robot that does not turn has no rates, and keeps its orientation
-            dead = still.all() & (tilted if key == _INERTIAL[0] else turns)
+            dead = still.all() & (tilted if key == RATE else turns)
         for index in np.flatnonzero(np.broadcast_to(dead, still.shape)):
             problem = f"{key[1].replace('_', ' ')} stands at {values[0, index]:.4g} in every row"
             yield view.found(WARNING, (key, index), problem, "the channel is not used", aside=True)

@@ -6,12 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from op3.rollout.health.finding import ERROR, WARNING, Finding, View, check
+from op3.rollout.health.finding import ERROR, FORCE, ORIENTATION, RATE, WARNING, Finding, View, check
 from op3.rollout.health.match import integral, match, step, windows
 from op3.rollout.units import likely_unit
-
-_ORIENTATION, _RATE, _FORCE = ("imu", "orientation"), ("imu", "angular_velocity"), ("imu", "linear_acceleration")
-
 
 _STANDARD = 9.80665
 
@@ -30,7 +27,7 @@ _MISTAKES |= {
 @check("gyroscope against orientation")
 def gyroscope(view: View) -> Iterator[Finding]:
     """The gyroscope and the derivative of the orientation differ in unit, sign or axes."""
-    angles, rate = view.get(_ORIENTATION), view.get(_RATE)
+    angles, rate = view.get(ORIENTATION), view.get(RATE)
     if angles is None or rate is None or len(view.time) < 20:
         return
     first, last, span = windows(view.time)
@@ -50,7 +47,7 @@ def gyroscope(view: View) -> Iterator[Finding]:
     drift, turned_on = summed[-1] / np.ptp(view.time), np.abs(body).max(0) / span
     for axis in np.flatnonzero((np.abs(drift) > 0.25) & (turned_on < 0.05)):
         problem = f"the gyroscope turns at {drift[axis]:.3g} rad/s on average while the orientation stands still"
-        yield view.found(WARNING, (_RATE, axis), problem, "look at its unit and its bias")
+        yield view.found(WARNING, (RATE, axis), problem, "look at its unit and its bias")
     for axis in np.flatnonzero(found.size_b > np.maximum(4 * step(angles), 0.03 * span)):
         own, ratio = found.correlation[axis, axis], float(found.ratio[axis, axis])
         other = int(np.abs(found.correlation[:, axis]).argmax())
@@ -61,23 +58,23 @@ def gyroscope(view: View) -> Iterator[Finding]:
             cause = " with the sign turned round" if abs(ratio + 1) < 0.3 else cause
             problem = f"the gyroscope reads {ratio:.3g} times the change of orientation per second{cause}"
             remedy = "convert it to rad/s in the body frame, or write `scale:`"
-            yield view.found(ERROR, (_RATE, axis), problem, remedy)
+            yield view.found(ERROR, (RATE, axis), problem, remedy)
         elif fits > 0.9 and 1 - fits < 0.1 * (1 - abs(own)):
             sign = "-" if found.correlation[other, axis] < 0 else ""
             problem = (
                 f"turning about {'xyz'[axis]} shows as {sign}{'xyz'[other]} of the gyroscope: its axes are swapped"
             )
             remedy = "name the axes anew, or turn the sensor's frame into the body's"
-            yield view.found(ERROR, (_RATE, axis), problem, remedy)
+            yield view.found(ERROR, (RATE, axis), problem, remedy)
         elif abs(own) < 0.5:
             problem = f"the gyroscope does not follow the change of orientation (correlation {own:.2f})"
-            yield view.found(WARNING, (_RATE, axis), problem, "look which of them is late, or another sensor's")
+            yield view.found(WARNING, (RATE, axis), problem, "look which of them is late, or another sensor's")
 
 
 @check("gravity")
 def gravity(view: View) -> Iterator[Finding]:
     """The accelerometer's size or direction is not that of gravity."""
-    force, angles = view.get(_FORCE), view.get(_ORIENTATION)
+    force, angles = view.get(FORCE), view.get(ORIENTATION)
     if force is None or not np.ptp(force, axis=0).any():
         return
     size, mean = float(np.median(np.linalg.norm(force, axis=1))), np.median(force, axis=0)
@@ -88,20 +85,20 @@ def gravity(view: View) -> Iterator[Finding]:
     problem = f"the median specific force is {size:.3g} m/s2"
     if size > 200 or (0.5 < size < 2 and not (tells and _apart(mean, expected) > 0.5)):
         problem += f", which looks like {'g' if size < 2 else 'mg or raw counts'}"
-        yield view.found(ERROR, (_FORCE, 0), problem, "convert to m/s2 (a robot at rest reads 9.81)", 0)
+        yield view.found(ERROR, (FORCE, 0), problem, "convert to m/s2 (a robot at rest reads 9.81)", 0)
     elif size <= 0.5 or (tells and np.linalg.norm(mean + _STANDARD * (np.array([0, 0, 1]) - expected)) < 1):
         for axis in range(3):
             remedy = "record it with gravity; until then it is not used"
-            yield view.found(WARNING, (_FORCE, axis), f"{problem}: gravity was taken out of it", remedy, aside=True)
+            yield view.found(WARNING, (FORCE, axis), f"{problem}: gravity was taken out of it", remedy, aside=True)
     elif not 7 < size < 13:
-        yield view.found(WARNING, (_FORCE, 0), f"{problem}, and gravity alone is 9.81", "look at its scale and offset")
+        yield view.found(WARNING, (FORCE, 0), f"{problem}, and gravity alone is 9.81", "look at its scale and offset")
     elif tells and _apart(mean, expected) > 0.9:
         # of what may have been done to its axes, the least that brings gravity where the orientation says
         done, rest = min(_MISTAKES.items(), key=lambda item: _apart(item[1] @ mean, expected) // 0.1)
         problem = f"gravity lies along {np.round(mean / size, 2)}, and the orientation says {np.round(expected, 2)}"
         problem += f": {done}" if _apart(rest @ mean, expected) < 0.3 else ""
         remedy = "write `sign: -1` for these, or name the axes anew"
-        yield view.found(ERROR if "all" in done else WARNING, (_FORCE, int(np.abs(mean).argmax())), problem, remedy)
+        yield view.found(ERROR if "all" in done else WARNING, (FORCE, int(np.abs(mean).argmax())), problem, remedy)
 
 
 def _apart(force: np.ndarray, other: np.ndarray) -> float:
