@@ -14,7 +14,7 @@ import torch
 import yaml
 
 from op3.diagnose import Diagnosis, show, split_logs
-from op3.diagnose.findings import Named, Search, Stage
+from op3.diagnose.findings import Search, Stage
 from op3.rollout import read_logs
 from op3.sim import load_model
 
@@ -27,8 +27,7 @@ def told(search: Search, stage: Stage, effect: str, joints: Sequence[str] | None
     mine = [i for i, one in enumerate(stage.found) if one.place == place]
     if not mine:
         return stage
-    found, base, candidate, coordinate = search._refitted(stage, [max(mine, key=lambda i: float(odds[i]))])[0]
-    return search._around(stage, base, (*stage.named, Named(candidate, coordinate, found, ())))
+    return search.told(stage, max(mine, key=lambda i: float(odds[i])))
 
 
 def main(data: str, base: str, answer: str, run: str) -> None:

@@ -124,8 +124,8 @@ def fit_base(
     others = [(end.point, better[best] - gain) for end, gain in zip(ends, better, strict=True) if end is not first]
     # what sticks has a basin for every form of its law: friction begins anew where all else is by now
     anew = [settle(reduction, *_afresh(first, form), settings, ELSEWHERE) for form in forms]
-    worse = [gap_of(reduction, first, end, settings) for end in anew]
-    first = max(zip([0.0, *worse], [first, *anew], strict=True), key=lambda pair: pair[0])[1]
+    better = [0.0, *(gap_of(reduction, first, end, settings) for end in anew)]
+    first = [first, *anew][int(np.argmax(better))]
     progress(0.8)
     first = settle(reduction, first.coordinates, first.point, settings, state=first.fit.state)
     own, point = with_own_spread(first.coordinates, first.point, first.told, settings)

@@ -32,7 +32,7 @@ SPREAD_LIMIT = 3.0
 WIDEST = 10.0
 """How many times smaller or larger than given a parameter may be that lies outside the catalogue's range. Our own
 choice: all hobby servos differ by more (XL330-M288 and MX-106: 0.52 and 8.4 N m at stall, ROBOTIS e-Manual), but what
-is given is that of one alike."""
+is given is that of one alike. A search begins so far below what is given."""
 
 
 @dataclass(frozen=True)

@@ -199,11 +199,8 @@ class Diagnosis:
         variance = np.diag(stage.fit.covariance)
         entries = stage.base.coordinates.entries
         assert self.search is not None
-        in_the_end = self.search.backward_odds(stage)
-        for number, (one, last) in enumerate(zip(stage.named, in_the_end, strict=True)):
+        for number, (one, log_odds) in enumerate(zip(stage.named, self.search.worth(stage), strict=True)):
             i = entries.index(one.coordinate)
-            # a refit gains where it lets a poor base move on: what the name is worth there, it is not worth in the end
-            log_odds = min(one.log_odds, last + one.place_prior)
             whole = self._probability(log_odds)
             odds = np.array([one.log_odds, *(odds for _, odds in one.rivals)]) / self.settings.temperature
             share = np.exp(odds - odds.max())

@@ -23,6 +23,9 @@ NOTHING = 1e-6
 
 Place = tuple[str, tuple[int, ...] | None]
 
+Refitted = tuple[float, Base, Candidate, Coordinate]
+"""Log odds, the base around it, what it is, and its number in the fit."""
+
 
 @dataclass(frozen=True, eq=False)
 class Named:
@@ -233,22 +236,29 @@ class Search:
         return np.array([wild[one].sum() > 0.5 * total[one].sum() for one in members])
 
     def _name(self, stage: Stage, leaders: list[tuple[float, int, Posterior]]) -> Stage | None:
-        """The leaders refitted with the base; the best is named, those that are as good are its rivals."""
+        """The leaders refitted with the base, the best named; None where it is far below the alarm."""
         near = [one for one in leaders if one[0] > leaders[0][0] - 2 * self.settings.family][:MOST]
         if not near:
             return None
         refitted = self._refitted(stage, [(number, with_it) for _, number, with_it in near])
+        return (
+            self._with(stage, refitted) if refitted[0][0] >= self.settings.alarm - self.settings.temperature else None
+        )
+
+    def told(self, stage: Stage, number: int) -> Stage:
+        """The stage with a candidate named of which it is known that it is there, whatever its odds."""
+        return self._with(
+            stage, self._refitted(stage, [(number, stage.judge.fit([number], stage.fit.state, rounds=2))])
+        )
+
+    def _with(self, stage: Stage, refitted: Sequence[Refitted]) -> Stage:
+        """The stage with the best of the refitted named, and those that are as good as its rivals."""
         odds, base, candidate, coordinate = refitted[0]
-        if odds < self.settings.alarm - self.settings.temperature:
-            return None
         rivals = [(one[2], one[0]) for one in refitted[1:] if one[0] > odds - self.settings.family]
         prior = float(stage.judge.numbers.place[stage.found.index(candidate)])
-        named = (*stage.named, Named(candidate, coordinate, odds, prior, tuple(rivals)))
-        return self._around(stage, base, named)
+        return self._around(stage, base, (*stage.named, Named(candidate, coordinate, odds, prior, tuple(rivals))))
 
-    def _refitted(
-        self, stage: Stage, estimates: Sequence[tuple[int, Posterior]]
-    ) -> list[tuple[float, Base, Candidate, Coordinate]]:
+    def _refitted(self, stage: Stage, estimates: Sequence[tuple[int, Posterior]]) -> list[Refitted]:
         """Log odds of candidates refitted with the base against the base without, and what the refit gave, best first.
 
         Sizes are linear in the judge's rows and too small, as the base gives way only once the effect is there.
@@ -293,8 +303,17 @@ class Search:
         base = settle(self.reduction, coordinates, stage.base.point[at], self.settings, steps=2)
         return self._around(stage, base, tuple(one for one in stage.named if one not in needless))
 
+    def worth(self, stage: Stage) -> list[float]:
+        """Log odds of every named effect: those when it was named, and no more than in the end, with its place's prior.
+
+        A refit gains where it lets a poor base move on, which is not the name's merit.
+        """
+        in_the_end = zip(stage.named, self.backward_odds(stage), strict=True)
+        return [min(one.log_odds, odds + one.place_prior) for one, odds in in_the_end]
+
     def backward_odds(self, stage: Stage) -> list[float]:
-        """Log odds of every named effect against its being there only a little, around where it is now."""
+        """Log odds of every named effect against its being there only a little, around where it is now, whatever its
+        place."""
         linear, curvature = stage.judge.likelihoods(stage.fit)
         result, entries = [], stage.base.coordinates.entries
         for one in stage.named:

@@ -6,6 +6,7 @@ import yaml
 
 from op3.diagnose.base import Base, damped, doubts, gap_of, search, settle
 from op3.diagnose.coordinates import base_coordinates, other_forms, with_chain, with_own_spread
+from op3.diagnose.findings import Named, Search, Stage
 from op3.diagnose.judge import Numbers, Posterior, State
 from op3.diagnose.reduction import Linear, Reduction
 from op3.diagnose.settings import Settings
@@ -128,6 +129,14 @@ def test_two_ends_of_a_base_are_compared_without_favour(truth, logs):
     worse = gap_of(reduction, wrong, right)
     assert worse > 100.0
     assert gap_of(reduction, right, wrong) == pytest.approx(-worse)
+
+
+def test_a_name_is_worth_no_more_than_in_the_end(monkeypatch):
+    """One whose refit gained 30 as the base moved on, one that holds, one that was hardly named; places cost 5."""
+    monkeypatch.setattr(Search, "backward_odds", lambda self, stage: [1.5, 40.0, 40.0])
+    named = tuple(Named(None, None, odds, -5.0, ()) for odds in (30.0, 34.0, 5.0))  # type: ignore[arg-type]
+    stage = Stage(None, named, (), {}, None, None)  # type: ignore[arg-type]
+    assert Search(None).worth(stage) == [-3.5, 34.0, 5.0]  # type: ignore[arg-type]
 
 
 def verdict(**changes) -> Verdict:
