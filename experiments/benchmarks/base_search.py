@@ -1,11 +1,11 @@
 """Where the search for a base ends on cases of the hidden-effect bench, beside a start from the numbers that made them.
 
-python experiments/benchmarks/base_search.py <folder of a bench's run> <cases at most> <seed>
+python experiments/benchmarks/base_search.py <folder of a bench's run> --cases 4 --seed 0
 
 In minus two log evidence: positive where the base is ahead of that start, which only the bench knows.
 """
 
-import sys
+import argparse
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -42,14 +42,19 @@ def from_truth(reduction: Reduction, base: Base, world: dict) -> Base:
     return settle(reduction, replace(coordinates, model=next(filter(right, forms))), point)
 
 
-def main(folder: str, most: str, seed: str) -> None:
+def main() -> None:
     """Print one line for each case."""
-    for case in sorted((Path(folder) / "cases").iterdir())[: int(most)]:
-        answer = yaml.safe_load((Path(folder) / "answers" / f"{case.name}.yaml").read_text(encoding="utf-8"))
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, help="of a run of hidden_effects.py")
+    parser.add_argument("--cases", type=int, help="the first so many, by name")
+    parser.add_argument("--seed", type=int, default=0, help="of the search")
+    given = parser.parse_args()
+    for case in sorted((given.folder / "cases").iterdir())[: given.cases]:
+        answer = yaml.safe_load((given.folder / "answers" / f"{case.name}.yaml").read_text(encoding="utf-8"))
         model = load_model(answer["base"])
         reduction = Diagnosis(model, split_logs(read_logs(case / "data"), seed=0)).reduction()
         began = time.process_time()
-        base = fit_base(reduction, model, np.random.default_rng([int(seed), 11]))
+        base = fit_base(reduction, model, np.random.default_rng([given.seed, 11]))
         spent = time.process_time() - began
         ahead = gap_of(reduction, from_truth(reduction, base, answer["world"]), base)
         hidden = ", ".join(one["name"] for one in answer["effects"]) or "nothing"
@@ -57,6 +62,4 @@ def main(folder: str, most: str, seed: str) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 4:
-        raise SystemExit(__doc__)
-    main(*sys.argv[1:])
+    main()
