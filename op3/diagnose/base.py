@@ -16,6 +16,7 @@ from op3.diagnose.coordinates import (
     CHAIN,
     FORMS,
     WIDEST,
+    Coordinate,
     Coordinates,
     base_coordinates,
     other_forms,
@@ -324,8 +325,9 @@ def untold(base: Base) -> list[str]:
 
 def unusual(
     given: RobotModel, base: Base, fit: Posterior, judge: Judge, settings: Settings = SETTINGS
-) -> list[tuple[int, float, float]]:
-    """Log odds of the chain's numbers against being usual, or what the given model says; which, and how well told.
+) -> list[tuple[int, float, float, Coordinate]]:
+    """Log odds of the chain's numbers against being usual, or what the given model says; which, how well told, and what
+    each would be if it were usual.
 
     A number that every servo has for itself is usual where it differs no more than those of this robot's others.
     """
@@ -341,5 +343,17 @@ def unusual(
             low, high = entry.low - point[i], entry.high - point[i]
             slab = evidence(linear[i], curvature[i], usual, np.array(chain.most / 2), low, high)
             spike = evidence(linear[i], curvature[i], usual, np.array(spread))
-            found.append((i, float(slab - spike), float(deviation)))
+            held = replace(entry, prior=expected, deviation=spread)
+            found.append((i, float(slab - spike), float(deviation), held))
     return found
+
+
+def held_odds(reduction: Reduction, base: Base, number: int, held: Coordinate, settings: Settings = SETTINGS) -> float:
+    """Log odds of a base against another in which one of its numbers is held to what is usual, all else fitted anew.
+
+    Where joints stick a fit may end with a number that some others might have been instead.
+    """
+    entries, point = list(base.coordinates.entries), base.point.copy()
+    entries[number], point[number] = held, held.prior
+    coordinates = replace(base.coordinates, entries=tuple(entries))
+    return gap_of(reduction, settle(reduction, coordinates, point, settings, ELSEWHERE, base.fit.state), base) / 2

@@ -1,15 +1,16 @@
 """What could be missing: every effect of the catalogue, in every place where it can sit, as finite changes."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import pi, remainder
+from math import isclose, pi, remainder
 
 import numpy as np
 from torch import Tensor
 
-from op3.diagnose.coordinates import CHAIN, FORMS, Coordinate, other_forms
+from op3.diagnose.coordinates import CHAIN, FORMS, Coordinate, Coordinates, other_forms
 from op3.diagnose.settings import Settings
-from op3.servo import Effect, RobotModel, catalogue
+from op3.servo import Effect, Parameter, RobotModel, catalogue
 from op3.servo.effect import parameter
 from op3.servo.effects import PacketDrop
 
@@ -114,13 +115,30 @@ class Candidate:
         ends = sorted((low / amount, high / amount))
         return ends[0], ends[1], settings.slab * size / abs(amount)
 
-    def coordinate(self, base: RobotModel, share: float, settings: Settings) -> Coordinate:
-        """The number of a refit beside the base's: the effect's size in each joint, from a share of the secant on."""
-        low, high, deviation = self.reach(base, settings)
+    def coordinates(self, base: Coordinates, share: float, settings: Settings) -> tuple[Coordinate, ...]:
+        """The numbers of a refit beside the base's: the effect's size in its joints, from a share of the secant on, and
+        its shape in each of them, from the secant's on, where the base has no such number."""
+        model = base.model
+        low, high, deviation = self.reach(model, settings)
         amount, at = self.secant[self.sized], self.joints if parameter(self.sized).per_joint else None
         ends = sorted((low * amount, high * amount))
         start = float(np.clip(share * amount, ends[0], ends[1]))
-        return Coordinate(self.sized, at, ends[0], ends[1], start, 0.0, deviation * abs(amount), "add")
+        size = Coordinate(self.sized, at, ends[0], ends[1], start, 0.0, deviation * abs(amount), "add")
+        shared = {entry.parameter for entry in base.entries if entry.joints is None}
+        shape = [known for known in self.effect.parameters if known.neutral is None and known.name not in shared]
+        return size, *(one for known in shape for one in self._of_shape(known, model))
+
+    def _of_shape(self, known: Parameter, model: RobotModel) -> Iterator[Coordinate]:
+        """A shape's numbers, which may be anything plausible; an angle turns once round."""
+        span = known.high - known.low
+        own = list(zip(((j,) for j in self.joints or ()), self.secants(), strict=True)) if known.per_joint else []
+        for place, secant in own or [(None, self.secant)]:
+            now = model.value(known.name) if known.name in model.parameters() else known.nominal
+            given = secant.get(known.name, now)
+            low, high = (
+                (given - pi, given + pi) if isclose(span, 2 * pi) else (min(known.low, given), max(known.high, given))
+            )
+            yield Coordinate(known.name, place, low, high, given, given, span)
 
     def switched_on(self, base: RobotModel, names: Sequence[str]) -> RobotModel:
         """The base with the effect on, neutral, and the shape that the secant says (such as a phase) in its place."""
@@ -239,13 +257,15 @@ def mirror_pairs(
 
 
 def place_priors(found: Sequence[Candidate]) -> np.ndarray:
-    """Log prior of every candidate, ``[candidate]``: secants of one effect in one place share that of the place, and
-    each number that a law has beyond its first halves it."""
+    """Log prior of every candidate's place, ``[candidate]``; each number that a law has beyond its first halves it."""
     places: dict[str, set] = {}
-    secants: dict[tuple, int] = {}
     for one in found:
         places.setdefault(one.scope, set()).add(one.joints)
-        secants[one.place] = secants.get(one.place, 0) + 1
     numbers = [sum(p.neutral is not None for p in c.effect.parameters) for c in found]
-    shares = [PLACES[c.scope] / len(places[c.scope]) / secants[c.place] for c in found]
-    return np.log(shares) - np.log(2.0) * (np.array(numbers) - 1)
+    return np.log([PLACES[c.scope] / len(places[c.scope]) for c in found]) - np.log(2.0) * (np.array(numbers) - 1)
+
+
+def secants_of_place(found: Sequence[Candidate]) -> np.ndarray:
+    """How many secants of one effect are at each candidate's place, ``[candidate]``."""
+    count = Counter(one.place for one in found)
+    return np.array([count[one.place] for one in found])

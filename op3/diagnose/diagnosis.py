@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from op3.diagnose.base import Base, at_point, doubts, fit_base, unfitted, untold, unusual
+from op3.diagnose.base import Base, at_point, doubts, fit_base, held_odds, unfitted, untold, unusual
 from op3.diagnose.candidates import Candidate
 from op3.diagnose.coordinates import CHAIN
 from op3.diagnose.findings import Search, Stage
@@ -200,7 +200,7 @@ class Diagnosis:
         entries = stage.base.coordinates.entries
         assert self.search is not None
         for number, (one, log_odds) in enumerate(zip(stage.named, self.search.worth(stage), strict=True)):
-            i = entries.index(one.coordinate)
+            i = entries.index(one.coordinates[0])
             whole = self._probability(log_odds)
             odds = np.array([one.log_odds, *(odds for _, odds in one.rivals)]) / self.settings.temperature
             share = np.exp(odds - odds.max())
@@ -239,7 +239,9 @@ class Diagnosis:
     def _of_base(self, given: RobotModel, reduction: Reduction, stage: Stage, most: float) -> list[Finding]:
         """Numbers of the chain of measurement that are far from what is usual, or from what the given model says."""
         result, joints = [], reduction.engine.joints
-        for i, odds, deviation in unusual(given, stage.base, stage.fit, stage.judge):
+        for i, odds, deviation, held in unusual(given, stage.base, stage.fit, stage.judge):
+            if self._probability(odds) > LIKELY:
+                odds = min(odds, held_odds(reduction, stage.base, i, held, self.settings))
             probability = self._probability(odds)
             if probability <= LIKELY:
                 continue

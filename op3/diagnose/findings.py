@@ -4,9 +4,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import logsumexp
 
 from op3.diagnose.base import Base, base_numbers, settle
-from op3.diagnose.candidates import Candidate, candidates, place_priors
+from op3.diagnose.candidates import Candidate, candidates, place_priors, secants_of_place
 from op3.diagnose.coordinates import Coordinate, Coordinates
 from op3.diagnose.judge import Judge, Numbers, Posterior, Rows, State, evidence, log_mass
 from op3.diagnose.reduction import Reduction
@@ -23,8 +24,8 @@ NOTHING = 1e-6
 
 Place = tuple[str, tuple[int, ...] | None]
 
-Refitted = tuple[float, Base, Candidate, Coordinate]
-"""Log odds, the base around it, what it is, and its number in the fit."""
+Refitted = tuple[float, Base, int, tuple[Coordinate, ...]]
+"""Log odds, the base around it, the candidate's number, and its own in the fit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,14 +34,14 @@ class Named:
 
     Attributes:
         candidate: what it is.
-        coordinate: its number in the fit.
+        coordinates: its numbers in the fit, its size the first.
         log_odds: against its being there only a little, when it was named.
         place_prior: how probable its place is beforehand, a logarithm.
         rivals: names that the logs tell from it by less than `Settings.family`, with their log odds.
     """
 
     candidate: Candidate
-    coordinate: Coordinate
+    coordinates: tuple[Coordinate, ...]
     log_odds: float
     place_prior: float
     rivals: tuple[tuple[Candidate, float], ...]
@@ -73,21 +74,19 @@ def numbers_of(
     """Priors of the base's numbers and of the candidates.
 
     A spike is what makes so much torque, root mean square over the joints that feel it; the secants of one effect in
-    one place share it. Parts are keys of candidates in one joint or in all, of which the others are sums.
+    one place share it, and the place's prior. Parts are keys of candidates in one joint or in all, of which the others
+    are sums.
     """
     own, number = base_numbers(base.coordinates, base.point), {key: i for i, key in enumerate(parts)}
     model = base.model
     low, high, slab = np.array([one.reach(model, settings) for one in found]).reshape(-1, 3).T
     size = _torques(rows, len(base.point), len(parts))
-    secants: dict[Place, int] = {}
-    for one in found:
-        secants[one.place] = secants.get(one.place, 0) + 1
-    spike = np.full(len(parts), 1e-9)
-    for one, wide in zip(found, slab, strict=True):
+    spike, secants = np.full(len(parts), 1e-9), secants_of_place(found)
+    for one, wide, count in zip(found, slab, secants, strict=True):
         i = number.get(one.key)
         if i is not None and size[i] > NOTHING:
             ends = settings.spike_ends[0] * wide, settings.spike_ends[1] * wide
-            spike[i] = np.clip(settings.spike / size[i], *ends) / np.sqrt(secants[one.place])
+            spike[i] = np.clip(settings.spike / size[i], *ends) / np.sqrt(count)
     members = [tuple(number[key] for key in one.parts if key in number) for one in found]
     seen = np.array([max((size[i] for i in one), default=0.0) > NOTHING for one in members], bool)
     return Numbers(
@@ -97,7 +96,7 @@ def numbers_of(
         slab,
         low,
         high,
-        np.where(seen, place_priors(found), -np.inf),
+        np.where(seen, place_priors(found) - np.log(secants), -np.inf),
         np.concatenate([own.least, np.full(len(parts), -np.inf)]),
         np.concatenate([own.most, np.full(len(parts), np.inf)]),
     )
@@ -192,7 +191,7 @@ class Search:
         return self._name(stage, self.leaders(stage, odds, None))
 
     def leaders(self, stage: Stage, odds: np.ndarray, state: State | None) -> list[tuple[float, int, Posterior]]:
-        """Log odds and numbers of candidates of different places, estimated anew with everything else, best first.
+        """Log odds and numbers of candidates of a few places, estimated anew with everything else, best first.
 
         Empty unless the best is within a family of the alarm: sizes are linear here, and a refit finds more.
 
@@ -201,22 +200,18 @@ class Search:
             state: variances from which the estimates begin; None: the judge's start.
         """
         s, judge, n = self.settings, stage.judge, stage.judge.numbers
-        best: dict[Place, tuple[float, int]] = {}
+        secants: dict[Place, list[int]] = {}
         for number in np.argsort(-odds):
-            if not np.isfinite(odds[number]):
-                break
-            place = stage.found[number].place
-            if place in best:
-                so_far = best[place]
-                best[place] = (float(np.logaddexp(so_far[0], odds[number])), so_far[1])
-            elif len(best) < 4 * s.leaders:
-                best[place] = (float(odds[number]), int(number))
-        ranked = sorted(best.values(), reverse=True)[: s.leaders]
+            if np.isfinite(odds[number]):
+                secants.setdefault(stage.found[number].place, []).append(int(number))
+        ranked = sorted(
+            ((float(np.asarray(logsumexp(odds[mine]))), mine[:MOST]) for mine in secants.values()), reverse=True
+        )
         if not ranked or ranked[0][0] < s.alarm - s.family:
             return []
         rounds = 2 if state else 6
         control, anew = judge.fit(state=state, rounds=rounds), []
-        for _, number in ranked:
+        for number in (number for _, mine in ranked[: s.leaders] for number in mine):
             with_it = judge.fit([number], state, rounds=rounds)
             if not n.low[number] <= with_it.mean[-1] <= n.high[number]:
                 continue
@@ -237,13 +232,11 @@ class Search:
 
     def _name(self, stage: Stage, leaders: list[tuple[float, int, Posterior]]) -> Stage | None:
         """The leaders refitted with the base, the best named; None where it is far below the alarm."""
-        near = [one for one in leaders if one[0] > leaders[0][0] - 2 * self.settings.family][:MOST]
-        if not near:
-            return None
-        refitted = self._refitted(stage, [(number, with_it) for _, number, with_it in near])
-        return (
-            self._with(stage, refitted) if refitted[0][0] >= self.settings.alarm - self.settings.temperature else None
-        )
+        near = [stage.found[i].place for odds, i, _ in leaders if odds > leaders[0][0] - 2 * self.settings.family]
+        places = list(dict.fromkeys(near))[:MOST]
+        refitted = self._refitted(stage, [(i, fit) for _, i, fit in leaders if stage.found[i].place in places])
+        good = refitted and refitted[0][0] >= self.settings.alarm - self.settings.temperature
+        return self._with(stage, refitted) if good else None
 
     def told(self, stage: Stage, number: int) -> Stage:
         """The stage with a candidate named of which it is known that it is there, whatever its odds."""
@@ -253,17 +246,20 @@ class Search:
 
     def _with(self, stage: Stage, refitted: Sequence[Refitted]) -> Stage:
         """The stage with the best of the refitted named, and those that are as good as its rivals."""
-        odds, base, candidate, coordinate = refitted[0]
-        rivals = [(one[2], one[0]) for one in refitted[1:] if one[0] > odds - self.settings.family]
-        prior = float(stage.judge.numbers.place[stage.found.index(candidate)])
-        return self._around(stage, base, (*stage.named, Named(candidate, coordinate, odds, prior, tuple(rivals))))
+        odds, base, number, coordinates = refitted[0]
+        rivals = tuple((stage.found[one[2]], one[0]) for one in refitted[1:] if one[0] > odds - self.settings.family)
+        prior = float(place_priors(stage.found)[number])
+        return self._around(stage, base, (*stage.named, Named(stage.found[number], coordinates, odds, prior, rivals)))
 
     def _refitted(self, stage: Stage, estimates: Sequence[tuple[int, Posterior]]) -> list[Refitted]:
-        """Log odds of candidates refitted with the base against the base without, and what the refit gave, best first.
+        """Log odds of candidates refitted with the base against the base without, and what the refit gave, the best of
+        each place, best first.
 
-        Sizes are linear in the judge's rows and too small, as the base gives way only once the effect is there.
+        Sizes are linear in the judge's rows and too small, as the base gives way only once the effect is there; and the
+        effect has one of a few shapes there, and any that is plausible here.
         """
         s, result, coordinates, point = self.settings, [], stage.base.coordinates, stage.base.point
+        priors = place_priors(stage.found)
         rows, alone = stage.judge.rows, stage.judge.fit(state=stage.fit.state, rounds=2)
 
         def refit(joined: Coordinates, start: np.ndarray, state: State) -> tuple[Base, float]:
@@ -275,15 +271,21 @@ class Search:
         for number, with_it in estimates:
             candidate = stage.found[number]
             model = candidate.switched_on(coordinates.model, self.reduction.engine.joints)
-            coordinate = candidate.coordinate(coordinates.model, float(with_it.mean[-1]), s)
+            more = candidate.coordinates(coordinates, float(with_it.mean[-1]), s)
             # what the base would do by itself it has tried: where joints stick, long steps lead astray
-            moved = point + with_it.mean[: len(point)] - alone.mean[: len(point)]
-            start = np.append(np.clip(moved, coordinates.low, coordinates.high), coordinate.start)
-            base, evident = refit(coordinates.extended(model, [coordinate]), start, with_it.state)
-            mass = log_mass(coordinate.low, coordinate.high, 0.0, coordinate.deviation)
-            odds = float(evident - without + stage.judge.numbers.place[number] - mass)
-            result.append((odds, base, candidate, coordinate))
-        return sorted(result, key=lambda one: -one[0])
+            moved = np.clip(
+                point + with_it.mean[: len(point)] - alone.mean[: len(point)], coordinates.low, coordinates.high
+            )
+            joined = coordinates.extended(model, more)
+            base, evident = refit(joined, np.concatenate([moved, joined.start[len(point) :]]), with_it.state)
+            low, high, deviation = (getattr(joined, end)[len(point) :] for end in ("low", "high", "deviation"))
+            prior = joined.prior[len(point) :]
+            mass = log_mass(low - prior, high - prior, 0.0, deviation).sum()
+            result.append((float(evident - without + priors[number] - mass), base, number, more))
+        best: dict[Place, Refitted] = {}
+        for one in sorted(result, key=lambda one: -one[0]):
+            best.setdefault(stage.found[one[2]].place, one)
+        return list(best.values())
 
     def _around(self, stage: Stage, base: Base, named: tuple[Named, ...]) -> Stage:
         """The judge around a base with what was named, the leading candidates' columns made anew."""
@@ -297,7 +299,7 @@ class Search:
 
     def _without(self, stage: Stage, needless: Sequence[Named]) -> Stage:
         """The stage without some names."""
-        whole, gone = stage.base.coordinates, [one.coordinate for one in needless]
+        whole, gone = stage.base.coordinates, [entry for one in needless for entry in one.coordinates]
         at = [i for i, entry in enumerate(whole.entries) if entry not in gone]
         coordinates = Coordinates(whole.model, whole.joints, tuple(whole.entries[i] for i in at))
         base = settle(self.reduction, coordinates, stage.base.point[at], self.settings, steps=2)
@@ -317,7 +319,7 @@ class Search:
         linear, curvature = stage.judge.likelihoods(stage.fit)
         result, entries = [], stage.base.coordinates.entries
         for one in stage.named:
-            i = entries.index(one.coordinate)
+            i = entries.index(one.coordinates[0])
             entry, none = entries[i], -stage.base.point[i]
             little = entry.deviation / self.settings.slab * self.settings.spike_ends[0]
             low, high = entry.low + none, entry.high + none

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from op3.diagnose.base import settle
-from op3.diagnose.candidates import candidates, mirror_pairs, place_priors
+from op3.diagnose.candidates import candidates, mirror_pairs, place_priors, secants_of_place
 from op3.diagnose.coordinates import CHAIN, base_coordinates, other_forms, with_chain
 from op3.diagnose.reduction import Reduction
 from op3.diagnose.settings import SETTINGS
@@ -100,7 +100,7 @@ def test_pairs_are_sums_of_their_joints():
 def test_places_and_secants_share_one_prior():
     """All hypotheses of a scope together have the scope's prior, for laws of one number."""
     found = candidates(with_chain(load_model("paper")), LEG_JOINTS, EVERY, {})
-    priors = np.exp(place_priors(found))
+    priors = np.exp(place_priors(found)) / secants_of_place(found)
     for name in ("quadratic_drag", "cable_spring"):
         mine = [i for i, one in enumerate(found) if one.effect.name == name and one.scope == "joint"]
         extra = 0.5 ** (sum(p.neutral is not None for p in catalogue()[name].parameters) - 1)
