@@ -35,6 +35,7 @@ from op3.train import (
     SAC,
     Collector,
     Practice,
+    ReplayBuffer,
     SACSettings,
     TrainSettings,
     evaluate,
@@ -157,6 +158,7 @@ def run(cfg: DictConfig) -> dict[str, Any]:
         cfg.sac.hidden = list(start.manifest.hidden)
     SACSettings(**plain(cfg.sac))
     manifest, settings = describe(cfg, task, provenance), TrainSettings(**plain(cfg.train))
+    ReplayBuffer.rows_of(settings.buffer, cfg.environments)
     judge_task = task if cfg.evaluation.task is None else find_task(cfg.evaluation.task)
     judge = environment(cfg, judge_task, cfg.evaluation.episodes, cfg.evaluation.seed)
 

@@ -39,9 +39,8 @@ class Actor:
 
     def environment(self, task: Task, model: str | RobotModel, num_envs: int, seed: int, **options: Any) -> BatchedEnv:
         """Robots for it to act on; further arguments are those of `op3.envs.make_env`."""
-        if isinstance(model, str):
-            model = load_model(model)
-        model = position_mode(model) if self.stiff else model
+        if self.stiff:
+            model = position_mode(load_model(model) if isinstance(model, str) else model)
         made = make_env(task, model, num_envs, seed, action_map=self.action_map, **options)
         assert isinstance(made, BatchedEnv)
         made.commander = self.policy if self.stiff else None

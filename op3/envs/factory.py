@@ -39,7 +39,10 @@ def make_env(
         ValueError: if a name is unknown, or the backend cannot do what is asked.
     """
     task = find_task(task)
-    model = model if isinstance(model, RobotModel) else load_model(model)
+    if not isinstance(model, RobotModel):
+        name, model = model, load_model(model)
+        if "current_pd" not in model.effect_names:
+            raise ValueError(f"model={name}: its servos take no gains, which a task commands; choose one such as paper")
     if isinstance(randomisation, str):
         randomisation = Randomisation(randomisation)  # type: ignore[arg-type]
     kinds = {"batched": BatchedEnv, "composer": ComposerEnv}

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 import mujoco
 from pydantic import Field, model_validator
 
+from op3.robot.assets import named_configs
 from op3.robot.data_file import DataFile, Record, among
 from op3.robot.servo_make import servo_files
 
@@ -120,7 +121,7 @@ class RobotFile(Record):
     soles: tuple[str, ...] = ()
     key_points: tuple[str, ...] = ()
     servo: str | None = None
-    law: str | None = None
+    law: Annotated[str, among("law", named_configs("servo"))] | None = None
     board: Literal["opencr"] | None = None
     controlled: tuple[str, ...] | None = None
     poses: dict[str, dict[str, float]] = {}

@@ -46,9 +46,7 @@ class ReplayBuffer:
         action_size: int,
         device: torch.device | str = "cpu",
     ):
-        self.rows = capacity // environments
-        if self.rows < 2:
-            raise ValueError(f"a buffer of {capacity} transitions holds under two steps of {environments} environments")
+        self.rows = self.rows_of(capacity, environments)
         self.environments = environments
         shape = (self.rows, environments)
         self.observation = torch.zeros(*shape, observation_size, device=device)
@@ -62,6 +60,17 @@ class ReplayBuffer:
 
     def __len__(self) -> int:
         return self.filled * self.environments
+
+    @staticmethod
+    def rows_of(capacity: int, environments: int) -> int:
+        """Steps of every environment that a buffer of so many transitions holds.
+
+        Raises:
+            ValueError: if these are under two.
+        """
+        if capacity < 2 * environments:
+            raise ValueError(f"a buffer of {capacity} transitions holds under two steps of {environments} environments")
+        return capacity // environments
 
     def extend(
         self,

@@ -151,6 +151,8 @@ def test_unknown_names_are_refused():
     """Unknown tasks and backends are named, with those there are."""
     with pytest.raises(ValueError, match=r"unknown task 'run'; the tasks are balance,"):
         make_env("run")
+    with pytest.raises(ValueError, match="model=sts3032: its servos take no gains"):
+        make_env("balance", "sts3032", 1)
     with pytest.raises(ValueError, match="unknown backend"):
         make_env("balance", backend="gpu")
 

@@ -91,6 +91,7 @@ def test_robots_travel_between_processes(tmp_path):
     ("change", "sentence"),
     [
         ({"  j1:": "  j11:"}, r"line 9: joints.j11 names the joint 'j11', which there is not; the nearest is 'j1'"),
+        ({"servo:": "law: papr\nservo:"}, r"line 6: law names the law 'papr'.* the nearest is 'paper'"),
         ({"sts3215": "sts321"}, r"line 6: servo names the servo 'sts321'.* the nearest is 'sts3215'"),
         ({"unit: count": "unit: conut"}, r"line 10: joints.j2.log.unit names the unit 'conut'.* nearest is 'count'"),
         ({"base: base": "base: bas"}, r"line 4: base names the body 'bas', which there is not; the nearest is 'base'"),
