@@ -14,7 +14,10 @@ from op3.diagnose.reduction import Reduction
 from op3.diagnose.settings import SETTINGS, Settings
 
 MOST = 3
-"""Findings that are looked for, and members of a family that are refitted."""
+"""Findings that are looked for, and places of which candidates are refitted."""
+
+STARTS = 4
+"""Forms and secants of an effect in one place that are refitted, at most."""
 
 RELINEARISED = 60
 """Candidates whose columns are made anew around a named effect; those of the others hardly matter."""
@@ -205,7 +208,7 @@ class Search:
             if np.isfinite(odds[number]):
                 secants.setdefault(stage.found[number].place, []).append(int(number))
         ranked = sorted(
-            ((float(np.asarray(logsumexp(odds[mine]))), mine[:MOST]) for mine in secants.values()), reverse=True
+            ((float(np.asarray(logsumexp(odds[mine]))), mine[:STARTS]) for mine in secants.values()), reverse=True
         )
         if not ranked or ranked[0][0] < s.alarm - s.family:
             return []
@@ -232,10 +235,13 @@ class Search:
 
     def _name(self, stage: Stage, leaders: list[tuple[float, int, Posterior]]) -> Stage | None:
         """The leaders refitted with the base, the best named; None where it is far below the alarm."""
-        near = [stage.found[i].place for odds, i, _ in leaders if odds > leaders[0][0] - 2 * self.settings.family]
-        places = list(dict.fromkeys(near))[:MOST]
+        if not leaders:
+            return None
+        # how large an effect is decides by how far odds are off that are linear in it
+        least = min(leaders[0][0] - 2 * self.settings.family, self.settings.alarm)
+        places = list(dict.fromkeys(stage.found[i].place for odds, i, _ in leaders if odds > least))[:MOST]
         refitted = self._refitted(stage, [(i, fit) for _, i, fit in leaders if stage.found[i].place in places])
-        good = refitted and refitted[0][0] >= self.settings.alarm - self.settings.temperature
+        good = refitted[0][0] >= self.settings.alarm - self.settings.temperature
         return self._with(stage, refitted) if good else None
 
     def told(self, stage: Stage, number: int) -> Stage:
