@@ -284,6 +284,7 @@ class Search:
             )
             joined = coordinates.extended(model, more)
             base, evident = refit(joined, np.concatenate([moved, joined.start[len(point) :]]), with_it.state)
+            self.reduction.forget()
             low, high, deviation = (getattr(joined, end)[len(point) :] for end in ("low", "high", "deviation"))
             prior = joined.prior[len(point) :]
             mass = log_mass(low - prior, high - prior, 0.0, deviation).sum()

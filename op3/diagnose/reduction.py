@@ -19,6 +19,7 @@ from torch import Tensor
 
 from op3.diagnose.candidates import Candidate
 from op3.diagnose.coordinates import Coordinate, Coordinates
+from op3.diagnose.features import random_features
 from op3.diagnose.judge import Rows
 from op3.diagnose.settings import SETTINGS, Settings
 from op3.diagnose.windows import WindowResiduals
@@ -182,6 +183,11 @@ class Reduction:
                 base[i][~self._felt(entries[i].joints)] = 0.0
         return Linear(coordinates, point, reducers, variance, lacking, base)
 
+    def forget(self) -> None:
+        """Drop what is kept of a model for further simulations."""
+        for part in (self.engine, *self._parts):
+            part.forget()
+
     def _felt(self, joints: tuple[int, ...] | None) -> np.ndarray:
         """Which judged joints feel a change in some: those of their limbs, ``[joint]``."""
         if joints is None:
@@ -309,8 +315,7 @@ class Reduction:
                 done += len(members)
                 if progress is not None:
                     progress(done / sum(map(len, models.values())))
-            for part in (self.engine, *self._parts):
-                part.forget()
+            self.forget()
         return result
 
     def _simulate(
@@ -377,24 +382,8 @@ class Reduction:
 
         Behind them what is not known of a stand's sway.
         """
-        engine, rng, count = self.engine, np.random.default_rng(0), self.settings.features
-        q, v, i = (engine.by_window(a)[..., self.judged] for a in
-                   (engine.motion.position, engine.motion.velocity, engine.motion.current))  # fmt: skip
-        time = np.broadcast_to(engine.by_window(engine.motion.time), q.shape)
-        warmth = engine.motion.inputs.get("temperature")
-        warm = np.zeros_like(q) if warmth is None else engine.by_window(warmth)[..., self.judged]
-        target = engine.by_window(engine.motion.inputs["position_target"])[..., self.judged]
-        load = i if np.ptp(i) > 0 else target - q  # a servo with its own loop pushes in proportion to its error
-        x = np.stack([q, v, np.tanh(v / 0.05), load, load * v, warm, time], -1)
-        spread = x.std((0, 1))
-        x = (x - x.mean((0, 1))) / np.where(spread < 1e-4, 1e9, spread)
-        often = np.array([3, 3, 3, 3, 2, 1, 1.0])
-        made = [np.ones(q.shape)]
-        for number in range(count - 1):
-            picked = rng.choice(7, 2, replace=False, p=often / often.sum()) if number % 2 else rng.choice(5, 1)
-            weight = np.zeros(7)
-            weight[picked] = rng.standard_normal(len(picked)) / (1.5 if number % 4 < 2 else 0.6)
-            made.append(np.sqrt(2) * np.cos(x @ weight + rng.uniform(0, 2 * np.pi)))
+        engine = self.engine
+        made = random_features(engine, self.judged, self.settings.features)
         carried = np.einsum("tjk,tok->otj", engine.motion.dynamics.carried, engine.sway) / self.unit
         for share, torque in zip(SWAY, carried, strict=True):  # of what the gyro says of the stand
             made.append(share / self.settings.law * engine.by_window(torque)[..., self.judged])
