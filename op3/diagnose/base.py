@@ -338,6 +338,8 @@ def unusual(
         told = 1 / np.sqrt(curvature[mine])
         spread = own_spread(point[mine], told, chain.spread, settings) if chain.own and len(mine) > 1 else chain.spread
         expected = given.value(name) if name in known else chain.usual
+        if name not in known and chain.none is not None:
+            expected, spread = 0.0, chain.none
         for i, deviation in zip(mine, told, strict=True):
             entry, usual = base.coordinates.entries[i], np.array(expected - point[i])
             low, high = entry.low - point[i], entry.high - point[i]

@@ -46,6 +46,8 @@ class Chain:
         most: largest value that the base may take.
         own: whether joints differ.
         least: smallest value that the base may take, beside what physics allows.
+        none: as how much a model without it says that there is none, a standard deviation; None where it says nothing of
+            it, as of sensors.
     """
 
     usual: float
@@ -54,6 +56,7 @@ class Chain:
     most: float
     own: bool = False
     least: float = -inf
+    none: float | None = None
 
 
 CHAIN: Mapping[str, Chain] = {
@@ -68,8 +71,8 @@ CHAIN: Mapping[str, Chain] = {
     # our own choice, 1 / (330 N m/rad): friction of 0.1 N m grips within 0.3 mrad, a fifth of an encoder's count
     "bristle_compliance": Chain(0.003, 0.003, 0.004, 0.05),
     # a sync write of 2 and a sync read of 10 bytes by twenty servos are 530 bytes of ROBOTIS' protocol 2.0: 5.3 ms at
-    # 1 Mbit/s and 1.3 ms at 4 Mbit/s, and the pauses before the answers
-    "command_latency": Chain(0.004, 0.0015, 0.004, 0.03),
+    # 1 Mbit/s and 1.3 ms at 4 Mbit/s, and the pauses before the answers; less than the latter is as good as none
+    "command_latency": Chain(0.004, 0.0015, 0.004, 0.03, none=0.0013),
     # a mesh's efficiency depends on speed, as a table (Pelchen, Schweiger & Otter 2002). The fade is that of M4 of
     # Duclusaud et al. (2025), whose fits fade over 0.35 to 2.6 rad/s. How much more is lost near rest is our own
     # choice: there 1.1 times as much on the XL330, nothing on XL-320 and eRob80:50, nearly all on MX-64 and MX-106

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import yaml
 
-from op3.diagnose.base import Base, damped, doubts, gap_of, search, settle
+from op3.diagnose.base import Base, base_numbers, damped, doubts, gap_of, held_odds, search, settle, unfitted, unusual
 from op3.diagnose.coordinates import base_coordinates, other_forms, with_chain, with_own_spread
 from op3.diagnose.findings import Named, Search, Stage
-from op3.diagnose.judge import Numbers, Posterior, State
+from op3.diagnose.judge import Judge, Numbers, Posterior, State
 from op3.diagnose.reduction import Linear, Reduction
 from op3.diagnose.settings import Settings
 from op3.diagnose.show import choose, show
@@ -166,3 +166,17 @@ def test_a_verdict_is_findings_and_what_stays_unexplained():
     assert verdict(findings=(), joints={"r_hip_yaw": odd}).verdict == "unknown"
     assert verdict(findings=()).verdict == "nothing_missing"
     assert yaml.safe_load(yaml.safe_dump(beside.plain()))["findings"][0]["probability"] == 0.93
+
+
+def test_a_delay_is_unusual_of_a_model_that_has_none(truth, logs):
+    """6 ms are what the paper's model says, and much for one without; nothing else of the chain is told then. A base
+    that is held to none is worse."""
+    reduction = Reduction(WindowResiduals(logs, windows=24))
+    base = unfitted(reduction, truth)
+    base = settle(reduction, base.coordinates, base.point)
+    judge = Judge(reduction.rows(base.linear, ()), base_numbers(base.coordinates, base.point))
+    for given, told in (("paper", []), ("paper_without_latency", ["command_latency"])):
+        found = unusual(load_model(given), base, base.fit, judge)
+        names = [(i, held) for i, odds, _, held in found if odds > 6]
+        assert [base.coordinates.entries[i].parameter for i, _ in names] == told
+        assert all(held_odds(reduction, base, i, held) > 6 for i, held in names)
