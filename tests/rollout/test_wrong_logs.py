@@ -245,6 +245,17 @@ def test_a_joint_that_goes_with_another_one_is_not_swapped_with_it(tmp_path):
     assert not any("swapped" in finding.problem for finding in read_log(write(tmp_path, lean, joints=3)).findings)
 
 
+def test_a_joint_that_holds_and_is_shaken_is_not_swapped_with_the_one_that_shakes_it(tmp_path):
+    """One holds still and gives way to the motion of another, which follows its own command: a robot that falls."""
+
+    def shaken(table: Table) -> None:
+        table["joint_0.target"] = np.zeros_like(table["time"])
+        table["joint_0.position"] = 0.1 * (table["joint_2.position"] - table["joint_2.position"].mean())
+        table["joint_0.velocity"] = np.gradient(table["joint_0.position"], table["time"])
+
+    assert not any("swapped" in finding.problem for finding in read_log(write(tmp_path, shaken, joints=3)).findings)
+
+
 WARNED: dict[str, tuple[Change, str]] = {
     "16 bits without sign": (edit(".*velocity", lambda v: np.where(v < 0, v + 65536 * 0.024, v)), "16-bit"),
     "a wrong reading": (put("joint_0.velocity", 40.0, 300), "a single reading of 40 stands between"),

@@ -40,7 +40,9 @@ def command(view: View) -> Iterator[Finding]:
         sure, ratio = float(best[joint, joint]), float(matches[int(own[:, joint].argmax())].ratio[joint, joint])
         where = POSITION, joint
         whose = int(leader[joint])
-        other = view.joints[whose] if follows[joint] and (follows[whose] or not asked[joint]) else None
+        # one that is shaken by another's motion is no swap: that other follows its own command as well
+        both = follows[whose] or (not asked[joint] and itself[whose] < strength[joint])
+        other = view.joints[whose] if follows[joint] and both else None
         if asked[joint] and sure > 0.95 and (ratio > _MOST or ratio < 1 / 30):
             unit = likely_unit(ratio, "rad") or (likely_unit(1 / ratio, "rad") if ratio else None)
             cause = f", as if {'it' if ratio > 1 else 'the command'} were in {unit}" if unit else ""
