@@ -205,11 +205,11 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
         return str(stages.run("identify", "identify.py", *data, *groups, *method, *budget["identify"]) / "model.yaml")
 
     randomised = condition.get("randomisation") is not None
+    start = budget.get("start", {}).get(chosen("task"))
     if promising is not None:
         model, policy, began = promising, Path(cfg.policy), "given"
     else:
         model = base if condition.get("randomisation") == "ranges" else identified()
-        start = budget.get("start", {}).get(chosen("task"))
         policy, began = train(stages, cfg, budget, 0, model, start), start or "nothing"
     transfers = [transfer(stages, cfg, budget, 0, policy, model, began)]
     learned = Learned()
@@ -226,8 +226,8 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
             model = reidentified(
                 stages, cfg, number, model, squat, transfers[-1], [*groups, *budget["reidentify"]], learned
             )
-        began = f"the policy of round {number - 1}" if cfg.warm_start else "nothing"
-        policy = train(stages, cfg, budget, number, model, policy if cfg.warm_start else None)
+        began = f"the policy of round {number - 1}" if cfg.warm_start else start or "nothing"
+        policy = train(stages, cfg, budget, number, model, policy if cfg.warm_start else start)
         transfers.append(transfer(stages, cfg, budget, number, policy, model, began))
     learned.spared = learns and len(transfers) == 1 and transfers[0].success
     return report(cfg, chosen("budget"), folder, stages, transfers, learned)
