@@ -351,11 +351,14 @@ def unusual(
 
 
 def held_odds(reduction: Reduction, base: Base, number: int, held: Coordinate, settings: Settings = SETTINGS) -> float:
-    """Log odds of a base against another in which one of its numbers is held to what is usual, all else fitted anew.
+    """Log odds of a number's being free against its being what is usual, all else fitted anew from there.
 
-    Where joints stick a fit may end with a number that some others might have been instead.
+    Where joints stick a fit may end with a number that some others might have been instead: both begin with what is
+    usual.
     """
     entries, point = list(base.coordinates.entries), base.point.copy()
     entries[number], point[number] = held, held.prior
     coordinates = replace(base.coordinates, entries=tuple(entries))
-    return gap_of(reduction, settle(reduction, coordinates, point, settings, ELSEWHERE, base.fit.state), base) / 2
+    usual = settle(reduction, coordinates, point, settings, ELSEWHERE, base.fit.state)
+    free = settle(reduction, base.coordinates, usual.point, settings, ELSEWHERE, usual.fit.state)
+    return gap_of(reduction, usual, free, settings) / 2

@@ -46,8 +46,8 @@ class Chain:
         most: largest value that the base may take.
         own: whether joints differ.
         least: smallest value that the base may take, beside what physics allows.
-        none: as how much a model without it says that there is none, a standard deviation; None where it says nothing of
-            it, as of sensors.
+        none: how much is as good as none where a model does not have it, a standard deviation; None where such a model
+            says nothing of it, as of sensors.
     """
 
     usual: float
