@@ -33,7 +33,7 @@ def look(path: Path, cfg: DictConfig) -> bool:
             print(f"written to {side_path(path)}; correct it there")
     options = {name: plain(cfg[name]) for name in OPTIONS if name in cfg}
     try:
-        logs = read_episodes(path, options, check=False)
+        logs = read_episodes(path, options, check=False, robot=cfg.robot)
     except LogError as error:
         print(error)
         return False

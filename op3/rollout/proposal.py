@@ -10,6 +10,7 @@ import yaml
 
 from op3.robot import load_robot
 from op3.robot.robot import Robot
+from op3.rollout.errors import LogError
 from op3.rollout.guess import guess_all
 from op3.rollout.importing import read_side
 from op3.rollout.read import reader_of
@@ -34,7 +35,10 @@ def propose(path: Path, robot: str | None = None) -> tuple[dict[str, Any], dict[
     about = {"robot": "real", "mount": "stand", **found.metadata, **read_side(path).metadata}
     if known is not None:
         columns = {name: _of_robot(column, known) for name, column in columns.items()}
-        about["joints"] = list(known.joints)
+        if not any(column.name and column.name.rpartition(".")[0] in known.joints for column in columns.values()):
+            problem, remedy = f"it has none of the joints of {known.name}", f"these are {', '.join(known.joints)}"
+            raise LogError(problem, f"give the robot that made it; {remedy}", source=path)
+        about |= {"joints": list(known.joints), "robot_file": known.reference}  # its terms are in the columns
     return {name: value for name, value in about.items() if value not in (None, {}, [])}, columns
 
 

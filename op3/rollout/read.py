@@ -37,7 +37,7 @@ def read_log(path: str | Path, robot: str | Path | Robot | None = None) -> Rollo
     Raises:
         LogError: with one sentence, and nothing is imported, if anything about it is wrong.
     """
-    logs = _of(path, robot)
+    logs = read_episodes(path, robot=robot)
     if len(logs) == 1:
         return logs[0]
     if len({(log.rows, log.channels, log.joints) for log in logs}) > 1:
@@ -47,26 +47,19 @@ def read_log(path: str | Path, robot: str | Path | Robot | None = None) -> Rollo
     return Rollout.from_arrays(arrays, logs[0].metadata, path)
 
 
-def _of(path: str | Path, robot: str | Path | Robot | None) -> list[Rollout]:
-    """The recordings in a log, in the terms of a robot where one is given."""
-    if robot is None:
-        return read_episodes(path)
-    known, logs = load_robot(robot), []
-    for log in read_episodes(path, check=False):
-        if log.metadata.robot_file not in (None, known.reference):
-            problem = f"the log is of the robot {log.metadata.robot_file!r} and not of {known.reference!r}"
-            raise LogError(problem, "leave out robot=", source=path, column="field robot_file")
-        logs.append((log if log.metadata.robot_file else as_robot(log, known)).check(path))
-    return logs
-
-
-def read_episodes(path: str | Path, options: Mapping[str, Any] | None = None, check: bool = True) -> list[Rollout]:
+def read_episodes(
+    path: str | Path,
+    options: Mapping[str, Any] | None = None,
+    check: bool = True,
+    robot: str | Path | Robot | None = None,
+) -> list[Rollout]:
     """All recordings in one log.
 
     Args:
         path: File or folder of the log.
         options: Of the import, over those in its YAML; see `op3.rollout.importing.Options`.
         check: Whether logs that cannot be right are refused, and bad channels of single joints set aside.
+        robot: That made it, see `read_log`.
     """
     path = Path(path)
     logs: list[Rollout] = []
@@ -74,6 +67,13 @@ def read_episodes(path: str | Path, options: Mapping[str, Any] | None = None, ch
         logs += roll_out(found, read_side(path, options), path) if isinstance(found, Recording) else [found]
     if not logs:
         raise LogError("it holds no recording", "record at least one episode", source=path)
+    if robot is not None:
+        known = load_robot(robot)
+        for number, log in enumerate(logs):
+            if log.metadata.robot_file not in (None, known.reference):
+                problem = f"the log is of the robot {log.metadata.robot_file!r} and not of {known.reference!r}"
+                raise LogError(problem, "leave out robot=, or correct the field", source=path, column="field robot_file")
+            logs[number] = log if log.metadata.robot_file else as_robot(log, known)
     return [log.check(path) for log in logs] if check else logs
 
 
@@ -87,7 +87,7 @@ def read_logs(paths: Paths, robot: str | Path | Robot | None = None) -> list[Rol
         robot: that made them, see `read_log`.
     """
     given = [paths] if isinstance(paths, str | Path) else paths
-    logs = [log for entry in given for path in expand(entry) for log in _of(path, robot)]
+    logs = [log for entry in given for path in expand(entry) for log in read_episodes(path, robot=robot)]
     if not logs:
         raise LogError("the list of logs is empty", f"name {kinds()}")
     return logs
