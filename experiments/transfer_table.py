@@ -14,7 +14,7 @@ from pathlib import Path
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
-from sim2real import loop
+from sim2real import check, loop
 from support import one_sentence
 
 from op3.command_line import launch
@@ -29,6 +29,7 @@ OmegaConf.register_new_resolver("stem", lambda path: Path(path).stem, replace=Tr
 def main(cfg: DictConfig) -> None:
     """Run one cell and write the table anew; a cell that cannot be run leaves the others."""
     with one_sentence("The same command goes on from the stages done."):
+        check(cfg)
         folder = Path(HydraConfig.get().runtime.output_dir).absolute()
         (folder / FAILED).unlink(missing_ok=True)
         try:

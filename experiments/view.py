@@ -65,6 +65,8 @@ def of_policy(cfg: DictConfig, path: Path) -> Tracks:
     try:
         load_model(model)
     except FileNotFoundError:
+        if cfg.model is not None:
+            raise
         print(f"{model}, on which the policy was trained, is not here; it is shown on `paper`", file=sys.stderr)
         model = "paper"
     env = actor.environment(task, model, 1, cfg.seed, num_threads=1)
@@ -75,6 +77,8 @@ def of_policy(cfg: DictConfig, path: Path) -> Tracks:
 
 def of_model(cfg: DictConfig) -> Tracks:
     """A squat on the floor as a model does it, the ghost of what it is told."""
+    if cfg.model is not None:
+        raise ValueError(f"model={cfg.model}: {cfg.what} is a model itself; leave it out")
     log = simulate_motion(load_model(cfg.what), squat(duration=6.0), mount="floor")
     told = {key: log.array(key) for key in log.channels} | {("joint", "position"): log.array("command/position")}
     return Tracks({"commanded": Rollout.from_arrays(told, log.metadata), "simulated": log}, scene_of(log))

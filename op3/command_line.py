@@ -85,7 +85,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             close = nearest(f"{command} {rest[0]}", longer) if longer else ""
             end(f"{rest[0]} is no setting: write setting=value{close}")
         rest[0] = f"{asked}={rest[0]}"
-    signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # as Python has it: a closed socket is an error, not the end
+    if not {"-h", "--help"} & set(rest):
+        signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # as Python has it: a closed socket is an error, not the end
     sys.argv = [str(path), *PRESETS.get(command, ()), *rest]
     sys.path.insert(0, str(path.parent))
     runpy.run_path(str(path), run_name="__main__")

@@ -79,6 +79,9 @@ def sweep_or_report(
     """
     path = OmegaConf.select(cfg, "population")
     if path is not None:
+        if not Path(str(path)).is_file():
+            with _one_sentence():
+                raise ValueError(f"population={path}: the sweeper writes that file itself; leave it out")
         asked = json.loads(Path(path).read_text())
         if isinstance(asked, dict):
             return _propose(propose, asked["starts"])

@@ -72,7 +72,9 @@ def read_episodes(
         for number, log in enumerate(logs):
             if log.metadata.robot_file not in (None, known.reference):
                 problem = f"the log is of the robot {log.metadata.robot_file!r} and not of {known.reference!r}"
-                raise LogError(problem, "leave out robot=, or correct the field", source=path, column="field robot_file")
+                raise LogError(
+                    problem, "leave out robot=, or correct the field", source=path, column="field robot_file"
+                )
             logs[number] = log if log.metadata.robot_file else as_robot(log, known)
     return [log.check(path) for log in logs] if check else logs
 
@@ -101,6 +103,8 @@ def robot_of(paths: Paths) -> Robot:
 
 def expand(path: str | Path) -> list[Path]:
     """The single logs that a path, folder or pattern stands for."""
+    if not str(path).strip():
+        raise LogError("the path of a log is empty", f"name {kinds()}")
     path = Path(path)
     if path.is_dir() and _claiming(path) is None:
         found, where = _inside(path), "the folder holds no log"
