@@ -610,3 +610,34 @@ def test_folders_are_checked_too(tmp_path):
     Rollout.from_arrays(arrays, log.metadata).save(tmp_path / "b")
     with pytest.raises(LogError, match=r"as if it were in deg"):
         read_log(tmp_path / "b")
+
+
+def test_a_joint_that_hardly_moves_at_first_tells_no_clock(tmp_path):
+    """What noise makes of its delay there is none of two clocks; another joint that moves throughout tells."""
+
+    def change(table: Table) -> None:
+        early = np.arange(len(table["time"])) < 340
+        for name in ("joint_0.target", "joint_0.position"):
+            noise = 1e-3 * np.random.default_rng(len(name)).standard_normal(len(early))
+            table[name] = np.where(early, noise, 3 * (table[name] - table[name][340]))
+        table["joint_0.velocity"] = np.gradient(table["joint_0.position"], table["time"])
+
+    assert not any("clocks" in finding.problem for finding in read_log(write(tmp_path, change, joints=3)).findings)
+
+
+def test_a_battery_of_two_cells_is_none_of_three(tmp_path):
+    """Half as much again is measured as the metadata say."""
+    volts = 1.5 * (bench_log().metadata.battery or 0.0)
+    change: Change = lambda table: table.update({"joint_0.voltage": np.full(len(table["time"]), volts)})  # noqa: E731
+    findings = read_log(write(tmp_path, change)).findings
+    assert any("does not fit the battery of" in finding.problem for finding in findings)
+
+
+@pytest.mark.parametrize(("sign", "told"), [(-1.0, False), (1.0, True)])
+def test_a_joint_beyond_the_limits_of_its_robot_is_told(sign, told):
+    """A knee that bends the wrong way all the time has its sign turned round, though its channels agree."""
+    time = np.arange(500)[:, None] / 125
+    angle = sign * (0.9 + 0.3 * np.sin(4 * time))
+    arrays = {"time": time, "command/position": angle, "joint/position": angle + 1e-4 * np.sin(9 * time)}
+    log = Rollout.from_arrays(arrays, Metadata(("r_knee",), "real", "stand", 125.0, robot_file="op3"))
+    assert any("where op3 ends" in finding.problem for finding in examine(log)) == told

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from op3.rollout.errors import LogError
 from op3.rollout.health.finding import COMMAND, CURRENT, ERROR, POSITION, VELOCITY, WARNING, Finding, View, check
 from op3.rollout.health.match import SURE, match, step
 from op3.rollout.robot_log import find_servo
@@ -93,6 +94,26 @@ def a_turn_off(view: View) -> Iterator[Finding]:
     for joint in np.flatnonzero((turns != 0) & follows & (np.abs(offset - turns * _TURN) < 1.0)):
         problem = f"the position is {offset[joint]:+.3f} rad away from the command, about {turns[joint]:+.0f} turn"
         yield view.found(ERROR, (POSITION, joint), problem, "write `unwrap: true` into its YAML")
+
+
+@check("limits of the robot")
+def beyond_limits(view: View) -> Iterator[Finding]:
+    """A joint is mostly where its robot's file says that it cannot go: its sign or its zero is another."""
+    if view.metadata.robot_file is None:
+        return
+    try:
+        known = view.log.robot
+    except LogError:  # told by the check of the robot
+        return
+    for joint, name in enumerate(view.joints):
+        if name in known.joints:
+            low, high = known.limits[known.joints.index(name)]
+            share = float(((view.position[:, joint] < low - 0.1) | (view.position[:, joint] > high + 0.1)).mean())
+            if share > 0.5:
+                problem = (
+                    f"{share:.0%} of the positions lie outside {low:.2f} to {high:.2f} rad, where {known.name} ends"
+                )
+                yield view.found(WARNING, (POSITION, joint), problem, "look at its sign and its zero")
 
 
 @check("constant offset")

@@ -142,15 +142,17 @@ def two_clocks(view: View) -> Iterator[Finding]:
     third, stride = len(view.time) // 3, max(1, round(0.02 / view.interval))
     if third * view.interval < 1 or view.interval > 0.1 or not np.ptp(view.command, axis=0).any():
         return
-    joint = int(np.ptp(view.command, axis=0).argmax())
-    most = third // 2
+    parts, most = (slice(0, third), slice(-third, None)), third // 2
     lags = np.arange(max(round(AHEAD / view.interval), -most), min(round(LONGEST / view.interval), most), stride)
-    curves = []
-    for part in (slice(0, third), slice(-third, None)):
-        angle, told = view.position[part, joint], view.command[part, joint]
-        curves.append(
-            np.array([delayed(angle, told, int(n)) if n >= 0 else delayed(told, angle, -int(n)) for n in lags])
-        )
+    # of the joints that move most throughout, the one that follows its command best
+    spans = np.minimum(*(np.minimum(np.ptp(view.command[p], 0), np.ptp(view.position[p], 0)) for p in parts))
+    found = {
+        int(j): [_follows(view, int(j), part, lags) for part in parts] for j in np.argsort(-spans)[:3] if spans[j] > 0.1
+    }
+    if not found:
+        return
+    joint = min(found, key=lambda j: max(1 - curve.max() for curve in found[j]))
+    curves = found[joint]
     best = [int(curve.argmax()) for curve in curves]
     left = [1 - curve.max() for curve in curves]
     early, late = (float(lags[n] * view.interval) for n in best)
@@ -170,3 +172,9 @@ def two_clocks(view: View) -> Iterator[Finding]:
     ):
         problem = f"the position follows the command by {early:.2f} s throughout"
         yield view.found(WARNING, where, f"{problem}: their clocks differ, or one is shifted", remedy)
+
+
+def _follows(view: View, joint: int, part: slice, lags: np.ndarray) -> np.ndarray:
+    """How well a position follows its command by so many rows, ``[lag]``."""
+    angle, told = view.position[part, joint], view.command[part, joint]
+    return np.array([delayed(angle, told, int(n)) if n >= 0 else delayed(told, angle, -int(n)) for n in lags])
