@@ -641,3 +641,13 @@ def test_a_joint_beyond_the_limits_of_its_robot_is_told(sign, told):
     arrays = {"time": time, "command/position": angle, "joint/position": angle + 1e-4 * np.sin(9 * time)}
     log = Rollout.from_arrays(arrays, Metadata(("r_knee",), "real", "stand", 125.0, robot_file="op3"))
     assert any("where op3 ends" in finding.problem for finding in examine(log)) == told
+
+
+def test_commands_that_stop_while_the_joints_go_on_are_told(tmp_path):
+    """The recorder lost the stream of targets after a third."""
+    change = put(r"joint_\d.target", np.nan, 340, 999)
+    findings = read_log(write(tmp_path, change, joints=3)).findings
+    assert any("no target changes for" in finding.problem for finding in findings)
+    (tmp_path / "sound").mkdir()
+    sound = read_log(write(tmp_path / "sound", joints=3)).findings
+    assert not any("no target" in finding.problem for finding in sound)

@@ -25,6 +25,9 @@ from op3.rollout.health.match import integral, longest_run, step
 _GIVES = 0.5
 """No servo that holds its target yields by so much [rad]."""
 
+_SETTLES = 0.5
+"""A servo has reached a target that stands [s]."""
+
 
 @check("saturated")
 def saturated(view: View) -> Iterator[Finding]:
@@ -57,6 +60,7 @@ def stands_still(view: View) -> Iterator[Finding]:
     if rows:
         yield from _dead(view)
         yield from _stops(view, rows)
+        yield from _commands_stop(view)
         for _, joint, velocity in view.columns(VELOCITY):
             yield from _velocity_stands(view, joint, velocity, rows)
         for joint, position in enumerate(view.position.T):
@@ -66,6 +70,20 @@ def stands_still(view: View) -> Iterator[Finding]:
                 problem += f"{np.ptp(position):.3g} rad"
                 remedy = "record what was sent, or `torque_enable: 0` where it was pushed by hand"
                 yield view.found(WARNING, (COMMAND, joint), problem, remedy)
+
+
+def _commands_stop(view: View) -> Iterator[Finding]:
+    """No target changes any more, and a joint goes on as before: what was sent was not recorded."""
+    first, length = longest_run((np.diff(view.command, axis=0) == 0).all(1))
+    last = first + length
+    settled = slice(first + round(_SETTLES / view.interval), last + 1)
+    if length * view.interval < 3 * _SETTLES or not view.driven[first : last + 1].all():
+        return
+    moved, told = np.ptp(view.position[settled], axis=0), np.ptp(view.command, axis=0)
+    joint = int(np.where(told > 0.1, moved / np.maximum(told, 0.1), 0.0).argmax())
+    if told[joint] > 0.1 and moved[joint] > 0.5 * told[joint]:
+        problem = f"no target changes for {length} rows, while the joint goes on by {moved[joint]:.3g} rad"
+        yield view.found(WARNING, (COMMAND, joint), problem, "record what was sent, or cut the log here", first, last)
 
 
 def _velocity_stands(view: View, joint: int, velocity: np.ndarray, rows: int) -> Iterator[Finding]:
