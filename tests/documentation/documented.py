@@ -13,6 +13,7 @@ STANDS_FOR: Mapping[str, str] = {
     "log": "given/log",
     "other log": "given/other_log",
     "logs": "given/logs",
+    "calibration": "given/calibration.yaml",
     "model": "given/model.yaml",
     "other model": "given/other_model.yaml",
     "policy": "assets/policies/balance",
