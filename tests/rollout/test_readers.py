@@ -7,6 +7,7 @@ import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,7 @@ from rollout_logs import SERVO_BENCH, refusal
 from op3.rollout import LogError, read_log, read_logs
 from op3.rollout.readers import readers
 from op3.rollout.readers.reader import Recording, Stream
+from op3.rollout.readers.ros import _imu
 
 FOREIGN = SERVO_BENCH.parent / "foreign"
 
@@ -229,3 +231,14 @@ def test_any_damage_is_read_or_refused(tmp_path_factory, sound, data):
     file.write_bytes(raw[:start] + data.draw(st.binary(max_size=12)) + raw[end:])
     assert "\n" not in refusal(folder / path)
     shutil.rmtree(folder)
+
+
+@pytest.mark.parametrize("size", [1e200, 3.0, 0.0])
+def test_a_quaternion_that_is_none_gives_no_orientation(size):
+    """One that is not normed to within two fifths is what a driver sends that has none, or damaged."""
+    quaternion = SimpleNamespace(w=size, x=0.0, y=0.0, z=0.0)
+    vector = SimpleNamespace(x=0.0, y=0.0, z=9.81)
+    message = SimpleNamespace(
+        orientation=quaternion, orientation_covariance=[0.0] * 9, angular_velocity=vector, linear_acceleration=vector
+    )
+    assert set(_imu(message)) == {f"imu.{sensor}_{axis}" for sensor in ("gyro", "acc") for axis in "xyz"}

@@ -98,7 +98,7 @@ def _seconds(stamp: Any) -> float:
 def _imu(message: Any) -> dict[str, float]:
     sensed, q = {"gyro": message.angular_velocity, "acc": message.linear_acceleration}, message.orientation
     told = {f"imu.{sensor}_{axis}": getattr(vector, axis) for sensor, vector in sensed.items() for axis in "xyz"}
-    if message.orientation_covariance[0] != -1 and q.w**2 + q.x**2 + q.y**2 + q.z**2 > 0.5:
+    if message.orientation_covariance[0] != -1 and 0.7 < math.hypot(q.w, q.x, q.y, q.z) < 1.4:
         angles = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_euler("ZYX").tolist()
         told |= zip(("imu.yaw", "imu.pitch", "imu.roll"), angles, strict=True)
     return told
