@@ -31,6 +31,7 @@ from op3.report.tracks import SHOWN, Tracks, of_diagnosis, predicted, scene_of
 from op3.report.video import write_film
 from op3.report.view import RATE, pictures, window
 from op3.robot import squat
+from op3.robot.assets import here_or_shipped
 from op3.rollout import Rollout, read_logs
 from op3.sim import load_model, model_for
 from op3.sim.model_file import model_names
@@ -86,7 +87,7 @@ def of_model(cfg: DictConfig) -> Tracks:
 
 def tracks_of(cfg: DictConfig) -> Tracks:
     """What is to be shown, by what it is."""
-    path = Path(cfg.what)
+    path = here_or_shipped(cfg.what)
     for policy in (path, path / "policy"):
         if (policy / MANIFEST).is_file():
             return of_policy(cfg, policy)

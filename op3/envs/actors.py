@@ -12,6 +12,7 @@ from torch import Tensor
 from op3.envs.batched import BatchedEnv
 from op3.envs.factory import make_env
 from op3.policy import ActionMap, PolicyBundle
+from op3.robot.assets import here_or_shipped
 from op3.servo import RobotModel
 from op3.sim import load_model
 from op3.tasks.baselines import POSITION_GAIN, Hold, Random, StiffWalk, Zero, position_mode
@@ -110,7 +111,7 @@ def find_actor(
                 f"{field}=stiff walks, but task {task.name} has no gait; give task=walk or one on uneven ground"
             )
         return Actor(name, baselines[name](), action_map)
-    if not Path(name).exists():
+    if not here_or_shipped(name).exists():
         raise FileNotFoundError(f"{field}={name}: no such folder; give a bundle's, or {', '.join(baselines)}")
     bundle = PolicyBundle.load(name)
     task.check_policy(bundle.manifest, f"{field}={name}")

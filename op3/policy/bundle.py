@@ -10,6 +10,7 @@ import torch
 
 from op3.policy.actions import Array
 from op3.policy.manifest import Manifest
+from op3.robot.assets import here_or_shipped
 from op3.rollout.files import write_folder
 
 WEIGHTS = "policy.pt"
@@ -97,7 +98,7 @@ class PolicyBundle:
             FileNotFoundError: if a file is missing.
             ValueError: if the bundle is broken; the message names file, field and remedy.
         """
-        folder = Path(folder)
+        folder = here_or_shipped(folder)
         for name in (MANIFEST, WEIGHTS):
             if not (folder / name).is_file():
                 raise FileNotFoundError(

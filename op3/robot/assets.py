@@ -23,6 +23,14 @@ def asset_path(name: str) -> Path:
     raise FileNotFoundError(f"no asset {name!r} in {searched}; run from a checkout or install the wheel")
 
 
+def here_or_shipped(path: str | Path) -> Path:
+    """The path, or that of the package where it begins with ``assets/`` and is not below the working folder."""
+    path = Path(path)
+    if path.parts[:1] == ("assets",) and not path.exists():
+        return next((folder.parent / path for folder in _CANDIDATES if (folder.parent / path).exists()), path)
+    return path
+
+
 def named_configs(group: str) -> dict[str, Path]:
     """The config files of a group that come with the project, by name: ``conf/<group>/<name>.yaml``.
 

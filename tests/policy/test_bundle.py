@@ -149,3 +149,15 @@ def test_a_robot_that_the_policy_was_not_made_for(changes, message):
     MANIFEST.check_fits(**here)
     with pytest.raises(ValueError, match=message):
         MANIFEST.check_fits(**{**here, **changes})
+
+
+def test_shipped_policies_are_found_from_any_folder(tmp_path, monkeypatch):
+    """Their path is that of a checkout, and one of the working folder comes first."""
+    monkeypatch.chdir(tmp_path)
+    shipped = PolicyBundle.load("assets/policies/balance")
+    assert shipped.manifest.task == "balance"
+    with pytest.raises(FileNotFoundError, match="policies/none"):
+        PolicyBundle.load("assets/policies/none")
+    (tmp_path / "assets/policies/balance").mkdir(parents=True)
+    with pytest.raises(FileNotFoundError):
+        PolicyBundle.load("assets/policies/balance")
