@@ -31,7 +31,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rollout_logs import SERVO_BENCH, refusal
 
+from op3.robot import load_robot
 from op3.rollout import LogError, read_log, read_logs
+from op3.rollout.importing import side_path
+from op3.rollout.proposal import as_yaml, propose
 from op3.rollout.readers import readers
 from op3.rollout.readers.reader import Recording, Stream
 from op3.rollout.readers.ros import _imu
@@ -242,3 +245,23 @@ def test_a_quaternion_that_is_none_gives_no_orientation(size):
         orientation=quaternion, orientation_covariance=[0.0] * 9, angular_velocity=vector, linear_acceleration=vector
     )
     assert set(_imu(message)) == {f"imu.{sensor}_{axis}" for sensor in ("gyro", "acc") for axis in "xyz"}
+
+
+def test_an_imported_log_is_in_its_robots_terms_once(tmp_path):
+    """The same angles before its YAML is written and behind it, there also without its robot; another is refused."""
+    arm = load_robot("arm")
+    path, names = sage(tmp_path), [arm.file.joints[joint].log.name or joint for joint in arm.joints]
+    (path / "joint_list.txt").write_text("\n".join(names))
+    for file in ("state_motor.csv", "control.csv"):  # as many columns as joints
+        text = (path / file).read_text()
+        (path / file).write_text(re.sub(r"\[(.*?), (.*?)\]", r"[\1, \2, \1, \2, \1, \2]", text))
+    before = read_log(path, "arm").array("joint/position")
+    with pytest.raises(LogError, match=r"it has none of the joints of op3; .* head_pan"):
+        propose(path, "op3")
+    side_path(path).write_text(as_yaml(*propose(path, "arm")))
+    for robot in ("arm", None):
+        log = read_log(path, robot)
+        assert (log.joints, log.metadata.robot_file) == (arm.joints, "arm")
+        assert np.abs(log.array("joint/position") - before).max() < 1e-9
+    with pytest.raises(LogError, match="the log is of the robot 'arm' and not of 'op3'"):
+        read_log(path, "op3")

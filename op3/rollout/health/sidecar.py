@@ -14,7 +14,7 @@ _PLAUSIBLE = {"mass": ("kg", 1e-3, 50.0, 0.4), "length": ("m", 5e-3, 3.0, 0.12),
 """Unit, smallest, largest and a typical value of what a bench's sidecar says."""
 
 
-CHARGE = (0.7, 1.3)
+_CHARGE = (0.7, 1.3)
 """Voltage over that of the battery: a cell of 3.7 V gives 3.0 to 4.2 V, and cables and load take some of it."""
 
 
@@ -71,7 +71,7 @@ def supply(view: View) -> Iterator[Finding]:
     battery = view.metadata.battery
     for key, joint, column in view.columns(("joint", "voltage"), ("joint", "temperature")):
         median = float(np.median(column))
-        if key[1] == "voltage" and battery and 0 < median <= 30 and not CHARGE[0] < median / battery < CHARGE[1]:
+        if key[1] == "voltage" and battery and 0 < median <= 30 and not _CHARGE[0] < median / battery < _CHARGE[1]:
             problem = f"the median voltage {median:.4g} V does not fit the battery of {battery:g} V"
             yield view.found(WARNING, (key, joint), problem, "convert it to volts, or correct `battery`", aside=True)
         if key[1] == "temperature" and not -10 <= median <= 95 and median <= 150:  # beyond that its bound speaks
