@@ -664,3 +664,33 @@ def test_what_is_alike_in_several_joints_is_told_once():
     told = told_together(found)
     assert sorted(one.column for one in told) == ["joint_0.velocity", "joint_2.velocity"]
     assert next(one for one in told if one.column == "joint_0.velocity").problem.endswith("(alike in joint_1, joint_3)")
+
+
+def test_joints_that_sway_together_are_not_exchanged():
+    """A standing robot's joints follow one another, round in no circle; where two columns were exchanged they do."""
+    log = bench_log(joints=3)
+    arrays = {key: log.array(key).copy() for key in log.channels}
+    sway = arrays["command/position"] if "command/position" in arrays else arrays["command", "position"]
+    other = np.roll(sway, 1, axis=1)
+    arrays["joint", "position"] = np.stack([sway[:, 1], sway[:, 2], sway[:, 2]], 1)
+    arrays["joint", "velocity"] = np.gradient(arrays["joint", "position"], arrays["time"][:, 0], axis=0)
+    shaken = examine(Rollout.from_arrays(arrays, log.metadata))
+    assert not [one for one in shaken if "are swapped" in one.problem]
+    arrays["joint", "position"] = other
+    arrays["joint", "velocity"] = np.gradient(other, arrays["time"][:, 0], axis=0)
+    exchanged = examine(Rollout.from_arrays(arrays, log.metadata))
+    assert len([one for one in exchanged if "are swapped" in one.problem]) == 3
+
+
+def test_a_robot_that_stands_and_falls_has_an_orientation():
+    """What the gyroscope says of the fall is no bias of the time before."""
+    log = bench_log()
+    arrays = {key: log.array(key).copy() for key in log.channels}
+    falls = np.clip(arrays["time"][:, 0] - 7.0, 0.0, None) ** 2
+    arrays["imu", "orientation"] = np.round(np.stack([0 * falls, falls, 0 * falls], 1) / 0.001745) * 0.001745
+    arrays["imu", "angular_velocity"] = np.stack([0 * falls, np.gradient(falls, arrays["time"][:, 0]), 0 * falls], 1)
+    rng = np.random.default_rng(0)
+    arrays["imu", "angular_velocity"] += 0.004 * rng.standard_normal((1000, 3))
+    arrays["imu", "linear_acceleration"] = 9.81 * np.stack([-np.sin(falls), 0 * falls, np.cos(falls)], 1)
+    found = examine(Rollout.from_arrays(arrays, log.metadata))
+    assert not [one for one in found if "orientation" in one.problem]

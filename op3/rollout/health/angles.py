@@ -18,6 +18,15 @@ _MOST = 1.9
 """A servo does not move this many times as far as it is told to."""
 
 
+def _returns(joint: int, leader: np.ndarray, follows: np.ndarray) -> bool:
+    """Whether who follows whom leads back to a joint, as where columns were exchanged."""
+    at, seen = joint, set()
+    while follows[at] and at not in seen:
+        seen.add(at)
+        at = int(leader[at])
+    return bool(seen) and at == joint
+
+
 @check("position against command")
 def command(view: View) -> Iterator[Finding]:
     """Position and command differ in unit or sign, or belong to different joints."""
@@ -36,13 +45,14 @@ def command(view: View) -> Iterator[Finding]:
     foreign = np.where(asked & ~np.eye(len(best), dtype=bool), best, -1.0)
     leader, strength = foreign.argmax(1), foreign.max(1)
     itself = np.diagonal(best)
+    stands = np.ptp(angle[driven], axis=0) < 0.5 * np.ptp(target[driven], axis=0)
     follows = (strength > SURE) & (itself < 0.95) & (1 - strength < 0.2 * (1 - itself))
     for joint in map(int, np.flatnonzero(asked | moved)):
         sure, ratio = float(best[joint, joint]), float(matches[int(own[:, joint].argmax())].ratio[joint, joint])
         where = POSITION, joint
         whose = int(leader[joint])
-        # one that is shaken by another's motion is no swap: that other follows its own command as well
-        both = follows[whose] or (not asked[joint] and itself[whose] < strength[joint])
+        # one that is shaken by another's motion is no swap: that other follows its own command, or a third one's
+        both = _returns(joint, leader, follows) or (not asked[joint] and stands[whose])
         other = view.joints[whose] if follows[joint] and both else None
         if asked[joint] and sure > 0.95 and (ratio > _MOST or ratio < 1 / 30):
             unit = likely_unit(ratio, "rad") or (likely_unit(1 / ratio, "rad") if ratio else None)

@@ -148,13 +148,16 @@ def _stops(view: View, rows: int) -> Iterator[Finding]:
 
 
 def _turned(view: View) -> np.ndarray:
-    """Integral of the gyroscope [time, axis] without its bias, which is no turning, and single wrong readings."""
+    """Integral of the gyroscope [time, axis] without its bias, which is no turning, and single wrong readings.
+
+    The bias is the median: the mean of a robot that falls in the end is its fall.
+    """
     rates = view.get(RATE)
     if rates is None:
         return np.zeros((len(view.time), 3))
     rates = rates.copy()
     rates[1:-1] = np.median([rates[:-2], rates[1:-1], rates[2:]], axis=0)
-    return integral(view.time, rates - rates.mean(0))
+    return integral(view.time, rates - np.median(rates, axis=0))
 
 
 def _dead(view: View) -> Iterator[Finding]:
