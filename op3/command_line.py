@@ -3,9 +3,7 @@
 The overrides are Hydra's, as of ``python experiments/<name>.py``; both go through `launch`.
 """
 
-import ast
 import difflib
-import importlib.resources
 import itertools
 import os
 import re
@@ -13,46 +11,26 @@ import runpy
 import shutil
 import signal
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any, NoReturn
 
+from op3.command_help import (
+    COMMANDS,
+    PRESETS,
+    asked_for,
+    completion,
+    config_file,
+    files,
+    names_in,
+    overview,
+    script,
+    settings_of,
+    usage,
+)
 from op3.private import CLAIMED, hide, scrub, scrub_folder
 from op3.settings import nearest
-
-COMMANDS: Mapping[str, str] = {
-    "demo": "sim2real",
-    "demo diagnose": "demo_diagnose",
-    "collect": "collect",
-    "import": "import_log",
-    "identify": "identify",
-    "predict": "predict",
-    "diagnose": "diagnose",
-    "design": "design_excitation",
-    "train": "train",
-    "evaluate": "evaluate",
-    "compliance": "compliance",
-    "deploy": "deploy",
-    "reidentify": "reidentify",
-    "sim2real": "sim2real",
-    "transfers": "transfer_table",
-    "view": "view",
-    "emulate": "emulate_robot",
-    "compare": "compare_runs",
-}
-"""Experiment of each command."""
-
-PRESETS: Mapping[str, Sequence[str]] = {
-    "demo": ("source=emulated", "task=balance", "world=robot_4", "budget=demo"),
-}
-"""Overrides that a command begins with."""
-
-
-def files() -> Path:
-    """The folder that holds ``experiments/`` and ``conf/``: the checkout, or the part of an installed wheel."""
-    package = Path(str(importlib.resources.files("op3")))
-    return package / "_files" if (package / "_files").is_dir() else package.parent
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -92,116 +70,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     runpy.run_path(str(path), run_name="__main__")
 
 
-def config_file(config: str) -> Path:
-    """The file of a config, which may lie in a folder of its name."""
-    conf = files() / "conf"
-    return conf / f"{config}.yaml" if (conf / f"{config}.yaml").is_file() else conf / config / f"{config}.yaml"
-
-
-def script(command: str) -> Path:
-    """The experiment of a command."""
-    return files() / "experiments" / f"{COMMANDS[command]}.py"
-
-
-def asked_for(config: str) -> str | None:
-    """The setting that a command cannot do without, whose name may be left out: ``op3 view <log>``."""
-    found = re.search(r"^(\w+): \?\?\?", config_file(config).read_text(encoding="utf-8"), re.MULTILINE)
-    return found and found[1]
-
-
-def overview(available: Mapping[str, Path]) -> str:
-    """What ``op3 --help`` prints."""
-    rows = [f"  {name:15s}{summary(path)}" for name, path in available.items() if name != "demo"]
-    return "\n".join(
-        [
-            "op3: gear-driven robots from simulation to reality.",
-            "",
-            "  op3 <command> [setting=value ...]      op3 <command> --help lists the settings",
-            "",
-            f"  {'demo':15s}The whole method on an emulated robot at a small budget; one HTML page.",
-            *rows,
-            f"  {'doctor':15s}What this machine has, and what to do about what is missing.",
-            f'  {"completion":15s}Completion for bash: eval "$(op3 completion)".',
-        ]
-    )
-
-
-def summary(path: Path) -> str:
-    """The first sentence of a script's docstring."""
-    text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
-    return text.split("\n")[0]
-
-
-def completion(available: Mapping[str, Path]) -> str:
-    """A bash function that completes commands, settings and the names in config groups."""
-    words = {name: settings_of(COMMANDS[name]) for name in available}
-    for name in [name for name in words if " " in name]:
-        first, second = name.split()
-        words[first] = [second, *words[first], *words.pop(name)]
-    cases = "\n".join(f'    {name}) words="{" ".join(dict.fromkeys(each))}" ;;' for name, each in words.items())
-    commands = " ".join([*words, "doctor", "completion"])
-    # bash takes `=` for the end of a word: what stands before it is not to be written again
-    return (
-        "_op3() {\n"
-        '  local words line="${COMP_LINE:0:COMP_POINT}"\n'
-        '  local current="${line##* }"\n'
-        '  case "${COMP_WORDS[1]}" in\n'
-        f"{cases}\n  esac\n"
-        f'  [ "$COMP_CWORD" = 1 ] && words="{commands}"\n'
-        '  COMPREPLY=($(compgen -W "$words" -- "$current"))\n'
-        '  [[ $current == *=* ]] && COMPREPLY=("${COMPREPLY[@]#*=}")\n'
-        "}\ncomplete -o nospace -o default -F _op3 op3"
-    )
-
-
-def settings_of(config: str) -> list[str]:
-    """Overrides that a config takes: ``group=name`` for every name of its groups, ``setting=`` for its fields."""
-    import yaml
-
-    content = yaml.safe_load(config_file(config).read_text(encoding="utf-8")) or {}
-    chosen = {name: value for e in content.get("defaults", []) if isinstance(e, dict) for name, value in e.items()}
-    choices = []
-    for group, value in chosen.items():
-        written = "{}=[{}]" if isinstance(value, list) else "{}={}"
-        choices += [written.format(group, name) for name in names_in(group)]
-    return [*choices, *(f"{name}=" for name in content if name not in ("defaults", "hydra"))]
-
-
-def names_in(group: str) -> list[str]:
-    """What can be chosen of a group: files in ``conf``, or what the catalogue of effects brings in."""
-    folder = files() / "conf" / group
-    if folder.is_dir():
-        return sorted(file.stem for file in folder.glob("*.yaml"))
-    from hydra.core.config_store import ConfigStore
-
-    from op3.identify.search_groups import register
-
-    register()
-    known = ConfigStore.instance().repo.get(group, {})
-    return sorted(name.removesuffix(".yaml") for name in known)
-
-
-def usage(config: str, documentation: str) -> str:
-    """What ``--help`` of an experiment prints: how it is called, its settings with defaults and units, its groups."""
-    text = config_file(config).read_text(encoding="utf-8")
-    body = re.sub(r"^(defaults|hydra):\n(?:[ #].*\n|\n)*", "", text, flags=re.MULTILINE)
-    body = "\n".join(line for line in body.splitlines() if not line.startswith("#")).strip()
-    body = re.sub(r"\n{3,}", "\n\n", body)
-    groups: dict[str, list[str]] = {}
-    for choice in settings_of(config):
-        name, _, value = choice.partition("=")
-        if value:
-            groups.setdefault(name, []).append(value.strip("[]"))
-    listed = [f"{name}=  {', '.join(values)}" for name, values in groups.items()]
-    parts = [documentation.strip(), "Settings, with defaults (setting=value; group.field=value):", body]
-    if listed:
-        parts += ["Groups (group=name):", "\n".join(listed)]
-    if asked := asked_for(config):
-        parts.append(f"`{asked}=` may be left out where it comes first.")
-    parts.append("Several values (seed=0,1,2) run one after the other with -m; --cfg job prints all settings.")
-    return "\n\n".join(parts)
-
-
 def launch(run: Callable[[], Any], config: str, documentation: str | None) -> None:
     """Run an experiment's Hydra main: help that reads well, paths with any character, wrong names in one sentence.
 
@@ -210,6 +78,7 @@ def launch(run: Callable[[], Any], config: str, documentation: str | None) -> No
         config: name of its config.
         documentation: docstring of the script.
     """
+    from hydra._internal.utils import get_args_parser
     from hydra.core.hydra_config import HydraConfig
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
@@ -217,6 +86,9 @@ def launch(run: Callable[[], Any], config: str, documentation: str | None) -> No
     if {"-h", "--help"} & set(sys.argv[1:]):
         print(usage(config, documentation or ""))
         return
+    flags = get_args_parser()._option_string_actions
+    if wrong := next((word for word in sys.argv[1:] if word.startswith("-") and word.split("=")[0] not in flags), None):
+        end(f"there is no flag {wrong}; settings are written setting=value, and --help lists them")
     if empty := next((word for word in sys.argv[1:] if word.endswith(".dir=")), None):
         end(f"{empty} is empty: give a folder, or leave it out")
     sys.argv[1:] = [hide(quoted(argument)) for argument in sys.argv[1:]]
@@ -224,7 +96,8 @@ def launch(run: Callable[[], Any], config: str, documentation: str | None) -> No
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
     if (other := taken(sys.argv[1:])) not in (None, Path(sys.argv[0]).stem):
         end(f"hydra.run.dir is the folder of a run of {other}, which would be written over: choose another")
-    folder = claim(config, sys.argv[1:])
+    folder, asked = claim(config, sys.argv[1:]), _asked_folder(sys.argv[1:])
+    begun = asked is not None and asked.exists()
     if folder is not None:
         sys.argv.append(os.environ.setdefault(CLAIMED, f"hydra.{_kind(sys.argv)}.dir={folder}"))
     try:
@@ -239,7 +112,9 @@ def launch(run: Callable[[], Any], config: str, documentation: str | None) -> No
         if _kind(sys.argv) == "sweep":
             compare(next((found[1] for word in sys.argv if (found := re.match(r"hydra\.sweep\.dir=(.+)", word))), None))
         if folder is not None:
-            leave(folder)
+            leave(folder, above=2)
+        elif asked is not None and not begun:
+            leave(asked)
 
 
 def compare(folder: str | None) -> None:
@@ -280,17 +155,21 @@ def claim(config: str, arguments: Sequence[str]) -> Path | None:
 
 def taken(arguments: Sequence[str]) -> str | None:
     """The experiment whose run the folder holds that is asked for; None where no folder is, or it holds none."""
-    asked = next((found[1] for word in arguments if (found := re.match(r"\+*hydra\.run\.dir=(.+)", word))), "")
-    file = Path(asked.strip("'\"")) / ".hydra" / "hydra.yaml"
+    file = (_asked_folder(arguments) or Path()) / ".hydra" / "hydra.yaml"
     found = re.search(r"^  job:\n    name: (\w+)", file.read_text("utf-8"), re.MULTILINE) if file.is_file() else None
     return found and found[1]
+
+
+def _asked_folder(arguments: Sequence[str]) -> Path | None:
+    found = (re.match(r"\+*hydra\.run\.dir=(.+)", word) for word in arguments)
+    return next((Path(one[1].strip("'\"")) for one in found if one), None)
 
 
 def _kind(arguments: Sequence[str]) -> str:
     return "sweep" if {"-m", "--multirun"} & set(arguments) else "run"
 
 
-def leave(folder: Path) -> None:
+def leave(folder: Path, above: int = 0) -> None:
     """Take secrets and paths out of what Hydra has written, and away what it has written of a run that left nothing."""
     for place in (folder, *folder.rglob(".hydra")):
         if place.is_dir():
@@ -298,7 +177,7 @@ def leave(folder: Path) -> None:
     files = [file for file in folder.rglob("*") if file.is_file() and ".hydra" not in file.parts]
     if not any(file.stat().st_size for file in files if file.name != "multirun.yaml"):
         shutil.rmtree(folder, ignore_errors=True)
-    for place in (folder, *list(folder.parents)[:2]):
+    for place in (folder, *list(folder.parents)[:above]):
         if place.is_dir() and not any(place.iterdir()):
             place.rmdir()
 
@@ -333,6 +212,9 @@ def explained(error: Exception, config: str) -> str:
     if asked := getattr(error, "missing_cfg_file", None):
         group, _, name = str(asked).rpartition("/")
         return no_such(group, name) if group else f"there is no config {name!r}"
+    if found := re.match(r"Ambiguous value for argument '([^=]+)=([^']*)'", text):
+        name, values = found.groups()
+        return f"{name} has several values: add -m to run one after another, or write {name}=[{values}] for a list"
     if "Config group override must be" in text:
         named = [word.partition("=") for word in sys.argv[1:]]
         return next((no_such(group, name) for group, _, name in named if (files() / "conf" / group).is_dir()), text)

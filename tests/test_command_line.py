@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from op3.command_line import COMMANDS, completion, main, overview, quoted, script, usage
+from op3.command_help import COMMANDS, completion, overview, script, usage
+from op3.command_line import main, quoted
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -60,6 +61,12 @@ def _run(arguments: Sequence[str], cwd: Path, said: Path) -> None:
         (["demo", "diagnos"], "diagnos is no setting: write setting=value; the nearest is 'demo diagnose'"),
         (["identify", "effects={dte: {}}"], "effects has no entry 'dte' yet: add it with +effects.dte=..."),
         (["identify", "hydra.sweeper.n_trials=x"], "hydra.sweeper.n_trials=x: Value 'x' of type 'str' could not be"),
+        (
+            ["identify", "data=x", "seed=1,2"],
+            "seed has several values: add -m to run one after another, or write seed=[",
+        ),
+        (["identify", "data=x", "hydra.run.dir=run"], "x: there is no such file"),
+        (["deploy", "--yess"], "there is no flag --yess; settings are written setting=value, and --help lists them"),
         (["predict", "data=x", "joints=r_knee"], "joints must be a list, got 'r_knee'"),
         (["identify", "groups=[motr]"], "groups=motr: there is no 'motr' in the group groups; the nearest is 'motor'"),
         (["import"], "data is missing: add data=<a log, a folder of logs, or a list of them>"),
@@ -113,9 +120,10 @@ def test_a_file_that_looks_like_a_sweep_is_a_file(tmp_path):
 
 def test_help_tells_settings_with_units_and_groups():
     """The settings come with their defaults and comments, without Hydra's own; groups with the names in them."""
-    text = usage("train", "Train.")
-    assert text.startswith("Train.")
+    text = usage("train", "Train.\n\npython experiments/train.py task=walk")
+    assert text.startswith("Train.\n\nop3 train task=walk\n\nSettings, with defaults")
     assert "initial_gain: 3.0  # A/rad" in text
+    assert "# logs to fit: a path, a folder, a pattern or a list of them\ndata: ???" in usage("identify", "Identify.")
     assert "task=  " in text
     assert "walk_terrain" in text
     assert "job_logging" not in text

@@ -64,7 +64,7 @@ class Command:
     @property
     def script(self) -> Path | None:
         """The experiment that ``python experiments/<name>.py`` or ``op3 <command>`` starts; None of another program."""
-        from op3.command_line import COMMANDS, script
+        from op3.command_help import COMMANDS, script
 
         program, *rest = self.words
         if program == "python" and self.ours:
