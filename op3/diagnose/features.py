@@ -14,6 +14,10 @@ FLOORS = {("joint", "position"): 0.0005, ("joint", "velocity"): 0.010, ("joint",
 PIECES = 4
 """Pieces of a window in each of which the torque is constant."""
 
+ESTIMATOR = 0.5
+"""Share of what a servo's estimate of its velocity makes of it that is not known: how far a lag is from a mean over as
+long a time, at most, behind a step."""
+
 OFTEN = np.array([3, 3, 3, 3, 2, 1, 1.0])
 """How often a feature looks at position, velocity, its direction, load, load times velocity, warmth, time."""
 
@@ -44,7 +48,7 @@ def random_features(engine: WindowResiduals, joints: np.ndarray, count: int) -> 
 
 
 def rates(ticks: int, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """Weights of velocities for their mean over a piece of a window, and of positions for their rate, ``[piece, tick]``.
+    """Weights of velocities for their mean over a piece, and of positions for their rate, ``[piece, tick]``.
 
     Both are of whitened readings and alike where nothing but mechanics acts. The first piece is left out: what filters
     remember of the time before a window is known least.

@@ -264,7 +264,8 @@ class Search:
         Sizes are linear in the judge's rows and too small, as the base gives way only once the effect is there; and the
         effect has one of a few shapes there, and any that is plausible here.
         """
-        s, result, coordinates, point = self.settings, [], stage.base.coordinates, stage.base.point
+        s, coordinates, point = self.settings, stage.base.coordinates, stage.base.point
+        best: dict[Place, Refitted] = {}
         priors = place_priors(stage.found)
         rows, alone = stage.judge.rows, stage.judge.fit(state=stage.fit.state, rounds=2)
 
@@ -288,11 +289,10 @@ class Search:
             low, high, deviation = (getattr(joined, end)[len(point) :] for end in ("low", "high", "deviation"))
             prior = joined.prior[len(point) :]
             mass = log_mass(low - prior, high - prior, 0.0, deviation).sum()
-            result.append((float(evident - without + priors[number] - mass), base, number, more))
-        best: dict[Place, Refitted] = {}
-        for one in sorted(result, key=lambda one: -one[0]):
-            best.setdefault(stage.found[one[2]].place, one)
-        return list(best.values())
+            odds = float(evident - without + priors[number] - mass)
+            if candidate.place not in best or odds > best[candidate.place][0]:
+                best[candidate.place] = odds, base, number, more
+        return sorted(best.values(), key=lambda one: -one[0])
 
     def _around(self, stage: Stage, base: Base, named: tuple[Named, ...]) -> Stage:
         """The judge around a base with what was named, the leading candidates' columns made anew."""

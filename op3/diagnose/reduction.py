@@ -20,7 +20,7 @@ from torch import Tensor
 
 from op3.diagnose.candidates import Candidate
 from op3.diagnose.coordinates import Coordinate, Coordinates
-from op3.diagnose.features import FLOORS, PIECES, random_features, rates
+from op3.diagnose.features import ESTIMATOR, FLOORS, PIECES, random_features, rates
 from op3.diagnose.judge import Rows
 from op3.diagnose.settings import SETTINGS, Settings
 from op3.diagnose.windows import WindowResiduals
@@ -352,7 +352,7 @@ class Reduction:
         variance[..., current] = np.where(read, PIECES / self.ticks, np.inf)[:, None, None]
         both = (self.moving & self.engine.known[:, :2].all(1))[self.judged]
         rounded = float(np.square([self._read, self._moved]).sum((0, 2)).mean())
-        variance[..., rate] = np.where(both, rounded, np.inf)[:, None, None]
+        variance[..., rate] = np.where(both[:, None, None], rounded + self._estimated(linear), np.inf)
         variance = variance if like is None else like.variance
         kept, values = [], []
         for j in range(len(self.judged)):
@@ -375,6 +375,11 @@ class Reduction:
                 moved = np.square(s.edge_share * value * column[..., self.kinds < 2].astype(np.float64)).mean(-1)
                 extra = extra + np.maximum(moved - np.quantile(moved, 0.75, axis=1, keepdims=True), 0.0)
         return s.edge**2 * np.minimum(extra, 0.9 * UNKNOWN)
+
+    def _estimated(self, linear: Linear) -> np.ndarray:
+        """Variance of rates from how a servo estimates its velocity, ``[joint, window, row]``."""
+        both = zip(linear.coordinates.entries, linear.point, linear.base[..., self.kinds >= 4], strict=True)
+        return sum(np.square(ESTIMATOR * value * column) for entry, value, column in both if entry.joints is None)
 
     @cached_property
     def features(self) -> np.ndarray:

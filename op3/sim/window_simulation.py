@@ -15,6 +15,8 @@ so a few are enough.
 from __future__ import annotations
 
 import copy
+import functools
+import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -204,8 +206,7 @@ class WindowSimulation:
         if len(ends) == 2:
             share(*ends)
         else:
-            with ThreadPoolExecutor(len(ends) - 1) as pool:
-                list(pool.map(share, ends[:-1], ends[1:]))
+            list(_pool(len(ends) - 1).map(share, ends[:-1], ends[1:]))
         channels = torch.from_numpy(out).to(self.dtype).view(candidates, len(self.windows), *shape[1:]).unbind(-1)
         names = ("position", "velocity", "current")
         return {("joint", name): channel for name, channel in zip(names, channels, strict=True)}
@@ -240,6 +241,15 @@ class WindowSimulation:
         if key not in self._edits:
             self._edits[key] = _together([motion.changes[key] for motion in self._apart])
         return self._edits[key]
+
+
+@functools.cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    """Threads that stay: a run is short, and to start them costs a tenth of it."""
+    return ThreadPoolExecutor(threads)
+
+
+os.register_at_fork(after_in_child=_pool.cache_clear)  # a fork has none of them
 
 
 def _packed(motion: MeasuredMotion) -> np.ndarray:
