@@ -16,7 +16,7 @@ from support import check_given, one_sentence, plain
 from op3.command_line import launch
 from op3.rollout import LogError, Rollout
 from op3.rollout.files import write_text
-from op3.rollout.health import ERROR, examine
+from op3.rollout.health import ERROR, examine, told_together
 from op3.rollout.importing import OPTIONS, read_side, side_path
 from op3.rollout.proposal import as_yaml, propose
 from op3.rollout.read import expand, read_episodes
@@ -46,7 +46,7 @@ def show(log: Rollout) -> bool:
     print(f"{log.metadata.recording or 'recording'}: {log.rows} rows, {log.duration:.2f} s, {log.metadata.rate:.4g} Hz")
     print(f"joints {', '.join(log.joints)}\nchannels {names}")
     findings = examine(log)
-    for finding in findings:
+    for finding in told_together(findings):
         print("\n".join(f"  {name}: {value}" for name, value in finding.row().items() if value), end="\n\n")
     if not findings:
         print("the checks find nothing wrong")

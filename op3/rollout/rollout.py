@@ -177,12 +177,13 @@ class Rollout:
             The log with what is suspicious in `findings`; a channel of a joint that cannot be used is set aside: see
             `measured`. Where no joint's is left, the channel is gone.
         """
-        from op3.rollout.health import ERROR, examine  # the checks look at rollouts, so they import this module
+        # the checks look at rollouts, so they import this module
+        from op3.rollout.health import ERROR, examine, told_together
 
         source = source or self.metadata.recording
         name = source if source is None else Path(source).name
         findings = examine(self)
-        for finding in findings:
+        for finding in told_together(findings):
             if finding.severity == ERROR:
                 raise finding.error(source)
             _log.warning("%s", finding.error(name))

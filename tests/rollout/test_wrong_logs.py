@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from op3.rollout import LogError, Metadata, Rollout, read_episodes, read_log
-from op3.rollout.health import examine
+from op3.rollout.health import examine, told_together
 
 RATE = 125.0
 
@@ -651,3 +651,16 @@ def test_commands_that_stop_while_the_joints_go_on_are_told(tmp_path):
     (tmp_path / "sound").mkdir()
     sound = read_log(write(tmp_path / "sound", joints=3)).findings
     assert not any("no target" in finding.problem for finding in sound)
+
+
+def test_what_is_alike_in_several_joints_is_told_once():
+    """The numbers differ, the cause does not; a fault of one joint beside it keeps its own line."""
+    log = bench_log(joints=4)
+    arrays = {key: log.array(key).copy() for key in log.channels}
+    arrays["joint", "velocity"] *= 60 / (2 * np.pi)
+    arrays["joint", "velocity"][:, 2] = arrays["joint", "velocity"][300, 2]
+    found = examine(Rollout.from_arrays(arrays, log.metadata))
+    assert len(found) == 4
+    told = told_together(found)
+    assert sorted(one.column for one in told) == ["joint_0.velocity", "joint_2.velocity"]
+    assert next(one for one in told if one.column == "joint_0.velocity").problem.endswith("(alike in joint_1, joint_3)")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, SupportsInt
@@ -136,6 +137,21 @@ def examine(log: Rollout) -> tuple[Finding, ...]:
     with np.errstate(all="ignore"):  # what overflows is refused by its bound
         found = [finding for episode in log.episodes() for finding in _findings(View(episode))]
     return tuple(sorted(found, key=lambda finding: finding.severity != ERROR))
+
+
+def told_together(findings: Sequence[Finding]) -> list[Finding]:
+    """What is found alike in several joints, told once: where it differs in its numbers only, it has one cause."""
+    alike: dict[tuple, list[Finding]] = {}
+    for number, one in enumerate(findings):
+        joint, _, channel = (one.column or "").rpartition(".")
+        words = tuple(re.sub(r"-?\d[\d.e+-]*", "#", text) for text in (one.problem, one.remedy))
+        key = (one.check, one.severity, one.set_aside, channel, *words) if joint else (number,)
+        alike.setdefault(key, []).append(one)
+    told = []
+    for first, *others in alike.values():
+        joints = ", ".join(dict.fromkeys((one.column or "").rpartition(".")[0] for one in others))
+        told.append(replace(first, problem=f"{first.problem} (alike in {joints})") if others else first)
+    return told
 
 
 def _findings(view: View) -> Iterator[Finding]:
