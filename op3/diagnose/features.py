@@ -18,6 +18,10 @@ ESTIMATOR = 0.5
 """Share of what a servo's estimate of its velocity makes of it that is not known: how far a lag is from a mean over as
 long a time, at most, behind a step."""
 
+SHAPE = 0.25 * 0.02**2
+"""How far the second moment of a servo's estimate of its velocity is not known [s^2]: a lag has half the square of its
+time, two in a row or a mean over twice the time a quarter or a sixth; the slowest that is usual has 20 ms."""
+
 OFTEN = np.array([3, 3, 3, 3, 2, 1, 1.0])
 """How often a feature looks at position, velocity, its direction, load, load times velocity, warmth, time."""
 

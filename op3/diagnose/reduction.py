@@ -20,11 +20,12 @@ from torch import Tensor
 
 from op3.diagnose.candidates import Candidate
 from op3.diagnose.coordinates import Coordinate, Coordinates
-from op3.diagnose.features import ESTIMATOR, FLOORS, PIECES, random_features, rates
+from op3.diagnose.features import ESTIMATOR, FLOORS, PIECES, SHAPE, random_features, rates
 from op3.diagnose.judge import Rows
 from op3.diagnose.settings import SETTINGS, Settings
 from op3.diagnose.windows import WindowResiduals
 from op3.servo import RobotModel
+from op3.servo.effects import VelocityFilter
 
 INITIAL = (0.0015, 0.06)
 """Standard deviations of a window's initial angle [rad] and velocity [rad/s]: what smoothing leaves."""
@@ -363,9 +364,8 @@ class Reduction:
                 usual = np.quantile(np.abs(values[-1][..., kinds]), 0.97, axis=(1, 2), keepdims=True)
                 values[-1][..., kinds] = np.clip(values[-1][..., kinds], -8 * usual - 0.5, 8 * usual + 0.5)
         measured = np.where(np.isfinite(variance), linear.lacking, 0.0)
-        features = self.features * torque[:, None]
         names = tuple(self.engine.joints[j] for j in self.judged)
-        return Rows(names, self.kinds, measured, variance, features, tuple(kept), tuple(values))
+        return Rows(names, self.kinds, measured, variance, self.features, tuple(kept), tuple(values))
 
     def _on_edge(self, linear: Linear) -> np.ndarray:
         """Variance of windows on the edge of sticking, which little moves far, ``[joint, window]``."""
@@ -378,14 +378,16 @@ class Reduction:
 
     def _estimated(self, linear: Linear) -> np.ndarray:
         """Variance of rates from how a servo estimates its velocity, ``[joint, window, row]``."""
-        both = zip(linear.coordinates.entries, linear.point, linear.base[..., self.kinds >= 4], strict=True)
-        return sum(np.square(ESTIMATOR * value * column) for entry, value, column in both if entry.joints is None)
+        own = {parameter.name for parameter in VelocityFilter.parameters}
+        filters = [i for i, entry in enumerate(linear.coordinates.entries) if entry.parameter in own]
+        made = linear.point[filters, None, None, None] * linear.base[filters][..., self.kinds >= 4]
+        return np.square(ESTIMATOR * made).sum(0)
 
     @cached_property
     def features(self) -> np.ndarray:
-        """Random features of what a joint goes through, ``[joint, window, row, feature]``; of currents the same.
+        """What rows are made of that nobody explains, ``[joint, window, row, feature]``, of currents nothing.
 
-        Behind them what is not known of a stand's sway.
+        Random features of what a joint goes through, what is not known of a stand's sway, and of a velocity's estimate.
         """
         engine = self.engine
         made = random_features(engine, self.judged, self.settings.features)
@@ -394,5 +396,9 @@ class Reduction:
             made.append(share / self.settings.law * engine.by_window(torque)[..., self.judged])
         mean = self._mean[:, :-1] / self._mean[:, :-1].sum(1, keepdims=True)
         pieces = np.einsum("pt,fwtj->jwpf", mean, np.stack(made))
-        turned = np.einsum("rp,jwpf->jwrf", self._turn, pieces)
-        return np.concatenate([turned, turned, turned[:, :, 1:]], 2)
+        acceleration = engine.by_window(engine.motion.acceleration, end=True)[..., self.judged]
+        jerk = np.einsum("pt,wtj->jwp", self._moved, acceleration) / FLOORS["joint", "position"]
+        result = np.zeros((*pieces.shape[:2], len(self.kinds), len(made) + 1))
+        result[:, :, self.kinds < 2, :-1] = np.einsum("rp,jwpf->jwrf", self._turn, pieces)
+        result[:, :, self.kinds >= 4, -1] = jerk @ linalg.helmert(PIECES - 1, full=True).T * SHAPE / self.settings.law
+        return result
