@@ -149,7 +149,8 @@ def gap_of(reduction: Reduction, one: Base, other: Base, settings: Settings = SE
     for like in (one, other):
         rows = reduction.rows(like.linear, ())
         for base, sign in ((one, -1.0), (other, 1.0)):
-            linear = reduction.linearise(base.coordinates, base.point, like.linear)
+            mine = base is like
+            linear = base.linear if mine else reduction.linearise(base.coordinates, base.point, like.linear)
             judge = Judge(reduction.rows(linear, (), rows), base_numbers(base.coordinates, base.point), settings)
             gap += sign * judge.fit(state=base.fit.state).evidence
     return gap
@@ -235,7 +236,8 @@ def settle(
     point, linear = np.clip(point, coordinates.low, coordinates.high), None
     number, done = 0, steps == 0
     while True:
-        linear = reduction.linearise(coordinates, point, like if done else like or linear, like)
+        kept = linear if done else None
+        linear = reduction.linearise(coordinates, point, like if done else like or linear, kept or like)
         judge = Judge(reduction.rows(linear, ()), base_numbers(coordinates, point), settings)
         fit = judge.fit(state=state, rounds=4 if number == 0 else 3)
         state = fit.state
@@ -351,14 +353,19 @@ def unusual(
 
 
 def held_odds(reduction: Reduction, base: Base, number: int, held: Coordinate, settings: Settings = SETTINGS) -> float:
-    """Log odds of a number's being free against its being what is usual, all else fitted anew from there.
+    """Log odds of a number's being free against its being what is usual, all else fitted anew.
 
-    Where joints stick a fit may end with a number that some others might have been instead: both begin with what is
-    usual.
+    Where joints stick a fit may end with a number that some others might have been instead: bases in which it is held
+    begin where the base is and with what is usual, and one in which it is free where the better of these ends.
     """
     entries, point = list(base.coordinates.entries), base.point.copy()
     entries[number], point[number] = held, held.prior
     coordinates = replace(base.coordinates, entries=tuple(entries))
-    usual = settle(reduction, coordinates, point, settings, ELSEWHERE, base.fit.state)
-    free = settle(reduction, base.coordinates, usual.point, settings, ELSEWHERE, usual.fit.state)
-    return gap_of(reduction, usual, free, settings) / 2
+
+    def better(one: Base, within: Coordinates, start: np.ndarray) -> Base:
+        other = settle(reduction, within, start, settings, ELSEWHERE, one.fit.state)
+        return other if gap_of(reduction, one, other, settings) > 0 else one
+
+    here = settle(reduction, coordinates, base.point, settings, ELSEWHERE, base.fit.state)
+    usual = better(here, coordinates, point)
+    return gap_of(reduction, usual, better(base, base.coordinates, usual.point), settings) / 2

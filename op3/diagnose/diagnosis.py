@@ -200,6 +200,8 @@ class Diagnosis:
         entries = stage.base.coordinates.entries
         assert self.search is not None
         for number, (one, log_odds) in enumerate(zip(stage.named, self.search.worth(stage), strict=True)):
+            if log_odds < self.settings.alarm - self.settings.temperature and number >= taken:
+                continue  # it would not be named any more, and the model handed back does without
             i = entries.index(one.coordinates[0])
             whole = self._probability(log_odds)
             odds = np.array([one.log_odds, *(odds for _, odds in one.rivals)]) / self.settings.temperature

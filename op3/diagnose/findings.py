@@ -27,6 +27,9 @@ NOTHING = 1e-6
 
 Place = tuple[str, tuple[int, ...] | None]
 
+Estimated = tuple[int, np.ndarray, State]
+"""A candidate's number, and the judge's numbers and variances with it named."""
+
 Refitted = tuple[float, Base, int, tuple[Coordinate, ...]]
 """Log odds, the base around it, the candidate's number, and its own in the fit."""
 
@@ -193,7 +196,7 @@ class Search:
         odds = np.where(self._in_wild_windows(stage), gaussian.scores(gaussian.fit(rounds=6)), -np.inf)
         return self._name(stage, self.leaders(stage, odds, None))
 
-    def leaders(self, stage: Stage, odds: np.ndarray, state: State | None) -> list[tuple[float, int, Posterior]]:
+    def leaders(self, stage: Stage, odds: np.ndarray, state: State | None) -> list[tuple[float, Estimated]]:
         """Log odds and numbers of candidates of a few places, estimated anew with everything else, best first.
 
         Empty unless the best is within a family of the alarm: sizes are linear here, and a refit finds more.
@@ -219,7 +222,8 @@ class Search:
             if not n.low[number] <= with_it.mean[-1] <= n.high[number]:
                 continue
             truncated = float(log_mass(n.low[number], n.high[number], 0.0, n.slab[number]))
-            anew.append((with_it.evidence - control.evidence + n.place[number] - truncated, number, with_it))
+            gain = with_it.evidence - control.evidence + n.place[number] - truncated
+            anew.append((gain, (number, with_it.mean, with_it.state)))
         anew.sort(key=lambda one: -one[0])
         return anew if anew and anew[0][0] > s.alarm - s.family else []
 
@@ -233,22 +237,21 @@ class Search:
         members = [list(one) for one in stage.judge.numbers.members]
         return np.array([wild[one].sum() > 0.5 * total[one].sum() for one in members])
 
-    def _name(self, stage: Stage, leaders: list[tuple[float, int, Posterior]]) -> Stage | None:
+    def _name(self, stage: Stage, leaders: list[tuple[float, Estimated]]) -> Stage | None:
         """The leaders refitted with the base, the best named; None where it is far below the alarm."""
         if not leaders:
             return None
         # how large an effect is decides by how far odds are off that are linear in it
         least = min(leaders[0][0] - 2 * self.settings.family, self.settings.alarm)
-        places = list(dict.fromkeys(stage.found[i].place for odds, i, _ in leaders if odds > least))[:MOST]
-        refitted = self._refitted(stage, [(i, fit) for _, i, fit in leaders if stage.found[i].place in places])
+        places = list(dict.fromkeys(stage.found[one[0]].place for odds, one in leaders if odds > least))[:MOST]
+        refitted = self._refitted(stage, [one for _, one in leaders if stage.found[one[0]].place in places])
         good = refitted[0][0] >= self.settings.alarm - self.settings.temperature
         return self._with(stage, refitted) if good else None
 
     def told(self, stage: Stage, number: int) -> Stage:
         """The stage with a candidate named of which it is known that it is there, whatever its odds."""
-        return self._with(
-            stage, self._refitted(stage, [(number, stage.judge.fit([number], stage.fit.state, rounds=2))])
-        )
+        with_it = stage.judge.fit([number], stage.fit.state, rounds=2)
+        return self._with(stage, self._refitted(stage, [(number, with_it.mean, with_it.state)]))
 
     def _with(self, stage: Stage, refitted: Sequence[Refitted]) -> Stage:
         """The stage with the best of the refitted named, and those that are as good as its rivals."""
@@ -257,14 +260,15 @@ class Search:
         prior = float(place_priors(stage.found)[number])
         return self._around(stage, base, (*stage.named, Named(stage.found[number], coordinates, odds, prior, rivals)))
 
-    def _refitted(self, stage: Stage, estimates: Sequence[tuple[int, Posterior]]) -> list[Refitted]:
+    def _refitted(self, stage: Stage, estimates: Sequence[Estimated]) -> list[Refitted]:
         """Log odds of candidates refitted with the base against the base without, and what the refit gave, the best of
         each place, best first.
 
         Sizes are linear in the judge's rows and too small, as the base gives way only once the effect is there; and the
         effect has one of a few shapes there, and any that is plausible here.
         """
-        s, result, coordinates, point = self.settings, [], stage.base.coordinates, stage.base.point
+        s, coordinates, point = self.settings, stage.base.coordinates, stage.base.point
+        best: dict[Place, Refitted] = {}
         priors = place_priors(stage.found)
         rows, alone = stage.judge.rows, stage.judge.fit(state=stage.fit.state, rounds=2)
 
@@ -274,25 +278,22 @@ class Search:
             return base, after.fit.evidence
 
         _, without = refit(coordinates, point, alone.state)  # the base takes as many steps without
-        for number, with_it in estimates:
+        for number, mean, state in estimates:
             candidate = stage.found[number]
             model = candidate.switched_on(coordinates.model, self.reduction.engine.joints)
-            more = candidate.coordinates(coordinates, float(with_it.mean[-1]), s)
+            more = candidate.coordinates(coordinates, float(mean[-1]), s)
             # what the base would do by itself it has tried: where joints stick, long steps lead astray
-            moved = np.clip(
-                point + with_it.mean[: len(point)] - alone.mean[: len(point)], coordinates.low, coordinates.high
-            )
+            moved = np.clip(point + mean[: len(point)] - alone.mean[: len(point)], coordinates.low, coordinates.high)
             joined = coordinates.extended(model, more)
-            base, evident = refit(joined, np.concatenate([moved, joined.start[len(point) :]]), with_it.state)
+            base, evident = refit(joined, np.concatenate([moved, joined.start[len(point) :]]), state)
             self.reduction.forget()
             low, high, deviation = (getattr(joined, end)[len(point) :] for end in ("low", "high", "deviation"))
             prior = joined.prior[len(point) :]
             mass = log_mass(low - prior, high - prior, 0.0, deviation).sum()
-            result.append((float(evident - without + priors[number] - mass), base, number, more))
-        best: dict[Place, Refitted] = {}
-        for one in sorted(result, key=lambda one: -one[0]):
-            best.setdefault(stage.found[one[2]].place, one)
-        return list(best.values())
+            odds = float(evident - without + priors[number] - mass)
+            if candidate.place not in best or odds > best[candidate.place][0]:
+                best[candidate.place] = odds, base, number, more
+        return sorted(best.values(), key=lambda one: -one[0])
 
     def _around(self, stage: Stage, base: Base, named: tuple[Named, ...]) -> Stage:
         """The judge around a base with what was named, the leading candidates' columns made anew."""

@@ -15,6 +15,8 @@ so a few are enough.
 from __future__ import annotations
 
 import copy
+import functools
+import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -149,7 +151,7 @@ class WindowSimulation:
         self._along = _together([motion.dynamics for motion in self._apart])
         self._damping = np.concatenate([motion.dynamics.damping for motion in self._apart])
         self.limbs = coupled(np.concatenate([motion.dynamics.mass for motion in self._apart]))
-        self._edits: dict[tuple[str, int | None], np.ndarray] = {}
+        self._edits: dict[tuple, np.ndarray] = {}
 
     def under(self, model: RobotModel) -> WindowSimulation:
         """The same windows under another model; what was gathered is shared."""
@@ -204,8 +206,7 @@ class WindowSimulation:
         if len(ends) == 2:
             share(*ends)
         else:
-            with ThreadPoolExecutor(len(ends) - 1) as pool:
-                list(pool.map(share, ends[:-1], ends[1:]))
+            list(_pool(len(ends) - 1).map(share, ends[:-1], ends[1:]))
         channels = torch.from_numpy(out).to(self.dtype).view(candidates, len(self.windows), *shape[1:]).unbind(-1)
         names = ("position", "velocity", "current")
         return {("joint", name): channel for name, channel in zip(names, channels, strict=True)}
@@ -230,16 +231,27 @@ class WindowSimulation:
                 if (ZERO, joint) in self._apart[0].changes:
                     misread[joint] = len(acting)
                     acting.append(((ZERO, joint), np.zeros(candidates)))
-        edits = [self._edit(key) for key, _ in acting]
+        edits = self._stacked(tuple(key for key, _ in acting))
         weights = np.array([weight for _, weight in acting]).reshape(len(acting), candidates).T
-        none = np.zeros((0, *self._along.shape))
-        return np.stack(edits) if edits else none, np.ascontiguousarray(weights), misread
+        return edits, np.ascontiguousarray(weights), misread
 
-    def _edit(self, key: tuple[str, int | None]) -> np.ndarray:
-        """Dynamics added per unit of a parameter, as `_along`."""
-        if key not in self._edits:
-            self._edits[key] = _together([motion.changes[key] for motion in self._apart])
-        return self._edits[key]
+    def _stacked(self, keys: tuple) -> np.ndarray:
+        """Dynamics added per unit of some parameters, each as `_along`; the last are kept, which may be large."""
+        if keys not in self._edits:
+            self._edits.clear()
+            stacked = self._edits[keys] = np.empty((len(keys), *self._along.shape))
+            for edit, key in enumerate(keys):
+                stacked[edit] = _together([motion.changes[key] for motion in self._apart])
+        return self._edits[keys]
+
+
+@functools.cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    """Threads that stay: a run is short, and to start them costs a tenth of it."""
+    return ThreadPoolExecutor(threads)
+
+
+os.register_at_fork(after_in_child=_pool.cache_clear)  # a fork has none of them
 
 
 def _packed(motion: MeasuredMotion) -> np.ndarray:
