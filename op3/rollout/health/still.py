@@ -37,7 +37,7 @@ def saturated(view: View) -> Iterator[Finding]:
         flat = np.abs(column) == top
         within = flat[1:-1] & flat[:-2] & flat[2:]
         first, length = longest_run(flat)
-        if not top or not max(0.002, 3 / len(flat)) < within.mean() < 0.6:
+        if top < 3 * size or not top or not max(0.002, 3 / len(flat)) < within.mean() < 0.6:
             continue
         last, faster = first + length - 1, 0.0
         if key == VELOCITY and (np.diff(within.astype(int)) == 1).sum() > 1:  # one stretch is a channel that stood
