@@ -144,7 +144,7 @@ def told_together(findings: Sequence[Finding]) -> list[Finding]:
     alike: dict[tuple, list[Finding]] = {}
     for number, one in enumerate(findings):
         joint, _, channel = (one.column or "").rpartition(".")
-        words = tuple(re.sub(r"-?\d[\d.e+-]*", "#", text) for text in (one.problem, one.remedy))
+        words = tuple(re.sub(r"(?<!\w)-?\d[\d.e+-]*", "#", text) for text in (one.problem, one.remedy))
         key = (one.check, one.severity, one.set_aside, channel, *words) if joint else (number,)
         alike.setdefault(key, []).append(one)
     told = []
