@@ -708,3 +708,18 @@ def test_a_velocity_of_one_count_is_not_cut_off():
     )
     found = examine(Rollout.from_arrays(arrays, log.metadata))
     assert not [one for one in found if one.check == "saturated"]
+
+
+def test_currents_that_the_supply_limits_are_in_their_unit(tmp_path):
+    """Between steps a joint's current is gain times error; what a step wants is more than the supply gives."""
+
+    def stepped(table: Table) -> None:
+        time = np.arange(1000) % 100
+        sign = 1 - 2 * (np.arange(1000) // 100 % 2)
+        error = sign * np.where(time < 40, 0.5, 0.01)
+        for joint in ("joint_0", "joint_1", "joint_2"):
+            table[f"{joint}.target"] = table[f"{joint}.position"] + error
+            table |= {f"{joint}.p_gain": np.full(1000, 6.0), f"{joint}.current": np.clip(6.0 * error, -0.3, 0.3)}
+
+    log = read_log(write(tmp_path, stepped, joints=3))
+    assert not [one for one in log.findings if "times gain times error" in one.problem]

@@ -42,7 +42,8 @@ def saturated(view: View) -> Iterator[Finding]:
         last, faster = first + length - 1, 0.0
         if key == VELOCITY and (np.diff(within.astype(int)) == 1).sum() > 1:  # one stretch is a channel that stood
             turned = np.abs(view.position[2:, index] - view.position[:-2, index])[within]
-            faster = float(turned.sum() / (view.time[2:] - view.time[:-2])[within].sum())
+            count = float(step(view.position[:, index, None])[0]) * np.sqrt(len(turned))
+            faster = float((turned.sum() - count) / (view.time[2:] - view.time[:-2])[within].sum())
         aside = faster > 1.05 * top + size + 0.02
         ends = ((first, first - 1), (last, last + 1))
         beside = min((abs(column[i] - column[j]) for i, j in ends if 0 <= j < len(column)), default=0)
