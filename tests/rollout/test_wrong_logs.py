@@ -723,3 +723,25 @@ def test_currents_that_the_supply_limits_are_in_their_unit(tmp_path):
 
     log = read_log(write(tmp_path, stepped, joints=3))
     assert not [one for one in log.findings if "times gain times error" in one.problem]
+
+
+def test_a_joint_that_a_stuck_ones_loop_shakes_is_not_swapped_with_it(tmp_path):
+    """One joint hardly follows a large command, and another without any is shaken in step with it, by a tenth of it."""
+
+    def shaken(table: Table) -> None:
+        wanted = 0.6 * np.sin(7 * table["time"])
+        table |= {"joint_0.target": wanted, "joint_0.position": 0.2 * np.sin(7 * table["time"] - 1.2)}
+        table |= {"joint_1.target": np.zeros(1000), "joint_1.position": 0.07 * np.roll(wanted, 4)}
+
+    (tmp_path / "shaken").mkdir()
+    assert not [
+        one for one in read_log(write(tmp_path / "shaken", shaken, joints=3)).findings if "swapped" in one.problem
+    ]
+
+    def swapped(table: Table) -> None:
+        shaken(table)
+        table["joint_1.position"] = 0.9 * np.roll(table["joint_0.target"], 4)
+        table["joint_0.position"] = np.zeros(1000)
+
+    with pytest.raises(LogError, match="follows the command of joint_0"):
+        read_log(write(tmp_path, swapped, joints=3))

@@ -45,8 +45,12 @@ def command(view: View) -> Iterator[Finding]:
     foreign = np.where(asked & ~np.eye(len(best), dtype=bool), best, -1.0)
     leader, strength = foreign.argmax(1), foreign.max(1)
     itself = np.diagonal(best)
-    stands = np.ptp(angle[driven], axis=0) < 0.5 * np.ptp(target[driven], axis=0)
-    follows = (strength > SURE) & (itself < 0.95) & (1 - strength < 0.2 * (1 - itself))
+    turned, wanted = np.ptp(angle[driven], axis=0), np.ptp(target[driven], axis=0)
+    stands = turned < 0.5 * wanted
+    # what is shaken in step with a command moves by less than that asks for
+    follows = (
+        (strength > SURE) & (itself < 0.95) & (1 - strength < 0.2 * (1 - itself)) & (turned > 0.5 * wanted[leader])
+    )
     for joint in map(int, np.flatnonzero(asked | moved)):
         sure, ratio = float(best[joint, joint]), float(matches[int(own[:, joint].argmax())].ratio[joint, joint])
         where = POSITION, joint
