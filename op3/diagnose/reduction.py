@@ -1,4 +1,5 @@
-"""Windows reduced to what is judged: the torque and the current that each joint lacks, in pieces of a window.
+"""Windows reduced to what is judged: the torque and the current that each joint lacks, in pieces of a window, and how
+far the velocity that its servo reports is from the rate of its angle.
 
 A window's residual in position, velocity and current is a linear image of errors of its initial state and of the torque
 that its joints lack. Solved for the latter, with the former as nuisances with tight priors, what the sensors' noise and
@@ -19,22 +20,14 @@ from torch import Tensor
 
 from op3.diagnose.candidates import Candidate
 from op3.diagnose.coordinates import Coordinate, Coordinates
-from op3.diagnose.features import random_features
+from op3.diagnose.features import FLOORS, PIECES, random_features, rates
 from op3.diagnose.judge import Rows
 from op3.diagnose.settings import SETTINGS, Settings
 from op3.diagnose.windows import WindowResiduals
 from op3.servo import RobotModel
 
-FLOORS = {("joint", "position"): 0.0005, ("joint", "velocity"): 0.010, ("joint", "current"): 0.0035}
-"""Of a reading [rad, rad/s, A]: a count of a 4096-step encoder and of 0.024 rad/s over sqrt(12), and a little more
-(ROBOTIS e-Manual, XM430; Feetech's magnetic encoders have as many steps). A current is noisier than its count of
-2.69 mA, by how much no maker says: 1.3 counts are our own choice."""
-
 INITIAL = (0.0015, 0.06)
 """Standard deviations of a window's initial angle [rad] and velocity [rad/s]: what smoothing leaves."""
-
-PIECES = 4
-"""Pieces of a window in each of which the torque is constant."""
 
 WIDE_TORQUE = 15.0
 """Prior standard deviation of a piece's torque [units]; sets what a joint at rest tells, and little else."""
@@ -112,7 +105,9 @@ class Reduction:
         self._turn = linalg.helmert(PIECES, full=True)
         of_piece = np.minimum(np.arange(self.ticks + 1) * PIECES // self.ticks, PIECES - 1)
         self._mean = np.stack([(of_piece == p) / (of_piece == p).sum() for p in range(PIECES)])
-        self.kinds = np.array([0] + [1] * (PIECES - 1) + [2] + [3] * (PIECES - 1))
+        self._read, self._moved = rates(self.ticks, engine.period)
+        counts = (PIECES, PIECES, PIECES - 1)
+        self.kinds = np.array([2 * group + (row > 0) for group, count in enumerate(counts) for row in range(count)])
 
     def errors(
         self, model: RobotModel, sets: Mapping[str, Tensor], count: int, stretch: int = 1, **offsets: Tensor
@@ -287,15 +282,17 @@ class Reduction:
         return gain, spread
 
     def reduce(self, reducers: Sequence[np.ndarray], errors: Sequence[np.ndarray]) -> np.ndarray:
-        """Whitened errors by limb as rows, ``[set, joint, window, row]``: torques, then currents, means first."""
+        """Whitened errors by limb as rows, ``[set, joint, window, row]``: torques, currents, rates, means first."""
         parts = []
         for gain, error, limb in zip(reducers, errors, self.limbs, strict=True):
             sets, n = len(error), len(limb)
             torque = np.moveaxis(np.matmul(gain, np.moveaxis(error, 0, -1)), -1, 0)
             torque = torque.reshape(sets, self.windows, n, PIECES)
-            current = error.reshape(sets, self.windows, self.ticks + 1, n, 3)[..., 2]
+            position, velocity, current = np.moveaxis(error.reshape(sets, self.windows, self.ticks + 1, n, 3), -1, 0)
             current = np.einsum("pt,swtj->swjp", self._mean, current)
-            rows = np.concatenate([torque @ self._turn.T, current @ self._turn.T], -1)
+            rate = np.einsum("pt,swtj->swjp", self._read, velocity) - np.einsum("pt,swtj->swjp", self._moved, position)
+            rows = [one @ linalg.helmert(one.shape[-1], full=True).T for one in (torque, current, rate)]
+            rows = np.concatenate(rows, -1)
             parts.append(np.moveaxis(rows, 2, 1))
         return np.concatenate(parts, 1).astype(np.float32)
 
@@ -346,20 +343,23 @@ class Reduction:
     def rows(self, linear: Linear, columns: Sequence[np.ndarray], like: Rows | None = None) -> Rows:
         """Everything the judge needs, of the base and columns ``[joint, window, row]`` of candidates in one joint or in
         all; variances are kept of those that it is to be `like`, so that evidences compare."""
-        torque = self.kinds < 2
+        torque, current, rate = (self.kinds // 2 == group for group in range(3))
         spread = np.concatenate([one.T for one in linear.variance])  # [joint, window]
         known = (spread < UNKNOWN) & self.moving[self.judged][:, None]
         variance = np.where(known, spread, np.inf)[..., None] + np.zeros(len(self.kinds))
         variance[..., torque] += self._on_edge(linear)[..., None]
         read = (self.moving & self.engine.known[:, 2])[self.judged]
-        variance[..., ~torque] = np.where(read, PIECES / self.ticks, np.inf)[:, None, None]
+        variance[..., current] = np.where(read, PIECES / self.ticks, np.inf)[:, None, None]
+        both = (self.moving & self.engine.known[:, :2].all(1))[self.judged]
+        rounded = float(np.square([self._read, self._moved]).sum((0, 2)).mean())
+        variance[..., rate] = np.where(both, rounded, np.inf)[:, None, None]
         variance = variance if like is None else like.variance
         kept, values = [], []
         for j in range(len(self.judged)):
             mine = np.stack([*linear.base[:, j], *(column[j] for column in columns)])
             kept.append(np.flatnonzero(np.abs(mine).max((1, 2)) > 0))
             values.append(mine[kept[-1]])
-            for kinds in (torque, ~torque):  # columns of windows on the edge of sticking are wild
+            for kinds in (torque, current, rate):  # columns of windows on the edge of sticking are wild
                 usual = np.quantile(np.abs(values[-1][..., kinds]), 0.97, axis=(1, 2), keepdims=True)
                 values[-1][..., kinds] = np.clip(values[-1][..., kinds], -8 * usual - 0.5, 8 * usual + 0.5)
         measured = np.where(np.isfinite(variance), linear.lacking, 0.0)
@@ -390,4 +390,4 @@ class Reduction:
         mean = self._mean[:, :-1] / self._mean[:, :-1].sum(1, keepdims=True)
         pieces = np.einsum("pt,fwtj->jwpf", mean, np.stack(made))
         turned = np.einsum("rp,jwpf->jwrf", self._turn, pieces)
-        return np.concatenate([turned, turned], 2)
+        return np.concatenate([turned, turned, turned[:, :, 1:]], 2)
