@@ -44,7 +44,7 @@ def random_features(engine: WindowResiduals, joints: np.ndarray, count: int) -> 
 
 
 def rates(ticks: int, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """Weights of velocities for their mean over a piece of a window, and of positions for their rate, ``[piece, tick]``.
+    """Weights ``[piece, tick]`` of velocities for their mean over a piece of a window, and of positions for their rate.
 
     Both are of whitened readings and alike where nothing but mechanics acts. The first piece is left out: what filters
     remember of the time before a window is known least.

@@ -24,7 +24,8 @@ from op3.diagnose.features import FLOORS, PIECES, random_features, rates
 from op3.diagnose.judge import Rows
 from op3.diagnose.settings import SETTINGS, Settings
 from op3.diagnose.windows import WindowResiduals
-from op3.servo import RobotModel
+from op3.servo import RobotModel, parameter
+from op3.servo.conditions import split_name
 
 INITIAL = (0.0015, 0.06)
 """Standard deviations of a window's initial angle [rad] and velocity [rad/s]: what smoothing leaves."""
@@ -46,7 +47,8 @@ SWAY = (0.2, 0.005)
 bends, and a time [s], as nobody knows the gyro's filter (register map of the MPU-9250: 1 to 18 ms)."""
 
 COARSE = 2
-"""How many times longer than usual the steps are of which only differences count: a column."""
+"""How many times longer than usual the steps are of which only differences count: a column. Not of a time, such as a
+delay: where one may stand for another the small difference of their columns is what tells."""
 
 CHUNK = 40
 """Parameter sets simulated at a time: a batch of 72 windows of 20 joints holds 20 MB."""
@@ -158,9 +160,8 @@ class Reduction:
         groups = [group for group in self._together(entries) if entries[group[0]] not in known]
         span = coordinates.high - coordinates.low
         step = np.where(point + 2 * STEP * span > coordinates.high, -STEP, STEP) * span
-        numbers = np.arange(len(point))
-        moved = np.stack([point, *(point + np.isin(numbers, group) * step for group in groups)])
-        here, error = self.at(coordinates, point[None]), self.at(coordinates, moved, COARSE)
+        here = self.at(coordinates, point[None])
+        changes = np.zeros((len(groups), len(self.judged), self.windows, len(self.kinds)), np.float32)
         if reduced is None:
             nuisances = self._nuisances(coordinates, point, [one[0] for one in here])
             made = [self._reducer(limb, n) for limb, n in zip(self.limbs, nuisances, strict=True)]
@@ -168,7 +169,12 @@ class Reduction:
         else:
             reducers, variance = reduced.reducers, reduced.variance
         lacking = -self.reduce(reducers, here)[0]
-        changes = self.reduce(reducers, [one[1:] - one[:1] for one in error])
+        times = np.array([_is_time(entries[group[0]].parameter) for group in groups], bool)
+        for mine, stretch in ((times, 1), (~times, COARSE)):
+            if mine.any():
+                moving = np.stack([np.isin(np.arange(len(point)), groups[i]) for i in np.flatnonzero(mine)])
+                error = self.at(coordinates, np.concatenate([point[None], point + moving * step]), stretch)
+                changes[mine] = self.reduce(reducers, [one[1:] - one[:1] for one in error])
         base = np.zeros((len(point), *lacking.shape), np.float32)
         for i, entry in enumerate(entries):
             base[i] = known.get(entry, 0.0)
@@ -333,7 +339,8 @@ class Reduction:
                 moved = found[i].moved(moved)
             sets.append(moved)
         values = {name: torch.cat([one[name] for one in sets]) for name in sets[0]}
-        error = self.errors(model, values, len(sets), COARSE)
+        times = any(_is_time(name) for group in members for name in found[group[0]].secant)
+        error = self.errors(model, values, len(sets), 1 if times else COARSE)
         changes = self.reduce(linear.reducers, [one[1:] - one[:1] for one in error])
         for number, group in enumerate(members):
             for i in group:
@@ -391,3 +398,8 @@ class Reduction:
         pieces = np.einsum("pt,fwtj->jwpf", mean, np.stack(made))
         turned = np.einsum("rp,jwpf->jwrf", self._turn, pieces)
         return np.concatenate([turned, turned, turned[:, :, 1:]], 2)
+
+
+def _is_time(name: str) -> bool:
+    """Whether a parameter is a time."""
+    return parameter(split_name(name)[0]).unit == "s"
