@@ -144,14 +144,15 @@ def _afresh(base: Base, form: RobotModel) -> tuple[Coordinates, np.ndarray]:
 def _earlier(base: Base, period: float) -> Iterator[tuple[Coordinates, np.ndarray]]:
     """A base whose commands arrive after the next reading, with commands that do not: their currents lag the more.
 
-    A reading then shows the first of a command's current, or nothing: each has a basin.
+    A reading then shows the first of a command's current, or nothing of it yet: each has a basin.
     """
     coordinates, point = base.coordinates, base.point.copy()
     at = {entry.parameter: i for i, entry in enumerate(coordinates.entries) if entry.joints is None}
     late, lag = at.get("command_latency"), at.get("current_time_constant")
     if late is not None and lag is not None and point[late] > period:
-        point[lag] += point[late] - coordinates.prior[late]
-        point[late] = coordinates.prior[late]
+        before = period - CHAIN["command_latency"].spread
+        point[lag] += point[late] - before
+        point[late] = before
         yield coordinates, point
 
 

@@ -170,11 +170,13 @@ class Reduction:
             reducers, variance = reduced.reducers, reduced.variance
         lacking = -self.reduce(reducers, here)[0]
         times = np.array([_is_time(entries[group[0]].parameter) for group in groups], bool)
-        for mine, stretch in ((times, 1), (~times, COARSE)):
-            if mine.any():
-                moving = np.stack([np.isin(np.arange(len(point)), groups[i]) for i in np.flatnonzero(mine)])
-                error = self.at(coordinates, np.concatenate([point[None], point + moving * step]), stretch)
-                changes[mine] = self.reduce(reducers, [one[1:] - one[:1] for one in error])
+        moving = np.array([np.isin(np.arange(len(point)), group) for group in groups]).reshape(-1, len(point)) * step
+        if times.any():
+            low, high = (self.at(coordinates, point + sign * moving[times]) for sign in (-0.5, 0.5))
+            changes[times] = self.reduce(reducers, [b - a for a, b in zip(low, high, strict=True)])
+        if (~times).any():
+            error = self.at(coordinates, np.concatenate([point[None], point + moving[~times]]), COARSE)
+            changes[~times] = self.reduce(reducers, [one[1:] - one[:1] for one in error])
         base = np.zeros((len(point), *lacking.shape), np.float32)
         for i, entry in enumerate(entries):
             base[i] = known.get(entry, 0.0)
