@@ -5,7 +5,7 @@ basins, in long steps; Gauss-Newton steps with the judge's noise then settle in 
 the logs like alike and directions that they do not tell are said with the verdict.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -124,7 +124,8 @@ def fit_base(
     first, forms = ends[best], starts[best]
     others = [(end.point, better[best] - gain) for end, gain in zip(ends, better, strict=True) if end is not first]
     # what sticks has a basin for every form of its law: friction begins anew where all else is by now
-    anew = [settle(reduction, *_afresh(first, form), settings, ELSEWHERE) for form in forms]
+    begins = [*(_afresh(first, form) for form in forms), *_earlier(first, reduction.engine.period)]
+    anew = [settle(reduction, *begin, settings, ELSEWHERE) for begin in begins]
     better = [0.0, *(gap_of(reduction, first, end, settings) for end in anew)]
     first = [first, *anew][int(np.argmax(better))]
     progress(0.8)
@@ -138,6 +139,21 @@ def _afresh(base: Base, form: RobotModel) -> tuple[Coordinates, np.ndarray]:
     friction = {p.name for effect in form.effects if effect.stage == Stage.FRICTION for p in effect.parameters}
     mine = np.array([entry.parameter in friction for entry in base.coordinates.entries])
     return replace(base.coordinates, model=form), np.where(mine, base.coordinates.start, base.point)
+
+
+def _earlier(base: Base, period: float) -> Iterator[tuple[Coordinates, np.ndarray]]:
+    """A base whose commands arrive after the next reading, with commands that do not: their currents lag the more.
+
+    A reading then shows the first of a command's current, or nothing of it yet: each has a basin.
+    """
+    coordinates, point = base.coordinates, base.point.copy()
+    at = {entry.parameter: i for i, entry in enumerate(coordinates.entries) if entry.joints is None}
+    late, lag = at.get("command_latency"), at.get("current_time_constant")
+    if late is not None and lag is not None and point[late] > period:
+        before = period - CHAIN["command_latency"].spread
+        point[lag] += point[late] - before
+        point[late] = before
+        yield coordinates, point
 
 
 def gap_of(reduction: Reduction, one: Base, other: Base, settings: Settings = SETTINGS) -> float:

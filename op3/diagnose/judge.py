@@ -1,6 +1,7 @@
 """The statistical judge: how much more probable the logs are if one effect of the catalogue is there a lot.
 
-A row is the torque, or the current, that a window of a joint lacks under the base model. It is modelled as
+A row is the torque, the current or the reported velocity that a window of a joint lacks under the base model, modelled
+as
 
 ``y = B b + S a + F w + e``
 
@@ -31,12 +32,12 @@ LIGHTEST, HEAVIEST = 1e-4, 3.0
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """What is judged: torques and currents by joint, window and piece, the pieces as their mean and differences.
+    """What is judged: torques, currents and rates by joint, window and piece, the pieces as their mean and differences.
 
     Attributes:
         joints: names.
         kinds: of every row of a window: 0 mean torque, 1 differences of torque, 2 mean current, 3 its differences,
-            ``[row]``.
+            4 mean of the reported velocity beyond the angle's rate, 5 its differences, ``[row]``.
         measured: what the base leaves [units], ``[joint, window, row]``.
         variance: of the sensors and of the edge of sticking, ``[joint, window, row]``; infinite where nothing is known.
         features: of the unexplained law, ``[joint, window, row, feature]``.
@@ -83,8 +84,8 @@ class Numbers:
 
 @dataclass
 class State:
-    """Variances: noise ``[joint, kind]``, size of the unexplained law ``[joint]``, weights ``[torque | current, joint,
-    window]``."""
+    """Variances: noise ``[joint, kind]``, size of the unexplained law ``[joint]``, weights ``[torque | current | rate,
+    joint, window]``."""
 
     noise: np.ndarray
     law: np.ndarray
@@ -135,8 +136,9 @@ class Judge:
         joints, windows, _ = rows.measured.shape
         self.tails = np.inf if gaussian else settings.tails
         self.group = rows.kinds // 2
-        self.counts = np.array([int((self.group == g).sum()) for g in (0, 1)])
-        self.start = State(np.full((joints, 4), 0.5), np.full(joints, 0.2), np.ones((2, joints, windows)))
+        self.counts = np.bincount(self.group)
+        groups = len(self.counts)
+        self.start = State(np.full((joints, 2 * groups), 0.5), np.full(joints, 0.2), np.ones((groups, joints, windows)))
         self._f = rows.features.reshape(joints, -1, rows.features.shape[-1])
         self._kept: tuple[State, tuple] | None = None
         least, most = (np.broadcast_to(end, numbers.mean.shape) for end in (numbers.least, numbers.most))
@@ -233,7 +235,7 @@ class Judge:
             f, known = self._f[j], self.rows.variance[j]
             inverse = linalg.solve_triangular(factor, np.eye(f.shape[1]), lower=True)
             square = self.residual(j, x, law) ** 2 + np.square(f @ inverse.T).sum(1).reshape(known.shape)
-            for kind in range(4):
+            for kind in range(state.noise.shape[1]):
                 mine = self.rows.kinds == kind
                 weight = state.weight[kind // 2, j][:, None]
                 seen = np.isfinite(known[:, mine])
@@ -246,7 +248,7 @@ class Judge:
                 state.noise[j, kind] = GRID[cost.argmin()]
             if not self.gaussian:
                 whole = known + state.noise[j, self.rows.kinds] ** 2
-                for g in (0, 1):
+                for g in range(len(self.counts)):
                     mine = self.group == g
                     distance = (square[:, mine] / whole[:, mine]).sum(1)
                     weight = (self.tails + self.counts[g] - 2) / (self.tails + distance)

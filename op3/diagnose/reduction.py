@@ -1,4 +1,5 @@
-"""Windows reduced to what is judged: the torque and the current that each joint lacks, in pieces of a window.
+"""Windows reduced to what is judged: the torque and the current that each joint lacks, in pieces of a window, and how
+far the velocity that its servo reports is from the rate of its angle.
 
 A window's residual in position, velocity and current is a linear image of errors of its initial state and of the torque
 that its joints lack. Solved for the latter, with the former as nuisances with tight priors, what the sensors' noise and
@@ -19,22 +20,15 @@ from torch import Tensor
 
 from op3.diagnose.candidates import Candidate
 from op3.diagnose.coordinates import Coordinate, Coordinates
-from op3.diagnose.features import random_features
+from op3.diagnose.features import FLOORS, PIECES, random_features, rates
 from op3.diagnose.judge import Rows
 from op3.diagnose.settings import SETTINGS, Settings
 from op3.diagnose.windows import WindowResiduals
-from op3.servo import RobotModel
-
-FLOORS = {("joint", "position"): 0.0005, ("joint", "velocity"): 0.010, ("joint", "current"): 0.0035}
-"""Of a reading [rad, rad/s, A]: a count of a 4096-step encoder and of 0.024 rad/s over sqrt(12), and a little more
-(ROBOTIS e-Manual, XM430; Feetech's magnetic encoders have as many steps). A current is noisier than its count of
-2.69 mA, by how much no maker says: 1.3 counts are our own choice."""
+from op3.servo import RobotModel, parameter
+from op3.servo.conditions import split_name
 
 INITIAL = (0.0015, 0.06)
 """Standard deviations of a window's initial angle [rad] and velocity [rad/s]: what smoothing leaves."""
-
-PIECES = 4
-"""Pieces of a window in each of which the torque is constant."""
 
 WIDE_TORQUE = 15.0
 """Prior standard deviation of a piece's torque [units]; sets what a joint at rest tells, and little else."""
@@ -53,7 +47,8 @@ SWAY = (0.2, 0.005)
 bends, and a time [s], as nobody knows the gyro's filter (register map of the MPU-9250: 1 to 18 ms)."""
 
 COARSE = 2
-"""How many times longer than usual the steps are of which only differences count: a column."""
+"""How many times longer than usual the steps are of which only differences count: a column. Not of a time, such as a
+delay: where one may stand for another the small difference of their columns is what tells."""
 
 CHUNK = 40
 """Parameter sets simulated at a time: a batch of 72 windows of 20 joints holds 20 MB."""
@@ -112,7 +107,9 @@ class Reduction:
         self._turn = linalg.helmert(PIECES, full=True)
         of_piece = np.minimum(np.arange(self.ticks + 1) * PIECES // self.ticks, PIECES - 1)
         self._mean = np.stack([(of_piece == p) / (of_piece == p).sum() for p in range(PIECES)])
-        self.kinds = np.array([0] + [1] * (PIECES - 1) + [2] + [3] * (PIECES - 1))
+        self._read, self._moved = rates(self.ticks, engine.period)
+        counts = (PIECES, PIECES, PIECES - 1)
+        self.kinds = np.array([2 * group + (row > 0) for group, count in enumerate(counts) for row in range(count)])
 
     def errors(
         self, model: RobotModel, sets: Mapping[str, Tensor], count: int, stretch: int = 1, **offsets: Tensor
@@ -163,9 +160,8 @@ class Reduction:
         groups = [group for group in self._together(entries) if entries[group[0]] not in known]
         span = coordinates.high - coordinates.low
         step = np.where(point + 2 * STEP * span > coordinates.high, -STEP, STEP) * span
-        numbers = np.arange(len(point))
-        moved = np.stack([point, *(point + np.isin(numbers, group) * step for group in groups)])
-        here, error = self.at(coordinates, point[None]), self.at(coordinates, moved, COARSE)
+        here = self.at(coordinates, point[None])
+        changes = np.zeros((len(groups), len(self.judged), self.windows, len(self.kinds)), np.float32)
         if reduced is None:
             nuisances = self._nuisances(coordinates, point, [one[0] for one in here])
             made = [self._reducer(limb, n) for limb, n in zip(self.limbs, nuisances, strict=True)]
@@ -173,7 +169,14 @@ class Reduction:
         else:
             reducers, variance = reduced.reducers, reduced.variance
         lacking = -self.reduce(reducers, here)[0]
-        changes = self.reduce(reducers, [one[1:] - one[:1] for one in error])
+        times = np.array([_is_time(entries[group[0]].parameter) for group in groups], bool)
+        moving = np.array([np.isin(np.arange(len(point)), group) for group in groups]).reshape(-1, len(point)) * step
+        if times.any():
+            low, high = (self.at(coordinates, point + sign * moving[times]) for sign in (-0.5, 0.5))
+            changes[times] = self.reduce(reducers, [b - a for a, b in zip(low, high, strict=True)])
+        if (~times).any():
+            error = self.at(coordinates, np.concatenate([point[None], point + moving[~times]]), COARSE)
+            changes[~times] = self.reduce(reducers, [one[1:] - one[:1] for one in error])
         base = np.zeros((len(point), *lacking.shape), np.float32)
         for i, entry in enumerate(entries):
             base[i] = known.get(entry, 0.0)
@@ -287,15 +290,17 @@ class Reduction:
         return gain, spread
 
     def reduce(self, reducers: Sequence[np.ndarray], errors: Sequence[np.ndarray]) -> np.ndarray:
-        """Whitened errors by limb as rows, ``[set, joint, window, row]``: torques, then currents, means first."""
+        """Whitened errors by limb as rows, ``[set, joint, window, row]``: torques, currents, rates, means first."""
         parts = []
         for gain, error, limb in zip(reducers, errors, self.limbs, strict=True):
             sets, n = len(error), len(limb)
             torque = np.moveaxis(np.matmul(gain, np.moveaxis(error, 0, -1)), -1, 0)
             torque = torque.reshape(sets, self.windows, n, PIECES)
-            current = error.reshape(sets, self.windows, self.ticks + 1, n, 3)[..., 2]
+            position, velocity, current = np.moveaxis(error.reshape(sets, self.windows, self.ticks + 1, n, 3), -1, 0)
             current = np.einsum("pt,swtj->swjp", self._mean, current)
-            rows = np.concatenate([torque @ self._turn.T, current @ self._turn.T], -1)
+            rate = np.einsum("pt,swtj->swjp", self._read, velocity) - np.einsum("pt,swtj->swjp", self._moved, position)
+            rows = [one @ linalg.helmert(one.shape[-1], full=True).T for one in (torque, current, rate)]
+            rows = np.concatenate(rows, -1)
             parts.append(np.moveaxis(rows, 2, 1))
         return np.concatenate(parts, 1).astype(np.float32)
 
@@ -336,7 +341,8 @@ class Reduction:
                 moved = found[i].moved(moved)
             sets.append(moved)
         values = {name: torch.cat([one[name] for one in sets]) for name in sets[0]}
-        error = self.errors(model, values, len(sets), COARSE)
+        times = any(_is_time(name) for group in members for name in found[group[0]].secant)
+        error = self.errors(model, values, len(sets), 1 if times else COARSE)
         changes = self.reduce(linear.reducers, [one[1:] - one[:1] for one in error])
         for number, group in enumerate(members):
             for i in group:
@@ -346,20 +352,23 @@ class Reduction:
     def rows(self, linear: Linear, columns: Sequence[np.ndarray], like: Rows | None = None) -> Rows:
         """Everything the judge needs, of the base and columns ``[joint, window, row]`` of candidates in one joint or in
         all; variances are kept of those that it is to be `like`, so that evidences compare."""
-        torque = self.kinds < 2
+        torque, current, rate = (self.kinds // 2 == group for group in range(3))
         spread = np.concatenate([one.T for one in linear.variance])  # [joint, window]
         known = (spread < UNKNOWN) & self.moving[self.judged][:, None]
         variance = np.where(known, spread, np.inf)[..., None] + np.zeros(len(self.kinds))
         variance[..., torque] += self._on_edge(linear)[..., None]
         read = (self.moving & self.engine.known[:, 2])[self.judged]
-        variance[..., ~torque] = np.where(read, PIECES / self.ticks, np.inf)[:, None, None]
+        variance[..., current] = np.where(read, PIECES / self.ticks, np.inf)[:, None, None]
+        both = (self.moving & self.engine.known[:, :2].all(1))[self.judged]
+        rounded = float(np.square([self._read, self._moved]).sum((0, 2)).mean())
+        variance[..., rate] = np.where(both, rounded, np.inf)[:, None, None]
         variance = variance if like is None else like.variance
         kept, values = [], []
         for j in range(len(self.judged)):
             mine = np.stack([*linear.base[:, j], *(column[j] for column in columns)])
             kept.append(np.flatnonzero(np.abs(mine).max((1, 2)) > 0))
             values.append(mine[kept[-1]])
-            for kinds in (torque, ~torque):  # columns of windows on the edge of sticking are wild
+            for kinds in (torque, current, rate):  # columns of windows on the edge of sticking are wild
                 usual = np.quantile(np.abs(values[-1][..., kinds]), 0.97, axis=(1, 2), keepdims=True)
                 values[-1][..., kinds] = np.clip(values[-1][..., kinds], -8 * usual - 0.5, 8 * usual + 0.5)
         measured = np.where(np.isfinite(variance), linear.lacking, 0.0)
@@ -390,4 +399,9 @@ class Reduction:
         mean = self._mean[:, :-1] / self._mean[:, :-1].sum(1, keepdims=True)
         pieces = np.einsum("pt,fwtj->jwpf", mean, np.stack(made))
         turned = np.einsum("rp,jwpf->jwrf", self._turn, pieces)
-        return np.concatenate([turned, turned], 2)
+        return np.concatenate([turned, turned, turned[:, :, 1:]], 2)
+
+
+def _is_time(name: str) -> bool:
+    """Whether a parameter is a time."""
+    return parameter(split_name(name)[0]).unit == "s"

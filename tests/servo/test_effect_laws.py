@@ -5,6 +5,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import signal
 
 from op3.diagnose.coordinates import CHAIN
 from op3.servo import Effect, RobotModel, Servos, Signals, catalogue, parameter
@@ -189,17 +190,22 @@ def test_a_packet_that_is_known_to_be_lost_is_lost_where_any_are(probability, ke
     assert seen == pytest.approx([0.1 * tick for tick in kept])
 
 
-def test_filtered_velocity_of_a_ramp_lags_by_its_time_constant():
-    """On w = a t the filter reads a (t - T (1 - exp(-t / T))), exactly, however often the sensors are read."""
-    law, signals = law_of(VelocityFilter(), velocity_time_constant=0.005)
+@pytest.mark.parametrize("shape", [0.0, 0.1, 0.25, 1 / 3, 0.5])
+@pytest.mark.parametrize("lag", [0.0002, 0.005, 0.03])
+def test_filtered_velocity_is_that_of_its_transfer_function(shape, lag):
+    """Exactly, of a velocity that changes linearly in every step, however often the sensors are read."""
+    law, signals = law_of(VelocityFilter(), velocity_time_constant=lag, velocity_filter_shape=shape)
     law.reset()
-    for step in range(100):
-        signals.velocity = torch.full_like(signals.velocity, 0.02 * step)
+    velocity = np.cumsum(np.random.default_rng(0).standard_normal(100)) * 0.02
+    velocity[0] = 0.0
+    filtered = signal.TransferFunction([1.0], [max(shape, 1e-6) * lag**2, lag, 1.0])
+    _, expected, _ = signal.lsim(filtered, velocity, 0.001 * np.arange(100))
+    for step, now in enumerate(velocity):
+        signals.velocity = torch.full_like(signals.velocity, now)
         if step % 8 == 0:
             law.tick()
         law.sense()
-        time = 0.001 * step
-        assert signals.measured_velocity.item() == pytest.approx(20 * (time - 0.005 * (1 - np.exp(-time / 0.005))))
+        assert signals.measured_velocity.item() == pytest.approx(expected[step], abs=1e-8)
         law.step()
 
 
