@@ -198,13 +198,13 @@ def with_chain(model: RobotModel) -> RobotModel:
     """
     regulated = "current_pd" in model.effect_names
     for effect in catalogue().values():
-        for known in effect.parameters:
-            if known.name not in CHAIN or effect.name in model.effect_names:
-                continue
-            if known.name in ("current_time_constant", "current_offset") and not regulated:
-                continue
-            options = {"signal": "goal"} if effect.name == "latency" and not regulated else {}
-            model = model.with_effect(effect(**options), {known.name: CHAIN[known.name].usual})
+        usual = {known.name: CHAIN[known.name].usual for known in effect.parameters if known.name in CHAIN}
+        if not usual or effect.name in model.effect_names:
+            continue
+        if {"current_time_constant", "current_offset"} & set(usual) and not regulated:
+            continue
+        options = {"signal": "goal"} if effect.name == "latency" and not regulated else {}
+        model = model.with_effect(effect(**options), usual)
     return model
 
 

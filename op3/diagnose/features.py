@@ -1,6 +1,4 @@
-"""What windows are reduced by: noise of readings, pieces, rates, and features of what a joint goes through."""
-
-from itertools import pairwise
+"""What windows are reduced by: noise of readings, pieces, and features of what a joint goes through."""
 
 import numpy as np
 
@@ -41,19 +39,3 @@ def random_features(engine: WindowResiduals, joints: np.ndarray, count: int) -> 
         weight[picked] = rng.standard_normal(len(picked)) / (1.5 if number % 4 < 2 else 0.6)
         made.append(np.sqrt(2) * np.cos(x @ weight + rng.uniform(0, 2 * np.pi)))
     return made
-
-
-def rates(ticks: int, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """Weights ``[piece, tick]`` of velocities for their mean over a piece of a window, and of positions for their rate.
-
-    Both are of whitened readings and alike where nothing but mechanics acts. The first piece is left out: what filters
-    remember of the time before a window is known least.
-    """
-    ends = np.rint(np.linspace(0, ticks, PIECES + 1)).astype(int)
-    read, moved = np.zeros((2, PIECES - 1, ticks + 1))
-    share = FLOORS["joint", "position"] / FLOORS["joint", "velocity"] / period
-    for piece, (begin, end) in enumerate(pairwise(ends[1:])):
-        read[piece, begin : end + 1] = 1.0 / (end - begin)
-        read[piece, [begin, end]] /= 2
-        moved[piece, [begin, end]] = np.array([-share, share]) / (end - begin)
-    return read, moved

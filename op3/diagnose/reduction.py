@@ -12,6 +12,7 @@ On a stand limbs do not couple, so that one simulation carries a local change in
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -20,8 +21,9 @@ from torch import Tensor
 
 from op3.diagnose.candidates import Candidate
 from op3.diagnose.coordinates import Coordinate, Coordinates
-from op3.diagnose.features import FLOORS, PIECES, random_features, rates
+from op3.diagnose.features import FLOORS, PIECES, random_features
 from op3.diagnose.judge import Rows
+from op3.diagnose.rates import RATES, filtered, rates, rounding
 from op3.diagnose.settings import SETTINGS, Settings
 from op3.diagnose.windows import WindowResiduals
 from op3.servo import RobotModel, parameter
@@ -50,8 +52,25 @@ COARSE = 2
 """How many times longer than usual the steps are of which only differences count: a column. Not of a time, such as a
 delay: where one may stand for another the small difference of their columns is what tells."""
 
+FARTHEST = 300.0
+"""Where errors end [sensors' floors]: what has diverged."""
+
 CHUNK = 40
 """Parameter sets simulated at a time: a batch of 72 windows of 20 joints holds 20 MB."""
+
+
+class Reducer(NamedTuple):
+    """What makes rows of a limb's residuals.
+
+    Attributes:
+        torque: residual to torque, ``[window, torque, residual]``.
+        read: weights of velocities, ``[piece, tick]``.
+        moved: weights of positions for their rate as a servo's filter tells it, ``[joint, piece, tick]``.
+    """
+
+    torque: np.ndarray
+    read: np.ndarray
+    moved: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +80,7 @@ class Linear:
     Attributes:
         coordinates: the base's numbers.
         point: where they are.
-        reducers: residual to torque, ``[window, torque, residual]``.
+        reducers: of every limb.
         variance: of these torques [units^2], ``[window, joint]``.
         lacking: what the base leaves, ``[joint, window, row]``.
         base: by number, ``[joint, window, row]``.
@@ -69,7 +88,7 @@ class Linear:
 
     coordinates: Coordinates
     point: np.ndarray
-    reducers: tuple[np.ndarray, ...]
+    reducers: tuple[Reducer, ...]
     variance: tuple[np.ndarray, ...]
     lacking: np.ndarray
     base: np.ndarray
@@ -107,8 +126,7 @@ class Reduction:
         self._turn = linalg.helmert(PIECES, full=True)
         of_piece = np.minimum(np.arange(self.ticks + 1) * PIECES // self.ticks, PIECES - 1)
         self._mean = np.stack([(of_piece == p) / (of_piece == p).sum() for p in range(PIECES)])
-        self._read, self._moved = rates(self.ticks, engine.period)
-        counts = (PIECES, PIECES, PIECES - 1)
+        counts = (PIECES, PIECES, RATES)
         self.kinds = np.array([2 * group + (row > 0) for group, count in enumerate(counts) for row in range(count)])
 
     def errors(
@@ -138,7 +156,7 @@ class Reduction:
         offsets = {name: value[:, at] for name, value in apart.items()}
         error = engine.errors(model, own, len(next(iter(given.values()))), stretch=stretch, **offsets)
         error /= self.floor[at].astype(np.float32)
-        return np.clip(error, -300, 300, out=error)
+        return np.clip(error, -FARTHEST, FARTHEST, out=error)
 
     def at(self, coordinates: Coordinates, points: np.ndarray, stretch: int = 1) -> list[np.ndarray]:
         """The same at points ``[point, coordinate]``."""
@@ -163,8 +181,9 @@ class Reduction:
         here = self.at(coordinates, point[None])
         changes = np.zeros((len(groups), len(self.judged), self.windows, len(self.kinds)), np.float32)
         if reduced is None:
-            nuisances = self._nuisances(coordinates, point, [one[0] for one in here])
-            made = [self._reducer(limb, n) for limb, n in zip(self.limbs, nuisances, strict=True)]
+            filters = self._filters(coordinates, point)
+            nuisances = self._nuisances(coordinates, point, [one[0] for one in here], filters)
+            made = [self._reducer(limb, n, filters[limb]) for limb, n in zip(self.limbs, nuisances, strict=True)]
             reducers, variance = tuple(m[0] for m in made), tuple(m[1] for m in made)
         else:
             reducers, variance = reduced.reducers, reduced.variance
@@ -172,8 +191,12 @@ class Reduction:
         times = np.array([_is_time(entries[group[0]].parameter) for group in groups], bool)
         moving = np.array([np.isin(np.arange(len(point)), group) for group in groups]).reshape(-1, len(point)) * step
         if times.any():
-            low, high = (self.at(coordinates, point + sign * moving[times]) for sign in (-0.5, 0.5))
-            changes[times] = self.reduce(reducers, [b - a for a, b in zip(low, high, strict=True)])
+            low, high = (
+                np.clip(point + sign * moving[times] / 2, coordinates.low, coordinates.high) for sign in (-1, 1)
+            )
+            went = (high - low).sum(1) / moving[times].sum(1)
+            both = zip(self.at(coordinates, low), self.at(coordinates, high), strict=True)
+            changes[times] = self.reduce(reducers, [b - a for a, b in both]) / went[:, None, None, None]
         if (~times).any():
             error = self.at(coordinates, np.concatenate([point[None], point + moving[~times]]), COARSE)
             changes[~times] = self.reduce(reducers, [one[1:] - one[:1] for one in error])
@@ -209,7 +232,19 @@ class Reduction:
             local.setdefault(key, []).append(i)
         return list(local.values())
 
-    def _nuisances(self, coordinates: Coordinates, point: np.ndarray, left: list[np.ndarray]) -> list[np.ndarray]:
+    def _filters(self, coordinates: Coordinates, point: np.ndarray) -> np.ndarray:
+        """What every servo's filter makes of velocities, ``[joint, tick, tick]``."""
+        known = coordinates.model.tensors(self.engine.joints) | coordinates.values(point[None])
+        own = []
+        for name in ("velocity_time_constant", "velocity_filter_shape"):
+            own.append(np.broadcast_to(known[name][0].numpy() if name in known else 0.0, self.count).tolist())
+        pairs = list(zip(*own, strict=True))
+        made = {(lag, shape): filtered(lag, shape, self.ticks, self.engine.period) for lag, shape in set(pairs)}
+        return np.stack([made[pair] for pair in pairs])
+
+    def _nuisances(
+        self, coordinates: Coordinates, point: np.ndarray, left: list[np.ndarray], filters: np.ndarray
+    ) -> list[np.ndarray]:
         """Responses to initial states and to unit torques of pieces, by limb ``[window, residual, nuisance]``."""
         size = max(map(len, self.limbs))
         count = 2 * size + 1
@@ -226,12 +261,18 @@ class Reduction:
             n = len(limb)
             change = error[k][1:] - error[k][:1]
             initial = np.concatenate([change[:n], change[size : size + n]])
-            torque = self._torque_responses(limb, coordinates, point, initial, left[k])
+            torque = self._torque_responses(limb, coordinates, point, initial, left[k], filters[limb])
             result.append(np.moveaxis(np.concatenate([initial, torque]), 0, -1))
         return result
 
     def _torque_responses(
-        self, limb: np.ndarray, coordinates: Coordinates, point: np.ndarray, initial: np.ndarray, left: np.ndarray
+        self,
+        limb: np.ndarray,
+        coordinates: Coordinates,
+        point: np.ndarray,
+        initial: np.ndarray,
+        left: np.ndarray,
+        filters: np.ndarray,
     ) -> np.ndarray:
         """What a unit of torque in one joint and piece would do, ``[nuisance, window, residual]``.
 
@@ -261,6 +302,7 @@ class Reduction:
                     v = (v + engine.period * pull) * moves[:, t]
                     q = q + engine.period * v
                     response[j, p, :, t + 1, :, 0], response[j, p, :, t + 1, :, 1] = q, v
+        response[..., 1] = np.einsum("jst,apwtj->apwsj", filters, response[..., 1], optimize=True)
         response /= self.floor[limb].astype(np.float32)
         return response.reshape(n * PIECES, self.windows, -1)
 
@@ -278,8 +320,8 @@ class Reduction:
             result[..., j] = max(0.0, 2 * (1 - kept) / time**2) * float(np.median(mass[:, 0, j, j]))
         return result if enabled is None else result * self.engine.by_window(enabled, end=True)[..., limb]
 
-    def _reducer(self, limb: np.ndarray, nuisances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residual to the torques that explain it, ``[window, torque, residual]``, and their variance."""
+    def _reducer(self, limb: np.ndarray, nuisances: np.ndarray, filters: np.ndarray) -> tuple[Reducer, np.ndarray]:
+        """What makes rows of a limb's residuals, and the variance of their torques, ``[window, joint]``."""
         n = len(limb)
         prior = np.ones(nuisances.shape[2])
         prior[2 * n :] = WIDE_TORQUE**2
@@ -287,18 +329,21 @@ class Reduction:
         covariance = np.linalg.inv(inner + np.diag(1 / prior))
         gain = np.einsum("wab,wrb->war", covariance[:, 2 * n :], nuisances, optimize=True).astype(np.float32)
         spread = np.diagonal(covariance, axis1=1, axis2=2)[:, 2 * n :].reshape(self.windows, n, PIECES).mean(2)
-        return gain, spread
+        read, moved = zip(*(rates(matrix, self.engine.period) for matrix in filters), strict=True)
+        return Reducer(gain, read[0].astype(np.float32), np.stack(moved).astype(np.float32)), spread
 
-    def reduce(self, reducers: Sequence[np.ndarray], errors: Sequence[np.ndarray]) -> np.ndarray:
+    def reduce(self, reducers: Sequence[Reducer], errors: Sequence[np.ndarray]) -> np.ndarray:
         """Whitened errors by limb as rows, ``[set, joint, window, row]``: torques, currents, rates, means first."""
         parts = []
-        for gain, error, limb in zip(reducers, errors, self.limbs, strict=True):
+        for reducer, error, limb in zip(reducers, errors, self.limbs, strict=True):
             sets, n = len(error), len(limb)
-            torque = np.moveaxis(np.matmul(gain, np.moveaxis(error, 0, -1)), -1, 0)
+            torque = np.moveaxis(np.matmul(reducer.torque, np.moveaxis(error, 0, -1)), -1, 0)
             torque = torque.reshape(sets, self.windows, n, PIECES)
             position, velocity, current = np.moveaxis(error.reshape(sets, self.windows, self.ticks + 1, n, 3), -1, 0)
             current = np.einsum("pt,swtj->swjp", self._mean, current)
-            rate = np.einsum("pt,swtj->swjp", self._read, velocity) - np.einsum("pt,swtj->swjp", self._moved, position)
+            rate = np.einsum("pt,swtj->swjp", reducer.read, velocity)
+            rate -= np.einsum("jpt,swtj->swjp", reducer.moved, position, optimize=True)
+            rate[(np.abs(position) >= FARTHEST).any(2)] = 0.0  # who is that far off tells no rate
             rows = [one @ linalg.helmert(one.shape[-1], full=True).T for one in (torque, current, rate)]
             rows = np.concatenate(rows, -1)
             parts.append(np.moveaxis(rows, 2, 1))
@@ -360,8 +405,8 @@ class Reduction:
         read = (self.moving & self.engine.known[:, 2])[self.judged]
         variance[..., current] = np.where(read, PIECES / self.ticks, np.inf)[:, None, None]
         both = (self.moving & self.engine.known[:, :2].all(1))[self.judged]
-        rounded = float(np.square([self._read, self._moved]).sum((0, 2)).mean())
-        variance[..., rate] = np.where(both, rounded, np.inf)[:, None, None]
+        rounded = np.array([rounding(one.read, moved) for one in linear.reducers for moved in one.moved])
+        variance[..., rate] = np.where(both[:, None], rounded, np.inf)[:, None]
         variance = variance if like is None else like.variance
         kept, values = [], []
         for j in range(len(self.judged)):
@@ -372,9 +417,8 @@ class Reduction:
                 usual = np.quantile(np.abs(values[-1][..., kinds]), 0.97, axis=(1, 2), keepdims=True)
                 values[-1][..., kinds] = np.clip(values[-1][..., kinds], -8 * usual - 0.5, 8 * usual + 0.5)
         measured = np.where(np.isfinite(variance), linear.lacking, 0.0)
-        features = self.features * torque[:, None]
         names = tuple(self.engine.joints[j] for j in self.judged)
-        return Rows(names, self.kinds, measured, variance, features, tuple(kept), tuple(values))
+        return Rows(names, self.kinds, measured, variance, self.features, tuple(kept), tuple(values))
 
     def _on_edge(self, linear: Linear) -> np.ndarray:
         """Variance of windows on the edge of sticking, which little moves far, ``[joint, window]``."""
@@ -387,7 +431,7 @@ class Reduction:
 
     @cached_property
     def features(self) -> np.ndarray:
-        """Random features of what a joint goes through, ``[joint, window, row, feature]``; of currents the same.
+        """Random features of what a joint goes through, of its torques alone, ``[joint, window, row, feature]``.
 
         Behind them what is not known of a stand's sway.
         """
@@ -399,7 +443,8 @@ class Reduction:
         mean = self._mean[:, :-1] / self._mean[:, :-1].sum(1, keepdims=True)
         pieces = np.einsum("pt,fwtj->jwpf", mean, np.stack(made))
         turned = np.einsum("rp,jwpf->jwrf", self._turn, pieces)
-        return np.concatenate([turned, turned, turned[:, :, 1:]], 2)
+        none = np.zeros((*turned.shape[:2], len(self.kinds) - PIECES, turned.shape[3]))
+        return np.concatenate([turned, none], 2)
 
 
 def _is_time(name: str) -> bool:

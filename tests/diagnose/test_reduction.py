@@ -1,41 +1,86 @@
 """What windows are reduced to: rates, which mechanics leave alone and a bent encoder does not."""
 
+from itertools import pairwise
+
 import numpy as np
-from hypothesis import given
+import pytest
+import torch
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from op3.diagnose import WindowResiduals
 from op3.diagnose.coordinates import base_coordinates, with_chain
-from op3.diagnose.features import FLOORS, PIECES, rates
+from op3.diagnose.features import FLOORS, PIECES
+from op3.diagnose.rates import RATES, filtered, rates
 from op3.diagnose.reduction import Reduction
 from op3.robot import leg_suite
 from op3.servo import Estimate, RobotModel, effect_class
+from op3.servo.effects import VelocityFilter
 from op3.sim import load_model
 from op3.tasks.planned import planned_suite
 from tests.op3_table import LEG_JOINTS
+from tests.servo.test_effect_laws import law_of
 
 
-@given(st.integers(8, 60), st.lists(st.floats(-5.0, 5.0), min_size=61, max_size=61), st.floats(0.002, 0.02))
-def test_whatever_a_joint_does_its_velocity_is_the_rate_of_its_angle(ticks, velocities, period):
-    """Angles by the trapezoidal rule from any velocities, both whitened, give the same mean in every piece."""
-    velocity = np.array(velocities[: ticks + 1])
-    angle = period * np.concatenate([[0.0], np.cumsum((velocity[1:] + velocity[:-1]) / 2)])
-    read, moved = rates(ticks, period)
-    assert read.shape == moved.shape == (PIECES - 1, ticks + 1)
-    whitened = velocity / FLOORS["joint", "velocity"], angle / FLOORS["joint", "position"]
-    np.testing.assert_allclose(read @ whitened[0], moved @ whitened[1], atol=1e-8)
+@given(
+    st.integers(8, 30),
+    st.lists(st.floats(-2.0, 2.0), min_size=31, max_size=31),
+    st.floats(0.004, 0.02),
+    st.floats(0.004, 0.03),
+    st.floats(0.1, 0.5),
+)
+@settings(max_examples=20, deadline=None)
+def test_whatever_a_joint_does_its_filtered_velocity_is_the_filtered_rate_of_its_angle(
+    ticks, angles, period, lag, shape
+):
+    """Of angles linear between ticks, both whitened, in every piece; the filter by small steps of its equation."""
+    angle, fine = np.array(angles[: ticks + 1]), 400
+    step, told, slope, velocity = period / fine, 0.0, 0.0, [0.0]
+    for rate in np.repeat(np.diff(angle) / period, fine):
+        slope += step * (rate - told - slope) / (shape * lag)
+        told += step * slope / lag
+        velocity.append(told)
+    read, moved = rates(filtered(lag, shape, ticks, period), period)
+    assert read.shape == moved.shape == (RATES, ticks + 1)
+    ends = np.rint(np.linspace(0, ticks, PIECES + 1)).astype(int)[1:] * fine
+    means = [np.mean(velocity[begin:end]) for begin, end in pairwise(ends)]
+    size = np.abs(np.diff(angle)).max() / period / FLOORS["joint", "velocity"]
+    whitened = angle / FLOORS["joint", "position"]
+    np.testing.assert_allclose(moved @ whitened, np.array(means) / FLOORS["joint", "velocity"], atol=0.01 * size + 1e-9)
+    np.testing.assert_allclose(read.sum(1), 1.0)
 
 
-def test_rates_show_an_encoder_that_bends_and_no_friction():
+@pytest.mark.parametrize(("lag", "shape"), [(0.0, 0.0), (0.006, 0.0), (0.012, 0.25), (0.018, 1 / 3)])
+def test_a_filter_of_readings_is_that_of_the_servo_law(lag, shape):
+    """Of velocities that are linear between ticks."""
+    velocity, fine = np.cumsum(np.random.default_rng(0).standard_normal(26)), 8
+    velocity[0] = 0.0
+    law, signals = law_of(VelocityFilter(), velocity_time_constant=lag, velocity_filter_shape=shape)
+    law.reset()
+    told = []
+    for number in range(25 * fine + 1):
+        signals.velocity = torch.full_like(signals.velocity, float(np.interp(number / fine, np.arange(26), velocity)))
+        law.sense()
+        told.append(signals.measured_velocity.item())
+        law.step()
+    np.testing.assert_allclose(filtered(lag, shape, 25, 0.008) @ velocity, told[::fine], atol=1e-5)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.012])
+def test_rates_show_an_encoder_that_bends_and_no_friction(lag):
     """A motor's own sensor tells the velocity of a joint whose encoder bends; friction moves both readings alike."""
     bent = effect_class("encoder_nonlinearity")(velocity="apart")
-    none = {"encoder_nonlinearity": 0.0, "encoder_nonlinearity_phase": 0.0, "velocity_time_constant": 0.0}
+    none = {"encoder_nonlinearity": 0.0, "encoder_nonlinearity_phase": 0.0}
+    none |= {"velocity_time_constant": lag, "velocity_filter_shape": 1 / 3}
     sound = with_chain(load_model("paper")).with_effect(bent).with_values(none)
     runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith("multisine")][:2]
     engine = WindowResiduals(planned_suite(sound, runs), windows=18)
     reduction = Reduction(engine)
     coordinates = base_coordinates(sound, engine.joints, reduction.moving)
-    linear = reduction.linearise(coordinates, coordinates.start)
+    at = coordinates.start.copy()
+    for i, entry in enumerate(coordinates.entries):
+        at[i] = none.get(entry.parameter, at[i])
+    linear = reduction.linearise(coordinates, at)
 
     def change(model: RobotModel) -> np.ndarray:
         """Root mean square of how much rows change [units or noise], ``[joint, kind]``."""

@@ -75,8 +75,8 @@ class EncoderNonlinearity(Effect):
 class VelocityFilter(Effect):
     """The servo filters the velocity that it reports; exact for a velocity that changes linearly.
 
-    Whatever an estimate is made of, it is late by a mean time and smears over the square of it less twice the shape
-    (moments of its impulse response). One lag has the shape 0, two alike in a row 1/4, a difference of angles 1/3.
+    Whatever an estimate is made of, it is late by a mean time Tw, and the variance of its impulse response is
+    Tw^2 (1 - 2 a). One lag has the shape a = 0, two alike in a row 1/4, a difference of angles 1/3, a mere delay 1/2.
     """
 
     name = "velocity_filter"
@@ -86,10 +86,10 @@ class VelocityFilter(Effect):
     source = "velocity estimate of a servo's firmware, which no maker publishes; range our own choice, from bench logs"
     parameters = (
         Parameter("velocity_time_constant", "s", 0.0, 0.02, 0.0, 0.0, "Tw", least=0.0),
-        Parameter("velocity_filter_shape", "-", 0.0, 0.5, 0.0, 0.0, "a", least=0.0, most=0.5, searched=False),
+        Parameter("velocity_filter_shape", "-", 0.0, 0.5, 0.0, None, "a", least=0.0, most=0.5, searched=False),
     )
-    memory = ("filtered", "slope", "next", "velocity", "now", "knows")
-    constants = ("late", "kept", "turned", "lost", "bent")
+    memory = ("filtered", "slope", "velocity", "said", "said_slope", "now", "knows")
+    constants = ("lag", "transition_11", "transition_12", "transition_21", "transition_22")
     secants = ({"velocity_time_constant": 0.002}, {"velocity_time_constant": 0.008})
     fingerprint = "reported velocity lags the derivative of the reported angle; no torque beyond Kd"
     confounders = ("latency", "current_lag", "terminal_resistance")
@@ -98,18 +98,19 @@ class VelocityFilter(Effect):
 
     @staticmethod
     def prepare(p):
-        """What a step leaves of a deviation and of its slope times `Tw`: the exponential of a matrix."""
+        """Lag in steps, and what a step leaves of a deviation and its slope times Tw: the exponential of a matrix."""
         passed, shape = lags_per_step(p.velocity_time_constant, p.timestep), max(p.velocity_filter_shape, 1e-6)
-        p.velocity_filter_late = 1.0 / passed
-        root = sqrt(max(abs(1.0 - 4.0 * shape), 1e-8))
-        if 4.0 * shape < 1.0:
+        p.velocity_filter_lag = p.velocity_time_constant / p.timestep
+        if 1.0 - 4.0 * shape > 1e-8:
+            root = sqrt(1.0 - 4.0 * shape)
             slow, fast = exp(-2.0 * passed / (1.0 + root)), exp(-passed * (1.0 + root) / (2.0 * shape))
             middle, apart = (slow + fast) / 2.0, (slow - fast) / root
         else:
-            swing, fade = passed * root / (2.0 * shape), exp(-passed / (2.0 * shape))
-            middle, apart = fade * cos(swing), 2.0 * fade * sin(swing) / root
-        p.velocity_filter_kept, p.velocity_filter_lost = middle + apart / 2.0, middle - apart / 2.0
-        p.velocity_filter_turned, p.velocity_filter_bent = shape * apart, -apart
+            root = sqrt(max(4.0 * shape - 1.0, 1e-8))
+            angle, fade = passed * root / (2.0 * shape), exp(-passed / (2.0 * shape))
+            middle, apart = fade * cos(angle), 2.0 * fade * sin(angle) / root
+        p.velocity_filter_transition_11, p.velocity_filter_transition_12 = middle + apart / 2.0, shape * apart
+        p.velocity_filter_transition_21, p.velocity_filter_transition_22 = -apart, middle - apart / 2.0
 
     @staticmethod
     def reset(s, p):
@@ -122,16 +123,19 @@ class VelocityFilter(Effect):
     def sense(s, p):
         """Filter what has happened since the memory was last renewed, a step ago."""
         now = s.measured_velocity
-        s.velocity_filter_now = now
+        s.velocity_filter_now = s.velocity_filter_said = now
         if s.velocity_filter_knows == 0.0:
             return
-        ramp = p.velocity_filter_late * (now - s.velocity_filter_velocity)
-        deviation = s.velocity_filter_filtered - s.velocity_filter_velocity + ramp
-        turned = s.velocity_filter_slope - ramp
-        s.measured_velocity = now - ramp + p.velocity_filter_kept * deviation + p.velocity_filter_turned * turned
-        s.velocity_filter_next = ramp + p.velocity_filter_bent * deviation + p.velocity_filter_lost * turned
+        ramp = p.velocity_filter_lag * (now - s.velocity_filter_velocity)
+        off, bent = s.velocity_filter_filtered - s.velocity_filter_velocity + ramp, s.velocity_filter_slope - ramp
+        s.velocity_filter_said = now - ramp + p.velocity_filter_transition_11 * off
+        s.velocity_filter_said += p.velocity_filter_transition_12 * bent
+        s.velocity_filter_said_slope = ramp + p.velocity_filter_transition_21 * off
+        s.velocity_filter_said_slope += p.velocity_filter_transition_22 * bent
+        s.measured_velocity = s.velocity_filter_said
 
     @staticmethod
     def finish(s, p):
-        s.velocity_filter_filtered, s.velocity_filter_velocity = s.measured_velocity, s.velocity_filter_now
-        s.velocity_filter_slope = s.velocity_filter_next
+        """Keep what was said, whatever a log made of it for the controller."""
+        s.velocity_filter_filtered, s.velocity_filter_velocity = s.velocity_filter_said, s.velocity_filter_now
+        s.velocity_filter_slope = s.velocity_filter_said_slope
