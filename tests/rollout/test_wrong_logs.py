@@ -710,13 +710,14 @@ def test_a_velocity_of_one_count_is_not_cut_off():
     assert not [one for one in found if one.check == "saturated"]
 
 
-def test_currents_that_the_supply_limits_are_in_their_unit(tmp_path):
+@pytest.mark.parametrize(("limited", "rest"), [(40, 0.015), (60, 0.015), (40, 0.0)])
+def test_currents_that_the_supply_limits_are_in_their_unit(tmp_path, limited, rest):
     """Between steps a joint's current is gain times error; what a step wants is more than the supply gives."""
 
     def stepped(table: Table) -> None:
         time = np.arange(1000) % 100
         sign = 1 - 2 * (np.arange(1000) // 100 % 2)
-        error = sign * np.where(time < 40, 0.5, 0.01)
+        error = sign * np.where(time < limited, 0.5, np.where(time < limited + 20, 0.03, rest))
         for joint in ("joint_0", "joint_1", "joint_2"):
             table[f"{joint}.target"] = table[f"{joint}.position"] + error
             table |= {f"{joint}.p_gain": np.full(1000, 6.0), f"{joint}.current": np.clip(6.0 * error, -0.3, 0.3)}
@@ -745,3 +746,15 @@ def test_a_joint_that_a_stuck_ones_loop_shakes_is_not_swapped_with_it(tmp_path):
 
     with pytest.raises(LogError, match="follows the command of joint_0"):
         read_log(write(tmp_path, swapped, joints=3))
+
+
+def test_a_slowly_estimated_velocity_at_its_peaks_is_not_cut_off():
+    """A few rows of one count at the top of a sine, where the angle is faster by no more than its counts leave open."""
+    log = bench_log()
+    arrays = {key: log.array(key).copy() for key in log.channels}
+    phase = 6 * arrays["time"]
+    angle = 0.378 / 6 * np.sin(phase)
+    arrays["command", "position"], arrays["joint", "position"] = angle, np.round(angle / 0.00153) * 0.00153
+    arrays["joint", "velocity"] = np.round(0.315 * np.cos(phase - 0.1) / 0.024) * 0.024
+    found = examine(Rollout.from_arrays(arrays, log.metadata))
+    assert not [one for one in found if one.check == "saturated"]

@@ -46,17 +46,15 @@ def command(view: View) -> Iterator[Finding]:
     leader, strength = foreign.argmax(1), foreign.max(1)
     itself = np.diagonal(best)
     turned, wanted = np.ptp(angle[driven], axis=0), np.ptp(target[driven], axis=0)
-    stands = turned < 0.5 * wanted
-    # what is shaken in step with a command moves by less than that asks for
-    follows = (
-        (strength > SURE) & (itself < 0.95) & (1 - strength < 0.2 * (1 - itself)) & (turned > 0.5 * wanted[leader])
-    )
+    follows = (strength > SURE) & (itself < 0.95) & (1 - strength < 0.2 * (1 - itself))
+    # the other stands, and this one moves: what is only shaken in step with a command moves by less than that asks for
+    alone = ~asked & (turned < 0.5 * wanted)[leader] & (turned > 0.5 * wanted[leader])
     for joint in map(int, np.flatnonzero(asked | moved)):
         sure, ratio = float(best[joint, joint]), float(matches[int(own[:, joint].argmax())].ratio[joint, joint])
         where = POSITION, joint
         whose = int(leader[joint])
         # one that is shaken by another's motion is no swap: that other follows its own command, or a third one's
-        both = _returns(joint, leader, follows) or (not asked[joint] and stands[whose])
+        both = _returns(joint, leader, follows) or alone[joint]
         other = view.joints[whose] if follows[joint] and both else None
         if asked[joint] and sure > 0.95 and (ratio > _MOST or ratio < 1 / 30):
             unit = likely_unit(ratio, "rad") or (likely_unit(1 / ratio, "rad") if ratio else None)

@@ -130,10 +130,12 @@ def drive(view: View) -> Iterator[Finding]:
         signless = (values.min(0) >= 0) & (wanted.min(0) < -0.3 * wanted.max(0)) & asked
         signless &= (grows > 0) & (sure_of_sizes > np.maximum(0.4, sure + 0.25))
         away = (sure > 0.6) & (factor < 0) & ~signless
-        # where the supply or a limit decides, currents are less than was wanted; half of the time it does not
-        typical = np.median(np.abs(values), 0) / np.maximum(np.median(np.abs(wanted), 0), 1e-9)
-        ratios = np.log(np.clip([factor, typical], 1e-12, None))
-        off = known & (sure > 0.8) & ~away & ~signless & (np.abs(ratios).min(0) > np.log(2.5))
+        # where the supply or a limit decides, currents are less than was wanted: small ones are asked as well
+        some = np.where(np.abs(wanted) >= 0.02 * np.abs(wanted).max(0), 1.0, np.nan)
+        small, its = (np.nanquantile(some * np.abs(one), 0.25, axis=0) for one in (values, wanted))
+        typical = small / np.maximum(its, 1e-9)
+        least, most = np.fmin(factor, typical), np.fmax(factor, typical)
+        off = known & (sure > 0.8) & ~away & ~signless & ((least > 2.5) | (most < 0.4))
         usual = float(np.median(factor[off])) if off.any() else 1.0
         units = {"it": likely_unit(usual, "A"), "the gain": likely_unit(1 / usual if usual else 0.0, "A/rad")}
         cause = next((f", as if {what} were in {unit}" for what, unit in units.items() if unit), "")
