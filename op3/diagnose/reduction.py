@@ -12,7 +12,6 @@ On a stand limbs do not couple, so that one simulation carries a local change in
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -23,17 +22,12 @@ from op3.diagnose.candidates import Candidate
 from op3.diagnose.coordinates import Coordinate, Coordinates
 from op3.diagnose.features import FLOORS, PIECES, random_features
 from op3.diagnose.judge import Rows
-from op3.diagnose.rates import RATES, filtered, rates, rounding
+from op3.diagnose.rates import RATES, filtered, rounding
+from op3.diagnose.responses import INITIAL, Reducer, reducer, torque_responses
 from op3.diagnose.settings import SETTINGS, Settings
 from op3.diagnose.windows import WindowResiduals
 from op3.servo import RobotModel, parameter
 from op3.servo.conditions import split_name
-
-INITIAL = (0.0015, 0.06)
-"""Standard deviations of a window's initial angle [rad] and velocity [rad/s]: what smoothing leaves."""
-
-WIDE_TORQUE = 15.0
-"""Prior standard deviation of a piece's torque [units]; sets what a joint at rest tells, and little else."""
 
 UNKNOWN = 100.0
 """Variance of a torque beyond which a window tells nothing of it [units^2]."""
@@ -57,20 +51,6 @@ FARTHEST = 300.0
 
 CHUNK = 40
 """Parameter sets simulated at a time: a batch of 72 windows of 20 joints holds 20 MB."""
-
-
-class Reducer(NamedTuple):
-    """What makes rows of a limb's residuals.
-
-    Attributes:
-        torque: residual to torque, ``[window, torque, residual]``.
-        read: weights of velocities, ``[piece, tick]``.
-        moved: weights of positions for their rate as a servo's filter tells it, ``[joint, piece, tick]``.
-    """
-
-    torque: np.ndarray
-    read: np.ndarray
-    moved: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +163,8 @@ class Reduction:
         if reduced is None:
             filters = self._filters(coordinates, point)
             nuisances = self._nuisances(coordinates, point, [one[0] for one in here], filters)
-            made = [self._reducer(limb, n, filters[limb]) for limb, n in zip(self.limbs, nuisances, strict=True)]
+            both = zip(self.limbs, nuisances, strict=True)
+            made = [reducer(n, filters[limb], self.engine.period) for limb, n in both]
             reducers, variance = tuple(m[0] for m in made), tuple(m[1] for m in made)
         else:
             reducers, variance = reduced.reducers, reduced.variance
@@ -256,95 +237,31 @@ class Reduction:
         values = coordinates.values(np.repeat(point[None], count, 0))
         offsets = {"position_offset": position, "velocity_offset": velocity}
         error = self.errors(coordinates.model, values, count, COARSE, **offsets)
+        armature = values["armature"][0].numpy() if "armature" in values else np.zeros(1)
+        armature, loop = np.broadcast_to(armature, self.count), "current_pd" not in coordinates.model.effect_names
         result = []
         for k, limb in enumerate(self.limbs):
             n = len(limb)
             change = error[k][1:] - error[k][:1]
             initial = np.concatenate([change[:n], change[size : size + n]])
-            torque = self._torque_responses(limb, coordinates, point, initial, left[k], filters[limb])
+            own = filters[limb]
+            torque = torque_responses(self.engine, limb, armature, loop, initial, left[k], own, self.unit, self.floor)
             result.append(np.moveaxis(np.concatenate([initial, torque]), 0, -1))
         return result
-
-    def _torque_responses(
-        self,
-        limb: np.ndarray,
-        coordinates: Coordinates,
-        point: np.ndarray,
-        initial: np.ndarray,
-        left: np.ndarray,
-        filters: np.ndarray,
-    ) -> np.ndarray:
-        """What a unit of torque in one joint and piece would do, ``[nuisance, window, residual]``.
-
-        A joint answers where it moves, measured or simulated, and its servo's own loop pulls it back as it does after
-        an error of the initial angle.
-        """
-        engine, n, shape = self.engine, len(limb), (self.windows, self.ticks + 1, len(limb), 3)
-        values = coordinates.values(point[None])
-        armature = values.get("armature", torch.zeros(1, 1)).numpy()
-        mass = engine.by_window(engine.motion.dynamics.mass, end=True)[:, :, limb][:, :, :, limb]
-        mass = mass + np.diag(np.broadcast_to(armature[0], self.count)[limb])
-        mobility = np.linalg.inv(mass)
-        measured = engine.by_window(engine.motion.velocity, end=True)[:, :, limb]
-        moves, read = np.abs(measured) > 0.02, self.engine.known[limb, 1]
-        floor = np.where(read, self.floor[limb, 1], 0.0)
-        moves |= read & (np.abs(measured + left.reshape(shape)[..., 1] * floor) > 0.04)
-        regulated = "current_pd" in coordinates.model.effect_names
-        stiffness = self._loop_stiffness(limb, initial[:n].reshape(n, *shape), mass, regulated)
-        piece = np.arange(self.ticks) * PIECES // self.ticks
-        response = np.zeros((n, PIECES, *shape), np.float32)
-        for j in range(n):
-            for p in range(PIECES):
-                q, v = np.zeros((self.windows, n)), np.zeros((self.windows, n))
-                for t in range(self.ticks):
-                    pull = (self.unit if piece[t] == p else 0.0) * mobility[:, t, :, j]
-                    pull = pull - np.einsum("wij,wj->wi", mobility[:, t], stiffness[:, t] * q)
-                    v = (v + engine.period * pull) * moves[:, t]
-                    q = q + engine.period * v
-                    response[j, p, :, t + 1, :, 0], response[j, p, :, t + 1, :, 1] = q, v
-        response[..., 1] = np.einsum("jst,apwtj->apwsj", filters, response[..., 1], optimize=True)
-        response /= self.floor[limb].astype(np.float32)
-        return response.reshape(n * PIECES, self.windows, -1)
-
-    def _loop_stiffness(self, limb: np.ndarray, initial: np.ndarray, mass: np.ndarray, regulated: bool) -> np.ndarray:
-        """Stiffness of servos that close the position loop themselves [N m/rad], ``[window, tick, joint]``.
-
-        From how far an error of the initial angle has come back after two ticks: ``q(t) = q0 (1 - K t^2 / 2 J)``.
-        """
-        time, result = 2 * self.engine.period, np.zeros((*mass.shape[:2], len(initial)))
-        if regulated:
-            return result  # commands are those of the log, and nothing pulls back
-        enabled = self.engine.motion.inputs.get("torque_enable")
-        for j, one in enumerate(initial):
-            kept = np.median(one[:, 2, j, 0]) * FLOORS["joint", "position"] / INITIAL[0]
-            result[..., j] = max(0.0, 2 * (1 - kept) / time**2) * float(np.median(mass[:, 0, j, j]))
-        return result if enabled is None else result * self.engine.by_window(enabled, end=True)[..., limb]
-
-    def _reducer(self, limb: np.ndarray, nuisances: np.ndarray, filters: np.ndarray) -> tuple[Reducer, np.ndarray]:
-        """What makes rows of a limb's residuals, and the variance of their torques, ``[window, joint]``."""
-        n = len(limb)
-        prior = np.ones(nuisances.shape[2])
-        prior[2 * n :] = WIDE_TORQUE**2
-        inner = np.einsum("wra,wrb->wab", nuisances, nuisances, optimize=True).astype(np.float64)
-        covariance = np.linalg.inv(inner + np.diag(1 / prior))
-        gain = np.einsum("wab,wrb->war", covariance[:, 2 * n :], nuisances, optimize=True).astype(np.float32)
-        spread = np.diagonal(covariance, axis1=1, axis2=2)[:, 2 * n :].reshape(self.windows, n, PIECES).mean(2)
-        read, moved = zip(*(rates(matrix, self.engine.period) for matrix in filters), strict=True)
-        return Reducer(gain, read[0].astype(np.float32), np.stack(moved).astype(np.float32)), spread
 
     def reduce(self, reducers: Sequence[Reducer], errors: Sequence[np.ndarray]) -> np.ndarray:
         """Whitened errors by limb as rows, ``[set, joint, window, row]``: torques, currents, rates, means first."""
         parts = []
-        for reducer, error, limb in zip(reducers, errors, self.limbs, strict=True):
+        for one, error, limb in zip(reducers, errors, self.limbs, strict=True):
             sets, n = len(error), len(limb)
-            torque = np.moveaxis(np.matmul(reducer.torque, np.moveaxis(error, 0, -1)), -1, 0)
+            torque = np.moveaxis(np.matmul(one.torque, np.moveaxis(error, 0, -1)), -1, 0)
             torque = torque.reshape(sets, self.windows, n, PIECES)
             position, velocity, current = np.moveaxis(error.reshape(sets, self.windows, self.ticks + 1, n, 3), -1, 0)
             current = np.einsum("pt,swtj->swjp", self._mean, current)
-            rate = np.einsum("pt,swtj->swjp", reducer.read, velocity)
-            rate -= np.einsum("jpt,swtj->swjp", reducer.moved, position, optimize=True)
+            rate = np.einsum("pt,swtj->swjp", one.read, velocity)
+            rate -= np.einsum("jpt,swtj->swjp", one.moved, position, optimize=True)
             rate[(np.abs(position) >= FARTHEST).any(2)] = 0.0  # who is that far off tells no rate
-            rows = [one @ linalg.helmert(one.shape[-1], full=True).T for one in (torque, current, rate)]
+            rows = [kind @ linalg.helmert(kind.shape[-1], full=True).T for kind in (torque, current, rate)]
             rows = np.concatenate(rows, -1)
             parts.append(np.moveaxis(rows, 2, 1))
         return np.concatenate(parts, 1).astype(np.float32)
