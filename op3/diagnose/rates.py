@@ -13,6 +13,10 @@ from op3.diagnose.features import FLOORS, PIECES
 RATES = PIECES - 1
 """Pieces whose rates are judged: what filters remember of the time before a window is known least in the first."""
 
+ESTIMATE = (0.01, 0.001, 1e-5)
+"""How far a servo's estimate of its velocity is not known: a share of it, of its change a time [s], and of that one's
+change the square of some [s^2]. Our own choice: firmware that works in steps of a millisecond, and three of these."""
+
 
 def filtered(lag: float, shape: float, ticks: int, period: float) -> np.ndarray:
     """What a velocity filter makes of velocities that are linear between ticks and none before, ``[tick, tick]``.

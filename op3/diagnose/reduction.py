@@ -22,7 +22,7 @@ from op3.diagnose.candidates import Candidate
 from op3.diagnose.coordinates import Coordinate, Coordinates
 from op3.diagnose.features import FLOORS, PIECES, random_features
 from op3.diagnose.judge import Rows
-from op3.diagnose.rates import RATES, filtered, rounding
+from op3.diagnose.rates import ESTIMATE, RATES, filtered, rates, rounding
 from op3.diagnose.responses import INITIAL, Reducer, reducer, torque_responses
 from op3.diagnose.settings import SETTINGS, Settings
 from op3.diagnose.windows import WindowResiduals
@@ -348,9 +348,9 @@ class Reduction:
 
     @cached_property
     def features(self) -> np.ndarray:
-        """Random features of what a joint goes through, of its torques alone, ``[joint, window, row, feature]``.
+        """Random features of what a joint goes through, of its torques, ``[joint, window, row, feature]``.
 
-        Behind them what is not known of a stand's sway.
+        Behind them what is not known of a stand's sway, and of rates.
         """
         engine = self.engine
         made = random_features(engine, self.judged, self.settings.features)
@@ -360,8 +360,21 @@ class Reduction:
         mean = self._mean[:, :-1] / self._mean[:, :-1].sum(1, keepdims=True)
         pieces = np.einsum("pt,fwtj->jwpf", mean, np.stack(made))
         turned = np.einsum("rp,jwpf->jwrf", self._turn, pieces)
-        none = np.zeros((*turned.shape[:2], len(self.kinds) - PIECES, turned.shape[3]))
-        return np.concatenate([turned, none], 2)
+        estimated = self._estimated / self.settings.law
+        whole = np.zeros((*turned.shape[:2], len(self.kinds), turned.shape[3] + estimated.shape[3]))
+        whole[:, :, :PIECES, : turned.shape[3]], whole[:, :, -RATES:, turned.shape[3] :] = turned, estimated
+        return whole
+
+    @property
+    def _estimated(self) -> np.ndarray:
+        """What is not known of how servos estimate velocity, ``[joint, window, row, feature]``."""
+        motion, by_window = self.engine.motion, self.engine.by_window
+        velocity, acceleration = (by_window(one, end=True) for one in (motion.velocity, motion.acceleration))
+        jerk = np.gradient(acceleration, self.engine.period, axis=1)
+        made = [size * one for size, one in zip(ESTIMATE, (velocity, acceleration, jerk), strict=True)]
+        read = rates(np.eye(self.ticks + 1), self.engine.period)[0] / FLOORS["joint", "velocity"]
+        pieces = np.einsum("pt,fwtj->jwpf", read, np.stack(made)[..., self.judged])
+        return np.einsum("rp,jwpf->jwrf", linalg.helmert(RATES, full=True), pieces)
 
 
 def _is_time(name: str) -> bool:
