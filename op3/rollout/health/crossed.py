@@ -131,7 +131,7 @@ def drive(view: View) -> Iterator[Finding]:
         signless &= (grows > 0) & (sure_of_sizes > np.maximum(0.4, sure + 0.25))
         away = (sure > 0.6) & (factor < 0) & ~signless
         # where the supply or a limit decides, currents are less than was wanted: small ones are asked as well
-        some = np.where(np.abs(wanted) >= 0.02 * np.abs(wanted).max(0), 1.0, np.nan)
+        some = np.where(np.abs(wanted) >= 1e-3 * np.abs(wanted).max(0), 1.0, np.nan)
         small, its = (np.nanquantile(some * np.abs(one), 0.25, axis=0) for one in (values, wanted))
         typical = small / np.maximum(its, 1e-9)
         least, most = np.fmin(factor, typical), np.fmax(factor, typical)
