@@ -11,7 +11,7 @@ On a stand limbs do not couple, so that one simulation carries a local change in
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 import torch
@@ -22,7 +22,7 @@ from op3.diagnose.candidates import Candidate
 from op3.diagnose.coordinates import Coordinate, Coordinates
 from op3.diagnose.features import FLOORS, PIECES, random_features
 from op3.diagnose.judge import Rows
-from op3.diagnose.rates import ESTIMATE, RATES, filtered, rates, rounding
+from op3.diagnose.rates import ESTIMATE, RATES, filtered, read, rounding
 from op3.diagnose.responses import INITIAL, Reducer, reducer, torque_responses
 from op3.diagnose.settings import SETTINGS, Settings
 from op3.diagnose.windows import WindowResiduals
@@ -106,6 +106,7 @@ class Reduction:
         self._turn = linalg.helmert(PIECES, full=True)
         of_piece = np.minimum(np.arange(self.ticks + 1) * PIECES // self.ticks, PIECES - 1)
         self._mean = np.stack([(of_piece == p) / (of_piece == p).sum() for p in range(PIECES)])
+        self._read = read(self.ticks).astype(np.float32)
         counts = (PIECES, PIECES, RATES)
         self.kinds = np.array([2 * group + (row > 0) for group, count in enumerate(counts) for row in range(count)])
 
@@ -216,12 +217,12 @@ class Reduction:
     def _filters(self, coordinates: Coordinates, point: np.ndarray) -> np.ndarray:
         """What every servo's filter makes of velocities, ``[joint, tick, tick]``."""
         known = coordinates.model.tensors(self.engine.joints) | coordinates.values(point[None])
-        own = []
-        for name in ("velocity_time_constant", "velocity_filter_shape"):
-            own.append(np.broadcast_to(known[name][0].numpy() if name in known else 0.0, self.count).tolist())
-        pairs = list(zip(*own, strict=True))
-        made = {(lag, shape): filtered(lag, shape, self.ticks, self.engine.period) for lag, shape in set(pairs)}
-        return np.stack([made[pair] for pair in pairs])
+        lags, shapes = (
+            np.broadcast_to(known[name][0].numpy() if name in known else 0.0, self.count).tolist()
+            for name in ("velocity_time_constant", "velocity_filter_shape")
+        )
+        once = cache(lambda lag, shape: filtered(lag, shape, self.ticks, self.engine.period))
+        return np.stack([once(lag, shape) for lag, shape in zip(lags, shapes, strict=True)])
 
     def _nuisances(
         self, coordinates: Coordinates, point: np.ndarray, left: list[np.ndarray], filters: np.ndarray
@@ -258,7 +259,7 @@ class Reduction:
             torque = torque.reshape(sets, self.windows, n, PIECES)
             position, velocity, current = np.moveaxis(error.reshape(sets, self.windows, self.ticks + 1, n, 3), -1, 0)
             current = np.einsum("pt,swtj->swjp", self._mean, current)
-            rate = np.einsum("pt,swtj->swjp", one.read, velocity)
+            rate = np.einsum("pt,swtj->swjp", self._read, velocity)
             rate -= np.einsum("jpt,swtj->swjp", one.moved, position, optimize=True)
             rate[(np.abs(position) >= FARTHEST).any(2)] = 0.0  # who is that far off tells no rate
             rows = [kind @ linalg.helmert(kind.shape[-1], full=True).T for kind in (torque, current, rate)]
@@ -319,10 +320,10 @@ class Reduction:
         known = (spread < UNKNOWN) & self.moving[self.judged][:, None]
         variance = np.where(known, spread, np.inf)[..., None] + np.zeros(len(self.kinds))
         variance[..., torque] += self._on_edge(linear)[..., None]
-        read = (self.moving & self.engine.known[:, 2])[self.judged]
-        variance[..., current] = np.where(read, PIECES / self.ticks, np.inf)[:, None, None]
+        recorded = (self.moving & self.engine.known[:, 2])[self.judged]
+        variance[..., current] = np.where(recorded, PIECES / self.ticks, np.inf)[:, None, None]
         both = (self.moving & self.engine.known[:, :2].all(1))[self.judged]
-        rounded = np.array([rounding(one.read, moved) for one in linear.reducers for moved in one.moved])
+        rounded = np.array([rounding(self._read, moved) for one in linear.reducers for moved in one.moved])
         variance[..., rate] = np.where(both[:, None], rounded, np.inf)[:, None]
         variance = variance if like is None else like.variance
         kept, values = [], []
@@ -372,8 +373,7 @@ class Reduction:
         velocity, acceleration = (by_window(one, end=True) for one in (motion.velocity, motion.acceleration))
         jerk = np.gradient(acceleration, self.engine.period, axis=1)
         made = [size * one for size, one in zip(ESTIMATE, (velocity, acceleration, jerk), strict=True)]
-        read = rates(np.eye(self.ticks + 1), self.engine.period)[0] / FLOORS["joint", "velocity"]
-        pieces = np.einsum("pt,fwtj->jwpf", read, np.stack(made)[..., self.judged])
+        pieces = np.einsum("pt,fwtj->jwpf", self._read / FLOORS["joint", "velocity"], np.stack(made)[..., self.judged])
         return np.einsum("rp,jwpf->jwrf", linalg.helmert(RATES, full=True), pieces)
 
 

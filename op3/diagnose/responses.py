@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from op3.diagnose.features import FLOORS, PIECES
-from op3.diagnose.rates import rates
+from op3.diagnose.rates import moved
 from op3.diagnose.windows import WindowResiduals
 
 INITIAL = (0.0015, 0.06)
@@ -20,12 +20,10 @@ class Reducer(NamedTuple):
 
     Attributes:
         torque: residual to torque, ``[window, torque, residual]``.
-        read: weights of velocities, ``[piece, tick]``.
         moved: weights of positions for their rate as a servo's filter tells it, ``[joint, piece, tick]``.
     """
 
     torque: np.ndarray
-    read: np.ndarray
     moved: np.ndarray
 
 
@@ -44,8 +42,7 @@ def reducer(nuisances: np.ndarray, filters: np.ndarray, period: float) -> tuple[
     covariance = np.linalg.inv(inner + np.diag(1 / prior))
     gain = np.einsum("wab,wrb->war", covariance[:, 2 * n :], nuisances, optimize=True).astype(np.float32)
     spread = np.diagonal(covariance, axis1=1, axis2=2)[:, 2 * n :].reshape(windows, n, PIECES).mean(2)
-    read, moved = zip(*(rates(matrix, period) for matrix in filters), strict=True)
-    return Reducer(gain, read[0].astype(np.float32), np.stack(moved).astype(np.float32)), spread
+    return Reducer(gain, np.stack([moved(matrix, period) for matrix in filters]).astype(np.float32)), spread
 
 
 def torque_responses(

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from op3.diagnose import WindowResiduals
 from op3.diagnose.coordinates import base_coordinates, with_chain
 from op3.diagnose.features import FLOORS, PIECES
-from op3.diagnose.rates import RATES, filtered, rates
+from op3.diagnose.rates import RATES, filtered, moved, read
 from op3.diagnose.reduction import Reduction
 from op3.robot import leg_suite
 from op3.servo import Estimate, RobotModel, effect_class
@@ -40,14 +40,16 @@ def test_whatever_a_joint_does_its_filtered_velocity_is_the_filtered_rate_of_its
         slope += step * (rate - told - slope) / (shape * lag)
         told += step * slope / lag
         velocity.append(told)
-    read, moved = rates(filtered(lag, shape, ticks, period), period)
-    assert read.shape == moved.shape == (RATES, ticks + 1)
+    reading, moving = read(ticks), moved(filtered(lag, shape, ticks, period), period)
+    assert reading.shape == moving.shape == (RATES, ticks + 1)
     ends = np.rint(np.linspace(0, ticks, PIECES + 1)).astype(int)[1:] * fine
     means = [np.mean(velocity[begin:end]) for begin, end in pairwise(ends)]
     size = np.abs(np.diff(angle)).max() / period / FLOORS["joint", "velocity"]
     whitened = angle / FLOORS["joint", "position"]
-    np.testing.assert_allclose(moved @ whitened, np.array(means) / FLOORS["joint", "velocity"], atol=0.01 * size + 1e-9)
-    np.testing.assert_allclose(read.sum(1), 1.0)
+    np.testing.assert_allclose(
+        moving @ whitened, np.array(means) / FLOORS["joint", "velocity"], atol=0.01 * size + 1e-9
+    )
+    np.testing.assert_allclose(reading.sum(1), 1.0)
 
 
 @pytest.mark.parametrize(("lag", "shape"), [(0.0, 0.0), (0.006, 0.0), (0.012, 0.25), (0.018, 1 / 3)])

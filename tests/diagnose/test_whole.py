@@ -27,18 +27,24 @@ def logs_of(model: RobotModel) -> list[Rollout]:
     return result
 
 
+GIVEN_UP = pytest.mark.xfail(
+    strict=True, reason="the base ends with a false zero of the knee's current sensor and gives the joint up as noise"
+)
+
+
 @pytest.mark.slow
-def test_a_strong_effect_is_found_in_its_joint_and_a_sound_leg_is_silent():
+@pytest.mark.parametrize("windows", [56, pytest.param(40, marks=GIVEN_UP)])
+def test_a_strong_effect_is_found_in_its_joint_and_a_sound_leg_is_silent(windows):
     """A spring of 0.25 N m/rad at the knee: one finding, its size to a fifth, in the model; without it none."""
     sound = load_model("paper").with_effect(CableSpring(), {"cable_stiffness": 0.0, "cable_rest_angle": 0.0})
     springy = sound.with_values({"cable_stiffness": Estimate(0.0, joints={"r_knee": 0.25})})
-    found = Diagnosis(load_model("paper"), split_logs(logs_of(springy)), settings=Settings(windows=56)).run()
+    found = Diagnosis(load_model("paper"), split_logs(logs_of(springy)), settings=Settings(windows=windows)).run()
     (finding,) = [one for one in found.findings if one.probability > 0.5]
     assert (finding.effect, finding.joints) == ("cable_spring", ("r_knee",))
     assert finding.size == pytest.approx(0.25, rel=0.2)
     assert finding.interval[0] < 0.25 < finding.interval[1]
     assert finding.in_model
     assert found.gap["joint/position"]["after"] < found.gap["joint/position"]["before"]
-    quiet = Diagnosis(load_model("paper"), split_logs(logs_of(sound)), settings=Settings(windows=56)).run()
+    quiet = Diagnosis(load_model("paper"), split_logs(logs_of(sound)), settings=Settings(windows=windows)).run()
     assert quiet.findings == ()
     assert quiet.verdict == "nothing_missing"
