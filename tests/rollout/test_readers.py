@@ -32,7 +32,8 @@ from hypothesis import strategies as st
 from rollout_logs import SERVO_BENCH, refusal
 
 from op3.robot import load_robot
-from op3.rollout import LogError, read_log, read_logs
+from op3.rollout import LogError, read_episodes, read_log, read_logs
+from op3.rollout.health import examine
 from op3.rollout.importing import side_path
 from op3.rollout.proposal import as_yaml, propose
 from op3.rollout.readers import readers
@@ -131,6 +132,21 @@ def test_clocks_in_two_units(tmp_path):
     control.write_text(re.sub(r"CONTROL,([\d.]+)", lambda row: f"CONTROL,{float(row[1]) / 1e3}", control.read_text()))
     with pytest.raises(LogError, match=r"column time: one clock runs over .* as if one were in ms"):
         read_log(path)
+
+
+def test_both_clocks_in_another_unit(tmp_path):
+    """Milliseconds in both files are told as that and nothing else, and a line in the YAML reads them."""
+    path = sage(tmp_path)
+    sound = read_log(path)
+    for file in (path / "control.csv", path / "state_motor.csv"):
+        stamps = re.sub(r"(CONTROL|MOTOR),([\d.]+)", lambda row: f"{row[1]},{float(row[2]) / 1e3}", file.read_text())
+        file.write_text(stamps)
+    with pytest.raises(LogError, match=r"as if milliseconds had been read as microseconds; name the unit"):
+        read_log(path)
+    (log,) = read_episodes(path, check=False)
+    assert len(examine(log)) == 1
+    path.with_suffix(".yaml").write_text("columns: {timestamp: {name: time, unit: ms}}\n")
+    assert np.abs(read_log(path).column("time") - sound.column("time")).max() < 1e-9
 
 
 def test_commands_for_a_part_of_the_time(tmp_path):

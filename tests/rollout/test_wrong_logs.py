@@ -758,3 +758,108 @@ def test_a_slowly_estimated_velocity_at_its_peaks_is_not_cut_off():
     arrays["joint", "velocity"] = np.round(0.315 * np.cos(phase - 0.1) / 0.024) * 0.024
     found = examine(Rollout.from_arrays(arrays, log.metadata))
     assert not [one for one in found if one.check == "saturated"]
+
+
+def changed(log: Rollout, **channels: np.ndarray) -> Rollout:
+    """The log with channels (`joint__position`) in the place of its own."""
+    arrays = {key: log.array(key) for key in log.channels}
+    return Rollout.from_arrays({**arrays, **{name.replace("__", "/"): v for name, v in channels.items()}}, log.metadata)
+
+
+@pytest.mark.parametrize(("first", "last"), [(200, 800), (0, 1000)])
+def test_a_position_that_stands_while_its_small_command_moves_is_told(first, last):
+    """Half of what tells a blocked joint anywhere, in a robot that follows its commands far more closely."""
+    log = bench_log(joints=3)
+    target, position = 0.25 * log.array("command/position"), 0.25 * log.array("joint/position")
+    sound = changed(log, command__position=target, joint__position=position, joint__velocity=0 * position)
+    frozen = position.copy()
+    frozen[first:last, 1] = frozen[first, 1]
+    frozen = changed(sound, joint__position=frozen)
+    assert [one.column for one in examine(frozen) if one.check == "stands still" and "position st" in one.problem] == [
+        "joint_1.position"
+    ]
+    assert not [one for one in examine(sound) if "position stands" in one.problem]
+
+
+def test_a_weak_joint_that_sticks_is_not_dead():
+    """Its command moves no further while it stands than its error does while it moves."""
+    log = bench_log()
+    position = log.array("joint/position").copy()
+    for row in range(1, len(position)):  # moves only when its command is 0.15 rad away
+        error = log.array("command/position")[row, 0] - position[row - 1, 0]
+        position[row] = position[row - 1] + np.sign(error) * max(abs(error) - 0.15, 0.0)
+    weak = changed(log, joint__position=position, joint__velocity=np.gradient(position, 1 / RATE, axis=0))
+    assert not [one for one in examine(weak) if one.check == "stands still"]
+
+
+@pytest.mark.parametrize(("late", "told"), [(0.1, False), (0.5, True)])
+def test_a_slow_motion_tells_a_delay_too(late, told):
+    """Half a second is little beside a period of a minute, and still explains far more than what servos need."""
+    log = bench_log()
+    time = np.arange(0, 30, 0.02)
+    wave = [0.3 * np.sin(0.1 * at) + 0.02 * np.sin(at) for at in (time, time - late)]
+    target, position = (values[:, None] for values in wave)
+    arrays = {"time": time, "command/position": target, "joint/position": np.round(position / 0.00153) * 0.00153}
+    found = examine(Rollout.from_arrays(arrays, log.metadata.replace(rate=50.0, firmware_gain=None)))
+    assert ["two clocks"] * told == [one.check for one in found]
+
+
+def test_a_wrong_clock_is_the_only_cause_that_is_told(tmp_path):
+    """What is computed with it is wrong as well, and says nothing."""
+    path = write(tmp_path, scale("time", 1e-3))
+    sidecar = path.with_suffix(".yaml")
+    sidecar.write_text(sidecar.read_text().replace("rate: 125.0\n", "rate: 125000\n"))
+    (log,) = read_episodes(path, check=False)
+    (finding,) = examine(log)
+    assert "as if milliseconds had been read as microseconds" in finding.remedy
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_columns_that_were_exchanged_are_told_so(mirrored):
+    """Two joints that move alike about other angles, or as mirror images: no offsets, and no signs turned round."""
+    log = bench_log(joints=5)
+    target, position = log.array("command/position").copy(), log.array("joint/position").copy()
+    for values, lag in ((target, 0.0), (position, 0.03)):
+        wave = 0.3 * np.sin(4 * (log.array("time")[:, 0] - lag))
+        values[:, 1], values[:, 2] = 1.0 + wave, -1.0 - wave if mirrored else 0.5 + wave
+    velocity = np.gradient(position, 1 / RATE, axis=0)
+    sound = changed(log, command__position=target, joint__position=position, joint__velocity=velocity)
+    assert not examine(sound)
+    order = [0, 2, 1, 3, 4]
+    swapped = changed(sound, joint__position=position[:, order], joint__velocity=velocity[:, order])
+    found = [one for one in examine(swapped) if one.column in ("joint_1.position", "joint_2.position")]
+    assert ["are swapped" in one.problem and one.severity for one in found] == ["error", "error"]
+
+
+def test_a_joint_without_gain_does_not_follow(tmp_path):
+    """A robot that was switched off lies as it fell; none of its joints has another zero."""
+
+    def off(table: Table) -> None:
+        driven(table)
+        edit("joint_2.position", lambda values: values + 0.6)(table)
+        edit("joint_2.target", lambda values: 0 * values)(table)
+        edit(".*(p_gain|current)", lambda values: 0 * values)(table)
+
+    assert not [one for one in read_log(write(tmp_path, off, joints=3)).findings if "stands" in one.problem]
+
+
+def test_a_soft_joint_that_swings_yields_all_the_same():
+    """Damping is as large as what pulls it, and has no mean."""
+    log = bench_log(joints=5)
+    position, ones = log.array("joint/position").copy(), np.ones((1000, 5))
+    position[:, 2] += 0.4
+    velocity = np.gradient(position, 1 / RATE, axis=0)
+    current = 0.15 * (log.array("command/position") - position) - 0.1 * velocity
+    gains = dict(command__p_gain=0.15 * ones, joint__current=current, joint__position=position)
+    assert not [one for one in examine(changed(log, **gains)) if one.check == "constant offset"]
+
+
+def test_a_knock_is_no_single_reading():
+    """A velocity leaps for a row, and the position with it."""
+    log = bench_log()
+    time, position = log.array("time")[:, 0], 0 * log.array("joint/position")
+    position[:, 0] = 0.08 * (time > 4.0) * np.exp(-4 * np.clip(time - 4.004, 0, None))
+    velocity = np.diff(position, axis=0, prepend=position[:1]) * RATE
+    knocked = changed(log, command__position=0 * position, joint__position=position, joint__velocity=velocity)
+    assert np.abs(velocity).max() > 9.0
+    assert not [one for one in examine(knocked) if one.check == "single readings"]

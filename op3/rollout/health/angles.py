@@ -27,9 +27,28 @@ def _returns(joint: int, leader: np.ndarray, follows: np.ndarray) -> bool:
     return bool(seen) and at == joint
 
 
+def _exchanged(view: View) -> dict[int, int]:
+    """Joints that are where another is told to be, while that one is where they are and all others follow their own."""
+    rows = np.flatnonzero(view.driven.all(1))
+    rows = rows[:: 1 + len(rows) // 1000]
+    if len(rows) < 20:
+        return {}
+    apart = np.median(np.abs(view.position[rows, :, None] - view.command[rows, None, :]), axis=0)
+    own, found = np.diagonal(apart), {}
+    for one, other in np.argwhere(np.maximum(apart, apart.T) < 0.25 * np.minimum(own[:, None], own)).tolist():
+        rest = np.delete(own, [one, other])
+        if min(own[one], own[other]) > max(0.15, 5 * np.quantile(rest, 0.75) if len(rest) else 0.0):
+            found[one] = other
+    return found
+
+
 @check("position against command")
 def command(view: View) -> Iterator[Finding]:
     """Position and command differ in unit or sign, or belong to different joints."""
+    exchanged = _exchanged(view)
+    for joint, other in exchanged.items():
+        problem = f"the position follows the command of {view.joints[other]}: the columns of the two are swapped"
+        yield view.found(ERROR, (POSITION, joint), problem, "swap the columns")
     stride = max(1, round(0.02 / view.interval)) if len(view.time) >= 20 else 1
     angle, target = view.position[::stride], view.command[::stride]
     driven = np.all(view.driven[::stride], axis=1)
@@ -49,7 +68,7 @@ def command(view: View) -> Iterator[Finding]:
     follows = (strength > SURE) & (itself < 0.95) & (1 - strength < 0.2 * (1 - itself))
     # the other stands, and this one moves: what is only shaken in step with a command moves by less than that asks for
     alone = ~asked & (turned < 0.5 * wanted)[leader] & (turned > 0.5 * wanted[leader])
-    for joint in map(int, np.flatnonzero(asked | moved)):
+    for joint in (int(j) for j in np.flatnonzero(asked | moved) if j not in exchanged):
         sure, ratio = float(best[joint, joint]), float(matches[int(own[:, joint].argmax())].ratio[joint, joint])
         where = POSITION, joint
         whose = int(leader[joint])
@@ -135,6 +154,7 @@ def constant_offset(view: View) -> Iterator[Finding]:
     Where the recorded current is the gain times this angle, the joint is just soft, and yields to what it carries.
     """
     told = (view.driven.mean(0) > 0.5) & _small(view.position) & _small(view.command)
+    told[list(_exchanged(view))] = False
     joints = np.flatnonzero(told) if len(view.time) >= 20 else []
     error, gain, current = view.position - view.command, view.get(("command", "p_gain")), view.get(CURRENT)
     speed = np.gradient(view.position, view.time, axis=0) if len(joints) else error
@@ -151,8 +171,8 @@ def constant_offset(view: View) -> Iterator[Finding]:
             odd, offset = abs(fit[0]) > max(0.2, 3 * float((off - causes @ fit).std())), float(fit[0])
         yields = False
         if gain is not None and current is not None:
-            pulled = -gain[:, joint] * error[:, joint]
-            yields = np.median(np.abs(current[:, joint] - pulled)) < 0.5 * np.median(np.abs(pulled))
+            pulled = -gain[driven, joint] * off  # damping has no mean
+            yields = abs(np.median(current[driven, joint] - pulled)) < 0.5 * abs(np.median(pulled))
         dead = np.ptp(view.position[:, joint]) == 0 and np.ptp(at) > 0.2  # a dead sensor is another check's
         if dead or yields or not odd:
             continue

@@ -21,8 +21,12 @@ SLOWEST, FASTEST = 2.0, 20e3
 
 _UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 
-LONGEST, AHEAD = 0.8, -0.5
+LONGEST, AHEAD = 1.0, -0.5
 """A position follows its command by at most so long [s], and one so far ahead of it is looked for."""
+
+USUAL = 0.2
+"""Servos follow their commands by at most so long [s], or so slowly that no one delay explains it."""
+
 _SPLIT = "split the file there, or write `split: true` into its YAML to read the parts"
 
 
@@ -69,6 +73,9 @@ def rate(view: View) -> Iterator[Finding]:
     elif not SLOWEST < 1 / view.interval < FASTEST:
         problem = f"the median interval of {view.interval:.6g} s is that of no robot"
         unit = next((name for scale, name in _UNITS.items() if SLOWEST < scale / view.interval < FASTEST), None)
+        if SLOWEST < 1e-3 / view.interval < FASTEST:
+            remedy = "the clock runs a thousand times too fast, as if milliseconds had been read as microseconds; name "
+            remedy += "the unit of the times under `columns:`"
     else:
         return
     remedy = f"the time looks like {unit}, convert it to seconds" if unit else remedy
@@ -139,42 +146,44 @@ def stale(view: View) -> Iterator[Finding]:
 @check("two clocks")
 def two_clocks(view: View) -> Iterator[Finding]:
     """Command and position were stamped by different clocks: their delay is long, or grows."""
-    third, stride = len(view.time) // 3, max(1, round(0.02 / view.interval))
-    if third * view.interval < 1 or view.interval > 0.1 or not np.ptp(view.command, axis=0).any():
+    stride = max(1, round(0.02 / view.interval))
+    angle, told, period = view.position[::stride], view.command[::stride], stride * view.interval
+    third = len(angle) // 3
+    if third * period < 1 or view.interval > 0.1:
         return
-    parts, most = (slice(0, third), slice(-third, None)), third // 2
-    lags = np.arange(max(round(AHEAD / view.interval), -most), min(round(LONGEST / view.interval), most), stride)
-    # of the joints that move most throughout, the one that follows its command best
-    spans = np.minimum(*(np.minimum(np.ptp(view.command[p], 0), np.ptp(view.position[p], 0)) for p in parts))
-    found = {
-        int(j): [_follows(view, int(j), part, lags) for part in parts] for j in np.argsort(-spans)[:3] if spans[j] > 0.1
-    }
-    if not found:
-        return
-    joint = min(found, key=lambda j: max(1 - curve.max() for curve in found[j]))
-    curves = found[joint]
-    best = [int(curve.argmax()) for curve in curves]
-    left = [1 - curve.max() for curve in curves]
-    early, late = (float(lags[n] * view.interval) for n in best)
+    first, last, most = slice(0, third), slice(-third, None), third // 2
+    lags = np.arange(max(round(AHEAD / period), -most), min(round(LONGEST / period), most))
+    ones, remedy = np.ones(len(lags)), "stamp both by one clock, or cut the log into short parts"
+    usual = (lags * period > -0.05) & (lags * period < USUAL)
 
-    def worse(places: list[np.ndarray]) -> bool:
-        """Whether other delays explain clearly less, in both parts."""
-        return all(1 - p.max() > 4 * rest + 0.02 for p, rest in zip(places, left, strict=True))
+    def best(curve: np.ndarray) -> bool:
+        """Whether a delay among these explains nearly all, and no longer one may explain more."""
+        return bool(curve[1:-1].min() == curve.min() < 0.05)
 
-    where, remedy = (POSITION, joint), "stamp both by one clock, or cut the log into short parts"
-    if max(left) > 0.05 or max(best) == len(lags) - 1 or min(best) == 0:
-        return
-    if abs(late - early) > 0.15 and worse([curve[[n]] for curve, n in zip(curves, best[::-1], strict=True)]):
-        problem = f"the position follows the command by {early:.2f} s at the beginning and {late:.2f} s at the end"
-        yield view.found(WARNING, where, f"{problem}: they were stamped by clocks that run apart", remedy)
-    elif abs(late - early) < 0.06 and worse(
-        [curve[(lags * view.interval > -0.05) & (lags * view.interval < 0.2)] for curve in curves]
-    ):
-        problem = f"the position follows the command by {early:.2f} s throughout"
-        yield view.found(WARNING, where, f"{problem}: their clocks differ, or one is shifted", remedy)
+    def misfits(*parts: slice) -> dict[int, list[np.ndarray]]:
+        """What a position leaves of its command that came so long before ``[lag]``, of the joints that move most."""
+        spans = np.min([np.minimum(np.ptp(told[p], axis=0), np.ptp(angle[p], axis=0)) for p in parts], axis=0)
+        moving = [int(j) for j in np.argsort(-spans)[:3] if spans[j] > 0.1]
+        return {j: [1 - _follows(angle[p, j], told[p, j], lags) for p in parts] for j in moving}
+
+    curves = misfits(first, last)
+    joint = min(curves, key=lambda j: max(curve.min() for curve in curves[j]), default=0)
+    if all(best(curve) for curve in curves.get(joint, [ones])):
+        start, end = (curve.argmin() for curve in curves[joint])
+        other = all(c[n] > 4 * c.min() + 0.02 for c, n in zip(curves[joint], (end, start), strict=True))
+        if other and abs(lags[end] - lags[start]) * period > 0.15:
+            problem = f"the position follows the command by {lags[start] * period:.2f} s at the beginning and "
+            problem += f"{lags[end] * period:.2f} s at the end: they were stamped by clocks that run apart"
+            yield view.found(WARNING, (POSITION, joint), problem, remedy)
+            return
+    curves = misfits(slice(None))
+    joint = min(curves, key=lambda j: curves[j][0].min(), default=0)
+    (curve,) = curves.get(joint, [ones])
+    if best(curve) and curve[usual].min() > 3 * curve.min():
+        problem = f"the position follows the command by {lags[curve.argmin()] * period:.2f} s throughout: their clocks "
+        yield view.found(WARNING, (POSITION, joint), f"{problem}differ, or one is shifted", remedy)
 
 
-def _follows(view: View, joint: int, part: slice, lags: np.ndarray) -> np.ndarray:
+def _follows(angle: np.ndarray, told: np.ndarray, lags: np.ndarray) -> np.ndarray:
     """How well a position follows its command by so many rows, ``[lag]``."""
-    angle, told = view.position[part, joint], view.command[part, joint]
     return np.array([delayed(angle, told, int(n)) if n >= 0 else delayed(told, angle, -int(n)) for n in lags])

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from op3.rollout.health.finding import CURRENT, ERROR, VELOCITY, WARNING, Finding, View, check
-from op3.rollout.health.match import SURE, Match, delayed, integral, longest_run, match, step, windows
+from op3.rollout.health.match import SURE, Match, delayed, integral, longest_run, match, no_sensor, step, windows
 from op3.rollout.units import likely_unit
 
 DRIFT = 0.25
@@ -47,22 +47,15 @@ def velocity(view: View) -> Iterator[Finding]:
         elif abs(bias[joint]) > DRIFT:
             findings.append((joint, f"velocity is {bias[joint]:+.3g} rad/s off the change of position", None))
     # where most joints are wrong by a factor, the channel is in another unit
-    bad = sum(_impossible(ratio) for _, _, ratio in findings)
+    bad = sum(no_sensor(ratio) for _, _, ratio in findings)
     refuse = 2 * bad > len(moving) and (bad > 1 or len(view.joints) == 1)
     for joint, problem, ratio in findings:
-        if refuse and _impossible(ratio):
+        if refuse and no_sensor(ratio):
             remedy = "convert both to radians and the same sign, or write `scale:` into its YAML"
             yield view.found(ERROR, (VELOCITY, joint), problem, remedy, np.abs(rate[:, joint]).argmax())
         else:
             remedy = "the channel is not used; correct it where you know how"
             yield view.found(WARNING, (VELOCITY, joint), problem, remedy, aside=True)
-
-
-def _impossible(ratio: float | None) -> bool:
-    """Whether a factor is a unit or a sign, and not a filter or a rough sensor."""
-    if ratio is None:
-        return False
-    return ratio < 0 or not 0.2 < ratio < 5 or likely_unit(ratio, "rad/s", 0.05) is not None
 
 
 def _judge(view: View, found: Match, joint: int, summed: np.ndarray) -> tuple[str, float | None] | None:

@@ -72,7 +72,9 @@ class View:
         self.command = log.array(COMMAND)
         switch = self.get(("command", "torque_enable"))
         self.driven = np.ones(self.command.shape, bool) if switch is None else switch == 1
-        """Whether the servo drives [time, joint]."""
+        gain = self.get(("command", "p_gain"))
+        self.driven &= True if gain is None else gain != 0
+        """Whether the servo drives, towards its target [time, joint]."""
         self.interval = float(np.median(np.diff(self.time))) if len(self.time) > 1 else np.inf
         """Usual time from row to row [s]."""
 
@@ -157,9 +159,13 @@ def told_together(findings: Sequence[Finding]) -> list[Finding]:
 def _findings(view: View) -> Iterator[Finding]:
     aside: set[str | None] = set()
     for name, function in CHECKS.items():
+        wrong_clock = False
         for finding in function(view):
             if finding.column in aside:
                 continue  # why it is not used has been said
             if finding.set_aside:
                 aside.add(finding.column)
+            wrong_clock |= finding.severity == ERROR and finding.column == "time"
             yield replace(finding, check=name)
+        if wrong_clock:
+            return  # rates and delays by a wrong clock say nothing

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
+from op3.rollout.units import likely_unit
+
 WINDOW = 0.12
 """Time over which increments are compared, so that the steps of an encoder average out [s]."""
 
@@ -41,9 +43,16 @@ def match(a: np.ndarray, b: np.ndarray) -> Match:
     return Match(correlation, ratio, size_a, size_b)
 
 
+def no_sensor(ratio: float | None) -> bool:
+    """Whether a factor between two rates is a unit or a sign, and not a filter or a rough sensor."""
+    return ratio is not None and (ratio < 0 or not 0.2 < ratio < 5 or likely_unit(ratio, "rad/s", 0.05) is not None)
+
+
 def delayed(a: np.ndarray, b: np.ndarray, rows: int) -> float:
     """Correlation of a [row] with b so many rows earlier."""
-    return float(match(a[rows:, None], b[: len(b) - rows, None]).correlation[0, 0])
+    a, b = a[rows:] - a[rows:].mean(), b[: len(b) - rows] - b[: len(b) - rows].mean()
+    size = np.sqrt((a @ a) * (b @ b))
+    return float(a @ b / size) if size > 0 else 0.0
 
 
 def windows(time: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:

@@ -87,6 +87,8 @@ def spikes(view: View) -> Iterator[Finding]:
         column = np.unwrap(column) if key == ORIENTATION else column
         size = np.minimum(np.abs(column[1:-1] - column[:-2]), np.abs(column[1:-1] - column[2:]))
         size *= np.abs(column[2:] - column[:-2]) < 0.5 * size  # it comes back
+        if key == VELOCITY:  # a knock, which the position knows of
+            size *= np.abs(np.diff(view.position[:-1, index]) / np.diff(view.time[:-1])) < 0.5 * size
         away = np.abs(column - np.median(column))
         some = 1 + len(column) // 20_000
         usual, level = (float(np.quantile(np.abs(x[::some]), 0.95)) for x in (np.diff(column), away))

@@ -114,15 +114,32 @@ def _position_stands(view: View, joint: int, position: np.ndarray) -> Iterator[F
     rate = np.zeros(length + 1) if rate is None else rate[rows, joint]
     turned = integral(view.time[rows], rate)
     said = float(np.abs(turned[half:] - turned[:-half]).max(initial=0.0)) if np.ptp(rate) else 0.0
-    if length * view.interval <= 0.5 or (told <= 0.4 and said <= 0.5):
+    dead = length >= len(position) - 2
+    moves = told > 0.4 or _follows_elsewhere(view, joint, rows, told, dead)
+    if length * view.interval <= 0.5 or not (moves or said > 0.5):
         return
     problem = f"position stands at {position[first] + 0.0:.4g} rad while "
-    problem += f"its command moves by {told:.3g} rad" if told > 0.4 else f"its velocity says {said:.3g} rad in 0.5 s"
-    dead = length >= len(position) - 2
+    problem += f"its command moves by {told:.3g} rad" if moves else f"its velocity says {said:.3g} rad in 0.5 s"
     all_dead = dead and bool((np.ptp(view.position, axis=0) == 0).all())
     remedy = "look whether the joint is blocked or its sensor dead"
     severity, aside = ERROR if all_dead else WARNING, dead and not all_dead
     yield view.found(severity, (POSITION, joint), problem, remedy, first, last, aside=aside)
+
+
+def _follows_elsewhere(view: View, joint: int, stands: slice, told: float, dead: bool) -> bool:
+    """Whether what was told while a joint stood is far more than its error spans where it is told as much, and moves.
+
+    A weak servo sticks while its command moves by the span of its error. Where a joint stands throughout, the others
+    say how well this robot follows.
+    """
+    moving = np.ones(view.command.shape[0], bool)
+    moving[stands] = dead
+    joints = [j for j in range(len(view.joints)) if (j != joint) == dead and np.ptp(view.position[:, j])]
+    where = np.ix_(moving, joints)
+    if told < 0.1 or where[0].size < 20 or not joints or not view.driven[where].all():
+        return False
+    asked, error = np.ptp(view.command[where], axis=0), np.ptp((view.command - view.position)[where], axis=0)
+    return bool(asked.max() > 0.7 * told and told > 1.5 * error.max())
 
 
 def _stops(view: View, rows: int) -> Iterator[Finding]:
@@ -173,7 +190,7 @@ def _dead(view: View) -> Iterator[Finding]:
             continue
         still, zero = np.ptp(values, axis=0) == 0, values[0] == 0
         if key[0] == "joint":
-            dead = still & (moves if key == CURRENT else zero)
+            dead = still & (moves & view.driven.any(0) if key == CURRENT else zero)
         elif key == FORCE:
             dead = still.all() & (zero.all() | tilted)
         else:  # a robot that does not turn has no rates, and keeps its orientation

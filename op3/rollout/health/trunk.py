@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from op3.rollout.health.finding import ERROR, FORCE, ORIENTATION, RATE, WARNING, Finding, View, check
-from op3.rollout.health.match import integral, match, step, windows
+from op3.rollout.health.match import integral, match, no_sensor, step, windows
 from op3.rollout.units import likely_unit
 
 _STANDARD = 9.80665
@@ -31,8 +31,9 @@ def gyroscope(view: View) -> Iterator[Finding]:
     if angles is None or rate is None or len(view.time) < 20:
         return
     first, last, span = windows(view.time)
-    # where the trunk stands on end, roll and yaw are one
-    flat = (np.abs(angles[[first, last], 1]) < _STEEP).all(0)
+    # where the trunk stands on end, roll and yaw are one, and both leap on the way through
+    steep = np.cumsum(np.abs(angles[:, 1]) >= _STEEP)
+    flat = steep[last] == np.where(first > 0, steep[first - 1], 0)
     first, last = first[flat], last[flat]
     if len(first) < 8:
         return
@@ -58,7 +59,7 @@ def gyroscope(view: View) -> Iterator[Finding]:
             cause = " with the sign turned round" if abs(ratio + 1) < 0.3 else cause
             problem = f"the gyroscope reads {ratio:.3g} times the change of orientation per second{cause}"
             remedy = "convert it to rad/s in the body frame, or write `scale:`"
-            yield view.found(ERROR, (RATE, axis), problem, remedy)
+            yield view.found(ERROR if no_sensor(ratio) else WARNING, (RATE, axis), problem, remedy)
         elif fits > 0.9 and 1 - fits < 0.1 * (1 - abs(own)):
             sign = "-" if found.correlation[other, axis] < 0 else ""
             problem = (

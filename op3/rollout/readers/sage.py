@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from op3.rollout.errors import LogError
-from op3.rollout.readers.reader import Recording, Stream
+from op3.rollout.readers.reader import Column, Recording, Stream
 from op3.rollout.readers.text import numbers, read_text
 
 _KINDS = {"positions": "position", "velocities": "velocity", "torques": "load"}
@@ -35,7 +35,7 @@ class Sage:
         joints = [line.strip() for line in read_text(listed).splitlines() if line.strip()]
         about = dict(joints=joints, robot="real", mount="stand", motion=path.name)
         streams = [_stream(state, joints, _KINDS), _stream(control, joints, {"positions": "target"})]
-        return [Recording(streams, about)]
+        return [Recording(streams, about, {"timestamp": Column("time", "us")})]
 
 
 def _stream(path: Path, joints: list[str], kinds: dict[str, str]) -> Stream:
@@ -45,8 +45,8 @@ def _stream(path: Path, joints: list[str], kinds: dict[str, str]) -> Stream:
     for name in ("timestamp", "positions"):
         if name not in header:
             raise LogError("the column is missing", "export it again", source=path, column=name, row="header")
-    time = numbers([_listed(row["timestamp"]) for row in rows], path, "timestamp")[:, 0] * 1e-6
-    columns = {}
+    time = numbers([_listed(row["timestamp"]) for row in rows], path, "timestamp")[:, 0]
+    columns = {"timestamp": time}
     for name in (name for name in kinds if name in header):
         table = numbers([_listed(row[name]) for row in rows], path, name, len(joints))
         columns |= {f"{joint}.{kinds[name]}": table[:, i] for i, joint in enumerate(joints)}
