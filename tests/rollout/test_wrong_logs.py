@@ -16,6 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from op3.robot.servo_make import load_servo
 from op3.rollout import LogError, Metadata, Rollout, read_episodes, read_log
 from op3.rollout.health import examine, told_together
 
@@ -863,3 +864,112 @@ def test_a_knock_is_no_single_reading():
     knocked = changed(log, command__position=0 * position, joint__position=position, joint__velocity=velocity)
     assert np.abs(velocity).max() > 9.0
     assert not [one for one in examine(knocked) if one.check == "single readings"]
+
+
+@pytest.mark.parametrize(("size", "told"), [(0.8, True), (0.9, True), (0.99, False), (1.1, True)])
+def test_angles_that_were_scaled_show_in_the_velocities_of_all_joints(size, told):
+    """No joint is so far off that it is a fault of its own; all of them together are."""
+    log = bench_log(joints=3)
+    scaled = changed(log, joint__position=size * log.array("joint/position"))
+    found = [one.column for one in examine(scaled) if one.check == "velocity against position"]
+    assert found == [f"joint_{joint}.velocity" for joint in (0, 1, 2)] * told
+
+
+def pendulum(**about) -> Rollout:
+    """An STS3032 that swings 0.45 kg slowly at 0.1 m, with some friction; gains and errors obey its law."""
+    make = load_servo("sts3032")
+    assert make.position_law is not None
+    time = np.arange(1000) / RATE
+    angle = 1.2 * np.sin(2 * time)
+    speed, bend = 2.4 * np.cos(2 * time), -4.8 * np.sin(2 * time)
+    torque = 0.45 * 0.1 * (9.81 * np.sin(angle) + 0.1 * bend) + 0.02 * np.tanh(speed / 0.2)
+    duty = torque * make.motor.terminal_resistance.si / make.output_constant / 6.0
+    target = angle + duty / (8 * make.position_law.error_gain.si)
+    arrays = {"time": time, "command/position": target, "joint/position": np.round(angle / 0.00153) * 0.00153}
+    said = {**dict(mass=0.45, length=0.1, battery=6.0, firmware_gain=8.0, servo="sts3032"), **about}
+    table = {name: values[:, None] for name, values in arrays.items()}
+    table["command/firmware_gain"] = np.full((1000, 1), said["firmware_gain"])
+    return Rollout.from_arrays(table, Metadata(("servo",), "rig", "pendulum", RATE, **said))
+
+
+@pytest.mark.parametrize(
+    ("about", "told"),
+    [({}, []), ({"mass": 0.99}, [0.45]), ({"firmware_gain": 0.8}, [0.1]), ({"length": 2.0}, [0.05])],
+)
+def test_a_servo_pushes_with_what_its_pendulum_weighs(about, told):
+    """Pounds for kilograms, a tenth of the gain and another length show in what it pushes with."""
+    found = [one.problem for one in examine(pendulum(**about)) if one.check == "weight of the pendulum"]
+    pushed = [float(problem.partition("with ")[2].partition(" ")[0]) for problem in found]
+    assert pushed == pytest.approx(told, rel=0.1)
+
+
+def test_duty_is_the_firmwares_gain_times_error():
+    """Where the servo tells its duty, a gain of 80 where 800 is meant shows in it."""
+    log, law = bench_log(), load_servo("xl330-m288").position_law
+    assert law is not None
+    duty = 800 * law.error_gain.si * (log.array("command/position") - log.array("joint/position"))
+    for gain in (800.0, 80.0):
+        arrays = {key: log.array(key) for key in log.channels} | {("joint", "duty"): duty}
+        arrays["command", "firmware_gain"] = np.full_like(duty, gain)
+        about = log.metadata.replace(servo="xl330", firmware_gain=gain, mount="stand")
+        problems = [one.problem for one in examine(Rollout.from_arrays(arrays, about))]
+        assert any("duty is 10 times gain times error" in problem for problem in problems) == (gain == 80.0)
+
+
+@pytest.mark.parametrize(("name", "told"), [("xl330", None), ("sts3302", "rename it sts3"), ("acme", "known are")])
+def test_a_servo_of_which_nothing_is_known_is_told(name, told):
+    """Its law and units are guesses then; the nearest name is named."""
+    found = [one for one in examine(bench_log(servo=name)) if one.check == "unknown servo"]
+    assert [told in one.remedy for one in found] == [True] * (told is not None)
+
+
+def test_a_few_rows_are_told():
+    """Hardly any check looks at them."""
+    (part,) = [bench_log().between(0.0, 4.5 / RATE)]
+    assert [one.problem for one in examine(part)] == ["5 rows are too few to be checked"]
+
+
+def trunk_log(mount: str, turns: float, noise: float) -> Rollout:
+    """Three joints that move while the trunk nods by so much [rad], seen by all inertial sensors."""
+    log, rng = bench_log(joints=3), np.random.default_rng(0)
+    time = log.array("time")[:, 0]
+    pitch = turns / 2 * np.sin(3 * time)
+    zero = np.zeros(1000)
+    force = 9.81 * np.stack([-np.sin(pitch), zero, np.cos(pitch)], 1) + noise * rng.standard_normal((1000, 3))
+    imu = dict(
+        imu__orientation=np.stack([zero, pitch, zero], 1),
+        imu__angular_velocity=np.stack([zero, 1.5 * turns * np.cos(3 * time), zero], 1),
+        imu__linear_acceleration=force,
+    )
+    there = changed(log, **imu)
+    return Rollout.from_arrays({k: there.array(k) for k in there.channels}, there.metadata.replace(mount=mount))
+
+
+@pytest.mark.parametrize(
+    ("mount", "turns", "noise", "told"),
+    [("stand", 0.3, 0.05, True), ("stand", 0.01, 0.05, False), ("floor", 0.3, 0.5, False), ("floor", 0.0, 0.05, True)],
+)
+def test_what_holds_the_robot_shows_in_its_trunk(mount, turns, noise, told):
+    """It is still on a stand while the joints move, and on its feet it is not."""
+    found = [one.column for one in examine(trunk_log(mount, turns, noise))]
+    assert found == ["field mount"] * told
+
+
+def test_an_accelerometers_axis_that_is_turned_shows_where_the_trunk_leans():
+    """Upright it reads next to nothing in that axis, and the direction of gravity tells no sign."""
+    log = trunk_log("floor", 0.3, 0.5)
+    assert not examine(log)
+    (finding,) = examine(changed(log, imu__linear_acceleration=log.array("imu/linear_acceleration") * [-1, 1, 1]))
+    assert finding.column == "imu.acc_x"
+    assert "sign turned round" in finding.problem
+
+
+def test_currents_in_another_unit_are_told_once(tmp_path):
+    """Milliamperes in all joints are one line, and no coarse steps beside it."""
+
+    def milliamperes(table: Table) -> None:
+        driven(table)
+        edit(".*current", lambda values: np.round(values * 1e3 / 2.69) * 2.69)(table)
+
+    (finding,) = told_together(read_log(write(tmp_path, milliamperes, joints=3)).findings)
+    assert "as if it were in mA (alike in joint_1, joint_2)" in finding.problem

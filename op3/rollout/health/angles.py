@@ -7,9 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from op3.rollout.errors import LogError
-from op3.rollout.health.finding import COMMAND, CURRENT, ERROR, POSITION, VELOCITY, WARNING, Finding, View, check
-from op3.rollout.health.match import SURE, match, step
-from op3.rollout.robot_log import find_servo
+from op3.rollout.health.finding import COMMAND, CURRENT, ERROR, POSITION, WARNING, Finding, View, check
+from op3.rollout.health.match import SURE, match
 from op3.rollout.units import likely_unit
 
 _TURN = 2 * np.pi
@@ -181,28 +180,3 @@ def constant_offset(view: View) -> Iterator[Finding]:
         problem = f"the joint stands {offset:+.3f} rad off its command in every pose: {cause}"
         remedy = "write `shift: {joint: rad}` or `columns: {...: {offset: ...}}` into its YAML, or clear the offset"
         yield view.found(WARNING, (POSITION, joint), problem, remedy)
-
-
-_ROUGHEST = {VELOCITY: 50 * _TURN / 4096, CURRENT: 0.0065}
-"""Steps in which the roughest servos tell: Feetech STS [rad/s], and HLS [A]."""
-
-
-@check("coarse steps")
-def coarse(view: View) -> Iterator[Finding]:
-    """Numbers lie on another grid than the sensor's: they were rounded, or are in another unit."""
-    make = find_servo(view.metadata.servo)
-    exact = _TURN / 4096 if make is None else make.position_unit
-    for key, usual, least in (
-        (POSITION, exact, 0.01 if make is None else 4 * exact),
-        *((k, u, 4 * u) for k, u in _ROUGHEST.items()),
-    ):
-        values = view.get(key)
-        steps = step(values) if values is not None else np.zeros(0)
-        for joint in np.flatnonzero(steps):
-            unit = likely_unit(float(steps[joint] / exact), "rad", 0.01) if key == POSITION else None
-            if steps[joint] <= least and (unit is None or steps[joint] > exact / 2):  # a finer encoder, or this one
-                continue
-            problem = f"the numbers come in steps of {steps[joint]:.4g}, where a servo's are {usual:.4g} or less"
-            problem += f", as if they were in {unit}" if unit else ""
-            remedy = "convert them to radians" if unit else "write them with more digits"
-            yield view.found(ERROR if unit else WARNING, (key, joint), problem, remedy)

@@ -7,8 +7,24 @@ from collections.abc import Iterator
 import numpy as np
 
 from op3.rollout.health.finding import CURRENT, ERROR, VELOCITY, WARNING, Finding, View, check
-from op3.rollout.health.match import SURE, Match, delayed, integral, longest_run, match, no_sensor, step, windows
+from op3.rollout.health.match import (
+    SURE,
+    WINDOW,
+    Match,
+    delayed,
+    integral,
+    longest_run,
+    match,
+    no_sensor,
+    step,
+    windows,
+)
+from op3.rollout.robot_log import find_servo
 from op3.rollout.units import likely_unit
+
+SCALED = 0.06
+"""Half the joints of no sound robot tell velocities that are so far from the change of position: of 287 logs of six
+kinds of servo none was further than 0.033."""
 
 DRIFT = 0.25
 """No sensor of a velocity is so far off at rest [rad/s]."""
@@ -49,6 +65,16 @@ def velocity(view: View) -> Iterator[Finding]:
     # where most joints are wrong by a factor, the channel is in another unit
     bad = sum(no_sensor(ratio) for _, _, ratio in findings)
     refuse = 2 * bad > len(moving) and (bad > 1 or len(view.joints) == 1)
+    told = {joint for joint, *_ in findings}
+    # of motions over many steps, which tell a factor well
+    clear = (found.size_b > 10 * step(angle)) & (np.diagonal(found.correlation) > 0.97)
+    ratios = {joint: float(found.ratio[joint, joint]) for joint in map(int, moving[clear[moving]]) if joint not in told}
+    most = np.ptp(view.time) > 10 * WINDOW and 2 * len(ratios) > len(moving)
+    usual = float(np.median([*ratios.values()])) if most else 1.0
+    for joint in ratios if abs(usual - 1) > SCALED else ():
+        problem = f"the velocity is {ratios[joint]:.3g} times the change of position per second, alike in most joints"
+        remedy = "look whether the angles or the velocities were scaled, and write `scale:` into its YAML"
+        yield view.found(WARNING, (VELOCITY, joint), problem, remedy)
     for joint, problem, ratio in findings:
         if refuse and no_sensor(ratio):
             remedy = "convert both to radians and the same sign, or write `scale:` into its YAML"
@@ -107,15 +133,18 @@ def _late(view: View, angle: np.ndarray, summed: np.ndarray) -> tuple[float, flo
 @check("current against position error")
 def drive(view: View) -> Iterator[Finding]:
     """Current or duty drives away from the target, is another joint's, or is in another unit than gain times error."""
-    gain, error, rows = view.get(("command", "p_gain")), view.command - view.position, np.array(view.driven.all(1))
+    error, rows = view.command - view.position, np.array(view.driven.all(1))
+    make, register = find_servo(view.metadata.servo), view.get(("command", "firmware_gain"))
+    law = None if make is None or make.loop != "firmware" else make.position_law
+    duty = None if law is None or register is None else register * law.error_gain.si
     rows &= np.arange(len(view.time)) % (1 + len(view.time) // 20_000) == 0  # so many tell
     speed = np.gradient(view.position, view.time, axis=0) if len(view.time) > 1 else error
-    for key in (CURRENT, ("joint", "duty")):
+    for key, gain in ((CURRENT, view.get(("command", "p_gain"))), (("joint", "duty"), duty)):
         values = view.get(key)
         if values is None or rows.sum() < 20:
             continue
-        known = gain is not None and key == CURRENT
-        values, wanted, moved = values[rows], (error * gain if known else error)[rows], speed[rows]
+        values, moved = values[rows], speed[rows]
+        wanted = (error if gain is None else error * gain)[rows]
         asked = error[rows].std(0) > 0.002
         sure, factor = _law(values, wanted, moved)
         sure_of_sizes, grows = _law(values, np.abs(wanted), moved * np.sign(wanted))
@@ -128,14 +157,14 @@ def drive(view: View) -> Iterator[Finding]:
         small, its = (np.nanquantile(some * np.abs(one), 0.25, axis=0) for one in (values, wanted))
         typical = small / np.maximum(its, 1e-9)
         least, most = np.fmin(factor, typical), np.fmax(factor, typical)
-        off = known & (sure > 0.8) & ~away & ~signless & ((least > 2.5) | (most < 0.4))
+        off = (gain is not None) & (sure > 0.8) & ~away & ~signless & ((least > 2.5) | (most < 0.4))
         usual = float(np.median(factor[off])) if off.any() else 1.0
         units = {"it": likely_unit(usual, "A"), "the gain": likely_unit(1 / usual if usual else 0.0, "A/rad")}
         cause = next((f", as if {what} were in {unit}" for what, unit in units.items() if unit), "")
         for problem, wrong, remedy in (
             (f"{key[1]} has lost its sign", signless, "record it with its sign"),
             (f"{key[1]} drives away from the target", away, "turn its sign round"),
-            (f"current is {usual:.3g} times gain times error{cause}", off, "convert it to A, and the gain to A/rad"),
+            (f"{key[1]} is {usual:.3g} times gain times error{cause}", off, "convert it and the gain to SI"),
         ):
             # what most joints show that show anything is the channel's, not a joint's
             all_of_them = 2 * wrong.sum() > (sure > 0.5).sum() and wrong.sum() > 1

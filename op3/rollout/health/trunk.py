@@ -7,13 +7,17 @@ from collections.abc import Iterator
 import numpy as np
 
 from op3.rollout.health.finding import ERROR, FORCE, ORIENTATION, RATE, WARNING, Finding, View, check
-from op3.rollout.health.match import integral, match, no_sensor, step, windows
+from op3.rollout.health.match import WINDOW, integral, match, no_sensor, step, windows
 from op3.rollout.units import likely_unit
 
 _STANDARD = 9.80665
 
 _STEEP = 1.2
 """Pitch beyond which roll and yaw tell little [rad]."""
+
+_HELD, _SHAKEN = (0.02, 0.1), 0.1
+"""A trunk that is held turns by less than 0.02 rad, one on its feet by more than 0.1 [rad], and its accelerations
+spread by 0.1 [m/s2] at most: 0.019, 0.11 and 0.08 in 290 logs. For some seconds one on its feet may be as still."""
 
 _MISTAKES = {"all axes read downwards": -np.eye(3)}
 _MISTAKES |= {f"{'xyz'[i]} reads downwards": np.diag(1 - 2 * np.eye(3)[i]) for i in (2, 0, 1)}
@@ -60,7 +64,7 @@ def gyroscope(view: View) -> Iterator[Finding]:
             problem = f"the gyroscope reads {ratio:.3g} times the change of orientation per second{cause}"
             remedy = "convert it to rad/s in the body frame, or write `scale:`"
             yield view.found(ERROR if no_sensor(ratio) else WARNING, (RATE, axis), problem, remedy)
-        elif fits > 0.9 and 1 - fits < 0.1 * (1 - abs(own)):
+        elif fits > 0.9 and 1 - fits < 0.1 * (1 - abs(own)) and abs(found.ratio[other, axis]) > 0.5:
             sign = "-" if found.correlation[other, axis] < 0 else ""
             problem = (
                 f"turning about {'xyz'[axis]} shows as {sign}{'xyz'[other]} of the gyroscope: its axes are swapped"
@@ -100,6 +104,40 @@ def gravity(view: View) -> Iterator[Finding]:
         problem += f": {done}" if _apart(rest @ mean, expected) < 0.3 else ""
         remedy = "write `sign: -1` for these, or name the axes anew"
         yield view.found(ERROR if "all" in done else WARNING, (FORCE, int(np.abs(mean).argmax())), problem, remedy)
+
+    else:
+        yield from _leans(view, force, up)
+
+
+def _leans(view: View, force: np.ndarray, up: np.ndarray) -> Iterator[Finding]:
+    """An accelerometer that reads against the change of gravity in its axes, where the trunk leans to and fro."""
+    if len(up) == 1 or np.ptp(view.time) < 10 * WINDOW:
+        return
+    first, last, span = windows(view.time)
+    read, expected = (integral(view.time, values) for values in (force, _STANDARD * up))
+    found = match((read[last] - read[first]) / span, (expected[last] - expected[first]) / span)
+    # its own accelerations hide gravity in part, and never turn it round
+    for axis in (axis for axis in (0, 1) if found.size_b[axis] > 0.3 and found.correlation[axis, axis] < -0.3):
+        problem = "it falls where the trunk leans so that gravity rises in it (correlation "
+        problem += f"{found.correlation[axis, axis]:.2f}): {'xy'[axis]} has its sign turned round"
+        yield view.found(WARNING, (FORCE, axis), problem, "write `sign: -1` for it")
+
+
+@check("mount")
+def mount(view: View) -> Iterator[Finding]:
+    """The trunk turns on a stand, or is as still as on one while the joints move and the robot stands on its feet."""
+    angles, force, where = view.get(ORIENTATION), view.get(FORCE), view.metadata.mount
+    if angles is None or where == "pendulum" or len(view.time) < 20:
+        return
+    turned = float(np.ptp(np.unwrap(angles[:, :2], axis=0), axis=0).max())
+    moved = float(np.quantile(np.ptp(view.position, axis=0), 0.75))
+    shaken = np.inf if force is None else float(force.std(0).max())
+    if where == "stand" and turned > _HELD[1]:
+        problem = f"the trunk turns by {turned:.2g} rad, which it does not where it hangs on a stand"
+        yield view.found(WARNING, "field mount", problem, "write `mount: floor`, or what it stands on")
+    elif where != "stand" and np.ptp(view.time) > 5 and moved > 0.3 and turned < _HELD[0] and shaken < _SHAKEN:
+        problem = f"the trunk turns by {turned:.2g} rad while joints move by {moved:.2g} rad, as if it were held"
+        yield view.found(WARNING, "field mount", problem, "write `mount: stand`")
 
 
 def _apart(force: np.ndarray, other: np.ndarray) -> float:
