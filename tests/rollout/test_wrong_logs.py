@@ -745,7 +745,7 @@ def test_a_joint_that_a_stuck_ones_loop_shakes_is_not_swapped_with_it(tmp_path):
         table["joint_1.position"] = 0.9 * np.roll(table["joint_0.target"], 4)
         table["joint_0.position"] = np.zeros(1000)
 
-    with pytest.raises(LogError, match="follows the command of joint_0"):
+    with pytest.raises(LogError, match="the columns of the two are swapped"):
         read_log(write(tmp_path, swapped, joints=3))
 
 
@@ -973,3 +973,28 @@ def test_currents_in_another_unit_are_told_once(tmp_path):
 
     (finding,) = told_together(read_log(write(tmp_path, milliamperes, joints=3)).findings)
     assert "as if it were in mA (alike in joint_1, joint_2)" in finding.problem
+
+
+def test_columns_that_moved_on_by_one_joint_are_told_so():
+    """Where every joint has the column of the next, none is left that says how well this robot follows."""
+    log = bench_log(joints=5)
+    pose = np.array([0.0, 0.9, -0.7, 1.6, -1.4])
+    target, position = (0.3 * log.array(name) + pose for name in ("command/position", "joint/position"))
+    velocity = np.gradient(position, 1 / RATE, axis=0)
+    moved = {"joint__position": np.roll(position, 1, axis=1), "joint__velocity": np.roll(velocity, 1, axis=1)}
+    found = [one for one in examine(changed(log, command__position=target, **moved)) if one.severity == "error"]
+    assert [one.problem for one in found] == [
+        f"the position follows the command of joint_{(joint - 1) % 5}: the columns of several joints are swapped"
+        for joint in range(5)
+    ]
+
+
+@pytest.mark.parametrize(("unit", "told"), [(1.0, []), (180 / np.pi, ["imu.gyro_x", "imu.gyro_y", "imu.gyro_z"])])
+def test_the_noise_of_a_gyroscope_in_degrees_is_no_turning(unit, told):
+    """On a stand the accelerometer is as still as the orientation, which is therefore not dead."""
+    log, rng = trunk_log("stand", 0.0, 0.05), np.random.default_rng(1)
+    slow = np.cumsum(0.002 * rng.standard_normal((1000, 3)), axis=0)
+    noisy = changed(log, imu__angular_velocity=unit * (slow - slow.mean(0) + 0.01 * rng.standard_normal((1000, 3))))
+    found = examine(noisy)
+    assert [one.column for one in found if one.check == "gyroscope against orientation"] == told
+    assert not [one for one in found if "orientation stands" in one.problem]

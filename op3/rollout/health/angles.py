@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from op3.rollout.errors import LogError
 from op3.rollout.health.finding import COMMAND, CURRENT, ERROR, POSITION, WARNING, Finding, View, check
@@ -27,17 +28,24 @@ def _returns(joint: int, leader: np.ndarray, follows: np.ndarray) -> bool:
 
 
 def _exchanged(view: View) -> dict[int, int]:
-    """Joints that are where another is told to be, while that one is where they are and all others follow their own."""
+    """Joints that are where others are told to be, round in a circle, and whose command each follows.
+
+    All others follow their own; where commands are alike, whose a position is makes no difference.
+    """
     rows = np.flatnonzero(view.driven.all(1))
     rows = rows[:: 1 + len(rows) // 1000]
     if len(rows) < 20:
         return {}
     apart = np.median(np.abs(view.position[rows, :, None] - view.command[rows, None, :]), axis=0)
-    own, found = np.diagonal(apart), {}
-    for one, other in np.argwhere(np.maximum(apart, apart.T) < 0.25 * np.minimum(own[:, None], own)).tolist():
-        rest = np.delete(own, [one, other])
-        if min(own[one], own[other]) > max(0.15, 5 * np.quantile(rest, 0.75) if len(rest) else 0.0):
-            found[one] = other
+    own, nearest = np.diagonal(apart), linear_sum_assignment(apart)[1]
+    rest, found = own[nearest == np.arange(len(own))], {}
+    for joint in range(len(own)):
+        circle = [joint]
+        while (following := int(nearest[circle[-1]])) != joint:
+            circle.append(following)
+        off, there = own[circle].mean(), apart[circle, nearest[circle]].mean()
+        if there < 0.25 * off and off > max(0.15, 5 * np.quantile(rest, 0.75) if len(rest) else 0.0):
+            found[joint] = int(nearest[joint])
     return found
 
 
@@ -46,7 +54,8 @@ def command(view: View) -> Iterator[Finding]:
     """Position and command differ in unit or sign, or belong to different joints."""
     exchanged = _exchanged(view)
     for joint, other in exchanged.items():
-        problem = f"the position follows the command of {view.joints[other]}: the columns of the two are swapped"
+        which = "of the two" if exchanged.get(other) == joint else "of several joints"
+        problem = f"the position follows the command of {view.joints[other]}: the columns {which} are swapped"
         yield view.found(ERROR, (POSITION, joint), problem, "swap the columns")
     stride = max(1, round(0.02 / view.interval)) if len(view.time) >= 20 else 1
     angle, target = view.position[::stride], view.command[::stride]

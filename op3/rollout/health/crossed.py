@@ -73,7 +73,7 @@ def velocity(view: View) -> Iterator[Finding]:
     usual = float(np.median([*ratios.values()])) if most else 1.0
     for joint in ratios if abs(usual - 1) > SCALED else ():
         problem = f"the velocity is {ratios[joint]:.3g} times the change of position per second, alike in most joints"
-        remedy = "look whether the angles or the velocities were scaled, and write `scale:` into its YAML"
+        remedy = "look whether angles, velocities or times were scaled, and write `scale:` into its YAML"
         yield view.found(WARNING, (VELOCITY, joint), problem, remedy)
     for joint, problem, ratio in findings:
         if refuse and no_sensor(ratio):

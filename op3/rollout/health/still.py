@@ -25,6 +25,9 @@ from op3.rollout.health.match import integral, longest_run, step
 _GIVES = 0.5
 """No servo that holds its target yields by so much [rad]."""
 
+_SHAKEN = 0.1
+"""The accelerations of a trunk that is held spread by no more [m/s2]; by 0.08 in 180 logs, and 0.44 on the feet."""
+
 _SETTLES = 0.5
 """A servo has reached a target that stands [s]."""
 
@@ -144,7 +147,7 @@ def _follows_elsewhere(view: View, joint: int, stands: slice, told: float, dead:
 
 def _stops(view: View, rows: int) -> Iterator[Finding]:
     """Currents and inertial sensors that keep their numbers for far longer than ever else, while a joint moves."""
-    turned = _turned(view)
+    turned = turned_by_gyroscope(view)
     for key in (CURRENT, ORIENTATION, RATE, FORCE):
         values = view.get(key)
         parts = [] if values is None else np.split(values, values.shape[1] if key == CURRENT else 1, axis=1)
@@ -165,7 +168,13 @@ def _stops(view: View, rows: int) -> Iterator[Finding]:
                     yield view.found(WARNING, (key, column), problem, remedy, first, first + length, aside=True)
 
 
-def _turned(view: View) -> np.ndarray:
+def held(view: View) -> bool:
+    """Whether the accelerometer is so still that the trunk is held, and turns no further than its orientation says."""
+    force = view.get(FORCE)
+    return force is not None and 0 < float(force.std(0).max()) < _SHAKEN
+
+
+def turned_by_gyroscope(view: View) -> np.ndarray:
     """Integral of the gyroscope [time, axis] without its bias, which is no turning, and single wrong readings.
 
     The bias is the median: the mean of a robot that falls in the end is its fall.
@@ -183,7 +192,7 @@ def _dead(view: View) -> Iterator[Finding]:
     moves = np.ptp(view.position, axis=0) > 0.2
     angles = view.get(ORIENTATION)
     tilted = angles is not None and bool((np.ptp(angles, axis=0) > 0.1).any())
-    turns = bool((np.ptp(_turned(view), axis=0) > 0.05).any())
+    turns = bool((np.ptp(turned_by_gyroscope(view), axis=0) > 0.05).any()) and not held(view)
     for key in (CURRENT, ("joint", "voltage"), ("joint", "temperature"), ORIENTATION, RATE, FORCE):
         values = view.get(key)
         if values is None:

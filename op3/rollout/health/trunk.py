@@ -8,6 +8,7 @@ import numpy as np
 
 from op3.rollout.health.finding import ERROR, FORCE, ORIENTATION, RATE, WARNING, Finding, View, check
 from op3.rollout.health.match import WINDOW, integral, match, no_sensor, step, windows
+from op3.rollout.health.still import held, turned_by_gyroscope
 from op3.rollout.units import likely_unit
 
 _STANDARD = 9.80665
@@ -15,9 +16,9 @@ _STANDARD = 9.80665
 _STEEP = 1.2
 """Pitch beyond which roll and yaw tell little [rad]."""
 
-_HELD, _SHAKEN = (0.02, 0.1), 0.1
-"""A trunk that is held turns by less than 0.02 rad, one on its feet by more than 0.1 [rad], and its accelerations
-spread by 0.1 [m/s2] at most: 0.019, 0.11 and 0.08 in 290 logs. For some seconds one on its feet may be as still."""
+_HELD = (0.02, 0.1)
+"""A trunk that is held turns by less than the first, and one on its feet by more than the second [rad]: 0.019 and 0.11
+in 290 logs. For some seconds one on its feet may be as still."""
 
 _MISTAKES = {"all axes read downwards": -np.eye(3)}
 _MISTAKES |= {f"{'xyz'[i]} reads downwards": np.diag(1 - 2 * np.eye(3)[i]) for i in (2, 0, 1)}
@@ -34,6 +35,11 @@ def gyroscope(view: View) -> Iterator[Finding]:
     angles, rate = view.get(ORIENTATION), view.get(RATE)
     if angles is None or rate is None or len(view.time) < 20:
         return
+    read = np.ptp(turned_by_gyroscope(view), axis=0)
+    still = held(view) and np.ptp(np.unwrap(angles, axis=0), axis=0).max() < _HELD[0]
+    for axis in np.flatnonzero(read > _HELD[1]) if still else ():
+        problem = f"the gyroscope turns by {read[axis]:.2g} rad to and fro, and neither orientation nor gravity does"
+        yield view.found(WARNING, (RATE, axis), problem, "look at its unit")
     first, last, span = windows(view.time)
     # where the trunk stands on end, roll and yaw are one, and both leap on the way through
     steep = np.cumsum(np.abs(angles[:, 1]) >= _STEEP)
@@ -126,16 +132,15 @@ def _leans(view: View, force: np.ndarray, up: np.ndarray) -> Iterator[Finding]:
 @check("mount")
 def mount(view: View) -> Iterator[Finding]:
     """The trunk turns on a stand, or is as still as on one while the joints move and the robot stands on its feet."""
-    angles, force, where = view.get(ORIENTATION), view.get(FORCE), view.metadata.mount
+    angles, where = view.get(ORIENTATION), view.metadata.mount
     if angles is None or where == "pendulum" or len(view.time) < 20:
         return
     turned = float(np.ptp(np.unwrap(angles[:, :2], axis=0), axis=0).max())
     moved = float(np.quantile(np.ptp(view.position, axis=0), 0.75))
-    shaken = np.inf if force is None else float(force.std(0).max())
     if where == "stand" and turned > _HELD[1]:
         problem = f"the trunk turns by {turned:.2g} rad, which it does not where it hangs on a stand"
         yield view.found(WARNING, "field mount", problem, "write `mount: floor`, or what it stands on")
-    elif where != "stand" and np.ptp(view.time) > 5 and moved > 0.3 and turned < _HELD[0] and shaken < _SHAKEN:
+    elif where != "stand" and np.ptp(view.time) > 5 and moved > 0.3 and turned < _HELD[0] and held(view):
         problem = f"the trunk turns by {turned:.2g} rad while joints move by {moved:.2g} rad, as if it were held"
         yield view.found(WARNING, "field mount", problem, "write `mount: stand`")
 
