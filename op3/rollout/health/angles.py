@@ -162,8 +162,8 @@ def constant_offset(view: View) -> Iterator[Finding]:
     Where the recorded current is the gain times this angle, the joint is just soft, and yields to what it carries.
     """
     told = (view.driven.mean(0) > 0.5) & _small(view.position) & _small(view.command)
-    told[list(_exchanged(view))] = False
-    joints = np.flatnonzero(told) if len(view.time) >= 20 else []
+    exchanged = _exchanged(view)
+    joints = [j for j in np.flatnonzero(told).tolist() if j not in exchanged] if len(view.time) >= 20 else []
     error, gain, current = view.position - view.command, view.get(("command", "p_gain")), view.get(CURRENT)
     speed = np.gradient(view.position, view.time, axis=0) if len(joints) else error
     middle = np.array([np.median(error[view.driven[:, joint], joint]) for joint in joints])

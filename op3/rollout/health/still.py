@@ -135,13 +135,15 @@ def _follows_elsewhere(view: View, joint: int, stands: slice, told: float, dead:
     A weak servo sticks while its command moves by the span of its error. Where a joint stands throughout, the others
     say how well this robot follows.
     """
-    moving = np.ones(view.command.shape[0], bool)
+    if told < 0.1:
+        return False
+    moving = np.ones(len(view.time), bool)
     moving[stands] = dead
     joints = [j for j in range(len(view.joints)) if (j != joint) == dead and np.ptp(view.position[:, j])]
-    where = np.ix_(moving, joints)
-    if told < 0.1 or where[0].size < 20 or not joints or not view.driven[where].all():
+    command, angle, driven = (table[moving][:, joints] for table in (view.command, view.position, view.driven))
+    if angle.size < 20 or not driven.all():
         return False
-    asked, error = np.ptp(view.command[where], axis=0), np.ptp((view.command - view.position)[where], axis=0)
+    asked, error = np.ptp(command, axis=0), np.ptp(command - angle, axis=0)
     return bool(asked.max() > 0.7 * told and told > 1.5 * error.max())
 
 
