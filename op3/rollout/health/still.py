@@ -26,7 +26,7 @@ _GIVES = 0.5
 """No servo that holds its target yields by so much [rad]."""
 
 _SHAKEN = 0.1
-"""The accelerations of a trunk that is held spread by no more [m/s2]; by 0.08 in 180 logs, and 0.44 on the feet."""
+"""The accelerations of a trunk that is held spread by no more [m/s2]; by 0.08 in 179 logs, and 0.44 on the feet."""
 
 _SETTLES = 0.5
 """A servo has reached a target that stands [s]."""

@@ -18,7 +18,7 @@ _STEEP = 1.2
 
 _HELD = (0.02, 0.1)
 """A trunk that is held turns by less than the first, and one on its feet by more than the second [rad]: 0.019 and 0.11
-in 290 logs. For some seconds one on its feet may be as still."""
+in 289 logs. For some seconds one on its feet may be as still."""
 
 _MISTAKES = {"all axes read downwards": -np.eye(3)}
 _MISTAKES |= {f"{'xyz'[i]} reads downwards": np.diag(1 - 2 * np.eye(3)[i]) for i in (2, 0, 1)}
