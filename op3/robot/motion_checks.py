@@ -103,7 +103,7 @@ def _near(model: mujoco.MjModel, data: mujoco.MjData, position: np.ndarray) -> l
 def _colliding_model(robot: Robot) -> mujoco.MjModel:
     """The bare robot whose parts, but for neighbours, feel each other from `CLEARANCE` on."""
     # before compiling: MuJoCo sums up what each body may touch at that moment
-    spec = read_spec(robot.model_path)
+    spec = read_spec(robot.model_path, robot.file.base)
     for geom in spec.geoms:
         if geom.conaffinity:
             geom.contype = 1

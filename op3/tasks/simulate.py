@@ -51,7 +51,7 @@ def simulate_motion(
         robot_file=robot.reference,
         mount=mount or motion.mounts[0],
         rate=1.0 / float(np.median(np.diff(motion.time))),
-        battery=model.bus_voltage,
+        battery=robot.supply and model.bus_voltage,
         servo=robot.servos[0].name,
         motion=motion.name,
         recording=motion.name,
@@ -105,8 +105,8 @@ class ModelRobot:
             del arrays["joint", "current"]
         for key in [("joint", name) for name in ("position", "velocity", "current") if ("joint", name) in arrays]:
             arrays[key] = self._read(key[1], arrays[key], rng)
-        ones = np.ones_like(arrays["joint", "position"])
-        arrays["joint", "voltage"] = self.model.bus_voltage * ones
+        voltage = self.model.bus_voltage * self.robot.supply_shares
+        arrays["joint", "voltage"] = np.broadcast_to(voltage, arrays["joint", "position"].shape)
         metadata = log.metadata.replace(recording=recording, seed=self._seed)
         return Rollout.from_arrays(arrays, metadata)
 
