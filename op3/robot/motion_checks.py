@@ -29,7 +29,8 @@ def motion_faults(motion: Motion, mount: str | None = None) -> list[str]:
     robot = load_robot(motion.robot)
     position = np.tile(robot.home, (len(motion.time), 1))
     position[:, robot.indices(motion.joints)] = motion.position
-    return [fault for check in (_limit_faults, _speed_faults, _collisions) for fault in check(motion, robot, position)]
+    outside = outside_limits(motion.name, robot.joints, robot.limits, motion.time, position)
+    return [*outside, *_speed_faults(motion, robot, position), *_collisions(motion, robot, position)]
 
 
 def check_motion(motion: Motion, mount: str | None = None) -> None:
@@ -41,10 +42,6 @@ def check_motion(motion: Motion, mount: str | None = None) -> None:
     faults = motion_faults(motion, mount)
     if faults:
         raise ValueError(faults[0])
-
-
-def _limit_faults(motion: Motion, robot: Robot, position: np.ndarray) -> list[str]:
-    return outside_limits(motion.name, robot.joints, robot.limits, motion.time, position)
 
 
 def outside_limits(

@@ -271,6 +271,7 @@ def pose(name: str, robot: str | Robot = DEFAULT) -> Array:
 def read_spec(path: Path, base: str | None) -> mujoco.MjSpec:
     """The robot's model as MuJoCo reads it, without what drives it, a free base, and what lies around that."""
     spec = mujoco.MjSpec.from_file(str(path))
+    spec.compiler.fusestatic = False  # which takes a URDF's first link for a part of the world
     around = spec.worldbody.geoms if base else ()
     for element in (*spec.actuators, *spec.sensors, *spec.keys, *around):
         spec.delete(element)

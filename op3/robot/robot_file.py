@@ -147,7 +147,7 @@ def check_names(file: DataFile, content: RobotFile, model: mujoco.MjModel) -> No
         DataFileError: with file, line and the nearest valid name.
     """
     names = {
-        kind: [name for number in range(count) if (name := getattr(model, kind)(number).name)]
+        kind: [name for number in range(count) if (name := getattr(model, kind)(number).name) not in ("", "world")]
         for kind, count in (("body", model.nbody), ("site", model.nsite), ("geom", model.ngeom))
     }
     names["joint"] = list(content.joints)

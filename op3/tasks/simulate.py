@@ -22,7 +22,6 @@ def simulate_motion(
     model: RobotModel,
     motion: Motion,
     mount: str | None = None,
-    settle: float = SETTLE,
     gains: Mapping[str, ArrayLike] | None = None,
 ) -> Rollout:
     """Play a motion with its own gains, or with those of the firmware where that closes the loop.
@@ -30,7 +29,6 @@ def simulate_motion(
     Args:
         motion: with one row per tick of the robot's PD loop; joints that it does not name stay at home.
         mount: ``floor`` or ``stand``; by default the first that the motion is made for.
-        settle: how long the first pose is held before the log starts [s].
         gains: commands that take the place of the motion's, such as ``p_gain``, broadcastable to ``[row, joint]``.
 
     Returns:
@@ -58,7 +56,7 @@ def simulate_motion(
         model_hash=model_hash(model),
     )
     template = Rollout.from_arrays({**commands, "joint/position": position}, metadata)
-    predicted = Replay([template], settle=settle).run(model)[0]
+    predicted = Replay([template], settle=SETTLE).run(model)[0]
     if bool(predicted.failed.any()):
         raise ValueError(f"the simulation of motion {motion.name!r} diverged; check the model's values")
     channels = {key: value[0].numpy() for key, value in predicted.channels.items()}

@@ -75,10 +75,15 @@ def test_a_urdf_is_read(tmp_path):
         f'<robot name="one">{links}<joint name="hinge" type="revolute">{hinge}</joint></robot>'
     )
     path = tmp_path / "one.yaml"
-    path.write_text("format: op3-robot/1\nname: one\nmodel: one.urdf\nservo: sts3215\njoints: {hinge: }\n")
+    text = "format: op3-robot/1\nname: one\nmodel: one.urdf\nservo: sts3215\njoints: {hinge: }\nbase: "
+    path.write_text(f"{text}a\n")
     robot = load_robot(path)
+    assert build_scene("stand", robot=robot).compile().body("one/a").mass == pytest.approx(0.1)
     np.testing.assert_allclose(robot.limits, [[-1, 2]])
     assert compiled(robot).nq == 1
+    path.write_text(f"{text}world\n")
+    with pytest.raises(ValueError, match="base names the body 'world', which there is not; there are a, b"):
+        load_robot(path)
 
 
 def test_a_model_brings_its_angles_and_leaves_its_world(tmp_path):
