@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from op3.robot.motions import Motion
-from op3.robot.robot import Robot, load_robot, read_spec
+from op3.robot.robot import Robot, exclude_neighbours, load_robot, read_spec
 
 CLEARANCE = 0.005
 """Least distance between two parts of the robot that are not neighbours [m]."""
@@ -105,4 +105,4 @@ def _colliding_model(robot: Robot) -> mujoco.MjModel:
         if geom.conaffinity:
             geom.contype = 1
             geom.margin = CLEARANCE
-    return spec.compile()
+    return exclude_neighbours(spec).compile()

@@ -281,6 +281,16 @@ def read_spec(path: Path, base: str | None) -> mujoco.MjSpec:
     return spec
 
 
+def exclude_neighbours(spec: mujoco.MjSpec) -> mujoco.MjSpec:
+    """Let what hangs on a fixed body pass through it, as MuJoCo does by itself where that body moves."""
+    for body in spec.bodies:
+        above = body.parent
+        while body.joints and body.name and above and not above.joints and above.name not in ("", "world"):
+            spec.add_exclude(bodyname1=above.name, bodyname2=body.name)
+            above = above.parent
+    return spec
+
+
 def _bare(file: DataFile, path: Path, base: str | None) -> mujoco.MjModel:
     """The compiled model, its base fixed."""
     if not path.is_file():

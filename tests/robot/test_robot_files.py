@@ -107,6 +107,17 @@ def test_a_model_brings_its_angles_and_leaves_its_world(tmp_path):
     assert not any(model.geom(number).type == mujoco.mjtGeom.mjGEOM_PLANE for number in range(1, model.ngeom))
 
 
+def test_a_base_on_the_stand_does_not_jam_its_first_joints(tmp_path):
+    """Thighs that lie in the trunk's box pass through it, as they do while the trunk is free."""
+    path = write_robot(tmp_path, "dog")
+    wide = (tmp_path / "dog.xml").read_text().replace('contype="0" conaffinity="0"', "")
+    (tmp_path / "dog.xml").write_text(wide.replace("0.12 0.05 0.03", "0.12 0.08 0.03"))
+    model = build_scene("stand", robot=path).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert data.ncon == 0
+
+
 def test_a_servo_of_ones_own_lies_beside_the_robot(tmp_path):
     """Its path is relative to the robot's file, and its file may say more than the makes that come with the project."""
     text = servo_files()["sts3215"].read_text()
