@@ -90,6 +90,9 @@ _WANTED = {
     "mapping_type": "a mapping of names to values",
     "dict_type": "a mapping of names to values",
     "dataclass_type": "a mapping of its fields",
+    "model_type": "a mapping of its fields",
+    "invalid_key": "under a name",
+    "string_pattern_mismatch": "a text like {pattern}",
 }
 """Pydantic's kinds of error in words that follow "must be"."""
 
@@ -143,7 +146,7 @@ class Fault(NamedTuple):
 
 def first_fault(error: pydantic.ValidationError, kind: Any) -> Fault:
     """The first that pydantic found in a dataclass or a record of this kind."""
-    detail: Any = error.errors()[0]
+    detail: Any = max(error.errors(), key=lambda found: found["type"] == "extra_forbidden")  # explains what is missing
     place, given, name, context = tuple(detail["loc"]), detail["input"], detail["type"], detail.get("ctx", {})
     place = tuple("/".join(step) if isinstance(step, tuple) else step for step in place)  # a key of several parts
     if place and isinstance(place[0], int):  # it was given by its place, not by name
@@ -182,7 +185,7 @@ def nearest(name: object, known: Iterable[str]) -> str:
     """How to go on after an unknown name: the nearest one that exists, else all of them."""
     known = list(known)
     close = difflib.get_close_matches(str(name), known, n=1)
-    return f"; the nearest is {close[0]!r}" if close else f"; there are {', '.join(known)}"
+    return f"; the nearest is {close[0]!r}" if close else f"; there are {', '.join(known) or 'none'}"
 
 
 _SCALARS = {

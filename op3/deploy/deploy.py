@@ -211,7 +211,7 @@ def _logs(connection: Connection, plan: Plan, recording: str | None, **metadata:
         robot_file=None if robot.reference == DEFAULT else robot.reference,
         mount=connection.mount,
         rate=1 / PERIOD,
-        battery=robot.servos[0].supply.si,
+        battery=robot.supply,
         servo=makes.pop() if len(makes) == 1 else None,
         recording=recording,
         seed=connection.seed,

@@ -72,9 +72,6 @@ class Monitor:
         self._check_supply(state)
         return verdict
 
-    def _named(self, which: np.ndarray) -> str:
-        return ", ".join(self._joints[i] for i in np.flatnonzero(which))
-
     def _check_shutdown(self, state: State) -> None:
         errors = state.raw["hardware_error"]
         bad = np.flatnonzero((errors != 0) | state.alert)
@@ -87,7 +84,8 @@ class Monitor:
             raise Stop(ExitCode.SERVO_SHUTDOWN, reason)
         fresh = state.answered & (state.raw["voltage"] < ALIVE_COUNTS)
         if fresh.any():
-            reason = f"restarted by itself: {self._named(fresh)}; check its cable and the battery"
+            names = ", ".join(self._joints[i] for i in np.flatnonzero(fresh))
+            reason = f"restarted by itself: {names}; check its cable and the battery"
             raise Stop(ExitCode.SERVO_SHUTDOWN, reason)
 
     def _check_jump(self, silent: np.ndarray, state: State) -> None:

@@ -161,10 +161,11 @@ class Units:
     def __init__(self, robot: Robot):
         self.models: dict[str, int] = {}
         for name, make in zip(robot.joints, robot.servos, strict=True):
-            if make.bus != "dynamixel-x" or make.model_number is None:
+            if make.bus != "dynamixel-x" or make.model_number is None or make.loop != "current":
                 raise ValueError(
-                    f"{robot.name}: the bus speaks to Dynamixel X servos in current mode, and the {make.name} of {name}"
-                    " is none; for other servos bring logs (docs/logs.md), or play the robot with source=model"
+                    f"{robot.name}: the bus speaks to Dynamixel X servos in current mode, and that of {name}"
+                    f" ({make.name}, loop: {make.loop}) is none; for others bring logs (docs/logs.md), or take"
+                    " source=model"
                 )
             self.models[name] = make.model_number
         makes = robot.servos

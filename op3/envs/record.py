@@ -109,7 +109,7 @@ def _record_once(env: BatchedEnv, act: Policy, recording: str | None, first: int
     tips = torch.stack([*tape.tips, _last_tip(env)]) if start is not None else None
     travelled = None if tips is None or start is None else tips - start
     return [
-        _log(env, tape, i, int(length[i]), bool(fallen[i]), travelled, _name(recording, first + i))
+        _log(env, tape, i, int(length[i]), bool(fallen[i]), travelled, recording and f"{recording}/{first + i}")
         for i in range(env.num_envs)
     ]
 
@@ -148,7 +148,3 @@ def _log(
         extra=dict(extra),
     )
     return Rollout.from_arrays(arrays, metadata)
-
-
-def _name(recording: str | None, number: int) -> str | None:
-    return None if recording is None else f"{recording}/{number}"

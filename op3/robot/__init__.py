@@ -11,7 +11,7 @@ from op3.robot.op3_motions import SinusoidalGait, push_down, soften, squat, sway
 from op3.robot.op3_suites import Excitation, leg_suite, leg_walking, robot_suite, robot_walking
 from op3.robot.robot import DEFAULT, Robot, load_robot, pose
 from op3.robot.scenes import SCENES, Scene, build_bench, build_scene
-from op3.robot.servo_make import ServoMake, load_servo
+from op3.robot.servo_make import ServoMake, load_servo, supply_shares
 from op3.robot.surfaces import draw_tiles, place_tiles, tile_ids
 
 __all__ = [
@@ -58,6 +58,7 @@ __all__ = [
     "stack",
     "staircase",
     "standing_height",
+    "supply_shares",
     "sway",
     "tile_ids",
     "triangle",

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
 import yaml
-from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from op3.settings import first_fault, nearest, parse_yaml
 
 Content = TypeVar("Content", bound="Record")
+
+
+Real = Annotated[float, Field(strict=True)]
+"""A number, and no text or truth value that could be read as one."""
 
 
 class Record(BaseModel):

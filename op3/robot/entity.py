@@ -51,14 +51,22 @@ class RobotEntity(composer.Entity):
             if name not in known:
                 raise ValueError(f"{self.robot.name} has no parameter {name!r}; it has {', '.join(known) or 'none'}")
         for name, one in known.items():
-            value, body = one.factor * parameters.get(name, one.default), self._find("body", one.body)
-            inertial: Any = body
+            value, inertial = one.factor * parameters.get(name, one.default), self._with_inertia(one.body)
             if one.sets == "mass":
                 inertial.inertial.mass = value
             else:
                 place = np.array(inertial.inertial.pos, dtype=float)
                 place["xyz".index(one.sets[-1])] = value
                 inertial.inertial.pos = place
+
+    def _with_inertia(self, name: str) -> Any:
+        """A body whose inertia is written on it, as MuJoCo works it out of its geoms where it is not."""
+        body: Any = self._find("body", name)
+        if body.inertial is None:
+            known = self.robot.bare_model.body(name)
+            numbers = {"pos": known.ipos, "quat": known.iquat, "mass": known.mass[0], "diaginertia": known.inertia}
+            body.add("inertial", **numbers)
+        return body
 
     @property
     def mjcf_model(self) -> mjcf.RootElement:
@@ -122,16 +130,21 @@ class RobotEntity(composer.Entity):
 
 
 def _read(robot: Robot) -> Any:
-    """The robot's model without what drives and senses it, and without a free base."""
-    if robot.model_path.suffix == ".urdf":  # which MuJoCo reads and dm_control does not
-        spec = read_spec(robot.model_path)
+    """The robot's model without what drives and senses it, a free base, and the world that it stood in."""
+    spec = read_spec(robot.model_path, robot.file.base)
+    if robot.model_path.suffix == ".urdf" or spec.compiler.degree:  # MuJoCo turns both into what fits into our scenes
         spec.compile()
-        return mjcf.from_xml_string(spec.to_xml(), model_dir=str(robot.model_path.parent))
-    root: Any = mjcf.from_path(str(robot.model_path))
+        root: Any = mjcf.from_xml_string(spec.to_xml(), model_dir=str(robot.model_path.parent))
+    else:
+        root = mjcf.from_path(str(robot.model_path))
     for kind in ("actuator", "sensor", "keyframe"):
         for element in getattr(root, kind).all_children():
             element.remove()
     for joint in root.find_all("joint"):
         if joint.tag == "freejoint" or joint.type == "free":
             joint.remove()
+    for kind in ("option", "statistic", "visual"):
+        getattr(root, kind).remove()
+    for geom in root.worldbody.geom if robot.file.base else ():
+        geom.remove()
     return root

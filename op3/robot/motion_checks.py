@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from op3.robot.motions import Motion
-from op3.robot.robot import Robot, load_robot, read_spec
+from op3.robot.robot import Robot, exclude_neighbours, load_robot, read_spec
 
 CLEARANCE = 0.005
 """Least distance between two parts of the robot that are not neighbours [m]."""
@@ -29,7 +29,8 @@ def motion_faults(motion: Motion, mount: str | None = None) -> list[str]:
     robot = load_robot(motion.robot)
     position = np.tile(robot.home, (len(motion.time), 1))
     position[:, robot.indices(motion.joints)] = motion.position
-    return [fault for check in (_limit_faults, _speed_faults, _collisions) for fault in check(motion, robot, position)]
+    outside = outside_limits(motion.name, robot.joints, robot.limits, motion.time, position)
+    return [*outside, *_speed_faults(motion, robot, position), *_collisions(motion, robot, position)]
 
 
 def check_motion(motion: Motion, mount: str | None = None) -> None:
@@ -41,10 +42,6 @@ def check_motion(motion: Motion, mount: str | None = None) -> None:
     faults = motion_faults(motion, mount)
     if faults:
         raise ValueError(faults[0])
-
-
-def _limit_faults(motion: Motion, robot: Robot, position: np.ndarray) -> list[str]:
-    return outside_limits(motion.name, robot.joints, robot.limits, motion.time, position)
 
 
 def outside_limits(
@@ -103,9 +100,9 @@ def _near(model: mujoco.MjModel, data: mujoco.MjData, position: np.ndarray) -> l
 def _colliding_model(robot: Robot) -> mujoco.MjModel:
     """The bare robot whose parts, but for neighbours, feel each other from `CLEARANCE` on."""
     # before compiling: MuJoCo sums up what each body may touch at that moment
-    spec = read_spec(robot.model_path)
+    spec = read_spec(robot.model_path, robot.file.base)
     for geom in spec.geoms:
         if geom.conaffinity:
             geom.contype = 1
             geom.margin = CLEARANCE
-    return spec.compile()
+    return exclude_neighbours(spec).compile()

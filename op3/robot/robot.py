@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from op3.robot.assets import asset_path
 from op3.robot.data_file import DataFile, DataFileError
-from op3.robot.robot_file import ANGLES, LogChannel, RobotFile, check_names
-from op3.robot.servo_make import ServoMake, load_servo
+from op3.robot.robot_file import ANGLES, LogChannel, RobotFile, check_names, servo_path
+from op3.robot.servo_make import ServoMake, load_servo, supply_shares
 from op3.settings import nearest
 
 Array = NDArray[np.float64]
@@ -41,13 +41,16 @@ class Robot:
         self.joints: tuple[str, ...] = tuple(self.file.joints)
         self.model_path = (self.path.parent / self.file.model).resolve()
         self._index = {name: number for number, name in enumerate(self.joints)}
-        self.bare_model = _bare(file, self.model_path)
+        self.bare_model = _bare(file, self.model_path, self.file.base)
         check_names(file, self.file, self.bare_model)
         self.limits: Array = np.array([self._limits(name) for name in self.joints])
         self.home: Array = np.array([entry.home for entry in self.file.joints.values()])
-        for name, home, (low, high) in zip(self.joints, self.home, self.limits, strict=True):
-            if not low <= home <= high:
-                raise file.fault(("joints", name, "home"), f"is {home:g} rad, outside its limits {low:g} to {high:g}")
+        angles = [(("joints", name, "home"), name, entry.home) for name, entry in self.file.joints.items()]
+        angles += [(("poses", pose, name), name, a) for pose, own in self.file.poses.items() for name, a in own.items()]
+        for place, name, angle in angles:
+            low, high = self.limits[self._index[name]]
+            if not low <= angle <= high:
+                raise file.fault(place, f"is {angle:g} rad, outside its limits {low:g} to {high:g}")
 
     @property
     def reference(self) -> str:
@@ -78,13 +81,24 @@ class Robot:
         return np.array([self._index[name] for name in wanted], dtype=np.int64)
 
     def servo(self, joint: str) -> ServoMake:
-        """The make of a joint's servo."""
-        return load_servo(self.file.joints[joint].servo or self.file.servo or "")
+        """The make of a joint's servo, with its loop as the file wants it."""
+        make = load_servo(servo_path(self.path, self.file.joints[joint].servo or self.file.servo or ""))
+        return make.model_copy(update={"loop": self.file.loop or make.loop})
 
     @cached_property
     def servos(self) -> tuple[ServoMake, ...]:
         """The makes of all servos [joint]."""
         return tuple(self.servo(name) for name in self.joints)
+
+    @cached_property
+    def supply_shares(self) -> Array:
+        """See `op3.robot.servo_make.supply_shares`."""
+        return supply_shares(self.servos)
+
+    @property
+    def supply(self) -> float | None:
+        """Nominal voltage of the servos' supply [V]; None where they have several."""
+        return self.servos[0].supply.si if (self.supply_shares == 1).all() else None
 
     @cached_property
     def peak_currents(self) -> Array:
@@ -254,10 +268,12 @@ def pose(name: str, robot: str | Robot = DEFAULT) -> Array:
     return load_robot(robot).pose(name)
 
 
-def read_spec(path: Path) -> mujoco.MjSpec:
-    """The robot's model as MuJoCo reads it, MJCF or URDF, without what drives it and without a free base."""
+def read_spec(path: Path, base: str | None) -> mujoco.MjSpec:
+    """The robot's model as MuJoCo reads it, without what drives it, a free base, and what lies around that."""
     spec = mujoco.MjSpec.from_file(str(path))
-    for element in (*spec.actuators, *spec.sensors, *spec.keys):
+    spec.compiler.fusestatic = False  # which takes a URDF's first link for a part of the world
+    around = spec.worldbody.geoms if base else ()
+    for element in (*spec.actuators, *spec.sensors, *spec.keys, *around):
         spec.delete(element)
     for joint in spec.joints:
         if joint.type == mujoco.mjtJoint.mjJNT_FREE:
@@ -265,12 +281,22 @@ def read_spec(path: Path) -> mujoco.MjSpec:
     return spec
 
 
-def _bare(file: DataFile, path: Path) -> mujoco.MjModel:
+def exclude_neighbours(spec: mujoco.MjSpec) -> mujoco.MjSpec:
+    """Let what hangs on a fixed body pass through it, as MuJoCo does by itself where that body moves."""
+    for body in spec.bodies:
+        above = body.parent
+        while body.joints and body.name and above and not above.joints and above.name not in ("", "world"):
+            spec.add_exclude(bodyname1=above.name, bodyname2=body.name)
+            above = above.parent
+    return spec
+
+
+def _bare(file: DataFile, path: Path, base: str | None) -> mujoco.MjModel:
     """The compiled model, its base fixed."""
     if not path.is_file():
         raise file.fault(("model",), f"names {path}, where there is no file")
     try:
-        return read_spec(path).compile()
+        return read_spec(path, base).compile()
     except (ValueError, mujoco.FatalError) as error:
         reason = " ".join(str(error).split())
         raise file.fault(("model",), f"names {path.name}, which MuJoCo cannot read: {reason}") from None

@@ -7,14 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import pi
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import mujoco
 from pydantic import Field, model_validator
 
 from op3.robot.assets import named_configs
-from op3.robot.data_file import DataFile, Record, among
-from op3.robot.servo_make import servo_files
+from op3.robot.data_file import DataFile, Real, Record, among
+from op3.robot.servo_make import Loop, ServoMake, load_servo, servo_files
 
 ANGLES: Mapping[str, float | None] = {"rad": 1.0, "deg": pi / 180, "turn": 2 * pi, "count": None}
 """Units of a log's angles [rad]; that of a count is the encoder's."""
@@ -39,9 +40,9 @@ class LogChannel(Record):
 
     name: str | None = None
     sign: Literal[1, -1] = 1
-    zero: float = 0.0
+    zero: Real = 0.0
     unit: Annotated[str, among("unit", ANGLES)] = "rad"
-    velocity_factor: float = 1.0
+    velocity_factor: Real = 1.0
 
 
 class JointEntry(Record):
@@ -59,10 +60,10 @@ class JointEntry(Record):
     """
 
     servo: str | None = None
-    bus_id: int | None = Field(default=None, ge=0, le=252)
-    limits: tuple[float, float] | None = None
-    home: float = 0.0
-    peak_current: float | None = Field(default=None, gt=0)
+    bus_id: int | None = Field(default=None, strict=True, ge=0, le=252)
+    limits: tuple[Real, Real] | None = None
+    home: Real = 0.0
+    peak_current: Real | None = Field(default=None, gt=0)
     mirror: str | None = None
     log: LogChannel = LogChannel()
 
@@ -78,11 +79,11 @@ class AdjustableNumber(Record):
         factor: by which it is multiplied there.
     """
 
-    default: float
+    default: Real
     unit: str
     body: str
     sets: Annotated[str, among("number", ADJUSTABLE)]
-    factor: float = 1.0
+    factor: Real = 1.0
 
 
 class RobotFile(Record):
@@ -101,6 +102,7 @@ class RobotFile(Record):
         key_points: sites of the soles whose place a policy sees, as many per foot, in the order of `feet`; the first of
             each foot is its inner tip.
         servo: make of the servos of all joints that name none.
+        loop: who closes the loop of all servos; None: as their makes say.
         law: servo model that is taken where none is asked for, a name in conf/servo; None: one made of its servos.
         board: what switches the servos' supply and holds the IMU on the bus; None: the servos have power, and no IMU.
         joints: by name, in the order of the model.
@@ -115,16 +117,17 @@ class RobotFile(Record):
     joints: dict[str, JointEntry] = Field(min_length=1)
     source: str | None = None
     base: str | None = None
-    fixed: bool = False
+    fixed: bool = Field(default=False, strict=True)
     imu: str | None = None
     feet: tuple[str, ...] = ()
     soles: tuple[str, ...] = ()
     key_points: tuple[str, ...] = ()
     servo: str | None = None
+    loop: Loop | None = None
     law: Annotated[str, among("law", named_configs("servo"))] | None = None
     board: Literal["opencr"] | None = None
-    controlled: tuple[str, ...] | None = None
-    poses: dict[str, dict[str, float]] = {}
+    controlled: tuple[str, ...] | None = Field(default=None, min_length=1)
+    poses: dict[str, dict[str, Real]] = {}
     parameters: dict[str, AdjustableNumber] = {}
 
     @model_validator(mode="before")
@@ -144,11 +147,12 @@ def check_names(file: DataFile, content: RobotFile, model: mujoco.MjModel) -> No
         DataFileError: with file, line and the nearest valid name.
     """
     names = {
-        kind: [name for number in range(count) if (name := getattr(model, kind)(number).name)]
+        kind: [name for number in range(count) if (name := getattr(model, kind)(number).name) not in ("", "world")]
         for kind, count in (("body", model.nbody), ("site", model.nsite), ("geom", model.ngeom))
     }
     names["joint"] = list(content.joints)
     _check_joints(file, content, model)
+    _check_partners(file, content)
     wanted: list[tuple[tuple[str | int, ...], str, str | None]] = [
         (("base",), "body", content.base),
         (("imu",), "site", content.imu),
@@ -162,12 +166,20 @@ def check_names(file: DataFile, content: RobotFile, model: mujoco.MjModel) -> No
     for place, kind, name in wanted:
         if name is not None and name not in names[kind]:
             raise file.unknown(place, kind, name, names[kind])
+    for name in set(content.poses) & {"home", "stand", "zero"}:
+        raise file.fault(("poses", name), "is a pose that every robot has; give this one another name")
+    for name, one in content.parameters.items():
+        if one.sets == "mass" and one.factor * one.default <= 0:
+            raise file.fault(("parameters", name), f"makes a mass of {one.factor * one.default:g} kg")
     if content.key_points and len(content.key_points) % max(1, len(content.feet)):
         raise file.fault(("key_points",), f"are {len(content.key_points)}, not as many for each of the feet")
 
 
 def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel) -> None:
     hinges = [model.joint(number).name for number in range(model.njnt)]
+    makes: list[ServoMake] = []
+    if "" in hinges:
+        raise file.fault(("model",), f"has no name for its joint number {hinges.index('') + 1}: give it one")
     ids = {} if content.board is None else {BOARD_ID: f"the {content.board}"}
     for name, entry in content.joints.items():
         place = ("joints", name)
@@ -175,15 +187,13 @@ def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel) -> 
             raise file.unknown(place, "joint", name, hinges)
         if model.jnt_type[model.joint(name).id] != mujoco.mjtJoint.mjJNT_HINGE:
             raise file.fault(place, "is no hinge in the model; a servo drives hinges only")
-        make = entry.servo or content.servo
-        if make is None:
-            raise file.fault(place, "has no servo: name its make here or under `servo:` for all joints")
-        if make.lower() not in servo_files() and not make.endswith(".yaml"):
-            raise file.unknown((*place, "servo") if entry.servo else ("servo",), "servo", make, servo_files())
-        if entry.mirror is not None and entry.mirror not in content.joints:
-            raise file.unknown((*place, "mirror"), "joint", entry.mirror, content.joints)
-        if entry.limits is not None and not entry.limits[0] < entry.limits[1]:
-            raise file.fault((*place, "limits"), f"go from {entry.limits[0]:g} to {entry.limits[1]:g}: the lower first")
+        makes.append(_make(file, content, name))
+        if (loop := content.loop or makes[-1].loop) != (content.loop or makes[0].loop):
+            first = f"{next(iter(content.joints))} has {makes[0].loop!r} ({makes[0].name})"
+            whose = f"has a servo with the loop {loop!r} ({makes[-1].name}), where {first}"
+            raise file.fault(place, f"{whose}: say under `loop:` who closes that of all")
+        if entry.limits is not None:
+            _check_limits(file, (*place, "limits"), entry.limits, model.joint(name), makes[-1].position_unit)
         if entry.bus_id is not None:
             if entry.bus_id in ids:
                 other = ids[entry.bus_id]
@@ -198,3 +208,51 @@ def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel) -> 
             raise file.fault(("joints",), f"leave out the model's joint {name!r}; list it, or take it out of the model")
     if hinges != list(content.joints):
         raise file.fault(("joints",), f"stand in another order than in the model; write {', '.join(hinges)}")
+
+
+def _check_limits(
+    file: DataFile, place: tuple[str, ...], limits: tuple[float, float], joint: Any, count: float
+) -> None:
+    """Refuse what is no range, and what the joint of the model cannot reach by more than a count of its encoder."""
+    (low, high), (first, last) = limits, joint.range
+    if not low < high:
+        raise file.fault(place, f"go from {low:g} to {high:g}: the lower first")
+    if joint.limited and (low < first - count or high > last + count):
+        raise file.fault(place, f"go from {low:g} to {high:g} rad, beyond the model's {first:.4g} to {last:.4g}")
+
+
+def _check_partners(file: DataFile, content: RobotFile) -> None:
+    """Refuse a joint that mirrors itself, or that has two partners."""
+    partners: dict[str, str] = {}
+    for name, entry in content.joints.items():
+        if entry.mirror is None:
+            continue
+        place, pair = ("joints", name, "mirror"), {name: entry.mirror, entry.mirror: name}
+        if entry.mirror not in content.joints:
+            raise file.unknown(place, "joint", entry.mirror, content.joints)
+        if entry.mirror == name:
+            raise file.fault(place, "is the joint itself; leave it out")
+        if taken := [one for one, other in pair.items() if partners.setdefault(one, other) != other]:
+            raise file.fault(place, f"is {entry.mirror}, but {taken[0]} has the partner {partners[taken[0]]} already")
+
+
+def servo_path(file: Path, named: str) -> str | Path:
+    """What a robot file calls a servo: a name in assets/servos, or a file, relative to the robot's."""
+    return file.parent / named if named.endswith((".yaml", ".yml")) else named
+
+
+def _make(file: DataFile, content: RobotFile, joint: str) -> ServoMake:
+    """The make of a joint's servo, which closes the loop if that is what it shall do."""
+    own = content.joints[joint].servo
+    named, place = own or content.servo, ("joints", joint, "servo") if own else ("servo",)
+    if named is None:
+        raise file.fault(("joints", joint), "has no servo: name its make here or under `servo:` for all joints")
+    path = servo_path(file.path, named)
+    if isinstance(path, str) and named.lower() not in servo_files():
+        raise file.unknown(place, "servo", named, servo_files())
+    if isinstance(path, Path) and not path.is_file():
+        raise file.fault(place, f"names {path}, where there is no file")
+    make = load_servo(path)
+    if content.loop == "firmware" and make.position_law is None:
+        raise file.fault(("loop",), f"is 'firmware', but the {make.name} of {joint} has no position_law")
+    return make

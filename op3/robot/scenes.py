@@ -20,7 +20,7 @@ from op3.robot.assets import asset_path
 from op3.robot.board import AXIS_HEIGHT, TILT, TOP_HEIGHT
 from op3.robot.entity import RobotEntity
 from op3.robot.kinematics import level_soles, quaternion, rotation_matrix, standing_height
-from op3.robot.robot import DEFAULT, Robot, checked_angles, load_robot
+from op3.robot.robot import DEFAULT, Robot, checked_angles, exclude_neighbours, load_robot
 from op3.robot.surfaces import add_bricks, add_tiles
 
 SCENES: tuple[str, ...] = (
@@ -106,7 +106,7 @@ class Scene:
         """
         spec = mujoco.MjSpec.from_string(self.mjcf_model.to_xml_string(), assets=self.mjcf_model.get_assets())
         spec.compiler.discardvisual = not visual
-        return spec.compile()
+        return exclude_neighbours(spec).compile()
 
     def initial_qpos(
         self, joint_position: ArrayLike, roll: float | None = None, pitch: float | None = None

@@ -2,51 +2,83 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from math import pi
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, Field
+
 from op3.robot.assets import asset_path
-from op3.robot.data_file import DataFile, DataFileError, Record, among
+from op3.robot.data_file import DataFile, DataFileError, Real, Record, among
 from op3.settings import nearest
 
-TO_SI: Mapping[str, Callable[[float], float]] = {
-    "": lambda value: value,
-    "rpm": lambda value: value * 2 * pi / 60,
-    "mA": lambda value: value / 1000,
-    "counts/turn": lambda value: value,
-    "kg cm": lambda value: value * 9.80665 / 100,
-    "s/60deg": lambda value: pi / 3 / value,
-    "%": lambda value: value / 100,
-    **dict.fromkeys(
-        ("rad", "rad/s", "A", "V", "ohm", "N m", "N m/A", "kg m^2", "C", "s", "K/W", "1/rad", "counts"),
-        lambda value: value,
-    ),
+TO_SI: Mapping[str, tuple[str, Callable[[float], float]]] = {
+    "rpm": ("rad/s", lambda value: value * 2 * pi / 60),
+    "mA": ("A", lambda value: value / 1000),
+    "kg cm": ("N m", lambda value: value * 9.80665 / 100),
+    "s/60deg": ("rad/s", lambda value: pi / 3 / value),
+    "%": ("", lambda value: value / 100),
+    **{
+        unit: (unit, lambda value: value)
+        for unit in (
+            "",
+            "rad/s",
+            "A",
+            "V",
+            "ohm",
+            "N m",
+            "N m/A",
+            "kg m^2",
+            "C",
+            "K/W",
+            "1/rad",
+            "counts",
+            "counts/turn",
+        )
+    },
 }
-"""Units in which a servo file gives numbers, and what makes SI of them."""
+"""Units in which a servo file gives numbers, the SI unit of each, and what makes SI of them."""
+
+Loop = Literal["current", "firmware"]
 
 
 class Figure(Record):
     """A number with its unit and where it comes from.
 
     Attributes:
-        value: in `unit`.
+        value: in `unit`; all are above zero.
         unit: one of `TO_SI`.
         source: key of the file's `sources`.
         at: supply voltage at which it holds [V], where it depends on that.
     """
 
-    value: float
+    value: Annotated[Real, Field(gt=0)]
     source: str
     unit: Annotated[str, among("unit", TO_SI)] = ""
-    at: float | None = None
+    at: Annotated[Real, Field(gt=0)] | None = None
 
     @property
     def si(self) -> float:
         """The number in SI units."""
-        return TO_SI[self.unit](self.value)
+        return TO_SI[self.unit][1](self.value)
+
+
+def _in(unit: str) -> AfterValidator:
+    """That a figure is in this SI unit, or in one that becomes it."""
+    known = [name for name, (of, _) in TO_SI.items() if of == unit]
+
+    def check(figure: Figure) -> Figure:
+        if figure.unit not in known:
+            raise ValueError(
+                f"is in {figure.unit or 'no unit'}, not in {' or '.join(name or 'none' for name in known)}"
+            )
+        return figure
+
+    return AfterValidator(check)
 
 
 class Motor(Record):
@@ -59,10 +91,10 @@ class Motor(Record):
         armature: rotor's inertia at the output [kg m^2].
     """
 
-    gear_ratio: Figure
-    torque_constant: Figure
-    terminal_resistance: Figure
-    armature: Figure
+    gear_ratio: Annotated[Figure, _in("")]
+    torque_constant: Annotated[Figure, _in("N m/A")]
+    terminal_resistance: Annotated[Figure, _in("ohm")]
+    armature: Annotated[Figure, _in("kg m^2")]
 
 
 class Counts(Record):
@@ -78,13 +110,13 @@ class Counts(Record):
         duty: units of full duty, where the servo reads any.
     """
 
-    position: Figure
-    zero: Figure
-    velocity: Figure
-    voltage: Figure
-    current: Figure | None = None
-    temperature: Figure | None = None
-    duty: Figure | None = None
+    position: Annotated[Figure, _in("counts/turn")]
+    zero: Annotated[Figure, _in("counts")]
+    velocity: Annotated[Figure, _in("rad/s")]
+    voltage: Annotated[Figure, _in("V")]
+    current: Annotated[Figure, _in("A")] | None = None
+    temperature: Annotated[Figure, _in("C")] | None = None
+    duty: Annotated[Figure, _in("counts")] | None = None
 
 
 class Limits(Record):
@@ -101,14 +133,14 @@ class Limits(Record):
         thermal_resistance: from windings to air [K/W].
     """
 
-    stall_torque: Figure
-    no_load_speed: Figure
-    low_voltage: Figure
-    high_voltage: Figure
-    temperature: Figure
-    current: Figure | None = None
-    continuous_current: Figure | None = None
-    thermal_resistance: Figure | None = None
+    stall_torque: Annotated[Figure, _in("N m")]
+    no_load_speed: Annotated[Figure, _in("rad/s")]
+    low_voltage: Annotated[Figure, _in("V")]
+    high_voltage: Annotated[Figure, _in("V")]
+    temperature: Annotated[Figure, _in("C")]
+    current: Annotated[Figure, _in("A")] | None = None
+    continuous_current: Annotated[Figure, _in("A")] | None = None
+    thermal_resistance: Annotated[Figure, _in("K/W")] | None = None
 
 
 class PositionLaw(Record):
@@ -121,10 +153,10 @@ class PositionLaw(Record):
         gain: the register's value from the factory, or as it is usually set.
     """
 
-    error_gain: Figure
-    max_duty: Figure
-    goal_speed: Figure
-    gain: Figure
+    error_gain: Annotated[Figure, _in("1/rad")]
+    max_duty: Annotated[Figure, _in("")]
+    goal_speed: Annotated[Figure, _in("rad/s")]
+    gain: Annotated[Figure, _in("")]
 
 
 class ServoMake(Record):
@@ -135,8 +167,8 @@ class ServoMake(Record):
         name: as in the file's name.
         maker: who makes it.
         sources: where its numbers come from, by key.
-        loop: who closes the loop in this house: `current` (a PD outside commands currents), `pwm` (a PD outside
-            commands duty) or `firmware` (the servo's own position law).
+        loop: who closes the loop in this house: `current` (a PD outside commands currents) or `firmware` (the servo's
+            own position law).
         supply: nominal supply voltage [V].
         motor: the motor and its gear.
         counts: units of the registers.
@@ -153,8 +185,8 @@ class ServoMake(Record):
     name: str
     maker: str
     sources: Mapping[str, str]
-    loop: Literal["current", "pwm", "firmware"]
-    supply: Figure
+    loop: Loop
+    supply: Annotated[Figure, _in("V")]
     motor: Motor
     counts: Counts
     limits: Limits
@@ -209,6 +241,13 @@ class ServoMake(Record):
         return self.motor.gear_ratio.si * self.motor.torque_constant.si
 
 
+def supply_shares(makes: Sequence[ServoMake]) -> NDArray[np.float64]:
+    """Supply of each servo over that of the first [joint], which all have that stand it."""
+    first = makes[0].supply.si
+    stand = [make.limits.low_voltage.si <= first <= make.limits.high_voltage.si for make in makes]
+    return np.array([1.0 if one else make.supply.si / first for one, make in zip(stand, makes, strict=True)])
+
+
 @lru_cache(maxsize=1)
 def servo_files() -> dict[str, Path]:
     """The files of all makes that come with the project, by name."""
@@ -235,6 +274,9 @@ def load_servo(name: str | Path) -> ServoMake:
         raise file.fault(("name",), f"is {make.name!r}, but the file is called {path.name!r}")
     if make.loop == "firmware" and make.position_law is None:
         raise file.fault(("loop",), "is 'firmware', so that the file needs a position_law")
+    low, high = make.limits.low_voltage.si, make.limits.high_voltage.si
+    if not low <= make.supply.si <= high:
+        raise file.fault(("supply",), f"is {make.supply.si:g} V, outside its limits {low:g} to {high:g} V")
     for place, figure in _figures(make):
         if figure.source not in make.sources:
             raise file.unknown((*place, "source"), "source", figure.source, make.sources)

@@ -11,11 +11,11 @@ from op3.rollout.schema import CHANNELS, normal_key, place
 
 _SPELLINGS: dict[str, str] = {
     "command/position": "target goal command commanded cmd desired des ref reference setpoint action ctrl control",
-    "joint/velocity": "velocity velocities vel speed speeds qvel dq qd",
-    "joint/current": "current currents cur amps",
+    "joint/velocity": "velocity velocities vel speed speeds qvel dq qd dps rpm",
+    "joint/current": "current currents cur amps ma",
     "joint/duty": "pwm duty",
     "joint/load": "torque torques effort efforts tau load",
-    "joint/voltage": "voltage volt volts",
+    "joint/voltage": "voltage volt volts mv",
     "joint/temperature": "temperature temperatures temp",
     "command/torque_enable": "enable enabled",
     "command/firmware_gain": "kp",
@@ -42,7 +42,7 @@ def guess(name: str, joints: Sequence[str] = ()) -> Column | None:
     ours = place(name)
     if ours and (ours[0].axes != "joint" or not joints or ours[1] in joints):
         return Column(name)
-    words = [word for word in re.split(r"[^A-Za-z0-9]+|(?<=[a-z])(?=[A-Z])", name) if word]
+    words = [word for word in re.split(r"[^A-Za-z0-9]+|(?<=[a-z]{2})(?=[A-Z])", name) if word]
     lower = [word.lower() for word in words]
     unit = next((_UNITS[word] for word in lower if word in _UNITS), None)
     rate = "deg/s" if unit == "deg" else unit

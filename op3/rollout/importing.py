@@ -281,9 +281,9 @@ def _arrays(columns: Columns, metadata: Metadata, strict: bool, side: Side) -> d
             problem = f"the column is missing while {there} is there" if there else "the required column is missing"
             remedy = f"give {key_name(key)} for all or for none" if there else f"add {key_name(key)} [{channel.unit}]"
             raise LogError(problem, remedy, column=missing[0], row="header")
-    gain, key = metadata.firmware_gain, ("command", "firmware_gain")
-    if gain is not None and key not in arrays:
-        arrays[key] = np.full_like(arrays["joint", "position"], gain)
+    for name in ("firmware_gain", "p_gain", "d_gain"):
+        if (gain := getattr(metadata, name)) is not None:
+            arrays.setdefault(("command", name), np.full_like(arrays["joint", "position"], gain))
     return arrays
 
 

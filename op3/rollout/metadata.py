@@ -58,6 +58,7 @@ def _wrong(name: str, wanted: str, value: Any) -> LogError:
 Names = Annotated[tuple[str, ...], BeforeValidator(_tuple)]
 Text = Annotated[str | None, Field(min_length=1)]
 Outcome = Annotated[float | tuple[Number, ...] | None, BeforeValidator(_tuple)]
+Gain = Annotated[Number, Field(ge=0)] | None
 Integer = Annotated[int | None, BeforeValidator(_plain)]
 
 
@@ -78,6 +79,8 @@ class Metadata:
             or the bench for a pendulum.
         servo: Servo type, such as `xm430-w350` or `xl330`.
         firmware_gain: Proportional gain register of servos that close the loop themselves [firmware units].
+        p_gain: Proportional gain of all joints where no column says it [A/rad].
+        d_gain: Derivative gain of all joints where no column says it [A s/rad].
         policy_rate: Policy steps per second [Hz].
         motion: Name of the motion or trajectory.
         recording: Identity of the recording; logs of one sitting may share the part before a slash.
@@ -102,7 +105,9 @@ class Metadata:
     battery: Positive | None = None
     robot_file: Text = None
     servo: Text = None
-    firmware_gain: Annotated[Number, Field(ge=0)] | None = None
+    firmware_gain: Gain = None
+    p_gain: Gain = None
+    d_gain: Gain = None
     policy_rate: Positive | None = None
     motion: Text = None
     recording: Text = None

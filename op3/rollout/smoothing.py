@@ -76,7 +76,6 @@ class SmoothLog:
         tilt: roll and pitch of the stand [rad].
         sway: angular acceleration of the trunk in its axes [rad/s2] and its rate [rad/s3], as the gyro tells,
             ``[tick, 2, 3]``; None without one.
-        sensing: what its velocity readings are like.
     """
 
     log: Rollout
@@ -91,7 +90,6 @@ class SmoothLog:
     inputs: Mapping[str, np.ndarray]
     tilt: tuple[float, float]
     sway: np.ndarray | None
-    sensing: "VelocitySensing"
 
     @property
     def half_width(self) -> int:
@@ -253,7 +251,7 @@ def smooth(log: Rollout, sensing: VelocitySensing | None = None, period: float |
         sway = np.stack(slopes, 1)
     rough = _roughness(state, lagged, period, sensing)
     states = (state[0], state[1], state[2])
-    return SmoothLog(log, period, grid, *states, readings, control, rough, inputs, tilt, sway, sensing)
+    return SmoothLog(log, period, grid, *states, readings, control, rough, inputs, tilt, sway)
 
 
 def _roughness(state: np.ndarray, lagged: np.ndarray, period: float, sensing: VelocitySensing) -> np.ndarray:

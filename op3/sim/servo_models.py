@@ -20,19 +20,9 @@ EFFICIENCY = 0.8
 
 
 def servo_model(robot: Robot) -> RobotModel:
-    """Drive, gear and friction of a robot's servos, with values per joint where makes differ.
-
-    Raises:
-        ValueError: if some of its servos close the loop themselves and some do not.
-    """
+    """Drive, gear and friction of a robot's servos, with values per joint where makes differ."""
     makes = robot.servos
     first = makes[0]
-    for name, make in zip(robot.joints, makes, strict=True):
-        if make.loop != first.loop:
-            raise ValueError(
-                f"{robot.name}: {robot.joints[0]} has the loop {first.loop!r} ({first.name}), but {name} has"
-                f" {make.loop!r} ({make.name}); one model holds one kind of loop"
-            )
     late = {"signal": "goal"} if first.loop == "firmware" else {}
     effects = [*_drive(first), effect_class("latency")(**late), *map(_effect, ("coulomb", "stribeck", "viscous"))]  # type: ignore[call-arg]
     effects.append(effect_class("dte")(form="passive"))  # type: ignore[call-arg]

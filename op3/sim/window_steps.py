@@ -82,7 +82,7 @@ def lead(s, p, motion, here, there, work, row, share):
 
 
 @part
-def begin(s, p, past, on, motion, misread, weights, work, row, supply_resistance):
+def begin(s, p, on, motion, misread, weights, work, row, supply_resistance):
     """Joints where their readings say, as they are at the beginning of a lead; and the edits that this means."""
     command(s, motion[row])
     for j in range(len(s)):
@@ -278,7 +278,7 @@ def simulate(
         own = p[min(candidate, len(p) - 1)]
         flat[:] = 0.0
         copied(weights[candidate], row_weights)
-        begin(s, own, past, on, motion, misread, row_weights, work, first, supply_resistance)
+        begin(s, own, on, motion, misread, row_weights, work, first, supply_resistance)
         mix(along, edits, row_weights, at, there)
         for tick in range(preroll + ticks):
             row, leading = first + tick, tick < preroll

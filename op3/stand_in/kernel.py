@@ -39,7 +39,7 @@ oval oval_centre oval_form asymmetry patch patch_centre ageing cogging cogging_p
 chip chip_phase gear_stiffness gear_damping half_gap tooth_form output_inertia
 spring spring_rest spring_form vibration vibration_frequency vibration_phase stop stop_side stop_edge
 creep creep_rate warm_loss warm_form dropout low high
-position_gain max_duty goal_speed position_unit
+position_gain max_duty goal_speed position_unit supply_share
 encoder_offset encoder_bend encoder_phase encoder_form velocity_time velocity_form slower_time slower_form
 """
 _STATE = """
@@ -187,7 +187,7 @@ def servo_torque(p, s, robot) -> float:
     step, soft = robot.step, p.gear_stiffness > 0
     position = s.gear_position if soft else s.position
     velocity = s.gear_velocity if soft else s.velocity
-    drive(p, s, robot.bus_voltage, velocity, step)
+    drive(p, s, robot.bus_voltage * p.supply_share, velocity, step)
     torque = s.gain * s.current
     if p.load_friction != 0:
         s.transmitted += 0.25 * (s.torque - p.output_inertia * s.acceleration - s.transmitted)
@@ -336,7 +336,7 @@ def step_slow(servos, states, robot, memory, speed, normal, uniform) -> None:
         heating = robot.thermal_resistance * p.resistance * s.current**2
         s.temperature += TICK / robot.thermal_time * (s.air + heating - s.temperature)
         s.gain = p.constant * (1 - p.magnet_fading * (s.temperature - REFERENCE_TEMPERATURE))
-        s.reach = (reach - robot.hidden_resistance * total) / p.resistance
+        s.reach = p.supply_share * (reach - robot.hidden_resistance * total) / p.resistance
         s.rest_time = s.rest_time + TICK if abs(s.velocity) < 0.01 else 0.0
         if p.dropout > 0:  # the driver pauses for 20 ms now and then
             s.out = max(s.out - TICK, 0.0)

@@ -175,7 +175,7 @@ def _rollout(
         mount=robot.scene.mount,
         rate=1 / CONTROL_PERIOD,
         robot_file=robot.known.reference,
-        battery=robot.makes[0].supply.si,
+        battery=robot.known.supply,
         servo=robot.makes[0].name,
         motion=motion.name,
         recording=recording,

@@ -334,7 +334,7 @@ class StandIn:
     def read_sensors(self) -> Sensors:
         """Read every register once."""
         servos, noise = self.servos, self._rng.standard_normal((2, len(self.joints)))
-        volts = servos.robot["bus_voltage"] + 0.2 * self._units["voltage"] * noise[1]
+        volts = servos.voltage + 0.2 * self._units["voltage"] * noise[1]
         seen = {
             "position": servos.encoders,
             "velocity": servos.velocity,

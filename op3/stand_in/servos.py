@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.robot import ServoMake, load_servo
+from op3.robot import ServoMake, load_servo, supply_shares
 from op3.stand_in.hidden import Hidden
 from op3.stand_in.kernel import MEMORY, ROBOT, SERVO, STATE, TICK, encoders, step_slow
 from op3.stand_in.world import FORMS, World
@@ -110,9 +110,9 @@ class Servos:
             servos[name] *= torque
         for name in ("viscous", "damping"):
             servos[name] *= torque / speed
-        supply = makes[0].supply.si / like.supply.si
         for name in ("open_voltage", "bus_voltage"):
-            self.robot[name] *= supply
+            self.robot[name] *= makes[0].supply.si / like.supply.si
+        servos["supply_share"] = supply_shares(makes)
         servos["position_unit"] = [make.position_unit for make in makes]
         for servo, make in zip(servos, makes, strict=True):
             law = make.position_law
@@ -155,7 +155,12 @@ class Servos:
         """Voltage over the motors as a share of the supply [joint]."""
         states, servos = self.states, self.servos
         volts = servos["resistance"] * states["current"] + states["gain"] * states["velocity"]
-        return np.clip(volts / self.robot["bus_voltage"], -1, 1)
+        return np.clip(volts / self.voltage, -1, 1)
+
+    @property
+    def voltage(self) -> Array:
+        """What the servos get [joint] in V."""
+        return self.robot["bus_voltage"] * self.servos["supply_share"]
 
     @property
     def encoders(self) -> Array:

@@ -62,12 +62,11 @@ class StiffWalk:
     """The walk that the OP3 comes with, on servos in position mode; it needs a model made by `position_mode`.
 
     Args:
-        gait: the walk; by default with steps long enough for 0.3 m/s if no foot slipped.
         firmware_gain: position P gain register of the servos.
     """
 
-    def __init__(self, gait: SinusoidalGait | None = None, firmware_gain: float = POSITION_GAIN):
-        self.gait = gait or SinusoidalGait(step=0.045)
+    def __init__(self, firmware_gain: float = POSITION_GAIN):
+        self.gait = SinusoidalGait(step=0.045)  # long enough for 0.3 m/s if no foot slipped
         self.firmware_gain = firmware_gain
         self._hold = Hold()
 

@@ -7,6 +7,7 @@ from itertools import groupby
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from op3.rollout import LogError, Rollout, stand_tilt
@@ -186,12 +187,13 @@ class _Group:
                 channel = next("/".join(key) for key, command in COMMAND_CHANNELS.items() if command == name)
                 raise LogError(
                     f"the log has no {channel}, which the model's servos need",
-                    "record it, or choose a model of the servo that was recorded",
+                    f"record it, write `{name}:` into the log's YAML, or choose a model of the servo that was recorded",
                     source=log.metadata.recording,
                     column=channel,
                 )
             if name == "bus_voltage":
-                values = torch.where(values.isnan(), model.bus_voltage, values)
+                shares = [log.robot.supply_shares[log.robot.indices(log.joints)] for log in self.logs]
+                values = torch.where(values.isnan(), model.bus_voltage * torch.from_numpy(np.stack(shares)), values)
             if not values.isnan().any():
                 complete[name] = values
         return complete
@@ -282,21 +284,19 @@ def _control_period(log: Rollout) -> float:
     return OP3_CONTROL_PERIOD if usual or log.metadata.mount == "pendulum" else round(period, 5)
 
 
-def _fallback(command: str, log: Rollout) -> float:
+def _fallback(command: str, log: Rollout) -> ArrayLike:
     """What a command was where the log has no channel for it; NaN where only the model can tell."""
     if command == "torque_enable":
         return 1.0
     if command == "bus_voltage" and log.metadata.battery is not None:
-        return log.metadata.battery
-    return gain_of(log) if command == "firmware_gain" else float("nan")
+        return log.metadata.battery * log.robot.supply_shares[log.robot.indices(log.joints)]
+    return gain_of(log) if command == "firmware_gain" else np.nan
 
 
-def gain_of(log: Rollout) -> float:
-    """Of the servos' own position loop: the log's, else that of the make; NaN where something else closes the loop."""
-    first = log.robot.servos[0]
-    if first.loop != "firmware" or first.position_law is None:
-        return float("nan")
-    return log.metadata.firmware_gain or first.position_law.gain.si
+def gain_of(log: Rollout) -> ArrayLike:
+    """Of the servos' own position loop: the log's, else [joint] of their makes; NaN where something else closes it."""
+    laws = [make.position_law for make in map(log.robot.servo, log.joints) if make.loop == "firmware"]
+    return log.metadata.firmware_gain or [law.gain.si for law in laws if law] or np.nan
 
 
 def _interpolate(values: Tensor, recorded: np.ndarray, time: np.ndarray) -> Tensor:

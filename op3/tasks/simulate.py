@@ -22,7 +22,6 @@ def simulate_motion(
     model: RobotModel,
     motion: Motion,
     mount: str | None = None,
-    settle: float = SETTLE,
     gains: Mapping[str, ArrayLike] | None = None,
 ) -> Rollout:
     """Play a motion with its own gains, or with those of the firmware where that closes the loop.
@@ -30,7 +29,6 @@ def simulate_motion(
     Args:
         motion: with one row per tick of the robot's PD loop; joints that it does not name stay at home.
         mount: ``floor`` or ``stand``; by default the first that the motion is made for.
-        settle: how long the first pose is held before the log starts [s].
         gains: commands that take the place of the motion's, such as ``p_gain``, broadcastable to ``[row, joint]``.
 
     Returns:
@@ -51,14 +49,14 @@ def simulate_motion(
         robot_file=robot.reference,
         mount=mount or motion.mounts[0],
         rate=1.0 / float(np.median(np.diff(motion.time))),
-        battery=model.bus_voltage,
+        battery=robot.supply and model.bus_voltage,
         servo=robot.servos[0].name,
         motion=motion.name,
         recording=motion.name,
         model_hash=model_hash(model),
     )
     template = Rollout.from_arrays({**commands, "joint/position": position}, metadata)
-    predicted = Replay([template], settle=settle).run(model)[0]
+    predicted = Replay([template], settle=SETTLE).run(model)[0]
     if bool(predicted.failed.any()):
         raise ValueError(f"the simulation of motion {motion.name!r} diverged; check the model's values")
     channels = {key: value[0].numpy() for key, value in predicted.channels.items()}
@@ -105,8 +103,8 @@ class ModelRobot:
             del arrays["joint", "current"]
         for key in [("joint", name) for name in ("position", "velocity", "current") if ("joint", name) in arrays]:
             arrays[key] = self._read(key[1], arrays[key], rng)
-        ones = np.ones_like(arrays["joint", "position"])
-        arrays["joint", "voltage"] = self.model.bus_voltage * ones
+        voltage = self.model.bus_voltage * self.robot.supply_shares
+        arrays["joint", "voltage"] = np.broadcast_to(voltage, arrays["joint", "position"].shape)
         metadata = log.metadata.replace(recording=recording, seed=self._seed)
         return Rollout.from_arrays(arrays, metadata)
 

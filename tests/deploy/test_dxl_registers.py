@@ -4,8 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from op3.deploy.registers import DYNAMIXEL_X, OPEN_CR, OPEN_CR_MODEL, Units
-from op3.robot import load_robot
+from op3.deploy.registers import DYNAMIXEL_X, OPEN_CR, OPEN_CR_MODEL
 
 # ROBOTIS e-Manual, XM430-W350: name, address, size, initial value
 MANUAL = [
@@ -56,12 +55,6 @@ def test_values_survive_the_wire(register, value):
     if register.size == 1:
         value //= 256
     assert register.decode(register.encode(value)) == value
-
-
-def test_servos_of_another_bus_are_refused():
-    """A robot whose servos speak another protocol is told what the bus speaks to."""
-    with pytest.raises(ValueError, match=r"arm: the bus speaks to Dynamixel X servos.*the sts3215 of shoulder_pan"):
-        Units(load_robot("arm"))
 
 
 def test_a_value_that_does_not_fit_is_refused():

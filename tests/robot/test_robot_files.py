@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from robots import ROBOTS, write_robot
 
-from op3.robot import RobotEntity, load_robot
+from op3.robot import RobotEntity, build_scene, load_robot, load_servo
 from op3.robot.robot import robot_files
+from op3.robot.servo_make import servo_files
 
 
 def compiled(robot, **parameters):
@@ -74,10 +75,72 @@ def test_a_urdf_is_read(tmp_path):
         f'<robot name="one">{links}<joint name="hinge" type="revolute">{hinge}</joint></robot>'
     )
     path = tmp_path / "one.yaml"
-    path.write_text("format: op3-robot/1\nname: one\nmodel: one.urdf\nservo: sts3215\njoints: {hinge: }\n")
+    text = "format: op3-robot/1\nname: one\nmodel: one.urdf\nservo: sts3215\njoints: {hinge: }\nbase: "
+    path.write_text(f"{text}a\n")
     robot = load_robot(path)
+    assert build_scene("stand", robot=robot).compile().body("one/a").mass == pytest.approx(0.1)
     np.testing.assert_allclose(robot.limits, [[-1, 2]])
     assert compiled(robot).nq == 1
+    path.write_text(f"{text}world\n")
+    with pytest.raises(ValueError, match="base names the body 'world', which there is not; there are a, b"):
+        load_robot(path)
+
+
+def test_a_model_brings_its_angles_and_leaves_its_world(tmp_path):
+    """Degrees (MuJoCo's own default) are read as such; options of its own, and a floor under it, stay behind."""
+    path = write_robot(tmp_path, "base")
+    model = (tmp_path / "base.xml").read_text()
+    tilted = model.replace('zaxis="0 1 0" mass="0.2"', 'euler="90 30 0" mass="0.2"')
+    world = (
+        '<option integrator="RK4" cone="elliptic"/><statistic extent="3"/><worldbody><geom type="plane" size="1 1 1"/>'
+    )
+    (tmp_path / "base.xml").write_text(tilted.replace("<worldbody>", world))
+    robot = load_robot(path)
+    model, own, inertia = build_scene("stand", robot=robot).compile(), robot.bare_model, []
+    for one in (model, own):
+        data, matrix = mujoco.MjData(one), np.zeros((2, 2))
+        mujoco.mj_forward(one, data)
+        mujoco.mj_fullM(one, data, matrix)
+        inertia.append(matrix)
+    np.testing.assert_allclose(*inertia, rtol=1e-6)
+    assert (own.ngeom, model.opt.integrator) == (5, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+    assert not any(model.geom(number).type == mujoco.mjtGeom.mjGEOM_PLANE for number in range(1, model.ngeom))
+
+
+def test_a_base_on_the_stand_does_not_jam_its_first_joints(tmp_path):
+    """Thighs that lie in the trunk's box pass through it, as they do while the trunk is free."""
+    path = write_robot(tmp_path, "dog")
+    wide = (tmp_path / "dog.xml").read_text().replace('contype="0" conaffinity="0"', "")
+    (tmp_path / "dog.xml").write_text(wide.replace("0.12 0.05 0.03", "0.12 0.08 0.03"))
+    model = build_scene("stand", robot=path).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert data.ncon == 0
+
+
+def test_a_servo_of_ones_own_lies_beside_the_robot(tmp_path):
+    """Its path is relative to the robot's file, and its file may say more than the makes that come with the project."""
+    text = servo_files()["sts3215"].read_text()
+    (tmp_path / "mine.yaml").write_text(text.replace("name: sts3215", "name: mine").replace("value: 345", "value: 300"))
+    robot = load_robot(write_robot(tmp_path, "four", {"servo: sts3215": "servo: mine.yaml"}))
+    assert robot.servos[0].motor.gear_ratio.value == 300
+
+
+def test_who_closes_the_loop_may_be_the_robots_choice(tmp_path):
+    """A servo that regulates current in one robot runs its position law in another."""
+    changes = {"servo: sts3215": "servo: sts3215\nloop: firmware", "{bus_id: 1}": "{bus_id: 1, servo: xm430-w210}"}
+    assert {make.loop for make in load_robot(write_robot(tmp_path, "four", changes)).servos} == {"firmware"}
+    assert load_servo("xm430-w210").loop == "current"
+
+
+def test_servos_share_a_supply_if_they_stand_it(tmp_path):
+    """XM430-W210 stand the 11.1 V of a W350; an XL330, which takes 6 V, has its 5 V from elsewhere."""
+    changes = {"servo: xm430-w210": "servo: xm430-w350\nloop: firmware", "right:": "right: {servo: xl330-m288}"}
+    mixed = load_robot(write_robot(tmp_path, "base", changes))
+    np.testing.assert_allclose(mixed.supply_shares, [1, 5 / 11.1])
+    assert mixed.supply is None
+    (tmp_path / "base.yaml").write_text((tmp_path / "base.yaml").read_text().replace("xl330-m288", "xm430-w210"))
+    assert load_robot(tmp_path / "base.yaml").supply == 11.1
 
 
 def test_robots_travel_between_processes(tmp_path):
@@ -93,6 +156,11 @@ def test_robots_travel_between_processes(tmp_path):
         ({"  j1:": "  j11:"}, r"line 9: joints.j11 names the joint 'j11', which there is not; the nearest is 'j1'"),
         ({"servo:": "law: papr\nservo:"}, r"line 6: law names the law 'papr'.* the nearest is 'paper'"),
         ({"sts3215": "sts321"}, r"line 6: servo names the servo 'sts321'.* the nearest is 'sts3215'"),
+        ({"sts3215": "mine.yaml"}, r"line 6: servo names .*mine.yaml, where there is no file"),
+        (
+            {"{bus_id: 1}": "{bus_id: 1, servo: xm430-w350}"},
+            r"joints.j1 has a servo with the loop 'firmware' \(sts3215\), where j0 has 'current' \(xm430-w350\): say",
+        ),
         ({"unit: count": "unit: conut"}, r"line 10: joints.j2.log.unit names the unit 'conut'.* nearest is 'count'"),
         ({"base: base": "base: bas"}, r"line 4: base names the body 'bas', which there is not; the nearest is 'base'"),
         ({"{bus_id: 2,": "{bus_id: 1,"}, r"line 9: joints.j1.bus_id is 1, as that of j0; give each its own"),
@@ -103,7 +171,7 @@ def test_robots_travel_between_processes(tmp_path):
         ({"four.xml": "for.xml"}, r"line 3: model names .*for.xml, where there is no file"),
         (
             {"fixed: true": "fixed: true\nimu: eye"},
-            r"line 6: imu names the site 'eye', which there is not; there are ",
+            r"line 6: imu names the site 'eye', which there is not; there are none",
         ),
         (
             {"joints:": "joints:\n  j3: {bus_id: 9}", "\n  j3: {bus_id: 4}": ""},
@@ -117,6 +185,28 @@ def test_robots_travel_between_processes(tmp_path):
             r"line 6: poses.up.j5 names the joint 'j5', which there is not; there are j0",
         ),
         ({"servo:": "soles: [foot]\nservo:"}, r"line 6: soles.0 names the geom 'foot', which there is not"),
+        ({"{bus_id: 1}": "{bus_id: true}"}, r"line 8: joints.j0.bus_id must be a whole number, got True"),
+        ({"{bus_id: 1}": "servo"}, r"line 8: joints.j0 must be a mapping of its fields, got 'servo'"),
+        ({"joints:": "joint:"}, r"line 7: joint is no field; the nearest is 'joints'"),
+        ({"name: four": "name: my robot"}, r"line 2: name must be a text like .*, got 'my robot'"),
+        ({"home: 0.4": "home: '0.4'"}, r"line 9: joints.j1.home must be a number, got '0.4'"),
+        ({"home: 0.4": "limits: [1, -1]"}, r"line 9: joints.j1.limits go from 1 to -1: the lower first"),
+        (
+            {"home: 0.4": "limits: [-90, 90]"},
+            r"line 9: joints.j1.limits go from -90 to 90 rad, beyond the model's -1.5 to 1.5",
+        ),
+        ({"home: 0.4": "mirror: j1"}, r"line 9: joints.j1.mirror is the joint itself; leave it out"),
+        (
+            {"{bus_id: 1}": "{bus_id: 1, mirror: j1}", "home: 0.4": "mirror: j2"},
+            r"line 9: joints.j1.mirror is j2, but j1 has the partner j0 already",
+        ),
+        ({"servo:": "controlled: []\nservo:"}, r"line 6: controlled must be a list of at least 1"),
+        ({"servo:": "poses: {up: {j0: 2}}\nservo:"}, r"line 6: poses.up.j0 is 2 rad, outside its limits -1.5 to 1.5"),
+        ({"servo:": "poses: {zero: {j0: 1}}\nservo:"}, r"line 6: poses.zero is a pose that every robot has"),
+        (
+            {"servo:": "parameters: {load: {default: -1, unit: kg, body: link3, sets: mass}}\nservo:"},
+            r"line 6: parameters.load makes a mass of -1 kg",
+        ),
         ({"{bus_id: 1}": "{bus_id: 1, peak_current: 0}"}, r"line 8: joints.j0.peak_current must be above 0, got 0"),
     ],
 )
@@ -126,6 +216,23 @@ def test_a_wrong_file_is_refused_in_one_sentence(tmp_path, change, sentence):
         load_robot(write_robot(tmp_path, "four", change))
     assert "four.yaml" in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def test_a_joint_without_a_name_is_told(tmp_path):
+    """It cannot be listed."""
+    path = write_robot(tmp_path, "four")
+    (tmp_path / "four.xml").write_text((tmp_path / "four.xml").read_text().replace('name="j1"', ""))
+    with pytest.raises(ValueError, match="line 3: model has no name for its joint number 2: give it one"):
+        load_robot(path)
+
+
+def test_a_mass_that_differs_may_be_that_of_geoms(tmp_path):
+    """A body whose geoms make its inertia keeps all of it but the mass."""
+    load = "parameters: {load: {default: 0.3, unit: kg, body: link3, sets: mass}}\nservo:"
+    robot = load_robot(write_robot(tmp_path, "four", {"servo:": load}))
+    model, plain = compiled(robot).body("link3"), robot.bare_model.body("link3")
+    assert (model.mass, plain.mass) == (pytest.approx(0.3), pytest.approx(0.1))
+    np.testing.assert_allclose([model.ipos, model.inertia], [plain.ipos, plain.inertia])
 
 
 def test_an_unknown_robot_is_answered_with_the_nearest():

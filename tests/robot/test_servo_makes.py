@@ -66,10 +66,19 @@ def test_a_new_make_is_one_file(tmp_path):
         ({"source": "sheeet"}, r"line 11: motor.armature.source names the source 'sheeet'.* the nearest is 'sheet'"),
         (
             {"loop: current": "loop: curent"},
-            r"line 5: loop must be one of 'current', 'pwm' or 'firmware', got 'curent'",
+            r"line 5: loop must be one of 'current' or 'firmware', got 'curent'",
         ),
         ({"loop: current": "loop: firmware"}, r"line 5: loop is 'firmware', so that the file needs a position_law"),
-        ({"gear_ratio": "gear_ration"}, r"motor.gear_ratio is missing"),
+        ({"gear_ratio": "gear_ration"}, r"line 8: motor.gear_ration is no field; the nearest is 'gear_ratio'"),
+        ({"value: 4, unit: ohm": "unit: ohm"}, r"line 10: motor.terminal_resistance.value is missing"),
+        ({"value: 4, unit: ohm": "value: -4, unit: ohm"}, r"line 10: motor.terminal_resistance.value must be above 0"),
+        (
+            {"value: 4, unit: ohm": "value: '4', unit: ohm"},
+            r"line 10: motor.terminal_resistance.value must be a number",
+        ),
+        ({"value: 4, unit: ohm": "value: 4, unit: V"}, r"line 10: motor.terminal_resistance is in V, not in ohm"),
+        ({"unit": "V"}, r"line 15: counts.velocity is in V, not in rpm or s/60deg or rad/s"),
+        ({"value: 12, unit: V": "value: 50, unit: V"}, r"line 6: supply is 50 V, outside its limits 10 to 14 V"),
         (
             {"maker: us": "maker: us\nmodle_number: 3"},
             r"line 4: modle_number is no field; the nearest is 'model_number'",

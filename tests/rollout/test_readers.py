@@ -33,6 +33,7 @@ from rollout_logs import SERVO_BENCH, refusal
 
 from op3.robot import load_robot
 from op3.rollout import LogError, read_episodes, read_log, read_logs
+from op3.rollout.guess import guess
 from op3.rollout.health import examine
 from op3.rollout.importing import side_path
 from op3.rollout.proposal import as_yaml, propose
@@ -281,3 +282,13 @@ def test_an_imported_log_is_in_its_robots_terms_once(tmp_path):
         assert np.abs(log.array("joint/position") - before).max() < 1e-9
     with pytest.raises(LogError, match="the log is of the robot 'arm' and not of 'op3'"):
         read_log(path, "op3")
+
+
+@pytest.mark.parametrize(
+    ("name", "column", "unit"),
+    [("kneeJoint_mA", "knee.current", "mA"), ("knee_rpm", "knee.velocity", "rpm"), ("knee_mV", "knee.voltage", "mV")],
+)
+def test_a_unit_says_what_is_measured(name, column, unit):
+    """Milliamperes are a current, in whatever case."""
+    meaning = guess(name, ["knee", "hip"])
+    assert (meaning.name, meaning.unit) == (column, unit)

@@ -10,9 +10,10 @@ import yaml
 from op3.identify.design import information
 from op3.identify.identification import Identification
 from op3.identify.prediction_score import predict_logs
-from op3.robot import check_motion, load_robot, multisine
+from op3.robot import build_scene, check_motion, load_robot, multisine
 from op3.rollout import Rollout, read_log
 from op3.sim import servo_model
+from op3.stand_in import StandIn, World
 from op3.tasks import ModelRobot
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "robot"))
@@ -85,11 +86,19 @@ def test_what_needs_feet_says_so(tmp_path):
         ModelRobot(str(path), mount="floor").play(multisine(duration=1.0, robot=str(path)), 6.0, 0.1)
 
 
-def test_loops_are_not_mixed(tmp_path):
-    """One model holds one kind of loop."""
-    path = write_robot(tmp_path, "four", {"{bus_id: 1}": "{bus_id: 1, servo: xm430-w350}"})
-    with pytest.raises(ValueError, match=r"four: j0 has the loop 'current' \(xm430-w350\), but j1 has 'firmware'"):
-        servo_model(load_robot(path))
+@pytest.mark.parametrize("played_by", ["model", "stand_in"])
+def test_servos_of_other_supplies_and_gains_are_played_and_predicted(played_by, tmp_path):
+    """Each gets its own voltage, and is predicted with its own gain: a log without both columns says as much."""
+    path = write_robot(tmp_path, "four", {"{bus_id: 4}": "{bus_id: 4, servo: xl330-m288}"})
+    motion = multisine(duration=1.5, robot=str(path))
+    player = StandIn(World(), build_scene("stand", robot=path)) if played_by == "stand_in" else ModelRobot(str(path))
+    log = player.play(motion, 6.0, 0.1)
+    assert log.array("joint/voltage")[0, [0, 3]] == pytest.approx([7.4, 5.0], rel=0.08)
+    model = servo_model(load_robot(path))
+    arrays = {key: log.array(key) for key in log.channels}
+    del arrays["joint", "voltage"], arrays["command", "firmware_gain"]
+    bare = Rollout.from_arrays(arrays, log.metadata)
+    assert max(predict_logs(model, [one]).error_mrad.value for one in (log, bare)) < 6.0
 
 
 def test_makes_may_differ_from_joint_to_joint(tmp_path):

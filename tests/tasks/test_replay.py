@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from op3.robot import squat
-from op3.rollout import LogError, Metadata, Rollout
+from op3.rollout import LogError, Metadata, Rollout, read_log
 from op3.servo import RobotModel
 from op3.servo.effects import Coulomb, EncoderOffset, Motor, PositionServo
 from op3.sim import load_model
@@ -80,6 +80,16 @@ def test_a_log_without_gains_is_refused_by_name(logs):
     """One log that lacks what the servos need is named, and does not change how the others are replayed."""
     with pytest.raises(LogError, match="command/p_gain"):
         Replay([logs[0], changed(logs[0], p_gain=None)]).run(load_model("paper"))
+
+
+def test_gains_may_stand_in_the_metadata(tmp_path):
+    """A table of one's own has targets and angles, and says once what the gains were."""
+    (tmp_path / "run.csv").write_text("time,l_knee.target,l_knee.position\n0,0.2,0.1\n0.008,0.2,0.1\n0.016,0.2,0.1\n")
+    about = "joints: [l_knee]\nrobot: real\nmount: stand\nrate: 125\n"
+    (tmp_path / "run.yaml").write_text(about + "p_gain: 4\nd_gain: 0.1\n")
+    assert (read_log(tmp_path / "run.csv").array("command/p_gain") == 4).all()
+    (tmp_path / "run.yaml").write_text(about)
+    assert ("command", "p_gain") not in read_log(tmp_path / "run.csv")
 
 
 def test_the_battery_of_the_metadata_reaches_the_servos(logs):

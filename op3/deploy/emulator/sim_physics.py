@@ -190,8 +190,9 @@ class SimPhysics(BatchSimulation):
         self._tell_slow()
 
     def _tell_slow(self) -> None:
-        self._voltage = self.model.bus_voltage if self.supply is None else self.supply
-        self.signals.bus_voltage, self.signals.temperature = self._voltage, torch.from_numpy(self._temperature)
+        self._voltage = (self.model.bus_voltage if self.supply is None else self.supply) * self.known.supply_shares
+        self.signals.bus_voltage = torch.from_numpy(self._voltage)
+        self.signals.temperature = torch.from_numpy(self._temperature)
 
     def read(self) -> Sensors:
         """See `Physics`."""
@@ -206,7 +207,7 @@ class SimPhysics(BatchSimulation):
             position=self.position.copy(),
             velocity=self.signals.measured_velocity[0].numpy().copy(),
             current=self.signals.measured_current[0].numpy().copy(),
-            voltage=np.full(len(self._temperature), self._voltage),
+            voltage=self._voltage.copy(),
             temperature=self._temperature.copy(),
             orientation=orientation,
             angular_velocity=rates,
