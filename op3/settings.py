@@ -182,7 +182,7 @@ def nearest(name: object, known: Iterable[str]) -> str:
     """How to go on after an unknown name: the nearest one that exists, else all of them."""
     known = list(known)
     close = difflib.get_close_matches(str(name), known, n=1)
-    return f"; the nearest is {close[0]!r}" if close else f"; there are {', '.join(known)}"
+    return f"; the nearest is {close[0]!r}" if close else f"; there are {', '.join(known)}" if known else ""
 
 
 _SCALARS = {
