@@ -101,6 +101,9 @@ def launch(run: Callable[[], Any], config: str, documentation: str | None) -> No
     if empty := next((word for word in sys.argv[1:] if word.endswith(".dir=")), None):
         end(f"{empty} is empty: give a folder, or leave it out")
     sys.argv[1:] = [hide(quoted(argument)) for argument in sys.argv[1:]]
+    # jobs of a launcher import the modules beside the script
+    beside = str(Path(sys.argv[0]).resolve().parent)
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [beside, os.environ.get("PYTHONPATH")]))
     # Hydra's own handler prints a wall of text; with this it lets errors through
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
     kind = _kind(config, sys.argv[1:])

@@ -117,6 +117,8 @@ def test_the_commands_of_a_page_end_as_it_says(page, given, tmp_path):
             for word in command.words
         ):
             continue  # a log that is not on this machine
+        if "hydra/launcher=submitit_slurm" in command.words and shutil.which("srun") is None:
+            continue
         process = SERVERS.Process(target=act, args=(small(command), str(tmp_path / "work"), str(tmp_path / "said")))
         began = time.monotonic()
         process.start()
