@@ -1,6 +1,6 @@
-"""What the site has beside docs/: the catalogue of effects, README.md and CHANGELOG.md, and formulae as MathML.
+"""What the site has beside docs/: README.md and CHANGELOG.md, and formulae as MathML; a hook of MkDocs (``make docs``).
 
-A hook of MkDocs; ``make docs`` builds the site.
+``python docs/site.py`` writes ``docs/catalogue.md`` anew, the catalogue of effects as the classes tell it.
 """
 
 import dataclasses
@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 INTRODUCTION = """\
 # The catalogue of effects
 
-Written from the classes in `op3/servo/effects/`.
+Written from the classes in `op3/servo/effects/` by `python docs/site.py`.
 
 A robot model is a list of these effects with values for their parameters (see [servo_model.md](servo_model.md)).
 Effects run in the order of their stages. *Range* is what identification searches unless told otherwise, *start* the
@@ -90,10 +90,8 @@ def on_files(files: Any, config: Any) -> Any:
     """Add the pages that are not written by hand."""
     from mkdocs.structure.files import File
 
-    made = {"index.md": (ROOT / "README.md").read_text(encoding="utf-8"), "catalogue.md": page()}
-    made["changelog.md"] = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    for name, text in made.items():
-        files.append(File.generated(config, name, content=text))
+    for name, source in {"index.md": "README.md", "changelog.md": "CHANGELOG.md"}.items():
+        files.append(File.generated(config, name, content=(ROOT / source).read_text(encoding="utf-8")))
     return files
 
 
@@ -114,3 +112,7 @@ def on_page_content(content: str, **_: Any) -> str:
         return convert(html.unescape(found[2]), display=display)
 
     return re.sub(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', drawn, content, flags=re.DOTALL)
+
+
+if __name__ == "__main__":
+    (ROOT / "docs" / "catalogue.md").write_text(page(), encoding="utf-8")

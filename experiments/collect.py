@@ -34,7 +34,6 @@ from support import (
     goes_on,
     library_motion,
     one_sentence,
-    plain,
     remember,
     source_word,
 )
@@ -43,6 +42,7 @@ from op3.command_line import launch
 from op3.deploy import Stop
 from op3.deploy.dynamixel_bus import Unplugged
 from op3.deploy.exit_codes import ExitCode
+from op3.deploy.ticker import PERIOD
 from op3.policy import PolicyBundle
 from op3.robot import Motion, check_motion, load_robot
 from op3.rollout import MOUNTS, Rollout, git_hash
@@ -145,7 +145,13 @@ def record(cfg: DictConfig, robot: Any, motion: Motion, name: str) -> Path:
     """Play a motion once and save the log, unless that has been done; return its folder."""
     if recorded(robot, name):
         return place(name)
-    gains = {name: _own(motion, name) if cfg[name] is None else plain(cfg[name]) for name in ("p_gain", "d_gain")}
+    gains = {name: _own(motion, name) if cfg[name] is None else cfg[name] for name in ("p_gain", "d_gain")}
+    for make in load_robot(motion.robot).servos:
+        # here the torque K d w of a period T turns the speed w of a bare rotor, of inertia J at the output, into -w
+        most = 2 * make.motor.armature.si / (make.output_constant * PERIOD)
+        if make.loop == "current" and gains["d_gain"] >= most:
+            given = gains["d_gain"]
+            raise ValueError(f"d_gain must be below {most:.2f} A s/rad, or the {make.name} shakes, got {given}")
     return save(robot.play(motion, **gains, recording=name), name)
 
 

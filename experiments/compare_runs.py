@@ -17,7 +17,7 @@ from op3.report.comparison_page import read_runs, write_comparison
 @hydra.main(config_path="../conf", config_name="compare_runs", version_base="1.3")
 def main(cfg: DictConfig) -> None:
     """Read the runs and write the comparison into their folder."""
-    with one_sentence():
+    with one_sentence(cfg=cfg):
         check_given(cfg, "runs", "folder of a multirun of identify.py")
         folder = Path(cfg.runs)
         finish(*write_comparison(read_runs(folder), folder))

@@ -19,6 +19,7 @@ from support import check_given, one_sentence, plain
 from op3.command_line import launch
 from op3.compliance.compare import difference
 from op3.compliance.study import Sizes, Study, contestants
+from op3.envs.actors import find_actor
 from op3.report import RunFolder, run_provenance
 from op3.report.compliance import report_compliance
 from op3.sim import load_model
@@ -26,8 +27,8 @@ from op3.sim import load_model
 
 def names(value: Any) -> list[str]:
     """Policies of a list, or of a text with commas."""
-    given = value.split(",") if isinstance(value, str) else list(value)
-    if not given or not all(isinstance(name, str) and name for name in given):
+    given = value.split(",") if isinstance(value, str) else value
+    if not (isinstance(given, list) and given and all(isinstance(name, str) and name for name in given)):
         raise ValueError(f"policy must be a folder or several, got {value!r}")
     return given
 
@@ -41,6 +42,8 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     study = Study(model, plain(cfg.grounds), sizes, cfg.seed, **options)
     asked = names(plain(cfg.policy))
     asked += [cfg.baseline] if cfg.baseline is not None and cfg.baseline not in asked else []
+    if cfg.baseline is not None:
+        find_actor(cfg.baseline, study.task, field="baseline")
     actors = contestants(asked, study.task, plain(cfg.fixed_gains), cfg.gain_scale)
     standing = {Path(name).name: study.stand(name) for name in plain(cfg.standing)}
     measured = [study.measure(actor, led=cfg.led) for actor in actors]

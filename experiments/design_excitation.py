@@ -34,6 +34,7 @@ def judge(cfg: DictConfig, bounds: dict[str, tuple[float, float]]) -> tuple[list
     """Simulate every motion on every mount, and say which cannot be judged."""
     model, robot = chosen_model(cfg), load_robot(cfg.robot)
     joints = robot.controlled if cfg.joints is None else tuple(cfg.joints)
+    robot.indices(joints)  # before minutes of motions
     candidates, left_out = [], {}
     for name in plain(cfg.motions) or sorted(named_configs("motion")):
         motion = library_motion(name, cfg.robot)

@@ -18,7 +18,7 @@ import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from support import Progress, library_motion, one_sentence, plain, run_folder, whole
+from support import Progress, check_given, library_motion, one_sentence, plain, run_folder, whole
 from threadpoolctl import threadpool_limits
 
 from op3.command_line import launch
@@ -121,8 +121,8 @@ def main(cfg: DictConfig) -> None:
     with one_sentence(cfg=cfg):
         torch.set_num_threads(1)
         threadpool_limits(1)  # as in `Diagnosis.run`, for what is outside of it
-        if OmegaConf.is_missing(cfg, "data") and not cfg.planned:
-            raise ValueError("data is missing: add data=<folder of logs>, or planned=<motions> mode=aliasing")
+        if not cfg.planned:
+            check_given(cfg, "data", "a log or a folder of logs")
         diagnose(cfg, Path(HydraConfig.get().runtime.output_dir))
 
 

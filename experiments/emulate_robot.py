@@ -88,7 +88,7 @@ def watch(server: PtyServer, duration: float | None, say: Callable[[str], None])
 def main(cfg: DictConfig) -> None:
     """Build the robot and serve it."""
     ending, say = Ending(), told(lambda text: print(text, flush=True))
-    with one_sentence():
+    with one_sentence(cfg=cfg):
         whole(cfg, "baud", 1)
         if cfg.duration is not None:
             positive(cfg, "duration", "seconds")

@@ -14,6 +14,7 @@ from omegaconf import DictConfig
 from support import check_given, one_sentence, plain
 
 from op3.command_line import launch
+from op3.robot import load_robot
 from op3.rollout import LogError, Rollout
 from op3.rollout.files import write_text
 from op3.rollout.health import ERROR, examine, told_together
@@ -59,6 +60,8 @@ def main(cfg: DictConfig) -> None:
     with one_sentence():
         check_given(cfg, "data", "a log, a folder of logs, or a list of them")
         data = plain(cfg.data)
+        if cfg.robot is not None:
+            load_robot(cfg.robot)
         paths = [path for given in (data if isinstance(data, list) else [data]) for path in expand(given)]
         if not all([look(path, cfg) for path in paths]):
             print("a log above cannot be right; what mends it stands beside the finding", file=sys.stderr)

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import os
+import re
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,13 +22,28 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic import Field
 
+from op3.command_help import config_file
 from op3.command_line import told
 from op3.policy.actions import GAIN_HIGH, GAIN_LOW
 from op3.private import scrub
 from op3.robot import DEFAULT, Motion, named_configs
 from op3.rollout import Metadata, Rollout
 from op3.rollout.files import write_text
-from op3.settings import Count, Listed, Number, Positive, Whole, settings
+from op3.settings import (
+    Count,
+    Listed,
+    Named,
+    NotNegative,
+    Number,
+    Positive,
+    Some,
+    Text,
+    Whole,
+    nearest,
+    read_yaml,
+    settings,
+    shown,
+)
 from op3.sim.model_file import find_model
 
 if TYPE_CHECKING:
@@ -58,21 +74,39 @@ class Common:
     environments: Count = 1
     finalists: Count = 1
     windows: Count | None = None
-    joints: Listed[str] | None = None
+    model: Text | None = None
+    robot: Text | None = None
+    plan: Text | None = None
+    resume: Text | None = None
+    runs: Text = ""
+    joint: Text | None = None
+    out: Text | None = None
+    joints: Some[str] | None = None
     ablate: Listed[str] = ()
     per_joint: Listed[str] = ()
     without: Listed[str] = ()
     wanted: Listed[str] | None = None
-    motions: Listed[str] | None = None
-    mounts: Listed[str] = ()
-    duration: Positive = 1.0
+    motions: Some[str] | None = None
+    mounts: Some[Literal["floor", "stand"]] | None = None
+    grounds: Some[str] | None = None
+    fixed_gains: Listed[Gain] = ()
+    where: Named[Any] | None = None
+    weights: Named[Any] | None = None
+    heldout_where: Named[Any] | None = None
+    overhead: NotNegative = 1.0
+    mount_change: NotNegative = 1.0
+    cycle: Positive | None = None
+    duration: Positive | None = None
     speed: Positive = 1.0
     span: Positive = 1.0
     initial_gain: Gain = 1.0
     fixed_gain: Gain | None = None
     hold_gain: Gain = 1.0
+    p_gain: Annotated[NotNegative, Field(le=GAIN_HIGH)] | None = None
+    d_gain: NotNegative | None = None
     gain_scale: Positive = 1.0
     bench_timestep: Positive = 1.0
+    latency_timer: Positive = 1.0
     wandb: Literal["offline", "online", "disabled"] = "offline"
 
     @classmethod
@@ -80,6 +114,25 @@ class Common:
         """Those that a config has and that are given."""
         names = [field.name for field in dataclasses.fields(cls) if field.name in cfg]
         return cls(**{name: cfg[name] for name in names if not OmegaConf.is_missing(cfg, name)})
+
+
+KINDS = {
+    dict: (Mapping, "a mapping of its fields"),
+    str: (str | None, "a text"),
+    bool: (bool, "true or false"),
+    int: (int | float, "a number"),
+    float: (int | float, "a number"),
+}
+"""What a setting must be whose default in the config is of this kind, and that in words."""
+
+
+def check_kinds(cfg: DictConfig) -> None:
+    """Refuse another kind of value than the config has; what is null there, missing or made of others, may be any."""
+    for name, default in read_yaml(config_file(HydraConfig.get().job.config_name or "")).items():
+        kind, wanted = KINDS.get(type(default), (object, ""))
+        open_ended = isinstance(default, str) and re.match(r"\$\{|\?\?\?", default)
+        if name in cfg and not open_ended and not isinstance(cfg[name], kind):
+            raise ValueError(f"{name} must be {wanted}, got {shown(plain(cfg[name]))}")
 
 
 @contextmanager
@@ -96,6 +149,7 @@ def one_sentence(
     try:
         if cfg is not None:
             Common.of(cfg)
+            check_kinds(cfg)
         yield
     except (ValueError, OSError, MemoryError, HydraException, OmegaConfBaseException) as error:
         if isinstance(error, InstantiationException):  # what it was that would not be built says enough
@@ -214,9 +268,11 @@ def whole(cfg: DictConfig, name: str, least: int) -> int:
 
 
 def check_given(cfg: DictConfig, name: str, what: str) -> None:
-    """Refuse a config whose field `name` is still `???`."""
+    """Refuse a config whose field `name` is still `???`, or neither a text nor a list."""
     if OmegaConf.is_missing(cfg, name):
         raise ValueError(f"{name} is missing: add {name}=<{what}>")
+    if not isinstance(plain(cfg[name]), str | list):
+        raise ValueError(f"{name} must be {what}, got {shown(plain(cfg[name]))}")
 
 
 def model_file(cfg: DictConfig) -> list[tuple[str, Path]]:
@@ -259,7 +315,7 @@ def library_motion(name: str, robot: str = DEFAULT) -> Motion:
     """
     known = named_configs("motion")
     if name not in known:
-        raise ValueError(f"there is no motion {name!r}; choose {', '.join(known)}")
+        raise ValueError(f"there is no motion {name!r}{nearest(name, known)}")
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(CONF), version_base="1.3"):
         return instantiate(compose("collect", [f"motion={name}", f"robot={robot!r}"]).motion)

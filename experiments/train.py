@@ -20,7 +20,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 from support import model_file, one_sentence, plain, whole
 
-from op3.command_line import launch
+from op3.command_line import launch, no_such
 from op3.envs import BatchedEnv, make_env
 from op3.envs.specs import PEAKS
 from op3.policy import ActionMap, Manifest, PolicyBundle, Training
@@ -28,6 +28,7 @@ from op3.policy.mirror import Mirror
 from op3.report import RunFolder, RunLogger, run_provenance
 from op3.report.training_page import histogram_figure, report_training
 from op3.report.video import film
+from op3.robot import named_configs
 from op3.sim import load_model
 from op3.sim.model_file import model_hash
 from op3.tasks.task import Task, find_task
@@ -153,6 +154,9 @@ def run(cfg: DictConfig) -> dict[str, Any]:
         raise ValueError(
             f"resume={cfg.resume}: there is no {CHECKPOINT}; give the folder of a training, or leave it out"
         )
+    choices = HydraConfig.get().runtime.choices
+    if choices.recipe not in ("null", choices.task, *named_configs("recipe")):  # Hydra leaves out one that is optional
+        raise ValueError(no_such("recipe", choices.recipe))
     task, provenance = instantiate(cfg.task), run_provenance(seed=cfg.seed)
     if (start := earlier(cfg)) is not None:
         cfg.sac.hidden = list(start.manifest.hidden)

@@ -28,7 +28,7 @@ OmegaConf.register_new_resolver("stem", lambda path: Path(path).stem, replace=Tr
 @hydra.main(config_path="../conf", config_name="transfer_table", version_base="1.3")
 def main(cfg: DictConfig) -> None:
     """Run one cell and write the table anew; a cell that cannot be run leaves the others."""
-    with one_sentence("The same command goes on from the stages done."):
+    with one_sentence("The same command goes on from the stages done.", cfg):
         check(cfg)
         folder = Path(HydraConfig.get().runtime.output_dir).absolute()
         (folder / FAILED).unlink(missing_ok=True)

@@ -4,6 +4,7 @@ The overrides are Hydra's, as of ``python experiments/<name>.py``; both go throu
 """
 
 import difflib
+import importlib.metadata
 import itertools
 import os
 import re
@@ -45,6 +46,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if not given or given[0] in ("-h", "--help", "help"):
         print(overview(available))
         return
+    if given[0] == "--version":
+        print(importlib.metadata.version("op3"))
+        return
     words = 2 if " ".join(given[:2]) in COMMANDS else 1
     command, rest = " ".join(given[:words]), given[words:]
     if command in ("doctor", "completion"):
@@ -67,7 +71,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # as Python has it: a closed socket is an error, not the end
     sys.argv = [str(path), *PRESETS.get(command, ()), *rest]
     sys.path.insert(0, str(path.parent))
-    runpy.run_path(str(path), run_name="__main__")
+    try:
+        runpy.run_path(str(path), run_name="__main__")
+    except KeyboardInterrupt:  # before the work has begun, or between two jobs
+        print("\nInterrupted.", file=sys.stderr)
+        raise SystemExit(130) from None
 
 
 def launch(run: Callable[[], Any], config: str, documentation: str | None) -> None:
@@ -86,20 +94,26 @@ def launch(run: Callable[[], Any], config: str, documentation: str | None) -> No
     if {"-h", "--help"} & set(sys.argv[1:]):
         print(usage(config, documentation or ""))
         return
-    flags = get_args_parser()._option_string_actions
-    if wrong := next((word for word in sys.argv[1:] if word.startswith("-") and word.split("=")[0] not in flags), None):
-        end(f"there is no flag {wrong}; settings are written setting=value, and --help lists them")
+    sys.argv[1:] = sorted(sys.argv[1:], key=lambda word: word not in ("-m", "--multirun"))  # Hydra wants them first
+    parser = get_args_parser()
+    parser.error = lambda message: end(f"{message}; settings are written setting=value, and --help lists them")
+    parser.parse_args(sys.argv[1:])
     if empty := next((word for word in sys.argv[1:] if word.endswith(".dir=")), None):
         end(f"{empty} is empty: give a folder, or leave it out")
     sys.argv[1:] = [hide(quoted(argument)) for argument in sys.argv[1:]]
+    # jobs of a launcher import the modules beside the script
+    beside = str(Path(sys.argv[0]).resolve().parent)
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [beside, os.environ.get("PYTHONPATH")]))
     # Hydra's own handler prints a wall of text; with this it lets errors through
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
-    if (other := taken(sys.argv[1:])) not in (None, Path(sys.argv[0]).stem):
-        end(f"hydra.run.dir is the folder of a run of {other}, which would be written over: choose another")
-    folder, asked = claim(config, sys.argv[1:]), _asked_folder(sys.argv[1:])
-    begun = asked is not None and asked.exists()
+    kind = _kind(config, sys.argv[1:])
+    asked = _asked_folder(config, kind, sys.argv[1:])
+    if asked is not None and (other := taken(asked)) not in (None, Path(sys.argv[0]).stem):
+        end(f"hydra.{kind}.dir is the folder of a run of {other}, which would be written over: choose another")
+    folder = claim(config, sys.argv[1:])
+    missing = 0 if asked is None else sum(not place.exists() for place in (asked, *asked.parents))
     if folder is not None:
-        sys.argv.append(os.environ.setdefault(CLAIMED, f"hydra.{_kind(sys.argv)}.dir={folder}"))
+        sys.argv.append(os.environ.setdefault(CLAIMED, f"hydra.{kind}.dir={folder}"))
     try:
         run()
     except (HydraException, OmegaConfBaseException, OSError) as error:
@@ -109,23 +123,21 @@ def launch(run: Callable[[], Any], config: str, documentation: str | None) -> No
             raise
         end(scrub(explained(error, config)))
     finally:
-        if _kind(sys.argv) == "sweep":
-            compare(next((found[1] for word in sys.argv if (found := re.match(r"hydra\.sweep\.dir=(.+)", word))), None))
-        if folder is not None:
-            leave(folder, above=2)
-        elif asked is not None and not begun:
-            leave(asked)
+        place = folder or asked
+        if kind == "sweep" and place is not None:
+            compare(place)
+        if place is not None and (folder or missing):
+            leave(place, above=2 if folder else missing - 1)
 
 
-def compare(folder: str | None) -> None:
+def compare(folder: Path) -> None:
     """Write one page over the finished runs of a multirun, and say where it is and which variants it has."""
-    place = Path((folder or "").strip("'\""))
-    if folder is None or len(list(place.glob("*/result.yaml"))) < 2:
+    if len(list(folder.glob("*/result.yaml"))) < 2:
         return
     from op3.report.comparison_page import read_runs, variants, write_comparison
 
-    runs = read_runs(place)
-    print(*write_comparison(runs, place), f"variants: {'; '.join(variants(runs))}", sep="\n", flush=True)
+    runs = read_runs(folder)
+    print(*write_comparison(runs, folder), f"variants: {'; '.join(variants(runs))}", sep="\n", flush=True)
 
 
 def claim(config: str, arguments: Sequence[str]) -> Path | None:
@@ -134,12 +146,11 @@ def claim(config: str, arguments: Sequence[str]) -> Path | None:
     Returns:
         None where the user or the config names another place, or where nothing is run.
     """
-    path = config_file(config)
     flags = {word for word in arguments if word.startswith("-")} - {"-m", "--multirun"}
-    if not path.is_file() or flags or any(re.match(r"\+*hydra\.(run|sweep)\.dir=", word) for word in arguments):
+    if flags or any(re.match(r"\+*hydra\.(run|sweep)\.dir=", word) for word in arguments):
         return None
-    text = path.read_text(encoding="utf-8")
-    section = re.search(rf"^  {_kind(arguments)}:\n    dir: (outputs/\w+/)\$\{{now:", text, re.MULTILINE)
+    kind, text = _kind(config, arguments), _text(config)
+    section = re.search(rf"^  {kind}:\n    dir: (outputs/\w+/)\$\{{now:", text, re.MULTILINE)
     if section is None:
         return None
     now = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
@@ -153,20 +164,27 @@ def claim(config: str, arguments: Sequence[str]) -> Path | None:
     return folder
 
 
-def taken(arguments: Sequence[str]) -> str | None:
-    """The experiment whose run the folder holds that is asked for; None where no folder is, or it holds none."""
-    file = (_asked_folder(arguments) or Path()) / ".hydra" / "hydra.yaml"
+def taken(folder: Path) -> str | None:
+    """The experiment whose run a folder holds; None where it holds none."""
+    file = folder / ".hydra" / "hydra.yaml"
     found = re.search(r"^  job:\n    name: (\w+)", file.read_text("utf-8"), re.MULTILINE) if file.is_file() else None
     return found and found[1]
 
 
-def _asked_folder(arguments: Sequence[str]) -> Path | None:
-    found = (re.match(r"\+*hydra\.run\.dir=(.+)", word) for word in arguments)
+def _asked_folder(config: str, kind: str, arguments: Sequence[str]) -> Path | None:
+    """The folder that the overrides name, or the config where it is always the same."""
+    found = [re.match(rf"\+*hydra\.{kind}\.dir=(.+)", word) for word in arguments]
+    found.append(re.search(rf"^  {kind}:\n    dir: (outputs/\w+)$", _text(config), re.MULTILINE))
     return next((Path(one[1].strip("'\"")) for one in found if one), None)
 
 
-def _kind(arguments: Sequence[str]) -> str:
-    return "sweep" if {"-m", "--multirun"} & set(arguments) else "run"
+def _kind(config: str, arguments: Sequence[str]) -> str:
+    several = {"-m", "--multirun"} & set(arguments) or "\n  mode: MULTIRUN\n" in _text(config)
+    return "sweep" if several else "run"
+
+
+def _text(config: str) -> str:
+    return config_file(config).read_text(encoding="utf-8") if config_file(config).is_file() else ""
 
 
 def leave(folder: Path, above: int = 0) -> None:
@@ -232,7 +250,7 @@ def explained(error: Exception, config: str) -> str:
     if text.startswith("Error merging override") and error.__cause__:
         return f"{text.split()[-1]}: {str(error.__cause__).splitlines()[0]}"
     if asked := getattr(error, "override", None):
-        return f"{asked}: cannot be read; write setting=value"
+        return f"{asked}: cannot be read; write setting=value, in quotes where it has blanks"
     return told(error)
 
 
@@ -243,11 +261,15 @@ def no_such(group: str, name: str) -> str:
 
 def told(error: BaseException) -> str:
     """An error as one sentence: the system's by what it is about, others in their own words."""
-    if isinstance(error, MemoryError):
+    from omegaconf.errors import OmegaConfBaseException
+
+    if isinstance(error, MemoryError) or "std::bad_alloc" in str(error):
         return "there is not enough memory for so much at once; ask for fewer robots, episodes or trials"
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {(error.strerror or str(error)).lower()}; choose another place"
-    return " ".join(str(error).split()) if "\n" not in str(error) else str(error)
+    if isinstance(error, OmegaConfBaseException):  # where in the config it was stands in lines below
+        return re.sub(r"^\w+ raised while resolving interpolation: ", "", str(error).splitlines()[0])
+    return " ".join(str(error).split())
 
 
 def known_settings(config: str) -> list[str]:

@@ -66,7 +66,40 @@ def _run(arguments: Sequence[str], cwd: Path, said: Path) -> None:
             "seed has several values: add -m to run one after another, or write seed=[",
         ),
         (["identify", "data=x", "hydra.run.dir=run"], "x: there is no such file"),
-        (["deploy", "--yess"], "there is no flag --yess; settings are written setting=value, and --help lists them"),
+        (["deploy", "--yess"], "unrecognized arguments: --yess; settings are written setting=value, and --help lists"),
+        (["predict", "--cfg=all of it"], "argument --cfg/-c: invalid choice: 'all of it' (choose from 'job', 'hydra',"),
+        (["predict", "data=3"], "data must be a log, a folder of logs, or a list of them, got 3"),
+        (["predict", "data=x", "where=mass"], "where must be a mapping of names to values, got 'mass'"),
+        (["predict", "data=x", "~data"], "Key 'data' is not in struct"),
+        (["predict", "data=x", "hydra.run.dir=runs/of/mine"], "x: there is no such file"),
+        (["predict", "data=x", "-m", "hydra.sweep.dir=runs/of/mine", "seed=1"], "Error executing job with overrides"),
+        (["transfers", "condition=none", "world=robot_4", "seed=0"], "Error executing job with overrides: ['world="),
+        (["identify", "data=x", "joints=[]"], "joints must be a list of at least 1, got []"),
+        (["identify", "data=x", "refine=null"], "refine must be a mapping of its fields, got None"),
+        (["identify", "data=x", "ablate=[dtee]"], "unknown effect 'dtee'; the nearest is 'dte'"),
+        (
+            ["train", "model=pape"],
+            "there is no model file 'pape': give the path of a model.yaml or a name;",
+        ),
+        (["collect", "p_gain=1000"], "p_gain must be at most 6, got 1000"),
+        (["collect", "d_gain=0.69"], "d_gain must be below 0.68 A s/rad, or the xm430-w350 shakes, got 0.69"),
+        (
+            ["collect", "motion=soften", "motion.p_gain=7"],
+            "motion 'soften': p_gain must be above 0 and at most 6 A/rad",
+        ),
+        (["collect", "source=real", "port=[a]"], "port must be a text, got ['a']"),
+        (["collect", "duration=null"], "duration must be a number, got None"),
+        (["deploy", "confirm=maybe"], "confirm must be true or false, got 'maybe'"),
+        (["deploy", "policy=[x]"], "a path must be a text, got ['x']"),
+        (["train", "recipe=wlak"], "recipe=wlak: there is no 'wlak' in the group recipe; the nearest is 'walk'"),
+        (["design", "robot=spot"], "there is no robot 'spot'; there are arm, bench, op3, or give the path of a .yaml"),
+        (["design", "joints=[knee]"], "unknown joint 'knee' of op3; the nearest is 'r_knee'"),
+        (["design", "mounts=[table]"], "mounts.0 must be one of 'floor' or 'stand', got 'table'"),
+        (["compliance", "policy=stiff", "grounds=[]"], "grounds must be a list of at least 1, got []"),
+        (["compliance", "policy=stiff", "sizes.episodes=2.5"], "sizes: episodes must be a whole number, got 2.5"),
+        (["compliance", "policy=stiff", "baseline=x"], "baseline=x: no such folder; give a bundle's, or hold, zero,"),
+        (["evaluate", "policy=hold", "episodes=1000000000"], "there is not enough memory for so much at once; ask for"),
+        (["collect", "hydra/launcher=slurm"], "hydra/launcher=slurm: there is no 'slurm' in the group hydra/launcher"),
         (["predict", "data=x", "joints=r_knee"], "joints must be a list, got 'r_knee'"),
         (["identify", "groups=[motr]"], "groups=motr: there is no 'motr' in the group groups; the nearest is 'motor'"),
         (["import"], "data is missing: add data=<a log, a folder of logs, or a list of them>"),
@@ -79,8 +112,37 @@ def _run(arguments: Sequence[str], cwd: Path, said: Path) -> None:
 def test_wrong_input_is_answered_in_one_sentence_and_leaves_nothing(op3, arguments, sentence, tmp_path):
     """It names the field and what to write instead; exit code 1."""
     code, said = op3(*arguments, cwd=tmp_path)
-    assert (code, said[: len(sentence)], said.count("\n")) == (1, sentence, 0)
+    lines = 1 if said.startswith("Error executing job") else 0  # Hydra says which job it was
+    assert (code, said[: len(sentence)], said.count("\n")) == (1, sentence, lines)
     assert not list(tmp_path.iterdir())
+
+
+def test_an_import_that_is_refused_writes_nothing(op3, tmp_path):
+    """Neither beside the log, nor where the robot is unknown."""
+    (tmp_path / "log.csv").write_text("time,a.target,a.position\n0,0,0\n0.01,0,0\n")
+    assert op3("import", "log.csv", "robot=spot", cwd=tmp_path)[1].startswith("there is no robot 'spot'")
+    assert [path.name for path in tmp_path.iterdir()] == ["log.csv"]
+
+
+def test_a_run_begins_in_the_folder_of_another(op3, tmp_path):
+    """What lies in the working folder is not what the run would write over."""
+    (tmp_path / ".hydra").mkdir()
+    (tmp_path / ".hydra" / "hydra.yaml").write_text("hydra:\n  job:\n    name: identify\n")
+    assert op3("predict", "data=x", cwd=tmp_path)[1].startswith("x: there is no such file")
+
+
+def test_an_interruption_before_the_work_begins_is_one_word(monkeypatch, capsys):
+    """Ctrl-C while modules are imported leaves no stack trace; exit code 130."""
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("runpy.run_path", interrupted)
+    monkeypatch.setattr(sys, "argv", sys.argv)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    with pytest.raises(SystemExit, match="130"):
+        main(["train"])
+    assert capsys.readouterr().err == "\nInterrupted.\n"
 
 
 def test_the_folder_of_another_command_is_not_written_over(op3, tmp_path):

@@ -3,11 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import cycle
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import Field
 
 from op3.compliance.backdrive import BackDrive, back_drive
 from op3.compliance.energy import Energy, measure_energy
@@ -22,6 +23,7 @@ from op3.policy import ActionMap
 from op3.robot import SinusoidalGait
 from op3.rollout import Rollout
 from op3.servo import RobotModel
+from op3.settings import Count, Positive, settings
 from op3.tasks.baselines import StiffWalk, position_mode
 from op3.tasks.evaluation import LEAST_DISTANCE, succeeded
 from op3.tasks.setups import OP3_CONTROL_PERIOD
@@ -39,7 +41,7 @@ STANDING = 4
 """Robots that stand."""
 
 
-@dataclass(frozen=True)
+@settings("sizes")
 class Sizes:
     """How much is measured.
 
@@ -52,18 +54,12 @@ class Sizes:
         states: of the gait at which joints are turned.
     """
 
-    episodes: int = 50
-    push_rungs: int = 10
-    push_episodes: int = 5
-    push_most: float = 3.0
-    lead_episodes: int = 8
-    states: int = 8
-
-    def __post_init__(self):
-        least = {"episodes": 2, "push_rungs": 2, "push_episodes": 1, "lead_episodes": 2, "states": 1, "push_most": 1e-6}
-        for name, bound in least.items():
-            if not getattr(self, name) >= bound:
-                raise ValueError(f"sizes.{name} must be at least {bound:g}, got {getattr(self, name)}")
+    episodes: Annotated[Count, Field(ge=2)] = 50
+    push_rungs: Annotated[Count, Field(ge=2)] = 10
+    push_episodes: Count = 5
+    push_most: Positive = 3.0
+    lead_episodes: Annotated[Count, Field(ge=2)] = 8
+    states: Count = 8
 
 
 @dataclass(frozen=True)

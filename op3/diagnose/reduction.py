@@ -102,7 +102,7 @@ class Reduction:
         needed = np.einsum("tij,tj->ti", motion.dynamics.mass, motion.acceleration) + motion.dynamics.bias
         self.unit = 0.01 * float(np.quantile(np.abs(needed), 0.95, axis=0).max())
         self.floor = np.where(engine.known, list(FLOORS.values()), np.inf)
-        self._parts = [engine.part(limb) for limb in self.limbs] if len(self.limbs) > 1 else [engine]
+        self._parts = [engine.part(limb) for limb in self.limbs] if len(every) > 1 else [engine]
         self._turn = linalg.helmert(PIECES, full=True)
         of_piece = np.minimum(np.arange(self.ticks + 1) * PIECES // self.ticks, PIECES - 1)
         self._mean = np.stack([(of_piece == p) / (of_piece == p).sum() for p in range(PIECES)])

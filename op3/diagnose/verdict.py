@@ -65,7 +65,8 @@ class Finding:
     @property
     def phrase(self) -> str:
         """Name, place and size in a few words."""
-        return f"{_place(self.effect, self.joints, self.shared)} ({self.parameter} {self.size:.3g} {self.unit})"
+        size = f"{self.size:.3g} {self.unit}".removesuffix(" -")  # pure numbers have no unit
+        return f"{_place(self.effect, self.joints, self.shared)} ({self.parameter} {size})"
 
 
 @dataclass(frozen=True)

@@ -84,7 +84,7 @@ def _tables(verdict: Verdict, split: LogSplit, content: Mapping[str, Any]) -> di
             [
                 [
                     one.effect, _where(one.joints, one.shared), one.parameter,
-                    f"{span((one.size, *one.interval))} {one.unit}", one.probability,
+                    f"{span((one.size, *one.interval))} {one.unit}".removesuffix(" -"), one.probability,
                     "; ".join(f"{r.effect} in {_where(r.joints, r.shared)}, {r.probability:.2f}"
                               for r in one.alternatives),
                     100 * one.explains, one.in_model,

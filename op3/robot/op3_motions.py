@@ -130,6 +130,8 @@ def soften(
         period: of one [s].
         lean: pitch of the trunk [rad], positive forward.
     """
+    if not 0 < p_gain <= P_GAIN:
+        raise ValueError(f"motion {name!r}: p_gain must be above 0 and at most {P_GAIN:g} A/rad, got {p_gain}")
     time = sample_times(cycles * period + 0.5, RATE)
     fall = (1 - np.cos(2 * np.pi * np.minimum(time, cycles * period) / period)) / 2
     position = np.tile(squat_position(knee, lean), (len(time), 1))

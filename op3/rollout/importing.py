@@ -101,7 +101,7 @@ def roll_out(recording: Recording, side: Side, path: Path) -> list[Rollout]:
     """One rollout, or one per part where the import splits; raises `LogError` where it cannot be one."""
     if recording.strict and not side.found:
         remedy = f"write the metadata (joints, robot, mount, rate) to {side.source.name} beside it"
-        remedy += f", which `python experiments/import_log.py data={path.name}` proposes"
+        remedy += f", which `op3 import {path}` proposes"
         raise LogError("the sidecar is missing", remedy, source=side.source)
     meanings = _meanings(recording, side)
     with located(source=path):

@@ -13,6 +13,8 @@ from typing import ClassVar, Literal, TypeVar, dataclass_transform, get_args, ge
 
 from torch import Tensor
 
+from op3.settings import nearest
+
 
 class Stage(IntEnum):
     """Where in a simulation step an effect acts; effects run in this order."""
@@ -341,7 +343,7 @@ def effect_class(name: str) -> type[Effect]:
         ValueError: if the catalogue has none.
     """
     if name not in _CATALOGUE:
-        raise ValueError(f"unknown effect {name!r}; the catalogue has {', '.join(catalogue())}")
+        raise ValueError(f"unknown effect {name!r}{nearest(name, catalogue())}")
     return _CATALOGUE[name]
 
 
@@ -353,7 +355,7 @@ def parameter(name: str) -> Parameter:
     """
     known = {p.name: p for effect in catalogue().values() for p in effect.parameters}
     if name not in known:
-        raise ValueError(f"unknown parameter {name!r}; the catalogue has {', '.join(sorted(known))}")
+        raise ValueError(f"unknown parameter {name!r}{nearest(name, sorted(known))}")
     return known[name]
 
 

@@ -12,7 +12,7 @@ from op3.robot import named_configs
 from op3.rollout.files import write_text
 from op3.servo import Effect, Estimate, RobotModel, effect_class
 from op3.servo.conditions import split_name
-from op3.settings import read_yaml
+from op3.settings import nearest, read_yaml
 
 FORMAT = "op3-model/1"
 
@@ -45,8 +45,8 @@ def find_model(name_or_path: str | Path) -> Path:
     if str(name_or_path) in named:
         return named[str(name_or_path)]
     raise FileNotFoundError(
-        f"there is no model file {str(name_or_path)!r}; give the path of a model.yaml or one of the names "
-        + ", ".join(model_names())
+        f"there is no model file {str(name_or_path)!r}: give the path of a model.yaml or a name"
+        + nearest(name_or_path, model_names())
     )
 
 

@@ -3,6 +3,7 @@
 import os
 import pickle
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -72,6 +73,8 @@ def stop_requested() -> Iterator[threading.Event]:
     def note(number: int, frame: FrameType | None) -> None:
         if event.is_set() and number == signal.SIGINT:  # a second SIGTERM may come while a checkpoint is written
             raise KeyboardInterrupt
+        if number == signal.SIGINT:
+            print("\nStopping with a checkpoint; Ctrl-C again ends at once.", file=sys.stderr)
         event.set()
 
     before = {number: signal.signal(number, note) for number in (signal.SIGTERM, signal.SIGINT)}

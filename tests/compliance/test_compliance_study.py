@@ -17,7 +17,7 @@ def test_what_cannot_be_studied():
         Study(load_model("paper"), ["balance"])
     with pytest.raises(ValueError, match="different names, got hold, hold"):
         contestants(["hold", "hold"], find_task("walk"), [])
-    with pytest.raises(ValueError, match=r"sizes\.episodes must be at least 2, got 1"):
+    with pytest.raises(ValueError, match="sizes: episodes must be at least 2, got 1"):
         Sizes(episodes=1)
 
 

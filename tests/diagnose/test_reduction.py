@@ -13,10 +13,11 @@ from op3.diagnose.coordinates import base_coordinates, with_chain
 from op3.diagnose.features import FLOORS, PIECES
 from op3.diagnose.rates import RATES, filtered, moved, read
 from op3.diagnose.reduction import Reduction
-from op3.robot import leg_suite
+from op3.robot import chirp, leg_suite
 from op3.servo import Estimate, RobotModel, effect_class
 from op3.servo.effects import VelocityFilter
 from op3.sim import load_model
+from op3.tasks import simulate_motion
 from op3.tasks.planned import planned_suite
 from tests.op3_table import LEG_JOINTS
 from tests.servo.test_effect_laws import law_of
@@ -101,3 +102,16 @@ def test_rates_show_an_encoder_that_bends_and_no_friction(lag):
     assert np.delete(bends[:, 4], judged).max() < 0.1 * bends[judged, 4]
     assert rubs[:, 0].max() > 1.0
     assert rubs[:, 4].max() < 0.3
+
+
+def test_a_limb_that_moves_alone_is_simulated_alone():
+    """Of a robot of several limbs, with values joint by joint."""
+    model = with_chain(load_model("paper"))
+    log = simulate_motion(model, chirp({"l_knee": 0.3}, duration=3.0), mount="stand")
+    engine = WindowResiduals([log], windows=4)
+    reduction = Reduction(engine)
+    (error,) = reduction.errors(model, model.tensors(engine.joints), 1)
+    assert [engine.joints[joint] for joint in reduction.judged] == [
+        joint.replace("r_", "l_", 1) for joint in LEG_JOINTS
+    ]
+    assert np.isfinite(error).all()

@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import pytest
+from documented import PAGES as DOCUMENTS
 from documented import ROOT
 
 from op3.servo import catalogue
@@ -41,6 +42,14 @@ def test_every_effect_has_a_section(site):
         assert effect.source in sections[name]
         assert all(f"| `{parameter.name}` |" in sections[name] for parameter in effect.parameters)
         assert f'id="{name}"' in (site / "catalogue.html").read_text(encoding="utf-8")
+
+
+def test_every_link_leads_somewhere_in_a_bare_checkout():
+    """Pages are read where they lie as well as on the site; the catalogue is what the classes tell."""
+    assert (ROOT / "docs" / "catalogue.md").read_text(encoding="utf-8") == PAGES["page"](), "run python docs/site.py"
+    for page in DOCUMENTS:
+        links = re.findall(r"\]\(([^)#\s:]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8"))
+        assert not (dead := [link for link in links if not (page.parent / link).exists()]), f"{page.name}: {dead}"
 
 
 def test_every_picture_stands_beside_the_command_that_made_it():

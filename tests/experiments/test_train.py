@@ -238,7 +238,7 @@ def test_figures_of_a_policy_are_drawn(tmp_path):
     done = script("policy_figures.py", *overrides, f"hydra.run.dir={tmp_path}/run")
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "walk_gait.svg").stat().st_size > 10_000
-    assert (tmp_path / "walk.jpg").exists() or "no snapshots" in done.stdout
+    assert (tmp_path / "walk.jpg").exists() or "no pictures" in done.stdout
 
 
 def test_learning_curves_come_from_the_results_of_trainings(tmp_path):

@@ -123,6 +123,9 @@ def test_missing_and_torn_files_are_refused(bundle, tmp_path):
     (folder / "policy.pt").write_bytes((folder / "policy.pt").read_bytes()[:1000])
     with pytest.raises(ValueError, match="not a file of weights"):
         PolicyBundle.load(folder)
+    (folder / "policy.pt").write_bytes(b"broken")
+    with pytest.raises(ValueError, match="not a file of weights"):
+        PolicyBundle.load(folder)
 
 
 def test_no_bundle_is_overwritten_unasked(bundle, tmp_path):

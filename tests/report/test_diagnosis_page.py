@@ -48,3 +48,10 @@ def test_what_was_abstained_from_is_said_first_with_what_would_settle_it(tmp_pat
     text = told(tmp_path, flagged=flagged)
     wanted = f"what would settle the likeliest, backlash in l_knee: {effect_class('backlash').separating_experiment}"
     assert (wanted in text) == flagged
+
+
+def test_a_pure_number_has_no_unit(tmp_path):
+    """An efficiency is 0.686 and not "0.686 -", in the sentence as in the table."""
+    dte = Finding("dte", ("l_knee",), True, "backward_efficiency", 0.686, "-", (0.58, 0.791), 0.7, 5.0)
+    assert dte.phrase == "dte (backward_efficiency 0.686)"
+    assert "0.686 (0.580 to 0.791) -" not in told(tmp_path, dte)
