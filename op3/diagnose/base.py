@@ -341,15 +341,13 @@ def untold(base: Base) -> list[str]:
     return [entry.parameter for entry, share in both if entry.joints is None and share > UNTOLD]
 
 
-def unusual(
-    given: RobotModel, base: Base, fit: Posterior, judge: Judge, settings: Settings = SETTINGS
-) -> list[tuple[int, float, float, Coordinate]]:
+def unusual(given: RobotModel, base: Base, settings: Settings = SETTINGS) -> list[tuple[int, float, float, Coordinate]]:
     """Log odds of the chain's numbers against being usual, or what the given model says; which, how well told, and what
     each would be if it were usual.
 
     A number that every servo has for itself is usual where it differs no more than those of this robot's others.
     """
-    linear, curvature = judge.likelihoods(fit)
+    linear, curvature = base_numbers(base.coordinates, base.point).likelihoods(base.fit)
     known, found, point = given.parameters(), [], base.point
     for name, chain in CHAIN.items():
         mine = [i for i, e in enumerate(base.coordinates.entries) if e.parameter == name and e.kind == "value"]

@@ -8,7 +8,7 @@ from math import isclose, pi, remainder
 import numpy as np
 from torch import Tensor
 
-from op3.diagnose.coordinates import CHAIN, FORMS, Coordinate, Coordinates, other_forms
+from op3.diagnose.coordinates import CHAIN, FORMS, Coordinate, other_forms
 from op3.diagnose.settings import Settings
 from op3.servo import Effect, Parameter, RobotModel, catalogue
 from op3.servo.effect import parameter
@@ -115,17 +115,19 @@ class Candidate:
         ends = sorted((low / amount, high / amount))
         return ends[0], ends[1], settings.slab * size / abs(amount)
 
-    def coordinates(self, base: Coordinates, share: float, settings: Settings) -> tuple[Coordinate, ...]:
+    def coordinates(
+        self, model: RobotModel, base: Sequence[Coordinate], share: float, settings: Settings
+    ) -> tuple[Coordinate, ...]:
         """The numbers of a refit beside the base's: the effect's size in its joints, from a share of the secant on, and
-        its shape in each of them, from the secant's on, where the base has no such number."""
-        model = base.model
+        its shape in each of them, from the secant's on, where the base has no such number of its own."""
         low, high, deviation = self.reach(model, settings)
         amount, at = self.secant[self.sized], self.joints if parameter(self.sized).per_joint else None
         ends = sorted((low * amount, high * amount))
         start = float(np.clip(share * amount, ends[0], ends[1]))
         size = Coordinate(self.sized, at, ends[0], ends[1], start, 0.0, deviation * abs(amount), "add")
-        shared = {entry.parameter for entry in base.entries if entry.joints is None}
-        shape = [known for known in self.effect.parameters if known.neutral is None and known.name not in shared]
+        shared = {entry.parameter for entry in base if entry.joints is None}
+        apart = [known for known in self.effect.parameters if known.neutral is None]
+        shape = [one for one in apart if one.name not in shared or (self.joints and one.per_joint)]
         return size, *(one for known in shape for one in self._of_shape(known, model))
 
     def _of_shape(self, known: Parameter, model: RobotModel) -> Iterator[Coordinate]:

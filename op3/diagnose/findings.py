@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from op3.diagnose.base import Base, base_numbers, settle
+from op3.diagnose.base import ELSEWHERE, Base, base_numbers, settle
 from op3.diagnose.candidates import Candidate, candidates, place_priors, secants_of_place
 from op3.diagnose.coordinates import Coordinate, Coordinates
-from op3.diagnose.judge import Judge, Numbers, Posterior, Rows, State, evidence, log_mass
+from op3.diagnose.judge import Judge, Numbers, Posterior, Rows, State, log_mass
 from op3.diagnose.reduction import Reduction
 from op3.diagnose.settings import SETTINGS, Settings
 
@@ -27,8 +27,8 @@ NOTHING = 1e-6
 
 Place = tuple[str, tuple[int, ...] | None]
 
-Estimated = tuple[int, np.ndarray, State]
-"""A candidate's number, and the judge's numbers and variances with it named."""
+Estimated = tuple[int, np.ndarray, float, State]
+"""A candidate's number; how far the base's numbers move with it and its share of the secant; the judge's variances."""
 
 Refitted = tuple[float, Base, int, tuple[Coordinate, ...]]
 """Log odds, the base around it, the candidate's number, and its own in the fit."""
@@ -178,16 +178,16 @@ class Search:
             if min(odds) > 0:
                 stages.append(further)
             else:  # the new name makes an earlier one needless, and takes its place
-                stages[-1] = self._without(
-                    further, [one for one, its in zip(further.named, odds, strict=True) if its <= 0]
-                )
+                needless = [one for one, its in zip(further.named, odds, strict=True) if its <= 0]
+                stages[-1] = self._without(further, needless)
             self.progress(0.4 + 0.6 * len(further.named) / most)
         self.progress(1.0)
         return stages
 
     def further(self, stage: Stage) -> Stage | None:
         """The stage with one more effect named; None where no candidate is worth its slab."""
-        found = self._name(stage, self.leaders(stage, stage.judge.scores(stage.fit), stage.fit.state))
+        leaders = self.leaders(stage, stage.judge.scores(stage.fit), stage.fit.state)
+        found = self._name(stage, leaders, self.shared(stage))
         if found is not None:
             return found
         # what happens in few windows only is hidden where these count for little: let them count in full to propose it,
@@ -216,16 +216,58 @@ class Search:
         if not ranked or ranked[0][0] < s.alarm - s.family:
             return []
         rounds = 2 if state else 6
-        control, anew = judge.fit(state=state, rounds=rounds), []
+        control, anew, own = judge.fit(state=state, rounds=rounds), [], len(stage.base.point)
         for number in (number for _, mine in ranked[: s.leaders] for number in mine):
             with_it = judge.fit([number], state, rounds=rounds)
             if not n.low[number] <= with_it.mean[-1] <= n.high[number]:
                 continue
             truncated = float(log_mass(n.low[number], n.high[number], 0.0, n.slab[number]))
             gain = with_it.evidence - control.evidence + n.place[number] - truncated
-            anew.append((gain, (number, with_it.mean, with_it.state)))
+            # what the base would do by itself it has tried: where joints stick, long steps lead astray
+            step = (with_it.mean - np.append(control.mean, 0.0))[:own]
+            anew.append((gain, (number, step, float(with_it.mean[-1]), with_it.state)))
         anew.sort(key=lambda one: -one[0])
         return anew if anew and anew[0][0] > s.alarm - s.family else []
+
+    def shared(self, stage: Stage) -> list[Estimated]:
+        """Candidates of all joints that are above the alarm once the base has taken a step with them, best first.
+
+        Numbers that all joints share take such an effect's place as far as they can, and where they have, nothing that
+        is linear there tells it from them.
+        """
+        odds, base = stage.judge.numbers.place, stage.base
+        rows, found = self.reduction.rows(base.linear, ()), []
+
+        def step(joined: Coordinates, point: np.ndarray) -> tuple[Base, float]:
+            end = settle(self.reduction, joined, point, self.settings, steps=1, state=base.fit.state, like=base.linear)
+            its = self.reduction.rows(end.linear, (), rows)
+            judge = Judge(its, base_numbers(joined, end.point), self.settings)
+            return end, judge.fit(state=end.fit.state, rounds=2).evidence
+
+        _, without = step(base.coordinates, base.point)
+        for number, one in enumerate(stage.found):
+            if one.joints is None and np.isfinite(odds[number]):
+                joined = self._joined(stage, number, 1.0)
+                end, evident = step(joined, np.concatenate([base.point, joined.start[len(base.point) :]]))
+                self.reduction.forget()
+                gain = evident - without + self._prior(stage, number, joined)
+                size = float(end.point[len(base.point)]) / one.secant[one.sized]
+                found.append((gain, (number, end.point[: len(base.point)] - base.point, size, end.fit.state)))
+        found.sort(key=lambda one: -one[0])
+        return [one for gain, one in found if gain > self.settings.alarm][:MOST]
+
+    def _joined(self, stage: Stage, number: int, share: float) -> Coordinates:
+        """The base's numbers and a candidate's, which begin at a share of its secant."""
+        candidate, coordinates = stage.found[number], stage.base.coordinates
+        model = candidate.switched_on(coordinates.model, self.reduction.engine.joints)
+        more = candidate.coordinates(stage.base.model, coordinates.entries, share, self.settings)
+        return coordinates.extended(model, more)
+
+    def _prior(self, stage: Stage, number: int, joined: Coordinates) -> float:
+        """Log prior of a candidate's place, and of its numbers' being within their ranges."""
+        own = len(stage.base.point)
+        low, high, prior, deviation = (getattr(joined, of)[own:] for of in ("low", "high", "prior", "deviation"))
+        return float(place_priors(stage.found)[number] - log_mass(low - prior, high - prior, 0.0, deviation).sum())
 
     def _in_wild_windows(self, stage: Stage) -> np.ndarray:
         """Candidates most of whose torque lies in windows that Student's tails weigh down, ``[candidate]``."""
@@ -237,21 +279,25 @@ class Search:
         members = [list(one) for one in stage.judge.numbers.members]
         return np.array([wild[one].sum() > 0.5 * total[one].sum() for one in members])
 
-    def _name(self, stage: Stage, leaders: list[tuple[float, Estimated]]) -> Stage | None:
+    def _name(
+        self, stage: Stage, leaders: list[tuple[float, Estimated]], shared: Sequence[Estimated] = ()
+    ) -> Stage | None:
         """The leaders refitted with the base, the best named; None where it is far below the alarm."""
-        if not leaders:
+        if not leaders and not shared:
             return None
         # how large an effect is decides by how far odds are off that are linear in it
-        least = min(leaders[0][0] - 2 * self.settings.family, self.settings.alarm)
+        least = min(leaders[0][0] - 2 * self.settings.family, self.settings.alarm) if leaders else 0.0
         places = list(dict.fromkeys(stage.found[one[0]].place for odds, one in leaders if odds > least))[:MOST]
-        refitted = self._refitted(stage, [one for _, one in leaders if stage.found[one[0]].place in places])
+        of_places = [one for _, one in leaders if stage.found[one[0]].place in places]
+        refitted = self._refitted(stage, [*shared, *of_places])
         good = refitted[0][0] >= self.settings.alarm - self.settings.temperature
         return self._with(stage, refitted) if good else None
 
     def told(self, stage: Stage, number: int) -> Stage:
         """The stage with a candidate named of which it is known that it is there, whatever its odds."""
-        with_it = stage.judge.fit([number], stage.fit.state, rounds=2)
-        return self._with(stage, self._refitted(stage, [(number, with_it.mean, with_it.state)]))
+        with_it, alone = (stage.judge.fit(named, stage.fit.state, rounds=2) for named in ([number], []))
+        step = (with_it.mean - np.append(alone.mean, 0.0))[: len(stage.base.point)]
+        return self._with(stage, self._refitted(stage, [(number, step, float(with_it.mean[-1]), with_it.state)]))
 
     def _with(self, stage: Stage, refitted: Sequence[Refitted]) -> Stage:
         """The stage with the best of the refitted named, and those that are as good as its rivals."""
@@ -267,33 +313,39 @@ class Search:
         Sizes are linear in the judge's rows and too small, as the base gives way only once the effect is there; and the
         effect has one of a few shapes there, and any that is plausible here.
         """
-        s, coordinates, point = self.settings, stage.base.coordinates, stage.base.point
+        coordinates, point = stage.base.coordinates, stage.base.point
         best: dict[Place, Refitted] = {}
-        priors = place_priors(stage.found)
-        rows, alone = stage.judge.rows, stage.judge.fit(state=stage.fit.state, rounds=2)
 
-        def refit(joined: Coordinates, start: np.ndarray, state: State) -> tuple[Base, float]:
-            base = settle(self.reduction, joined, start, s, steps=2, state=state, like=stage.base.linear)
-            after = self._stage(base, stage.named, stage.found, stage.columns, state, 2, rows)
-            return base, after.fit.evidence
-
-        _, without = refit(coordinates, point, alone.state)  # the base takes as many steps without
-        for number, mean, state in estimates:
-            candidate = stage.found[number]
-            model = candidate.switched_on(coordinates.model, self.reduction.engine.joints)
-            more = candidate.coordinates(coordinates, float(mean[-1]), s)
-            # what the base would do by itself it has tried: where joints stick, long steps lead astray
-            moved = np.clip(point + mean[: len(point)] - alone.mean[: len(point)], coordinates.low, coordinates.high)
-            joined = coordinates.extended(model, more)
-            base, evident = refit(joined, np.concatenate([moved, joined.start[len(point) :]]), state)
+        def refit(joined: Coordinates, start: np.ndarray, state: State, steps: int = 2) -> Stage:
+            base = settle(self.reduction, joined, start, self.settings, steps, state, stage.base.linear)
             self.reduction.forget()
-            low, high, deviation = (getattr(joined, end)[len(point) :] for end in ("low", "high", "deviation"))
-            prior = joined.prior[len(point) :]
-            mass = log_mass(low - prior, high - prior, 0.0, deviation).sum()
-            odds = float(evident - without + priors[number] - mass)
-            if candidate.place not in best or odds > best[candidate.place][0]:
-                best[candidate.place] = odds, base, number, more
-        return sorted(best.values(), key=lambda one: -one[0])
+            return self._stage(base, stage.named, stage.found, stage.columns, state, 2, stage.judge.rows)
+
+        def compare(number: int, end: Stage, base: float) -> None:
+            gain = end.fit.evidence - base + self._prior(stage, number, end.base.coordinates)
+            best[stage.found[number].place] = gain, end.base, number, end.base.coordinates.entries[len(point) :]
+
+        alone = stage.judge.fit(state=stage.fit.state, rounds=2)
+        without = refit(coordinates, point, alone.state).fit.evidence  # the base takes as many steps without
+        for number, step, share, state in estimates:
+            joined = self._joined(stage, number, share)
+            moved = np.clip(point + step, coordinates.low, coordinates.high)
+            end, known = refit(joined, np.concatenate([moved, joined.start[len(point) :]]), state), dict(best)
+            compare(number, end, without)
+            place = stage.found[number].place
+            if place in known and known[place][0] > best[place][0]:
+                best[place] = known[place]
+        checked: set[Place] = set()
+        while True:
+            _, base, number, _ = max(best.values(), key=lambda one: one[0])
+            place = stage.found[number].place
+            if place in checked:
+                return sorted(best.values(), key=lambda one: -one[0])
+            # where joints stick the way is long; and what lets a poor base move on has no merit in what that gains
+            checked.add(place)
+            end = refit(base.coordinates, base.point, base.fit.state, ELSEWHERE)
+            back = refit(coordinates, end.base.point[: len(point)], end.base.fit.state, ELSEWHERE)
+            compare(number, end, max(without, back.fit.evidence))
 
     def _around(self, stage: Stage, base: Base, named: tuple[Named, ...]) -> Stage:
         """The judge around a base with what was named, the leading candidates' columns made anew."""
@@ -307,11 +359,16 @@ class Search:
 
     def _without(self, stage: Stage, needless: Sequence[Named]) -> Stage:
         """The stage without some names."""
+        named = tuple(one for one in stage.named if one not in needless)
+        return self._around(stage, self._less(stage, needless, 2), named)
+
+    def _less(self, stage: Stage, needless: Sequence[Named], steps: int) -> Base:
+        """The base without some names, fitted from where it is with them."""
         whole, gone = stage.base.coordinates, [entry for one in needless for entry in one.coordinates]
         at = [i for i, entry in enumerate(whole.entries) if entry not in gone]
         coordinates = Coordinates(whole.model, whole.joints, tuple(whole.entries[i] for i in at))
-        base = settle(self.reduction, coordinates, stage.base.point[at], self.settings, steps=2)
-        return self._around(stage, base, tuple(one for one in stage.named if one not in needless))
+        state, like = stage.base.fit.state, stage.base.linear
+        return settle(self.reduction, coordinates, stage.base.point[at], self.settings, steps, state, like)
 
     def worth(self, stage: Stage) -> list[float]:
         """Log odds of every named effect: those when it was named, and no more than in the end, with its place's prior.
@@ -322,17 +379,14 @@ class Search:
         return [min(one.log_odds, odds + one.place_prior) for one, odds in in_the_end]
 
     def backward_odds(self, stage: Stage) -> list[float]:
-        """Log odds of every named effect against its being there only a little, around where it is now, whatever its
+        """Log odds of every named effect against the base without it, fitted from where it is with it, whatever its
         place."""
-        linear, curvature = stage.judge.likelihoods(stage.fit)
-        result, entries = [], stage.base.coordinates.entries
+        result = []
         for one in stage.named:
-            i = entries.index(one.coordinates[0])
-            entry, none = entries[i], -stage.base.point[i]
-            little = entry.deviation / self.settings.slab * self.settings.spike_ends[0]
-            low, high = entry.low + none, entry.high + none
-            much = evidence(linear[i], curvature[i], none, np.array(entry.deviation), low, high)
-            result.append(float(much - evidence(linear[i], curvature[i], none, np.array(little))))
+            rest, base = tuple(other for other in stage.named if other is not one), self._less(stage, [one], ELSEWHERE)
+            without = self._stage(base, rest, stage.found, stage.columns, base.fit.state, 2, stage.judge.rows)
+            mass = sum(float(log_mass(e.low - e.prior, e.high - e.prior, 0.0, e.deviation)) for e in one.coordinates)
+            result.append(stage.fit.evidence - without.fit.evidence - mass)
         return result
 
 

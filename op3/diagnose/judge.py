@@ -81,6 +81,13 @@ class Numbers:
     least: np.ndarray = field(default_factory=lambda: np.array(-np.inf))
     most: np.ndarray = field(default_factory=lambda: np.array(np.inf))
 
+    def likelihoods(self, fit: "Posterior") -> tuple[np.ndarray, np.ndarray]:
+        """What the rows alone say of each number, all others integrated out: ``exp(linear a - curvature a^2 / 2)``."""
+        size, prior = len(self.mean), 1.0 / self.deviation**2
+        variance = np.diag(fit.covariance)[:size]
+        curvature = np.maximum(1.0 / variance - prior, 1e-12)
+        return fit.mean[:size] / variance - prior * self.mean, curvature
+
 
 @dataclass
 class State:
@@ -256,13 +263,6 @@ class Judge:
             size, prior = len(law), 1 / s.law_spread**2
             found = 0.5 * np.log((law**2 + np.square(inverse).sum(0)).mean())
             state.law[j] = np.clip(np.exp((size * found + prior * np.log(s.law)) / (size + prior)), 0.01, 30.0)
-
-    def likelihoods(self, fit: Posterior) -> tuple[np.ndarray, np.ndarray]:
-        """What the rows alone say of each number, all others integrated out: ``exp(linear a - curvature a^2 / 2)``."""
-        size, prior = len(self.numbers.mean), 1.0 / self.numbers.deviation**2
-        variance = np.diag(fit.covariance)[:size]
-        curvature = np.maximum(1.0 / variance - prior, 1e-12)
-        return fit.mean[:size] / variance - prior * self.numbers.mean, curvature
 
     def of_candidates(self, fit: Posterior) -> tuple[np.ndarray, np.ndarray]:
         """What the rows say of how much more than a little there is of each candidate: linear term and curvature."""

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import yaml
 
-from op3.diagnose.base import Base, base_numbers, damped, doubts, gap_of, held_odds, search, settle, unfitted, unusual
+from op3.diagnose.base import Base, damped, doubts, gap_of, held_odds, search, settle, unfitted, unusual
 from op3.diagnose.coordinates import base_coordinates, other_forms, with_chain, with_own_spread
 from op3.diagnose.findings import Named, Search, Stage
-from op3.diagnose.judge import Judge, Numbers, Posterior, State
+from op3.diagnose.judge import Numbers, Posterior, State
 from op3.diagnose.reduction import Linear, Reduction
 from op3.diagnose.settings import Settings
 from op3.diagnose.show import choose, show
@@ -16,6 +16,7 @@ from op3.diagnose.verdict import Finding, JointGap, Rival, Verdict
 from op3.diagnose.windows import WindowResiduals
 from op3.robot import leg_suite
 from op3.rollout import Rollout
+from op3.servo.effects import LoadFriction
 from op3.sim import load_model
 from op3.tasks.planned import planned_suite
 from tests.op3_table import LEG_JOINTS
@@ -176,9 +177,29 @@ def test_a_delay_is_unusual_of_a_model_that_has_none(truth):
     reduction = Reduction(WindowResiduals(planned_suite(late, runs), windows=24))
     base = unfitted(reduction, late)
     base = settle(reduction, base.coordinates, base.point)
-    judge = Judge(reduction.rows(base.linear, ()), base_numbers(base.coordinates, base.point))
     for given, told in (("paper", []), ("paper_without_latency", ["command_latency"])):
-        found = unusual(load_model(given), base, base.fit, judge)
+        found = unusual(load_model(given), base)
         names = [(i, held) for i, odds, _, held in found if odds > 6]
         assert [base.coordinates.entries[i].parameter for i, _ in names] == told
         assert all(held_odds(reduction, base, i, held) > 6 for i, held in names)
+
+
+@pytest.mark.slow
+def test_what_all_joints_share_is_told_though_the_base_takes_its_place():
+    """Efficiency, torque constant and friction of the base imitate friction in proportion to the motors' torque until
+    nothing that is linear tells it; refitted it is told, in all joints and in its size."""
+    truth = load_model("paper").with_effect(LoadFriction(form="motor"), {"load_friction": 0.1})
+    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
+    reduction = Reduction(WindowResiduals(planned_suite(truth, runs), windows=24))
+    base = unfitted(reduction, load_model("paper"))
+    search_ = Search(reduction)
+    first = search_.first(settle(reduction, base.coordinates, base.point))
+    odds = first.judge.scores(first.fit)
+    mine = [i for i, one in enumerate(first.found) if one.place == ("load_friction", None)]
+    assert odds[mine].max() < 6 < odds.max()
+    assert first.found[search_.shared(first)[0][0]].place == ("load_friction", None)
+    further = search_.further(first)
+    assert further is not None
+    assert [one.candidate.place for one in further.named] == [("load_friction", None)]
+    assert further.base.point[-1] == pytest.approx(0.1, rel=0.3)
+    assert search_.worth(further)[0] > 20
