@@ -73,7 +73,7 @@ def test_jobs_write_verdict_page_and_one_wandb_group(logs, tmp_path):
     [
         ([], "data is missing"),
         (["data={logs}/none"], "none"),
-        (["data={logs}", "model=papr"], "paper_without_dte"),
+        (["data={logs}", "model=papr"], "the nearest is 'paper'"),
         (["data={logs}", "mode=twice"], "once, loop or aliasing"),
         (["data={logs}", "policy=nowhere"], "nowhere: no manifest.yaml there"),
         (["planned=leg_suite"], "mode=aliasing"),

@@ -97,7 +97,7 @@ def test_multirun_is_one_study_per_cell(log, tmp_path):
     ("arguments", "message"),
     [
         (["data=nowhere"], "nowhere"),
-        (["data={log}", "model=papr"], "paper_without_dte"),
+        (["data={log}", "model=papr"], "the nearest is 'paper'"),
         (["data={log}", "heldout_where={{firmware_gain: 8}}"], "matches none"),
         (["data={log}", "heldout_where={{firmware_gain: 8, speed: null}}"], "matches none"),
         pytest.param(["data={log}", "model=paper_without_stribeck"], "static_friction_excess", marks=pytest.mark.slow),

@@ -47,7 +47,7 @@ def test_page_and_numbers(logs, tmp_path):
     ("arguments", "message"),
     [
         (["model=paper"], "data is missing"),
-        (["model=papr", "data={logs}"], "paper_without_dte"),
+        (["model=papr", "data={logs}"], "the nearest is 'paper'"),
         (["model=paper", "data={logs}", "where={{mount: stand}}"], "matches none of the 2 logs"),
         (["model=sts3032", "data={logs}"], "firmware_gain"),
     ],

@@ -12,7 +12,9 @@ def test_named_models_load(name):
     assert load_model(find_model(name)) == load_model(name)
 
 
-def test_unknown_models_are_answered_with_the_known_names():
+def test_unknown_models_are_answered_with_the_nearest_name_or_the_known_ones():
     """Neither a file nor a name."""
-    with pytest.raises(FileNotFoundError, match="paper_without_dte"):
+    with pytest.raises(FileNotFoundError, match="the nearest is 'paper'"):
         load_model("papr")
+    with pytest.raises(FileNotFoundError, match="paper_without_dte"):
+        load_model("xyz")
