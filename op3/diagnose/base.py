@@ -124,7 +124,7 @@ def fit_base(
     first, forms = ends[best], starts[best]
     others = [(end.point, better[best] - gain) for end, gain in zip(ends, better, strict=True) if end is not first]
     # what sticks has a basin for every form of its law: friction begins anew where all else is by now
-    begins = [*(_afresh(first, form) for form in forms), *_earlier(first, reduction.engine.period)]
+    begins = [*(_afresh(first, form) for form in forms), *_earlier(first, reduction.engine.period), *_near_rest(first)]
     anew = [settle(reduction, *begin, settings, ELSEWHERE) for begin in begins]
     better = [0.0, *(gap_of(reduction, first, end, settings) for end in anew)]
     first = [first, *anew][int(np.argmax(better))]
@@ -139,6 +139,14 @@ def _afresh(base: Base, form: RobotModel) -> tuple[Coordinates, np.ndarray]:
     friction = {p.name for effect in form.effects if effect.stage == Stage.FRICTION for p in effect.parameters}
     mine = np.array([entry.parameter in friction for entry in base.coordinates.entries])
     return replace(base.coordinates, model=form), np.where(mine, base.coordinates.start, base.point)
+
+
+def _near_rest(base: Base) -> Iterator[tuple[Coordinates, np.ndarray]]:
+    """A base whose gear loses more near rest, in every form of its law: where it has ended at nothing more, the end of
+    what there may be, another form may have taken the place of that loss."""
+    near = np.array([entry.parameter == "near_rest_loss" for entry in base.coordinates.entries])
+    for form in (base.coordinates.model, *other_forms(base.coordinates.model, GEAR)):
+        yield replace(base.coordinates, model=form), np.where(near, CHAIN["near_rest_loss"].spread, base.point)
 
 
 def _earlier(base: Base, period: float) -> Iterator[tuple[Coordinates, np.ndarray]]:
@@ -341,13 +349,18 @@ def untold(base: Base) -> list[str]:
     return [entry.parameter for entry, share in both if entry.joints is None and share > UNTOLD]
 
 
-def unusual(given: RobotModel, base: Base, settings: Settings = SETTINGS) -> list[tuple[int, float, float, Coordinate]]:
+def unusual(
+    given: RobotModel, base: Base, fit: Posterior, numbers: Numbers, settings: Settings = SETTINGS
+) -> list[tuple[int, float, float, Coordinate]]:
     """Log odds of the chain's numbers against being usual, or what the given model says; which, how well told, and what
     each would be if it were usual.
 
-    A number that every servo has for itself is usual where it differs no more than those of this robot's others.
+    A number that every servo has for itself is usual where it differs no more than those of this robot's others. One
+    that all share is judged by the base alone, as candidates of many joints, each there a little, imitate it together.
     """
-    linear, curvature = base_numbers(base.coordinates, base.point).likelihoods(base.fit)
+    both = base_numbers(base.coordinates, base.point).likelihoods(base.fit), numbers.likelihoods(fit)
+    shared = np.array([entry.joints is None for entry in base.coordinates.entries])
+    linear, curvature = (np.where(shared, one, other[: len(shared)]) for one, other in zip(*both, strict=True))
     known, found, point = given.parameters(), [], base.point
     for name, chain in CHAIN.items():
         mine = [i for i, e in enumerate(base.coordinates.entries) if e.parameter == name and e.kind == "value"]

@@ -241,7 +241,7 @@ class Diagnosis:
     def _of_base(self, given: RobotModel, reduction: Reduction, stage: Stage, most: float) -> list[Finding]:
         """Numbers of the chain of measurement that are far from what is usual, or from what the given model says."""
         result, joints = [], reduction.engine.joints
-        for i, odds, deviation, held in unusual(given, stage.base, self.settings):
+        for i, odds, deviation, held in unusual(given, stage.base, stage.fit, stage.judge.numbers):
             if self._probability(odds) > LIKELY:
                 odds = min(odds, held_odds(reduction, stage.base, i, held, self.settings))
             probability = self._probability(odds)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import yaml
 
-from op3.diagnose.base import Base, damped, doubts, gap_of, held_odds, search, settle, unfitted, unusual
+from op3.diagnose.base import Base, base_numbers, damped, doubts, gap_of, held_odds, search, settle, unfitted, unusual
 from op3.diagnose.coordinates import base_coordinates, other_forms, with_chain, with_own_spread
 from op3.diagnose.findings import Named, Search, Stage
 from op3.diagnose.judge import Numbers, Posterior, State
@@ -178,7 +178,7 @@ def test_a_delay_is_unusual_of_a_model_that_has_none(truth):
     base = unfitted(reduction, late)
     base = settle(reduction, base.coordinates, base.point)
     for given, told in (("paper", []), ("paper_without_latency", ["command_latency"])):
-        found = unusual(load_model(given), base)
+        found = unusual(load_model(given), base, base.fit, base_numbers(base.coordinates, base.point))
         names = [(i, held) for i, odds, _, held in found if odds > 6]
         assert [base.coordinates.entries[i].parameter for i, _ in names] == told
         assert all(held_odds(reduction, base, i, held) > 6 for i, held in names)
