@@ -224,7 +224,7 @@ class Search:
             truncated = float(log_mass(n.low[number], n.high[number], 0.0, n.slab[number]))
             gain = with_it.evidence - control.evidence + n.place[number] - truncated
             # what the base would do by itself it has tried: where joints stick, long steps lead astray
-            step = (with_it.mean - np.append(control.mean, 0.0))[:own]
+            step = with_it.mean[:own] - control.mean[:own]
             anew.append((gain, (number, step, float(with_it.mean[-1]), with_it.state)))
         anew.sort(key=lambda one: -one[0])
         return anew if anew and anew[0][0] > s.alarm - s.family else []
@@ -235,8 +235,8 @@ class Search:
         Numbers that all joints share take such an effect's place as far as they can, and where they have, nothing that
         is linear there tells it from them.
         """
-        odds, base = stage.judge.numbers.place, stage.base
-        rows, found = self.reduction.rows(base.linear, ()), []
+        base, found = stage.base, []
+        rows = self.reduction.rows(base.linear, ())
 
         def step(joined: Coordinates, point: np.ndarray) -> tuple[Base, float]:
             end = settle(self.reduction, joined, point, self.settings, steps=1, state=base.fit.state, like=base.linear)
@@ -246,7 +246,7 @@ class Search:
 
         _, without = step(base.coordinates, base.point)
         for number, one in enumerate(stage.found):
-            if one.joints is None and np.isfinite(odds[number]):
+            if one.joints is None and np.isfinite(stage.judge.numbers.place[number]):
                 joined = self._joined(stage, number, 1.0)
                 end, evident = step(joined, np.concatenate([base.point, joined.start[len(base.point) :]]))
                 self.reduction.forget()
@@ -265,9 +265,7 @@ class Search:
 
     def _prior(self, stage: Stage, number: int, joined: Coordinates) -> float:
         """Log prior of a candidate's place, and of its numbers' being within their ranges."""
-        own = len(stage.base.point)
-        low, high, prior, deviation = (getattr(joined, of)[own:] for of in ("low", "high", "prior", "deviation"))
-        return float(place_priors(stage.found)[number] - log_mass(low - prior, high - prior, 0.0, deviation).sum())
+        return float(place_priors(stage.found)[number]) - _within(joined.entries[len(stage.base.point) :])
 
     def _in_wild_windows(self, stage: Stage) -> np.ndarray:
         """Candidates most of whose torque lies in windows that Student's tails weigh down, ``[candidate]``."""
@@ -296,7 +294,7 @@ class Search:
     def told(self, stage: Stage, number: int) -> Stage:
         """The stage with a candidate named of which it is known that it is there, whatever its odds."""
         with_it, alone = (stage.judge.fit(named, stage.fit.state, rounds=2) for named in ([number], []))
-        step = (with_it.mean - np.append(alone.mean, 0.0))[: len(stage.base.point)]
+        step = (with_it.mean[:-1] - alone.mean)[: len(stage.base.point)]
         return self._with(stage, self._refitted(stage, [(number, step, float(with_it.mean[-1]), with_it.state)]))
 
     def _with(self, stage: Stage, refitted: Sequence[Refitted]) -> Stage:
@@ -321,20 +319,18 @@ class Search:
             self.reduction.forget()
             return self._stage(base, stage.named, stage.found, stage.columns, state, 2, stage.judge.rows)
 
-        def compare(number: int, end: Stage, base: float) -> None:
+        def compared(number: int, end: Stage, base: float) -> Refitted:
             gain = end.fit.evidence - base + self._prior(stage, number, end.base.coordinates)
-            best[stage.found[number].place] = gain, end.base, number, end.base.coordinates.entries[len(point) :]
+            return gain, end.base, number, end.base.coordinates.entries[len(point) :]
 
         alone = stage.judge.fit(state=stage.fit.state, rounds=2)
         without = refit(coordinates, point, alone.state).fit.evidence  # the base takes as many steps without
         for number, step, share, state in estimates:
             joined = self._joined(stage, number, share)
             moved = np.clip(point + step, coordinates.low, coordinates.high)
-            end, known = refit(joined, np.concatenate([moved, joined.start[len(point) :]]), state), dict(best)
-            compare(number, end, without)
+            end = compared(number, refit(joined, np.concatenate([moved, joined.start[len(point) :]]), state), without)
             place = stage.found[number].place
-            if place in known and known[place][0] > best[place][0]:
-                best[place] = known[place]
+            best[place] = max(end, best.get(place, end), key=lambda one: one[0])
         checked: set[Place] = set()
         while True:
             _, base, number, _ = max(best.values(), key=lambda one: one[0])
@@ -345,7 +341,7 @@ class Search:
             checked.add(place)
             end = refit(base.coordinates, base.point, base.fit.state, ELSEWHERE)
             back = refit(coordinates, end.base.point[: len(point)], end.base.fit.state, ELSEWHERE)
-            compare(number, end, max(without, back.fit.evidence))
+            best[place] = compared(number, end, max(without, back.fit.evidence))
 
     def _around(self, stage: Stage, base: Base, named: tuple[Named, ...]) -> Stage:
         """The judge around a base with what was named, the leading candidates' columns made anew."""
@@ -385,9 +381,13 @@ class Search:
         for one in stage.named:
             rest, base = tuple(other for other in stage.named if other is not one), self._less(stage, [one], ELSEWHERE)
             without = self._stage(base, rest, stage.found, stage.columns, base.fit.state, 2, stage.judge.rows)
-            mass = sum(float(log_mass(e.low - e.prior, e.high - e.prior, 0.0, e.deviation)) for e in one.coordinates)
-            result.append(stage.fit.evidence - without.fit.evidence - mass)
+            result.append(stage.fit.evidence - without.fit.evidence - _within(one.coordinates))
         return result
+
+
+def _within(own: Sequence[Coordinate]) -> float:
+    """Log of what the priors of an effect's numbers say of their being within their ranges."""
+    return sum(float(log_mass(one.low, one.high, one.prior, one.deviation)) for one in own)
 
 
 def _parts(found: Sequence[Candidate]) -> list[Candidate]:

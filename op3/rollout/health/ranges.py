@@ -26,7 +26,7 @@ _SHORT = 0.025
 """In a longer time from row to row [s] a joint may come to a new place and stop there."""
 
 
-_ROUGHEST = {VELOCITY: 50 * (2 * np.pi) / 4096, CURRENT: 0.0065}
+_ROUGHEST = {VELOCITY: 100 * np.pi / 4096, CURRENT: 0.0065}
 """Steps in which the roughest servos tell: Feetech STS [rad/s], and HLS [A]."""
 
 
@@ -34,7 +34,7 @@ _ROUGHEST = {VELOCITY: 50 * (2 * np.pi) / 4096, CURRENT: 0.0065}
 def coarse(view: View) -> Iterator[Finding]:
     """Numbers lie on another grid than the sensor's: they were rounded, or are in another unit."""
     make = find_servo(view.metadata.servo)
-    exact = (2 * np.pi) / 4096 if make is None else make.position_unit
+    exact = 2 * np.pi / 4096 if make is None else make.position_unit
     for key, usual, least in (
         (POSITION, exact, 0.01 if make is None else 4 * exact),
         *((k, u, 4 * u) for k, u in _ROUGHEST.items()),

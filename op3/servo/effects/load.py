@@ -79,9 +79,8 @@ class DirectionalFriction(Effect):
             "external_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "of the load's torque near rest, les", least=0.0
         ),
     )
-    secants = (
-        {"external_friction": 0.1},
-    )  # a share of the motor's torque alone is `load_friction` of its form `motor`
+    # a share of the motor's torque alone is `load_friction` of the form `motor`
+    secants = ({"external_friction": 0.1},)
     fingerprint = "odd in velocity; one width of the loop where the motor leads, another where the load leads"
     confounders = ("dte", "load_friction", "antagonistic_friction")
     separating_experiment = "hold test at two loads, raising and lowering; motion with the torque off"
