@@ -283,6 +283,19 @@ def load_servo(name: str | Path) -> ServoMake:
     return make
 
 
+def find_servo(name: str | None) -> ServoMake | None:
+    """The make that a recording names, also by an alias or without its variant; None where none is meant."""
+    wanted = _plain(name or "")
+    makes = [load_servo(known) for known in servo_files()] if wanted else []
+    exact = [make for make in makes if wanted in map(_plain, (make.name, *make.aliases))]
+    close = [make for make in makes if _plain(make.name).startswith(wanted)]
+    return next(iter(exact + close), None)
+
+
+def _plain(name: str) -> str:
+    return "".join(letter for letter in name.lower() if letter.isalnum())
+
+
 def _figures(record: Record, place: tuple[str, ...] = ()) -> list[tuple[tuple[str, ...], Figure]]:
     """All numbers of a record with their places."""
     found = []

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from op3.robot.robot import Robot
-from op3.robot.servo_make import ServoMake, load_servo, servo_files
 from op3.rollout.errors import LogError, rename
 from op3.rollout.rollout import Rollout
 from op3.rollout.schema import CHANNELS
@@ -75,16 +74,3 @@ def stand_tilt(log: Rollout) -> tuple[float, float] | None:
     else:
         return None
     return round(float(roll), 2) + 0.0, round(float(pitch), 2) + 0.0
-
-
-def find_servo(name: str | None) -> ServoMake | None:
-    """The make that a recording names, also by an alias or without its variant; None where none is meant."""
-    wanted = _plain(name or "")
-    makes = [load_servo(known) for known in servo_files()] if wanted else []
-    exact = [make for make in makes if wanted in map(_plain, (make.name, *make.aliases))]
-    close = [make for make in makes if _plain(make.name).startswith(wanted)]
-    return next(iter(exact + close), None)
-
-
-def _plain(name: str) -> str:
-    return "".join(letter for letter in name.lower() if letter.isalnum())

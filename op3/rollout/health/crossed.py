@@ -19,7 +19,6 @@ from op3.rollout.health.match import (
     step,
     windows,
 )
-from op3.rollout.robot_log import find_servo
 from op3.rollout.units import likely_unit
 
 SCALED = 0.06
@@ -134,12 +133,9 @@ def _late(view: View, angle: np.ndarray, summed: np.ndarray) -> tuple[float, flo
 def drive(view: View) -> Iterator[Finding]:
     """Current or duty drives away from the target, is another joint's, or is in another unit than gain times error."""
     error, rows = view.command - view.position, np.array(view.driven.all(1))
-    make, register = find_servo(view.metadata.servo), view.get(("command", "firmware_gain"))
-    law = None if make is None or make.loop != "firmware" else make.position_law
-    duty = None if law is None or register is None else register * law.error_gain.si
     rows &= np.arange(len(view.time)) % (1 + len(view.time) // 20_000) == 0  # so many tell
     speed = np.gradient(view.position, view.time, axis=0) if len(view.time) > 1 else error
-    for key, gain in ((CURRENT, view.get(("command", "p_gain"))), (("joint", "duty"), duty)):
+    for key, gain in ((CURRENT, view.get(("command", "p_gain"))), (("joint", "duty"), view.duty_gain)):
         values = view.get(key)
         if values is None or rows.sum() < 20:
             continue

@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, SupportsInt
 
 import numpy as np
 
+from op3.robot.servo_make import ServoMake, find_servo
 from op3.rollout.errors import LogError
 from op3.rollout.schema import CHANNELS, Key, column_names
 
@@ -77,6 +79,18 @@ class View:
         """Whether the servo drives, towards its target [time, joint]."""
         self.interval = float(np.median(np.diff(self.time))) if len(self.time) > 1 else np.inf
         """Usual time from row to row [s]."""
+
+    @cached_property
+    def make(self) -> ServoMake | None:
+        """The make of servo that the metadata name; None where none is known."""
+        return find_servo(self.metadata.servo)
+
+    @cached_property
+    def duty_gain(self) -> np.ndarray | None:
+        """Duty per angle [1/rad] of servos that close the loop themselves [time, joint]; None where it is unknown."""
+        gain = self.get(("command", "firmware_gain"))
+        law = None if self.make is None or self.make.loop != "firmware" else self.make.position_law
+        return None if law is None or gain is None else gain * law.error_gain.si
 
     def get(self, key: Key) -> np.ndarray | None:
         """A channel [time, name], None where it is absent."""

@@ -8,7 +8,6 @@ import numpy as np
 
 from op3.rollout.health.finding import CURRENT, ERROR, POSITION, VELOCITY, WARNING, Finding, View, check
 from op3.rollout.health.match import step
-from op3.rollout.robot_log import find_servo
 from op3.rollout.schema import CHANNELS
 from op3.rollout.units import likely_unit
 
@@ -33,7 +32,7 @@ _ROUGHEST = {VELOCITY: 100 * np.pi / 4096, CURRENT: 0.0065}
 @check("coarse steps")
 def coarse(view: View) -> Iterator[Finding]:
     """Numbers lie on another grid than the sensor's: they were rounded, or are in another unit."""
-    make = find_servo(view.metadata.servo)
+    make = view.make
     exact = 2 * np.pi / 4096 if make is None else make.position_unit
     for key, usual, least in (
         (POSITION, exact, 0.01 if make is None else 4 * exact),

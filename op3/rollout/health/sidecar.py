@@ -10,7 +10,6 @@ from op3.robot.servo_make import load_servo, servo_files
 from op3.rollout.errors import LogError, rename
 from op3.rollout.health.finding import ERROR, WARNING, Finding, View, check
 from op3.rollout.health.match import integral, windows
-from op3.rollout.robot_log import find_servo
 from op3.rollout.units import likely_unit, plausible_unit
 
 _PLAUSIBLE = {"mass": ("kg", 1e-3, 50.0, 0.4), "length": ("m", 5e-3, 3.0, 0.12), "battery": ("V", 2.0, 60.0, 11.0)}
@@ -59,7 +58,7 @@ def robot(view: View) -> Iterator[Finding]:
 @check("unknown servo")
 def servo(view: View) -> Iterator[Finding]:
     """The servo that the metadata name has no file, so that nothing is known of its law and its units."""
-    if (name := view.metadata.servo) is None or find_servo(name) is not None:
+    if (name := view.metadata.servo) is None or view.make is not None:
         return
     known = {alias: make for make in servo_files() for alias in (make, *load_servo(make).aliases)}
     remedy = rename(name, known, f"known are {', '.join(servo_files())}, and a new one is one file in assets/servos")
@@ -74,18 +73,14 @@ as friction and the arm come to the mass."""
 @check("weight of the pendulum")
 def weight(view: View) -> Iterator[Finding]:
     """A servo pushes with far less or more than its pendulum weighs: mass, length, gain or supply are others."""
-    about, gain, make = view.metadata, view.get(("command", "firmware_gain")), find_servo(view.metadata.servo)
-    law = None if make is None or make.loop != "firmware" else make.position_law
-    if about.mount != "pendulum" or gain is None or make is None or law is None or len(view.time) < 100:
+    about, gain, make = view.metadata, view.duty_gain, view.make
+    if about.mount != "pendulum" or gain is None or make is None or len(view.time) < 100:
         return
-    supply, angle = about.battery or make.supply.si, view.position[:, 0]
-    duty = gain[:, 0] * law.error_gain.si * (view.command[:, 0] - angle)
-    torque = (
-        make.output_constant
-        * np.clip(duty, -law.max_duty.si, law.max_duty.si)
-        * supply
-        / make.motor.terminal_resistance.si
-    )
+    assert make.position_law is not None
+    most, angle = make.position_law.max_duty.si, view.position[:, 0]
+    supply = about.battery or make.supply.si
+    stall = make.output_constant * supply / make.motor.terminal_resistance.si
+    torque = stall * np.clip(gain[:, 0] * (view.command[:, 0] - angle), -most, most)
     speed = np.gradient(angle, view.time)
     first, last, span = windows(view.time)
     off = np.cumsum(~view.driven[:, 0])
@@ -100,7 +95,7 @@ def weight(view: View) -> Iterator[Finding]:
     pushed = float(np.linalg.lstsq(causes, mean[:, 0])[0][0]) / (9.81 * (about.mass or 0.0) * (about.length or 0.0))
     if np.ptp(mean[:, 1]) > 0.3 and not _LOAD[0] < pushed < _LOAD[1]:
         problem = f"the servo pushes with {pushed:.2g} times what {about.mass:g} kg at {about.length:g} m weigh, by a "
-        problem += f"gain of {np.median(gain):g} at {supply:g} V"
+        problem += f"gain of {np.median(view.log.array(('command', 'firmware_gain'))):g} at {supply:g} V"
         yield view.found(WARNING, "field mass", problem, "look at mass, length, firmware_gain, battery and servo")
 
 

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from op3.robot.servo_make import find_servo
 from op3.rollout.errors import LogError
 from op3.rollout.readers.reader import Recording, Stream
 from op3.rollout.readers.text import numbers, read_bytes, read_json, unpacked
-from op3.rollout.robot_log import find_servo
 from op3.rollout.schema import VOLTAGE
 
 _HEADER = ("mass", "length", "kp", "motor", "trajectory", "entries")
