@@ -64,7 +64,9 @@ def open_robot(cfg: DictConfig) -> Connection:
 
 def load_runner(cfg: DictConfig) -> PolicyRunner | None:
     """The policy, None where there is none."""
-    return None if cfg.policy is None else PolicyRunner(PolicyBundle.load(cfg.policy), cfg.cycle, cfg.robot)
+    if cfg.policy is None:
+        return None
+    return PolicyRunner(PolicyBundle.load(cfg.policy), cfg.cycle, cfg.robot, cfg.limits.p_gain)
 
 
 def deploy(cfg: DictConfig) -> ExitCode:

@@ -16,6 +16,7 @@ from pydantic import Field
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.registers import DYNAMIXEL_X, Units
 from op3.deploy.state import State
+from op3.policy.actions import GAIN_HIGH
 from op3.robot import Robot
 from op3.settings import Count, NotNegative, Positive, Whole, settings
 
@@ -30,6 +31,7 @@ class Limits:
     Attributes:
         peak_current: largest goal current of any joint [A]; None: that of each joint as the robot's file says.
         continuous_current: what a servo carries for ever [A]; None: as its make's file says.
+        p_gain: largest P gain that a policy may ask for [A/rad].
         thermal_time: time constant with which the mean square of the current is formed [s].
         temperature: a servo at or above this ends the run [C].
         voltage: a supply at or below this ends the run [V].
@@ -46,6 +48,7 @@ class Limits:
 
     peak_current: Positive | None = None
     continuous_current: Positive | None = None
+    p_gain: Positive = GAIN_HIGH
     thermal_time: Positive = 60.0
     temperature: Positive = 72.0
     voltage: Positive = 10.0

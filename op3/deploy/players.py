@@ -92,7 +92,7 @@ class Player:
             Stop: if the policy did not come to command the robot.
         """
         task = None if task is None else find_task(task)
-        runner = PolicyRunner(bundle, cycle, self._robot)
+        runner = PolicyRunner(bundle, cycle, self._robot, self._limits.p_gain)
         return self._record(
             lambda: FollowPolicy(runner, duration),
             recording,

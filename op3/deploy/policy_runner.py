@@ -16,6 +16,7 @@ from op3.deploy.phases import Phase
 from op3.deploy.state import State
 from op3.deploy.ticker import PERIOD, POLICY_TICKS
 from op3.policy import PolicyBundle
+from op3.policy.actions import GAIN_HIGH
 from op3.policy.observation import BALANCE_LAYOUT, WALK_LAYOUT, History, observe
 from op3.robot import DEFAULT, Robot, load_robot
 from op3.rollout import Rollout
@@ -32,18 +33,28 @@ class PolicyRunner:
 
     Args:
         cycle: duration of a gait cycle [s], for a policy that sees the phase; None for that of its task.
+        p_gain: the largest that it may ask for [A/rad].
 
     Raises:
         ValueError: if the bundle cannot run on this robot; the message names the field.
     """
 
-    def __init__(self, bundle: PolicyBundle, cycle: float | None = None, robot: str | Robot = DEFAULT):
+    def __init__(
+        self,
+        bundle: PolicyBundle,
+        cycle: float | None = None,
+        robot: str | Robot = DEFAULT,
+        p_gain: float = GAIN_HIGH,
+    ):
         manifest = bundle.manifest
         manifest.check_robot(robot)
         layout = dict(manifest.layout)
         if layout not in (BALANCE_LAYOUT, WALK_LAYOUT):
             raise ValueError(f"field layout: this version observes {BALANCE_LAYOUT} and phase, the policy {layout}")
         manifest.check_fits(layout, manifest.history, 1 / PERIOD, 1 / (PERIOD * POLICY_TICKS))
+        if (highest := manifest.action_map.gain_high) > p_gain:
+            allowed = f"the robot's limit is {p_gain:g} A/rad; give a policy that stays below, or limits.p_gain"
+            raise ValueError(f"field gain_high of the policy's manifest is {highest:g} A/rad, and {allowed}")
         if cycle is None and manifest.task in TASKS:
             cycle = TASKS[manifest.task].cycle
         if "phase" in layout and (cycle is None or cycle <= 0):

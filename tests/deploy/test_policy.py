@@ -119,5 +119,11 @@ def test_a_policy_for_another_loop_is_refused():
     bundle.manifest = dataclasses.replace(hold_policy("walk").manifest, task="hop")
     with pytest.raises(ValueError, match="give cycle"):
         PolicyRunner(bundle)
+    bundle = hold_policy()
+    stiff = dataclasses.replace(bundle.manifest.action_map, gain_high=50.0)
+    bundle.manifest = dataclasses.replace(bundle.manifest, action_map=stiff)
+    with pytest.raises(ValueError, match=r"field gain_high of the policy's manifest is 50 A/rad.*limits\.p_gain"):
+        PolicyRunner(bundle)
+    PolicyRunner(bundle, p_gain=50.0)
     with pytest.raises(ValueError, match="was trained for the robot op3, and this one is arm; give a policy"):
         PolicyRunner(hold_policy(), robot="arm")

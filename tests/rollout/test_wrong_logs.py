@@ -7,6 +7,7 @@ import gzip
 import io
 import lzma
 import re
+import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +20,9 @@ from hypothesis import strategies as st
 from op3.robot.servo_make import load_servo
 from op3.rollout import LogError, Metadata, Rollout, read_episodes, read_log
 from op3.rollout.health import examine, told_together
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "robot"))
+from robots import write_robot
 
 RATE = 125.0
 
@@ -631,7 +635,31 @@ def test_a_battery_of_two_cells_is_none_of_three(tmp_path):
     volts = 1.5 * (bench_log().metadata.battery or 0.0)
     change: Change = lambda table: table.update({"joint_0.voltage": np.full(len(table["time"]), volts)})  # noqa: E731
     findings = read_log(write(tmp_path, change)).findings
-    assert any("does not fit the battery of" in finding.problem for finding in findings)
+    assert any("does not fit the supply of" in finding.problem for finding in findings)
+
+
+@pytest.mark.parametrize(
+    ("volts", "celsius", "told"),
+    [
+        ((11.8, 5.0), (40.0, 35.0), ()),
+        ((11.8, 11.8), (40.0, 35.0), ("right.voltage",)),
+        ((5.0, 5.0), (40.0, 35.0), ("left.voltage",)),
+        ((11.8, 5.0), (104.0, 35.0), ("left.temperature",)),  # 40 C as a scale of Fahrenheit has it
+    ],
+)
+def test_each_joint_has_the_limits_of_its_own_servo(tmp_path, volts, celsius, told):
+    """A small servo behind a converter has another voltage than the battery, and none works beyond its shutdown."""
+    mixed = {"servo: xm430-w210": "servo: xm430-w350\nloop: firmware", "right:": "right: {servo: xl330-m288}"}
+    robot = write_robot(tmp_path, "base", mixed)
+    time = np.arange(200)[:, None] / 125
+    angle = 0.3 * np.sin(4 * time) * [1.0, 0.9]
+    arrays = {"time": time, "command/position": angle, "joint/position": angle + 1e-4 * np.sin(9 * time)}
+    arrays |= {"joint/voltage": np.full((200, 2), volts) + 0.01 * np.sin(time)}
+    arrays |= {"joint/temperature": np.full((200, 2), celsius) + 0.1 * time}
+    about = Metadata(("left", "right"), "real", "stand", 125.0, battery=11.1, robot_file=str(robot))
+    found = [one for one in examine(Rollout.from_arrays(arrays, about)) if one.check == "supply and temperature"]
+    assert tuple(one.column for one in found) == told
+    assert all("F would be 40 C" in one.problem for one in found if "temperature" in (one.column or ""))
 
 
 @pytest.mark.parametrize(("sign", "told"), [(-1.0, False), (1.0, True)])

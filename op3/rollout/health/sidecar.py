@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 
 import numpy as np
 
@@ -18,6 +19,9 @@ _PLAUSIBLE = {"mass": ("kg", 1e-3, 50.0, 0.4), "length": ("m", 5e-3, 3.0, 0.12),
 
 _CHARGE = (0.7, 1.3)
 """Voltage over that of the battery: a cell of 3.7 V gives 3.0 to 4.2 V, and cables and load take some of it."""
+
+_HOTTEST = 95.0
+"""No servo works at such a temperature [C]: the files of makes let none get hotter."""
 
 
 @check("plausible metadata")
@@ -120,13 +124,27 @@ def firmware_gain(view: View) -> Iterator[Finding]:
 
 @check("supply and temperature")
 def supply(view: View) -> Iterator[Finding]:
-    """Voltage is far from the battery's, or a temperature is none of a servo."""
-    battery = view.metadata.battery
-    for key, joint, column in view.columns(("joint", "voltage"), ("joint", "temperature")):
-        median = float(np.median(column))
-        if key[1] == "voltage" and battery and 0 < median <= 30 and not _CHARGE[0] < median / battery < _CHARGE[1]:
-            problem = f"the median voltage {median:.4g} V does not fit the battery of {battery:g} V"
+    """Voltage is far from the battery's, or a temperature is none of a servo that works."""
+    volts, temperature, limits = ("joint", "voltage"), ("joint", "temperature"), _limits(view)
+    for key, joint, column in view.columns(volts, temperature):
+        median, (battery, hottest) = float(np.median(column)), limits[joint]
+        if key == volts and battery and 0 < median <= 30 and not _CHARGE[0] < median / battery < _CHARGE[1]:
+            problem = f"the median voltage {median:.4g} V does not fit the supply of {battery:.3g} V"
             yield view.found(WARNING, (key, joint), problem, "convert it to volts, or correct `battery`", aside=True)
-        if key[1] == "temperature" and not -10 <= median <= 95 and median <= 150:  # beyond that its bound speaks
-            problem = f"the median temperature {median:.4g} C is none of a working servo"
+        if key == temperature and not -10 <= median <= hottest and median <= 150:  # beyond that its bound speaks
+            fahrenheit = (median - 32) / 1.8
+            unit = f", but {median:.4g} F would be {fahrenheit:.3g} C" if -10 <= fahrenheit <= hottest else ""
+            problem = f"the median temperature {median:.4g} C is none of a working servo{unit}"
             yield view.found(WARNING, (key, joint), problem, "convert it to degrees Celsius", aside=True)
+
+
+def _limits(view: View) -> list[tuple[float | None, float]]:
+    """Nominal supply [V], where the metadata tell it, and hottest working temperature [C] of each joint's servo."""
+    battery, pendulum = view.metadata.battery, view.metadata.mount == "pendulum"
+    known = {view.joints[0]: (1.0, view.make)} if pendulum else {}
+    with suppress(LogError):
+        robot = view.log.robot
+        known = known or dict(zip(robot.joints, zip(robot.supply_shares, robot.servos, strict=True), strict=True))
+    of_joints = [known.get(joint, (1.0, None)) for joint in view.joints]
+    hottest = [_HOTTEST if make is None else make.limits.temperature.si for _, make in of_joints]
+    return [(battery and battery * share, most) for (share, _), most in zip(of_joints, hottest, strict=True)]
