@@ -1,9 +1,6 @@
 """What a user does with a robot on a port: run, dry run, read only, setup, calibrate, recordings."""
 
 import io
-import os
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -27,6 +24,7 @@ from op3.deploy.ticker import Ticker
 from op3.robot import Motion, pose, squat
 from op3.rollout import Rollout
 from tests.op3_table import JOINTS, OP3
+from tests.scripts import run_script
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -240,24 +238,18 @@ def test_a_run_that_ends_early_is_not_a_recording(tmp_path):
     assert stop.value.code == ExitCode.START_CHECK
 
 
-def script(name, *arguments):
-    command = [sys.executable, "-W", "ignore", str(ROOT / "experiments" / name), *arguments]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    return subprocess.run(command, capture_output=True, text=True, env=environment, check=False, timeout=300)
-
-
 def test_deploy_script_and_replay(tmp_path):
     """A policy on the emulated robot from the command line ends with 0, and its log replays to the same actions."""
     bundle = hold_policy(feedback=0.1).save(tmp_path / "bundle")
     common = (f"policy={bundle}", "panel=false")
-    result = script(
+    result = run_script(
         "deploy.py", *common, "port=emulated", "duration=0.5", "mount=stand", f"hydra.run.dir={tmp_path / 'run'}"
     )
     assert result.returncode == 0, result.stdout + result.stderr
     assert "torque off verified 20/20" in result.stdout
     log = tmp_path / "run" / "run"
     assert str(log) in result.stdout
-    again = script("deploy.py", *common, "mode=replay", f"log={log}", f"hydra.run.dir={tmp_path / 'replay'}")
+    again = run_script("deploy.py", *common, "mode=replay", f"log={log}", f"hydra.run.dir={tmp_path / 'replay'}")
     assert again.returncode == 0, again.stdout + again.stderr
     assert "the same actions" in again.stdout
 
@@ -271,7 +263,7 @@ def test_deploy_script_and_replay(tmp_path):
 )
 def test_wrong_arguments(tmp_path, arguments, code, message):
     """One sentence and a non-zero exit; a port that cannot be opened has its own code."""
-    result = script("deploy.py", *arguments, f"hydra.run.dir={tmp_path}")
+    result = run_script("deploy.py", *arguments, f"hydra.run.dir={tmp_path}")
     assert result.returncode == code
     assert message in result.stderr
     assert len(result.stderr.splitlines()) == 1
@@ -280,7 +272,7 @@ def test_wrong_arguments(tmp_path, arguments, code, message):
 def test_a_log_is_not_written_over(tmp_path):
     """A folder that holds a run is refused before the port is opened, and stays as it is."""
     (tmp_path / "run").mkdir()
-    result = script("deploy.py", "port=/dev/ttyNOWHERE", f"hydra.run.dir={tmp_path}")
+    result = run_script("deploy.py", "port=/dev/ttyNOWHERE", f"hydra.run.dir={tmp_path}")
     assert result.returncode == 1
     assert "run is there already, a log is never written over; choose another hydra.run.dir" in result.stderr
     assert list((tmp_path / "run").iterdir()) == []
@@ -290,7 +282,7 @@ def test_collect_from_the_emulated_robot(tmp_path):
     """`collect robot=emulated` leaves the same folders as the stand-in; a policy records its episodes."""
     bundle = hold_policy().save(tmp_path / "steady")
     out = tmp_path / "out"
-    result = script(
+    result = run_script(
         *("collect.py", "robot=emulated", f"policy={bundle}", "duration=0.3", "mount=stand"), f"hydra.run.dir={out}"
     )
     assert result.returncode == 0, result.stdout + result.stderr

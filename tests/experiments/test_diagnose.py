@@ -1,9 +1,8 @@
 """The diagnosis script as a user runs it."""
 
-import subprocess
-import sys
 import time
 from pathlib import Path
+from subprocess import CompletedProcess
 
 import numpy as np
 import pytest
@@ -13,14 +12,14 @@ from op3.robot import squat
 from op3.rollout import Rollout
 from op3.sim import load_model
 from op3.tasks import simulate_motion
+from tests.scripts import run_script
 
 LEG = ("hip_yaw", "hip_roll", "hip_pitch", "knee", "ank_pitch", "ank_roll")
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 
-def diagnose(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(REPOSITORY / "experiments" / "diagnose.py"), *arguments]
-    return subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
+def diagnose(*arguments: str) -> CompletedProcess[str]:
+    return run_script("diagnose.py", *arguments)
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from pathlib import Path
+from subprocess import CompletedProcess
 
 import pytest
 
@@ -10,15 +11,15 @@ from op3.report import read_result
 from op3.robot import squat
 from op3.sim import load_model
 from op3.tasks import simulate_motion
+from tests.scripts import run_script
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 BENCH = REPOSITORY / ".." / "shared" / "data" / "servo_bench" / "sts3032"
 SMALL = ["hydra.sweeper.n_trials=6", "hydra.sweeper.population=6", "wandb=disabled"]
 
 
-def identify(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(REPOSITORY / "experiments" / "identify.py"), *arguments]
-    return subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
+def identify(*arguments: str) -> CompletedProcess[str]:
+    return run_script("identify.py", *arguments)
 
 
 @pytest.fixture(scope="module")

@@ -1,8 +1,7 @@
 """The prediction script as a user runs it."""
 
-import subprocess
-import sys
 from pathlib import Path
+from subprocess import CompletedProcess
 
 import pytest
 
@@ -10,14 +9,14 @@ from op3.report import read_result
 from op3.robot import hold, pose, squat
 from op3.sim import load_model, save_model
 from op3.tasks import simulate_motion
+from tests.scripts import run_script
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 BENCH = REPOSITORY / ".." / "shared" / "data" / "servo_bench" / "sts3032"
 
 
-def predict(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(REPOSITORY / "experiments" / "predict.py"), *arguments, "wandb=disabled"]
-    return subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
+def predict(*arguments: str) -> CompletedProcess[str]:
+    return run_script("predict.py", *arguments, "wandb=disabled")
 
 
 @pytest.fixture(scope="module")

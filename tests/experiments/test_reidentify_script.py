@@ -1,9 +1,8 @@
 """Re-identification as a user runs it, at a tiny budget."""
 
 import shutil
-import subprocess
-import sys
 from pathlib import Path
+from subprocess import CompletedProcess
 
 import pytest
 
@@ -15,14 +14,14 @@ from op3.sim import load_model, save_model
 from op3.tasks import simulate_motion
 from op3.tasks.task import find_task
 from tests.envs.holding import holding_bundle
+from tests.scripts import run_script
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = ("hydra.sweeper.n_trials=6", "hydra.sweeper.population=4", "hydra.sweeper.starts=2", "repeats=2", "finalists=1")
 
 
-def reidentify(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(ROOT / "experiments" / "reidentify.py"), *arguments, "wandb=disabled", "processes=1"]
-    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+def reidentify(*arguments: str) -> CompletedProcess[str]:
+    return run_script("reidentify.py", *arguments, "wandb=disabled", "processes=1")
 
 
 @pytest.fixture(scope="module")

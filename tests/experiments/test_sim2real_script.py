@@ -1,7 +1,5 @@
 """The whole method at the smallest budget, in every condition."""
 
-import subprocess
-import sys
 from importlib import import_module
 from pathlib import Path
 
@@ -12,6 +10,7 @@ from hydra.utils import instantiate
 from op3.policy import PolicyBundle
 from op3.report import read_result
 from op3.sim import load_model
+from tests.scripts import run_script
 
 ROOT = Path(__file__).resolve().parents[2]
 TRAIN = ("train.steps=1200", "train.warmup=400", "train.evaluate_every=600", "environments=8", "evaluation.episodes=2")
@@ -35,11 +34,9 @@ CONDITIONS = (
 
 
 def sim2real(folder, *overrides):
-    script = ROOT / "experiments" / "sim2real.py"
     tiny = [f"budgets.demo.{stage}=[{','.join(map(repr, values))}]" for stage, values in TINY.items()]
     tiny += ["budgets.demo.episodes=2", "diagnosis=[squat_fast,squat_shallow]"]
-    command = [sys.executable, str(script), "budget=demo", *tiny, *overrides, f"hydra.run.dir={folder}"]
-    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+    return run_script("sim2real.py", "budget=demo", *tiny, *overrides, f"hydra.run.dir={folder}")
 
 
 DEMO = ("source=emulated", "task=balance", "world=robot_4")

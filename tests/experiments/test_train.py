@@ -2,8 +2,6 @@
 
 import dataclasses
 import importlib.util
-import os
-import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -18,6 +16,7 @@ from op3.policy import PolicyBundle
 from op3.report import read_result
 from op3.rollout import Rollout
 from op3.train import Practice, SACSettings, TrainSettings
+from tests.scripts import run_script
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = [
@@ -34,12 +33,6 @@ TINY = [
     "evaluation.video=false",
     "wandb=disabled",
 ]
-
-
-def script(name: str, *overrides: str) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, str(ROOT / "experiments" / name), *overrides]
-    return subprocess.run(command, capture_output=True, text=True, env=environment, cwd=ROOT, timeout=600)
 
 
 def module(name: str) -> ModuleType:
@@ -75,7 +68,7 @@ def in_process(name: str, overrides: list[str], folder: Path) -> object:
 def test_a_policy_is_trained_resumed_and_judged(tmp_path):
     """Training writes bundle, checkpoint, page and numbers; it resumes; the bundle is judged with logs and numbers."""
     run = tmp_path / "run"
-    done = script("train.py", *TINY, f"hydra.run.dir={run}")
+    done = run_script("train.py", *TINY, f"hydra.run.dir={run}")
     assert done.returncode == 0, done.stderr
     assert "left" in done.stdout
     manifest = PolicyBundle.load(run / "policy").manifest
@@ -85,13 +78,13 @@ def test_a_policy_is_trained_resumed_and_judged(tmp_path):
     assert (run / "index.html").is_file()
     assert read_result(run / "result.yaml")["steps"] >= 320
 
-    done = script("train.py", *TINY, "train.steps=640", f"resume={run}", f"hydra.run.dir={tmp_path / 'again'}")
+    done = run_script("train.py", *TINY, "train.steps=640", f"resume={run}", f"hydra.run.dir={tmp_path / 'again'}")
     assert done.returncode == 0, done.stderr
     assert read_result(run / "result.yaml")["steps"] >= 640
 
     judged = tmp_path / "judged"
     options = ["episodes=2", "threads=1", "video=false", "task=balance_eval", f"hydra.run.dir={judged}"]
-    done = script("evaluate.py", f"policy={run / 'policy'}", *options)
+    done = run_script("evaluate.py", f"policy={run / 'policy'}", *options)
     assert done.returncode == 0, done.stderr
     numbers = read_result(judged / "result.yaml")
     assert numbers["evaluation.episodes"] == 2
@@ -109,7 +102,7 @@ def test_wrong_input_ends_with_one_sentence(tmp_path):
         ("train.py", [*TINY, "sac.n_step=0"], "n_step must be at least 1, got 0"),
     ]
     for name, overrides, message in cases:
-        done = script(name, *overrides, f"hydra.run.dir={tmp_path / 'out'}")
+        done = run_script(name, *overrides, f"hydra.run.dir={tmp_path / 'out'}")
         assert done.returncode != 0
         assert message in done.stderr
         assert "Traceback" not in done.stderr
@@ -235,7 +228,7 @@ def test_figures_of_a_policy_are_drawn(tmp_path):
     """The gait and snapshots of a walk; a film where something draws."""
     pytest.importorskip("matplotlib", reason="matplotlib is not installed: pip install 'op3[docs]'")
     overrides = ["policy=assets/policies/walk", "tasks=[walk]", "episodes=1", f"folder={tmp_path}", "film_seconds=0.5"]
-    done = script("policy_figures.py", *overrides, f"hydra.run.dir={tmp_path}/run")
+    done = run_script("policy_figures.py", *overrides, f"hydra.run.dir={tmp_path}/run")
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "walk_gait.svg").stat().st_size > 10_000
     assert (tmp_path / "walk.jpg").exists() or "no pictures" in done.stdout

@@ -1,16 +1,17 @@
 """The script that records, from the command line to the files."""
 
-import os
 import shutil
 import subprocess
 import sys
 import time
 from pathlib import Path
+from subprocess import CompletedProcess
 
 import numpy as np
 import pytest
 
 from op3.rollout import Rollout
+from tests.scripts import run_script
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -18,10 +19,8 @@ ROOT = Path(__file__).resolve().parents[2]
 COMMAND = [sys.executable, "-W", "ignore", str(ROOT / "experiments" / "collect.py")]
 
 
-def collect(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [*COMMAND, *arguments]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment, check=False, timeout=120)
+def collect(*arguments: str) -> CompletedProcess[str]:
+    return run_script("collect.py", *arguments)
 
 
 def test_two_recordings(tmp_path):
