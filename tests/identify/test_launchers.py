@@ -3,7 +3,7 @@
 import importlib.util
 
 import pytest
-from test_sweeper import load, points, run
+from test_sweeper import load, points, run, start
 
 
 def installed(launcher: str) -> bool:
@@ -31,7 +31,9 @@ LAUNCHERS = [
 def test_a_launcher_gives_the_trials_of_one_process(launcher, tmp_path):
     """Two populations side by side as two real jobs: the same trials, other processes, and the report at the end."""
     arguments = ["hydra.sweeper.parallel_populations=2", "hydra.sweeper.n_trials=8", "hydra.sweeper.population=4"]
-    run(tmp_path, "-m", *launcher, *arguments)
+    process = start(tmp_path, "-m", *launcher, *arguments)  # of its own: joblib's workers end with their interpreter
+    output, _ = process.communicate(timeout=120)
+    assert process.returncode == 0, output
     run(tmp_path, *arguments, "hydra.run.dir=single")
     study, folder = load(tmp_path / "out" / "0"), tmp_path / "out" / "0"
     assert points(study) == points(load(tmp_path / "single"))

@@ -17,6 +17,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from op3.identify.search_space import StudyError
 from op3.identify.storage import open_storage
 from op3.identify.sweeper import expand_grid
+from tests.scripts import run_script
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 APP = Path(__file__).resolve().parent / "toy_app" / "app.py"
@@ -37,10 +38,9 @@ def start(folder, *arguments):
 
 def run(folder, *arguments):
     """Run the toy experiment; it must succeed. Returns what it printed."""
-    process = start(folder, *arguments)
-    output, _ = process.communicate(timeout=120)
-    assert process.returncode == 0, output
-    return output
+    done = run_script(APP, *arguments, place=folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout + done.stderr
 
 
 def load(folder, name="study"):
@@ -138,10 +138,9 @@ def test_a_killed_sweep_goes_on_where_it_was(mode, tmp_path):
 
 def test_jobs_that_die_do_not_end_the_sweep_silently(tmp_path):
     """Where every job fails before its first trial, the sweep stops and says why."""
-    process = start(tmp_path, "-m", "fail=start")
-    output, _ = process.communicate()
-    assert process.returncode != 0
-    assert re.search(r"No trial has completed.*the last error is: job: RuntimeError: there is no bowl", output)
+    done = run_script(APP, "-m", "fail=start", place=tmp_path)
+    assert done.returncode != 0
+    assert re.search(r"No trial has completed.*the last error is: job: RuntimeError: there is no bowl", done.stderr)
 
 
 @pytest.mark.parametrize("mode", [[], ["-m"]])
@@ -154,11 +153,10 @@ def test_jobs_that_die_do_not_end_the_sweep_silently(tmp_path):
 )
 def test_a_wrong_setting_gets_one_sentence(mode, argument, sentence, tmp_path):
     """The program ends with an error and a sentence, not with a stack trace."""
-    process = start(tmp_path, *mode, argument)
-    output, _ = process.communicate(timeout=60)
-    assert process.returncode != 0
-    assert sentence in output
-    assert "Traceback" not in output
+    done = run_script(APP, *mode, argument, place=tmp_path)
+    assert done.returncode != 0
+    assert sentence in done.stderr
+    assert "Traceback" not in done.stderr
     assert not list(tmp_path.rglob("population.json"))
 
 
