@@ -9,6 +9,10 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
+from packaging.utils import canonicalize_name
+
 GOOD, POOR, BAD = "ok", "note", "missing"
 LATENCY = 1
 """Milliseconds that a USB adapter may hold back bytes: more makes a tick of 8 ms take 15 to 20."""
@@ -29,7 +33,9 @@ def report() -> str:
 def python() -> Iterator[Line]:
     """Its version, against what the package says it runs on."""
     wanted = importlib.metadata.metadata("op3").get("Requires-Python", "")
-    yield GOOD, "Python", f"{platform.python_version()} on {platform.platform()}; op3 asks for {wanted or 'any'}"
+    fits = SpecifierSet(wanted).contains(platform.python_version())
+    text = f"{platform.python_version()} on {platform.platform()}; op3 asks for {wanted or 'any'}"
+    yield GOOD if fits else BAD, "Python", text
 
 
 def processors() -> Iterator[Line]:
@@ -42,18 +48,14 @@ def processors() -> Iterator[Line]:
 
 def packages() -> Iterator[Line]:
     """Those that op3 cannot run without, and the extras."""
-    for requirement in importlib.metadata.requires("op3") or []:
-        name = requirement.split(";")[0].strip()
-        for end in " <>=!~[":
-            name = name.split(end)[0]
-        optional = "extra ==" in requirement
-        try:
-            importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            extra = requirement.partition("extra ==")[2].strip(" '\"") if optional else ""
-            how = f"pip install 'op3[{extra}]'" if optional else f"pip install {name}"
-            if extra != "dev":
-                yield POOR if optional else BAD, "package", f"{name} is not installed: {how}"
+    extras = ["", *sorted({*(importlib.metadata.metadata("op3").get_all("Provides-Extra") or [])} - {"dev"})]
+    there = {canonicalize_name(one.name) for one in importlib.metadata.distributions()}
+    for requirement in map(Requirement, importlib.metadata.requires("op3") or []):
+        marker = requirement.marker
+        extra = next((each for each in extras if marker is None or marker.evaluate({"extra": each})), None)
+        if extra is not None and canonicalize_name(requirement.name) not in there:
+            how = f"pip install 'op3[{extra}]'" if extra else f"pip install {requirement.name}"
+            yield POOR if extra else BAD, "package", f"{requirement.name} is not installed: {how}"
 
 
 def rendering() -> Iterator[Line]:

@@ -165,16 +165,13 @@ def run(
         if plan.dry:
             return [driver]
 
-        def last() -> Any:
-            return session.target
-
         return [
             GainRamp(p_gain, d_gain),
-            Move(first, p_gain, d_gain, start=last),
+            Move(first, p_gain, d_gain, start=lambda: session.issued),
             Hold(first, p_gain, d_gain, until=lambda: connection.operator.said_go(say)),
             Hold(first, p_gain, d_gain, duration=SETTLE_TIME),
             driver,
-            Move(rest, start=last, log="after"),
+            Move(rest, start=lambda: session.issued, log="after"),
             Relax(rest),
         ]
 

@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 
 from op3.deploy.protocol import ALERT, Instruction, Parser, fast_answers
 from op3.deploy.registers import DYNAMIXEL_X, FIRST_INDIRECT_ADDRESS, OPEN_CR, OPEN_CR_ID, Register, Units
+from op3.deploy.serial_port import SerialPort
 from op3.deploy.state import BLOCKS, BOARD_ADDRESS, BOARD_LENGTH, POINTERS, Block, Calibration, State
 from op3.deploy.ticker import Clock
 from op3.robot import DEFAULT, Robot, load_robot
@@ -312,8 +313,9 @@ class Bus:
         try:
             yield
         except (serial.SerialException, OSError, termios.error, TypeError, AttributeError) as error:
-            if isinstance(error, TypeError | AttributeError) and getattr(self.port, "ser", None) is not None:
-                raise  # pyserial raises these on a closed port; anywhere else they are our own mistakes
+            never_open = isinstance(self.port, SerialPort) and self.port.ser is None
+            if isinstance(error, TypeError | AttributeError) and not never_open:
+                raise  # without its device the SDK trips over None; anywhere else they are our own mistakes
             self.clear()
             raise Unplugged(f"the port {self.port_name} went away ({error}); check the USB cable") from error
 

@@ -130,9 +130,10 @@ class CurrentLimiter:
     """
 
     def __init__(self, limits: Limits, robot: Robot, period: float, scale: float = 1.0):
-        peak, self._continuous = limits.currents(robot)
+        peak, continuous = limits.currents(robot)
         self._robot, self._unit = robot, Units(robot).current
-        self._peak = np.maximum(scale * peak, self._continuous)
+        self._peak = scale * peak
+        self._continuous = np.minimum(continuous, self._peak)
         self._blend = 1 - np.exp(-period / limits.thermal_time)
         self._mean_square = np.zeros(len(robot.joints))
 

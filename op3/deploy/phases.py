@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,9 @@ Array = NDArray[np.float64]
 
 GAIN_RAMP_TIME = 1.0
 """How long the P gains take from nothing to full, about the pose that was measured [s]."""
+
+BLEND_TIME = 0.25
+"""How long the gains of a move take to become its own, after a soft policy for example [s]."""
 
 LEAST_MOVE_TIME = 2.0
 """Shortest time of a move to another pose [s]."""
@@ -79,13 +83,14 @@ class Relax(Phase):
 
 
 class Move(Phase):
-    """A minimum-jerk move from where the targets are to a pose, so that targets never jump.
+    """A minimum-jerk move from where the targets are to a pose, so that neither targets nor stiffness jump.
 
     Args:
         pose: [joint] in rad.
         p_gain: [A/rad].
         d_gain: [A s/rad].
-        start: gives the targets before it; without it, or where there are none, it starts from the measured pose.
+        start: gives the command before it, whose gains become its own over `BLEND_TIME`; without it, or where there
+            is none, it starts from the measured pose.
     """
 
     name = "move"
@@ -96,26 +101,30 @@ class Move(Phase):
         p_gain: ArrayLike = HELD_GAIN,
         d_gain: ArrayLike = D_GAIN,
         *,
-        start: Callable[[], Array | None] | None = None,
+        start: Callable[[], Command | None] | None = None,
         log: str = "approach",
     ):
         self._goal = np.asarray(pose, dtype=float)
-        self._gains, self._given_start, self.log = (p_gain, d_gain), start, log
-        self._start: Array | None = None
+        self._own, self._given_start, self.log = Command.of(self._goal, p_gain, d_gain), start, log
+        self._start: Command | None = None
         self._ticks = 0
 
     def command(self, elapsed: int, state: State) -> Command | None:
         """See `Phase`."""
         if self._start is None:
             given = None if self._given_start is None else self._given_start()
-            self._start = state.position if given is None else given
+            self._start = replace(self._own, position=state.position) if given is None else given
             # The fastest instant of a minimum-jerk move has 1.875 times its mean speed.
-            needed = 1.875 * float(np.abs(self._goal - self._start).max()) / MOVE_SPEED
+            needed = 1.875 * float(np.abs(self._goal - self._start.position).max()) / MOVE_SPEED
             self._ticks = round(max(LEAST_MOVE_TIME, needed) / PERIOD)
         if elapsed >= self._ticks:
             return None
-        share = minimum_jerk(elapsed / self._ticks)
-        return Command.of(self._start + share * (self._goal - self._start), *self._gains)
+        before, after, share = self._start, self._own, min(1.0, elapsed * PERIOD / BLEND_TIME)
+        return Command(
+            before.position + minimum_jerk(elapsed / self._ticks) * (self._goal - before.position),
+            before.p_gain + share * (after.p_gain - before.p_gain),
+            before.d_gain + share * (after.d_gain - before.d_gain),
+        )
 
 
 class Hold(Phase):

@@ -20,6 +20,7 @@ from op3.policy.actions import GAIN_HIGH
 from op3.policy.observation import BALANCE_LAYOUT, WALK_LAYOUT, History, observe
 from op3.robot import DEFAULT, Robot, load_robot
 from op3.rollout import Rollout
+from op3.tasks.evaluation import policy_rows
 from op3.tasks.task import POLICY_PERIOD, TASKS
 
 Array = NDArray[np.float64]
@@ -225,7 +226,7 @@ def replay_policy(log: Rollout, runner: PolicyRunner) -> PolicyReplay:
     seen = log.array("policy/observation") if "policy/observation" in log else np.full((log.rows, 1), np.nan)
     readings = [log.array(key) for key in sensed]
     runner.reset()
-    steps, rows = _steps(log)
+    steps, rows = policy_rows(log, asked.policy_rate)
     actions, observations = [], []
     for step, row in zip(steps, rows, strict=True):
         observation = runner.observe(*(values[row] for values in readings), step=step)
@@ -233,17 +234,3 @@ def replay_policy(log: Rollout, runner: PolicyRunner) -> PolicyReplay:
         observations.append(np.abs(observation - seen[row]).max())
     beyond = [step for step, difference in zip(steps, actions, strict=True) if not difference < TOLERANCE]
     return PolicyReplay(len(steps), float(max(actions)), float(max(observations)), beyond[0] if beyond else None)
-
-
-def _steps(log: Rollout) -> tuple[list[int], list[int]]:
-    """Numbers of the policy steps, and the row of each."""
-    if abs(log.metadata.rate * PERIOD * POLICY_TICKS - 1) < 0.05:
-        return list(range(log.rows)), list(range(log.rows))
-    if abs(log.metadata.rate * PERIOD - 1) > 0.05:
-        raise ValueError(f"the log has {log.metadata.rate:g} rows per second; the loop runs at {1 / PERIOD:g} Hz")
-    time = log.array("time")[:, 0]
-    if "raw/lateness" in log:
-        time = time - log.array("raw/lateness")[:, 0]
-    step = np.round((time - time[0]) / PERIOD).astype(int) // POLICY_TICKS
-    rows = np.flatnonzero(np.diff(step, prepend=-1) > 0)
-    return step[rows].tolist(), rows.tolist()

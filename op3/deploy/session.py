@@ -151,7 +151,7 @@ class Session:
         show: called at the end of every tick with phase, state, command, goal currents [joint], verdict and ticker.
 
     Attributes:
-        target: of the last tick [joint] in rad.
+        issued: the command of the last tick, as it was carried out; None before the first.
     """
 
     def __init__(
@@ -171,7 +171,7 @@ class Session:
         self._ticker: Ticker | None = None
         self._log, self._channels = LOG_NAMES[0], {}
         self._ended_in: str | None = None
-        self.target: NDArray[np.float64] | None = None
+        self.issued: Command | None = None
 
     @property
     def timing(self) -> Timing:
@@ -265,10 +265,9 @@ class Session:
                 phase, began = waiting.pop(0), tick.index
                 command = phase.command(0, state)
             self._log, self._channels = phase.log, phase.channels()
-            counts, issued = self._carry_out(tick, state, command, verdict)
-            self.target = issued.position
+            counts, self.issued = self._carry_out(tick, state, command, verdict)
             if self._show is not None:
-                self._show(phase.name, state, issued, counts, verdict, self._ticker)
+                self._show(phase.name, state, self.issued, counts, verdict, self._ticker)
 
     def _damp(self, reason: Stop) -> None:
         """Brake for a while before torque goes off; a graver reason in between cuts it short."""
@@ -282,7 +281,7 @@ class Session:
             except Stop as stop:
                 if not stop.damp:
                     raise reason from stop
-            command = Command.of(state.position if self.target is None else self.target, 0.0, 0.0)
+            command = Command.of(state.position if self.issued is None else self.issued.position, 0.0, 0.0)
             self._carry_out(tick, state, command, Verdict(damp=True))
 
     def _carry_out(

@@ -191,7 +191,7 @@ def _possible(effect: type[Effect], model: RobotModel) -> bool:
         return False
     if effect is PacketDrop:
         return False  # which packets were lost differs from run to run: no window foresees it
-    if any(e.target in ("base_body", "foot_geom", "ground_geom", "option") for e in effect.edits):
+    if any(e.target in ("base_body", "ground_geom", "option") for e in effect.edits):
         return False
     if "trunk" in effect.__module__:
         return False

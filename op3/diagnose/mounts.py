@@ -21,15 +21,6 @@ def diagnosed_mount(logs: Sequence[Rollout]) -> tuple[list[Rollout], dict[str, l
     Raises:
         LogError: if logs are of different robots or servos, or of a bench and of a robot.
     """
-    for field in ("robot", "servo"):
-        told = {str(getattr(log.metadata, field)): log for log in logs if getattr(log.metadata, field) is not None}
-        if len(told) > 1:
-            raise LogError(
-                f"the logs are of different {field}s ({', '.join(sorted(told))})",
-                "diagnose those of one at a time",
-                source=list(told.values())[-1].metadata.recording,
-                column=field,
-            )
     by_mount: dict[str, list[Rollout]] = {}
     for log in logs:
         by_mount.setdefault(log.metadata.mount, []).append(log)
@@ -40,6 +31,18 @@ def diagnosed_mount(logs: Sequence[Rollout]) -> tuple[list[Rollout], dict[str, l
             source=by_mount["pendulum"][0].metadata.recording,
             column="mount",
         )
+    fields = {"robot_file": "robots", "robot": "kinds of robots", "servo": "servos"}
+    for field, what in fields.items():
+        of_robot = field == "robot_file"
+        told = {log.robot.reference if of_robot else getattr(log.metadata, field): log for log in logs}
+        told.pop(None, None)
+        if len(told) > 1:
+            raise LogError(
+                f"the logs are of different {what} ({', '.join(sorted(told))})",
+                "diagnose those of one at a time",
+                source=list(told.values())[-1].metadata.recording,
+                column=field,
+            )
     first = next((mount for mount in FIRST if mount in by_mount), next(iter(by_mount), ""))
     return by_mount.pop(first, []), by_mount
 

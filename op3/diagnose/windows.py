@@ -5,7 +5,6 @@ dynamics are computed once along the measured motion, with what other bodies, or
 """
 
 import copy
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
@@ -14,7 +13,6 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from op3.robot.units import CURRENT_UNIT
 from op3.rollout import LogError, Rollout
 from op3.rollout.smoothing import CHANNELS, PREROLL, SmoothLog, smooth_all
 from op3.rollout.supply import open_voltages
@@ -22,6 +20,7 @@ from op3.servo import RobotModel
 from op3.servo.conditions import split_name
 from op3.servo.effects import CurrentPD, Motor
 from op3.sim import MeasuredMotion, TrajectoryDynamics, Window, WindowSimulation
+from op3.sim.crew import processors
 from op3.sim.edits import ROTOR
 from op3.sim.held_base import FixedBase, PendulumBase, fixed_base
 from op3.sim.window_simulation import MISREADING, ZERO
@@ -254,12 +253,12 @@ class WindowResiduals:
             if not supplied:
                 given["inputs"] = {**given["inputs"], "bus_voltage": self.measured_voltage}
                 given["supply_resistance"] = 0.0
-            options = {"timestep": timestep, "preroll": PREROLL, "num_threads": os.cpu_count() or 1}
+            options = {"timestep": timestep, "preroll": PREROLL, "num_threads": processors()}
             motion = MeasuredMotion(**given)
             self._simulations[key] = WindowSimulation(
-                _as_sent(model), [motion], self._starts, self.ticks, self.joints, **options
+                self._as_sent(model), [motion], self._starts, self.ticks, self.joints, **options
             )
-        return self._simulations[key].under(_as_sent(model))
+        return self._simulations[key].under(self._as_sent(model))
 
     def errors(
         self,
@@ -284,6 +283,14 @@ class WindowResiduals:
         assert whole is not None
         return np.nan_to_num(whole, copy=False, nan=1e3, posinf=1e3, neginf=-1e3)
 
+    def _as_sent(self, model: RobotModel) -> RobotModel:
+        """The model with commands rounded as the registers of the servos take them: the log tells what was computed."""
+        makes = self.smooth_logs[0].log.servos
+        units = [make.counts.current.si for make in makes if make is not None and make.counts.current is not None]
+        step = min(units, default=0.0)
+        sent = [replace(e, resolution=step) if isinstance(e, CurrentPD) else e for e in model.effects]  # type: ignore[type-var]
+        return replace(model, effects=tuple(sent))
+
     def _setups(self, parameters: Mapping[str, Tensor]) -> list[tuple[dict[str, Any], np.ndarray]]:
         """Metadata on which conditional parameters depend, and the windows that have them."""
         conditions = [condition for name in parameters if (condition := split_name(name)[1]) is not None]
@@ -297,12 +304,6 @@ class WindowResiduals:
         asked with the tick at which a window ends."""
         windows = values.reshape(len(self.windows), PREROLL + self.ticks + 1, *values.shape[1:])
         return windows[:, PREROLL : None if end else -1]
-
-
-def _as_sent(model: RobotModel) -> RobotModel:
-    """The model with commands rounded as the register of the servos takes them: the log tells what was computed."""
-    sent = [replace(e, resolution=CURRENT_UNIT) if isinstance(e, CurrentPD) else e for e in model.effects]  # type: ignore[type-var]
-    return replace(model, effects=tuple(sent))
 
 
 def _held_by(parameters: Mapping[str, Tensor], told: Mapping[str, Any]) -> dict[str, Tensor]:

@@ -103,13 +103,19 @@ class TrajectoryLoss:
             simulated = prediction.channels[key]
             measured = torch.from_numpy(log.array(key)[: simulated.shape[1]])
             difference = simulated[:, first:] - measured[first:]
-            if log.metadata.set_aside:  # what was not measured does not count
-                difference = difference * torch.from_numpy(log.measured(key))
             if group == "joint":
-                difference = difference[..., columns]
+                kept = log.measured(key)  # what was set aside is no error of 0
+                difference = difference[..., [column for column in columns if kept[column]]]
             elif key == ("imu", "orientation"):
                 difference = _wrap(difference[..., :2])
-            result[key] = difference
+            if difference.shape[-1]:
+                result[key] = difference
+            elif key == ("joint", "position"):
+                raise LogError(
+                    f"the positions of {', '.join(self.joints)} were set aside",
+                    "leave this log out, or focus on other joints",
+                    source=log.metadata.recording,
+                )
         if not result:
             names = ", ".join("/".join(key) for key in self.weights)
             raise LogError(

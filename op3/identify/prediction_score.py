@@ -153,11 +153,8 @@ def _cut(loss: TrajectoryLoss, prediction: Prediction, stretches: int) -> _Cut |
     columns = loss.columns(log)
     axes = {"imu/orientation": ["roll", "pitch"], "imu/angular_velocity": ["x", "y", "z"]}
     for key in [key for key in squares if key.startswith("joint/")]:
-        kept = log.measured(key)[columns]  # what was set aside is no error of 0
+        kept = log.measured(key)[columns]
         axes[key] = [log.joints[column] for column, good in zip(columns, kept, strict=True) if good]
-        squares[key] = squares[key][:, kept]
-        differences[key] = differences[key][:, kept]
-    squares = {key: values for key, values in squares.items() if values.shape[1]}
     # eq. (7) takes the body's vectors by their length and the joints on average
     terms = [s.sum(1) if key.startswith("imu") else s.mean(1) for key, s in squares.items()]
     return _Cut(

@@ -108,7 +108,8 @@ def states_of_log(log: Rollout, scene: Scene, rate: float) -> np.ndarray:
         return joints
     model, orientation = scene.compile(visual=False), log.array("imu/orientation")[rows]
     data = mujoco.MjData(model)
-    soles = [i for i in range(model.nsite) if "sole" in model.site(i).name]
+    assert scene.robot is not None
+    soles = [model.site(site.full_identifier).id for site in scene.robot.key_points]
     feet = sorted({int(model.site_bodyid[i]) for i in soles})
     states = np.repeat(scene.initial_qpos(joints[0])[None], len(rows), 0)
     board = states.shape[1] - 7 - len(names)
@@ -118,7 +119,7 @@ def states_of_log(log: Rollout, scene: Scene, rate: float) -> np.ndarray:
         state[7 : 7 + len(names)] = angles
         data.qpos[:] = state
         mujoco.mj_kinematics(model, data)
-        middle = data.site_xpos[soles].mean(0)
+        middle = data.site_xpos[soles].mean(0) if soles else data.xpos[1]
         centre = middle if centre is None else centre
         state[:3] += centre - middle
         if board:

@@ -240,12 +240,15 @@ class ServoMake(Record):
         """Torque per current at the output [N m/A]."""
         return self.motor.gear_ratio.si * self.motor.torque_constant.si
 
+    def stands(self, voltage: float) -> bool:
+        """Whether it may be supplied with a voltage [V]."""
+        return self.limits.low_voltage.si <= voltage <= self.limits.high_voltage.si
+
 
 def supply_shares(makes: Sequence[ServoMake]) -> NDArray[np.float64]:
     """Supply of each servo over that of the first [joint], which all have that stand it."""
     first = makes[0].supply.si
-    stand = [make.limits.low_voltage.si <= first <= make.limits.high_voltage.si for make in makes]
-    return np.array([1.0 if one else make.supply.si / first for one, make in zip(stand, makes, strict=True)])
+    return np.array([1.0 if make.stands(first) else make.supply.si / first for make in makes])
 
 
 @lru_cache(maxsize=1)

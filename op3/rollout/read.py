@@ -7,8 +7,6 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from op3.robot.robot import Robot, load_robot
 from op3.rollout.errors import LogError
 from op3.rollout.importing import read_side, roll_out
@@ -28,7 +26,7 @@ def kinds() -> str:
 
 
 def read_log(path: str | Path, robot: str | Path | Robot | None = None) -> Rollout:
-    """Read one log of any format; several episodes of equal length come as a batch.
+    """Read one log of any format, which holds one recording.
 
     Args:
         path: of the log.
@@ -40,11 +38,8 @@ def read_log(path: str | Path, robot: str | Path | Robot | None = None) -> Rollo
     logs = read_episodes(path, robot=robot)
     if len(logs) == 1:
         return logs[0]
-    if len({(log.rows, log.channels, log.joints) for log in logs}) > 1:
-        problem = f"it holds {len(logs)} recordings of different lengths or channels"
-        raise LogError(problem, "read them all with read_logs, or give the path to `data=`", source=path)
-    arrays = {key: np.stack([log.array(key) for log in logs]) for key in logs[0].channels}
-    return Rollout.from_arrays(arrays, logs[0].metadata, path)
+    remedy = "read them all with read_logs, or give the path to `data=`"
+    raise LogError(f"it holds {len(logs)} recordings", remedy, source=path)
 
 
 def read_episodes(

@@ -15,6 +15,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 
 from op3.robot.robot import DEFAULT, Robot, load_robot
+from op3.robot.servo_make import ServoMake, find_servo
 from op3.rollout import files
 from op3.rollout.errors import LogError, located
 from op3.rollout.metadata import OUTCOMES, Metadata
@@ -91,6 +92,17 @@ class Rollout:
         except ValueError as error:
             remedy = "correct `robot_file` in the metadata, or give robot=<path>"
             raise LogError(str(error), remedy, source=self.metadata.recording, column="field robot_file") from None
+
+    @property
+    def servos(self) -> list[ServoMake | None]:
+        """The make of each joint's servo; None where none is known."""
+        if self.metadata.mount == "pendulum":
+            return [find_servo(self.metadata.servo)] * len(self.joints)
+        try:
+            known = dict(zip(self.robot.joints, self.robot.servos, strict=True))
+        except LogError:
+            known = {}
+        return [known.get(joint) for joint in self.joints]
 
     @property
     def channels(self) -> tuple[Key, ...]:
@@ -202,14 +214,15 @@ class Rollout:
         """The log with these columns set aside.
 
         In their place stand the command for a position, the derivative of position for a velocity, and the middle of
-        the other joints for the rest, so that no consumer meets a hole.
+        the other joints for the rest, so that no consumer meets a hole. Of a vector of the trunk no axis stands for
+        another: it is gone as a whole.
         """
         if not aside:
             return self
         data, every = self.data.clone(False), {*aside, *self.metadata.set_aside}
         for key in self.channels:
             bad = np.array([column in every for column in self._columns(key)])
-            if bad.all():
+            if bad.all() or (key[0] == "imu" and bad.any()):
                 del data[key]
             elif bad.any():
                 values = self.array(key).copy()

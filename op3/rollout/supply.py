@@ -8,7 +8,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from op3.robot.units import VOLTAGE_UNIT
 from op3.rollout.smoothing import SmoothLog
 
 EXPLAINED = 0.5
@@ -19,6 +18,9 @@ HIGHEST = 1.5
 
 STEADY = 0.25
 """Without current a supply changes slowly: its voltage is a mean over so long to each side [s]."""
+
+ROUNDED = 0.1
+"""Unit of a servo's voltage where its make is not known [V]: that of all makes in `assets/servos`."""
 
 TELLING = 0.2
 """A voltage whose changes stay below this does not tell a resistance [V]."""
@@ -47,7 +49,8 @@ def open_voltages(logs: Sequence[SmoothLog]) -> tuple[float, list[np.ndarray]]:
     steady = [_mean_around(voltage, round(STEADY / log.period)) for voltage, log in zip(opened, logs, strict=True)]
     noise = np.concatenate([a - b for a, b in zip(opened, steady, strict=True)])
     # a board, arms or another load on the same supply: what is left is no rounding, and no one resistance
-    if noise.std() > VOLTAGE_UNIT:
+    units = [make.counts.voltage.si for log in logs for make in log.log.servos if make is not None]
+    if noise.std() > max(units, default=ROUNDED):
         return 0.0, measured
     return resistance, steady
 

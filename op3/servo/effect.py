@@ -88,7 +88,7 @@ class ModelEdit:
     """
 
     field: str
-    target: Literal["joint_dof", "joint_body", "base_body", "foot_geom", "ground_geom", "option"]
+    target: Literal["joint_dof", "joint_body", "base_body", "ground_geom", "option"]
     operation: Literal["set", "add", "scale", "turn"]
     parameter: str
     column: int | None = None
@@ -273,9 +273,10 @@ class Effect:
             if get_origin(hint) is Literal and value not in get_args(hint):
                 choices = ", ".join(map(str, get_args(hint)))
                 raise ValueError(f"effect {self.name!r}: {option} must be one of {choices}, got {value!r}")
-            number = isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
-            if hint is float and not number:
-                raise ValueError(f"effect {self.name!r}: {option} must be a finite number, got {value!r}")
+            kinds = {float: (int, float), int: (int,)}.get(hint)
+            if kinds and (not isinstance(value, kinds) or isinstance(value, bool) or not isfinite(value)):
+                number = "finite" if hint is float else "whole"
+                raise ValueError(f"effect {self.name!r}: {option} must be a {number} number, got {value!r}")
 
     def adjust(self, values: Mapping[str, Tensor], sides: Tensor) -> Mapping[str, Tensor]:
         """All parameters of the model as this effect leaves them; or an error where they are none it can have.

@@ -15,9 +15,6 @@ from op3.sim.ports import ServoPorts
 ROTOR, LINK = Motor.edits[0], LinkInertia.edits[0]
 """Changes that need no MuJoCo: of the rotor's inertia, on the diagonal of the mass matrix, and of a link's own."""
 
-FOOT_JOINT = "ank_roll"
-"""How the names of the joints end that move the feet."""
-
 
 def edited_fields(
     model: mujoco.MjModel,
@@ -48,8 +45,8 @@ def edited_fields(
                 raise ValueError(f"effect {effect.name!r} changes the base body, but this scene has none")
             value = values[edit.parameter].numpy()
             rows = _rows(model, edit, ports, base_body)
-            if edit.per is not None:
-                value = value * edited.get(edit.per, np.asarray(getattr(model, edit.per))[None])[:, rows]
+            if edit.per is not None:  # as compiled, so that the order of effects does not matter
+                value = value * np.asarray(getattr(model, edit.per))[None, rows]
             _carry_out(edit, edited[edit.field], rows, value)
     return {name: array[:, 0] if name.startswith("opt.") else array for name, array in edited.items()}
 
@@ -68,12 +65,9 @@ def _rows(model: mujoco.MjModel, edit: ModelEdit, ports: ServoPorts, base_body: 
     }
     if edit.target in one_of:
         return one_of[edit.target]
-    collides = (model.geom_contype | model.geom_conaffinity) != 0
-    if edit.target == "foot_geom":
-        feet = [b for name, b in zip(ports.joints, ports.body, strict=True) if name.endswith(FOOT_JOINT)]
-        return np.flatnonzero(collides & np.isin(model.geom_bodyid, feet))
-    # what feet stand on: the floor, and boards that move
-    return np.flatnonzero(model.geom_contype != 0)
+    # what feet stand on: the floor, and boards that move; its priority makes it decide for both
+    collides, roots = (model.geom_contype | model.geom_conaffinity) != 0, model.body_rootid
+    return np.flatnonzero(collides & ~np.isin(roots[model.geom_bodyid], roots[ports.body]))
 
 
 def _carry_out(edit: ModelEdit, field: np.ndarray, rows: Any, value: np.ndarray) -> None:

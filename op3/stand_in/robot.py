@@ -8,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 from collections import deque
 from collections.abc import Callable
-from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -220,15 +219,11 @@ class StandIn:
 
     def foremost(self) -> float:
         """How far ahead the inner tip of the foremost foot is in the world [m]; 0 on a fixed base."""
-        if self.scene.robot is None or not isinstance(self._bodies, Floor):
+        robot, tips = self.scene.robot, self.scene.robot_file.inner_tips
+        if robot is None or not tips or not isinstance(self._bodies, Floor):
             return 0.0
-        return float(self._bodies.data.site_xpos[self._tips, 0].max())
-
-    @cached_property
-    def _tips(self) -> list[int]:
-        """Ids of the soles' inner tips."""
-        model = self._model
-        return [number for number in range(model.nsite) if model.site(number).name.endswith("sole_inner_tip")]
+        data = self._bodies.data
+        return max(float(data.site(robot.key_points[tip].full_identifier).xpos[0]) for tip in tips)
 
     def write_current(self, current: ArrayLike, delay: float = 0.0) -> None:
         """Give the servos new goal currents.

@@ -6,7 +6,9 @@ from the body's rates, and walking from the distance travelled (paper, section "
 
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from op3.robot import pose, standing_height
@@ -37,7 +39,7 @@ def evaluation_rewards(log: Rollout, task: str | Task | None = None) -> Tensor:
     if log.batched:
         raise LogError("R_eval is of one episode, but the log has many", "give log.episodes() one by one")
     task = find_task(task if task is not None else _field(log, "task", log.metadata.extra.get("task")))
-    rows = policy_rows(log)
+    _, rows = policy_rows(log, _field(log, "policy_rate", log.metadata.policy_rate))
 
     def channel(key: str) -> Tensor:
         return torch.from_numpy(log.array(key))[rows]
@@ -123,16 +125,27 @@ def succeeded(log: Rollout, task: str | Task, least_distance: float = LEAST_DIST
     return _field(log, "travelled_distance", log.metadata.travelled_distance) >= least_distance
 
 
-def policy_rows(log: Rollout) -> slice:
-    """The rows of a log in which the policy acted."""
-    rate = _field(log, "policy_rate", log.metadata.policy_rate)
+def policy_rows(log: Rollout, rate: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Numbers of a policy's steps in an episode, and the row of each, in which it acted; a loop may skip rows.
+
+    Args:
+        rate: of the policy [Hz].
+
+    Raises:
+        LogError: if the log's rate is no multiple of it.
+    """
     every = log.metadata.rate / rate
     if every < 1 or abs(every - round(every)) > 1e-3:
         problem = f"the log has {log.metadata.rate:g} rows per second, which is no multiple of {rate:g}"
         raise LogError(
             problem, "correct rate or policy_rate", source=log.metadata.recording, column="field policy_rate"
         )
-    return slice(None, None, round(every))
+    time = log.array("time")[:, 0]
+    if "raw/lateness" in log:
+        time = time - log.array("raw/lateness")[:, 0]
+    step = np.round((time - time[0]) * log.metadata.rate).astype(int) // round(every)
+    rows = np.flatnonzero(np.diff(step, prepend=-1) > 0)
+    return step[rows], rows
 
 
 def swayed(rates: Tensor) -> Tensor:

@@ -122,7 +122,7 @@ class Rig:
 
         def make(loop: Session) -> Sequence[Phase]:
             if phases is None:
-                move = Move(stand, start=lambda: loop.target)
+                move = Move(stand, start=lambda: loop.issued)
                 return [GainRamp(), move, Hold(stand, duration=duration, log="run")]
             return phases(loop) if callable(phases) else phases
 

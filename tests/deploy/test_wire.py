@@ -1,13 +1,14 @@
 """The loop as the wire sees it: when a tick speaks, in which order, and what its currents are made of."""
 
 import numpy as np
+import pytest
 from deploy_rig import NAMES, make_rig
 from policies import hold_policy
 
 from op3.deploy.emulator import read_frames
 from op3.deploy.exit_codes import ExitCode
 from op3.deploy.limits import Limits
-from op3.deploy.phases import GainRamp, Hold
+from op3.deploy.phases import GainRamp, Hold, Move
 from op3.deploy.policy_runner import FollowPolicy, PolicyRunner
 from op3.deploy.protocol import Instruction, Parser, fast_answers
 from op3.deploy.state import CONTENTS
@@ -117,6 +118,27 @@ def test_currents_on_the_wire_stay_within_peak_and_continuous(tmp_path):
     assert goals[:, ~IS_LEG].max() == 430
     last = goals[-5]
     assert ((last >= 171) & (last < 230))[IS_LEG].all()
+
+
+def test_stiffness_comes_back_slowly_after_a_soft_phase(tmp_path):
+    """A move behind a soft hold begins with its command: against a stop the currents rise step by step."""
+    rig, near = blocked(make_rig(tmp_path)), pose("stand") + 0.1
+
+    def phases(session):
+        return [GainRamp(1.0), Hold(near, 1.0, duration=0.5), Move(near, start=lambda: session.issued)]
+
+    assert rig.run(phases).code == ExitCode.OK
+    goals = np.abs([tick["goal"] for tick in ticks_of(rig)])
+    assert goals.max() > 200
+    assert np.diff(goals[200:-2], axis=0).max() < 12  # 0.1 rad times 5 A/rad in 0.25 s, in counts per tick: 6
+
+
+@pytest.mark.parametrize("scale", [0.5, 0.1])
+def test_no_current_is_above_the_scale(tmp_path, scale):
+    """What is carried for ever is within the share of the peak, too."""
+    rig = blocked(make_rig(tmp_path))
+    assert rig.run([GainRamp(), Hold(far(), duration=1.0)], current_scale=scale).code == ExitCode.OK
+    assert np.abs([tick["goal"] for tick in ticks_of(rig)])[:, IS_LEG].max() == int(scale * 855)
 
 
 def test_a_suspended_robot_gets_half(tmp_path):

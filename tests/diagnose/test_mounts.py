@@ -4,6 +4,7 @@ import pytest
 
 from op3.diagnose import diagnosed_mount, on_other_mounts
 from op3.robot import squat
+from op3.robot.assets import asset_path
 from op3.rollout import LogError, Rollout
 from op3.sim import load_model
 from op3.tasks import simulate_motion
@@ -32,12 +33,16 @@ def test_a_bench_among_a_robots_logs_is_refused(logs):
         diagnosed_mount([*logs, bench])
 
 
-@pytest.mark.parametrize(("field", "other"), [("robot", "real"), ("servo", "xl330")])
-def test_different_machines_are_refused(logs, field, other):
+@pytest.mark.parametrize(("field", "other"), [("robot_file", "robot"), ("robot", "real"), ("servo", "xl330")])
+def test_different_machines_are_refused(logs, tmp_path, field, other):
     """Logs of another robot, or of other servos, are not diagnosed together."""
+    if field == "robot_file":  # another OP3, with joints of the same names
+        text = asset_path("robots/op3.yaml").read_text().replace("../op3/", f"{asset_path('op3/op3.xml').parent}/")
+        (tmp_path / "op3.yaml").write_text(text)
+        other = str(tmp_path / "op3.yaml")
     stranger = Rollout(logs[1].data, logs[1].metadata.replace(**{field: other}))
     mine = Rollout(logs[1].data, logs[1].metadata.replace(servo="xm430-w350"))
-    with pytest.raises(LogError, match=f"different {field}s"):
+    with pytest.raises(LogError, match=r"different (robots|kinds of robots|servos)"):
         diagnosed_mount([mine, stranger])
 
 

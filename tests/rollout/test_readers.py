@@ -76,10 +76,11 @@ def test_a_bag_carries_its_imu(tmp_path):
 
 
 def test_episodes_of_a_dataset(tmp_path):
-    """Several episodes are several logs, and of equal length a batch."""
+    """Several episodes are several logs, and none is read for all of them."""
     path = lerobot(tmp_path, episodes=3)
     assert [log.rows for log in read_logs(path)] == [ROWS] * 3
-    assert read_log(path).data.batch_size == (3, ROWS)
+    with pytest.raises(LogError, match="it holds 3 recordings; read them all with read_logs"):
+        read_log(path)
 
 
 def test_normalised_units_come_with_the_calibration(tmp_path):

@@ -322,6 +322,16 @@ def test_a_soft_joint_that_yields_has_no_other_zero(tmp_path, share, found):
     assert [one.column for one in findings if one.check == "constant offset"] == ["joint_2.position"] * found
 
 
+def test_a_wrong_axis_takes_its_vector_along():
+    """Roll and yaw are not put in the place of a pitch that leaps: a robot on its stand would lean."""
+    log = bench_log()
+    log.data["imu", "orientation"][400, 1] = 1.2
+    checked = log.check()
+    assert "joint_0.position" not in checked.metadata.set_aside
+    assert checked.metadata.set_aside == ("imu.pitch",)
+    assert ("imu", "orientation") not in checked
+
+
 def test_a_dead_position_of_one_joint_is_set_aside(tmp_path):
     """The command stands in its place, and the joint does not count as measured."""
     log = read_log(write(tmp_path, scale("joint_1.position", 0), joints=3))
@@ -635,14 +645,14 @@ def test_a_battery_of_two_cells_is_none_of_three(tmp_path):
     volts = 1.5 * (bench_log().metadata.battery or 0.0)
     change: Change = lambda table: table.update({"joint_0.voltage": np.full(len(table["time"]), volts)})  # noqa: E731
     findings = read_log(write(tmp_path, change)).findings
-    assert any("does not fit the supply of" in finding.problem for finding in findings)
+    assert any("does not fit the battery of" in finding.problem for finding in findings)
 
 
 @pytest.mark.parametrize(
     ("volts", "celsius", "told"),
     [
         ((11.8, 5.0), (40.0, 35.0), ()),
-        ((11.8, 11.8), (40.0, 35.0), ("right.voltage",)),
+        ((11.8, 7.4), (40.0, 35.0), ("right.voltage",)),
         ((5.0, 5.0), (40.0, 35.0), ("left.voltage",)),
         ((11.8, 5.0), (104.0, 35.0), ("left.temperature",)),  # 40 C as a scale of Fahrenheit has it
     ],

@@ -73,6 +73,16 @@ def test_only_policy_rows_count():
     assert evaluation_return(made) < 3.0
 
 
+def test_rows_that_a_loop_has_skipped_move_no_step():
+    """After a missed deadline the rows of the policy's steps are still those in which it acted."""
+    made = log("balance_eval", steps=4)
+    kept = np.delete(np.arange(16), 5)
+    arrays = {key: made.array(key)[kept].copy() for key in made.channels}
+    arrays["imu", "orientation"][7, 0] = 0.3  # row 8 of the whole log: the third step
+    fewer = evaluation_rewards(Rollout.from_arrays(arrays, made.metadata))
+    assert (fewer < 1).tolist() == [False, False, True, False]
+
+
 def test_actions_are_compared_with_the_ones_before():
     """A change of one action by 0.2 costs 0.1 (1 - exp(-0.1 * 0.2)) in its step and in the next."""
     made = log("balance_eval")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import suppress
 
 import numpy as np
 
@@ -125,26 +124,19 @@ def firmware_gain(view: View) -> Iterator[Finding]:
 @check("supply and temperature")
 def supply(view: View) -> Iterator[Finding]:
     """Voltage is far from the battery's, or a temperature is none of a servo that works."""
-    volts, temperature, limits = ("joint", "voltage"), ("joint", "temperature"), _limits(view)
-    for key, joint, column in view.columns(volts, temperature):
-        median, (battery, hottest) = float(np.median(column)), limits[joint]
-        if key == volts and battery and 0 < median <= 30 and not _CHARGE[0] < median / battery < _CHARGE[1]:
-            problem = f"the median voltage {median:.4g} V does not fit the supply of {battery:.3g} V"
-            yield view.found(WARNING, (key, joint), problem, "convert it to volts, or correct `battery`", aside=True)
-        if key == temperature and not -10 <= median <= hottest and median <= 150:  # beyond that its bound speaks
+    servos, told = view.log.servos, view.metadata.battery
+    for key, joint, column in view.columns(("joint", "voltage"), ("joint", "temperature")):
+        median, make = float(np.median(column)), servos[joint]
+        if key[1] == "voltage" and told is not None and 0 < median <= 30:
+            # a small servo may have a converter of its own
+            supplies = [told] if make is None or make.stands(told) else [told, make.supply.si]
+            if not any(_CHARGE[0] < median / volts < _CHARGE[1] for volts in supplies):
+                problem = f"the median voltage {median:.4g} V does not fit the battery of {told:g} V"
+                remedy = "convert it to volts, or correct `battery`"
+                yield view.found(WARNING, (key, joint), problem, remedy, aside=True)
+        hottest = _HOTTEST if make is None else make.limits.temperature.si
+        if key[1] == "temperature" and not -10 <= median <= hottest and median <= 150:  # beyond it its bound speaks
             fahrenheit = (median - 32) / 1.8
             unit = f", but {median:.4g} F would be {fahrenheit:.3g} C" if -10 <= fahrenheit <= hottest else ""
             problem = f"the median temperature {median:.4g} C is none of a working servo{unit}"
             yield view.found(WARNING, (key, joint), problem, "convert it to degrees Celsius", aside=True)
-
-
-def _limits(view: View) -> list[tuple[float | None, float]]:
-    """Nominal supply [V], where the metadata tell it, and hottest working temperature [C] of each joint's servo."""
-    battery, pendulum = view.metadata.battery, view.metadata.mount == "pendulum"
-    known = {view.joints[0]: (1.0, view.make)} if pendulum else {}
-    with suppress(LogError):
-        robot = view.log.robot
-        known = known or dict(zip(robot.joints, zip(robot.supply_shares, robot.servos, strict=True), strict=True))
-    of_joints = [known.get(joint, (1.0, None)) for joint in view.joints]
-    hottest = [_HOTTEST if make is None else make.limits.temperature.si for _, make in of_joints]
-    return [(battery and battery * share, most) for (share, _), most in zip(of_joints, hottest, strict=True)]

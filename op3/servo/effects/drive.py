@@ -68,7 +68,8 @@ class Latency(Effect):
     signal: Literal["target_current", "goal"] = "target_current"
 
     def __post_init__(self):
-        # so that no fit asks for more than the memory holds
+        """See `Effect`; no fit asks for more than the memory holds."""
+        super().__post_init__()
         known = tuple(replace(known, most=self.longest) for known in type(self).parameters)
         object.__setattr__(self, "parameters", known)
 

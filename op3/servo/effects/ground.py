@@ -19,10 +19,7 @@ class FootFriction(Effect):
     parameters = (
         Parameter("foot_friction_error", "-", -0.65, 0.4, 0.0, 0.0, "e, relative", per_joint=False, least=-0.99),
     )
-    edits = (
-        ModelEdit("geom_friction", "foot_geom", "scale", "foot_friction_error", column=0),
-        ModelEdit("geom_friction", "ground_geom", "scale", "foot_friction_error", column=0),
-    )
+    edits = (ModelEdit("geom_friction", "ground_geom", "scale", "foot_friction_error", column=0),)
     secants = ({"foot_friction_error": -0.2}, {"foot_friction_error": -0.5})
     fingerprint = "only in stance, as slip: the foot's pose drifts"
     confounders = ("foot_compliance", "ground_tilt")
@@ -38,10 +35,7 @@ class FootCompliance(Effect):
     equation = "T_contact += dT"
     source = "MuJoCo solref, 20 ms by default; stiffness falls with its square; range our own choice"
     parameters = (Parameter("contact_time_added", "s", 0.0, 0.02, 0.0, 0.0, "dT", per_joint=False, least=0.0),)
-    edits = (
-        ModelEdit("geom_solref", "foot_geom", "add", "contact_time_added", column=0),
-        ModelEdit("geom_solref", "ground_geom", "add", "contact_time_added", column=0),
-    )
+    edits = (ModelEdit("geom_solref", "ground_geom", "add", "contact_time_added", column=0),)
     secants = ({"contact_time_added": 0.004}, {"contact_time_added": 0.012})
     fingerprint = "only in stance: peak of the impact and settling"
     confounders = ("compliance", "latency", "foot_friction")
