@@ -34,12 +34,10 @@ from op3.deploy import (
 )
 from op3.deploy.deploy import EMULATED, HANG_SCALE, POLICY_RATE
 from op3.deploy.dynamixel_bus import Unplugged
+from op3.deploy.session import LOG_NAMES
 from op3.policy import PolicyBundle
 from op3.robot import load_robot
 from op3.rollout import git_hash, read_log
-
-LOGS = ("approach", "run", "after")
-"""Folders of a run's logs."""
 
 MODES = ("run", "dry_run", "read_only", "hang", "setup", "calibrate", "replay")
 
@@ -82,7 +80,7 @@ def deploy(cfg: DictConfig) -> ExitCode:
         return ExitCode.OK if result.ok else ExitCode.REPLAY
     limits = Limits(**OmegaConf.to_container(cfg.limits, resolve=True))  # type: ignore[arg-type]
     folder = Path(HydraConfig.get().runtime.output_dir)
-    taken = next((folder / name for name in LOGS if (folder / name).exists()), None)
+    taken = next((folder / name for name in LOG_NAMES if (folder / name).exists()), None)
     if taken is not None:
         raise ValueError(f"{taken} is there already, a log is never written over; choose another hydra.run.dir")
     plan = Plan(

@@ -14,8 +14,8 @@ from op3.deploy.state import State
 from op3.deploy.ticker import PERIOD
 from op3.policy.actions import D_GAIN, HELD_GAIN
 from op3.robot import Motion, load_robot
-from op3.robot.motions import minimum_jerk
-from op3.stand_in.play import check_targets, gain_rows, sample
+from op3.robot.motion_checks import check_motion
+from op3.robot.motions import gain_rows, minimum_jerk, sample
 
 Array = NDArray[np.float64]
 
@@ -182,16 +182,16 @@ class FollowMotion(Phase):
         d_gain: the same [A s/rad].
 
     Raises:
-        ValueError: if a target lies outside the soft limits, or gains have another shape.
+        ValueError: if the motion is not safe, see `check_motion`, or gains have another shape.
     """
 
     name = "motion"
     log = "run"
 
     def __init__(self, motion: Motion, p_gain: ArrayLike = HELD_GAIN, d_gain: ArrayLike = D_GAIN):
+        check_motion(motion)
         robot = load_robot(motion.robot)
         self.targets = sample(motion, PERIOD, robot.joints, robot.home)
-        check_targets(motion, robot.joints, robot.limits, self.targets)
         self.p_gain = gain_rows("p_gain", p_gain, self.targets.shape)
         self.d_gain = gain_rows("d_gain", d_gain, self.targets.shape)
 

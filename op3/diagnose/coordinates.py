@@ -61,7 +61,7 @@ class Chain:
 
 CHAIN: Mapping[str, Chain] = {
     # no maker publishes how present velocity is averaged; in bench logs of an STS3032 it is 17 ms late, of an XL330 20
-    # ms or more (`velocity_sensing` in op3/rollout/smoothing.py), so nothing up to 20 ms is a fault
+    # ms or more (`velocity_sensing` in op3/diagnose/smoothing.py), so nothing up to 20 ms is a fault
     "velocity_time_constant": Chain(0.006, 0.006, 0.008, 0.04),
     # of one lag 0, of two alike 1/4, of a difference of angles 1/3, of a filter of Butterworth's 1/2
     "velocity_filter_shape": Chain(0.25, 0.25, 0.15, 0.5),

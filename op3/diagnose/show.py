@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from op3.diagnose.smoothing import smooth as smoothed
+from op3.diagnose.smoothing import velocity_sensing
 from op3.diagnose.split import LogSplit
 from op3.identify.loss import TrajectoryLoss
 from op3.rollout import Rollout
-from op3.rollout.smoothing import smooth as smoothed
-from op3.rollout.smoothing import velocity_sensing
 from op3.servo import RobotModel
 from op3.tasks import Prediction, Replay
 from op3.tasks.planned import with_whole_limbs

@@ -1,6 +1,5 @@
 """Which logs are fitted, which choose, and which only show."""
 
-import hashlib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -95,10 +94,9 @@ def split_logs(logs: Sequence[Rollout], seed: int = 0) -> LogSplit:
 
 def _different(logs: Sequence[Rollout]) -> list[Rollout]:
     """Each log once, whatever it is called."""
-    known: dict[bytes, Rollout] = {}
+    known: dict[str, Rollout] = {}
     for log in logs:
-        numbers = b"".join(np.ascontiguousarray(log.array(key)).tobytes() for key in log.channels)
-        known.setdefault(hashlib.sha256(numbers).digest(), log)
+        known.setdefault(log.fingerprint(), log)
     return list(known.values())
 
 

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
+from op3.diagnose.smoothing import CHANNELS, PREROLL, SmoothLog, smooth_all
+from op3.diagnose.supply import open_voltages
 from op3.rollout import LogError, Rollout
-from op3.rollout.smoothing import CHANNELS, PREROLL, SmoothLog, smooth_all
-from op3.rollout.supply import open_voltages
 from op3.servo import RobotModel
 from op3.servo.conditions import split_name
 from op3.servo.effects import CurrentPD, Motor

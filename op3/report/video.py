@@ -15,6 +15,7 @@ from PIL import Image
 from op3.report.frames import RenderError, draw_frames
 from op3.robot import Scene
 from op3.rollout import Rollout
+from op3.rollout.files import write_file
 
 
 def film(
@@ -53,14 +54,14 @@ def write_film(pictures: Iterable[np.ndarray], path: str | Path, rate: float, qu
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_suffix(".part")
     if path.suffix == ".webp":
         first, *others = map(Image.fromarray, pictures)
         options = {"append_images": others, "duration": round(1000 / rate), "loop": 0, "quality": quality, "method": 4}
-        first.save(unfinished, "WEBP", save_all=True, **options)
+        write_file(path, lambda unfinished: first.save(unfinished, "WEBP", save_all=True, **options))
     else:
-        _write_mp4(pictures, unfinished, Fraction(rate).limit_denominator(1000))
-    return unfinished.replace(path)
+        per_second = Fraction(rate).limit_denominator(1000)
+        write_file(path, lambda unfinished: _write_mp4(pictures, unfinished, per_second))
+    return path
 
 
 def _write_mp4(pictures: Iterable[np.ndarray], path: Path, rate: Fraction) -> None:

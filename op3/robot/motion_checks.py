@@ -44,6 +44,12 @@ def check_motion(motion: Motion, mount: str | None = None) -> None:
         raise ValueError(faults[0])
 
 
+def check_targets(name: str, joints: Sequence[str], limits: np.ndarray, time: np.ndarray, position: np.ndarray) -> None:
+    """Refuse what a robot must not be told, see `outside_limits`: servos in current mode enforce no limit."""
+    if faults := outside_limits(name, joints, limits, time, position):
+        raise ValueError(faults[0])
+
+
 def outside_limits(
     name: str, joints: Sequence[str], limits: np.ndarray, time: np.ndarray, position: np.ndarray
 ) -> list[str]:

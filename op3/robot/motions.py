@@ -1,11 +1,14 @@
 """Motions as arrays: what the joints are asked to do over time."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from op3.robot.robot import DEFAULT, load_robot
+
+Array = NDArray[np.float64]
 
 P_GAIN = 6.0
 """Gain of position of the paper's squat [A/rad]."""
@@ -83,3 +86,30 @@ def minimum_jerk(share: ArrayLike) -> NDArray[np.float64]:
     """Share of a move that is done at a share of its time, 0 to 1 each: no speed and no acceleration at its ends."""
     s = np.clip(share, 0.0, 1.0)
     return s**3 * (10 - 15 * s + 6 * s**2)
+
+
+def sample(motion: Motion, period: float, joints: Sequence[str] = (), rest: Array | None = None) -> Array:
+    """Targets of joints at ticks of `period` [s], [tick, joint]: held between a motion's own rows.
+
+    Joints that the motion does not name stay at `rest`; without them all of the robot that it is made for, at home.
+    """
+    known = load_robot(motion.robot)
+    joints, rest = joints or known.joints, known.home if rest is None else rest
+    ticks = np.arange(round((motion.time[-1] - motion.time[0]) / period) + 1) * period
+    # Half a percent of the period absorbs rounding of written times.
+    rows = np.searchsorted(motion.time - motion.time[0], ticks + 0.005 * period, side="right") - 1
+    targets = np.tile(rest, (len(ticks), 1))
+    targets[:, [joints.index(name) for name in motion.joints]] = motion.position[rows]
+    return targets
+
+
+def gain_rows(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """A gain, one number, [joint] or [tick, joint], as [tick, joint]; a ValueError in one sentence if it is none."""
+    try:
+        gain = np.broadcast_to(np.asarray(value, dtype=float), shape).copy()
+    except ValueError:
+        wanted = f"one number, one per joint ({shape[1]}) or one per row and joint ({shape[0]}, {shape[1]})"
+        raise ValueError(f"{name} must be {wanted}, got {value!r}") from None
+    if not (np.isfinite(gain).all() and (gain >= 0).all()):
+        raise ValueError(f"{name} must be finite and at least 0, got {value}")
+    return gain

@@ -40,18 +40,21 @@ def _temporary(path: Path) -> Path:
     return path.with_name(f".{path.name}.{os.getpid()}.tmp")
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a file so that a reader finds the old text or the new, never a part."""
+def write_file(path: Path, fill: Callable[[Path], object]) -> None:
+    """Write a file by `fill(temporary path)`, so that a reader finds the old one or the new, never a part."""
     temporary = _temporary(path)
     try:
-        with temporary.open("w", encoding="utf-8", newline="") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
+        fill(temporary)
+        sync(temporary)
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
     sync(path.parent)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text; see `write_file`."""
+    write_file(path, lambda temporary: temporary.write_text(text, encoding="utf-8", newline=""))
 
 
 def write_folder(path: Path, fill: Callable[[Path], None], overwrite: bool = False) -> None:

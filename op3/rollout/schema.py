@@ -198,6 +198,20 @@ def column_names(channel: Channel, joints: Sequence[str], width: int | None = No
     return (channel.column,)
 
 
+COMMAND_CHANNELS = {
+    ("command", "position"): "position_target",
+    ("command", "p_gain"): "p_gain",
+    ("command", "d_gain"): "d_gain",
+    ("command", "firmware_gain"): "firmware_gain",
+    ("command", "torque_enable"): "torque_enable",
+    ("joint", "voltage"): "bus_voltage",
+    ("joint", "temperature"): "temperature",
+}
+"""Channels of a log that drive the simulation, and the command each becomes.
+
+Two of them are measured: the voltage of the bus, and the temperature of the servos."""
+
+
 _SUFFIXES = {channel.column.split(".", 1)[1]: channel for channel in _TABLE if channel.axes == "joint"}
 _FIXED = {
     name: channel for channel in _TABLE if channel.axes in ("scalar", "imu3") for name in column_names(channel, ())

@@ -201,7 +201,7 @@ class Effect:
     |---|---|---|
     | ``prepare(p)`` | when parameters are set | ``constants`` of a step |
     | ``reset(s, p)`` | at the start | memory, which is zero before |
-    | ``sense(s, p)`` | whenever sensors are read | what they say; memory is only read |
+    | ``sense(s, p)`` | whenever sensors are read | what they say; memory is only its own |
     | ``tick(s, p)`` | once per control period, when commands arrived | commands |
     | ``begin(s, p)`` | first in every step | bringing memory up to the joint's new state |
     | ``apply(s, p)`` | in every step, by stage and rank | the law |

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from op3.robot import Excitation, Motion, load_robot
-from op3.robot.motion_checks import outside_limits
+from op3.robot import Excitation, Motion
+from op3.robot.motion_checks import check_targets
+from op3.robot.motions import gain_rows, sample
 from op3.rollout import Metadata, Rollout
 from op3.stand_in.sensors import Sensors
 
@@ -74,7 +75,7 @@ def play(
     if not 0 <= settle < np.inf:
         raise ValueError(f"settle must be at least 0 s and finite, got {settle}")
     targets = sample(motion, CONTROL_PERIOD, robot.joints, robot.rest)
-    check_targets(motion, robot.joints, robot.limits, targets)
+    check_targets(motion.name, robot.joints, robot.limits, np.arange(len(targets)) * CONTROL_PERIOD, targets)
     given = {name: gain_rows(name, value, targets.shape) for name, value in (("p_gain", p_gain), ("d_gain", d_gain))}
     robot.reset(targets[0], by_hand=True, **placed)
     _settle(robot, targets[0], given["p_gain"][0], given["d_gain"][0], settle, still)
@@ -100,43 +101,6 @@ def _settle(robot: Any, target: Array, p_gain: Array, d_gain: Array, settle: flo
     ):
         sensors = _tick(robot, target, p_gain, d_gain)
         quiet = 0.0 if sensors.velocity.any() else quiet + CONTROL_PERIOD
-
-
-def sample(motion: Motion, period: float, joints: Sequence[str] = (), rest: Array | None = None) -> Array:
-    """Targets of joints at ticks of `period` [s], [tick, joint]: held between a motion's own rows.
-
-    Joints that the motion does not name stay at `rest`; without them all of the robot that it is made for, at home.
-    """
-    known = load_robot(motion.robot)
-    joints, rest = joints or known.joints, known.home if rest is None else rest
-    ticks = np.arange(round((motion.time[-1] - motion.time[0]) / period) + 1) * period
-    # Half a percent of the period absorbs rounding of written times.
-    rows = np.searchsorted(motion.time - motion.time[0], ticks + 0.005 * period, side="right") - 1
-    targets = np.tile(rest, (len(ticks), 1))
-    targets[:, [joints.index(name) for name in motion.joints]] = motion.position[rows]
-    return targets
-
-
-def gain_rows(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """A gain, one number, [joint] or [tick, joint], as [tick, joint]; a ValueError in one sentence if it is none."""
-    try:
-        gain = np.broadcast_to(np.asarray(value, dtype=float), shape).copy()
-    except ValueError:
-        wanted = f"one number, one per joint ({shape[1]}) or one per row and joint ({shape[0]}, {shape[1]})"
-        raise ValueError(f"{name} must be {wanted}, got {value!r}") from None
-    if not (np.isfinite(gain).all() and (gain >= 0).all()):
-        raise ValueError(f"{name} must be finite and at least 0, got {value}")
-    return gain
-
-
-def check_targets(motion: Motion, joints: Sequence[str], limits: Array, targets: Array) -> None:
-    """Refuse what a robot must not be told: servos in current mode enforce no limit themselves.
-
-    Limits are [joint, 2] in rad, targets [tick, joint] in rad with one row per `CONTROL_PERIOD`.
-    """
-    time = np.arange(len(targets)) * CONTROL_PERIOD
-    if faults := outside_limits(motion.name, joints, limits, time, targets):
-        raise ValueError(faults[0])
 
 
 def _tick(robot: Any, target: Array, p_gain: Array, d_gain: Array) -> Sensors:

@@ -11,23 +11,10 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from op3.rollout import LogError, Rollout, stand_tilt
+from op3.rollout.schema import COMMAND_CHANNELS
 from op3.servo import RobotModel
 from op3.tasks.conditions import parameters_per_log
 from op3.tasks.setups import BENCH_CONTROL_PERIOD, OP3_CONTROL_PERIOD, Setup
-
-COMMAND_CHANNELS = {
-    ("command", "position"): "position_target",
-    ("command", "p_gain"): "p_gain",
-    ("command", "d_gain"): "d_gain",
-    ("command", "firmware_gain"): "firmware_gain",
-    ("command", "torque_enable"): "torque_enable",
-    ("joint", "voltage"): "bus_voltage",
-    ("joint", "temperature"): "temperature",
-}
-"""Channels of a log that drive the simulation, and the command each becomes.
-
-Two of them are measured: the voltage of the bus, and the temperature of the servos."""
-
 
 BENCH_SAMPLING = 0.005
 """Time between looks at a pendulum, whose servo has a much faster loop [s]; those between are interpolated."""

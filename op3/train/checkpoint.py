@@ -1,6 +1,5 @@
 """Checkpoints that are there whole or not at all, and stopping between two steps."""
 
-import os
 import pickle
 import signal
 import sys
@@ -13,7 +12,7 @@ from typing import Any
 
 import torch
 
-from op3.rollout.files import sync
+from op3.rollout.files import write_file
 
 FORMAT = "op3-checkpoint/1"
 
@@ -27,16 +26,7 @@ def save_checkpoint(path: str | Path, state: dict[str, Any]) -> None:
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with partial.open("wb") as stream:
-            torch.save({"format": FORMAT, **state}, stream)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
-    sync(path.parent)
+    write_file(path, lambda temporary: torch.save({"format": FORMAT, **state}, temporary))
 
 
 def load_checkpoint(path: str | Path) -> dict[str, Any]:

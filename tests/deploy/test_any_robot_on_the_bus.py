@@ -28,7 +28,7 @@ CHANGES = {
 def test_any_robot_is_recorded_through_the_bus(name, source, tmp_path):
     """Start checks, torque, motion, torque off; its IMU is in the log where its board is on the bus."""
     path = write_robot(tmp_path, name, CHANGES[name])
-    robot, motion = load_robot(path), multisine(duration=0.5, robot=str(path))
+    robot, motion = load_robot(path), multisine(duration=1.5, robot=str(path))
     lines: list[str] = []
     player = Player("emulated", "stand", robot=path, folder=tmp_path / "ticks", report=lines.append, **source)
     log = player.play(motion, 4.0, 0.1).check()

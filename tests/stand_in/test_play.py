@@ -7,9 +7,10 @@ import pytest
 import yaml
 
 from op3.robot import Motion, build_bench, hold, pose, squat
+from op3.robot.motions import sample
 from op3.rollout import Rollout
 from op3.stand_in import StandIn, World
-from op3.stand_in.play import Push, play, sample
+from op3.stand_in.play import Push, play
 from tests.op3_table import CONTROLLED_JOINTS, indices
 
 LEGS = indices(CONTROLLED_JOINTS)

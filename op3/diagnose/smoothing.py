@@ -9,6 +9,7 @@ from scipy.signal import savgol_filter
 from op3.rollout.errors import LogError
 from op3.rollout.robot_log import stand_tilt
 from op3.rollout.rollout import Rollout
+from op3.rollout.schema import COMMAND_CHANNELS
 
 HALF_WIDTH = 3
 """Ticks of 8 ms on each side that the local cubic of the smoothed state sees; of others as many as last as long."""
@@ -45,17 +46,6 @@ PREROLL = 4
 
 CHANNELS = (("joint", "position"), ("joint", "velocity"), ("joint", "current"))
 """What is compared."""
-
-INPUTS = {
-    ("command", "position"): "position_target",
-    ("command", "p_gain"): "p_gain",
-    ("command", "d_gain"): "d_gain",
-    ("command", "torque_enable"): "torque_enable",
-    ("command", "firmware_gain"): "firmware_gain",
-    ("joint", "voltage"): "bus_voltage",
-    ("joint", "temperature"): "temperature",
-}
-"""Channels that drive the servos, and the signals they become."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,7 +230,7 @@ def smooth(log: Rollout, sensing: VelocitySensing | None = None, period: float |
     held = np.clip(np.searchsorted(time, grid + 0.3 * period, side="right") - 1, 0, len(time) - 1)
     velocity = log.array("joint/velocity")[held] if "joint/velocity" in log else v
     control = (log.array("joint/position")[held], velocity)
-    inputs = {signal: log.array(key)[held] for key, signal in INPUTS.items() if key in log}
+    inputs = {signal: log.array(key)[held] for key, signal in COMMAND_CHANNELS.items() if key in log}
     if "bus_voltage" in inputs:
         inputs["bus_voltage"] = _interpolated(log.array("joint/voltage"), time, grid)
     tilt = stand_tilt(log) or (0.0, 0.0)
