@@ -13,13 +13,11 @@ from op3.diagnose.smoothing import smooth as smoothed
 from op3.diagnose.smoothing import velocity_sensing
 from op3.diagnose.split import LogSplit
 from op3.identify.loss import TrajectoryLoss
+from op3.intervals import bootstrap_interval
 from op3.rollout import Rollout
 from op3.servo import RobotModel
 from op3.tasks import Prediction, Replay
 from op3.tasks.planned import with_whole_limbs
-
-RESAMPLES = 500
-"""Bootstrap resamples of runs and seconds."""
 
 REPEATS = 2
 """Repeats of one command that are simulated; all of them tell the floor."""
@@ -138,16 +136,18 @@ def show(before: RobotModel, after: RobotModel, split: LogSplit, seed: int = 0) 
     first = runs.of(before)
     second = first if after is before else runs.of(after)
     loss = TrajectoryLoss(tuple(logs[0].joints))
-    gap, rng = {}, np.random.default_rng([seed, 13])
+    gap = {}
     for key, unit in runs.channels.items():
         blocks = [np.concatenate(runs.squares(predictions, key)) for predictions in (first, second)]
         apart = blocks[0] - blocks[1]
-        low, high = np.quantile(apart[rng.integers(len(apart), size=(RESAMPLES, len(apart)))].mean(1), [0.05, 0.95])
-        floor = _floor(split, key)
-        entry: dict[str, Any] = {"unit": unit, "change": "better" if low > 0 else "worse" if high < 0 else "alike"}
+        low, high = bootstrap_interval(apart, seed=seed)
+        floor, change = _floor(split, key), "alike"
+        if low is not None and high is not None:
+            change = "better" if low > 0 else "worse" if high < 0 else "alike"
+        entry: dict[str, Any] = {"unit": unit, "change": change}
         for name, squares in (("before", blocks[0]), ("after", blocks[1]), ("floor", floor)):
             entry[name] = None if squares is None else float(np.sqrt(squares.mean()))
-            entry[f"{name}_interval"] = None if squares is None else _interval(squares, rng)
+            entry[f"{name}_interval"] = None if squares is None else _interval(squares, seed)
         entry["closure"] = _closure(entry)
         gap["/".join(key)] = entry
     told = {"name": "paper_eq7", "before": float(loss(first)[0]), "after": float(loss(second)[0])}
@@ -160,9 +160,8 @@ def shown_logs(split: LogSplit) -> tuple[Rollout, ...]:
     return tuple(log for i, log in enumerate(split.show) if i not in left_out)
 
 
-def _interval(blocks: np.ndarray, rng: np.random.Generator) -> list[float]:
-    draws = blocks[rng.integers(len(blocks), size=(RESAMPLES, len(blocks)))].mean(1)
-    return [float(np.sqrt(end)) for end in np.quantile(draws, [0.05, 0.95])]
+def _interval(blocks: np.ndarray, seed: int) -> list[float | None]:
+    return [None if end is None else float(np.sqrt(max(end, 0.0))) for end in bootstrap_interval(blocks, seed=seed)]
 
 
 def _floor(split: LogSplit, key: tuple[str, str]) -> np.ndarray | None:

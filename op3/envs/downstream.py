@@ -6,14 +6,12 @@ from typing import Any
 import numpy as np
 
 from op3.envs.returns import ReturnsBench
+from op3.intervals import bootstrap_interval
 from op3.policy import PolicyBundle
 from op3.rollout import Rollout
 from op3.servo import RobotModel
 from op3.tasks.evaluation import evaluation_return
 from op3.tasks.task import Task, find_task
-
-RESAMPLES = 1000
-"""Bootstrap resamples over episodes."""
 
 
 def downstream(
@@ -39,7 +37,6 @@ def downstream(
         ``interval`` over episodes, ``fallen``, the share of falls. With ``actual`` also ``error_before`` and
         ``error_after``, how far the predictions are from it.
     """
-    rng = np.random.default_rng([seed, 19])
     result: dict[str, Any] = {"task": find_task(task).name, "episodes": episodes}
     for number, (label, model) in enumerate((("before", before), ("after", after))):
         if label == "after" and after is before:
@@ -47,23 +44,21 @@ def downstream(
             continue
         returns = ReturnsBench(policy, model, task, episodes, seed, num_threads=1).run()
         values = returns.returns[0].numpy()
-        result[label] = _summary(values[np.isfinite(values)], float(returns.fallen[0].double().mean()), rng)
+        result[label] = _summary(values[np.isfinite(values)], float(returns.fallen[0].double().mean()))
         if progress is not None:
             progress("returns", 0.5 * (number + 1))
     if actual:
         values = np.array([evaluation_return(log, task) for log in actual])
         fallen = float(np.mean([bool(log.metadata.fallen) for log in actual]))
-        result["actual"] = _summary(values, fallen, rng)
+        result["actual"] = _summary(values, fallen)
         for label in ("before", "after"):
             mean = result[label]["mean"]
             result[f"error_{label}"] = None if mean is None else abs(mean - result["actual"]["mean"])
     return result
 
 
-def _summary(values: np.ndarray, fallen: float, rng: np.random.Generator) -> dict[str, Any]:
+def _summary(values: np.ndarray, fallen: float) -> dict[str, Any]:
     """Mean and interval of returns; None where every simulation failed."""
     if not len(values):
         return {"mean": None, "interval": None, "fallen": fallen}
-    draws = values[rng.integers(len(values), size=(RESAMPLES, len(values)))].mean(1)
-    low, high = np.quantile(draws, [0.05, 0.95])
-    return {"mean": float(values.mean()), "interval": [float(low), float(high)], "fallen": fallen}
+    return {"mean": float(values.mean()), "interval": list(bootstrap_interval(values)), "fallen": fallen}

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from op3.identify.loss import TrajectoryLoss
+from op3.intervals import bootstrap_interval
 from op3.rollout import Rollout
 from op3.servo import Estimate, RobotModel
 from op3.tasks import Prediction, Replay
@@ -18,9 +18,6 @@ FEWEST_LOGS = 5
 
 STRETCHES = 10
 """Stretches of equal length per log."""
-
-DRAWS = 4000
-"""Bootstrap samples."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,7 +176,7 @@ class _Summary:
         """Weighted mean over the clusters of parts."""
         weights = np.concatenate([part.weights for part in (parts or self._parts)])
         all_values = np.concatenate(values)
-        low, high = bootstrap_interval(weights, all_values, seed=self._seed)
+        low, high = bootstrap_interval(all_values, weights, seed=self._seed)
         return Estimate(float(weights @ all_values / weights.sum()), low, high)
 
     def root(self, key: str, name: str | None = None) -> Estimate:
@@ -200,25 +197,3 @@ class _Summary:
             known = part.log.metadata
             by_motion.setdefault(known.motion or known.recording or "log", []).append(part)
         return {motion: self.mean([p.error_mrad for p in parts], parts) for motion, parts in by_motion.items()}
-
-
-def bootstrap_interval(
-    weights: NDArray[np.float64], values: NDArray[np.float64], *, seed: int = 0
-) -> tuple[float, float] | tuple[None, None]:
-    """90 % interval of a weighted mean over clusters, from clusters drawn with replacement.
-
-    Percentiles of the bootstrap are too narrow for few clusters; the expanded percentile interval (Hesterberg, The
-    American Statistician 69, 2015) takes those at which a normal mean of so many values would be right.
-
-    Returns:
-        Low and high; None where there is only one cluster.
-    """
-    count = len(values)
-    if count < 2:
-        return None, None
-    tail = stats.norm.sf(np.sqrt(count / (count - 1)) * stats.t.ppf(0.95, count - 1))
-    found = stats.bootstrap(
-        (weights, values), lambda w, v, axis: (w * v).sum(axis) / w.sum(axis), paired=True, n_resamples=DRAWS,
-        confidence_level=float(1 - 2 * tail), method="percentile", rng=seed,
-    )  # fmt: skip
-    return float(found.confidence_interval.low), float(found.confidence_interval.high)

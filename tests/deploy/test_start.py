@@ -270,7 +270,7 @@ def test_a_tripped_watchdog_of_an_earlier_run_is_cleared(tmp_path):
 
 
 def test_the_ramp_begins_softly(tmp_path):
-    """The current starts at almost nothing and the P gain reaches full after little more than 1 s; no jump of a goal exceeds 3 %."""
+    """The current starts at almost nothing, the P gain reaches full after a good second; no goal jumps by over 3 %."""
     rig = make_rig(tmp_path)
     rig.run(duration=0.5, folder=tmp_path / "logs")
     log = Rollout.load(tmp_path / "logs" / "approach")

@@ -8,7 +8,8 @@ import torch
 from scipy import stats
 
 from op3.identify.loss import TrajectoryLoss, position_error
-from op3.identify.prediction_score import bootstrap_interval, predict_logs, score_predictions
+from op3.identify.prediction_score import predict_logs, score_predictions
+from op3.intervals import bootstrap_interval
 from op3.robot import squat
 from op3.rollout import Metadata, Rollout
 from op3.servo import Estimate
@@ -100,7 +101,7 @@ def test_bootstrap_intervals_cover():
     """Of 300 samples of eight normal values, 90 % intervals hold the mean about as often as Student's do."""
     rng = np.random.default_rng(0)
     samples = rng.normal(1.0, 1.0, (300, 8))
-    inside = [low <= 1.0 <= high for low, high in (bootstrap_interval(np.ones(8), s) for s in samples)]
+    inside = [low <= 1.0 <= high for low, high in (bootstrap_interval(s) for s in samples)]
     half = stats.t.ppf(0.95, 7) / np.sqrt(8)
     student = np.abs(samples.mean(1) - 1.0) <= half * samples.std(1, ddof=1)
     assert np.mean(inside) == pytest.approx(np.mean(student), abs=0.05)
