@@ -58,7 +58,11 @@ def read_episodes(
     """
     path = Path(path)
     logs: list[Rollout] = []
+    asked = [name for name, value in (options or {}).items() if value not in (None, False)]
     for found in reader_of(path).read(path):
+        if isinstance(found, Rollout) and asked:
+            problem = f"a rollout folder is read as it is, and {asked[0]} changes nothing of it"
+            raise LogError(problem, "import the log that it was made from, or leave the option out", source=path)
         logs += roll_out(found, read_side(path, options), path) if isinstance(found, Recording) else [found]
     if not logs:
         raise LogError("it holds no recording", "record at least one episode", source=path)

@@ -540,6 +540,13 @@ def test_split(tmp_path, change):
     assert all(np.diff(part.column("time")).max() < 0.01 for part in parts)
 
 
+def test_a_folder_of_ours_takes_no_options(tmp_path):
+    """They would be passed over without a word."""
+    bench_log().save(tmp_path / "a")
+    with pytest.raises(LogError, match="a rollout folder is read as it is, and unwrap changes nothing"):
+        read_episodes(tmp_path / "a", {"unwrap": True, "shift": None})
+
+
 def test_options_name_what_they_do_not_know(tmp_path):
     """An option for a joint that is not there is refused."""
     with pytest.raises(LogError, match=r"field shift: knee.*joint_0"):
