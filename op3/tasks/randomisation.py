@@ -1,12 +1,12 @@
 """Robots drawn anew for every episode: from the paper's ranges, or from a model's own intervals."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from op3.servo import RobotModel
+from op3.settings import settings
 
 TABLE_I = (
     "torque_constant",
@@ -22,10 +22,8 @@ TABLE_I = (
 )
 """Parameters of the paper's Table I; the forward efficiency is fixed there."""
 
-SOURCES = ("ranges", "intervals")
 
-
-@dataclass(frozen=True)
+@settings("randomisation")
 class Randomisation:
     """Where parameters are drawn from.
 
@@ -37,10 +35,6 @@ class Randomisation:
 
     source: Literal["ranges", "intervals"] = "ranges"
     names: Sequence[str] | None = None
-
-    def __post_init__(self):
-        if self.source not in SOURCES:
-            raise ValueError(f"randomisation must be one of {', '.join(SOURCES)}, got {self.source!r}")
 
     def bounds(self, model: RobotModel) -> dict[str, tuple[float, float]]:
         """Lowest and highest value of every parameter that is drawn.

@@ -2,12 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import ceil, inf, radians
-from typing import Any
+from math import ceil, radians
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
 
 from op3.policy.manifest import Manifest
 from op3.policy.observation import BALANCE_LAYOUT, WALK_LAYOUT
 from op3.robot.surfaces import TILE_HEIGHT
+from op3.settings import Listed, NotNegative, Number, Positive, Share, Whole, settings
 from op3.tasks import rewards
 from op3.tasks.rewards import Coefficients
 from op3.tasks.setups import OP3_CONTROL_PERIOD
@@ -18,7 +21,7 @@ TICKS = 4
 POLICY_PERIOD = TICKS * OP3_CONTROL_PERIOD
 """Time between policy steps [s]."""
 
-BOARD_MOTIONS = ("still", "waves", "tilts", "weight")
+BoardMotion = Literal["still", "waves", "tilts", "weight"]
 """What moves a board: nothing, random waves, steps between two tilts, or a weight that is lowered on it."""
 
 
@@ -39,7 +42,7 @@ class Placement:
     angular_velocity: float = 0.1
 
 
-@dataclass(frozen=True)
+@settings("task")
 class Task:
     """One task.
 
@@ -48,7 +51,7 @@ class Task:
         scene: name for `op3.robot.build_scene`.
         coefficients: of the training reward.
         desired_velocity: forwards and sideways [m/s].
-        board: what moves the board, one of `BOARD_MOTIONS`; None where there is none.
+        board: what moves the board; None where there is none.
         cycle: duration of a gait cycle [s]; None for a task without a gait.
         history: number of earlier observations that the policy sees besides the latest.
         duration: time limit of an episode [s].
@@ -68,44 +71,26 @@ class Task:
     name: str
     scene: str
     coefficients: Coefficients
-    desired_velocity: tuple[float, float] = (0.0, 0.0)
-    board: str | None = None
-    cycle: float | None = None
-    history: int = 1
-    duration: float = 10.0
-    fall_angle: float = radians(45.0)
-    fall_height: float = 0.15
-    terrain_height: float = TILE_HEIGHT
-    terrain_steps: float = 0.0
-    push: float = 0.0
-    overload: float = 0.0
-    first_phase: float | None = 0.0
+    desired_velocity: Annotated[Listed[Number], Field(min_length=2, max_length=2)] = (0.0, 0.0)
+    board: BoardMotion | None = None
+    cycle: Positive | None = None
+    history: Whole = 1
+    duration: Positive = 10.0
+    fall_angle: Positive = radians(45.0)
+    fall_height: NotNegative = 0.15
+    terrain_height: Annotated[Number, Field(ge=0, le=TILE_HEIGHT)] = TILE_HEIGHT
+    terrain_steps: Share = 0.0
+    push: NotNegative = 0.0
+    overload: NotNegative = 0.0
+    first_phase: Annotated[Number, Field(ge=0, lt=1)] | None = 0.0
     whole_step: bool = True
     placement: Placement = field(default_factory=Placement)
 
     def __post_init__(self):
-        object.__setattr__(self, "desired_velocity", tuple(self.desired_velocity))
-        if self.board is not None and self.board not in BOARD_MOTIONS:
-            raise ValueError(f"board must be one of {', '.join(BOARD_MOTIONS)}, got {self.board!r}")
         if (self.board == "weight") != (self.scene == "board_weight") or (self.board is None) != (
             not self.scene.startswith("board")
         ):
             raise ValueError(f"task {self.name!r}: scene {self.scene!r} cannot be moved by board={self.board!r}")
-        if not 0 <= self.terrain_height <= TILE_HEIGHT:
-            raise ValueError(
-                f"task {self.name!r}: terrain_height must be between 0 and {TILE_HEIGHT} m, got {self.terrain_height}"
-            )
-        for field_name in ("overload", "push"):
-            if not 0 <= getattr(self, field_name) < inf:
-                raise ValueError(
-                    f"task {self.name!r}: {field_name} must be at least 0, got {getattr(self, field_name)}"
-                )
-        if not 0 <= self.terrain_steps <= 1:
-            raise ValueError(f"task {self.name!r}: terrain_steps must be from 0 to 1, got {self.terrain_steps}")
-        if self.first_phase is not None and not 0 <= self.first_phase < 1:
-            raise ValueError(f"task {self.name!r}: first_phase must be in [0, 1) or null, got {self.first_phase}")
-        if not self.duration > 0:
-            raise ValueError(f"task {self.name!r}: the duration must be positive, got {self.duration} s")
 
     @property
     def steps(self) -> int:
@@ -136,7 +121,7 @@ class Task:
             raise ValueError(f"{name} does not fit task {self.name}: {error}") from None
 
 
-def _balance(name: str, board: str) -> Task:
+def _balance(name: str, board: BoardMotion) -> Task:
     return Task(name, "board_weight" if board == "weight" else "board", rewards.BALANCE, board=board)
 
 

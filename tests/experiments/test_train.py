@@ -120,7 +120,7 @@ def test_wrong_input_ends_with_one_sentence(tmp_path):
         (["+environment.foo=1"], "the batched environment has no option 'foo'; it has"),
         (["env=gym"], "unknown backend 'gym'"),
         (["env=composer", "environments=2"], "use environments=1"),
-        (["task.duration=-1"], "the duration must be positive"),
+        (["task.duration=-1"], "duration must be above 0"),
     ],
 )
 def test_settings_that_cannot_be_end_with_one_sentence(overrides, message, tmp_path, capsys):

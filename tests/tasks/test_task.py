@@ -37,7 +37,7 @@ def test_changes():
     assert TASKS["walk"].duration == 10.0
     with pytest.raises(ValueError, match="a task has no 'speed'"):
         find_task("walk", speed=1.0)
-    with pytest.raises(ValueError, match="terrain_height must be between 0 and"):
+    with pytest.raises(ValueError, match=r"terrain_height must be at most 0\.01, got 0\.02"):
         find_task("walk_terrain", terrain_height=0.02)
     with pytest.raises(ValueError, match="overload must be at least 0, got -1"):
         find_task("balance", overload=-1.0)
