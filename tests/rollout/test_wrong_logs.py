@@ -281,6 +281,15 @@ WARNED: dict[str, tuple[Change, str]] = {
         "orientation keeps its numbers for 499",
     ),
     "another zero of a bench": (add("joint_0.position", 0.5), "0.548 rad off its command in every pose"),
+    "a velocity of nothing for a while": (put("joint_0.velocity", 0.0, 380, 418), "position and summed velocity part"),
+    "wrong velocities in a row": (put("joint_0.velocity", 12.0, 500, 503), "position and summed velocity part by"),
+    "a position that stands for a while": (put("joint_0.position", np.nan, 380, 418), "summed velocity part by"),
+    "an accelerometer's scale": (scale("imu.acc_.", 0.8), "m/s2, and gravity alone is 9.81"),
+    "a gyroscope's scale": (scale("imu.gyro_.", 0.55), "the gyroscope reads 0.55"),
+    "gains that were exchanged": (
+        lambda t: t.update({"joint_0.p_gain": 0.1 + 0 * t["time"], "joint_0.d_gain": 6 + 0 * t["time"]}),
+        "as if the columns were exchanged",
+    ),
     "lost rows": (edit(".*", lambda v: v[np.random.default_rng(0).random(1000) > 0.3]), "the rows are missing, singly"),
 }
 
@@ -677,6 +686,23 @@ def test_each_joint_has_the_limits_of_its_own_servo(tmp_path, volts, celsius, to
     found = [one for one in examine(Rollout.from_arrays(arrays, about)) if one.check == "supply and temperature"]
     assert tuple(one.column for one in found) == told
     assert all("F would be 40 C" in one.problem for one in found if "temperature" in (one.column or ""))
+
+
+def test_an_orientation_upside_down_is_no_fault_of_the_accelerometer():
+    """A quaternion whose parts were taken in another order: turning the accelerometer round would hide it."""
+    log = bench_log()
+    log.data["imu", "orientation"][:, 0] += np.pi
+    (error,) = [one for one in examine(log) if one.check == "gravity"]
+    assert "hangs upside down" in error.problem
+    assert (error.column, error.severity) == ("imu.roll", "error")
+
+
+def test_a_servo_that_the_robot_does_not_have_is_told(tmp_path):
+    """The robot's file says which it has."""
+    time = np.arange(200)[:, None] / 125
+    arrays = {"time": time, "command/position": 0.3 * np.sin(4 * time), "joint/position": 0.29 * np.sin(4 * time)}
+    log = Rollout.from_arrays(arrays, Metadata(("r_knee",), "real", "stand", 125.0, robot_file="op3", servo="sts3032"))
+    assert any("op3 has xm430-w350" in one.problem for one in examine(log))
 
 
 @pytest.mark.parametrize(("sign", "told"), [(-1.0, False), (1.0, True)])

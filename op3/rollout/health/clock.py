@@ -10,7 +10,7 @@ from op3.rollout.health.finding import ERROR, POSITION, VELOCITY, WARNING, Findi
 from op3.rollout.health.match import delayed, longest_run, step
 from op3.rollout.validate import GAP, holes
 
-RATE_TOLERANCE = 0.1
+RATE_TOLERANCE = 0.06
 """Largest relative difference between the clock and the metadata's rate."""
 
 CHANGE = 1.8
@@ -103,7 +103,8 @@ def uneven(view: View) -> Iterator[Finding]:
     elif (short := float((steps < 0.5 * view.interval).mean())) > 0.05:
         text = f"{short:.0%} of the intervals are shorter than half the usual {view.interval:.4g} s"
         yield view.found(WARNING, "time", text, "stamp rows when they are read, not when they are written", row)
-    elif 8.5 * view.interval < steps.max() <= GAP:  # what is longer is a hole
+    elif (8.5 if np.quantile(steps, 0.98) > 1.2 * view.interval else 4.5) * view.interval < steps.max() <= GAP:
+        # what is longer is a hole
         text = f"about {round(steps.max() / view.interval) - 1} rows are missing before this one"
         yield view.found(WARNING, "time", text, remedy, row)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from op3.rollout.health.finding import CURRENT, ERROR, VELOCITY, WARNING, Finding, View, check
 from op3.rollout.health.match import (
@@ -115,6 +116,34 @@ def _judge(view: View, found: Match, joint: int, summed: np.ndarray) -> tuple[st
     return None
 
 
+@check("slips")
+def slips(view: View) -> Iterator[Finding]:
+    """Position and summed velocity part within a fraction of a second and stay apart: readings were wrong there."""
+    rate = view.get(VELOCITY)
+    beside, within = (max(3, round(span / view.interval)) for span in (0.1, 0.3))
+    if rate is None or len(view.time) < 10 * (2 * beside + within):
+        return
+    summed = integral(view.time, rate)
+    for joint, angle in enumerate(view.position.T):
+        own = float(np.ptp(summed[:, joint]) / max(np.ptp(angle), 1e-9))
+        if np.ptp(angle) < 0.2 or not 0.7 < own < 1.4:  # a factor is another check's
+            continue
+        # what an estimator that is late leaves goes with the velocity, and what rounding leaves with the time
+        causes = np.column_stack([np.ones(len(angle)), view.time, rate[:, joint]])
+        apart = summed[:, joint] - angle
+        apart = apart - causes @ np.linalg.lstsq(causes, apart)[0]
+        level = median_filter(apart, beside, mode="nearest")
+        for width in (beside, beside + within):
+            parted = level[width:] - level[:-width]
+            row = int(np.abs(parted).argmax())
+            if abs(parted[row]) > max(0.1, 12 * float(np.quantile(np.abs(parted), 0.75)), 10 * step(angle[:, None])[0]):
+                rows = row + beside // 2, row + width
+                problem = f"position and summed velocity part by {abs(parted[row]):.2g} rad there and stay apart"
+                remedy = "look which of them has wrong readings there, and leave these rows out"
+                yield view.found(WARNING, (VELOCITY, joint), problem, remedy, *rows)
+                break
+
+
 def _late(view: View, angle: np.ndarray, summed: np.ndarray) -> tuple[float, float, float]:
     """How long after the position's change velocity comes [s], their correlation then, and the least up to there."""
     first, last, _ = windows(view.time)
@@ -129,7 +158,7 @@ def _late(view: View, angle: np.ndarray, summed: np.ndarray) -> tuple[float, flo
     return lag, best, least
 
 
-@check("current against position error")
+@check("current against position error", unless=("two clocks",))
 def drive(view: View) -> Iterator[Finding]:
     """Current or duty drives away from the target, is another joint's, or is in another unit than gain times error."""
     error, rows = view.command - view.position, np.array(view.driven.all(1))
@@ -147,6 +176,9 @@ def drive(view: View) -> Iterator[Finding]:
         sure = np.where(asked, sure, 0.0)
         signless = (values.min(0) >= 0) & (wanted.min(0) < -0.3 * wanted.max(0)) & asked
         signless &= (grows > 0) & (sure_of_sizes > np.maximum(0.4, sure + 0.25))
+        both = asked & (wanted.min(0) < -0.3 * wanted.max(0)) & (wanted.max(0) > -0.3 * wanted.min(0))
+        if both.sum() > 1 and signless.any() and (values.min(0) >= 0).all():
+            signless = both
         away = (sure > 0.6) & (factor < 0) & ~signless
         # where the supply or a limit decides, currents are less than was wanted: small ones are asked as well
         some = np.where(np.abs(wanted) >= 1e-3 * np.abs(wanted).max(0), 1.0, np.nan)
@@ -169,8 +201,8 @@ def drive(view: View) -> Iterator[Finding]:
         weak = [int(joint) for joint in np.flatnonzero((sure < 0.6) & asked & (values.std(0) > 0))]
         fits = {joint: _law(values[:, [joint]], wanted, moved)[0] for joint in weak}
         whose = {joint: int(fit.argmax()) for joint, fit in fits.items() if 1 - fit.max() < 0.5 * (1 - sure[joint])}
-        for joint, other in whose.items():  # of those that were exchanged none is its own
-            if fits[joint][other] > (0.5 if other in whose else 0.95):
+        for joint, other in whose.items():  # of those that were exchanged none is its own; copies are told elsewhere
+            if fits[joint][other] > 0.5 and other in whose:
                 problem = f"{key[1]} is that of {view.joints[other]}"
                 yield view.found(WARNING, (key, joint), problem, "swap the columns back", aside=True)
 

@@ -138,11 +138,15 @@ CHECKS: dict[str, Check] = {}
 """Every check by its name; a check's docstring is its line in the documentation."""
 
 
-def check(name: str) -> Callable[[Check], Check]:
-    """Enter a check into the registry."""
+UNLESS: dict[str, tuple[str, ...]] = {}
+"""Checks before a check that explain what it would find: where one of them found something it says nothing."""
+
+
+def check(name: str, unless: tuple[str, ...] = ()) -> Callable[[Check], Check]:
+    """Enter a check into the registry; see `UNLESS`."""
 
     def enter(function: Check) -> Check:
-        CHECKS[name] = function
+        CHECKS[name], UNLESS[name] = function, unless
         return function
 
     return enter
@@ -172,14 +176,18 @@ def told_together(findings: Sequence[Finding]) -> list[Finding]:
 
 def _findings(view: View) -> Iterator[Finding]:
     aside: set[str | None] = set()
+    told: set[str] = set()
     for name, function in CHECKS.items():
         wrong_clock = False
+        if told.intersection(UNLESS[name]):
+            continue
         for finding in function(view):
             if finding.column in aside:
                 continue  # why it is not used has been said
             if finding.set_aside:
                 aside.add(finding.column)
             wrong_clock |= finding.severity == ERROR and finding.column == "time"
+            told.add(name)
             yield replace(finding, check=name)
         if wrong_clock:
             return  # rates and delays by a wrong clock say nothing

@@ -60,8 +60,17 @@ def robot(view: View) -> Iterator[Finding]:
 
 @check("unknown servo")
 def servo(view: View) -> Iterator[Finding]:
-    """The servo that the metadata name has no file, so that nothing is known of its law and its units."""
-    if (name := view.metadata.servo) is None or view.make is not None:
+    """The servo that the metadata name has no file, so that nothing is known of its law and its units, or is none of
+    those of the robot that they name."""
+    if (name := view.metadata.servo) is None:
+        return
+    if view.make is not None:
+        own = {make.name for make in view.log.servos if make is not None}
+        if view.metadata.robot_file is not None and own and view.make.name not in own:
+            problem = (
+                f"the servo is {name} in the metadata, and {view.metadata.robot_file} has {', '.join(sorted(own))}"
+            )
+            yield view.found(WARNING, "field servo", problem, "correct one of them")
         return
     known = {alias: make for make in servo_files() for alias in (make, *load_servo(make).aliases)}
     remedy = rename(name, known, f"known are {', '.join(servo_files())}, and a new one is one file in assets/servos")
@@ -109,31 +118,38 @@ def few(view: View) -> Iterator[Finding]:
         yield view.found(WARNING, "time", f"{len(view.time)} rows are too few to be checked", "record for longer")
 
 
-@check("firmware gain")
-def firmware_gain(view: View) -> Iterator[Finding]:
-    """The gain in the columns is not the one in the metadata."""
-    key, said = ("command", "firmware_gain"), view.metadata.firmware_gain
-    gains = view.get(key)
-    if gains is None or said is None or (np.abs(gains - said) <= 1e-6 * max(1.0, said)).any():
-        return
-    problem = f"firmware_gain is {said:g} in the metadata and {gains[0, 0]:g} in the column"
-    remedy = "correct one of them; without the column the metadata's counts for every row"
-    yield view.found(ERROR, (key, 0), problem, remedy, 0)
+@check("gains")
+def gains(view: View) -> Iterator[Finding]:
+    """A gain in the columns is not the one in the metadata, or P and D gains were exchanged."""
+    for name in ("firmware_gain", "p_gain", "d_gain"):
+        key, said = ("command", name), getattr(view.metadata, name)
+        column = view.get(key)
+        if column is None or said is None or (np.abs(column - said) <= 1e-6 * max(1.0, said)).any():
+            continue
+        problem = f"{name} is {said:g} in the metadata and {column[0, 0]:g} in the column"
+        remedy = "correct one of them; without the column the metadata's counts for every row"
+        yield view.found(ERROR, (key, 0), problem, remedy, 0)
+    p, d = view.get(("command", "p_gain")), view.get(("command", "d_gain"))
+    if p is not None and d is not None and (0 < np.median(p) < np.median(d)):
+        problem = (
+            f"the D gains (median {np.median(d):g} A s/rad) are above the P gains ({np.median(p):g} A/rad): a joint "
+        )
+        problem += "would take over a second to follow; as if the columns were exchanged"
+        yield view.found(WARNING, (("command", "p_gain"), 0), problem, "swap the columns, or convert the gains to SI")
 
 
 @check("supply and temperature")
 def supply(view: View) -> Iterator[Finding]:
     """Voltage is far from the battery's, or a temperature is none of a servo that works."""
-    servos, told = view.log.servos, view.metadata.battery
+    servos, told, shares = view.log.servos, view.metadata.battery, dict[str, float]()
+    if any(servos) and view.metadata.mount != "pendulum":  # a small servo has a converter of its own
+        shares = dict(zip(view.log.robot.joints, view.log.robot.supply_shares.tolist(), strict=True))
     for key, joint, column in view.columns(("joint", "voltage"), ("joint", "temperature")):
         median, make = float(np.median(column)), servos[joint]
-        if key[1] == "voltage" and told is not None and 0 < median <= 30:
-            # a small servo may have a converter of its own
-            supplies = [told] if make is None or make.stands(told) else [told, make.supply.si]
-            if not any(_CHARGE[0] < median / volts < _CHARGE[1] for volts in supplies):
-                problem = f"the median voltage {median:.4g} V does not fit the battery of {told:g} V"
-                remedy = "convert it to volts, or correct `battery`"
-                yield view.found(WARNING, (key, joint), problem, remedy, aside=True)
+        battery = (told or 0.0) * shares.get(view.joints[joint], 1.0)
+        if key[1] == "voltage" and battery and 0 < median <= 30 and not _CHARGE[0] < median / battery < _CHARGE[1]:
+            problem = f"the median voltage {median:.4g} V does not fit the battery of {battery:.3g} V"
+            yield view.found(WARNING, (key, joint), problem, "convert it to volts, or correct `battery`", aside=True)
         hottest = _HOTTEST if make is None else make.limits.temperature.si
         if key[1] == "temperature" and not -10 <= median <= hottest and median <= 150:  # beyond it its bound speaks
             fahrenheit = (median - 32) / 1.8

@@ -16,6 +16,9 @@ _STANDARD = 9.80665
 _STEEP = 1.2
 """Pitch beyond which roll and yaw tell little [rad]."""
 
+_FALLS = 0.5
+"""A trunk that turns by so much may fall, in which its accelerometer reads less [rad]."""
+
 _HELD = (0.02, 0.1)
 """A trunk that is held turns by less than the first, and one on its feet by more than the second [rad]: 0.019 and 0.11
 in 289 logs. For some seconds one on its feet may be as still."""
@@ -63,7 +66,7 @@ def gyroscope(view: View) -> Iterator[Finding]:
         own, ratio = found.correlation[axis, axis], float(found.ratio[axis, axis])
         other = int(np.abs(found.correlation[:, axis]).argmax())
         fits = abs(float(found.correlation[other, axis]))
-        if abs(own) > 0.9 and not 0.5 < ratio < 2:
+        if abs(own) > 0.9 and not ((0.5 < ratio < 2) if abs(own) < 0.97 else (0.75 < ratio < 1.35)):
             unit = likely_unit(ratio, "rad/s")
             cause = f", as if it were in {unit}" if unit else ""
             cause = " with the sign turned round" if abs(ratio + 1) < 0.3 else cause
@@ -101,9 +104,15 @@ def gravity(view: View) -> Iterator[Finding]:
         for axis in range(3):
             remedy = "record it with gravity; until then it is not used"
             yield view.found(WARNING, (FORCE, axis), f"{problem}: gravity was taken out of it", remedy, aside=True)
-    elif not 7 < size < 13:
+    elif not (7 if max(np.ptp(roll), np.ptp(pitch)) > _FALLS else 8.5) < size < 11.5:
         yield view.found(WARNING, (FORCE, 0), f"{problem}, and gravity alone is 9.81", "look at its scale and offset")
-    elif tells and _apart(mean, expected) > 0.9:
+    elif tells and mean[2] > 5 and expected[2] < -0.5:
+        problem = (
+            f"the orientation says that the trunk hangs upside down, and the accelerometer reads {mean[2]:.3g} m/s2 "
+        )
+        problem += "upwards: as if the parts of a quaternion were taken in another order (w, x, y, z or x, y, z, w)"
+        yield view.found(ERROR, (ORIENTATION, 0), problem, "read the orientation anew")
+    elif tells and _apart(mean, expected) > 0.4:
         # of what may have been done to its axes, the least that brings gravity where the orientation says
         done, rest = min(_MISTAKES.items(), key=lambda item: _apart(item[1] @ mean, expected) // 0.1)
         problem = f"gravity lies along {np.round(mean / size, 2)}, and the orientation says {np.round(expected, 2)}"
@@ -120,6 +129,8 @@ def _leans(view: View, force: np.ndarray, up: np.ndarray) -> Iterator[Finding]:
     if len(up) == 1 or np.ptp(view.time) < 10 * WINDOW:
         return
     first, last, span = windows(view.time)
+    if len(first) < 8:
+        return
     read, expected = (integral(view.time, values) for values in (force, _STANDARD * up))
     found = match((read[last] - read[first]) / span, (expected[last] - expected[first]) / span)
     # its own accelerations hide gravity in part, and never turn it round
