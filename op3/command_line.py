@@ -101,8 +101,6 @@ def launch(run: Callable[[], Any], config: str, documentation: str | None) -> No
     if empty := next((word for word in sys.argv[1:] if word.endswith(".dir=")), None):
         end(f"{empty} is empty: give a folder, or leave it out")
     sys.argv[1:] = [hide(quoted(argument)) for argument in sys.argv[1:]]
-    if "hydra/launcher=submitit_slurm" in sys.argv and shutil.which("srun") is None:
-        end("hydra/launcher=submitit_slurm: there is no Slurm here (srun); start it where jobs are sent from")
     # jobs of a launcher import the modules beside the script
     beside = str(Path(sys.argv[0]).resolve().parent)
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [beside, os.environ.get("PYTHONPATH")]))
@@ -120,6 +118,10 @@ def launch(run: Callable[[], Any], config: str, documentation: str | None) -> No
         run()
     except (HydraException, OmegaConfBaseException, OSError) as error:
         end(scrub(explained(error, config)))
+    except RuntimeError as error:
+        if "srun" not in str(error):  # what submitit looks for
+            raise
+        end("hydra/launcher=submitit_slurm: there is no Slurm here (srun); start it where jobs are sent from")
     except ValueError as error:
         if HydraConfig.initialized():  # it is ours, and a mistake
             raise

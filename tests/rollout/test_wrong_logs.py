@@ -261,6 +261,8 @@ def test_a_joint_that_holds_and_is_shaken_is_not_swapped_with_the_one_that_shake
     assert not any("swapped" in finding.problem for finding in read_log(write(tmp_path, shaken, joints=3)).findings)
 
 
+GYRO_AND_ANGLES = ("imu.gyr", "imu.rol", "imu.pit", "imu.yaw")
+
 WARNED: dict[str, tuple[Change, str]] = {
     "16 bits without sign": (edit(".*velocity", lambda v: np.where(v < 0, v + 65536 * 0.024, v)), "16-bit"),
     "a wrong reading": (put("joint_0.velocity", 40.0, 300), "a single reading of 40 stands between"),
@@ -289,6 +291,14 @@ WARNED: dict[str, tuple[Change, str]] = {
     "gains that were exchanged": (
         lambda t: t.update({"joint_0.p_gain": 0.1 + 0 * t["time"], "joint_0.d_gain": 6 + 0 * t["time"]}),
         "as if the columns were exchanged",
+    ),
+    "a trunk that is read rarely": (
+        edit("imu.*", lambda v: v[np.arange(len(v)) // 10 * 10]),
+        "the trunk's sensors have new numbers only in every 10 rows",
+    ),
+    "a bias of the gyroscope": (
+        lambda t: t.update({n: 0 * v + 0.15 * (n == "imu.gyro_z") for n, v in t.items() if n[:7] in GYRO_AND_ANGLES}),
+        "turns at 0.15 rad/s on average",
     ),
     "lost rows": (edit(".*", lambda v: v[np.random.default_rng(0).random(1000) > 0.3]), "the rows are missing, singly"),
 }
@@ -695,6 +705,39 @@ def test_an_orientation_upside_down_is_no_fault_of_the_accelerometer():
     (error,) = [one for one in examine(log) if one.check == "gravity"]
     assert "hangs upside down" in error.problem
     assert (error.column, error.severity) == ("imu.roll", "error")
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (scale("joint_.*current", 0.5), "times gain times error"),
+        (add("joint_1.current", 0.3), "current is +0.3 A off gain times error"),
+        (edit("joint_.*current", np.abs), "current has lost its sign"),
+    ],
+)
+def test_currents_that_are_not_the_laws(tmp_path, change, expected):
+    """A gain of another size, another zero, and a size without its sign."""
+
+    def lawful(table: Table) -> None:
+        for joint in ("joint_0", "joint_1"):
+            table[f"{joint}.p_gain"] = np.full(len(table["time"]), 6.0)
+            table[f"{joint}.current"] = 6.0 * (table[f"{joint}.target"] - table[f"{joint}.position"])
+        change(table)
+
+    path = write(tmp_path, lawful, joints=2)
+    assert any(expected in finding.problem for finding in read_log(path).findings)
+
+
+def test_rows_that_are_missing_without_a_gap_in_time(tmp_path):
+    """Position and command leap together: the recorder counted rows."""
+
+    def cut(table: Table) -> None:
+        time = table["time"]
+        table.update({name: np.delete(values, slice(380, 430)) for name, values in table.items()})
+        table["time"] = time[: len(table["time"])]
+
+    with pytest.raises(LogError, match="and its command with it: rows are missing there"):
+        read_log(write(tmp_path, cut))
 
 
 def test_a_servo_that_the_robot_does_not_have_is_told(tmp_path):

@@ -6,7 +6,18 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from op3.rollout.health.finding import ERROR, POSITION, VELOCITY, WARNING, Finding, View, check
+from op3.rollout.health.finding import (
+    ERROR,
+    FORCE,
+    ORIENTATION,
+    POSITION,
+    RATE,
+    VELOCITY,
+    WARNING,
+    Finding,
+    View,
+    check,
+)
 from op3.rollout.health.match import delayed, longest_run, step
 from op3.rollout.validate import GAP, holes
 
@@ -130,7 +141,13 @@ def repeated(view: View) -> Iterator[Finding]:
 
 @check("stale readings")
 def stale(view: View) -> Iterator[Finding]:
-    """A position gets a new number only in every so many rows, while the joint moves: it was read more rarely."""
+    """A position, or all that the trunk's sensors say, gets new numbers only in every so many rows: it was read more
+    rarely."""
+    trunk = [values for key in (ORIENTATION, RATE, FORCE) if (values := view.get(key)) is not None]
+    rows = np.flatnonzero(np.diff(np.concatenate(trunk, axis=1), axis=0).any(1)) if trunk else np.zeros(0)
+    if len(rows) >= 20 and (every := np.gcd.reduce(np.diff(rows))) >= 3:
+        problem = f"the trunk's sensors have new numbers only in every {every} rows"
+        yield view.found(WARNING, "imu", problem, "read them in every row, or record fewer rows")
     for key, joint, column in view.columns(POSITION):
         jumps = np.diff(column)
         rows = np.flatnonzero(jumps)

@@ -74,6 +74,10 @@ def unsigned(view: View) -> Iterator[Finding]:
         counts = np.round(column / size) if size else np.zeros(1)
         for bits in (16, 32):
             high = counts > 2**bits * 0.9
+            shifted = column - 2**bits * size - view.command[:, index]
+            if high.all() and key == POSITION and abs(float(np.median(shifted))) < 0.5:
+                problem = f"numbers near {np.median(column):.6g} are negative ones of a {bits}-bit register"
+                yield view.found(ERROR, (key, index), problem, "read the register with its sign", 0)
             if high.any() and not (high.all() or (counts[~high] > 2**bits * 0.1).any() or counts.max() >= 2**bits):
                 problem = f"numbers near {column[high].max():.6g} are negative ones of a {bits}-bit register"
                 severity, remedy = ERROR if key == POSITION else WARNING, "read the register with its sign"

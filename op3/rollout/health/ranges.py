@@ -105,4 +105,11 @@ def impossible_speed(view: View) -> Iterator[Finding]:
         at = at - 1 if returns else at
         problem = f"position jumps by {steps[at, joint]:+.3f} rad in one row, faster than a servo moves"
         remedy = "leave out the row, or repair the encoder or the bus"
+        told = np.abs(np.diff(view.command, axis=0)[max(at - 10, 0) : at + 10, joint])
+        if (
+            not returns
+            and told.max() == abs(view.command[at + 1, joint] - view.command[at, joint]) > 5 * np.median(told) > 0
+        ):
+            problem += ", and its command with it: rows are missing there, and the times do not say so"
+            remedy = "look for lost rows, and write the times that were measured"
         yield view.found(ERROR, (POSITION, joint), problem, remedy, at + 1)

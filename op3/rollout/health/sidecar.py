@@ -150,6 +150,9 @@ def supply(view: View) -> Iterator[Finding]:
         if key[1] == "voltage" and battery and 0 < median <= 30 and not _CHARGE[0] < median / battery < _CHARGE[1]:
             problem = f"the median voltage {median:.4g} V does not fit the battery of {battery:.3g} V"
             yield view.found(WARNING, (key, joint), problem, "convert it to volts, or correct `battery`", aside=True)
+        if key[1] == "voltage" and median > 1 and (gone := column < 0.3 * median).any():
+            problem = f"{gone.sum()} rows read {column[gone].min():.3g} V, at which no servo answers"
+            yield view.found(WARNING, (key, joint), problem, "leave these rows out", gone.argmax(), aside=True)
         hottest = _HOTTEST if make is None else make.limits.temperature.si
         if key[1] == "temperature" and not -10 <= median <= hottest and median <= 150:  # beyond it its bound speaks
             fahrenheit = (median - 32) / 1.8

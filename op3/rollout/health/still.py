@@ -32,7 +32,7 @@ _SETTLES = 0.5
 """A servo has reached a target that stands [s]."""
 
 
-@check("saturated")
+@check("saturated", unless=("stale readings",))
 def saturated(view: View) -> Iterator[Finding]:
     """A rate or acceleration is cut off at its largest number."""
     for key, index, column in view.columns(VELOCITY, RATE, FORCE):

@@ -59,7 +59,7 @@ def gyroscope(view: View) -> Iterator[Finding]:
     summed = integral(view.time, rate)
     found = match(summed[last] - summed[first], body)
     drift, turned_on = summed[-1] / np.ptp(view.time), np.abs(body).max(0) / span
-    for axis in np.flatnonzero((np.abs(drift) > 0.25) & (turned_on < 0.05)):
+    for axis in np.flatnonzero((np.abs(drift) > 0.1) & (turned_on < 0.05)):
         problem = f"the gyroscope turns at {drift[axis]:.3g} rad/s on average while the orientation stands still"
         yield view.found(WARNING, (RATE, axis), problem, "look at its unit and its bias")
     for axis in np.flatnonzero(found.size_b > np.maximum(4 * step(angles), 0.03 * span)):
