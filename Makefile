@@ -7,13 +7,18 @@ BIN := $(VENV)/bin
 
 install: $(VENV)/.installed
 
-$(VENV)/.installed: pyproject.toml constraints.txt
+# what the program needs, and on top of it what tests, formats of others and documentation need
+$(VENV)/.program: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt torch
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	touch $@
+
+$(VENV)/.installed: $(VENV)/.program
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	touch $@
 
-demo: install
+demo: $(VENV)/.program
 	$(BIN)/python experiments/sim2real.py source=emulated task=balance world=robot_4 budget=demo
 
 # two tests at a time: more would slow down those that keep real time, on machines of any size

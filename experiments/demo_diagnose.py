@@ -88,7 +88,7 @@ def run(cfg: DictConfig, folder: Path) -> str:
     data = record(case, folder / "data")
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        given = compose("diagnose", [f"wandb={cfg.wandb}", f"seed={cfg.seed}"])
+        given = compose("diagnose", [f"{name}={cfg[name]}" for name in ("wandb", "seed", "windows")])
     given.data, given.model = str(data), case.base
     content = diagnose(given, folder)
     return ending(content, open_answers(folder / "answers")[case.name], folder)

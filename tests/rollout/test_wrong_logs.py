@@ -728,6 +728,13 @@ def test_currents_that_are_not_the_laws(tmp_path, change, expected):
     assert any(expected in finding.problem for finding in read_log(path).findings)
 
 
+@pytest.mark.parametrize("change", [scale("joint_2.velocity", 1.3), scale("joint_2.(position|target)", 1.2)])
+def test_a_scale_of_one_joint_is_told_by_the_others(tmp_path, change):
+    """Velocities of all other joints are the change of their positions."""
+    (told,) = [f for f in read_log(write(tmp_path, change, joints=5)).findings if "another scale" in f.problem]
+    assert told.column == "joint_2.velocity"
+
+
 def test_rows_that_are_missing_without_a_gap_in_time(tmp_path):
     """Position and command leap together: the recorder counted rows."""
 

@@ -78,6 +78,7 @@ def velocity(view: View) -> Iterator[Finding]:
         problem = f"the velocity is {ratios[joint]:.3g} times the change of position per second, alike in most joints"
         remedy = "look whether angles, velocities or times were scaled, and write `scale:` into its YAML"
         yield view.found(WARNING, (VELOCITY, joint), problem, remedy)
+    yield from _odd_ones(view, ratios)
     for joint, problem, ratio in findings:
         if refuse and no_sensor(ratio):
             remedy = "convert both to radians and the same sign, or write `scale:` into its YAML"
@@ -85,6 +86,22 @@ def velocity(view: View) -> Iterator[Finding]:
         else:
             remedy = "the channel is not used; correct it where you know how"
             yield view.found(WARNING, (VELOCITY, joint), problem, remedy, aside=True)
+
+
+def _odd_ones(view: View, ratios: dict[int, float]) -> Iterator[Finding]:
+    """Joints whose velocity is another part of the change of position than in all others, which agree."""
+    for joint, ratio in ratios.items():
+        others = np.array([other for k, other in ratios.items() if k != joint])
+        if len(others) < 3:
+            return
+        usual, apart = float(np.median(others)), float(np.ptp(others))
+        if abs(ratio / usual - 1) > max(SCALED, 4 * apart):
+            problem = (
+                f"the velocity is {ratio:.3g} times the change of position per second, and {usual:.3g} times in the "
+            )
+            problem += "other joints: one of the two has another scale"
+            remedy = "look which it is (a position that is scaled is off its command), and write `scale:` into its YAML"
+            yield view.found(WARNING, (VELOCITY, joint), problem, remedy)
 
 
 def _judge(view: View, found: Match, joint: int, summed: np.ndarray) -> tuple[str, float | None] | None:
