@@ -1,43 +1,29 @@
 """One command for all experiments: help, completion, and wrong input answered in one sentence."""
 
-import multiprocessing
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from op3.command_help import COMMANDS, completion, overview, script, usage
 from op3.command_line import main, quoted
+from tests.scripts import run_apart
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
-SERVER = multiprocessing.get_context("forkserver")
-SERVER.set_forkserver_preload(["torch", "hydra", "op3.command_line", "op3.diagnose", "op3.envs", "op3.tasks"])
-
-
 @pytest.fixture
-def op3(tmp_path_factory) -> Callable[..., tuple[int | None, str]]:
-    """Runs ``op3`` in a folder, in a process that has imported most of it; returns exit code and standard error."""
+def op3() -> Callable[..., tuple[int, str]]:
+    """Runs ``op3`` in a folder; gives exit code and standard error."""
 
-    def run(*arguments: str, cwd: Path) -> tuple[int | None, str]:
-        said = tmp_path_factory.mktemp("said") / "error.txt"
-        process = SERVER.Process(target=_run, args=(arguments, cwd, said))
-        process.start()
-        process.join()
-        return process.exitcode, said.read_text().strip()
+    def run(*arguments: str, cwd: Path) -> tuple[int, str]:
+        done = run_apart(main, [*arguments], cwd)
+        return done.returncode, done.stderr.strip()
 
     return run
-
-
-def _run(arguments: Sequence[str], cwd: Path, said: Path) -> None:
-    os.chdir(cwd)
-    sys.stderr = said.open("w", buffering=1)
-    os.dup2(sys.stderr.fileno(), 2)
-    main(arguments)
 
 
 @pytest.mark.parametrize(
