@@ -148,6 +148,10 @@ def stale(view: View) -> Iterator[Finding]:
     if len(rows) >= 20 and (every := np.gcd.reduce(np.diff(rows))) >= 3:
         problem = f"the trunk's sensors have new numbers only in every {every} rows"
         yield view.found(WARNING, "imu", problem, "read them in every row, or record fewer rows")
+    every = np.gcd.reduce(np.diff(np.flatnonzero(np.diff(view.position, axis=0).any(1)))) if len(view.time) > 99 else 0
+    if every == 2 and np.ptp(view.position, axis=0).max() > 0.2:
+        problem = "positions have new numbers only in every second row"
+        yield view.found(WARNING, "time", problem, "read them in every row, or record fewer rows")
     for key, joint, column in view.columns(POSITION):
         jumps = np.diff(column)
         rows = np.flatnonzero(jumps)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from op3.rollout.health.finding import (
+    COMMAND,
     CURRENT,
     ERROR,
     ORIENTATION,
@@ -55,8 +56,11 @@ def _fits(view: View, kind: str, joint: int) -> bool:
 def not_measured(view: View) -> Iterator[Finding]:
     """A position is the command itself, number by number: what was told was recorded, and not what was read."""
     angle, told = view.position, view.command
-    late = [(angle[n:] == told[: len(told) - n]).all(0) for n in range(3 if len(view.time) >= 20 else 0)]
-    same = np.any(late, axis=0) & (np.ptp(told, axis=0) > 0.05) if late else np.zeros(0, bool)
+    count = 0.51 * step(angle) if len(view.time) >= 20 else 0.0  # a command that the encoder rounds
+    late = [
+        (np.abs(angle[n:] - told[: len(told) - n]) <= count).all(0) for n in range(3 if len(view.time) >= 20 else 0)
+    ]
+    same = np.any(late, axis=0) & (np.ptp(told, axis=0) > 0.05) & view.driven.any(0) if late else np.zeros(0, bool)
     if view.metadata.robot == "simulated":  # which may move as it is told
         return
     for joint in np.flatnonzero(same):
@@ -86,19 +90,26 @@ def unsigned(view: View) -> Iterator[Finding]:
 
 @check("single readings")
 def spikes(view: View) -> Iterator[Finding]:
-    """A velocity, current, voltage, temperature, or rate or angle of the trunk leaps away for a row and comes back."""
-    for key, index, column in view.columns(*_LEAST):
+    """A reading leaps away for a row and comes back, or a target for up to three rows."""
+    for key, index, column in view.columns(POSITION, COMMAND, *_LEAST):
         column = np.unwrap(column) if key == ORIENTATION else column
-        size = np.minimum(np.abs(column[1:-1] - column[:-2]), np.abs(column[1:-1] - column[2:]))
-        size *= np.abs(column[2:] - column[:-2]) < 0.5 * size  # it comes back
-        if key == VELOCITY:  # a knock, which the position knows of
-            size *= np.abs(np.diff(view.position[:-1, index]) / np.diff(view.time[:-1])) < 0.5 * size
-        away = np.abs(column - np.median(column))
-        some = 1 + len(column) // 20_000
-        usual, level = (float(np.quantile(np.abs(x[::some]), 0.95)) for x in (np.diff(column), away))
-        row = int(size.argmax()) + 1
-        if size[row - 1] > max(12 * usual, 0 if key == ORIENTATION else 3 * level, _LEAST[key]):
-            problem = f"a single reading of {column[row]:.4g} stands between {column[row - 1]:.4g} and "
-            problem += f"{column[row + 1]:.4g}"
-            remedy = "leave the row out; until then the channel is not used"
-            yield view.found(WARNING, (key, index), problem, remedy, row, aside=True)
+        least = max(0.06, 5 * view.interval) if key == POSITION else 0.1 if key == COMMAND else _LEAST[key]
+        of_angles = key in (ORIENTATION, POSITION, COMMAND)
+        changes = np.diff(column, 2) / 2 if key in (POSITION, COMMAND) else np.diff(column)
+        away, some = column - np.median(column), 1 + len(column) // 20_000
+        usual, level = (float(np.quantile(np.abs(x[::some]), 0.95)) for x in (changes, away))
+        for rows in (1, 2, 3) if key == COMMAND else (1,):
+            there, back = column[1:-rows] - column[: -rows - 1], column[rows:-1] - column[rows + 1 :]
+            size = np.minimum(np.abs(there), np.abs(back))
+            size *= np.abs(column[rows + 1 :] - column[: -rows - 1]) < 0.5 * size  # it comes back
+            if key == VELOCITY:  # a knock, which the position knows of
+                size *= np.abs(np.diff(view.position[:-1, index]) / np.diff(view.time[:-1])) < 0.5 * size
+            row = int(size.argmax()) + 1
+            if size[row - 1] > max(12 * usual, 0 if of_angles else 3 * level, least):
+                what = "a target" if key == COMMAND else "a single reading"
+                problem = f"{what} of {column[row]:.4g} stands between {column[row - 1]:.4g} and "
+                problem += f"{column[row + rows]:.4g}"
+                aside = key not in (POSITION, COMMAND)
+                remedy = "leave the row out" + ("; until then the channel is not used" if aside else "")
+                yield view.found(WARNING, (key, index), problem, remedy, row, row + rows - 1, aside=aside)
+                break

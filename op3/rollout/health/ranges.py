@@ -28,12 +28,15 @@ _SHORT = 0.025
 _ROUGHEST = {VELOCITY: 100 * np.pi / 4096, CURRENT: 0.0065}
 """Steps in which the roughest servos tell: Feetech STS [rad/s], and HLS [A]."""
 
+_STEPS = "where a servo's are"
+
 
 @check("coarse steps")
 def coarse(view: View) -> Iterator[Finding]:
     """Numbers lie on another grid than the sensor's: they were rounded, or are in another unit."""
     make = view.make
     exact = 2 * np.pi / 4096 if make is None else make.position_unit
+    own = {} if make is None else {POSITION: exact, VELOCITY: make.counts.velocity and make.counts.velocity.si}
     for key, usual, least in (
         (POSITION, exact, 0.01 if make is None else 4 * exact),
         *((k, u, 4 * u) for k, u in _ROUGHEST.items()),
@@ -42,11 +45,20 @@ def coarse(view: View) -> Iterator[Finding]:
         steps = step(values) if values is not None else np.zeros(0)
         for joint in np.flatnonzero(steps):
             unit = likely_unit(float(steps[joint] / exact), "rad", 0.01) if key == POSITION else None
-            if steps[joint] <= least and (unit is None or steps[joint] > exact / 2):  # a finer encoder, or this one
+            parts = float(steps[joint] / count) if (count := own.get(key)) else 1.0
+            whole = round(parts) if parts > 1 else 1 / round(1 / parts)
+            if unit and not exact / 2 < steps[joint] <= least:  # else of a finer encoder, or this one
+                problem, remedy = f"{_STEPS} {usual:.4g} or less, as if they were in {unit}", "convert them to radians"
+            elif steps[joint] > least:
+                problem, remedy = f"{_STEPS} {usual:.4g} or less", "write them with more digits"
+            elif abs(parts / whole - 1) > 0.03:
+                problem, remedy = (
+                    f"{_STEPS} {count:.4g}: scaled, or another servo's",
+                    "look at their unit",
+                )
+            else:
                 continue
-            problem = f"the numbers come in steps of {steps[joint]:.4g}, where a servo's are {usual:.4g} or less"
-            problem += f", as if they were in {unit}" if unit else ""
-            remedy = "convert them to radians" if unit else "write them with more digits"
+            problem = f"the numbers come in steps of {steps[joint]:.4g}, {problem}"
             yield view.found(ERROR if unit else WARNING, (key, joint), problem, remedy)
 
 

@@ -20,7 +20,7 @@ from op3.rollout.health.finding import (
     View,
     check,
 )
-from op3.rollout.health.match import integral, longest_run, step
+from op3.rollout.health.match import SURE, delayed, integral, longest_run, step
 
 _GIVES = 0.5
 """No servo that holds its target yields by so much [rad]."""
@@ -47,7 +47,7 @@ def saturated(view: View) -> Iterator[Finding]:
             turned = np.abs(view.position[2:, index] - view.position[:-2, index])[within]
             count = float(step(view.position[:, index, None])[0]) * np.sqrt(len(turned))
             faster = float((turned.sum() - count) / (view.time[2:] - view.time[:-2])[within].sum())
-        aside = faster > 1.05 * top + size + 0.02
+        aside = faster > 1.15 * top + size  # less may be a scale
         ends = ((first, first - 1), (last, last + 1))
         beside = min((abs(column[i] - column[j]) for i, j in ends if 0 <= j < len(column)), default=0)
         if aside or (key != VELOCITY and beside > max(5 * size, 0.05 * top)):
@@ -74,20 +74,36 @@ def stands_still(view: View) -> Iterator[Finding]:
                 problem += f"{np.ptp(position):.3g} rad"
                 remedy = "record what was sent, or `torque_enable: 0` where it was pushed by hand"
                 yield view.found(WARNING, (COMMAND, joint), problem, remedy)
+            off = ~view.driven[:, joint]
+            if off.sum() * view.interval > 1 and _follows(view, joint, off):
+                problem = "the joint follows its target while the log says that its torque is off or its gain 0"
+                yield view.found(WARNING, (COMMAND, joint), problem, "correct the switch or the gain")
+
+
+def _follows(view: View, joint: int, rows: np.ndarray) -> bool:
+    """Whether a joint comes after its target in these rows: one that is led by hand may have targets after it."""
+    told, angle = view.command[rows, joint], view.position[rows, joint]
+    late = max(1, round(0.05 / view.interval))
+    if len(told) < 10 * late or min(np.ptp(told), np.ptp(angle)) < 0.2:
+        return False
+    after, before = delayed(angle, told, late), delayed(told, angle, late)
+    return after > SURE and 1 - after < 0.5 * (1 - before) and 0.5 < np.ptp(angle) / np.ptp(told) < 2
 
 
 def _commands_stop(view: View) -> Iterator[Finding]:
-    """No target changes any more, and a joint goes on as before: what was sent was not recorded."""
-    first, length = longest_run((np.diff(view.command, axis=0) == 0).all(1))
-    last = first + length
-    settled = slice(first + round(_SETTLES / view.interval), last + 1)
-    if length * view.interval < 3 * _SETTLES or not view.driven[first : last + 1].all():
-        return
-    moved, told = np.ptp(view.position[settled], axis=0), np.ptp(view.command, axis=0)
-    joint = int(np.where(told > 0.1, moved / np.maximum(told, 0.1), 0.0).argmax())
-    if told[joint] > 0.1 and moved[joint] > 0.5 * told[joint]:
-        problem = f"no target changes for {length} rows, while the joint goes on by {moved[joint]:.3g} rad"
-        yield view.found(WARNING, (COMMAND, joint), problem, "record what was sent, or cut the log here", first, last)
+    """A target does not change any more, and its joint goes on as before: what was sent was not recorded."""
+    stopped = np.diff(view.command, axis=0) == 0
+    told = np.ptp(view.command, axis=0)
+    for joint in np.flatnonzero(told > 0.1):
+        first, length = longest_run(stopped[:, joint])
+        last = first + length
+        settled = slice(first + round(_SETTLES / view.interval), last + 1)
+        if length * view.interval < 3 * _SETTLES or not view.driven[first : last + 1, joint].all():
+            continue
+        if (moved := float(np.ptp(view.position[settled, joint]))) > max(0.5 * told[joint], 0.1):
+            problem = f"the target does not change for {length} rows, while the joint goes on by {moved:.3g} rad"
+            remedy = "record what was sent, or cut the log here"
+            yield view.found(WARNING, (COMMAND, joint), problem, remedy, first, last)
 
 
 def _velocity_stands(view: View, joint: int, velocity: np.ndarray, rows: int) -> Iterator[Finding]:
