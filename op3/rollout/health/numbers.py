@@ -94,6 +94,8 @@ def spikes(view: View) -> Iterator[Finding]:
     for key, index, column in view.columns(POSITION, COMMAND, *_LEAST):
         column = np.unwrap(column) if key == ORIENTATION else column
         least = max(0.06, 5 * view.interval) if key == POSITION else 0.1 if key == COMMAND else _LEAST[key]
+        if np.abs(np.diff(column)).max() <= least:
+            continue
         of_angles = key in (ORIENTATION, POSITION, COMMAND)
         changes = np.diff(column, 2) / 2 if key in (POSITION, COMMAND) else np.diff(column)
         away, some = column - np.median(column), 1 + len(column) // 20_000

@@ -60,6 +60,7 @@ class Trace:
         bias: Of the velocity [rad/s].
         errors: Standard errors of ratio, delay and bias.
         share: Of the sums that is explained.
+        counted: Share of the windows that count.
         scatter: Velocity against its neighbours in time, median [rad/s], and the least that its position explains.
         parted: What is left in each window [rad], and the window's first row.
     """
@@ -70,6 +71,7 @@ class Trace:
     bias: float
     errors: np.ndarray
     share: float
+    counted: float
     scatter: tuple[float, float]
     parted: tuple[np.ndarray, np.ndarray]
 
@@ -78,10 +80,11 @@ def _trace(view: View, rate: np.ndarray, joint: int) -> Trace | None:
     """None for logs that are too short to tell."""
     near = max(1, round(0.02 / view.interval))
     rows = max(2, min(round(WINDOW / view.interval), len(view.time) // 10))
-    first = np.arange(near, len(view.time) - rows - near)
+    first = np.arange(near, len(view.time) - rows - near, max(1, min(rows // 3, len(view.time) // 8000)))
+    overlap = rows / (first[1] - first[0]) if len(first) > 1 else 1.0
     whole = view.time[first + rows + near] - view.time[first - near] < 2 * (rows + 2 * near) * view.interval
     first = first[whole]
-    if len(first) < 8 * rows:
+    if len(first) < 8 * overlap:
         return None
     angle, speed = view.position[:, joint], rate[:, joint]
     summed, last, beside = integral(view.time, speed), first + rows, near * view.interval
@@ -94,7 +97,7 @@ def _trace(view: View, rate: np.ndarray, joint: int) -> Trace | None:
     # a single sine bends as it turns, so an estimator's filter is taken for what those of servos are
     found, left = np.zeros(4), told
     for _ in range(4):
-        spread = max(float(left[kept].std()), count / 4, 1e-6) * np.sqrt(rows)  # windows overlap
+        spread = max(float(left[kept].std()), count / 4, 1e-6) * np.sqrt(overlap)
         weighed = np.vstack([causes[kept] / spread, [0, 0, 1 / _FILTER, 0]])
         found = np.linalg.lstsq(weighed, np.append(told[kept] / spread, 0.0))[0]
         left = told - causes @ found
@@ -110,6 +113,7 @@ def _trace(view: View, rate: np.ndarray, joint: int) -> Trace | None:
         bias=float(found[3]),
         errors=errors[[0, 1, 3]],
         share=1 - float(left[kept].var()) / max(float(told[kept].var()), 1e-24),
+        counted=float(kept.mean()),
         scatter=(float(np.median(scatter)), max(float(np.median(own)), 2 * float(step(speed[:, None])[0]), 0.03)),
         parted=(left, first),
     )
@@ -152,7 +156,8 @@ def _differs(view: View, joint: int, trace: Trace, moves: bool) -> Iterator[Find
     """What the trace of a joint shows; factor and delay only where it moves."""
     where, unused = (VELOCITY, joint), "the channel is not used; correct it where you know how"
     uncertain = 4 * trace.errors
-    clear = moves and trace.share > SURE
+    whole = trace.counted > 0.9 and (trace.share > SURE or not moves)  # what is so throughout
+    clear = whole and moves
     if clear and not EARLY - uncertain[1] < trace.delay < LATE + uncertain[1]:
         problem = _comes(trace.delay)
         yield view.found(WARNING, where, problem, unused, aside=True)
@@ -163,7 +168,7 @@ def _differs(view: View, joint: int, trace: Trace, moves: bool) -> Iterator[Find
     elif clear and trace.smoothed > SMOOTHED:
         problem = f"velocity is smoothed, over {trace.smoothed:.1g} s or more"
         yield view.found(WARNING, where, problem, unused, aside=True)
-    elif abs(trace.bias) > DRIFT + uncertain[2]:
+    elif whole and abs(trace.bias) > DRIFT + uncertain[2]:
         problem = f"velocity is {trace.bias:+.3g} rad/s off the change of position on average"
         yield view.found(WARNING, where, problem, unused, aside=True)
     elif trace.scatter[0] > NOISE * trace.scatter[1]:
@@ -174,9 +179,9 @@ def _differs(view: View, joint: int, trace: Trace, moves: bool) -> Iterator[Find
         size = np.abs(left)
         worst = int(size.argmax())
         if size[worst] > max(PARTED, 8 * float(np.median(size)), 10 * float(step(view.position[:, [joint]])[0])):
-            far = np.flatnonzero(size > size[worst] / 2)
-            together = far[np.abs(far - worst) < 2 * WINDOW / view.interval]
-            rows = first[together[0]], first[together[-1]] + round(WINDOW / view.interval)
+            far = first[size > size[worst] / 2]
+            together = far[np.abs(far - first[worst]) < 2 * WINDOW / view.interval]
+            rows = together[0], together[-1] + round(WINDOW / view.interval)
             problem = f"position and summed velocity part by {size[worst]:.2g} rad within {WINDOW:g} s there"
             remedy = "look which of them has wrong readings there, and leave these rows out"
             yield view.found(WARNING, where, problem, remedy, *rows)
