@@ -298,7 +298,7 @@ WARNED: dict[str, tuple[Change, str]] = {
     ),
     "a bias of the gyroscope": (
         lambda t: t.update({n: 0 * v + 0.15 * (n == "imu.gyro_z") for n, v in t.items() if n[:7] in GYRO_AND_ANGLES}),
-        "turns at 0.15 rad/s on average",
+        "is +0.15 rad/s off the change of orientation on average",
     ),
     "lost rows": (edit(".*", lambda v: v[np.random.default_rng(0).random(1000) > 0.3]), "the rows are missing, singly"),
 }
@@ -776,6 +776,8 @@ COUNT = 2 * np.pi / 4096
         (rounded("joint_2.position", np.pi * 300 / 180 / 1023), "joint_2.position", "scaled, or another servo's"),
         (rounded("joint_2.(position|velocity)", 1.1 * COUNT), "joint_2.position", "scaled, or another servo's"),
         (held(2), "time", "only in every second row"),
+        (add("imu.gyro_z", 0.1), "imu.gyro_z", r"is \+0.1 rad/s off the change of orientation"),
+        (put("imu.acc_z", 150.0, 500), "imu.acc_z", "a single reading of 150"),
     ],
 )
 def test_mild_faults_of_one_joint_are_told(tmp_path, change, column, expected):
@@ -785,6 +787,24 @@ def test_mild_faults_of_one_joint_are_told(tmp_path, change, column, expected):
     told = {one.column for one in log.findings}
     assert told - {"field mass"} == {column} - {None}  # that of another servo's pendulum
     assert all(re.search(expected, one.problem) for one in log.findings if one.column == column)
+
+
+@pytest.mark.parametrize("column", ["imu.gyro_x", "imu.roll", "joint_0.position"])
+def test_rows_in_which_nothing_was_read_are_told(tmp_path, column):
+    """All axes, or all joints, are 0 in some rows."""
+    names = (
+        r"joint_\d.position"
+        if "joint" in column
+        else rf"{column[:-1]}."
+        if "gyro" in column
+        else r"imu.(roll|pitch|yaw)"
+    )
+    change = edit(names, lambda values: np.where(np.isin(np.arange(1000), [430, 431, 777]), 0.0, values))
+    try:
+        told = [str(one.error(None)) for one in read_log(write(tmp_path, change, joints=2)).findings]
+    except LogError as error:
+        told = [str(error)]
+    assert any(column in one and re.search("it is 0 in 3 rows|jumps by", one) for one in told)
 
 
 def test_a_joint_that_follows_with_its_torque_off_is_told(tmp_path):

@@ -202,8 +202,9 @@ def two_clocks(view: View) -> Iterator[Finding]:
     joint = min(curves, key=lambda j: curves[j][0].min(), default=0)
     (curve,) = curves.get(joint, [ones])
     if best(curve) and curve[usual].min() > 3 * curve.min():
-        problem = f"the position follows the command by {lags[curve.argmin()] * period:.2f} s throughout: their clocks "
-        yield view.found(WARNING, (POSITION, joint), f"{problem}differ, or one is shifted", remedy)
+        lag = float(lags[curve.argmin()] * period)
+        problem = f"the position {'comes before' if lag < 0 else 'follows'} its command by {abs(lag):.2f} s throughout"
+        yield view.found(WARNING, (POSITION, joint), f"{problem}: their clocks differ, or one is shifted", remedy)
 
 
 def _follows(angle: np.ndarray, told: np.ndarray, lags: np.ndarray) -> np.ndarray:

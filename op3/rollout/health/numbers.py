@@ -10,6 +10,7 @@ from op3.rollout.health.finding import (
     COMMAND,
     CURRENT,
     ERROR,
+    FORCE,
     ORIENTATION,
     POSITION,
     RATE,
@@ -23,7 +24,7 @@ from op3.rollout.health.match import step
 from op3.rollout.schema import Key
 
 _LEAST: dict[Key, float] = {VELOCITY: 5.0, CURRENT: 5.0, ("joint", "voltage"): 2.0, ("joint", "temperature"): 5.0}
-_LEAST |= {RATE: 5.0, ORIENTATION: 0.2}
+_LEAST |= {RATE: 5.0, ORIENTATION: 0.2, FORCE: 100.0}
 """A single reading leaps at least so far, in the unit of its channel."""
 
 
@@ -115,3 +116,23 @@ def spikes(view: View) -> Iterator[Finding]:
                 remedy = "leave the row out" + ("; until then the channel is not used" if aside else "")
                 yield view.found(WARNING, (key, index), problem, remedy, row, row + rows - 1, aside=aside)
                 break
+
+
+@check("zeros")
+def zeros(view: View) -> Iterator[Finding]:
+    """All axes of the trunk's sensor, or all joints, read 0 in single rows: nothing was read there."""
+    for key, least in ((ORIENTATION, 0.02), (RATE, 0.1), (FORCE, 1.0), (POSITION, 0.02)):
+        values = view.get(key)
+        if values is None or len(values) < 20 or values.shape[1] < 2:
+            continue
+        away = np.abs(values).max(1)
+        empty, least = away == 0, max(least, 15 * float(step(values).max()))
+        first = np.flatnonzero(np.diff(np.concatenate([[False], empty, [False]]).astype(np.int8)))
+        inside = [(a, b) for a, b in first.reshape(-1, 2) if a > 0 and b < len(values)]
+        lost = [(a, b) for a, b in inside if b - a <= 10 and min(away[a - 1], away[b]) > least]
+        if lost:
+            rows = sum(b - a for a, b in lost)
+            problem = f"all of it is 0 in {rows} rows, and not beside them: nothing was read there"
+            for index in range(values.shape[1]) if key != POSITION else [0]:
+                remedy = "leave these rows out"
+                yield view.found(WARNING, (key, index), problem, remedy, lost[0][0], lost[0][1] - 1)
