@@ -148,8 +148,8 @@ def stale(view: View) -> Iterator[Finding]:
     if len(rows) >= 20 and (every := np.gcd.reduce(np.diff(rows))) >= 3:
         problem = f"the trunk's sensors have new numbers only in every {every} rows"
         yield view.found(WARNING, "imu", problem, "read them in every row, or record fewer rows")
-    every = np.gcd.reduce(np.diff(np.flatnonzero(np.diff(view.position, axis=0).any(1)))) if len(view.time) > 99 else 0
-    if every == 2 and np.ptp(view.position, axis=0).max() > 0.2:
+    rows = np.flatnonzero(np.diff(view.position, axis=0).any(1))
+    if len(rows) >= 20 and np.gcd.reduce(np.diff(rows)) == 2 and np.ptp(view.position, axis=0).max() > 0.2:
         problem = "positions have new numbers only in every second row"
         yield view.found(WARNING, "time", problem, "read them in every row, or record fewer rows")
     for key, joint, column in view.columns(POSITION):
@@ -186,7 +186,7 @@ def two_clocks(view: View) -> Iterator[Finding]:
         """What a position leaves of its command that came so long before ``[lag]``, of the joints that move most."""
         spans = np.min([np.minimum(np.ptp(told[p], axis=0), np.ptp(angle[p], axis=0)) for p in parts], axis=0)
         moving = [int(j) for j in np.argsort(-spans)[:3] if spans[j] > 0.1]
-        return {j: [1 - _follows(angle[p, j], told[p, j], lags) for p in parts] for j in moving}
+        return {j: [np.maximum(1 - _follows(angle[p, j], told[p, j], lags), 0.0) for p in parts] for j in moving}
 
     curves = misfits(first, last)
     joint = min(curves, key=lambda j: max(curve.min() for curve in curves[j]), default=0)

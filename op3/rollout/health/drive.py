@@ -10,7 +10,7 @@ from op3.rollout.health.finding import CURRENT, WARNING, Finding, View, check
 from op3.rollout.units import likely_unit
 
 _ZERO = 0.1
-"""No current sensor is so far off at nothing [A]; 0.03 in sound logs of robots that squat."""
+"""No current sensor is so far off at nothing [A], nor by 2 % of what it reads; 0.03 in sound logs of squats."""
 
 
 @check("current against position error", unless=("two clocks",))
@@ -44,7 +44,9 @@ def drive(view: View) -> Iterator[Finding]:
         clear = (sure > 0.94) & (not view.metadata.fallen)  # arms that are flung about are limited otherwise
         off = told & np.where(clear, (least > 1.6) | (most < 0.6), (least > 2.5) | (most < 0.4))
         # a sensor's zero: what the law leaves on average, where it explains nearly all
-        shifted = told & clear & ~off & (np.abs(zero) > _ZERO) & (key == CURRENT)
+        shifted = (
+            told & clear & ~off & (np.abs(zero) > np.maximum(_ZERO, 0.02 * np.abs(values).max(0))) & (key == CURRENT)
+        )
         for joint in np.flatnonzero(shifted):
             problem = f"current is {zero[joint]:+.2g} A off gain times error on average: its sensor has another zero"
             yield view.found(WARNING, (key, joint), problem, "write `columns: {...: {offset: ...}}` into its YAML")

@@ -57,7 +57,7 @@ def _fits(view: View, kind: str, joint: int) -> bool:
 def not_measured(view: View) -> Iterator[Finding]:
     """A position is the command itself, number by number: what was told was recorded, and not what was read."""
     angle, told = view.position, view.command
-    count = 0.51 * step(angle) if len(view.time) >= 20 else 0.0  # a command that the encoder rounds
+    count = np.minimum(0.51 * step(angle), np.pi / 1024) if len(view.time) >= 20 else 0.0  # of an encoder that rounds
     late = [
         (np.abs(angle[n:] - told[: len(told) - n]) <= count).all(0) for n in range(3 if len(view.time) >= 20 else 0)
     ]
@@ -83,6 +83,12 @@ def unsigned(view: View) -> Iterator[Finding]:
             if high.all() and key == POSITION and abs(float(np.median(shifted))) < 0.5:
                 problem = f"numbers near {np.median(column):.6g} are negative ones of a {bits}-bit register"
                 yield view.found(ERROR, (key, index), problem, "read the register with its sign", 0)
+            signed = counts >= 2 ** (bits - 1)
+            least = np.where(signed, counts - 2 ** (bits - 1), counts).max() < 2**bits * 0.05
+            if signed.any() and not signed.all() and least and bits == 16:
+                problem = f"numbers from {column[signed].min():.6g} on have their sign in the highest of 16 bits"
+                severity, remedy = ERROR if key == POSITION else WARNING, "read sign and size apart"
+                yield view.found(severity, (key, index), problem, remedy, signed.argmax(), aside=severity == WARNING)
             if high.any() and not (high.all() or (counts[~high] > 2**bits * 0.1).any() or counts.max() >= 2**bits):
                 problem = f"numbers near {column[high].max():.6g} are negative ones of a {bits}-bit register"
                 severity, remedy = ERROR if key == POSITION else WARNING, "read the register with its sign"
@@ -101,7 +107,7 @@ def spikes(view: View) -> Iterator[Finding]:
         changes = np.diff(column, 2) / 2 if key in (POSITION, COMMAND) else np.diff(column)
         away, some = column - np.median(column), 1 + len(column) // 20_000
         usual, level = (float(np.quantile(np.abs(x[::some]), 0.95)) for x in (changes, away))
-        for rows in (1, 2, 3) if key == COMMAND else (1,):
+        for rows in range(1, 2 + min(2, round(0.03 / view.interval) - 1)) if key == COMMAND else (1,):
             there, back = column[1:-rows] - column[: -rows - 1], column[rows:-1] - column[rows + 1 :]
             size = np.minimum(np.abs(there), np.abs(back))
             size *= np.abs(column[rows + 1 :] - column[: -rows - 1]) < 0.5 * size  # it comes back

@@ -28,8 +28,6 @@ _SHORT = 0.025
 _ROUGHEST = {VELOCITY: 100 * np.pi / 4096, CURRENT: 0.0065}
 """Steps in which the roughest servos tell: Feetech STS [rad/s], and HLS [A]."""
 
-_STEPS = "where a servo's are"
-
 
 @check("coarse steps")
 def coarse(view: View) -> Iterator[Finding]:
@@ -44,21 +42,19 @@ def coarse(view: View) -> Iterator[Finding]:
         values = view.get(key)
         steps = step(values) if values is not None else np.zeros(0)
         for joint in np.flatnonzero(steps):
-            unit = likely_unit(float(steps[joint] / exact), "rad", 0.01) if key == POSITION else None
+            unit = likely_unit(float(steps[joint] / exact), "rad", 0.003) if key == POSITION else None
             parts = float(steps[joint] / count) if (count := own.get(key)) else 1.0
             whole = round(parts) if parts > 1 else 1 / round(1 / parts)
+            decimal = abs(np.log10(steps[joint]) - np.round(np.log10(steps[joint]))) < 1e-3
             if unit and not exact / 2 < steps[joint] <= least:  # else of a finer encoder, or this one
-                problem, remedy = f"{_STEPS} {usual:.4g} or less, as if they were in {unit}", "convert them to radians"
-            elif steps[joint] > least:
-                problem, remedy = f"{_STEPS} {usual:.4g} or less", "write them with more digits"
-            elif abs(parts / whole - 1) > 0.03:
-                problem, remedy = (
-                    f"{_STEPS} {count:.4g}: scaled, or another servo's",
-                    "look at their unit",
-                )
+                problem, remedy = f"{usual:.4g} or less, as if they were in {unit}", "convert them to radians"
+            elif steps[joint] > least or (decimal and parts > 1):
+                problem, remedy = f"{usual:.4g} or less", "write them with more digits"
+            elif abs(parts / whole - 1) > 0.03 and not decimal:
+                problem, remedy = f"{count:.4g}: scaled, or another servo's", "look at their unit"
             else:
                 continue
-            problem = f"the numbers come in steps of {steps[joint]:.4g}, {problem}"
+            problem = f"the numbers come in steps of {steps[joint]:.4g}, where a servo's are {problem}"
             yield view.found(ERROR if unit else WARNING, (key, joint), problem, remedy)
 
 

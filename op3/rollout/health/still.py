@@ -67,6 +67,7 @@ def stands_still(view: View) -> Iterator[Finding]:
         yield from _commands_stop(view)
         for _, joint, velocity in view.columns(VELOCITY):
             yield from _velocity_stands(view, joint, velocity, rows)
+        switch = view.get(("command", "torque_enable"))
         for joint, position in enumerate(view.position.T):
             yield from _position_stands(view, joint, position)
             if np.ptp(view.command[:, joint]) == 0 and view.driven[:, joint].all() and np.ptp(position) > _GIVES:
@@ -74,10 +75,10 @@ def stands_still(view: View) -> Iterator[Finding]:
                 problem += f"{np.ptp(position):.3g} rad"
                 remedy = "record what was sent, or `torque_enable: 0` where it was pushed by hand"
                 yield view.found(WARNING, (COMMAND, joint), problem, remedy)
-            off = ~view.driven[:, joint]
+            off = np.zeros(len(view.time), bool) if switch is None else switch[:, joint] == 0
             if off.sum() * view.interval > 1 and _follows(view, joint, off):
-                problem = "the joint follows its target while the log says that its torque is off or its gain 0"
-                yield view.found(WARNING, (COMMAND, joint), problem, "correct the switch or the gain")
+                problem = "the joint follows its target while the log says that its torque is off"
+                yield view.found(WARNING, (COMMAND, joint), problem, "correct the switch")
 
 
 def _follows(view: View, joint: int, rows: np.ndarray) -> bool:

@@ -27,14 +27,17 @@ from op3.rollout.units import likely_unit
 SCALED = 0.06
 """No velocity is so far from the change of position, in parts of it, beyond four standard errors; 0.03 at most."""
 
-LATE, EARLY = 0.035, -0.015
-"""No estimator of a servo is so late, or ahead [s]; 0.000 to 0.021."""
+LATE, EARLY = 0.027, -0.007
+"""No estimator of a servo is a row later than this, or ahead [s]; 0.000 to 0.021. What filters more is not used."""
 
 SMOOTHED = 0.15
 """No estimator of a servo averages over so long [s]; 0.07 at most."""
 
-_FILTER = 1e-3
-"""What a filter adds of the change of a rate's slope is of this order [s^2]; 2.5e-4 at most in sound logs."""
+_FILTER, _LOSS = 1e-3, 2.5e-4
+"""What a filter adds of the change of a rate's slope is of this order, and in sound logs at most the second [s^2]."""
+
+_SLOWEST = 0.04
+"""In a longer time from row to row differences, stamps and the trapezoid rule are as much as any fault [s]."""
 
 DRIFT = 0.08
 """No velocity is so far off on average [rad/s]; 0.036 at most."""
@@ -62,7 +65,7 @@ class Trace:
         share: Of the sums that is explained.
         counted: Share of the windows that count.
         scatter: Velocity against its neighbours in time, median [rad/s], and the least that its position explains.
-        parted: What is left in each window [rad], and the window's first row.
+        parted: What is left in each window [rad], and the window's first and last row.
     """
 
     ratio: float
@@ -73,7 +76,7 @@ class Trace:
     share: float
     counted: float
     scatter: tuple[float, float]
-    parted: tuple[np.ndarray, np.ndarray]
+    parted: tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def _trace(view: View, rate: np.ndarray, joint: int) -> Trace | None:
@@ -102,8 +105,10 @@ def _trace(view: View, rate: np.ndarray, joint: int) -> Trace | None:
         found = np.linalg.lstsq(weighed, np.append(told[kept] / spread, 0.0))[0]
         left = told - causes @ found
         size = np.abs(left)
-        kept = size <= max(5 * float(np.median(size)), count)
+        kept = size <= max(5 * float(np.median(size)), count, 0.1 * float(told.std()), PARTED / 4)
     errors = np.sqrt(np.maximum(np.diagonal(np.linalg.pinv(weighed.T @ weighed)), 0.0))
+    # of a motion at one frequency a filter's loss is a factor
+    errors[0] += _LOSS * float(causes[:, 2].std()) / max(float(causes[:, 0].std()), 1e-12) / 4
     scatter = np.abs(speed[1:-1] - (speed[2:] + speed[:-2]) / 2)
     own = np.abs(np.diff(angle, 3)) / (2 * view.interval)  # the same of its position's rate
     return Trace(
@@ -114,8 +119,8 @@ def _trace(view: View, rate: np.ndarray, joint: int) -> Trace | None:
         errors=errors[[0, 1, 3]],
         share=1 - float(left[kept].var()) / max(float(told[kept].var()), 1e-24),
         counted=float(kept.mean()),
-        scatter=(float(np.median(scatter)), max(float(np.median(own)), 2 * float(step(speed[:, None])[0]), 0.03)),
-        parted=(left, first),
+        scatter=(float(np.median(scatter)), max(float(np.mean(own)), 2 * float(step(speed[:, None])[0]), 0.03)),
+        parted=(left, first, last),
     )
 
 
@@ -155,44 +160,50 @@ def velocity(view: View) -> Iterator[Finding]:
 def _differs(view: View, joint: int, trace: Trace, moves: bool) -> Iterator[Finding]:
     """What the trace of a joint shows; factor and delay only where it moves."""
     where, unused = (VELOCITY, joint), "the channel is not used; correct it where you know how"
-    uncertain = 4 * trace.errors
+    uncertain, speed = 4 * trace.errors, view.log.array(VELOCITY)[:, joint]
+    rounding = float(step(speed[:, None])[0]) / 2
     whole = trace.counted > 0.9 and (trace.share > SURE or not moves)  # what is so throughout
-    clear = whole and moves
-    if clear and not EARLY - uncertain[1] < trace.delay < LATE + uncertain[1]:
+    clear = whole and moves and view.interval < _SLOWEST
+    early, late = (EARLY - uncertain[1] - view.interval, LATE + uncertain[1] + view.interval)
+    if clear and not early < trace.delay < late:
         problem = _comes(trace.delay)
         yield view.found(WARNING, where, problem, unused, aside=True)
-    elif clear and abs(trace.ratio - 1) > SCALED + uncertain[0]:
+    elif clear and abs(trace.ratio - 1) > SCALED + uncertain[0] + rounding / max(float(speed.std()), 1e-9):
         problem = f"the velocity is {trace.ratio:.3g} times the change of position per second"
         remedy = "look whether angle, velocity or time was scaled (a scaled position is off its command), and write "
         yield view.found(WARNING, where, problem, remedy + "`scale:` into its YAML")
-    elif clear and trace.smoothed > SMOOTHED:
+    elif clear and trace.smoothed**2 > SMOOTHED**2 + 8 * view.interval**2:
         problem = f"velocity is smoothed, over {trace.smoothed:.1g} s or more"
         yield view.found(WARNING, where, problem, unused, aside=True)
-    elif whole and abs(trace.bias) > DRIFT + uncertain[2]:
+    elif whole and abs(trace.bias) > DRIFT + uncertain[2] + rounding:
         problem = f"velocity is {trace.bias:+.3g} rad/s off the change of position on average"
         yield view.found(WARNING, where, problem, unused, aside=True)
     elif trace.scatter[0] > NOISE * trace.scatter[1]:
         problem = f"velocity scatters by {trace.scatter[0]:.2g} rad/s from row to row, and its position moves evenly"
         yield view.found(WARNING, where, problem, unused, aside=True)
     else:
-        left, first = trace.parted
+        left, first, last = trace.parted
         size = np.abs(left)
         worst = int(size.argmax())
-        if size[worst] > max(PARTED, 8 * float(np.median(size)), 10 * float(step(view.position[:, [joint]])[0])):
-            far = first[size > size[worst] / 2]
-            together = far[np.abs(far - first[worst]) < 2 * WINDOW / view.interval]
-            rows = together[0], together[-1] + round(WINDOW / view.interval)
+        within = slice(first[worst], last[worst] + 1)
+        stops = float(np.abs(np.diff(speed[within])).max()) * view.interval  # between two rows
+        count = 10 * float(step(view.position[:, [joint]])[0])
+        if size[worst] > max(PARTED + stops, 8 * float(np.median(size)), count):
+            far = np.flatnonzero(size > size[worst] / 2)
+            far = far[np.abs(first[far] - first[worst]) < 2 * WINDOW / view.interval]
             problem = f"position and summed velocity part by {size[worst]:.2g} rad within {WINDOW:g} s there"
             remedy = "look which of them has wrong readings there, and leave these rows out"
-            yield view.found(WARNING, where, problem, remedy, *rows)
+            yield view.found(WARNING, where, problem, remedy, first[far[0]], last[far[-1]])
 
 
 def _comes(lag: float) -> str:
     return f"velocity comes {abs(lag):.2g} s {'after' if lag > 0 else 'before'} the position's change"
 
 
-def _says(ratio: float) -> str:
+def _says(ratio: float, interval: float) -> str:
     """What a factor between velocity and the change of position means, in words."""
+    if abs(ratio / interval - 1) < 0.03:
+        return ", as if it were the difference from row to row"
     if abs(ratio + 1) < 0.25:
         return " with the sign turned round"
     turned = " with the sign turned round" if ratio < 0 else ""
@@ -211,7 +222,10 @@ def _judge(view: View, found: Match, joint: int, summed: np.ndarray) -> tuple[st
     other = next((int(k) for k in np.argsort(-sure) if k != joint and fits[k] and found.ratio[joint, k] > 0), None)
     if abs(own) > SURE and not 0.6 < ratio < 1.6:
         whose = f", or it is that of {view.joints[other]}" if other is not None else ""
-        return f"the velocity is {ratio:.3g} times the change of position per second{_says(ratio)}{whose}", ratio
+        return (
+            f"the velocity is {ratio:.3g} times the change of position per second{_says(ratio, view.interval)}{whose}",
+            ratio,
+        )
     if found.size_a[joint] < 0.02 * found.size_b[joint]:
         return "velocity stands still while the joint moves", None
     lag, best, least = _late(view, view.position[:, joint], summed)
