@@ -116,6 +116,152 @@ def test_a_dataset_in_radians(tmp_path):
     assert np.abs(read_log(path).array("joint/position") - position()).max() < 1e-4
 
 
+def renamed(**names: list[str]) -> Callable[[dict[str, Any]], None]:
+    """Features have other names."""
+
+    def change(info: dict[str, Any]) -> None:
+        for name, its in names.items():
+            info["features"][name.replace("_", ".")]["names"] = its
+
+    return change
+
+
+@pytest.mark.parametrize(
+    "names", [["Pitch", "main_elbow"], ["Pitch_deg", "elbow_deg"], ["Pitch.pos", "elbow_degrees.pos"]]
+)
+def test_bare_names_of_a_dataset_are_positions(tmp_path, names):
+    """Also one that an angle of the trunk might have; a unit in a name is that of the numbers."""
+    path = lerobot(tmp_path)
+    rewrite(path / "meta" / "info.json", renamed(action=names, observation_state=names))
+    log = read_log(path)
+    assert np.abs(log.array("joint/position") - position()).max() < 1e-4
+    assert log.joints[0] == "Pitch"
+
+
+def test_velocities_of_a_dataset_in_degrees(tmp_path):
+    """Beside positions in degrees they are in degrees per second."""
+    path = lerobot(tmp_path)
+    names = [f"{joint}.{kind}" for kind in ("pos", "vel") for joint in JOINTS]
+    rewrite(path / "meta" / "info.json", renamed(observation_state=names))
+    both = np.rad2deg(np.hstack([position(), velocity()])).tolist()
+    rewrite(next(path.rglob("*.parquet")), lambda table: table.update({"observation.state": both}))
+    assert np.abs(read_log(path).array("joint/velocity") - velocity()).max() < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "said"),
+    [
+        ("info.json", lambda info: info.update(total_frames=10**4), "says 10000 frames, and the parquet files hold"),
+        ("info.json", lambda info: info.update(fps=17), "the metadata says rate: 17 Hz"),
+        ("info.json", renamed(action=["a.pos"]), "1 names stand there, and a row of action has 2 numbers"),
+        ("*.parquet", lambda table: table.pop("episode_index"), "column episode_index: the column is missing"),
+        ("calibration.json", lambda known: known.pop(JOINTS[0]), "the calibration lacks the joint"),
+    ],
+)
+def test_what_contradicts_in_a_dataset_is_refused(tmp_path, file, change, said):
+    """Counts, rates, names and calibrations."""
+    path = lerobot(tmp_path)
+    if file == "calibration.json":
+        (path / file).write_text(json.dumps({joint: {"range_min": 0, "range_max": 4095} for joint in JOINTS}))
+    rewrite(next(path.rglob(file)), change)
+    with pytest.raises(LogError, match=said):
+        read_log(path)
+
+
+Messages = Callable[[int, Any], Any]
+"""A message of a row, changed."""
+
+
+def bag(folder: Path, **states: Messages) -> Path:
+    """The bag of `ros2` with states on some topics, as changed, by the first part of a topic's name."""
+    rosbag2, highlevel = (pytest.importorskip(f"rosbags.{name}") for name in ("rosbag2", "highlevel"))
+    from rosbags.typesys import Stores, get_typestore
+
+    store, path, lines = get_typestore(Stores.ROS2_HUMBLE), folder / "changed", {}
+    folder.mkdir(exist_ok=True)
+    with (
+        rosbag2.Writer(path, version=9) as out,
+        highlevel.AnyReader([ros2(folder)], default_typestore=store) as sound,
+    ):
+        for row, (line, time, raw) in enumerate(sound.messages()):
+            for name, change in states.items() if line.topic == "/joint_states" else [("", lambda _, message: message)]:
+                topic = f"/{name}/joint_states" if name else line.topic
+                message = change(row, sound.deserialize(raw, line.msgtype))
+                if topic not in lines:
+                    lines[topic] = out.add_connection(topic, line.msgtype, typestore=store)
+                out.write(lines[topic], time, store.serialize_cdr(message, line.msgtype))
+    return path
+
+
+def same(_: int, message: Any) -> Any:
+    """A relay."""
+    return message
+
+
+def turned(row: int, message: Any) -> Any:
+    """Joints are in another order now and then."""
+    if row // 3 % 2:
+        message.name = message.name[::-1]
+        message.position, message.velocity = message.position[::-1].copy(), message.velocity[::-1].copy()
+    return message
+
+
+def moved(_: int, message: Any) -> Any:
+    """Another robot."""
+    message.position = message.position + 0.1
+    return message
+
+
+def called_otherwise(_: int, message: Any) -> Any:
+    """Joints have other names."""
+    message.name = ["x", "y"]
+    return message
+
+
+def test_a_bag_whose_joints_change_their_order(tmp_path):
+    """Numbers go by their names."""
+    log, sound = read_log(bag(tmp_path, arm=turned)), read_log(tmp_path / "bag_sqlite3")
+    assert log.joints == sound.joints
+    assert np.array_equal(log.array("joint/position"), sound.array("joint/position"))
+
+
+def test_a_bag_of_two_sources(tmp_path):
+    """A relay changes nothing; two robots, and states that nobody commands, are refused."""
+    relayed = read_log(bag(tmp_path / "relay", arm=same, all=same))
+    assert relayed.rows == read_log(tmp_path / "relay" / "bag_sqlite3").rows
+    with pytest.raises(LogError, match=r"/r./joint_states and /r./joint_states tell it, and differ"):
+        read_log(bag(tmp_path / "two", r1=same, r2=moved))
+    with pytest.raises(LogError, match=r"commands are of .*, and states of x, y"):
+        read_log(bag(tmp_path / "names", arm=called_otherwise))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda content: {n: array.T for n, array in content.items()}, r"is of shape \(2, \d+\)"),
+        (lambda content: {**content, "joints": np.array(["a", "b", "c", "d", "e"])}, "and 5 joints"),
+    ],
+)
+def test_archives_of_another_shape_are_refused(tmp_path, change, said):
+    """The array and its shape are named."""
+    path = npz(tmp_path)
+    with np.load(path) as archive:
+        content = dict(archive)
+    np.savez(path, **change(content))
+    with pytest.raises(LogError, match=said):
+        read_log(path)
+
+
+def test_archives_with_dates_and_bytes(tmp_path):
+    """Names in bytes are names, and dates are times."""
+    path = npz(tmp_path)
+    with np.load(path) as archive:
+        content = dict(archive)
+    dates = np.datetime64("2026-01-01T10:00:00", "ns") + np.round(content["time"] * 1e9).astype("timedelta64[ns]")
+    np.savez(path, **{**content, "time": dates, "joints": np.array(JOINTS, dtype="S")})
+    assert read_log(path).joints == tuple(JOINTS)
+
+
 def test_a_dataset_without_names(tmp_path):
     """Motors that have no name are joints by their number; a name that stands there twice is refused."""
     path = lerobot(tmp_path)

@@ -849,6 +849,16 @@ def test_velocities_that_were_differences_are_sound_at_any_rate(rate, estimator)
     assert not [one for one in examine(log) if one.check == "velocity against position"]
 
 
+@pytest.mark.parametrize("relative", [False, True])
+def test_commands_that_say_how_far_to_go_are_refused(relative):
+    """A target less the position there, as actions of learned policies often are."""
+    log = moving(50, three_sines, ESTIMATORS["true"], seconds=20)
+    goal = three_sines(log.array("time") + 0.12)
+    command = goal - log.array("joint/position") if relative else goal
+    found = examine(changed(log, command__position=command))
+    assert any("how far the joint is to move" in one.problem for one in found) == relative
+
+
 def noised(time: np.ndarray, size: float) -> np.ndarray:
     """White noise."""
     return size * np.random.default_rng(0).standard_normal(len(time))

@@ -32,7 +32,7 @@ SLOWEST, FASTEST = 2.0, 20e3
 
 _UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 
-LONGEST, AHEAD = 1.0, -0.5
+LONGEST, AHEAD = 1.0, -1.0
 """A position follows its command by at most so long [s], and one so far ahead of it is looked for."""
 
 USUAL = 0.2

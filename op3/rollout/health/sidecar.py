@@ -82,7 +82,7 @@ _LOAD = (0.7, 4.0)
 as friction and the arm come to the mass."""
 
 
-@check("weight of the pendulum")
+@check("weight of the pendulum", unless=("two clocks",))
 def weight(view: View) -> Iterator[Finding]:
     """A servo pushes with far less or more than its pendulum weighs: mass, length, gain or supply are others."""
     about, gain, make = view.metadata, view.duty_gain, view.make

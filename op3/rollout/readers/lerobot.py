@@ -1,23 +1,26 @@
 """LeRobot datasets, version 3 and 2.1: parquet with `action` and `observation.state`, an episode per recording.
 
-Positions are in degrees, in radians where no number is as large as a turn, or normalised to a joint's range, which the
-calibration file tells: LeRobot's `calibration/.../<robot>.json`, copied into the folder as `calibration.json`.
+A motor's bare name means its position. Positions are in the unit that names say; else in degrees, in radians where
+hardly a joint tells as much as a turn, or normalised to a joint's range, which the calibration file tells: LeRobot's
+`calibration/.../<robot>.json`, copied into the folder as `calibration.json`.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from op3.rollout.errors import LogError
-from op3.rollout.guess import guess_all
+from op3.rollout.guess import guess, guess_all
 from op3.rollout.readers.reader import Column, Recording, Stream, needed
 from op3.rollout.readers.text import numbers, read_json
 
 _STEP = 2 * math.pi / 4096
+_NAMED = {"deg": {"deg", "degree", "degrees"}, "rad": {"rad", "radian", "radians"}}
 _FEATURES = {"observation.state": "", "action": "action "}
 
 
@@ -38,14 +41,23 @@ class LeRobot:
         time, episode = (numbers(table[name], path / "data", name)[:, 0] for name in ("timestamp", "episode_index"))
         if not len(time):
             raise LogError("the dataset has no row", "record at least one episode", source=path / "data")
+        promised = info.get("total_frames")
+        if isinstance(promised, int) and len(time) < promised:
+            problem = f"info.json says {promised} frames, and the parquet files hold {len(time)}"
+            raise LogError(problem, "copy the missing files", source=path / "data")
         columns = {}
         for feature, prefix in _FEATURES.items():
             names = _names(info, feature, path)
+            cell = table[feature][0]
+            if isinstance(cell, list) and len(cell) != len(names):
+                problem = f"{len(names)} names stand there, and a row of {feature} has {len(cell)} numbers"
+                raise LogError(problem, "name every motor", source=path / "meta" / "info.json", column=feature)
             wide = numbers(table[feature], path / "data", feature, len(names))
-            columns |= {prefix + name: wide[:, i] for i, name in enumerate(names)}
+            columns |= {prefix + _told(name): wide[:, i] for i, name in enumerate(names)}
         meanings = guess_all(columns)
         _units(columns, meanings, path)
-        about = dict(robot="real", mount="stand", extra={"lerobot": str(info.get("robot_type"))})
+        fps = {"rate": float(info["fps"])} if isinstance(info.get("fps"), int | float) and info["fps"] > 0 else {}
+        about = fps | dict(robot="real", mount="stand", extra={"lerobot": str(info.get("robot_type"))})
         recordings = []
         for number in np.unique(episode):
             rows = np.flatnonzero(episode == number)
@@ -74,31 +86,48 @@ def _names(info: dict[str, Any], feature: str, path: Path) -> list[str]:
     return [f"motor_{i}.pos" for i in range(min(count, 1000))]
 
 
+def _told(name: str) -> str:
+    """The name with what is measured in it: a position where it says nothing, and no sensor of the trunk."""
+    meant = guess(name)
+    says = meant is not None and meant.name is not None and (not meant.name.startswith("imu") or "imu" in name.lower())
+    return name if says else f"{name}.pos"
+
+
 def _parquet(path: Path, columns: list[str]) -> dict[str, Any]:
     pyarrow, parquet = (needed(name, "lerobot", path) for name in ("pyarrow", "pyarrow.parquet"))
     try:
         tables = [parquet.ParquetFile(f).read(columns=columns) for f in sorted((path / "data").rglob("*.parquet"))]
         table = pyarrow.concat_tables(tables).to_pydict()
-        return {name: table[name] for name in columns}
-    except (pyarrow.ArrowException, OSError, KeyError, ValueError, MemoryError) as error:
+    except (pyarrow.ArrowException, OSError, ValueError, MemoryError) as error:
         said = " ".join(str(error).split())[:120] or "damaged"
         problem = f"the parquet files cannot be read ({said})"
         raise LogError(problem, "copy the dataset again", source=path / "data") from None
+    if missing := next((name for name in columns if name not in table), None):
+        remedy = "record the dataset anew, or convert it to version 2.1 or 3"
+        raise LogError("the column is missing in the parquet files", remedy, source=path / "data", column=missing)
+    return table
 
 
 def _units(columns: dict[str, np.ndarray], meanings: dict[str, Column], path: Path) -> None:
     """Give positions and targets their unit: normalised where the calibration says so, else degrees or radians."""
     file = next((f for f in (path / "calibration.json", path / "meta" / "calibration.json") if f.is_file()), None)
     calibration = read_json(file) if file else {}
+    angles = {n: c for n, c in meanings.items() if str(c.name).rpartition(".")[2] in ("position", "target")}
+    most = np.array([np.abs(columns[name]).max() for name in angles] or [0.0])
     unit, why = "deg", "LeRobot writes degrees where no calibration is beside it"
-    if max(float(np.abs(values).max()) for values in columns.values()) < 2 * math.pi:
-        unit, why = "rad", "no number is as large as a turn in radians"
+    if np.quantile(most, 0.75) < 2 * math.pi and most.max() < 8 * math.pi:
+        unit, why = "rad", "hardly a number is as large as a turn in radians"
     for name, column in meanings.items():
-        joint, _, kind = str(column.name).rpartition(".")
-        if kind not in ("position", "target"):
-            continue
-        meanings[name] = Column(column.name, unit, why=why)
+        if unit == "deg" and column.unit is None and str(column.name).endswith(".velocity"):
+            meanings[name] = Column(column.name, "deg/s", why=why)
+    for name, column in angles.items():
+        joint, words = str(column.name).rpartition(".")[0], set(re.split("[^a-z]+", name.lower()))
+        named = next((its for its, its_words in _NAMED.items() if words & its_words), None)
+        meanings[name] = Column(column.name, named or unit, why=f"the name says {named}" if named else why)
         entry = calibration.get(joint)
+        if calibration and entry is None and not named:
+            problem, remedy = "the calibration lacks the joint", "copy the calibration file of this robot"
+            raise LogError(problem, remedy, source=file, column=joint)
         if entry is not None:
             try:
                 span = abs(float(entry["range_max"]) - float(entry["range_min"])) * _STEP

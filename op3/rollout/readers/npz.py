@@ -43,14 +43,16 @@ class Npz:
         for file in sorted(path.glob("*.npz")) if path.is_dir() else [path]:
             content = _load(file)
             time = next((content[name] for name in _TIMES if name in content), np.zeros(()))
+            if time.dtype.kind == "M":  # dates
+                time = time.astype("datetime64[ns]").astype(np.int64) * 1e-9
             if time.ndim not in (1, 2) or time.dtype.kind not in "fiu" or time.size != len(time):
                 raise LogError("there is no array of times", "save `time` [s], one per row", source=file, column="time")
-            listed = next((content[n] for n in _JOINTS if n in content and content[n].dtype.kind == "U"), np.array([]))
-            joints = [str(name) for name in listed.reshape(-1)]
+            listed = next((content[n] for n in _JOINTS if n in content and content[n].dtype.kind in "US"), np.array([]))
+            joints = [str(name) for name in listed.astype(str).reshape(-1)]
             if "signal_mapping" in content:
                 columns, known = _signals(content, file)
             else:
-                columns = _arrays(content, len(time), joints)
+                columns = _arrays(content, len(time), joints, file)
                 known = guess_all(columns, joints)
             streams.append(Stream(time.reshape(-1).astype(float), columns))
             meanings |= known
@@ -97,10 +99,15 @@ def _signals(content: Content, path: Path) -> tuple[Content, dict[str, Column]]:
     return columns, meanings
 
 
-def _arrays(content: Content, rows: int, joints: list[str]) -> Content:
+def _arrays(content: Content, rows: int, joints: list[str], path: Path) -> Content:
     """Arrays by name; the last axis of two-dimensional ones is the joints."""
     columns: Content = {}
     for name, array in content.items():
+        late = array.ndim > 1 and rows in array.shape[1:] and len(array) != rows
+        wide = array.ndim == 2 and len(array) == rows and array.shape[1] not in (1, 3, 4, len(joints) or array.shape[1])
+        if array.dtype.kind in "fiub" and (late or wide):
+            problem = f"the array is of shape {array.shape}, of {rows} times and {len(joints) or 'unnamed'} joints"
+            raise LogError(problem, "save arrays [time, joint], an archive per episode", source=path, column=name)
         if array.dtype.kind not in "fiub" or name in _TIMES or array.ndim not in (1, 2) or 2 * len(array) < rows:
             continue  # a number of each joint, or of the recording
         table = array.reshape(len(array), -1).astype(float)

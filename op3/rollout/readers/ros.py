@@ -21,6 +21,9 @@ _COMMAND_WORDS = ("command", "cmd", "target", "goal", "desired", "reference")
 _KINDS = {"position": "position", "velocity": "velocity", "effort": "load"}
 _TRAJECTORY_STEP = 0.01
 
+Found = dict[tuple[str, str, tuple[str, ...]], list[list[float]]]
+"""By topic, kind and columns: the header's time, the bag's time, and numbers."""
+
 
 class Ros:
     """A bag of ROS 1 or 2."""
@@ -34,17 +37,50 @@ class Ros:
 
     def read(self, path: Path) -> list[Recording]:
         """One recording; joints are those with a state and a command."""
-        found: dict[tuple[str, ...], list[list[float]]] = {}  # by columns: header's time, bag's time, numbers
+        found: Found = {}
+        orders: dict[frozenset[str], tuple[str, ...]] = {}  # in which names came first
         for topic, kind, received, message in _messages(path):
             stamp = _seconds(message.header.stamp) if hasattr(message, "header") else 0.0
-            for after, told in _samples(topic, kind, message, list(found)):
+            for after, told in _samples(topic, kind, message, [columns for *_, columns in found]):
+                columns = orders.setdefault(frozenset(told), tuple(told))
                 clocks = [stamp + after if stamp > 0 else math.nan, received + after]
-                found.setdefault(tuple(told), []).append([*clocks, *map(float, told.values())])
-        streams = _streams({columns: np.array(rows) for columns, rows in found.items()})
+                row = [*clocks, *(float(told[name]) for name in columns)]
+                found.setdefault((topic, kind, columns), []).append(row)
+        streams = _streams({columns: np.array(rows) for columns, rows in _one_source(found, path).items()})
         if not streams:
             raise LogError("the bag holds no joint states", "record sensor_msgs/JointState", source=path)
         streams.sort(key=lambda s: (not any(n.endswith(".position") for n in s.columns), -len(s.time)))
         return [Recording(streams, dict(robot="real", mount="stand"))]
+
+
+def _one_source(found: Found, path: Path) -> dict[tuple[str, ...], list[list[float]]]:
+    """Rows by columns, of one topic each: relays are left out, two that differ and states without commands refused."""
+    chosen: dict[tuple[str, ...], tuple[str, str, list[list[float]]]] = {}
+    for (topic, kind, columns), rows in sorted(found.items(), key=lambda item: -len(item[1])):
+        for others, (other, its, known) in chosen.items():
+            if kind == its and topic != other and (shared := [name for name in columns if name in others]):
+                same = others == columns and len({*map(_content, rows)} & {*map(_content, known)}) > len(rows) / 2
+                if not same:
+                    problem = f"{topic} and {other} tell it, and differ"
+                    remedy = "keep one of the topics, as `ros2 bag convert` or `mcap filter` do"
+                    raise LogError(problem, remedy, source=path, column=shared[0])
+        if columns not in chosen:
+            chosen[columns] = topic, kind, rows
+    names = {name for columns in chosen for name in columns}
+    states, told = (
+        [n.rpartition(".")[0] for n in sorted(names) if n.endswith(end)] for end in (".position", ".target")
+    )
+    if states and not {*states} & {*told}:
+        problem = f"commands are of {', '.join(told[:6])}, and states of {', '.join(states[:6])}"
+        problem = problem if told else "no topic commands these joints"
+        remedy = f"record the topic of the commands, whose name holds one of {', '.join(_COMMAND_WORDS)}"
+        raise LogError(problem, remedy, source=path, column="command/position")
+    return {columns: rows for columns, (_, _, rows) in chosen.items()}
+
+
+def _content(row: list[float]) -> tuple[float, ...]:
+    """A row but for when it was received."""
+    return (row[0] if row[0] == row[0] else 0.0, *row[2:])
 
 
 def _messages(path: Path) -> Iterator[tuple[str, str, float, Any]]:

@@ -42,13 +42,19 @@ def _stream(path: Path, joints: list[str], kinds: dict[str, str]) -> Stream:
     """A file's lists of numbers as columns."""
     rows = list(csv.DictReader(io.StringIO(read_text(path), newline="")))
     header = list(rows[0]) if rows else []
+    if not rows:
+        raise LogError("the file has no row", "export it again", source=path)
     for name in ("timestamp", "positions"):
         if name not in header:
             raise LogError("the column is missing", "export it again", source=path, column=name, row="header")
     time = numbers([_listed(row["timestamp"]) for row in rows], path, "timestamp")[:, 0]
     columns = {"timestamp": time}
     for name in (name for name in kinds if name in header):
-        table = numbers([_listed(row[name]) for row in rows], path, name, len(joints))
+        lists = [_listed(row[name]) for row in rows]
+        if isinstance(lists[0], list) and len(lists[0]) != len(joints):
+            problem = f"{len(joints)} joints are listed, and a row of {name} has {len(lists[0])} numbers"
+            raise LogError(problem, "list every joint of the file in joint_list.txt", source=path, column=name)
+        table = numbers(lists, path, name, len(joints))
         columns |= {f"{joint}.{kinds[name]}": table[:, i] for i, joint in enumerate(joints)}
     return Stream(time, columns)
 

@@ -15,12 +15,13 @@ import numpy as np
 
 from op3.robot.servo_make import find_servo
 from op3.rollout.errors import LogError
-from op3.rollout.readers.reader import Recording, Stream
+from op3.rollout.readers.reader import Column, Recording, Stream
 from op3.rollout.readers.text import numbers, read_bytes, read_json, unpacked
 from op3.rollout.schema import VOLTAGE
 
 _HEADER = ("mass", "length", "kp", "motor", "trajectory", "entries")
 _NAMES = {"goal_position": "target", "torque_enable": "torque_enable", "position": "position", "speed": "velocity"}
+_ALWAYS = ("goal_position", "position")
 
 
 class ServoBench:
@@ -50,13 +51,16 @@ class ServoBench:
         entries = header["entries"] if isinstance(header["entries"], list) else [header["entries"]]
         first = entries[0] if isinstance(entries[0], dict) else {}
         more = [name for name in first if name not in _NAMES and isinstance(first[name], int | float)]
+        measured = [name for name in _NAMES if name in _ALWAYS or name in first]  # else absent in every entry
         table = {
             name: numbers([e.get(name) if isinstance(e, dict) else None for e in entries], path, name)[:, 0]
-            for name in dict.fromkeys(("timestamp", *_NAMES, *more))
+            for name in dict.fromkeys(("timestamp", *measured, *more))
         }
-        channels = {ours: table[name] for name, ours in _NAMES.items()} | _sensed(header, table, path)
-        columns = {f"servo.{channel}": values for channel, values in channels.items()}
-        return [Recording([Stream(table["timestamp"], columns)], _metadata(header, path))]
+        channels = {_NAMES[name]: table[name] for name in measured} | _sensed(header, table, path)
+        columns = {"timestamp": table["timestamp"]}
+        columns |= {f"servo.{channel}": values for channel, values in channels.items()}
+        clock = {"timestamp": Column("time")}
+        return [Recording([Stream(table["timestamp"], columns)], _metadata(header, path), clock)]
 
 
 def _metadata(header: dict[str, Any], path: Path) -> dict[str, Any]:
@@ -111,4 +115,5 @@ def _volts(volts: np.ndarray, supply: Any, path: Path) -> float:
         if supply / 2 < median * scale < supply * 2:
             return scale
     problem = f"the median {median:g} fits the supply of {supply:g} V neither in V nor in 0.1 V"
+    problem += ", which looks like mV" if supply / 2e3 < median < supply / 500 else ""
     raise LogError(problem, "correct `vin` or convert the readings to volts", source=path, column="input_volts", row=1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import datetime
 import functools
+import itertools
 import math
 import re
 import warnings
@@ -15,6 +16,8 @@ import numpy as np
 
 from op3.rollout.errors import LogError
 from op3.rollout.readers.text import open_text
+
+_UNIT_WORDS = ("s", "ms", "us", "ns", "sec", "seconds", "rad", "deg", "rad/s", "deg/s", "A", "mA", "V", "C", "-")
 
 Codes = dict[str, int]
 """Texts of a column by the numbers that stand for them in the table."""
@@ -33,7 +36,7 @@ def read_table(
         slowly: Whether cells are more than plain numbers, or lines hold nothing but spaces.
     """
     with open_text(path) as lines:
-        header, mark, open_end = _header(lines)
+        header, mark, open_end, lines = _header(lines)
         codes: dict[str, Codes] = {name: {} for name in texts(header)}
         convert: dict[int | str, Callable[[str], float]] = dict.fromkeys(range(len(header)), _number) if slowly else {}
         convert |= {header.index(name): functools.partial(_code, known) for name, known in codes.items()}
@@ -80,21 +83,38 @@ def _number(cell: str) -> float:
 def _fault(said: str, header: list[str]) -> LogError:
     """What numpy says of a cell that is no number, or of a row with more or fewer cells than those before."""
     if cell := re.search(r"string '(.*)' to float64 at row (\d+), column (\d+)", said, re.DOTALL):
+        column, row, text = header[min(int(cell[3]), len(header)) - 1], int(cell[2]) + 1, cell[1].strip()
         problem, remedy = f"{cell[1][:40]!r} is not a number", "write a number, or leave the cell empty"
-        return LogError(problem, remedy, row=int(cell[2]) + 1, column=header[min(int(cell[3]), len(header)) - 1])
+        if text.strip("# ") == column:
+            problem, remedy = "the header stands there again", "remove the line, or split the file there"
+        elif row == 1 and (text.strip("[]()") in _UNIT_WORDS or text[:1] + text[-1:] in ("[]", "()")):
+            problem, remedy = (
+                f"{text!r} is a unit",
+                "remove the row of units, and write them under `columns:` in the YAML",
+            )
+        return LogError(problem, remedy, row=row, column=column)
     row = re.search(r"at row (\d+)", said)
     problem, remedy = f"the row has not the {len(header)} cells of the header", "complete it or leave it out"
     return LogError(problem, f"{remedy} (a file cut short ends like this)", row=int(row[1]) if row else None)
 
 
-def _header(lines: Iterator[str]) -> tuple[list[str], str, bool]:
-    """Names, what separates them, and whether rows end with a separator; passes over remarks and what Excel writes."""
+def _header(lines: Iterator[str]) -> tuple[list[str], str, bool, Iterator[str]]:
+    """Names, what separates them, whether rows end with a separator, and the rows.
 
-    def skipped(line: str) -> bool:
-        remark = line.startswith("#") and not any(mark in line for mark in ",;\t")
-        return not line.strip(" #\t\r\n,;") or remark or line.lower().startswith("sep=")
-
-    first = next((line for line in lines if not skipped(line)), "").lstrip("# \t")
+    Passes over what Excel writes, and over remarks: a line behind `#` or `%` is the header only where rows of numbers
+    follow it.
+    """
+    remark = first = ""
+    for line in lines:
+        if not line.strip(" #%\t\r\n,;") or line.lower().startswith("sep="):
+            continue
+        if line[0] not in "#%":
+            first = line
+            break
+        remark = line
+    if remark and any(mark in remark for mark in ",;\t") and re.fullmatch(r"[-+0-9.eE,; \t\r\n\"naNfiIN]*", first):
+        lines, first = itertools.chain([first] * bool(first), lines), remark
+    first = first.lstrip("#% \t")
     mark = next((m for m in (",", ";", "\t", " ") if m in first.strip()), ",")
     try:
         header = [name.strip() for name in next(csv.reader([first], delimiter=mark, strict=True), [])]
@@ -110,4 +130,4 @@ def _header(lines: Iterator[str]) -> tuple[list[str], str, bool]:
     for position, name in enumerate(header):
         if name in header[:position]:
             raise LogError("the column is there twice", "keep one", column=name, row="header")
-    return header, mark, open_end
+    return header, mark, open_end, lines
