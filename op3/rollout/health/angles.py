@@ -51,7 +51,7 @@ def _exchanged(view: View) -> dict[int, int]:
 
 @check("position against command")
 def command(view: View) -> Iterator[Finding]:
-    """Position and command differ in unit or sign, or belong to different joints."""
+    """Position and command differ in unit or sign, belong to different joints, or the command says how far to go."""
     exchanged = _exchanged(view)
     for joint, other in exchanged.items():
         which = "of the two" if exchanged.get(other) == joint else "of several joints"

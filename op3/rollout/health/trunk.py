@@ -37,7 +37,7 @@ _MISTAKES |= {
 
 @check("gyroscope against orientation")
 def gyroscope(view: View) -> Iterator[Finding]:
-    """The gyroscope and the derivative of the orientation differ in unit, sign or axes."""
+    """The gyroscope and the derivative of the orientation differ in unit, sign, axes or zero."""
     angles, rate = view.get(ORIENTATION), view.get(RATE)
     if angles is None or rate is None or len(view.time) < 20:
         return
