@@ -306,7 +306,8 @@ def _unread(arrays: dict[Any, np.ndarray], joints: Sequence[str]) -> list[Findin
         arrays[key] = np.where(empty, 0.0, values)
         columns = column_names(CHANNELS[key], joints)
         for index in np.flatnonzero(empty.any(0) | (key[0] == "imu")):
-            problem = f"{empty[:, index].sum()} of {len(values)} rows hold no number"
+            rows = empty.any(1) if key[0] == "imu" else empty[:, index]
+            problem = f"{rows.sum()} of {len(values)} rows hold no number"
             remedy = "the channel is not used; leave these rows out, or fill them"
             findings.append(Finding(WARNING, problem, remedy, columns[index], set_aside=True, check="no number"))
     return findings

@@ -225,6 +225,31 @@ def test_a_bag_whose_joints_change_their_order(tmp_path):
     assert np.array_equal(log.array("joint/position"), sound.array("joint/position"))
 
 
+def spaced(_: int, message: Any) -> Any:
+    """Names with a namespace."""
+    message.name = [f"arm/{name}" for name in message.name]
+    return message
+
+
+def test_a_bag_whose_joints_have_namespaces(tmp_path):
+    """Strokes are no part of a name here."""
+    with pytest.raises(LogError, match=r"states of arm_\w+, arm_\w+"):
+        read_log(bag(tmp_path, arm=spaced))
+
+
+def test_sage_in_seconds(tmp_path):
+    """Times that are taken for microseconds, and what to write."""
+    path = sage(tmp_path)
+    for name, kind in (("control.csv", "CONTROL"), ("state_motor.csv", "STATE_MOTOR")):
+        file = path / name
+        text = re.sub(
+            rf"{kind},([\d.]+)", lambda row: f"{row[0].split(',')[0]},{float(row[1]) / 1e6}", file.read_text()
+        )
+        file.write_text(text)
+    with pytest.raises(LogError, match="a million times too fast, as if seconds had been read"):
+        read_log(path)
+
+
 def test_a_bag_of_two_sources(tmp_path):
     """A relay changes nothing; two robots, and states that nobody commands, are refused."""
     relayed = read_log(bag(tmp_path / "relay", arm=same, all=same))

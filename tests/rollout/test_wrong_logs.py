@@ -805,6 +805,16 @@ def test_rows_in_which_nothing_was_read_are_told(tmp_path, column):
     assert column in [one.column for one in told]
 
 
+def test_a_number_that_stands_for_none_spares_the_position(tmp_path):
+    """A velocity of -999 is set aside, and the position that stands meanwhile is not."""
+
+    def change(table: Table) -> None:
+        table |= {f"joint_1.{kind}": np.zeros(1000) for kind in ("target", "position", "velocity")}
+        put("joint_1.velocity", -999.0, 300, 310)(table)
+
+    assert read_log(write(tmp_path, change, joints=3)).metadata.set_aside == ("joint_1.velocity",)
+
+
 def test_a_joint_that_follows_with_its_torque_off_is_told(tmp_path):
     """One that is led by hand, with targets that come 0.05 s after it, is not."""
     off: Change = lambda table: table.update({"joint_0.torque_enable": np.zeros(len(table["time"]))})  # noqa: E731

@@ -84,8 +84,9 @@ def rate(view: View) -> Iterator[Finding]:
     elif not SLOWEST < 1 / view.interval < FASTEST:
         problem = f"the median interval of {view.interval:.6g} s is that of no robot"
         unit = next((name for scale, name in _UNITS.items() if SLOWEST < scale / view.interval < FASTEST), None)
-        if SLOWEST < 1e-3 / view.interval < FASTEST:
-            remedy = "the clock runs a thousand times too fast, as if milliseconds had been read as microseconds; name "
+        fast = {1e-3: ("a thousand", "milliseconds"), 1e-6: ("a million", "seconds")}
+        for times, read in (how for size, how in fast.items() if SLOWEST < size / view.interval < FASTEST):
+            remedy = f"the clock runs {times} times too fast, as if {read} had been read as microseconds; name "
             remedy += "the unit of the times under `columns:`"
     else:
         return

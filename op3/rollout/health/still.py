@@ -21,6 +21,7 @@ from op3.rollout.health.finding import (
     check,
 )
 from op3.rollout.health.match import SURE, delayed, integral, longest_run, step
+from op3.rollout.schema import CHANNELS
 
 _GIVES = 0.5
 """No servo that holds its target yields by so much [rad]."""
@@ -132,6 +133,7 @@ def _position_stands(view: View, joint: int, position: np.ndarray) -> Iterator[F
     told = float(np.ptp(view.command[heeded, joint])) if view.driven[rows, joint].all() else 0.0
     rate, half = view.get(VELOCITY), max(1, round(0.5 / view.interval))
     rate = np.zeros(length + 1) if rate is None else rate[rows, joint]
+    rate = np.where(np.abs(rate) > CHANNELS[VELOCITY].quantity.bound, 0.0, rate)  # told as beyond its bound
     turned = integral(view.time[rows], rate)
     said = float(np.abs(turned[half:] - turned[:-half]).max(initial=0.0)) if np.ptp(rate) else 0.0
     dead = length >= len(position) - 2

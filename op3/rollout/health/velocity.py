@@ -36,6 +36,9 @@ SMOOTHED = 0.15
 _FILTER, _LOSS = 1e-3, 2.5e-4
 """What a filter adds of the change of a rate's slope is of this order, and in sound logs at most the second [s^2]."""
 
+_ABSURD = 1e9
+"""Numbers beyond it are refused elsewhere."""
+
 _SLOWEST = 0.04
 """In a longer time from row to row differences, stamps and the trapezoid rule are as much as any fault [s]."""
 
@@ -96,6 +99,8 @@ def _trace(view: View, rate: np.ndarray, joint: int) -> Trace | None:
     span = view.time[last] - view.time[first]
     causes = np.stack([angle[last] - angle[first], *(x[last - near] - x[first - near] for x in (slope, bend)), span], 1)
     told, kept = summed[last] - summed[first], np.ones(len(first), bool)
+    if not max(np.abs(causes).max(), np.abs(told).max()) < _ABSURD:
+        return None
     count = float(step(speed[:, None])[0]) * WINDOW
     # a single sine bends as it turns, so an estimator's filter is taken for what those of servos are
     found, left = np.zeros(4), told

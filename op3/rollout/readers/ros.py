@@ -109,14 +109,14 @@ def _samples(topic: str, kind: str, message: Any, seen: list[tuple[str, ...]]) -
         for field, ours in [("position", "target")] if commanded else _KINDS.items():
             numbers = getattr(message, field)
             if len(numbers) == len(message.name) > 0:
-                yield 0.0, {f"{joint}.{ours}": numbers[i] for i, joint in enumerate(message.name)}
+                yield 0.0, {f"{_joint(name)}.{ours}": numbers[i] for i, name in enumerate(message.name)}
     elif kind == "Float64MultiArray":
         fits = (c for c in seen if len(c) == len(message.data) and all(name.endswith(".position") for name in c))
         if commanded and (names := next(fits, ())):
             targets = (name.replace(".position", ".target") for name in names)
             yield 0.0, dict(zip(targets, message.data, strict=True))
     elif hasattr(message, "joint_names"):
-        columns = [f"{joint}.target" for joint in message.joint_names]
+        columns = [f"{_joint(name)}.target" for name in message.joint_names]
         wanted = (p for name in ("reference", "desired") if (p := getattr(message, name, None)) is not None)
         points = list(getattr(message, "points", [])) or list(wanted)[:1]
         points = [point for point in points if len(point.positions) == len(columns) > 0]
@@ -125,6 +125,11 @@ def _samples(topic: str, kind: str, message: Any, seen: list[tuple[str, ...]]) -
         for after in [*between, times[-1]] if points else ():
             goals = (np.interp(after, times, way) for way in np.array([p.positions for p in points], dtype=float).T)
             yield float(after), dict(zip(columns, map(float, goals), strict=True))
+
+
+def _joint(name: str) -> str:
+    """A joint's name without its namespaces' strokes."""
+    return name.strip("/").replace("/", "_")
 
 
 def _seconds(stamp: Any) -> float:
