@@ -99,7 +99,7 @@ def _trace(view: View, rate: np.ndarray, joint: int) -> Trace | None:
     span = view.time[last] - view.time[first]
     causes = np.stack([angle[last] - angle[first], *(x[last - near] - x[first - near] for x in (slope, bend)), span], 1)
     told, kept = summed[last] - summed[first], np.ones(len(first), bool)
-    if not max(np.abs(causes).max(), np.abs(told).max()) < _ABSURD:
+    if not np.max([np.abs(causes).max(), np.abs(told).max()]) < _ABSURD:  # nor no number at all
         return None
     count = float(step(speed[:, None])[0]) * WINDOW
     # a single sine bends as it turns, so an estimator's filter is taken for what those of servos are
