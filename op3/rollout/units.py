@@ -56,6 +56,11 @@ _ALIASES |= {"µs": "us", "usec": "us", "nsec": "ns", "msec": "ms", "sec": "s", 
 _ALIASES |= {"m/s^2": "m/s2"}
 
 
+def canonical(name: str) -> str:
+    """A unit's name in `UNITS`, however it is spelled."""
+    return _ALIASES.get(name, name)
+
+
 def factor(unit: str | float, quantity: Quantity, column: str) -> tuple[float, float]:
     """Factor and offset that turn numbers in a unit into the quantity's SI unit.
 
@@ -70,7 +75,7 @@ def factor(unit: str | float, quantity: Quantity, column: str) -> tuple[float, f
     if isinstance(unit, int | float) and not isinstance(unit, bool) and math.isfinite(unit) and unit:
         return float(unit), 0.0
     known = UNITS.get(quantity.unit, {quantity.unit: 1.0})
-    name = _ALIASES.get(str(unit), str(unit))
+    name = canonical(str(unit))
     if name not in known:
         there = ", ".join(n for n in known if n) or "1"
         remedy = f"write one of {there}, or the size of the unit in {quantity.unit or 'full scale'} as a number"

@@ -206,6 +206,12 @@ def turned(row: int, message: Any) -> Any:
     return message
 
 
+def partly(_: int, message: Any) -> Any:
+    """A relay of one joint."""
+    message.name, message.position, message.velocity = message.name[:1], message.position[:1], message.velocity[:1]
+    return message
+
+
 def moved(_: int, message: Any) -> Any:
     """Another robot."""
     message.position = message.position + 0.1
@@ -254,6 +260,10 @@ def test_a_bag_of_two_sources(tmp_path):
     """A relay changes nothing; two robots, and states that nobody commands, are refused."""
     relayed = read_log(bag(tmp_path / "relay", arm=same, all=same))
     assert relayed.rows == read_log(tmp_path / "relay" / "bag_sqlite3").rows
+    relayed = read_log(bag(tmp_path / "part", arm=same, one=partly))
+    assert np.array_equal(
+        relayed.array("joint/position"), read_log(tmp_path / "part" / "bag_sqlite3").array("joint/position")
+    )
     with pytest.raises(LogError, match=r"/r./joint_states and /r./joint_states tell it, and differ"):
         read_log(bag(tmp_path / "two", r1=same, r2=moved))
     with pytest.raises(LogError, match=r"commands are of .*, and states of x, y"):

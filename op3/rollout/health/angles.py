@@ -76,8 +76,8 @@ def command(view: View) -> Iterator[Finding]:
     follows = (strength > SURE) & (itself < 0.95) & (1 - strength < 0.2 * (1 - itself))
     # the other stands, and this one moves: what is only shaken in step with a command moves by less than that asks for
     alone = ~asked & (turned < 0.5 * wanted)[leader] & (turned > 0.5 * wanted[leader])
-    ahead = [n for n in lags if n]
-    steps = [match(angle[n:] - angle[:-n], target[:-n]) for n in ahead if driven.all()]
+    ahead = [n for n in lags if n and driven.all()]
+    steps = [match(angle[n:] - angle[:-n], target[:-n]) for n in ahead]
     change = np.max([np.diagonal(m.correlation) for m in steps], axis=0) if steps else np.zeros(len(itself))
     relative = (
         asked & moved & (change > SURE) & (1 - change < 0.3 * (1 - itself)) & (target.std(0) < 0.6 * angle.std(0))
@@ -85,8 +85,8 @@ def command(view: View) -> Iterator[Finding]:
     for joint in np.flatnonzero(relative):
         problem = "the command is how far the joint is to move, and not where to"
         yield view.found(ERROR, (COMMAND, joint), problem, "record the position plus the command as the target")
-    exchanged |= dict.fromkeys(np.flatnonzero(relative).tolist(), 0)  # what else there is to say follows from that
-    for joint in (int(j) for j in np.flatnonzero(asked | moved) if j not in exchanged):
+    explained = {*exchanged, *np.flatnonzero(relative)}  # what else there is to say follows from that
+    for joint in (int(j) for j in np.flatnonzero(asked | moved) if j not in explained):
         sure, ratio = float(best[joint, joint]), float(matches[int(own[:, joint].argmax())].ratio[joint, joint])
         where = POSITION, joint
         whose = int(leader[joint])

@@ -147,25 +147,24 @@ def stale(view: View) -> Iterator[Finding]:
     """A position, or all that the trunk's sensors say, gets new numbers only in every so many rows: it was read more
     rarely."""
     trunk = [values for key in (ORIENTATION, RATE, FORCE) if (values := view.get(key)) is not None]
-    rows = np.flatnonzero(np.diff(np.concatenate(trunk, axis=1), axis=0).any(1)) if trunk else np.zeros(0)
-    if len(rows) >= 20 and (every := np.gcd.reduce(np.diff(rows))) >= 3:
+    remedy = "read it in every row, or record fewer rows"
+    if trunk and (every := _new_in_every(np.concatenate(trunk, axis=1))) >= 3:
         problem = f"the trunk's sensors have new numbers only in every {every} rows"
-        yield view.found(WARNING, "imu", problem, "read them in every row, or record fewer rows")
-    rows = np.flatnonzero(np.diff(view.position, axis=0).any(1))
-    if len(rows) >= 20 and np.gcd.reduce(np.diff(rows)) == 2 and np.ptp(view.position, axis=0).max() > 0.2:
-        problem = "positions have new numbers only in every second row"
-        yield view.found(WARNING, "time", problem, "read them in every row, or record fewer rows")
+        yield view.found(WARNING, "imu", problem, remedy)
+    if _new_in_every(view.position) == 2 and np.ptp(view.position, axis=0).max() > 0.2:
+        yield view.found(WARNING, "time", "positions have new numbers only in every second row", remedy)
     for key, joint, column in view.columns(POSITION):
-        jumps = np.diff(column)
-        rows = np.flatnonzero(jumps)
-        if len(rows) < 20:
-            continue
-        every = np.gcd.reduce(np.diff(rows))
+        jumps, every = np.diff(column), _new_in_every(column[:, None])
         # a slow joint changes by one step of its encoder at a time
-        if every >= 3 and np.median(np.abs(jumps[rows])) > 4 * step(column[:, None])[0]:
+        if every >= 3 and np.median(np.abs(jumps[jumps != 0])) > 4 * step(column[:, None])[0]:
             problem = f"the position has a new number only in every {every} rows"
-            remedy = "read it in every row, or record fewer rows"
             yield view.found(WARNING, (key, joint), problem, remedy)
+
+
+def _new_in_every(values: np.ndarray) -> int:
+    """The number of rows that lie between any two of those with new numbers ``[row, name]``; 0 where few have."""
+    rows = np.flatnonzero(np.diff(values, axis=0).any(1))
+    return int(np.gcd.reduce(np.diff(rows))) if len(rows) >= 20 else 0
 
 
 @check("two clocks")

@@ -173,7 +173,7 @@ def _differs(view: View, joint: int, trace: Trace, moves: bool) -> Iterator[Find
     if clear and not early < trace.delay < late:
         problem = _comes(trace.delay)
         yield view.found(WARNING, where, problem, unused, aside=True)
-    elif clear and abs(trace.ratio - 1) > SCALED + uncertain[0] + rounding / max(float(speed.std()), 1e-9):
+    elif clear and abs(trace.ratio - 1) > max(SCALED, rounding / max(float(speed.std()), 1e-9)) + uncertain[0]:
         problem = f"the velocity is {trace.ratio:.3g} times the change of position per second"
         remedy = "look whether angle, velocity or time was scaled (a scaled position is off its command), and write "
         yield view.found(WARNING, where, problem, remedy + "`scale:` into its YAML")

@@ -18,9 +18,9 @@ from op3.rollout.errors import LogError
 from op3.rollout.guess import guess, guess_all
 from op3.rollout.readers.reader import Column, Recording, Stream, needed
 from op3.rollout.readers.text import numbers, read_json
+from op3.rollout.units import canonical
 
 _STEP = 2 * math.pi / 4096
-_NAMED = {"deg": {"deg", "degree", "degrees"}, "rad": {"rad", "radian", "radians"}}
 _FEATURES = {"observation.state": "", "action": "action "}
 
 
@@ -122,7 +122,7 @@ def _units(columns: dict[str, np.ndarray], meanings: dict[str, Column], path: Pa
             meanings[name] = Column(column.name, "deg/s", why=why)
     for name, column in angles.items():
         joint, words = str(column.name).rpartition(".")[0], set(re.split("[^a-z]+", name.lower()))
-        named = next((its for its, its_words in _NAMED.items() if words & its_words), None)
+        named = next((unit for unit in map(canonical, words) if unit in ("deg", "rad")), None)
         meanings[name] = Column(column.name, named or unit, why=f"the name says {named}" if named else why)
         entry = calibration.get(joint)
         if calibration and entry is None and not named:

@@ -54,13 +54,14 @@ class Ros:
 
 
 def _one_source(found: Found, path: Path) -> dict[tuple[str, ...], list[list[float]]]:
-    """Rows by columns, of one topic each: relays are left out, two that differ and states without commands refused."""
+    """Rows by columns, of one topic each: relays are left out, two that differ and states without commands
+    refused."""
     chosen: dict[tuple[str, ...], tuple[str, str, list[list[float]]]] = {}
     for (topic, kind, columns), rows in sorted(found.items(), key=lambda item: -len(item[1])):
         for others, (other, its, known) in chosen.items():
             if kind == its and topic != other and (shared := [name for name in columns if name in others]):
-                same = others == columns and len({*map(_content, rows)} & {*map(_content, known)}) > len(rows) / 2
-                if not same:
+                said, known_as = (_content(*one, shared) for one in ((columns, rows), (others, known)))
+                if 2 * len(said & known_as) <= len(rows):
                     problem = f"{topic} and {other} tell it, and differ"
                     remedy = "keep one of the topics, as `ros2 bag convert` or `mcap filter` do"
                     raise LogError(problem, remedy, source=path, column=shared[0])
@@ -78,9 +79,10 @@ def _one_source(found: Found, path: Path) -> dict[tuple[str, ...], list[list[flo
     return {columns: rows for columns, (_, _, rows) in chosen.items()}
 
 
-def _content(row: list[float]) -> tuple[float, ...]:
-    """A row but for when it was received."""
-    return (row[0] if row[0] == row[0] else 0.0, *row[2:])
+def _content(columns: tuple[str, ...], rows: list[list[float]], names: list[str]) -> set[tuple[float, ...]]:
+    """What rows say in some columns and when, whenever they were received."""
+    places = [2 + columns.index(name) for name in names]
+    return {(0.0 if math.isnan(row[0]) else row[0], *(row[place] for place in places)) for row in rows}
 
 
 def _messages(path: Path) -> Iterator[tuple[str, str, float, Any]]:

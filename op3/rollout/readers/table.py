@@ -16,8 +16,7 @@ import numpy as np
 
 from op3.rollout.errors import LogError
 from op3.rollout.readers.text import open_text
-
-_UNIT_WORDS = ("s", "ms", "us", "ns", "sec", "seconds", "rad", "deg", "rad/s", "deg/s", "A", "mA", "V", "C", "-")
+from op3.rollout.units import UNITS, canonical
 
 Codes = dict[str, int]
 """Texts of a column by the numbers that stand for them in the table."""
@@ -87,7 +86,9 @@ def _fault(said: str, header: list[str]) -> LogError:
         problem, remedy = f"{cell[1][:40]!r} is not a number", "write a number, or leave the cell empty"
         if text.strip("# ") == column:
             problem, remedy = "the header stands there again", "remove the line, or split the file there"
-        elif row == 1 and (text.strip("[]()") in _UNIT_WORDS or text[:1] + text[-1:] in ("[]", "()")):
+        elif row == 1 and (
+            text[:1] + text[-1:] in ("[]", "()") or any(canonical(text) in known for known in UNITS.values())
+        ):
             problem, remedy = (
                 f"{text!r} is a unit",
                 "remove the row of units, and write them under `columns:` in the YAML",
@@ -101,8 +102,7 @@ def _fault(said: str, header: list[str]) -> LogError:
 def _header(lines: Iterator[str]) -> tuple[list[str], str, bool, Iterator[str]]:
     """Names, what separates them, whether rows end with a separator, and the rows.
 
-    Passes over what Excel writes, and over remarks: a line behind `#` or `%` is the header only where rows of numbers
-    follow it.
+    Passes over what Excel writes, and over remarks: a line behind `#` or `%` is the header only where rows follow it.
     """
     remark = first = ""
     for line in lines:
@@ -112,7 +112,8 @@ def _header(lines: Iterator[str]) -> tuple[list[str], str, bool, Iterator[str]]:
             first = line
             break
         remark = line
-    if remark and any(mark in remark for mark in ",;\t") and re.fullmatch(r"[-+0-9.eE,; \t\r\n\"naNfiIN]*", first):
+    follows = not first or any(re.match(r'["\s]*[-+.]?\d', cell) for cell in re.split("[,;\t]", first))
+    if follows and any(mark in remark for mark in ",;\t"):
         lines, first = itertools.chain([first] * bool(first), lines), remark
     first = first.lstrip("#% \t")
     mark = next((m for m in (",", ";", "\t", " ") if m in first.strip()), ",")
