@@ -18,7 +18,7 @@ from op3.rollout.health.finding import (
     View,
     check,
 )
-from op3.rollout.health.match import delayed, longest_run, step
+from op3.rollout.health.match import delayed, longest_run
 from op3.rollout.validate import GAP, holes
 
 RATE_TOLERANCE = 0.06
@@ -156,7 +156,7 @@ def stale(view: View) -> Iterator[Finding]:
     for key, joint, column in view.columns(POSITION):
         jumps, every = np.diff(column), _new_in_every(column[:, None])
         # a slow joint changes by one step of its encoder at a time
-        if every >= 3 and np.median(np.abs(jumps[jumps != 0])) > 4 * step(column[:, None])[0]:
+        if every >= 3 and np.median(np.abs(jumps[jumps != 0])) > 4 * view.steps(key)[joint]:
             problem = f"the position has a new number only in every {every} rows"
             yield view.found(WARNING, (key, joint), problem, remedy)
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from op3.robot.servo_make import ServoMake, find_servo
 from op3.rollout.errors import LogError
+from op3.rollout.health.match import step
 from op3.rollout.schema import CHANNELS, Key, column_names
 
 if TYPE_CHECKING:
@@ -79,6 +80,7 @@ class View:
         """Whether the servo drives, towards its target [time, joint]."""
         self.interval = float(np.median(np.diff(self.time))) if len(self.time) > 1 else np.inf
         """Usual time from row to row [s]."""
+        self._steps: dict[Key, np.ndarray] = {}
 
     @cached_property
     def make(self) -> ServoMake | None:
@@ -95,6 +97,12 @@ class View:
     def get(self, key: Key) -> np.ndarray | None:
         """A channel [time, name], None where it is absent."""
         return self.log.array(key) if key in self.log else None
+
+    def steps(self, key: Key) -> np.ndarray:
+        """Step of the grid on which a channel's columns lie ``[name]``, see `step`; worked out once."""
+        if key not in self._steps:
+            self._steps[key] = step(self.log.array(key))
+        return self._steps[key]
 
     def columns(self, *keys: Key) -> Iterator[tuple[Key, int, np.ndarray]]:
         """Key, index and numbers [time] of the columns of those channels that are there, in a log of some length."""

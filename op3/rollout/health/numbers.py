@@ -20,7 +20,6 @@ from op3.rollout.health.finding import (
     View,
     check,
 )
-from op3.rollout.health.match import step
 from op3.rollout.schema import Key
 
 _LEAST: dict[Key, float] = {VELOCITY: 5.0, CURRENT: 5.0, ("joint", "voltage"): 2.0, ("joint", "temperature"): 5.0}
@@ -57,9 +56,9 @@ def _fits(view: View, kind: str, joint: int) -> bool:
 def not_measured(view: View) -> Iterator[Finding]:
     """A position is the command itself, number by number: what was told was recorded, and not what was read."""
     angle, told = view.position, view.command
-    count = np.minimum(0.51 * step(angle), np.pi / 1024) if len(view.time) >= 20 else 0.0  # of an encoder that rounds
+    rounding = np.minimum(0.51 * view.steps(POSITION), np.pi / 1024)  # of an encoder
     late = [
-        (np.abs(angle[n:] - told[: len(told) - n]) <= count).all(0) for n in range(3 if len(view.time) >= 20 else 0)
+        (np.abs(angle[n:] - told[: len(told) - n]) <= rounding).all(0) for n in range(3 if len(view.time) >= 20 else 0)
     ]
     same = np.any(late, axis=0) & (np.ptp(told, axis=0) > 0.05) & view.driven.any(0) if late else np.zeros(0, bool)
     if view.metadata.robot == "simulated":  # which may move as it is told
@@ -75,7 +74,7 @@ def not_measured(view: View) -> Iterator[Finding]:
 def unsigned(view: View) -> Iterator[Finding]:
     """Negative numbers of a 16-bit or 32-bit register were read as large positive ones."""
     for key, index, column in view.columns(POSITION, VELOCITY, CURRENT, ("joint", "load")):
-        size = float(step(column[:, None])[0])
+        size = float(view.steps(key)[index])
         counts = np.round(column / size) if size else np.zeros(1)
         for bits in (16, 32):
             high = counts > 2**bits * 0.9
@@ -132,7 +131,7 @@ def zeros(view: View) -> Iterator[Finding]:
         if values is None or len(values) < 20 or values.shape[1] < 2:
             continue
         away = np.abs(values).max(1)
-        empty, least = away == 0, max(least, 15 * float(step(values).max()))
+        empty, least = away == 0, max(least, 15 * float(view.steps(key).max()))
         first = np.flatnonzero(np.diff(np.concatenate([[False], empty, [False]]).astype(np.int8)))
         inside = [(a, b) for a, b in first.reshape(-1, 2) if a > 0 and b < len(values)]
         lost = [(a, b) for a, b in inside if b - a <= 10 and min(away[a - 1], away[b]) > least]

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from op3.rollout.health.finding import CURRENT, ERROR, POSITION, VELOCITY, WARNING, Finding, View, check
-from op3.rollout.health.match import step
 from op3.rollout.schema import CHANNELS
 from op3.rollout.units import likely_unit
 
@@ -39,8 +38,7 @@ def coarse(view: View) -> Iterator[Finding]:
         (POSITION, exact, 0.01 if make is None else 4 * exact),
         *((k, u, 4 * u) for k, u in _ROUGHEST.items()),
     ):
-        values = view.get(key)
-        steps = step(values) if values is not None else np.zeros(0)
+        steps = view.steps(key) if key in view.log else np.zeros(0)
         for joint in np.flatnonzero(steps):
             unit = likely_unit(float(steps[joint] / exact), "rad", 0.003) if key == POSITION else None
             parts = float(steps[joint] / count) if (count := own.get(key)) else 1.0

@@ -20,7 +20,7 @@ from op3.rollout.health.finding import (
     View,
     check,
 )
-from op3.rollout.health.match import SURE, delayed, integral, longest_run, step
+from op3.rollout.health.match import SURE, delayed, integral, longest_run
 from op3.rollout.schema import CHANNELS
 
 _GIVES = 0.5
@@ -37,7 +37,7 @@ _SETTLES = 0.5
 def saturated(view: View) -> Iterator[Finding]:
     """A rate or acceleration is cut off at its largest number."""
     for key, index, column in view.columns(VELOCITY, RATE, FORCE):
-        top, size = np.abs(column).max(), float(step(column[:, None])[0])
+        top, size = np.abs(column).max(), float(view.steps(key)[index])
         flat = np.abs(column) == top
         within = flat[1:-1] & flat[:-2] & flat[2:]
         first, length = longest_run(flat)
@@ -46,7 +46,7 @@ def saturated(view: View) -> Iterator[Finding]:
         last, faster = first + length - 1, 0.0
         if key == VELOCITY and (np.diff(within.astype(int)) == 1).sum() > 1:  # one stretch is a channel that stood
             turned = np.abs(view.position[2:, index] - view.position[:-2, index])[within]
-            count = float(step(view.position[:, index, None])[0]) * np.sqrt(len(turned))
+            count = float(view.steps(POSITION)[index]) * np.sqrt(len(turned))
             faster = float((turned.sum() - count) / (view.time[2:] - view.time[:-2])[within].sum())
         aside = faster > 1.15 * top + size  # less may be a scale
         ends = ((first, first - 1), (last, last + 1))
@@ -117,7 +117,7 @@ def _velocity_stands(view: View, joint: int, velocity: np.ndarray, rows: int) ->
     speed = (angle[rows:] - angle[:-rows]) / (time[rows:] - time[:-rows])
     fastest = speed[np.abs(speed - velocity[first]).argmax()]
     # a velocity may rightly keep a number while the joint is slower than its step
-    if abs(fastest - velocity[first]) > max(0.15, 3 * step(velocity[:, None])[0]):
+    if abs(fastest - velocity[first]) > max(0.15, 3 * view.steps(VELOCITY)[joint]):
         problem = f"velocity stands at {velocity[first]:.4g} rad/s for {length} rows, while the joint moves at up to "
         problem += f"{fastest:.3g} rad/s"
         where = VELOCITY, joint

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from op3.rollout.health.finding import ERROR, FORCE, ORIENTATION, RATE, WARNING, Finding, View, check
-from op3.rollout.health.match import WINDOW, integral, match, no_sensor, step, windows
+from op3.rollout.health.match import WINDOW, integral, match, no_sensor, windows
 from op3.rollout.health.still import held, turned_by_gyroscope
 from op3.rollout.units import likely_unit
 
@@ -63,7 +63,7 @@ def gyroscope(view: View) -> Iterator[Finding]:
     summed = integral(view.time, rate)
     found = match(summed[last] - summed[first], body)
     bias = np.median(summed[last] - summed[first] - body, axis=0) / span
-    moving = found.size_b > np.maximum(4 * step(angles), 0.03 * span)
+    moving = found.size_b > np.maximum(4 * view.steps(ORIENTATION), 0.03 * span)
     for axis in range(3):
         own, ratio = found.correlation[axis, axis], float(found.ratio[axis, axis])
         other = int(np.abs(found.correlation[:, axis]).argmax())

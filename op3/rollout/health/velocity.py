@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from op3.rollout.health.finding import ERROR, VELOCITY, WARNING, Finding, View, check
+from op3.rollout.health.finding import ERROR, POSITION, VELOCITY, WARNING, Finding, View, check
 from op3.rollout.health.match import (
     SURE,
     WINDOW,
@@ -17,7 +17,6 @@ from op3.rollout.health.match import (
     longest_run,
     match,
     no_sensor,
-    step,
     windows,
 )
 from op3.rollout.units import likely_unit
@@ -82,8 +81,8 @@ class Trace:
     parted: tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
-def _trace(view: View, rate: np.ndarray, joint: int) -> Trace | None:
-    """None for logs that are too short to tell."""
+def _trace(view: View, joint: int, summed: np.ndarray) -> Trace | None:
+    """None for logs that are too short to tell; from the sum of the joint's velocities from the first row on."""
     near = max(1, round(0.02 / view.interval))
     rows = max(2, min(round(WINDOW / view.interval), len(view.time) // 10))
     first = np.arange(near, len(view.time) - rows - near, max(1, min(rows // 3, len(view.time) // 8000)))
@@ -92,8 +91,8 @@ def _trace(view: View, rate: np.ndarray, joint: int) -> Trace | None:
     first = first[whole]
     if len(first) < 8 * overlap:
         return None
-    angle, speed = view.position[:, joint], rate[:, joint]
-    summed, last, beside = integral(view.time, speed), first + rows, near * view.interval
+    angle, speed = view.position[:, joint], view.log.array(VELOCITY)[:, joint]
+    last, beside = first + rows, near * view.interval
     slope = (angle[2 * near :] - angle[: -2 * near]) / (2 * beside)
     bend = (angle[2 * near :] - 2 * angle[near:-near] + angle[: -2 * near]) / beside**2
     span = view.time[last] - view.time[first]
@@ -101,7 +100,8 @@ def _trace(view: View, rate: np.ndarray, joint: int) -> Trace | None:
     told, kept = summed[last] - summed[first], np.ones(len(first), bool)
     if not np.max([np.abs(causes).max(), np.abs(told).max()]) < _ABSURD:  # nor no number at all
         return None
-    count = float(step(speed[:, None])[0]) * WINDOW
+    grid = float(view.steps(VELOCITY)[joint])
+    count = grid * WINDOW
     # a single sine bends as it turns, so an estimator's filter is taken for what those of servos are
     found, left = np.zeros(4), told
     for _ in range(4):
@@ -124,7 +124,7 @@ def _trace(view: View, rate: np.ndarray, joint: int) -> Trace | None:
         errors=errors[[0, 1, 3]],
         share=1 - float(left[kept].var()) / max(float(told[kept].var()), 1e-24),
         counted=float(kept.mean()),
-        scatter=(float(np.median(scatter)), max(float(np.mean(own)), 2 * float(step(speed[:, None])[0]), 0.03)),
+        scatter=(float(np.median(scatter)), max(float(np.mean(own)), 2 * grid, 0.03)),
         parted=(left, first, last),
     )
 
@@ -139,11 +139,11 @@ def velocity(view: View) -> Iterator[Finding]:
     first, last, span = windows(view.time)
     if len(first) < 8:
         return
-    turned, summed = angle[last] - angle[first], integral(view.time, rate)
-    found = match(summed := summed[last] - summed[first], turned)
-    moving = np.flatnonzero(found.size_b > np.maximum(4 * step(angle), 0.03 * span))
+    turned, sums = angle[last] - angle[first], integral(view.time, rate)
+    found = match(summed := sums[last] - sums[first], turned)
+    moving = np.flatnonzero(found.size_b > np.maximum(4 * view.steps(POSITION), 0.03 * span))
     # what rounding to the sensor's steps explains is none of its faults
-    odd = np.sqrt(((summed - turned) ** 2).mean(0)) > 1.5 * step(rate) * span
+    odd = np.sqrt(((summed - turned) ** 2).mean(0)) > 1.5 * view.steps(VELOCITY) * span
     faults = {joint: _judge(view, found, joint, summed[:, joint]) for joint in map(int, moving[odd[moving]])}
     wrong = {joint: fault for joint, fault in faults.items() if fault}
     # where most joints are wrong by a factor, the channel is in another unit
@@ -157,8 +157,8 @@ def velocity(view: View) -> Iterator[Finding]:
             remedy = "the channel is not used; correct it where you know how"
             yield view.found(WARNING, (VELOCITY, joint), problem, remedy, aside=True)
     for joint in range(len(view.joints)):
-        if joint not in wrong and np.ptp(rate[:, joint]) and (trace := _trace(view, rate, joint)):
-            moves = bool(found.size_b[joint] > max(10 * step(angle[:, [joint]])[0], 0.03 * span))
+        if joint not in wrong and np.ptp(rate[:, joint]) and (trace := _trace(view, joint, sums[:, joint])):
+            moves = bool(found.size_b[joint] > max(10 * view.steps(POSITION)[joint], 0.03 * span))
             yield from _differs(view, joint, trace, moves)
 
 
@@ -166,7 +166,7 @@ def _differs(view: View, joint: int, trace: Trace, moves: bool) -> Iterator[Find
     """What the trace of a joint shows; factor and delay only where it moves."""
     where, unused = (VELOCITY, joint), "the channel is not used; correct it where you know how"
     uncertain, speed = 4 * trace.errors, view.log.array(VELOCITY)[:, joint]
-    rounding = float(step(speed[:, None])[0]) / 2
+    rounding = float(view.steps(VELOCITY)[joint]) / 2
     whole = trace.counted > 0.9 and (trace.share > SURE or not moves)  # what is so throughout
     clear = whole and moves and view.interval < _SLOWEST
     early, late = (EARLY - uncertain[1] - view.interval, LATE + uncertain[1] + view.interval)
@@ -192,7 +192,7 @@ def _differs(view: View, joint: int, trace: Trace, moves: bool) -> Iterator[Find
         worst = int(size.argmax())
         within = slice(first[worst], last[worst] + 1)
         stops = float(np.abs(np.diff(speed[within])).max()) * view.interval  # between two rows
-        count = 10 * float(step(view.position[:, [joint]])[0])
+        count = 10 * float(view.steps(POSITION)[joint])
         if size[worst] > max(PARTED + stops, 8 * float(np.median(size)), count):
             far = np.flatnonzero(size > size[worst] / 2)
             far = far[np.abs(first[far] - first[worst]) < 2 * WINDOW / view.interval]
