@@ -597,6 +597,7 @@ FORMS: dict[str, Callable[[str], bytes]] = {
     "a header of numpy and dates": lambda text: re.sub(r"(?m)^\d", "2026-01-15T23:05:0\\g<0>", "# " + text).encode(),
     "a line for Excel": lambda text: ("sep=,\n" + text).encode(),
     "row numbers of pandas": lambda text: _numbered(text).encode(),
+    "rows that pandas kept": lambda text: _numbered(text, 3).encode(),
     "commas at the end": lambda text: text.replace("\n", ",\n").encode(),
     "carriage returns": lambda text: text.replace("\n", "\r").encode(),
     "lines of spaces": lambda text: (text + "\n  \n\t\r\n").encode(),
@@ -612,8 +613,8 @@ def _marks(text: str, mark: str, quote: str = "") -> str:
     return "\n".join([quote + header.replace(",", mark) + quote, *lines])
 
 
-def _numbered(text: str) -> str:
-    return "\n".join(("" if n == 0 else str(n - 1)) + "," + line for n, line in enumerate(text.splitlines()))
+def _numbered(text: str, step: int = 1) -> str:
+    return "\n".join(f"{(n - 1) * step if n else ''},{line}" for n, line in enumerate(text.splitlines()))
 
 
 @pytest.mark.parametrize("form", FORMS)

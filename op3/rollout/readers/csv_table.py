@@ -43,8 +43,8 @@ def _texts(header: Sequence[str]) -> list[str]:
 def _wide(header: list[str], table: np.ndarray) -> Recording:
     columns = dict(zip(header, table.T, strict=True))
     for name in [n for n in columns if n == "" or n.startswith("Unnamed")]:
-        if np.array_equal(columns[name], np.arange(len(table)) + columns[name][0]):
-            del columns[name]  # the row numbers that pandas writes
+        if (np.diff(columns[name]) >= 1).all() and not (columns[name] % 1).any():
+            del columns[name]  # the row numbers that pandas writes, of rows that were kept
     clock = None if "time" in columns else _clock(header)
     return Recording([Stream(table[:, 0], columns)], columns={clock[0]: clock[1]} if clock else {}, strict=True)
 
