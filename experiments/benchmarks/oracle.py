@@ -1,9 +1,10 @@
-"""How far the gap of a hidden-effect case can be closed: a diagnosis to which the answer is told.
+"""What a hidden-effect case shows to a diagnosis to which the answer is told: log odds, and how far the gap closes.
 
 python experiments/benchmarks/oracle.py <case>/data <base model> <answer.yaml> <folder for oracle.yaml>
 
 The hidden effects are switched on where they are, their sizes and the base are fitted to the same runs as in a
-diagnosis, and the gap is shown on the same unseen runs.
+diagnosis, and the gap is shown on the same unseen runs. An effect whose odds are below the alarm even then, no search
+can find in these logs with this judge.
 """
 
 import sys
@@ -40,7 +41,7 @@ def main(data: str, base: str, answer: str, run: str) -> None:
     for one in hidden:
         last = told(diagnosis.search, last, one["name"], None if one["shared"] else one["joints"])
     shown = show(first.base.model, last.base.model, diagnosis.split)
-    known = [{"name": one.candidate.effect.name} for one in last.named]
+    known = [{"name": one.candidate.effect.name, "log_odds": round(one.log_odds, 2)} for one in last.named]
     content = {"effects": known, "gap": shown["gap"], "loss": shown["loss"]}
     (Path(run) / "oracle.yaml").write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
 
