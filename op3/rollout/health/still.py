@@ -95,14 +95,18 @@ def _follows(view: View, joint: int, rows: np.ndarray) -> bool:
 def _commands_stop(view: View) -> Iterator[Finding]:
     """A target does not change any more, and its joint goes on as before: what was sent was not recorded."""
     stopped = np.diff(view.command, axis=0) == 0
-    told = np.ptp(view.command, axis=0)
+    told, error = np.ptp(view.command, axis=0), np.abs(view.position - view.command)
     for joint in np.flatnonzero(told > 0.1):
         first, length = longest_run(stopped[:, joint])
         last = first + length
         settled = slice(first + round(_SETTLES / view.interval), last + 1)
-        if length * view.interval < 3 * _SETTLES or not view.driven[first : last + 1, joint].all():
+        if length * view.interval < 1.9 * _SETTLES or not view.driven[first : last + 1, joint].all():
             continue
-        if (moved := float(np.ptp(view.position[settled, joint]))) > max(0.5 * told[joint], 0.1):
+        moved = float(np.ptp(view.position[settled, joint]))
+        goes_on = length * view.interval > 3 * _SETTLES and moved > 0.5 * told[joint]
+        # where it is told again, it is told to be where it is
+        resumes = last + 1 < len(error) and error[last, joint] > 4 * max(error[[first, last + 1], joint])
+        if moved > 0.1 and (goes_on or resumes):
             problem = f"the target does not change for {length} rows, while the joint goes on by {moved:.3g} rad"
             remedy = "record what was sent, or cut the log here"
             yield view.found(WARNING, (COMMAND, joint), problem, remedy, first, last)
