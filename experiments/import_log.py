@@ -38,13 +38,13 @@ def look(path: Path, cfg: DictConfig) -> bool:
     except LogError as error:
         print(error)
         return False
-    return all([show(log) for log in logs])
+    return all([show(log, log.metadata.recording or path.name) for log in logs])
 
 
-def show(log: Rollout) -> bool:
+def show(log: Rollout, name: str) -> bool:
     """Print a recording's channels and the table of findings."""
     names = ", ".join("/".join(key) if isinstance(key, tuple) else key for key in log.channels)
-    print(f"{log.metadata.recording or 'recording'}: {log.rows} rows, {log.duration:.2f} s, {log.metadata.rate:.4g} Hz")
+    print(f"{name}: {log.rows} rows, {log.duration:.2f} s, {log.metadata.rate:.4g} Hz")
     print(f"joints {', '.join(log.joints)}\nchannels {names}")
     findings = examine(log)
     for finding in told_together(findings):

@@ -243,6 +243,9 @@ def explained(error: Exception, config: str) -> str:
     if found := re.search(r"Could not override '([^']+)'", text):
         asked, known = found[1].lstrip("+"), known_settings(config)
         if asked in known and (unknown := re.search(r"Key '([^']+)' is not in struct", str(error.__cause__))):
+            part = asked.rpartition(".")[2]
+            if unknown[1] == part:
+                return f"{asked} is a setting of another choice: what is chosen here has no {part!r}"
             asked = f"{asked}.{unknown[1]}"
         group, _, part = asked.rpartition(".")
         if group and re.search(rf"^{re.escape(group)}: {{}}$", config_file(config).read_text("utf-8"), re.MULTILINE):

@@ -19,9 +19,10 @@ CLAIMED = "OP3_CLAIMED_FOLDER"
 
 _LOGIN = re.compile(r"(?P<before>[A-Za-z][A-Za-z0-9+.-]*://[^\s:/@]*:)(?P<secret>[^\s/@]+)(?=@)")
 _NAMED = re.compile(
-    r"(?P<before>(?:password|passwd|token|api_?key|secret)\W{1,3})(?P<secret>[^\s'\",;&}*$]{3,})", re.IGNORECASE
+    r"(?P<before>(?:password|passwd|\bpwd?|token|api_?key|secret)[^\w$]{1,3})(?P<secret>[^\s'\",;&}*$]{3,})",
+    re.IGNORECASE,
 )
-_PATH = re.compile(r"(?<![\w./:~<-])/(?:[^\s/'\",;:\[\](){}<>=]+/)+[^\s/'\",;:\[\](){}<>=]*")
+_PATH = re.compile(r"(?:(?<![\w./:~<-])|(?<=sqlite:///))/(?:[^\s/'\",;:\[\](){}<>=]+/)+[^\s/'\",;:\[\](){}<>=]*")
 
 
 def scrub(value: Any) -> Any:
@@ -37,12 +38,17 @@ def scrub(value: Any) -> Any:
         return Path(scrub(str(value)))
     if not isinstance(value, str):
         return value
+    return _PATH.sub(lambda found: _short(found[0]), masked(value))
+
+
+def masked(text: str) -> str:
+    """A text without passwords and tokens."""
     for name, secret in os.environ.items():
         if name.startswith(SECRET) and secret:
-            value = value.replace(secret, "***")
+            text = text.replace(secret, "***")
     for pattern in (_LOGIN, _NAMED):
-        value = pattern.sub(r"\g<before>***", value)
-    return _PATH.sub(lambda found: _short(found[0]), value)
+        text = pattern.sub(r"\g<before>***", text)
+    return text
 
 
 def _short(path: str) -> str:

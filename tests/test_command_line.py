@@ -37,6 +37,7 @@ def op3() -> Callable[..., tuple[int, str]]:
         (["demo", "diagnose", "efect=dte"], "there is no setting 'efect'; the nearest is 'effect'"),
         (["collect", "motion=sqat"], "motion=sqat: there is no 'sqat' in the group motion; the nearest is 'squat'"),
         (["collect", "motion.perid=3"], "motion has no part 'perid'; there are knee_low, knee_high,"),
+        (["collect", "motion=triangle", "motion.frequency=3"], "motion.frequency is a setting of another choice"),
         (["collect", "repeats=0"], "repeats must be at least 1, got 0"),
         (["collect", "world_seed=abc"], "world_seed must be a whole number, got 'abc'"),
         (["collect", "plan=plan.yaml"], "there is no file plan.yaml: correct the path"),

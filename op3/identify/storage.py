@@ -10,6 +10,7 @@ from optuna.storages.journal import JournalFileBackend
 from optuna.storages.journal._file import BaseJournalFileLock
 
 from op3.identify.search_space import StudyError
+from op3.private import masked
 
 JOURNAL_SUFFIXES = (".journal", ".log")
 
@@ -81,9 +82,8 @@ def _open_database(url: str) -> BaseStorage:
         return optuna.storages.get_storage(url)
     except Exception as error:
         reason = str(error).strip().splitlines()[0]
-        raise StudyError(
-            f"The storage {url!r} cannot be opened ({reason}): check the URL, its driver and the folder's rights."
-        ) from error
+        problem = f"The storage {url!r} cannot be opened ({reason})"
+        raise StudyError(f"{masked(problem)}: check the URL, its driver and the folder's rights.") from error
 
 
 def _cut_torn_record(path: Path) -> None:

@@ -28,7 +28,7 @@ _IMU = {"gyro": "gyro", "gyroscope": "gyro", "angular": "gyro", "acc": "acc", "a
 _IMU |= {"linear": "acc", "acceleration": "acc"}
 _UNITS = {"deg": "deg", "degrees": "deg", "degree": "deg", "rad": None, "radians": None, "rpm": "rpm", "dps": "deg/s"}
 _UNITS |= {"ma": "mA", "mv": "mV", "ms": "ms", "us": "us", "ns": "ns", "percent": "percent", "mrad": "mrad"}
-_FILLERS = re.split(" ", "joint joints present measured actual motor s value observation imu of main")
+_FILLERS = re.split(" ", "joint joints present measured meas actual motor i s value observation imu of main")
 _TIMES = ("time", "timestamp", "t", "stamp", "secs", "seconds", "times")
 
 
@@ -72,7 +72,8 @@ def _joint(name: str, joints: Sequence[str]) -> str:
     if not name and len(joints) == 1:
         return joints[0]
     by_lower = {joint.lower(): joint for joint in joints}
-    close = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=0.75)
+    within = [one for one in by_lower if f"_{one}_" in f"_{name.lower()}_"]
+    close = within if len(within) == 1 else difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=0.75)
     return by_lower[close[0]] if close and name not in joints else name
 
 

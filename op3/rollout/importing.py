@@ -91,7 +91,8 @@ def read_side(path: Path, options: Mapping[str, Any] | None = None) -> Side:
     for file in files:
         values |= read_yaml(file, LogError)
     source = files[-1] if files else side_path(path)
-    given = {name: values.pop(name) for name in OPTIONS if name in values} | dict(options or {})
+    given = {name: values.pop(name) for name in OPTIONS if name in values}
+    given |= {name: value for name, value in (options or {}).items() if value is not None}
     with located(source=source):
         chosen = Options(**{name: value for name, value in given.items() if value is not None})
     return Side(values, chosen, source, bool(files))
@@ -122,7 +123,8 @@ def roll_out(recording: Recording, side: Side, path: Path) -> list[Rollout]:
         _mend(chosen, side)
         with located(source=path):
             arrays = _arrays(chosen, metadata, recording.strict, side)
-            unread = _unread(arrays, metadata.joints) + _unshared(len(time), len(recording.streams[0].time))
+            unread = [one for one in recording.doubts if one.column not in side.options.columns]
+            unread += _unread(arrays, metadata.joints) + _unshared(len(time), len(recording.streams[0].time))
             log = Rollout.from_arrays({"time": time[part], **arrays}, metadata, path)
             logs.append(log.with_findings(unread))
     return logs

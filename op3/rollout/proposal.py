@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 from typing import Any
 
@@ -34,12 +35,28 @@ def propose(path: Path, robot: str | None = None) -> tuple[dict[str, Any], dict[
     columns |= {name: column for name, column in found.columns.items() if name in columns}
     about = {"robot": "real", "mount": "stand", **found.metadata, **read_side(path).metadata}
     if known is not None:
-        columns = {name: _of_robot(column, known) for name, column in columns.items()}
+        columns = {name: _of_robot(column, known) for name, column in _by_number(columns, known).items()}
         if not any(column.name and column.name.rpartition(".")[0] in known.joints for column in columns.values()):
-            problem, remedy = f"it has none of the joints of {known.name}", f"these are {', '.join(known.joints)}"
-            raise LogError(problem, f"give the robot that made it; {remedy}", source=path)
+            problem = f"it names none of the joints of {known.name}, which are {', '.join(known.joints)}"
+            remedy = "give the robot that made it; or import it without robot=, and correct the names in the YAML"
+            raise LogError(problem, remedy, source=path)
         about |= {"joints": list(known.joints), "robot_file": known.reference}  # its terms are in the columns
     return {name: value for name, value in about.items() if value not in (None, {}, [])}, columns
+
+
+def _by_number(columns: dict[str, Column], robot: Robot) -> dict[str, Column]:
+    """The columns with the robot's joints in their order, where the file numbers as many joints as it has."""
+    joints = {name: str(column.name).rpartition(".")[0] for name, column in columns.items() if column.name}
+    numbers = {joint: found[1] for joint in joints.values() if (found := re.fullmatch(r"(?:joint|motor)_(\d+)", joint))}
+    if len(numbers) != len(robot.joints):
+        return columns
+    named = dict(zip(sorted(numbers, key=lambda joint: int(numbers[joint])), robot.joints, strict=True))
+    why = f"the order of the joints of {robot.name}"
+    return columns | {
+        name: dataclasses.replace(columns[name], name=str(columns[name].name).replace(joint, named[joint], 1), why=why)
+        for name, joint in joints.items()
+        if joint in named
+    }
 
 
 def _of_robot(column: Column, robot: Robot) -> Column:

@@ -84,14 +84,20 @@ class Rollout:
         """The robot whose joints these are.
 
         Raises:
-            LogError: if its file is not where the metadata says, or is wrong.
+            LogError: if its file is not where the metadata says, or is wrong, or lacks a joint.
         """
         name = self.metadata.robot_file or ("bench" if self.metadata.mount == "pendulum" else DEFAULT)
         try:
-            return load_robot(name)
+            robot = load_robot(name)
         except ValueError as error:
             remedy = "correct `robot_file` in the metadata, or give robot=<path>"
             raise LogError(str(error), remedy, source=self.metadata.recording, column="field robot_file") from None
+        other = [joint for joint in self.joints if joint not in robot.joints]
+        if other and self.metadata.mount != "pendulum":
+            problem = f"{robot.name} has no joint {', '.join(other[:6])}"
+            remedy = "say which robot made the log, by robot=<name or file> or `robot_file` in its YAML"
+            raise LogError(problem, remedy, source=self.metadata.recording)
+        return robot
 
     @property
     def servos(self) -> list[ServoMake | None]:

@@ -3,10 +3,12 @@
 from pathlib import Path
 from subprocess import CompletedProcess
 
+import numpy as np
 import pytest
 
 from op3.report import read_result
 from op3.robot import hold, pose, squat
+from op3.rollout import Metadata, Rollout
 from op3.sim import load_model, save_model
 from op3.tasks import simulate_motion
 from tests.scripts import run_script
@@ -49,11 +51,16 @@ def test_page_and_numbers(logs, tmp_path):
         (["model=papr", "data={logs}"], "the nearest is 'paper'"),
         (["model=paper", "data={logs}", "where={{mount: stand}}"], "matches none of the 2 logs"),
         (["model=sts3032", "data={logs}"], "firmware_gain"),
+        (["model=paper", "data={other}"], "op3 has no joint wrist; say which robot made the log, by robot="),
     ],
 )
 def test_wrong_input_is_one_sentence(logs, tmp_path, arguments, message):
     """A wrong argument ends the run with its reason and a non-zero exit."""
-    done = predict(*(a.format(logs=logs) for a in arguments), f"hydra.run.dir={tmp_path}")
+    time = np.arange(200)[:, None] / 125
+    arrays = {"time": time, "command/position": np.sin(time), "joint/position": np.sin(time - 0.02)}
+    Rollout.from_arrays(arrays, Metadata(("wrist",), "real", "stand", 125.0)).save(tmp_path / "other")
+    given = (a.format(logs=logs, other=tmp_path / "other") for a in arguments)
+    done = predict(*given, f"hydra.run.dir={tmp_path}")
     assert done.returncode != 0
     assert message in done.stderr
     assert "Traceback" not in done.stderr

@@ -10,6 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import foreign_logs
 import numpy as np
 import pytest
 from foreign_logs import (
@@ -51,7 +52,7 @@ def test_a_format_arrives_in_si_on_one_clock(tmp_path, kind):
     time = log.column("time") - (log.column("time")[0] if "ros" in kind else 0.0)
     assert log.joints == JOINTS
     assert log.rows > ROWS - 3
-    assert log.findings == ()
+    assert [one.check for one in log.findings] == ["unit of LeRobot"] * ("lerobot" in kind)
     assert np.abs(log.array("joint/position") - position(time)).max() < 1e-4
     # a command between two rows counts from the nearer one: within half a row, 10 ms
     assert np.abs(log.array("command/position") - target(time)).max() < 0.011
@@ -73,6 +74,18 @@ def test_a_bag_carries_its_imu(tmp_path):
     log = read_log(next(ros2(tmp_path, "mcap").glob("*.mcap")))
     assert log.array("imu/linear_acceleration")[5].tolist() == [0, 0, 9.81]
     assert np.abs(log.array("imu/orientation")).max() == 0
+
+
+def test_what_the_numbers_of_a_dataset_are(tmp_path, monkeypatch):
+    """Degrees are known by an encoder's steps, and by the word of the user; else they may be normalised ones."""
+    path = lerobot(tmp_path)
+    assert "normalised ones look alike" in read_log(path).findings[0].problem
+    side_path(path).write_text(as_yaml(*propose(path)))
+    assert read_log(path).findings == ()
+    step = 2 * np.pi / 4096
+    rests = np.where(np.arange(ROWS)[:, None] < ROWS / 2, position()[ROWS // 2], position())
+    monkeypatch.setattr(foreign_logs, "position", lambda: np.round(rests / step) * step)
+    assert "unit of LeRobot" not in {one.check for one in read_log(lerobot(tmp_path / "stepped")).findings}
 
 
 def test_episodes_of_a_dataset(tmp_path):
@@ -455,7 +468,7 @@ def test_an_imported_log_is_in_its_robots_terms_once(tmp_path):
         text = (path / file).read_text()
         (path / file).write_text(re.sub(r"\[(.*?), (.*?)\]", r"[\1, \2, \1, \2, \1, \2]", text))
     before = read_log(path, "arm").array("joint/position")
-    with pytest.raises(LogError, match=r"it has none of the joints of op3; .* head_pan"):
+    with pytest.raises(LogError, match=r"it names none of the joints of op3, which are head_pan"):
         propose(path, "op3")
     side_path(path).write_text(as_yaml(*propose(path, "arm")))
     for robot in ("arm", None):

@@ -101,7 +101,7 @@ def command(view: View) -> Iterator[Finding]:
         elif asked[joint] and own[:, joint].min() < -0.95 and sure < 0.8:
             problem = "the position moves against its command: the sign of one of them is turned round"
             problem += f", or it was swapped with that of {other}" if other else ""
-            yield view.found(ERROR, where, problem, "write `sign: -1` for one of them into its YAML")
+            yield view.found(ERROR, where, problem, "write `sign: -1` for one of them under `columns:` in the YAML")
         elif other:
             problem = f"the position follows the command of {other}: the columns of the two are swapped"
             yield view.found(ERROR, where, problem, "swap the columns")
@@ -197,5 +197,6 @@ def constant_offset(view: View) -> Iterator[Finding]:
         mirrored = np.ptp(at) < 0.05 and abs(offset + 2 * float(np.median(at))) < 0.05
         cause = "its sign is turned round" if mirrored else "another zero, or a homing offset in the servo"
         problem = f"the joint stands {offset:+.3f} rad off its command in every pose: {cause}"
-        remedy = "write `shift: {joint: rad}` or `columns: {...: {offset: ...}}` into its YAML, or clear the offset"
+        mends = "sign: -1" if mirrored else f"offset: {-offset:.4g}"
+        remedy = f"write `{mends}` for its position under `columns:` in the YAML, or correct it in the servo"
         yield view.found(WARNING, (POSITION, joint), problem, remedy)

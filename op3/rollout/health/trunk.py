@@ -122,7 +122,7 @@ def gravity(view: View) -> Iterator[Finding]:
         done, rest = min(_MISTAKES.items(), key=lambda item: _apart(item[1] @ mean, expected) // 0.1)
         problem = f"gravity lies along {np.round(mean / size, 2)}, and the orientation says {np.round(expected, 2)}"
         problem += f": {done}" if _apart(rest @ mean, expected) < 0.3 else ""
-        remedy = "write `sign: -1` for these, or name the axes anew"
+        remedy = "write `sign: -1` for these under `columns:` in the YAML, or name the axes anew"
         yield view.found(ERROR if "all" in done else WARNING, (FORCE, int(np.abs(mean).argmax())), problem, remedy)
 
     else:
@@ -142,7 +142,7 @@ def _leans(view: View, force: np.ndarray, up: np.ndarray) -> Iterator[Finding]:
     for axis in (axis for axis in (0, 1) if found.size_b[axis] > 0.3 and found.correlation[axis, axis] < -0.3):
         problem = "it falls where the trunk leans so that gravity rises in it (correlation "
         problem += f"{found.correlation[axis, axis]:.2f}): {'xy'[axis]} has its sign turned round"
-        yield view.found(WARNING, (FORCE, axis), problem, "write `sign: -1` for it")
+        yield view.found(WARNING, (FORCE, axis), problem, "write `sign: -1` for it under `columns:` in the YAML")
 
 
 @check("mount")

@@ -16,11 +16,16 @@ import numpy as np
 
 from op3.rollout.errors import LogError
 from op3.rollout.guess import guess, guess_all
+from op3.rollout.health.finding import WARNING, Finding
+from op3.rollout.health.match import step
 from op3.rollout.readers.reader import Column, Recording, Stream, needed
 from op3.rollout.readers.text import numbers, read_json
 from op3.rollout.units import canonical
 
 _STEP = 2 * math.pi / 4096
+_NORMAL = 100.5
+"""Normalised numbers go to 100, and hardly beyond."""
+
 _FEATURES = {"observation.state": "", "action": "action "}
 
 
@@ -55,14 +60,15 @@ class LeRobot:
             wide = numbers(table[feature], path / "data", feature, len(names))
             columns |= {prefix + _told(name): wide[:, i] for i, name in enumerate(names)}
         meanings = guess_all(columns)
-        _units(columns, meanings, path)
+        doubts = _units(columns, meanings, path)
         fps = {"rate": float(info["fps"])} if isinstance(info.get("fps"), int | float) and info["fps"] > 0 else {}
         about = fps | dict(robot="real", mount="stand", extra={"lerobot": str(info.get("robot_type"))})
         recordings = []
         for number in np.unique(episode):
             rows = np.flatnonzero(episode == number)
             part = Stream(time[rows], {name: values[rows] for name, values in columns.items()})
-            recordings.append(Recording([part], dict(about), meanings, f"{path.name}/episode_{number:06.0f}"))
+            name = f"{path.name}/episode_{number:06.0f}"
+            recordings.append(Recording([part], dict(about), meanings, name, doubts=doubts))
         return recordings
 
 
@@ -108,13 +114,16 @@ def _parquet(path: Path, columns: list[str]) -> dict[str, Any]:
     return table
 
 
-def _units(columns: dict[str, np.ndarray], meanings: dict[str, Column], path: Path) -> None:
-    """Give positions and targets their unit: normalised where the calibration says so, else degrees or radians."""
+def _units(columns: dict[str, np.ndarray], meanings: dict[str, Column], path: Path) -> list[Finding]:
+    """Give positions and targets their unit: normalised where the calibration says so, else degrees or radians.
+
+    Without a calibration, degrees and normalised numbers cannot be told apart, which is handed back.
+    """
     file = next((f for f in (path / "calibration.json", path / "meta" / "calibration.json") if f.is_file()), None)
     calibration = read_json(file) if file else {}
     angles = {n: c for n, c in meanings.items() if str(c.name).rpartition(".")[2] in ("position", "target")}
     most = np.array([np.abs(columns[name]).max() for name in angles] or [0.0])
-    unit, why = "deg", "LeRobot writes degrees where no calibration is beside it"
+    unit, why = "deg", "degrees, as no calibration.json is there; numbers of -100 to 100 may be normalised to a range"
     if np.quantile(most, 0.75) < 2 * math.pi and most.max() < 8 * math.pi:
         unit, why = "rad", "hardly a number is as large as a turn in radians"
     for name, column in meanings.items():
@@ -136,5 +145,14 @@ def _units(columns: dict[str, np.ndarray], meanings: dict[str, Column], path: Pa
                 raise LogError(problem, remedy, source=file, column=joint) from None
             # a gripper runs from 0 to 100 over its range, every other joint from -100 to 100
             size = span / 100 if joint == "gripper" else span / 200
-            if 0 < size < math.inf and float(np.abs(columns[name]).max()) <= 100.5:
+            if 0 < size < math.inf and float(np.abs(columns[name]).max()) <= _NORMAL:
                 meanings[name] = Column(column.name, size, why="normalised to the calibrated range")
+    guessed = [name for name in angles if meanings[name].why == why]
+    if not guessed or unit == "rad" or calibration or most.max() > _NORMAL:
+        return []
+    grids = np.deg2rad(step(np.stack([columns[name] for name in guessed if not name.startswith("action")], axis=1)))
+    if np.isclose(grids[grids > 0], _STEP, rtol=0.01).any():  # a range's hundredths have steps of their own
+        return []
+    problem = f"numbers of up to {most.max():.4g} have no unit and are read as degrees, but normalised ones look alike"
+    remedy = "copy LeRobot's calibration file there as calibration.json, or say `unit: deg` under `columns:` in a YAML"
+    return [Finding(WARNING, problem, remedy, guessed[0], check="unit of LeRobot")]

@@ -17,6 +17,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from op3.rollout.errors import LogError
+from op3.rollout.health.finding import Finding
 from op3.rollout.rollout import Rollout
 from op3.settings import Number, settings
 
@@ -63,6 +64,7 @@ class Recording:
         columns: Meaning of columns where the format tells or hints at it, by their names in the file.
         name: Identity of the recording; the file's name where empty.
         strict: Whether the YAML beside it must be there, and a column without a meaning is refused, not left out.
+        doubts: What the reader guessed and cannot know; one about a column lasts until the YAML says what that is.
     """
 
     streams: list[Stream]
@@ -70,6 +72,7 @@ class Recording:
     columns: dict[str, Column] = field(default_factory=dict)
     name: str = ""
     strict: bool = False
+    doubts: Sequence[Finding] = ()
 
 
 def needed(module: str, extra: str, path: Path) -> Any:
