@@ -35,7 +35,7 @@ class LogChannel(Record):
         sign: 1 or -1.
         zero: reading at joint angle zero, in `unit`.
         unit: of angles and, per second, of velocities: one of `ANGLES`.
-        velocity_factor: by which velocities are multiplied beside that.
+        velocity_factor: multiplies velocities beside that: 0.5 where the log says twice the rate.
     """
 
     name: str | None = None

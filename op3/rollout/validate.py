@@ -18,6 +18,9 @@ from op3.rollout.schema import CHANNELS, Channel, Key, column_names, key_name
 GAP_INTERVALS, GAP = 10.0, 0.15
 """A hole is an interval of so many usual ones that is at least so long [s]."""
 
+INSTANT = 1e-9
+"""No two rows are so near each other in time [s]: rates between them would be no numbers."""
+
 
 def check_schema(tensors: Mapping[Key, Any], batch: Sequence[int], metadata: Metadata) -> None:
     """Raise `LogError` unless channels have the shape and the sanity the schema promises.
@@ -118,11 +121,12 @@ def check_time(time: np.ndarray, episode: int | None = None) -> None:
     if not np.isfinite(time).all():
         row = int(np.isfinite(time).argmin()) + 1
         raise LogError("the time is not a finite number", "leave out the row", column="time", row=row)
-    later = np.diff(time) > 0
+    steps = np.diff(time)
+    later = steps > INSTANT
     if later.all():
         return
     row = int(later.argmin())
-    if time[row + 1] == time[row]:
+    if steps[row] >= 0:
         problem, remedy = f"{time[row]:.10g} s repeats the time of row {row + 1}", "remove the duplicated row"
         if (more := int((~later).sum())) > len(time) // 20:
             problem += f", and so do {more} rows in all"

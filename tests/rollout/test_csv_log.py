@@ -83,6 +83,7 @@ OFFENCES: dict[str, tuple[Callable[[Lines], object], str, str, str]] = {
     "empty cell": (cell("r_knee.position", 3, ""), "r_knee.position", "row 3", "nan is not a finite"),
     "digit groups": (cell("r_knee.velocity", 3, "1_0"), "r_knee.velocity", "row 3", "'1_0' is not a number"),
     "time twice": (cell("time", 5, repr(3 / 125)), "time", "row 5", "repeats the time of row 4"),
+    "time too near": (cell("time", 5, repr(3 / 125 + 1e-12)), "time", "row 5", "repeats the time of row 4"),
     "another rate": (scaled("time", 2.0), "time", "row 2", "62.5 Hz, but the metadata says rate: 125"),
     "degrees per second": (scaled(".*velocity", 57.3), "l_knee.velocity", "row 1", "in deg/s"),
     "mg": (scaled("imu.acc_.", 1e3 / 9.81), "imu.acc_x", "row 1", "looks like mg"),
