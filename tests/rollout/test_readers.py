@@ -61,6 +61,14 @@ def test_a_format_arrives_in_si_on_one_clock(tmp_path, kind):
         assert np.abs(log.array("joint/velocity") - velocity(time)).max() < 1e-6
 
 
+@pytest.mark.parametrize("file", ["control.csv", "state_motor.csv", "joint_list.txt"])
+def test_a_file_that_a_pair_lacks_is_named(tmp_path, file):
+    """A folder with the two others is a pair still, and no folder of tables."""
+    path = sage(tmp_path)
+    next(path.glob(f"{file}*")).unlink()
+    assert re.search(rf"{file}: the file cannot be read", refusal(path))
+
+
 def test_the_delay_of_commands_is_kept(tmp_path):
     """Commands stamped 7 ms after the states are not shifted by a row."""
     log = read_log(sage(tmp_path))

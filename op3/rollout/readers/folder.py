@@ -16,9 +16,9 @@ class Folder:
     def claims(self, path: Path) -> bool:
         """By what lies in the folder."""
         folder = path.parent if path.name == METADATA_FILE else path
-        parts = (folder / DATA_FOLDER).is_dir() or (folder / ROWS_FILE).is_file()
+        parts = (folder / DATA_FOLDER / "meta.json").is_file() or (folder / ROWS_FILE).is_file()
         # a bag of ROS 2 has a metadata.yaml of its own
-        return (folder / METADATA_FILE).is_file() and (parts or not any(folder.glob("*.[dm][bc]*")))
+        return parts or ((folder / METADATA_FILE).is_file() and not any(folder.glob("*.[dm][bc]*")))
 
     def read(self, path: Path) -> list[Rollout]:
         """One rollout, which may hold several episodes of equal length."""

@@ -27,7 +27,8 @@ class Sage:
 
     def claims(self, path: Path) -> bool:
         """By the files in the folder."""
-        return path.is_dir() and any(path.glob("control.csv*")) and any(path.glob("state_motor.csv*"))
+        there = [any(path.glob(f"{name}*")) for name in _EVERY]
+        return there[1] or (there[0] and there[2])
 
     def read(self, path: Path) -> list[Recording]:
         """One recording; torques stay in the recorders' unit."""
