@@ -118,6 +118,8 @@ def lost_turns(view: View) -> Iterator[Finding]:
     """A position or target jumps by whole turns: it was wrapped, or the encoder lost count."""
     for key, values in ((POSITION, view.position), (COMMAND, view.command)):
         steps = np.diff(values, axis=0)
+        if max(steps.max(initial=0.0), -steps.min(initial=0.0)) < _TURN - 1.0:
+            continue
         turns = np.round(steps / _TURN)
         jumps = (turns != 0) & (np.abs(steps - turns * _TURN) < 1.0) & _small(values)
         for row, joint in np.argwhere(jumps)[:1]:
@@ -175,7 +177,7 @@ def constant_offset(view: View) -> Iterator[Finding]:
     exchanged = _exchanged(view)
     joints = [j for j in np.flatnonzero(told).tolist() if j not in exchanged] if len(view.time) >= 20 else []
     error, gain, current = view.position - view.command, view.get(("command", "p_gain")), view.get(CURRENT)
-    speed = np.gradient(view.position, view.time, axis=0) if len(joints) else error
+    speed = np.gradient(view.position, view.time, axis=0) if 0 < len(joints) < 4 else error
     middle = np.array([np.median(error[view.driven[:, joint], joint]) for joint in joints])
     for place, joint in enumerate(joints):
         driven = view.driven[:, joint]

@@ -75,7 +75,9 @@ def unsigned(view: View) -> Iterator[Finding]:
     """Negative numbers of a 16-bit or 32-bit register were read as large positive ones."""
     for key, index, column in view.columns(POSITION, VELOCITY, CURRENT, ("joint", "load")):
         size = float(view.steps(key)[index])
-        counts = np.round(column / size) if size else np.zeros(1)
+        if not size or column.max() < 2**14 * size:
+            continue
+        counts = np.round(column / size)
         for bits in (16, 32):
             high = counts > 2**bits * 0.9
             shifted = column - 2**bits * size - view.command[:, index]
