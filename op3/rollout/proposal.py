@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,8 @@ from op3.rollout.robot_log import called, in_its_terms
 from op3.rollout.schema import place
 
 
-def propose(path: Path, robot: str | None = None) -> tuple[dict[str, Any], dict[str, Column]]:
-    """Metadata and the meaning of every column of a log.
+def propose(path: Path, robot: str | None = None) -> tuple[dict[str, Any], dict[str, Column], list[str]]:
+    """Metadata, the meaning of every column of a log, and what cannot be known of them.
 
     Args:
         path: Of the log.
@@ -29,7 +30,7 @@ def propose(path: Path, robot: str | None = None) -> tuple[dict[str, Any], dict[
     """
     found = reader_of(path).read(path)[0]
     if not isinstance(found, Recording):
-        return found.metadata.to_dict(), {}
+        return found.metadata.to_dict(), {}, []
     known = load_robot(robot) if robot else None
     columns = guess_all([n for stream in found.streams for n in stream.columns], list(called(known)) if known else ())
     columns |= {name: column for name, column in found.columns.items() if name in columns}
@@ -41,7 +42,8 @@ def propose(path: Path, robot: str | None = None) -> tuple[dict[str, Any], dict[
             remedy = "give the robot that made it; or import it without robot=, and correct the names in the YAML"
             raise LogError(problem, remedy, source=path)
         about |= {"joints": list(known.joints), "robot_file": known.reference}  # its terms are in the columns
-    return {name: value for name, value in about.items() if value not in (None, {}, [])}, columns
+    about = {name: value for name, value in about.items() if value not in (None, {}, [])}
+    return about, columns, [f"{one.problem}; {one.remedy}" for one in found.doubts]
 
 
 def _by_number(columns: dict[str, Column], robot: Robot) -> dict[str, Column]:
@@ -73,7 +75,7 @@ def _of_robot(column: Column, robot: Robot) -> Column:
     return Column(name, None if size == 1.0 else size, 1 if sign == 1 else -1, offset, why)
 
 
-def as_yaml(metadata: dict[str, Any], columns: dict[str, Column]) -> str:
+def as_yaml(metadata: dict[str, Any], columns: dict[str, Column], doubts: Sequence[str] = ()) -> str:
     """The text of the YAML that lies beside the log, for the user to correct."""
     options: dict[str, Any] = dict(default_flow_style=True, width=10**9, allow_unicode=True, sort_keys=False)
     lines = [yaml.safe_dump({name: value}, **options).strip()[1:-1] for name, value in metadata.items()]
@@ -84,4 +86,4 @@ def as_yaml(metadata: dict[str, Any], columns: dict[str, Column]) -> str:
         entry = {k: v for k, v in dataclasses.asdict(column).items() if k != "why" and v != usual[k]}
         written = yaml.safe_dump({name: entry or None}, **options).strip()[1:-1]
         lines.append(f"  {written}" + (f"  # guessed: {column.why}" if column.why else ""))
-    return "\n".join(lines) + "\n"
+    return "\n".join([*(f"# doubtful: {one}" for one in doubts), *lines]) + "\n"

@@ -89,6 +89,7 @@ def test_what_the_numbers_of_a_dataset_are(tmp_path, monkeypatch):
     path = lerobot(tmp_path)
     assert "normalised ones look alike" in read_log(path).findings[0].problem
     side_path(path).write_text(as_yaml(*propose(path)))
+    assert "# doubtful: numbers of up to 28.65 have no unit" in side_path(path).read_text()
     assert read_log(path).findings == ()
     step = 2 * np.pi / 4096
     rests = np.where(np.arange(ROWS)[:, None] < ROWS / 2, position()[ROWS // 2], position())
