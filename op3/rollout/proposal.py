@@ -49,8 +49,8 @@ def propose(path: Path, robot: str | None = None) -> tuple[dict[str, Any], dict[
 def _by_number(columns: dict[str, Column], robot: Robot) -> dict[str, Column]:
     """The columns with the robot's joints in their order, where the file numbers as many joints as it has."""
     joints = {name: str(column.name).rpartition(".")[0] for name, column in columns.items() if column.name}
-    numbers = {joint: found[1] for joint in joints.values() if (found := re.fullmatch(r"(?:joint|motor)_(\d+)", joint))}
-    if len(numbers) != len(robot.joints):
+    numbers = {joint: found[1] for joint in joints.values() if (found := re.fullmatch(r"(?:[a-z]+_)?(\d+)", joint))}
+    if len(numbers) != len(robot.joints) or numbers.keys() & called(robot).keys():
         return columns
     named = dict(zip(sorted(numbers, key=lambda joint: int(numbers[joint])), robot.joints, strict=True))
     why = f"the order of the joints of {robot.name}"

@@ -486,11 +486,21 @@ def test_an_imported_log_is_in_its_robots_terms_once(tmp_path):
         assert np.abs(log.array("joint/position") - before).max() < 1e-9
     with pytest.raises(LogError, match="the log is of the robot 'arm' and not of 'op3'"):
         read_log(path, "op3")
+    (path / "joint_list.txt").write_text("\n".join(f"motor_{number}" for number in range(1, 7)))
+    named = [column.name for column in propose(path, "arm")[1].values()]
+    assert [f"{joint}.target" for joint in arm.joints] == [name for name in named if name and name.endswith("target")]
 
 
 @pytest.mark.parametrize(
     ("name", "column", "unit"),
-    [("kneeJoint_mA", "knee.current", "mA"), ("knee_rpm", "knee.velocity", "rpm"), ("knee_mV", "knee.voltage", "mV")],
+    [
+        ("kneeJoint_mA", "knee.current", "mA"),
+        ("knee_rpm", "knee.velocity", "rpm"),
+        ("knee_mV", "knee.voltage", "mV"),
+        ("i_knee [mA]", "knee.current", "mA"),
+        ("q_meas_hip [deg]", "hip.position", "deg"),
+        ("arm_hip_out_rpm", "hip.velocity", "rpm"),
+    ],
 )
 def test_a_unit_says_what_is_measured(name, column, unit):
     """Milliamperes are a current, in whatever case."""
