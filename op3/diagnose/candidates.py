@@ -267,6 +267,11 @@ def place_priors(found: Sequence[Candidate]) -> np.ndarray:
     return np.log([PLACES[c.scope] / len(places[c.scope]) for c in found]) - np.log(2.0) * (np.array(numbers) - 1)
 
 
+def parts_of(found: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates that are no sums of others."""
+    return [one for one in found if one.parts == (one.key,)]
+
+
 def secants_of_place(found: Sequence[Candidate]) -> np.ndarray:
     """How many secants of one effect are at each candidate's place, ``[candidate]``."""
     count = Counter(one.place for one in found)

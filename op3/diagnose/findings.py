@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from op3.diagnose.base import ELSEWHERE, Base, base_numbers, settle
-from op3.diagnose.candidates import Candidate, candidates, place_priors, secants_of_place
+from op3.diagnose.candidates import Candidate, candidates, parts_of, place_priors, secants_of_place
 from op3.diagnose.coordinates import Coordinate, Coordinates
 from op3.diagnose.judge import Judge, Numbers, Posterior, Rows, State, log_mass
 from op3.diagnose.reduction import Reduction
@@ -137,7 +137,7 @@ class Search:
     def first(self, base: Base) -> Stage:
         """The judge around a base with nothing named."""
         found = self._candidates(base)
-        columns = self._columns(base, _parts(found), lambda share: self.progress(0.4 * share))
+        columns = self._columns(base, parts_of(found), lambda share: self.progress(0.4 * share))
         return self._stage(base, (), found, columns, None)
 
     def _candidates(self, base: Base, named: Sequence[Named] = ()) -> tuple[Candidate, ...]:
@@ -186,10 +186,17 @@ class Search:
 
     def further(self, stage: Stage) -> Stage | None:
         """The stage with one more effect named; None where no candidate is worth its slab."""
-        leaders = self.leaders(stage, stage.judge.scores(stage.fit), stage.fit.state)
-        found = self._name(stage, leaders, self.shared(stage))
-        if found is not None:
-            return found
+        odds, shared = stage.judge.scores(stage.fit), self.shared(stage)
+        while True:
+            leaders = self.leaders(stage, odds, stage.fit.state)
+            if (found := self._name(stage, leaders, shared)) is not None:
+                return found
+            if not leaders or leaders[0][0] < self.settings.alarm:
+                break
+            # of an effect that no refit finds where its odds are best, they deceive: what they hid is refitted next
+            deceive = {name for name, _ in self._leading(stage, leaders)}
+            odds = np.where([one.place[0] in deceive for one in stage.found], -np.inf, odds)
+            shared = []
         # what happens in few windows only is hidden where these count for little: let them count in full to propose it,
         # and begin anew with it, so that windows which it explains count again
         gaussian = Judge(stage.judge.rows, stage.judge.numbers, self.settings, gaussian=True)
@@ -277,6 +284,10 @@ class Search:
         members = [list(one) for one in stage.judge.numbers.members]
         return np.array([wild[one].sum() > 0.5 * total[one].sum() for one in members])
 
+    def _leading(self, stage: Stage, leaders: list[tuple[float, Estimated]]) -> list[Place]:
+        """The places of leaders that are refitted."""
+        return list(dict.fromkeys(stage.found[one[0]].place for _, one in leaders))[:MOST]
+
     def _name(
         self, stage: Stage, leaders: list[tuple[float, Estimated]], shared: Sequence[Estimated] = ()
     ) -> Stage | None:
@@ -285,7 +296,7 @@ class Search:
             return None
         # how large an effect is decides by how far odds are off that are linear in it
         least = min(leaders[0][0] - 2 * self.settings.family, self.settings.alarm) if leaders else 0.0
-        places = list(dict.fromkeys(stage.found[one[0]].place for odds, one in leaders if odds > least))[:MOST]
+        places = self._leading(stage, [one for one in leaders if one[0] > least])
         of_places = [one for _, one in leaders if stage.found[one[0]].place in places]
         refitted = self._refitted(stage, [*shared, *of_places])
         good = refitted[0][0] >= self.settings.alarm - self.settings.temperature
@@ -347,11 +358,10 @@ class Search:
         """The judge around a base with what was named, the leading candidates' columns made anew."""
         base = settle(self.reduction, base.coordinates, base.point, self.settings, state=base.fit.state)
         odds, found = stage.judge.scores(stage.fit), self._candidates(base, named)
-        leading = [stage.found[i] for i in np.argsort(-odds)[:RELINEARISED]]
-        moved = {key for one in leading for key in one.parts}
-        parts = [one for one in _parts(found) if one.key in moved or one.key not in stage.columns]
+        moved = {key for i in np.argsort(-odds)[:RELINEARISED] for key in stage.found[i].parts}
+        parts = [one for one in parts_of(found) if one.key in moved or one.key not in stage.columns]
         columns = {**stage.columns, **self._columns(base, parts)}
-        return self._stage(base, named, found, {one.key: columns[one.key] for one in _parts(found)}, base.fit.state)
+        return self._stage(base, named, found, {one.key: columns[one.key] for one in parts_of(found)}, base.fit.state)
 
     def _without(self, stage: Stage, needless: Sequence[Named]) -> Stage:
         """The stage without some names."""
@@ -388,8 +398,3 @@ class Search:
 def _within(own: Sequence[Coordinate]) -> float:
     """Log of what the priors of an effect's numbers say of their being within their ranges."""
     return sum(float(log_mass(one.low, one.high, one.prior, one.deviation)) for one in own)
-
-
-def _parts(found: Sequence[Candidate]) -> list[Candidate]:
-    """Candidates that are no sums of others."""
-    return [one for one in found if one.parts == (one.key,)]

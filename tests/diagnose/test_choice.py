@@ -1,5 +1,7 @@
 """Which model is handed back, how a late velocity is compared, and what a verdict says."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import yaml
@@ -182,6 +184,32 @@ def test_a_delay_is_unusual_of_a_model_that_has_none(truth):
         names = [(i, held) for i, odds, _, held in found if odds > 6]
         assert [base.coordinates.entries[i].parameter for i, _ in names] == told
         assert all(held_odds(reduction, base, i, held) > 6 for i, held in names)
+
+
+def test_effects_whose_refits_fail_hide_no_other():
+    """Linear odds of a delay may be large in many joints where there is none: what is behind them is refitted too."""
+    places = [*(("latency", (joint,)) for joint in range(8)), ("viscous", (3,)), ("cogging", (2,))]
+    odds, refitted = np.array([30.0 - number for number in range(8)] + [11.0, 4.0]), []
+
+    class Deceived(Search):
+        def shared(self, stage):
+            return []
+
+        def leaders(self, stage, odds, state):
+            best = [number for number in np.argsort(-odds)[:6] if np.isfinite(odds[number])]
+            return [(odds[number], (number,)) for number in best]
+
+        def _name(self, stage, leaders, shared=()):
+            refitted.extend(place[0] for place in self._leading(stage, leaders))
+            return stage if "viscous" in refitted else None
+
+    stage = SimpleNamespace(
+        judge=SimpleNamespace(scores=lambda fit: odds),
+        fit=SimpleNamespace(state=None),
+        found=[SimpleNamespace(place=place) for place in places],
+    )
+    assert Deceived(None).further(stage) is stage
+    assert refitted == ["latency"] * 3 + ["viscous", "cogging"]
 
 
 @pytest.mark.slow
