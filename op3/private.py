@@ -19,7 +19,7 @@ CLAIMED = "OP3_CLAIMED_FOLDER"
 
 _LOGIN = re.compile(r"(?P<before>[A-Za-z][A-Za-z0-9+.-]*://[^\s:/@]*:)(?P<secret>[^\s/@]+)(?=@)")
 _NAMED = re.compile(
-    r"(?P<before>(?:password|passwd|\bpwd?|token|api_?key|secret)[^\w$]{1,3})(?P<secret>[^\s'\",;&}*$]{3,})",
+    r"(?P<before>(?:password|passwd|\bpwd?|token|api_?key|secret)(?!\W{0,2}\$\{)\W{1,3})(?P<secret>[^\s'\",;&}*$]{3,})",
     re.IGNORECASE,
 )
 _PATH = re.compile(r"(?:(?<![\w./:~<-])|(?<=sqlite:///))/(?:[^\s/'\",;:\[\](){}<>=]+/)+[^\s/'\",;:\[\](){}<>=]*")

@@ -19,6 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
         ("{'storage': 'mysql+pymysql://me:s3cret@h:3306/db'}", "{'storage': 'mysql+pymysql://me:***@h:3306/db'}"),
         ("api_key=abcdef123", "api_key=***"),
         ("mysql://host/db?pw=abcdef&ssl=1", "mysql://host/db?pw=***&ssl=1"),
+        ("db?password=$ecret1", "db?password=$***"),
         ("db?password=${oc.env:OP3_SECRET_7}", "db?password=${oc.env:OP3_SECRET_7}"),
         ("sqlite:////tmp/someone/runs/study.db", "sqlite:///.../runs/study.db"),
         ("data=/tmp/someone/logs/squat.csv", "data=.../logs/squat.csv"),

@@ -177,7 +177,6 @@ def constant_offset(view: View) -> Iterator[Finding]:
     exchanged = _exchanged(view)
     joints = [j for j in np.flatnonzero(told).tolist() if j not in exchanged] if len(view.time) >= 20 else []
     error, gain, current = view.position - view.command, view.get(("command", "p_gain")), view.get(CURRENT)
-    speed = np.gradient(view.position, view.time, axis=0) if 0 < len(joints) < 4 else error
     middle = np.array([np.median(error[view.driven[:, joint], joint]) for joint in joints])
     for place, joint in enumerate(joints):
         driven = view.driven[:, joint]
@@ -186,7 +185,8 @@ def constant_offset(view: View) -> Iterator[Finding]:
         if len(others) >= 3:
             odd = abs(offset) > max(0.15, 5 * float(np.quantile(others, 0.75)))
         else:  # what gravity and a soft loop leave goes with the angle, and what a slow one leaves with the speed
-            causes = np.stack([np.ones(len(angle)), np.sin(angle), speed[driven, joint]], axis=1)
+            speed = np.gradient(view.position[:, joint], view.time)[driven]
+            causes = np.stack([np.ones(len(angle)), np.sin(angle), speed], axis=1)
             fit = np.linalg.lstsq(causes, off)[0] if np.ptp(causes[:, 1]) > 0.5 else np.zeros(3)
             odd, offset = abs(fit[0]) > max(0.2, 3 * float((off - causes @ fit).std())), float(fit[0])
         yields = False

@@ -150,7 +150,7 @@ def _units(columns: dict[str, np.ndarray], meanings: dict[str, Column], path: Pa
     guessed = [name for name in angles if meanings[name].why == why]
     if not guessed or unit == "rad" or calibration or most.max() > _NORMAL:
         return []
-    grids = np.deg2rad(step(np.stack([columns[name] for name in guessed if not name.startswith("action")], axis=1)))
+    grids = np.deg2rad(step(np.stack([columns[name] for name in guessed], axis=1)))
     if np.isclose(grids[grids > 0], _STEP, rtol=0.01).any():  # a range's hundredths have steps of their own
         return []
     problem = f"numbers of up to {most.max():.4g} have no unit and are read as degrees, but normalised ones look alike"
