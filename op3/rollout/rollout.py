@@ -86,12 +86,7 @@ class Rollout:
         Raises:
             LogError: if its file is not where the metadata says, or is wrong, or lacks a joint.
         """
-        name = self.metadata.robot_file or ("bench" if self.metadata.mount == "pendulum" else DEFAULT)
-        try:
-            robot = load_robot(name)
-        except ValueError as error:
-            remedy = "correct `robot_file` in the metadata, or give robot=<path>"
-            raise LogError(str(error), remedy, source=self.metadata.recording, column="field robot_file") from None
+        robot = self.named_robot
         other = [joint for joint in self.joints if joint not in robot.joints]
         if other and self.metadata.mount != "pendulum":
             problem = f"{robot.name} has no joint {', '.join(other[:6])}"
@@ -100,12 +95,22 @@ class Rollout:
         return robot
 
     @property
+    def named_robot(self) -> Robot:
+        """The robot that the metadata name, whether it has these joints or not."""
+        name = self.metadata.robot_file or ("bench" if self.metadata.mount == "pendulum" else DEFAULT)
+        try:
+            return load_robot(name)
+        except ValueError as error:
+            remedy = "correct `robot_file` in the metadata, or give robot=<path>"
+            raise LogError(str(error), remedy, source=self.metadata.recording, column="field robot_file") from None
+
+    @property
     def servos(self) -> list[ServoMake | None]:
         """The make of each joint's servo; None where none is known."""
         if self.metadata.mount == "pendulum":
             return [find_servo(self.metadata.servo)] * len(self.joints)
         try:
-            known = dict(zip(self.robot.joints, self.robot.servos, strict=True))
+            known = dict(zip(self.named_robot.joints, self.named_robot.servos, strict=True))
         except LogError:
             known = {}
         return [known.get(joint) for joint in self.joints]

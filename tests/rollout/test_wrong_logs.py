@@ -946,6 +946,14 @@ def test_a_servo_that_the_robot_does_not_have_is_told(tmp_path):
     assert any("op3 has xm430-w350" in one.problem for one in examine(log))
 
 
+def test_a_joint_that_the_named_robot_lacks_refuses_the_log():
+    """The metadata contradict each other, which no use of the log can mend."""
+    log = bench_log()
+    log = Rollout(log.data, log.metadata.replace(mount="stand", robot_file="op3"))
+    found = [(one.severity, one.problem) for one in examine(log)]
+    assert ("error", "joint_0 is no joint of op3") in found
+
+
 @pytest.mark.parametrize(("sign", "told"), [(-1.0, False), (1.0, True)])
 def test_a_joint_beyond_the_limits_of_its_robot_is_told(sign, told):
     """A knee that bends the wrong way all the time has its sign turned round, though its channels agree."""

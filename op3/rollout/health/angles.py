@@ -153,7 +153,7 @@ def beyond_limits(view: View) -> Iterator[Finding]:
     if view.metadata.robot_file is None:
         return
     try:
-        known = view.log.robot
+        known = view.log.named_robot
     except LogError:  # told by the check of the robot
         return
     for joint, name in enumerate(view.joints):

@@ -48,7 +48,7 @@ def robot(view: View) -> Iterator[Finding]:
     if view.metadata.robot_file is None:
         return
     try:
-        known = view.log.robot
+        known = view.log.named_robot
     except LogError as error:  # the log can be read all the same; who needs its robot refuses it
         yield view.found(WARNING, "field robot_file", error.problem, error.remedy)
         return
@@ -143,7 +143,8 @@ def supply(view: View) -> Iterator[Finding]:
     """Voltage is far from the battery's, or a temperature is none of a servo that works."""
     servos, told, shares = view.log.servos, view.metadata.battery, dict[str, float]()
     if any(servos) and view.metadata.mount != "pendulum":  # a small servo has a converter of its own
-        shares = dict(zip(view.log.robot.joints, view.log.robot.supply_shares.tolist(), strict=True))
+        known = view.log.named_robot
+        shares = dict(zip(known.joints, known.supply_shares.tolist(), strict=True))
     for key, joint, column in view.columns(("joint", "voltage"), ("joint", "temperature")):
         median, make = float(np.median(column)), servos[joint]
         battery = (told or 0.0) * shares.get(view.joints[joint], 1.0)
