@@ -100,7 +100,7 @@ def _commands_stop(view: View) -> Iterator[Finding]:
         first, length = longest_run(stopped[:, joint])
         last = first + length
         settled = slice(first + round(_SETTLES / view.interval), last + 1)
-        if length * view.interval < 1.9 * _SETTLES or not view.driven[first : last + 1, joint].all():
+        if length + 1 < round(2 * _SETTLES / view.interval) or not view.driven[first : last + 1, joint].all():
             continue
         moved = float(np.ptp(view.position[settled, joint]))
         goes_on = length * view.interval > 3 * _SETTLES and moved > 0.5 * told[joint]
