@@ -1,4 +1,4 @@
-"""Numbers refitted on whole runs: windows of a fifth of a second tell laws apart, whole runs tell how large they are.
+"""Numbers refitted on whole runs: windows tell laws apart, whole runs tell how large they are.
 
 A hundredth of inertia or of friction is lost in a window among what its sensors make of noise; over the seconds of a
 free swing it adds up. What whole runs do not tell stays as the windows say it.
@@ -11,7 +11,7 @@ import torch
 
 from op3.diagnose.base import Base
 from op3.diagnose.show import settle_time
-from op3.diagnose.windows import LENGTH
+from op3.diagnose.windows import LENGTHS
 from op3.identify.loss import TrajectoryLoss, position_error
 from op3.identify.refine import refine
 from op3.identify.sensitivity import Box
@@ -41,7 +41,7 @@ def on_whole_runs(base: Base, logs: Sequence[Rollout]) -> np.ndarray | None:
     if not usual > 0.0:  # all diverged, or nothing is left
         return None
     loss = TrajectoryLoss(weights={("joint", "position"): 1.0}, robust_scale=usual)
-    reading = np.sqrt(float(loss(first)[0]) / sum(log.duration for log in logs) * LENGTH)
+    reading = np.sqrt(float(loss(first)[0]) / sum(log.duration for log in logs) * LENGTHS["pendulum"])
     reach = REACH * np.sqrt(np.diag(np.linalg.inv(base.fit.precision)))[at]
     low = np.maximum(coordinates.low[at], base.point[at] - reach)
     high = np.minimum(coordinates.high[at], base.point[at] + reach)

@@ -1,7 +1,7 @@
 """Windows of logs: what a model predicts from the measured state and the commands of the log, less what was measured.
 
-Windows of a fifth of a second start from the smoothed measured state and are driven by the commands of the log. The
-dynamics are computed once along the measured motion, with what other bodies, or an angle that was misread, would add.
+Windows start from the smoothed measured state and are driven by the commands of the log. The dynamics are computed once
+along the measured motion, with what other bodies, or an angle that was misread, would add.
 """
 
 import copy
@@ -25,8 +25,12 @@ from op3.sim.edits import ROTOR
 from op3.sim.held_base import FixedBase, PendulumBase, fixed_base
 from op3.sim.window_simulation import MISREADING, ZERO
 
-LENGTH = 0.2
-"""Length of a window [s]."""
+LENGTHS = {"stand": 0.2, "pendulum": 0.8}
+"""Length of a window by what holds the base [s]. A limb soon leaves what was measured. A bench's arm does not, and is
+light: in 0.2 s sensors leave 1.4 to 1.9 hundredths of its torque open (STS3032, XL330), of a robot's 0.1 to 0.5."""
+
+HELD = tuple(LENGTHS)
+"""Mounts that hold the base."""
 
 STEP = 0.001
 """Longest step of a simulation that is not stretched [s]; a tick is a whole number of steps."""
@@ -39,9 +43,6 @@ ZERO_STEP = 0.02
 
 Base = FixedBase | PendulumBase
 
-HELD = ("stand", "pendulum")
-"""Mounts that hold the base."""
-
 
 class WindowResiduals:
     """Windows of logs, and the errors of any model on them.
@@ -49,7 +50,6 @@ class WindowResiduals:
     Args:
         logs: all of one mount that holds the base, with the same joints.
         windows: how many.
-        ticks: length of a window; by default as many as last `LENGTH`.
 
     Raises:
         LogError: if logs differ in joints or mount, or the base is free.
@@ -62,7 +62,7 @@ class WindowResiduals:
         motion: of all windows' ticks one behind another, each with its lead.
     """
 
-    def __init__(self, logs: Sequence[Rollout], *, windows: int = 72, ticks: int | None = None):
+    def __init__(self, logs: Sequence[Rollout], *, windows: int = 72):
         first = logs[0]
         for log in logs:
             alike = (log.metadata.mount, log.joints) == (first.metadata.mount, first.joints)
@@ -76,9 +76,9 @@ class WindowResiduals:
         self.joints = first.joints
         self.smooth_logs = smoothed = smooth_all(logs)
         self.period = smoothed[0].period
-        self.ticks = ticks = round(LENGTH / self.period) if ticks is None else ticks
+        self.ticks = round(LENGTHS[str(first.metadata.mount)] / self.period)
         self.timestep = self.period / np.ceil(self.period / STEP - 1e-6)
-        self.windows = _choose(smoothed, windows, ticks)
+        self.windows = _choose(smoothed, windows, self.ticks)
         self._stack(smoothed)
         self.measured = np.stack([self._readings(key) for key in CHANNELS], -1)
 

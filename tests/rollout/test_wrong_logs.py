@@ -475,6 +475,15 @@ def test_one_joints_bad_current_is_set_aside(tmp_path, change, expected):
     assert log.measured("joint/position").all()
 
 
+@pytest.mark.parametrize("factor", [1e-300, 1e-310, 1e-323])
+def test_velocities_in_no_unit_at_all(factor, tmp_path):
+    """Velocities whose factor has no inverse are told like others that do not fit the positions."""
+    log = read_log(write(tmp_path, scale("joint_1.velocity", factor), joints=3))
+    (finding,) = [finding for finding in log.findings if finding.column == "joint_1.velocity"]
+    assert re.search("times the change of position|stands", finding.problem)
+    assert not log.measured("joint/velocity")[1]
+
+
 def test_the_only_joints_bad_velocity_is_gone(tmp_path):
     """A bench log without a usable velocity has none."""
     log = read_log(write(tmp_path, scale(".*velocity", 0)))

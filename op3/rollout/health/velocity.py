@@ -225,7 +225,7 @@ def _judge(view: View, found: Match, joint: int, summed: np.ndarray) -> tuple[st
     sure = np.abs(found.correlation[joint])
     fits = sure > 0.97 if abs(own) < SURE or ratio < 0 else np.zeros(len(sure), bool)
     other = next((int(k) for k in np.argsort(-sure) if k != joint and fits[k] and found.ratio[joint, k] > 0), None)
-    if abs(own) > SURE and not 0.6 < ratio < 1.6:
+    if abs(own) > SURE and not 0.6 < ratio < 1.6 and abs(ratio) > np.finfo(float).tiny:
         whose = f", or it is that of {view.joints[other]}" if other is not None else ""
         return (
             f"the velocity is {ratio:.3g} times the change of position per second{_says(ratio, view.interval)}{whose}",
