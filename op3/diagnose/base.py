@@ -1,12 +1,12 @@
-"""The base that findings are held against: several starts, Gauss-Newton with the judge's weights, and what to distrust.
+"""The base that findings are held against: several starts, and Gauss-Newton with the judge's weights.
 
 Stiction kills gradients, so an evolution strategy (CatCMA: Hamano et al. 2024) over the shared numbers finds the
-basins, in long steps; Gauss-Newton steps with the judge's noise then settle in each. Numbers at a bound, basins that
-the logs like alike and directions that they do not tell are said with the verdict.
+basins, in long steps; Gauss-Newton steps with the judge's noise then settle in each.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 from cmaes import CatCMA
@@ -16,16 +16,14 @@ from op3.diagnose.coordinates import (
     CHAIN,
     FORMS,
     WIDEST,
-    Coordinate,
     Coordinates,
     base_coordinates,
     other_forms,
-    own_spread,
     with_chain,
     with_own_spread,
     with_setups,
 )
-from op3.diagnose.judge import Judge, Numbers, Posterior, State, evidence
+from op3.diagnose.judge import Judge, Numbers, Posterior, State
 from op3.diagnose.reduction import Linear, Reduction
 from op3.diagnose.settings import SETTINGS, Settings
 from op3.servo import Estimate, RobotModel, Stage
@@ -46,15 +44,6 @@ DAMPING = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)
 
 SETTLED = 8.0
 """Gain in minus two log posterior below which a base no longer moves."""
-
-AT_BOUND = 0.001
-"""Share of its range within which a number is at its bound."""
-
-SAME_OPTIMUM, APART = 20.0, 0.15
-"""Bases apart by less in minus two log evidence, and by more of a shared number's range, are two optima."""
-
-UNTOLD = 0.8
-"""Share of its prior standard deviation that a shared number keeps if the logs do not tell it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,25 +102,40 @@ def fit_base(
     # another law of the gear does best with other numbers everywhere: each gets a start of its own
     gears = [full, *other_forms(full, GEAR)]
     groups = [[gear, *other_forms(gear, [name for name in FORMS if name not in GEAR])] for gear in gears]
-    starts, ends = groups if len(groups) > 1 else groups * 2, []
-    for number, forms in enumerate(starts):
-        searched = number < len(groups)
-        start = search(reduction, coordinates, rng, forms) if searched else (coordinates, coordinates.start)
-        ends.append(settle(reduction, *start, settings, ELSEWHERE))
-        progress(0.6 * (number + 1) / len(starts))
-    better = [0.0, *(gap_of(reduction, ends[0], end, settings) for end in ends[1:])]
-    best = int(np.argmax(better))
-    first, forms = ends[best], starts[best]
-    others = [(end.point, better[best] - gain) for end, gain in zip(ends, better, strict=True) if end is not first]
+    starts = groups if len(groups) > 1 else groups * 2
+
+    def ends() -> Iterator[Base]:
+        for number, forms in enumerate(starts):
+            searched = number < len(groups)
+            start = search(reduction, coordinates, rng, forms) if searched else (coordinates, coordinates.start)
+            yield settle(reduction, *start, settings, ELSEWHERE)
+            progress(0.6 * (number + 1) / len(starts))
+
+    best, first, gains = _best(reduction, ends(), settings)
+    others = [(point, gains[best][1] - gain) for number, (point, gain) in enumerate(gains) if number != best]
     # what sticks has a basin for every form of its law: friction begins anew where all else is by now
-    begins = [*(_afresh(first, form) for form in forms), *_earlier(first, reduction.engine.period), *_near_rest(first)]
-    anew = [settle(reduction, *begin, settings, ELSEWHERE) for begin in begins]
-    better = [0.0, *(gap_of(reduction, first, end, settings) for end in anew)]
-    first = [first, *anew][int(np.argmax(better))]
+    afresh = (_afresh(first, form) for form in starts[best])
+    begins = [*afresh, *_earlier(first, reduction.engine.period), *_near_rest(first)]
+    anew = (settle(reduction, *begin, settings, ELSEWHERE) for begin in begins)
+    _, first, _ = _best(reduction, chain([first], anew), settings)
     progress(0.8)
     first = settle(reduction, first.coordinates, first.point, settings, state=first.fit.state)
     own, point = with_own_spread(first.coordinates, first.point, first.told, settings)
     return replace(settle(reduction, own, point, settings, state=first.fit.state), others=tuple(others))
+
+
+def _best(
+    reduction: Reduction, bases: Iterator[Base], settings: Settings
+) -> tuple[int, Base, list[tuple[np.ndarray, float]]]:
+    """The best of bases and its number, and the points of all with what they gain on the first; a base holds 15 MB, and
+    the others are let go."""
+    first = best = next(bases)
+    number, gains = 0, [(first.point, 0.0)]
+    for base in bases:
+        gains.append((base.point, gap_of(reduction, first, base, settings)))
+        if gains[-1][1] > gains[number][1]:
+            number, best = len(gains) - 1, base
+    return number, best, gains
 
 
 def _afresh(base: Base, form: RobotModel) -> tuple[Coordinates, np.ndarray]:
@@ -315,84 +319,3 @@ def at_point(coordinates: Coordinates, point: np.ndarray, deviation: np.ndarray 
         kept = model.estimate(split_name(name)[0]).by if "@" not in name else {}
         values[name] = Estimate(shared, low, high, joints=own, by=kept)
     return model.with_values(values)
-
-
-def doubts(base: Base) -> list[str]:
-    """Numbers at a bound, and optima that the logs like alike."""
-    result, known = [], base.coordinates.model.parameters()
-    of = {one.name: effect for effect in base.coordinates.model.effects for one in effect.parameters}
-    for entry, value in zip(base.coordinates.entries, base.point, strict=True):
-        reach, one = AT_BOUND * (entry.high - entry.low), known[split_name(entry.parameter)[0]]
-        low, high = value - entry.low < reach, entry.high - value < reach
-        natural = entry.low == one.least if low else entry.high == one.most
-        if entry.joints is None and entry.kind == "value" and (low or high) and not natural:
-            said = f"{entry.parameter} is at its {'smallest' if low else 'largest'} plausible value, {value:.3g}"
-            pinned = of[one.name].separating_experiment
-            result.append(said + (f" (what pins it: {pinned})" if pinned else ""))
-    for point, gap in base.others:
-        if gap < SAME_OPTIMUM and (far := far_apart(base.coordinates, point, base.point)):
-            apart = f"{gap:.1f} apart in -2 log evidence"
-            result.append(f"another start ends as well ({apart}) with other {', '.join(far)}")
-    return result
-
-
-def far_apart(coordinates: Coordinates, one: np.ndarray, other: np.ndarray) -> list[str]:
-    """Shared numbers in which two points differ by more than `APART`."""
-    far = np.abs(one - other) > APART * (coordinates.high - coordinates.low)
-    return [entry.parameter for entry, is_far in zip(coordinates.entries, far, strict=True) if entry.shared and is_far]
-
-
-def untold(base: Base) -> list[str]:
-    """Shared numbers that do something, of which the logs say little more than their priors."""
-    kept = np.sqrt(np.diag(base.fit.covariance)) / base.coordinates.deviation * base.linear.base.any((1, 2, 3))
-    both = zip(base.coordinates.entries, kept, strict=True)
-    return [entry.parameter for entry, share in both if entry.joints is None and share > UNTOLD]
-
-
-def unusual(
-    given: RobotModel, base: Base, fit: Posterior, numbers: Numbers, settings: Settings = SETTINGS
-) -> list[tuple[int, float, float, Coordinate]]:
-    """Log odds of the chain's numbers against being usual, or what the given model says; which, how well told, and what
-    each would be if it were usual.
-
-    A number that every servo has for itself is usual where it differs no more than those of this robot's others. One
-    that all share is judged by the base alone, as candidates of many joints, each there a little, imitate it together.
-    """
-    both = base_numbers(base.coordinates, base.point).likelihoods(base.fit), numbers.likelihoods(fit)
-    shared = np.array([entry.joints is None for entry in base.coordinates.entries])
-    linear, curvature = (np.where(shared, one, other[: len(shared)]) for one, other in zip(*both, strict=True))
-    known, found, point = given.parameters(), [], base.point
-    for name, chain in CHAIN.items():
-        mine = [i for i, e in enumerate(base.coordinates.entries) if e.parameter == name and e.kind == "value"]
-        told = 1 / np.sqrt(curvature[mine])
-        spread = own_spread(point[mine], told, chain.spread, settings) if chain.own and len(mine) > 1 else chain.spread
-        expected = given.value(name) if name in known else chain.usual
-        if name not in known and chain.none is not None:
-            expected, spread = 0.0, chain.none
-        for i, deviation in zip(mine, told, strict=True):
-            entry, usual = base.coordinates.entries[i], np.array(expected - point[i])
-            low, high = entry.low - point[i], entry.high - point[i]
-            slab = evidence(linear[i], curvature[i], usual, np.array(chain.most / 2), low, high)
-            spike = evidence(linear[i], curvature[i], usual, np.array(spread))
-            held = replace(entry, prior=expected, deviation=spread)
-            found.append((i, float(slab - spike), float(deviation), held))
-    return found
-
-
-def held_odds(reduction: Reduction, base: Base, number: int, held: Coordinate, settings: Settings = SETTINGS) -> float:
-    """Log odds of a number's being free against its being what is usual, all else fitted anew.
-
-    Where joints stick a fit may end with a number that some others might have been instead: bases in which it is held
-    begin where the base is and with what is usual, and one in which it is free where the better of these ends.
-    """
-    entries, point = list(base.coordinates.entries), base.point.copy()
-    entries[number], point[number] = held, held.prior
-    coordinates = replace(base.coordinates, entries=tuple(entries))
-
-    def better(one: Base, within: Coordinates, start: np.ndarray) -> Base:
-        other = settle(reduction, within, start, settings, ELSEWHERE, one.fit.state)
-        return other if gap_of(reduction, one, other, settings) > 0 else one
-
-    here = settle(reduction, coordinates, base.point, settings, ELSEWHERE, base.fit.state)
-    usual = better(here, coordinates, point)
-    return gap_of(reduction, usual, better(base, base.coordinates, usual.point), settings) / 2

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from op3.diagnose.base import Base, at_point, doubts, fit_base, held_odds, unfitted, untold, unusual
+from op3.diagnose.base import Base, at_point, fit_base, unfitted
 from op3.diagnose.candidates import Candidate
 from op3.diagnose.coordinates import CHAIN
+from op3.diagnose.doubts import doubts, held_odds, untold, unusual
 from op3.diagnose.findings import Search, Stage
 from op3.diagnose.reduction import Reduction
 from op3.diagnose.settings import SETTINGS, Settings

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import yaml
 
-from op3.diagnose.base import Base, base_numbers, damped, doubts, gap_of, held_odds, search, settle, unfitted, unusual
+from op3.diagnose.base import Base, base_numbers, damped, gap_of, search, settle, unfitted
 from op3.diagnose.coordinates import base_coordinates, other_forms, with_chain, with_own_spread
+from op3.diagnose.doubts import doubts, held_odds, unusual
 from op3.diagnose.findings import Named, Search, Stage
 from op3.diagnose.judge import Numbers, Posterior, State
 from op3.diagnose.reduction import Linear, Reduction
