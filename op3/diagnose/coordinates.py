@@ -314,7 +314,9 @@ def with_own_spread(
         for i in own:
             entries[i] = replace(entries[i], low=-reach, high=reach, deviation=deviation)
         point[own] = (1 + point[own]) / (1 + middle) - 1
-        point[[i for i in mine if entries[i].kind == "value" and entries[i].joints is None]] *= 1 + middle
+        for i in (i for i in mine if entries[i].joints is None):
+            one = 0.0 if entries[i].kind == "value" else 1.0  # a factor is told as what it adds to 1
+            point[i] = (one + point[i]) * (1 + middle) - one
     return replace(coordinates, entries=tuple(entries)), point
 
 
@@ -335,7 +337,7 @@ def _together(known: Parameter, own: np.ndarray) -> list[Coordinate]:
 
     A shape, such as a phase, stays as it is.
     """
-    if known.neutral != 0.0:
+    if known.neutral != 0.0 and known.name not in SPREAD:
         return []
     largest = float(own[np.abs(own).argmax()])
     ends = sorted(end / largest - 1.0 for end in _range(known, largest))

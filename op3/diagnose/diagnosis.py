@@ -90,7 +90,9 @@ class Diagnosis:
                 further = self._once(verdict.model)
                 if not further.findings or not any(f.in_model for f in further.findings):
                     break
-                verdict = replace(further, findings=(*verdict.findings, *further.findings), base=verdict.base)
+                findings = sorted((*verdict.findings, *further.findings), key=lambda finding: -finding.probability)
+                doubted = tuple(dict.fromkeys((*verdict.doubts, *further.doubts)))
+                verdict = replace(further, findings=tuple(findings), doubts=doubted, base=verdict.base)
                 shown = show(verdict.base, verdict.model, self.split, self.seed)
                 verdict = replace(verdict, gap=shown["gap"], loss=shown["loss"], shown=shown)
         return verdict

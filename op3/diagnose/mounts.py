@@ -19,7 +19,7 @@ def diagnosed_mount(logs: Sequence[Rollout]) -> tuple[list[Rollout], dict[str, l
     """The logs that are diagnosed, and those of other mounts, on which what is found is shown apart.
 
     Raises:
-        LogError: if logs are of different robots or servos, or of a bench and of a robot.
+        LogError: if logs are of different robots, servos or joints, or of a bench and of a robot.
     """
     by_mount: dict[str, list[Rollout]] = {}
     for log in logs:
@@ -42,6 +42,14 @@ def diagnosed_mount(logs: Sequence[Rollout]) -> tuple[list[Rollout], dict[str, l
                 "diagnose those of one at a time",
                 source=list(told.values())[-1].metadata.recording,
                 column=field,
+            )
+    for log in logs:
+        if log.joints != by_mount[log.metadata.mount][0].joints:
+            raise LogError(
+                f"it has other joints than {by_mount[log.metadata.mount][0].metadata.recording}",
+                "diagnose logs of one set of joints at a time",
+                source=log.metadata.recording,
+                column="joints",
             )
     first = next((mount for mount in FIRST if mount in by_mount), next(iter(by_mount), ""))
     return by_mount.pop(first, []), by_mount

@@ -96,7 +96,7 @@ class Reduction:
         limbs, of = sparse.csgraph.connected_components(linked, directed=False)
         every = [np.flatnonzero(of == limb) for limb in range(limbs)]
         self.limbs = [limb for limb in every if self.moving[limb].any()]
-        self.judged = np.concatenate(self.limbs)
+        self.judged = np.concatenate([np.zeros(0, int), *self.limbs])
         self.limb_of = {int(j): k for k, limb in enumerate(self.limbs) for j in limb}
         self.slot_of = {int(j): i for limb in self.limbs for i, j in enumerate(limb)}
         needed = np.einsum("tij,tj->ti", motion.dynamics.mass, motion.acceleration) + motion.dynamics.bias
@@ -238,7 +238,8 @@ class Reduction:
         values = coordinates.values(np.repeat(point[None], count, 0))
         offsets = {"position_offset": position, "velocity_offset": velocity}
         error = self.errors(coordinates.model, values, count, COARSE, **offsets)
-        armature = values["armature"][0].numpy() if "armature" in values else np.zeros(1)
+        known = coordinates.model.tensors(self.engine.joints) | values
+        armature = known["armature"][0].numpy() if "armature" in known else np.zeros(1)
         armature, loop = np.broadcast_to(armature, self.count), "current_pd" not in coordinates.model.effect_names
         result = []
         for k, limb in enumerate(self.limbs):

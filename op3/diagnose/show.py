@@ -1,13 +1,15 @@
 """Free runs of models on logs that they were not fitted to: which predicts best, and the gap before and after.
 
-A velocity that is measured late is compared with the simulation as late as it is: the measuring chain explains that
-much, and a gain in angle is not thrown away for it.
+A velocity that is measured late is compared with the simulation as late as it is, by a model's own filter or, where it
+has none, by as much as the logs say: a gain in angle is not thrown away for it.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import torch
 
 from op3.diagnose.smoothing import smooth as smoothed
 from op3.diagnose.smoothing import velocity_sensing
@@ -55,8 +57,20 @@ class FreeRuns:
             self._lag = velocity_sensing([smoothed(log) for log in logs]).lag
 
     def of(self, model: RobotModel) -> list[Prediction]:
-        """Predictions of one model."""
-        return self._replay.run(model)
+        """Predictions of one model; velocities as late as readings are, where it does not say how late."""
+        predictions = self._replay.run(model)
+        if "velocity_filter" in model.effect_names or ("joint", "velocity") not in self.channels:
+            return predictions
+        return [self._late(one) for one in predictions]
+
+    def _late(self, prediction: Prediction) -> Prediction:
+        key, time = ("joint", "velocity"), prediction.log.array("time")[:, 0]
+        values = prediction.channels[key].clone()
+        for joint, lag in zip(self.logs[0].joints, self._lag, strict=True):
+            column = values[..., prediction.log.joints.index(joint)][0]
+            now = time[: len(column)]
+            column[:] = torch.from_numpy(np.interp(now - lag, now, column.numpy()))
+        return replace(prediction, channels={**prediction.channels, key: values})
 
     def squares(self, predictions: Sequence[Prediction], key: tuple[str, str]) -> list[np.ndarray]:
         """Mean squares of a channel by log, ``[second]`` each, means over the joints of which it was measured."""
@@ -69,16 +83,9 @@ class FreeRuns:
         for prediction, log in zip(predictions, self.logs, strict=True):
             columns = [prediction.log.joints.index(joint) for joint in log.joints]
             simulated = prediction.channels[key][0].numpy()[:, columns]
-            if key == ("joint", "velocity"):
-                simulated = _late(simulated, log.array("time")[: len(simulated), 0], self._lag)
             error = np.square(simulated - log.array(key)[: len(simulated)])
             result.append(np.nan_to_num(error, nan=1e6, posinf=1e6))
         return result
-
-
-def _late(values: np.ndarray, time: np.ndarray, lag: np.ndarray) -> np.ndarray:
-    """Values as a reading that is late says them, ``[row, joint]``."""
-    return np.stack([np.interp(time - late, time, column) for late, column in zip(lag, values.T, strict=True)], 1)
 
 
 def by_second(values: np.ndarray, log: Rollout) -> np.ndarray:

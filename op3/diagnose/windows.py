@@ -32,6 +32,9 @@ light: in 0.2 s sensors leave 1.4 to 1.9 hundredths of its torque open (STS3032,
 HELD = tuple(LENGTHS)
 """Mounts that hold the base."""
 
+FEWEST_TICKS = 4
+"""Readings of a window: one in each of its pieces."""
+
 STEP = 0.001
 """Longest step of a simulation that is not stretched [s]; a tick is a whole number of steps."""
 
@@ -77,6 +80,13 @@ class WindowResiduals:
         self.smooth_logs = smoothed = smooth_all(logs)
         self.period = smoothed[0].period
         self.ticks = round(LENGTHS[str(first.metadata.mount)] / self.period)
+        if self.ticks < FEWEST_TICKS:
+            raise LogError(
+                f"{self.ticks} readings in {self.ticks * self.period:.2g} s are too few for a window",
+                f"record {FEWEST_TICKS} or more in {LENGTHS[str(first.metadata.mount)]:g} s",
+                source=first.metadata.recording,
+                column="time",
+            )
         self.timestep = self.period / np.ceil(self.period / STEP - 1e-6)
         self.windows = _choose(smoothed, windows, self.ticks)
         self._stack(smoothed)

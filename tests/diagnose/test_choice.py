@@ -19,6 +19,7 @@ from op3.diagnose.verdict import Finding, JointGap, Rival, Verdict
 from op3.diagnose.windows import WindowResiduals
 from op3.robot import leg_suite
 from op3.rollout import Rollout
+from op3.servo import Estimate
 from op3.servo.effects import LoadFriction
 from op3.sim import load_model
 from op3.tasks.planned import planned_suite
@@ -68,6 +69,32 @@ def test_a_late_reading_is_no_gap(truth, logs):
     splits = [LogSplit((), (), tuple(some)) for some in (logs, late)]
     gaps = [show(truth, truth, split)["gap"]["joint/velocity"]["before"] for split in splits]
     assert gaps[1] < gaps[0] + 0.15
+
+
+def test_a_filter_of_the_models_own_is_late_once(truth, logs):
+    """Logs of a model whose readings are filtered are predicted by it as they are, and worse without the filter."""
+    filtered = with_chain(truth).with_values({"velocity_time_constant": 0.012})
+    mine = planned_suite(filtered, [run for run in leg_suite(3, 2.5) if run.motion.name.startswith("multisine")][:1])
+    told = show(filtered.with_values({"velocity_time_constant": 0.0}), filtered, LogSplit((), (), tuple(mine)))
+    assert told["gap"]["joint/velocity"]["after"] < 0.02
+    assert told["gap"]["joint/velocity"]["change"] == "better"
+
+
+def test_servos_with_numbers_of_their_own_keep_one_in_common():
+    """A model handed back has a torque constant for every joint: a base is fitted to a factor on them, and to how they
+    differ, and what they have in common moves between these without changing the base."""
+    own = {joint: 0.006 + 0.0001 * number for number, joint in enumerate(LEG_JOINTS)}
+    sound = with_chain(load_model("paper"))
+    for name, values in (("torque_constant", own), ("viscous_friction", {j: 5 * v for j, v in own.items()})):
+        coordinates = base_coordinates(sound.with_values({name: Estimate(0.006, joints=values)}), LEG_JOINTS)
+        mine = [i for i, entry in enumerate(coordinates.entries) if entry.parameter == name]
+        assert [coordinates.entries[i].joints for i in mine] == [None, *((j,) for j in range(len(LEG_JOINTS)))]
+        point = coordinates.start.copy()
+        point[mine[1:]] = 0.1
+        _, moved = with_own_spread(coordinates, point, np.full(len(point), 0.005), Settings())
+        assert moved[mine] == pytest.approx([0.1, *np.zeros(len(LEG_JOINTS))])
+        before, after = (coordinates.values(one[None])[name] for one in (point, moved))
+        assert after.numpy() == pytest.approx(before.numpy())
 
 
 def test_a_number_at_its_bound_is_a_doubt():

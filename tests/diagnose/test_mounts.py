@@ -2,8 +2,8 @@
 
 import pytest
 
-from op3.diagnose import diagnosed_mount, on_other_mounts
-from op3.robot import squat
+from op3.diagnose import Diagnosis, LogSplit, diagnosed_mount, on_other_mounts
+from op3.robot import chirp, squat
 from op3.robot.assets import asset_path
 from op3.rollout import LogError, Rollout
 from op3.sim import load_model
@@ -33,6 +33,16 @@ def test_a_bench_among_a_robots_logs_is_refused(logs):
         diagnosed_mount([*logs, bench])
 
 
+def test_logs_of_other_joints_are_refused(logs):
+    """A limb alone and the whole robot are diagnosed one after the other; the message names the log."""
+    whole = logs[1]
+    arrays = {key: whole.array(key)[:, :3] for key in whole.channels if key[0] in ("joint", "command")}
+    arrays["time"] = whole.array("time")
+    part = Rollout.from_arrays(arrays, whole.metadata.replace(joints=whole.joints[:3], recording="part"))
+    with pytest.raises(LogError, match=r"part.*other joints than"):
+        diagnosed_mount([whole, part])
+
+
 @pytest.mark.parametrize(("field", "other"), [("robot_file", "robot"), ("robot", "real"), ("servo", "xl330")])
 def test_different_machines_are_refused(logs, tmp_path, field, other):
     """Logs of another robot, or of other servos, are not diagnosed together."""
@@ -55,3 +65,13 @@ def test_models_are_compared_on_the_other_mounts(logs):
     assert told["gap"]["joint/position"]["after"] < 0.5 * told["gap"]["joint/position"]["before"]
     assert told["gap"]["joint/position"]["floor"] == 0.0  # the same log twice
     assert told["loss"]["after"] < told["loss"]["before"]
+
+
+def test_logs_in_which_nothing_moves_are_told_so():
+    """A robot that stands still on its stand gets a sentence on what to record, and no finding."""
+    model = load_model("paper")
+    still = simulate_motion(model, chirp({"l_knee": 1e-4}, duration=4.0), mount="stand")
+    part = LogSplit((still,), (still,), (still,))
+    verdict = Diagnosis(model, part).run()
+    assert not verdict.findings
+    assert "No joint moves" in verdict.sentence

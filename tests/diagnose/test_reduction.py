@@ -104,6 +104,18 @@ def test_rates_show_an_encoder_that_bends_and_no_friction(lag):
     assert rubs[:, 4].max() < 0.3
 
 
+def test_rotors_that_hardly_differ_leave_torques_as_open():
+    """What sensors tell of torques goes by the rotors' inertia, whether joints share it or each has its own."""
+    shared, logs = with_chain(load_model("paper")), planned_suite(load_model("paper"), leg_suite(3, 2.5)[:1])
+    own = {joint: shared.value("armature") * (1 + 1e-6 * k) for k, joint in enumerate(LEG_JOINTS)}
+    variances = []
+    for model in (shared, shared.with_values({"armature": Estimate(shared.value("armature"), joints=own)})):
+        reduction = Reduction(WindowResiduals(logs, windows=8))
+        coordinates = base_coordinates(model, reduction.engine.joints, reduction.moving)
+        variances.append(np.concatenate(reduction.linearise(coordinates, coordinates.start).variance))
+    assert variances[1] == pytest.approx(variances[0], rel=1e-2)
+
+
 def test_a_limb_that_moves_alone_is_simulated_alone():
     """Of a robot of several limbs, with values joint by joint."""
     model = with_chain(load_model("paper"))

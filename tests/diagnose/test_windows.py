@@ -8,9 +8,9 @@ import pytest
 
 from op3.diagnose import WindowResiduals
 from op3.diagnose.coordinates import with_chain
-from op3.robot import leg_suite, load_robot, multisine, squat
+from op3.robot import chirp, leg_suite, load_robot, multisine, squat
 from op3.robot.units import CURRENT_UNIT
-from op3.rollout import Rollout
+from op3.rollout import LogError, Rollout
 from op3.servo import Estimate, RobotModel, effect_class
 from op3.sim import load_model, servo_model
 from op3.sim.held_base import PendulumBase
@@ -150,3 +150,12 @@ def test_a_velocity_that_was_set_aside_is_not_compared():
     expected = np.ones_like(known)
     expected[LEG_JOINTS.index("r_knee"), 1] = False
     np.testing.assert_array_equal(known, expected)
+
+
+def test_too_few_readings_for_a_window_are_refused():
+    """At 10 Hz a window of 0.2 s has two: the sentence says how many it takes."""
+    log = simulate_motion(load_model("paper"), chirp({"l_knee": 0.3}, duration=3.0), mount="stand")
+    rows = slice(0, log.rows, 12)
+    slow = Rollout.from_arrays({key: log.array(key)[rows] for key in log.channels}, log.metadata)
+    with pytest.raises(LogError, match=r"2 readings in 0.19 s are too few for a window.* record 4"):
+        WindowResiduals([slow])
