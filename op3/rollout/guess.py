@@ -24,10 +24,14 @@ _SPELLINGS: dict[str, str] = {
 _WORDS = {word: normal_key(name) for name, words in _SPELLINGS.items() for word in words.split()}
 """Words that say what is measured; of several in a name the first listed here counts."""
 
+_NO_POSITIONS = {normal_key(f"joint/{kind}") for kind in ("velocity", "current", "duty", "load", "voltage")}
+"""A target of one of these is not a target of a position."""
+
 _IMU = {"gyro": "gyro", "gyroscope": "gyro", "angular": "gyro", "acc": "acc", "accel": "acc", "accelerometer": "acc"}
 _IMU |= {"linear": "acc", "acceleration": "acc"}
 _UNITS = {"deg": "deg", "degrees": "deg", "degree": "deg", "rad": None, "radians": None, "rpm": "rpm", "dps": "deg/s"}
 _UNITS |= {"ma": "mA", "mv": "mV", "ms": "ms", "us": "us", "ns": "ns", "percent": "percent", "mrad": "mrad"}
+_UNITS |= {"°": "deg", "degs": "deg/s", "radps": None, "rads": None}
 _FILLERS = re.split(" ", "joint joints present measured meas actual motor i s value observation imu of main")
 _TIMES = ("time", "timestamp", "t", "stamp", "secs", "seconds", "times")
 
@@ -42,7 +46,7 @@ def guess(name: str, joints: Sequence[str] = ()) -> Column | None:
     ours = place(name)
     if ours and (ours[0].axes != "joint" or not joints or ours[1] in joints):
         return Column(name)
-    words = [word for word in re.split(r"[^A-Za-z0-9]+|(?<=[a-z]{2})(?=[A-Z])", name) if word]
+    words = [word for word in re.split(r"[^A-Za-z0-9°]+|(?<=[a-z]{2})(?=[A-Z])", name) if word]
     lower = [word.lower() for word in words]
     unit = next((_UNITS[word] for word in lower if word in _UNITS), None)
     rate = "deg/s" if unit == "deg" else unit
@@ -54,6 +58,9 @@ def guess(name: str, joints: Sequence[str] = ()) -> Column | None:
         return Column(f"imu.{sensor}_{axis}", rate if sensor == "gyro" else unit, why=f"{name!r} names an axis")
     if axis in ("roll", "pitch", "yaw") and not set(lower) - {axis, "imu", "deg", "rad", "orientation", "rpy"}:
         return Column(f"imu.{axis}", unit, why=f"{name!r} names an angle of the trunk")
+    meant = {_WORDS[word] for word in lower if word in _WORDS}
+    if {"error", "err"} & set(lower) or (meant & {normal_key("command/position")} and meant & _NO_POSITIONS):
+        return Column(None, why=f"{name!r} names no angle, nor what was told to have one")
     word = next((word for word in _WORDS if word in lower), None)
     if word is not None:
         known = {*_WORDS, *_FILLERS, *_UNITS}

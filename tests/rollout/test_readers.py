@@ -34,7 +34,7 @@ from rollout_logs import SERVO_BENCH, refusal
 
 from op3.robot import load_robot
 from op3.rollout import LogError, read_episodes, read_log, read_logs
-from op3.rollout.guess import guess
+from op3.rollout.guess import guess, guess_all
 from op3.rollout.health import examine
 from op3.rollout.importing import side_path
 from op3.rollout.proposal import as_yaml, propose
@@ -500,9 +500,32 @@ def test_an_imported_log_is_in_its_robots_terms_once(tmp_path):
         ("i_knee [mA]", "knee.current", "mA"),
         ("q_meas_hip [deg]", "hip.position", "deg"),
         ("arm_hip_out_rpm", "hip.velocity", "rpm"),
+        ("hip_position [°]", "hip.position", "deg"),
+        ("hip_vel_degs", "hip.velocity", "deg/s"),
     ],
 )
 def test_a_unit_says_what_is_measured(name, column, unit):
     """Milliamperes are a current, in whatever case."""
     meaning = guess(name, ["knee", "hip"])
     assert (meaning.name, meaning.unit) == (column, unit)
+
+
+def test_what_is_told_to_turn_is_no_target_of_a_position():
+    """Targets of velocities, torques and currents, and errors, leave a position and its target to those that are."""
+    names = ["hip_cmd_vel", "dq_des_hip", "tau_des_hip", "hip_current_target", "hip_pos_error", "hip_q", "hip_q_des"]
+    meanings = guess_all(names, ["hip"])
+    assert {name: one.name for name, one in meanings.items() if one.name} == {
+        "hip_q": "hip.position",
+        "hip_q_des": "hip.target",
+    }
+
+
+def test_a_joint_named_twice_in_a_message_is_refused(tmp_path):
+    """Which of both is meant cannot be known."""
+
+    def twice(_: int, message: Any) -> Any:
+        message.name[1] = message.name[0]
+        return message
+
+    with pytest.raises(LogError, match=r"names .* twice in one message; give every joint a name of its own"):
+        read_log(bag(tmp_path, robot=twice))

@@ -40,6 +40,11 @@ class Ros:
         found: Found = {}
         orders: dict[frozenset[str], tuple[str, ...]] = {}  # in which names came first
         for topic, kind, received, message in _messages(path):
+            names = getattr(message, "name", getattr(message, "joint_names", ()))
+            if len(set(names)) < len(names):
+                twice = next(name for name in names if list(names).count(name) > 1)
+                problem = f"{topic} names {twice} twice in one message"
+                raise LogError(problem, "give every joint a name of its own where it is published", source=path)
             stamp = _seconds(message.header.stamp) if hasattr(message, "header") else 0.0
             for after, told in _samples(topic, kind, message, [columns for *_, columns in found]):
                 columns = orders.setdefault(frozenset(told), tuple(told))
