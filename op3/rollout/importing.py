@@ -28,6 +28,9 @@ from op3.settings import Listed, Named, Number, read_yaml, settings, shown
 
 SHARED = "columns.yaml"
 
+HELD = 0.25
+"""Time for which commands go on behind their last one [s]: the robot is told nothing new while it comes to rest."""
+
 Columns = dict[str, np.ndarray]
 """By column of the wide CSV, [time]."""
 
@@ -196,9 +199,10 @@ def _one_clock(streams: Sequence[Stream], split: bool) -> tuple[np.ndarray, Colu
     if spans[0] > 0 and (unit := likely_unit(spans[-1] / spans[0], "s", 0.5)):
         problem = f"one clock runs over {spans[-1]:.4g} s and another over {spans[0]:.4g} s, as if one were in {unit}"
         raise LogError(problem, "convert both to seconds", column="time")
-    start, end = max(s.time[0] for s in streams), min(s.time[-1] for s in streams)
     half = float(np.median(np.diff(first.time))) / 2 if len(first.time) > 1 else 0.0
-    inside = (first.time >= start - half) & (first.time <= end + max(half, 0.25))
+    start = max(s.time[0] for s in streams)
+    end = min(s.time[-1] + (max(half, HELD) if all(map(_is_held, s.columns)) else half) for s in streams)
+    inside = (first.time >= start - half) & (first.time <= end)
     if not inside.any():
         each = " and ".join(f"{s.time[0]:.6g} to {s.time[-1]:.6g} s" for s in streams)
         remedy = "shift one of the clocks, by `offset:` of its time column, to a common start"
@@ -210,11 +214,15 @@ def _one_clock(streams: Sequence[Stream], split: bool) -> tuple[np.ndarray, Colu
         after = np.searchsorted(stream.time, time)
         lost = np.isin(after, holes(stream.time)) & ~np.isin(time, stream.time)
         for name, values in stream.columns.items():
-            known = place(name)
-            held = known is not None and known[0].hold
             signal = np.where(lost, np.nan, np.interp(time, stream.time, values))
-            columns.setdefault(name, values[row] if held else signal)
+            columns.setdefault(name, values[row] if _is_held(name) else signal)
     return time, columns
+
+
+def _is_held(name: str) -> bool:
+    """Whether a column holds until it is told anew."""
+    known = place(name)
+    return known is not None and known[0].hold
 
 
 def _split(time: np.ndarray) -> list[slice]:

@@ -529,3 +529,16 @@ def test_a_joint_named_twice_in_a_message_is_refused(tmp_path):
 
     with pytest.raises(LogError, match=r"names .* twice in one message; give every joint a name of its own"):
         read_log(bag(tmp_path, robot=twice))
+
+
+def test_a_log_ends_where_one_joint_stops_reporting(tmp_path):
+    """No position is made up behind a joint's last one; a command counts on for a while."""
+    time, lines = np.arange(300) * 0.01, ["time,joint,position,target"]
+    for row, now in enumerate(time):
+        angle = np.sin(3 * now)
+        lines += [f"{now},{joint},{angle},{angle}" for joint in ("hip", "knee") if joint == "hip" or row < 200]
+    (tmp_path / "run.csv").write_text("\n".join(lines))
+    (tmp_path / "run.yaml").write_text("robot: real\nmount: stand\n")
+    log = read_log(tmp_path / "run.csv")
+    assert log.rows == 200
+    assert np.abs(log.array("joint/position")[:, 1] - np.sin(3 * time[:200])).max() < 1e-6
