@@ -536,7 +536,11 @@ def test_a_log_ends_where_one_joint_stops_reporting(tmp_path):
     time, lines = np.arange(300) * 0.01, ["time,joint,position,target"]
     for row, now in enumerate(time):
         angle = np.sin(3 * now)
-        lines += [f"{now},{joint},{angle},{np.sin(3 * now + 0.05)}" for joint in ("hip", "knee") if joint == "hip" or row < 200]
+        lines += [
+            f"{now},{joint},{angle},{np.sin(3 * now + 0.05)}"
+            for joint in ("hip", "knee")
+            if joint == "hip" or row < 200
+        ]
     (tmp_path / "run.csv").write_text("\n".join(lines))
     (tmp_path / "run.yaml").write_text("robot: real\nmount: stand\n")
     log = read_log(tmp_path / "run.csv")
