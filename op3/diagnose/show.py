@@ -1,7 +1,7 @@
 """Free runs of models on logs that they were not fitted to: which predicts best, and the gap before and after.
 
-A velocity that is measured late is compared with the simulation as late as it is, by a model's own filter or, where it
-has none, by as much as the logs say: a gain in angle is not thrown away for it.
+A velocity that is measured late is compared with the simulation as late as it is, of which a model's own filter is a
+part: the measuring chain explains that much, and a gain in angle is not thrown away for it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -57,16 +57,19 @@ class FreeRuns:
             self._lag = velocity_sensing([smoothed(log) for log in logs]).lag
 
     def of(self, model: RobotModel) -> list[Prediction]:
-        """Predictions of one model; velocities as late as readings are, where it does not say how late."""
-        predictions = self._replay.run(model)
-        if "velocity_filter" in model.effect_names or ("joint", "velocity") not in self.channels:
+        """Predictions of one model, velocities as late as the logs' are."""
+        predictions, joints = self._replay.run(model), self.logs[0].joints
+        if ("joint", "velocity") not in self.channels:
             return predictions
-        return [self._late(one) for one in predictions]
+        known = model.tensors(joints).get("velocity_time_constant")
+        own = np.zeros(len(joints)) if known is None else np.broadcast_to(known[0].numpy(), len(joints))
+        return [self._late(one, np.maximum(self._lag - own, 0.0)) for one in predictions]
 
-    def _late(self, prediction: Prediction) -> Prediction:
+    def _late(self, prediction: Prediction, lags: np.ndarray) -> Prediction:
+        """A prediction with velocities later by some times, ``[joint]``."""
         key, time = ("joint", "velocity"), prediction.log.array("time")[:, 0]
         values = prediction.channels[key].clone()
-        for joint, lag in zip(self.logs[0].joints, self._lag, strict=True):
+        for joint, lag in zip(self.logs[0].joints, lags, strict=True):
             column = values[..., prediction.log.joints.index(joint)][0]
             now = time[: len(column)]
             column[:] = torch.from_numpy(np.interp(now - lag, now, column.numpy()))
