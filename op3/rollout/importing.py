@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from op3.rollout.errors import LogError, located, rename
+from op3.rollout.guess import guess
 from op3.rollout.health.finding import WARNING, Finding
 from op3.rollout.metadata import Metadata
 from op3.rollout.readers.reader import Column, Recording, Stream
@@ -84,7 +85,9 @@ class Side:
 
 def side_path(path: Path) -> Path:
     """Where the YAML of a log lies: `run.yaml` for `run.csv.xz`; folders keep their dots."""
-    return path.parent / f"{path.name if path.is_dir() else unpacked(path).stem}.yaml"
+    name = path.name if path.is_dir() else unpacked(path).stem
+    short = path.parent / f"{name}.yml"
+    return short if short.is_file() else short.with_suffix(".yaml")
 
 
 def read_side(path: Path, options: Mapping[str, Any] | None = None) -> Side:
@@ -109,9 +112,8 @@ def roll_out(recording: Recording, side: Side, path: Path) -> list[Rollout]:
         raise LogError("the sidecar is missing", remedy, source=side.source)
     meanings = _meanings(recording, side)
     with located(source=path):
-        time, columns = _one_clock(
-            [_named(s, meanings, recording, side) for s in recording.streams], side.options.split
-        )
+        streams = [_named(s, meanings, recording, side) for s in recording.streams]
+        time, columns = _one_clock(streams, side.options.split)
     about = {"joints": _joints(columns), **recording.metadata, **side.metadata}
     if not recording.strict:
         about = {"recording": recording.name or side_path(path).stem, **about}
@@ -127,7 +129,7 @@ def roll_out(recording: Recording, side: Side, path: Path) -> list[Rollout]:
         with located(source=path):
             arrays = _arrays(chosen, metadata, recording.strict, side)
             unread = [one for one in recording.doubts if one.column not in side.options.columns]
-            unread += _unread(arrays, metadata.joints) + _unshared(len(time), len(recording.streams[0].time))
+            unread += _unread(arrays, metadata.joints) + _unshared(time, streams)
             log = Rollout.from_arrays({"time": time[part], **arrays}, metadata, path)
             logs.append(log.with_findings(unread))
     return logs
@@ -176,10 +178,14 @@ def _named(stream: Stream, meanings: dict[str, Column], recording: Recording, si
 
 def _unknown(name: str, position: int, side: Side) -> LogError:
     shown_name = name if name.isprintable() and 0 < len(name) <= 60 else f"{position + 1} ({name[:40]!r})"
-    joints = side.metadata.get("joints")
-    known = [column for c in CHANNELS.values() for column in column_names(c, joints or ["<joint>"], 1)]
-    remedy = rename(name, known, "say what it is under `columns:` in the YAML") + ", or remove the column"
-    return LogError("unknown column", remedy, column=shown_name, row="header")
+    joints = side.metadata.get("joints") or ["<joint>"]
+    known = [column for c in CHANNELS.values() for column in column_names(c, joints, 1)]
+    meant = guess(name, joints) if isinstance(joints, list) else None
+    entry = f"{{name: {meant.name}, unit: {meant.unit}}}" if meant and meant.unit else str(meant and meant.name)
+    remedy = rename(name, known, "say what it is under `columns:` in the YAML")
+    if meant and meant.name in known:
+        remedy = f"write `{name}: {entry}` under `columns:` in the YAML if that is meant"
+    return LogError("unknown column", remedy + ", or remove the column", column=shown_name, row="header")
 
 
 def _one_clock(streams: Sequence[Stream], split: bool) -> tuple[np.ndarray, Columns]:
@@ -213,6 +219,11 @@ def _one_clock(streams: Sequence[Stream], split: bool) -> tuple[np.ndarray, Colu
         row = np.clip(np.searchsorted(stream.time, time + half, side="right") - 1, 0, None)
         after = np.searchsorted(stream.time, time)
         lost = np.isin(after, holes(stream.time)) & ~np.isin(time, stream.time)
+        measured = next((name for name in stream.columns if name.endswith(".position")), None)
+        if measured and lost.any():
+            gap = holes(stream.time)[0]
+            problem = f"it holds nothing from {stream.time[gap - 1]:.6g} to {stream.time[gap]:.6g} s, while others do"
+            raise LogError(problem, "leave this time out of all columns, or cut the log there", column=measured)
         for name, values in stream.columns.items():
             signal = np.where(lost, np.nan, np.interp(time, stream.time, values))
             columns.setdefault(name, values[row] if _is_held(name) else signal)
@@ -255,6 +266,9 @@ def _mend(columns: Columns, side: Side) -> None:
             if name not in known:
                 remedy = rename(name, known, f"write some of {', '.join([*known][:20])}")
                 raise LogError(f"{name} is not in the log", remedy, source=side.source, column=f"field {option}")
+    if wide := next((joint for joint, angle in options.shift.items() if abs(angle) > 4 * np.pi), None):
+        problem = f"{options.shift[wide]:g} rad is over two turns, as if it were in degrees"
+        raise LogError(problem, "write it in radians", source=side.source, column=f"field shift.{wide}")
     for joint in dict.fromkeys([*listed, *options.shift]):
         names = [name for name in (f"{joint}.position", f"{joint}.target") if name in columns]
         angles = {name: np.unwrap(columns[name]) for name in names}
@@ -290,6 +304,10 @@ def _arrays(columns: Columns, metadata: Metadata, strict: bool, side: Side) -> d
         elif key != "time" and (channel.required or (there and strict)):
             problem = f"the column is missing while {there} is there" if there else "the required column is missing"
             remedy = f"give {key_name(key)} for all or for none" if there else f"add {key_name(key)} [{channel.unit}]"
+            others = [n for n in columns if (found := place(n)) and found[0] == channel and n not in wanted]
+            if others and channel.required:
+                problem = f"{', '.join(others[:6])} are there, and none of these is of {', '.join(metadata.joints[:6])}"
+                remedy = f"say whose they are under `columns:` in the YAML, as in `<column>: {missing[0]}`"
             raise LogError(problem, remedy, column=missing[0], row="header")
     for name in ("firmware_gain", "p_gain", "d_gain"):
         if (gain := getattr(metadata, name)) is not None:
@@ -297,10 +315,14 @@ def _arrays(columns: Columns, metadata: Metadata, strict: bool, side: Side) -> d
     return arrays
 
 
-def _unshared(used: int, rows: int) -> list[Finding]:
-    """A warning where most rows lie where not every clock runs."""
-    problem, remedy = f"{used} of {rows} rows lie where every clock runs, and are used", "record all of them throughout"
-    return [Finding(WARNING, problem, remedy, "time", check="shared time")] if used < rows / 2 else []
+def _unshared(time: np.ndarray, streams: Sequence[Stream]) -> list[Finding]:
+    """A warning where every clock runs in a part of the time only."""
+    by_span = sorted(streams, key=lambda stream: float(np.ptp(stream.time)))
+    shortest, (used, all_of_it) = by_span[0], (float(np.ptp(t)) for t in (time, by_span[-1].time))
+    problem = f"every clock runs in {used:.4g} of {all_of_it:.4g} s, which are used: "
+    problem += f"{next(iter(shortest.columns), 'one')} is told from {shortest.time[0]:.4g} to {shortest.time[-1]:.4g} s"
+    remedy = "record all of them throughout"
+    return [Finding(WARNING, problem, remedy, "time", check="shared time")] if used < 0.9 * all_of_it else []
 
 
 def _unread(arrays: dict[Any, np.ndarray], joints: Sequence[str]) -> list[Finding]:

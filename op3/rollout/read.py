@@ -9,7 +9,7 @@ from typing import Any
 
 from op3.robot.robot import Robot, load_robot
 from op3.rollout.errors import LogError
-from op3.rollout.importing import read_side, roll_out
+from op3.rollout.importing import read_side, roll_out, side_path
 from op3.rollout.readers import readers
 from op3.rollout.readers.reader import Reader, Recording
 from op3.rollout.robot_log import as_robot
@@ -75,7 +75,8 @@ def read_episodes(
                     problem, "leave out robot=, or correct the field", source=path, column="field robot_file"
                 )
             logs[number] = log if log.metadata.robot_file else as_robot(log, known)
-    return [log.check(path) for log in logs] if check else logs
+    said = next((file for file in (side_path(path), path / METADATA_FILE) if file.is_file()), None)
+    return [log.check(path, said) for log in logs] if check else logs
 
 
 def read_logs(paths: Paths, robot: str | Path | Robot | None = None) -> list[Rollout]:

@@ -193,8 +193,12 @@ class Rollout:
             raise LogError(problem, remedy, source=self.metadata.recording, column="time")
         return dataclasses.replace(self, data=self.data[int(first) : int(last)])
 
-    def check(self, source: str | Path | None = None) -> Rollout:
+    def check(self, source: str | Path | None = None, said: Path | None = None) -> Rollout:
         """Raise `LogError` where the log cannot be right, as importers do.
+
+        Args:
+            source: Of the log, named in errors.
+            said: File that says the metadata, named in errors about these.
 
         Returns:
             The log with what is suspicious in `findings`; a channel of a joint that cannot be used is set aside: see
@@ -204,12 +208,12 @@ class Rollout:
         from op3.rollout.health import ERROR, examine, told_together
 
         source = source or self.metadata.recording
-        name = source if source is None else Path(source).name
         findings = examine(self)
         for finding in told_together(findings):
+            where = said if said and str(finding.column).startswith("field ") else source
             if finding.severity == ERROR:
-                raise finding.error(source)
-            _log.warning("%s", finding.error(name))
+                raise finding.error(where)
+            _log.warning("%s", finding.error(where if where is None else Path(where).name))
         return self.with_findings(findings)
 
     def with_findings(self, findings: Sequence[Any]) -> Rollout:

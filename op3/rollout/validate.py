@@ -134,6 +134,8 @@ def check_time(time: np.ndarray, episode: int | None = None) -> None:
     else:
         problem = f"time goes back from {time[row]:.10g} s to {time[row + 1]:.10g} s"
         remedy = "sort the rows, or write `split: true` into its YAML where a new recording starts"
+        if -86400 <= steps[row] < -86340:
+            remedy = "it passed midnight: write dates as well, or add 86400 s to the times behind it"
     raise LogError(problem, remedy, column="time", row=row + 2, episode=episode)
 
 

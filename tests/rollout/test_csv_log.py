@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +61,27 @@ def renamed(old: str, new: str) -> Callable[[Lines], None]:
     return cell(old, 0, new)
 
 
+def whole(column: str, text: Callable[[float], str]) -> Callable[[Lines], None]:
+    """Write a column in another way."""
+
+    def change(lines: Lines) -> None:
+        index = lines[0].index(column)
+        for cells in lines[1:]:
+            cells[index] = text(float(cells[index]))
+
+    return change
+
+
+def decimal_commas(lines: Lines) -> None:
+    """Numbers have them, and columns are separated by commas as well."""
+    lines[1:] = [",".join(cell.replace(".", ",") for cell in cells).split(",") for cells in lines[1:]]
+
+
+def clock(seconds: float, form: str) -> str:
+    """A reading of a clock in a place's usual form."""
+    return (datetime(2026, 3, 28, 23, 59, 59, 900000) + timedelta(seconds=seconds)).strftime(form)
+
+
 def doubled_column(lines: Lines) -> None:
     """The position of the left knee comes twice."""
     index = lines[0].index("l_knee.position")
@@ -82,6 +104,26 @@ OFFENCES: dict[str, tuple[Callable[[Lines], object], str, str, str]] = {
     "text": (cell("r_knee.velocity", 3, "fast"), "r_knee.velocity", "row 3", "'fast' is not a number"),
     "empty cell": (cell("r_knee.position", 3, ""), "r_knee.position", "row 3", "nan is not a finite"),
     "digit groups": (cell("r_knee.velocity", 3, "1_0"), "r_knee.velocity", "row 3", "'1_0' is not a number"),
+    "thousands": (
+        cell("r_knee.velocity", 3, '"1,234.5"'),
+        "r_knee.velocity",
+        "row 3",
+        "without marks between thousands",
+    ),
+    "decimal commas": (decimal_commas, "", "row 1", "as if decimal commas separated them"),
+    "German date": (
+        whole("time", lambda t: clock(t, "%d.%m.%Y %H:%M:%S.%f")),
+        "time",
+        "row 1",
+        "write dates as in 2026-",
+    ),
+    "midnight": (whole("time", lambda t: clock(t, "%H:%M:%S.%f")), "time", "row 14", "it passed midnight"),
+    "spelled otherwise": (
+        renamed("l_knee.target", "L_Knee target[deg]"),
+        "L_Knee target",
+        "header",
+        "unit: deg}` under",
+    ),
     "time twice": (cell("time", 5, repr(3 / 125)), "time", "row 5", "repeats the time of row 4"),
     "time too near": (cell("time", 5, repr(3 / 125 + 1e-12)), "time", "row 5", "repeats the time of row 4"),
     "another rate": (scaled("time", 2.0), "time", "row 2", "62.5 Hz, but the metadata says rate: 125"),
@@ -158,6 +200,16 @@ def test_a_file_that_is_no_csv_gets_one_sentence(tmp_path, content, expected):
     path = written(tmp_path)
     path.write_bytes(content)
     assert expected in refusal(path)
+
+
+def test_other_ways_of_a_clock_and_of_a_sidecar(tmp_path):
+    """Dates without strokes, and a sidecar whose ending has three letters."""
+    path = written(tmp_path)
+    lines = [line.split(",") for line in path.read_text().splitlines()]
+    whole("time", lambda t: clock(t, "%Y%m%dT%H%M%S.%f"))(lines)
+    path.write_text("".join(",".join(cells) + "\n" for cells in lines))
+    path.with_suffix(".yaml").rename(path.with_suffix(".yml"))
+    np.testing.assert_allclose(np.diff(read_log(path).array("time")[:, 0]), 1 / 125, atol=2e-6)
 
 
 def test_column_order_quotes_and_blank_lines_do_not_matter(tmp_path):

@@ -53,10 +53,11 @@ def _exchanged(view: View) -> dict[int, int]:
 def command(view: View) -> Iterator[Finding]:
     """Position and command differ in unit or sign, belong to different joints, or the command says how far to go."""
     exchanged = _exchanged(view)
+    wrong = WARNING if view.metadata.fallen else ERROR  # limbs of a robot that falls are flung about
     for joint, other in exchanged.items():
         which = "of the two" if exchanged.get(other) == joint else "of several joints"
         problem = f"the position follows the command of {view.joints[other]}: the columns {which} are swapped"
-        yield view.found(ERROR, (POSITION, joint), problem, "swap the columns")
+        yield view.found(wrong, (POSITION, joint), problem, "swap the columns")
     stride = max(1, round(0.02 / view.interval)) if len(view.time) >= 20 else 1
     angle, target = view.position[::stride], view.command[::stride]
     driven = np.all(view.driven[::stride], axis=1)
@@ -66,10 +67,11 @@ def command(view: View) -> Iterator[Finding]:
     matches = [match(angle[n:][driven[n:]], target[: len(target) - n][driven[n:]]) for n in lags]
     every = np.stack([m.correlation for m in matches])
     own, best = np.diagonal(every, axis1=1, axis2=2), every.max(0)
+    signed = np.where(best >= -every.min(0), best, every.min(0))
     asked, moved = np.ptp(target[driven], axis=0) > 0.05, np.ptp(angle[driven], axis=0) > 0.05
     # whose command explains a position much better than its own; where columns were exchanged, that joint has such a
     # one as well
-    foreign = np.where(asked & ~np.eye(len(best), dtype=bool), best, -1.0)
+    foreign = np.where(asked & ~np.eye(len(best), dtype=bool), np.abs(signed), -1.0)
     leader, strength = foreign.argmax(1), foreign.max(1)
     itself = np.diagonal(best)
     turned, wanted = np.ptp(angle[driven], axis=0), np.ptp(target[driven], axis=0)
@@ -84,7 +86,7 @@ def command(view: View) -> Iterator[Finding]:
     )
     for joint in np.flatnonzero(relative):
         problem = "the command is how far the joint is to move, and not where to"
-        yield view.found(ERROR, (COMMAND, joint), problem, "record the position plus the command as the target")
+        yield view.found(wrong, (COMMAND, joint), problem, "record the position plus the command as the target")
     explained = {*exchanged, *np.flatnonzero(relative)}  # what else there is to say follows from that
     for joint in (int(j) for j in np.flatnonzero(asked | moved) if j not in explained):
         sure, ratio = float(best[joint, joint]), float(matches[int(own[:, joint].argmax())].ratio[joint, joint])
@@ -97,14 +99,15 @@ def command(view: View) -> Iterator[Finding]:
             unit = likely_unit(ratio, "rad") or (likely_unit(1 / ratio, "rad") if ratio else None)
             cause = f", as if {'it' if ratio > 1 else 'the command'} were in {unit}" if unit else ""
             problem = f"the position moves {ratio:.3g} times as far as its command{cause}"
-            yield view.found(ERROR, where, problem, "convert both to radians (57.3 is degrees)")
+            yield view.found(wrong, where, problem, "convert both to radians (57.3 is degrees)")
         elif asked[joint] and own[:, joint].min() < -0.95 and sure < 0.8:
             problem = "the position moves against its command: the sign of one of them is turned round"
             problem += f", or it was swapped with that of {other}" if other else ""
-            yield view.found(ERROR, where, problem, "write `sign: -1` for one of them under `columns:` in the YAML")
+            yield view.found(wrong, where, problem, "write `sign: -1` for one of them under `columns:` in the YAML")
         elif other:
             problem = f"the position follows the command of {other}: the columns of the two are swapped"
-            yield view.found(ERROR, where, problem, "swap the columns")
+            problem += ", and the sign of one is turned round" if signed[joint, whose] < 0 else ""
+            yield view.found(wrong, where, problem, "swap the columns")
 
 
 def _small(values: np.ndarray) -> np.ndarray:

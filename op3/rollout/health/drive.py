@@ -13,7 +13,10 @@ _ZERO = 0.1
 """No current sensor is so far off at nothing [A], nor by 2 % of what it reads; 0.03 in sound logs of squats."""
 
 
-@check("current against position error", unless=("two clocks",))
+@check(
+    "current against position error",
+    unless=("two clocks", "position against command", "position without its command", "gains"),
+)
 def drive(view: View) -> Iterator[Finding]:
     """Current or duty drives away from the target, is another joint's, or is in another unit than gain times error."""
     error, rows = view.command - view.position, np.array(view.driven.all(1))
@@ -56,7 +59,11 @@ def drive(view: View) -> Iterator[Finding]:
         for problem, wrong, remedy in (
             (f"{key[1]} has lost its sign", signless, "record it with its sign"),
             (f"{key[1]} drives away from the target", away, "turn its sign round"),
-            (f"{key[1]} is {usual:.3g} times gain times error{cause}", off, "convert it and the gain to SI"),
+            (
+                f"{key[1]} is {usual:.3g} times gain times error{cause}",
+                off,
+                "look at its unit and the gain's",
+            ),
         ):
             # what most joints show that show anything is the channel's, not a joint's
             all_of_them = 2 * wrong.sum() > (sure > 0.5).sum() and wrong.sum() > 1

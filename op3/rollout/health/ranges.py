@@ -39,7 +39,10 @@ def coarse(view: View) -> Iterator[Finding]:
         *((k, u, 4 * u) for k, u in _ROUGHEST.items()),
     ):
         steps = view.steps(key) if key in view.log else np.zeros(0)
+        most = CHANNELS[key].quantity.bound
         for joint in np.flatnonzero(steps):
+            if key != POSITION and np.abs(view.log.array(key)[:, joint]).max() > most:
+                continue  # in another unit, which its bound tells
             unit = likely_unit(float(steps[joint] / exact), "rad", 0.003) if key == POSITION else None
             parts = float(steps[joint] / count) if (count := own.get(key)) else 1.0
             whole = round(parts) if parts > 1 else 1 / round(1 / parts)

@@ -42,6 +42,15 @@ def plausible(view: View) -> Iterator[Finding]:
             yield view.found(ERROR, "field battery", problem, f"write battery: {median:.3g}")
 
 
+@check("spelling of joints")
+def spelling(view: View) -> Iterator[Finding]:
+    """Two joints differ in capital letters only: one joint that is spelled in two ways."""
+    lower = [joint.lower() for joint in view.joints]
+    for one, other in ((a, b) for i, a in enumerate(lower) for b in range(i + 1, len(lower)) if lower[b] == a):
+        problem = f"{view.joints[lower.index(one)]} and {view.joints[other]} differ in capital letters only"
+        yield view.found(WARNING, "field joints", problem, "give them one name if they are one joint")
+
+
 @check("wrong robot")
 def robot(view: View) -> Iterator[Finding]:
     """The robot that the metadata name is not there, or joints of the log are none of its."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import itertools
+from collections.abc import Callable, Iterator
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from op3.rollout.health.finding import ERROR, FORCE, ORIENTATION, RATE, WARNING, Finding, View, check
 from op3.rollout.health.match import WINDOW, integral, match, no_sensor, windows
@@ -12,9 +14,6 @@ from op3.rollout.health.still import held, turned_by_gyroscope
 from op3.rollout.units import likely_unit
 
 _STANDARD = 9.80665
-
-_STEEP = 1.2
-"""Pitch beyond which roll and yaw tell little [rad]."""
 
 _FALLS = 0.5
 """A trunk that turns by so much may fall, in which its accelerometer reads less [rad]."""
@@ -35,7 +34,65 @@ _MISTAKES |= {
 """What turns gravity round, and what takes it back, the likeliest first."""
 
 
-@check("gyroscope against orientation")
+def _rotation(angles: np.ndarray) -> Rotation:
+    """Of the trunk, by roll, pitch and yaw [time, 3]."""
+    return Rotation.from_euler("ZYX", angles[:, ::-1])
+
+
+def _by_parts(order: list[int]) -> Callable[[np.ndarray], Rotation]:
+    return lambda angles: Rotation.from_quat(_rotation(angles).as_quat()[:, order])
+
+
+_NAMES = ("roll", "pitch", "yaw")
+_READ: dict[str, Callable[[np.ndarray], Rotation]] = {
+    "its angles were in degrees": lambda angles: _rotation(np.deg2rad(angles)),
+    "it were the world's in the body's frame": lambda angles: _rotation(angles).inv(),
+    "the parts of its quaternion (x, y, z, w) had been written as w, x, y, z": _by_parts([1, 2, 3, 0]),
+    "the parts of its quaternion (w, x, y, z) had been written as x, y, z, w": _by_parts([3, 0, 1, 2]),
+}
+"""What an orientation may be that was not read as it was meant, and what it is then."""
+
+for _signs in itertools.product((1, -1), repeat=3):
+    _turned = " and ".join(name for name, sign in zip(_NAMES, _signs, strict=True) if sign < 0)
+    _READ[f"the sign of {_turned} were turned round"] = lambda angles, signs=_signs: _rotation(angles * signs)
+for _order in ((1, 0, 2), (2, 1, 0), (0, 2, 1)):
+    _moved = " and ".join(name for name, place in zip(_NAMES, _order, strict=True) if name != _NAMES[place])
+    _READ[f"{_moved} were swapped"] = lambda angles, order=_order: _rotation(angles[:, order])
+del _READ["the sign of  were turned round"]
+
+
+@check("orientation")
+def orientation(view: View) -> Iterator[Finding]:
+    """Gyroscope and accelerometer agree, and the orientation with them only when it is read in another way."""
+    angles, rate, force = (view.get(key) for key in (ORIENTATION, RATE, FORCE))
+    if angles is None or rate is None or force is None or len(view.time) < 20:
+        return
+    first, last, _ = windows(view.time)
+    turned, pushed = (integral(view.time, values) for values in (rate, force))
+    turned, pushed = turned[last] - turned[first], pushed[last] - pushed[first]
+    if len(first) < 8 or not (turned.any() and (size := np.linalg.norm(pushed, axis=1)).all()):
+        return
+    rows = np.stack([first, (first + last) // 2, last])
+
+    def misfits(read: Callable[[np.ndarray], Rotation]) -> tuple[float, float]:
+        """Of how it turns with the gyroscope, as a share, and of where up is with the accelerometer."""
+        before, within, after = (read(angles[one]) for one in rows)
+        apart = (before.inv() * after).as_rotvec() - turned
+        up = within.inv().apply([0, 0, 1]) - pushed / size[:, None]
+        return float((apart**2).sum() / (turned**2).sum()), float(np.sqrt((up**2).sum(1).mean()))
+
+    rest, off = misfits(_rotation)
+    if rest < 0.5:
+        return
+    tried = {how: misfits(read) for how, read in _READ.items()}
+    how = min(tried, key=lambda how: sum(tried[how]))
+    if tried[how][0] < 0.1 and tried[how][1] < 0.5 * off:
+        problem = f"gyroscope and accelerometer agree, and the orientation would with both if {how}"
+        remedy = "write roll, pitch and yaw of the body in rad, in a frame whose z points up"
+        yield view.found(ERROR, (ORIENTATION, 0), problem, remedy)
+
+
+@check("gyroscope against orientation", unless=("orientation",))
 def gyroscope(view: View) -> Iterator[Finding]:
     """The gyroscope and the derivative of the orientation differ in unit, sign, axes or zero."""
     angles, rate = view.get(ORIENTATION), view.get(RATE)
@@ -48,18 +105,9 @@ def gyroscope(view: View) -> Iterator[Finding]:
         problem = f"the gyroscope turns by {read[axis]:.2g} rad to and fro, and neither orientation nor gravity does"
         yield view.found(WARNING, (RATE, axis), problem, "look at its unit")
     first, last, span = windows(view.time)
-    # where the trunk stands on end, roll and yaw are one, and both leap on the way through
-    steep = np.cumsum(np.abs(angles[:, 1]) >= _STEEP)
-    flat = steep[last] == np.where(first > 0, steep[first - 1], 0)
-    first, last = first[flat], last[flat]
     if len(first) < 8:
         return
-    roll, pitch, _ = angles[(first + last) // 2].T
-    rolled, pitched, yawed = np.diff(np.unwrap(angles, axis=0)[np.stack([first, last])], axis=0)[0].T
-    # body rates of R = Rz(yaw) Ry(pitch) Rx(roll)
-    about_x = rolled - yawed * np.sin(pitch)
-    about_y = pitched * np.cos(roll) + yawed * np.sin(roll) * np.cos(pitch)
-    body = np.stack([about_x, about_y, yawed * np.cos(roll) * np.cos(pitch) - pitched * np.sin(roll)], axis=1)
+    body = (_rotation(angles[first]).inv() * _rotation(angles[last])).as_rotvec()
     summed = integral(view.time, rate)
     found = match(summed[last] - summed[first], body)
     bias = np.median(summed[last] - summed[first] - body, axis=0) / span
@@ -90,7 +138,7 @@ def gyroscope(view: View) -> Iterator[Finding]:
             yield view.found(WARNING, (RATE, axis), problem, "look at its unit and its bias, and whether yaw drifts")
 
 
-@check("gravity")
+@check("gravity", unless=("orientation",))
 def gravity(view: View) -> Iterator[Finding]:
     """The accelerometer's size or direction is not that of gravity."""
     force, angles = view.get(FORCE), view.get(ORIENTATION)
@@ -145,7 +193,7 @@ def _leans(view: View, force: np.ndarray, up: np.ndarray) -> Iterator[Finding]:
         yield view.found(WARNING, (FORCE, axis), problem, "write `sign: -1` for it under `columns:` in the YAML")
 
 
-@check("mount")
+@check("mount", unless=("orientation",))
 def mount(view: View) -> Iterator[Finding]:
     """The trunk turns on a stand, or is as still as on one while the joints move and the robot stands on its feet."""
     angles, where = view.get(ORIENTATION), view.metadata.mount

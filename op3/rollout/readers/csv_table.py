@@ -14,6 +14,7 @@ from op3.rollout.readers.table import Codes, read_table
 from op3.rollout.readers.text import unpacked
 
 _NAMES = ("joint", "joint_name", "servo", "motor", "name")
+_NUMBERS = ("id", "joint_id", "servo_id", "motor_id")
 _KINDS = ("channel", "signal", "variable", "quantity", "field", "key")
 
 
@@ -36,7 +37,8 @@ class CsvTable:
 
 def _texts(header: Sequence[str]) -> list[str]:
     """Columns of a long table that name a joint, and what is measured."""
-    named, kinds = ([n for n in header if n.lower() in words][:1] for words in (_NAMES, _KINDS))
+    named, kinds, numbered = ([n for n in header if n.lower() in words][:1] for words in (_NAMES, _KINDS, _NUMBERS))
+    named = named or (numbered if kinds else [])  # alone it may count rows
     return named + kinds if named and len(header) > 2 else []
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from op3.rollout.readers.ros import is_bag
 from op3.rollout.rollout import DATA_FOLDER, METADATA_FILE, ROWS_FILE, Rollout
 
 
@@ -17,8 +18,7 @@ class Folder:
         """By what lies in the folder."""
         folder = path.parent if path.name == METADATA_FILE else path
         parts = (folder / DATA_FOLDER / "meta.json").is_file() or (folder / ROWS_FILE).is_file()
-        # a bag of ROS 2 has a metadata.yaml of its own
-        return parts or ((folder / METADATA_FILE).is_file() and not any(folder.glob("*.[dm][bc]*")))
+        return parts or ((folder / METADATA_FILE).is_file() and not is_bag(folder))
 
     def read(self, path: Path) -> list[Rollout]:
         """One rollout, which may hold several episodes of equal length."""

@@ -34,7 +34,7 @@ class Npz:
         if not path.is_dir():
             return path.suffix == ".npz"
         files = sorted(path.glob("*.npz"))
-        return 1 < len(files) < 6 and all(map(_partial, files))
+        return 0 < len(files) < 6 and all(map(_partial, files))
 
     def read(self, path: Path) -> list[Recording]:
         """One recording."""

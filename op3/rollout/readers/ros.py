@@ -33,7 +33,7 @@ class Ros:
 
     def claims(self, path: Path) -> bool:
         """By the ending, or the files in the folder."""
-        return path.suffix in (".bag", ".mcap", ".db3") or (path.is_dir() and any(path.glob("*.[dm][bc][3a]*")))
+        return path.suffix in (".bag", ".mcap", ".db3") or (path.is_dir() and is_bag(path))
 
     def read(self, path: Path) -> list[Recording]:
         """One recording; joints are those with a state and a command."""
@@ -58,6 +58,14 @@ class Ros:
         return [Recording(streams, dict(robot="real", mount="stand"))]
 
 
+def is_bag(folder: Path) -> bool:
+    """Whether a folder is a bag of ROS 2, whose `metadata.yaml` is its own."""
+    about = folder / "metadata.yaml"
+    if any(folder.glob("*.[dm][bc][3a]*")):
+        return True
+    return about.is_file() and b"rosbag2_bagfile_information" in about.read_bytes()[:200]
+
+
 def _one_source(found: Found, path: Path) -> dict[tuple[str, ...], list[list[float]]]:
     """Rows by columns, of one topic each: relays are left out, two that differ and states without commands
     refused."""
@@ -76,12 +84,18 @@ def _one_source(found: Found, path: Path) -> dict[tuple[str, ...], list[list[flo
     states, told = (
         [n.rpartition(".")[0] for n in sorted(names) if n.endswith(end)] for end in (".position", ".target")
     )
-    if states and not {*states} & {*told}:
-        problem = f"commands are of {', '.join(told[:6])}, and states of {', '.join(states[:6])}"
-        problem = problem if told else "no topic commands these joints"
+    if states and not told:
+        problem = "no topic commands these joints"
         remedy = f"record the topic of the commands, whose name holds one of {', '.join(_COMMAND_WORDS)}"
         raise LogError(problem, remedy, source=path, column="command/position")
-    return {columns: rows for columns, (_, _, rows) in chosen.items()}
+    alike = {} if {*states} & {*told} else {t: [s for s in states if _behind(s, t) or _behind(t, s)] for t in told}
+    named = {f"{t}.target": f"{s[0]}.target" for t, s in alike.items() if len(s) == 1}
+    return {tuple(named.get(name, name) for name in columns): rows for columns, (_, _, rows) in chosen.items()}
+
+
+def _behind(name: str, other: str) -> bool:
+    """Whether a name is the other behind a namespace."""
+    return name.endswith(f"_{other}")
 
 
 def _content(columns: tuple[str, ...], rows: list[list[float]], names: list[str]) -> set[tuple[float, ...]]:
@@ -102,7 +116,9 @@ def _messages(path: Path) -> Iterator[tuple[str, str, float, Any]]:
                     yield connection.topic, kind, time * 1e-9, reader.deserialize(raw, connection.msgtype)
     except Exception as error:  # a damaged bag fails anywhere in the parsers of three formats
         problem = f"the bag cannot be read ({type(error).__name__}: {' '.join(str(error).split())[:120]})"
-        raise LogError(problem, "copy it again, or repair it with `ros2 bag reindex`", source=path) from None
+        mcap = path.suffix == ".mcap" or any(path.glob("*.mcap"))
+        mends = "rosbag reindex" if path.suffix == ".bag" else "mcap recover" if mcap else "ros2 bag reindex"
+        raise LogError(problem, f"copy all its files again, or repair it with `{mends}`", source=path) from None
 
 
 def _samples(topic: str, kind: str, message: Any, seen: list[tuple[str, ...]]) -> Iterator[tuple[float, Any]]:

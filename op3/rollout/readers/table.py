@@ -61,6 +61,9 @@ def read_table(
     if not table.size:
         raise LogError("there is a header but no row", "write at least one row", row="row 1")
     if table.shape[1] != len(header):
+        if table.shape[1] > 1.5 * len(header):
+            problem = f"{table.shape[1]} cells stand below {len(header)} names, as if decimal commas separated them"
+            raise LogError(problem, "write points, or separate the columns by `;`", row=1)
         raise _fault("at row 1", header)
     return header, table, codes
 
@@ -74,8 +77,8 @@ def _number(cell: str) -> float:
     cell = cell.strip()
     if cell.lower() in ("", "-", "n/a", "na", "null", "none"):
         return math.nan
-    if re.match(r"(\d{4}-\d\d-\d\d[T ])?\d\d:\d\d:", cell):
-        return datetime.datetime.fromisoformat(cell if "-" in cell else f"2001-01-01T{cell}").timestamp()
+    if re.match(r"(\d{4}-\d\d-\d\d[T ])?\d\d:\d\d:|\d{8}T\d{6}", cell):
+        return datetime.datetime.fromisoformat(cell if re.match(r"\d{4}", cell) else f"2001-01-01T{cell}").timestamp()
     return float(cell.replace("_", "?").replace(",", "."))
 
 
@@ -84,6 +87,10 @@ def _fault(said: str, header: list[str]) -> LogError:
     if cell := re.search(r"string '(.*)' to float64 at row (\d+), column (\d+)", said, re.DOTALL):
         column, row, text = header[min(int(cell[3]), len(header)) - 1], int(cell[2]) + 1, cell[1].strip()
         problem, remedy = f"{cell[1][:40]!r} is not a number", "write a number, or leave out the row"
+        if re.match(r"\d{1,4}[./-]\d\d?[./-]\d{1,4}\b", text):
+            remedy = "write dates as in 2026-03-28T14:59:55.123, or seconds"
+        elif re.fullmatch(r"-?\d{1,3}([.,]\d{3})+[.,]\d*", text):
+            remedy = "write numbers without marks between thousands"
         if text.strip("# ") == column:
             problem, remedy = "the header stands there again", "remove the line, or split the file there"
         elif row == 1 and (
@@ -130,5 +137,6 @@ def _header(lines: Iterator[str]) -> tuple[list[str], str, bool, Iterator[str]]:
         raise LogError("there is no header, the first row holds numbers", remedy, row=1)
     for position, name in enumerate(header):
         if name in header[:position]:
-            raise LogError("the column is there twice", "keep one", column=name, row="header")
+            remedy = "give every column a name of its own (a header of two rows is to be one, as `hip.position`)"
+            raise LogError("the column is there twice", remedy, column=name, row="header")
     return header, mark, open_end, lines
