@@ -28,7 +28,10 @@ def told(search: Search, stage: Stage, effect: str, joints: Sequence[str] | None
     mine = [i for i, one in enumerate(stage.found) if one.place == place]
     if not mine:
         return stage
-    return search.told(stage, max(mine, key=lambda i: float(odds[i])))
+    number = max(mine, key=lambda i: float(odds[i]))
+    with_it, alone = (stage.judge.fit(named, stage.fit.state, rounds=2) for named in ([number], []))
+    step = (with_it.mean[:-1] - alone.mean)[: len(stage.base.point)]
+    return search.with_best(stage, [(number, step, float(with_it.mean[-1]), with_it.state)])
 
 
 def main(data: str, base: str, answer: str, run: str) -> None:

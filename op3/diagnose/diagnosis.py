@@ -100,13 +100,17 @@ class Diagnosis:
     def first_stage(self, fitted: bool = True) -> Stage:
         """The judge around the base with nothing named; of simulated logs around the given model as it is."""
         with threadpool_limits(1):
-            reduction, rng = self.reduction(), np.random.default_rng([self.seed, 11])
-            if fitted:
-                base = fit_base(reduction, self.given, rng, self.settings, self._share("base"))
-            else:
-                base = unfitted(reduction, self.given, self.settings)
-            self.search = Search(reduction, self.without, self.settings, self._share("candidates"))
-            return self.search.first(base)
+            reduction = self.reduction()
+            base = self._base(reduction, self.given) if fitted else unfitted(reduction, self.given, self.settings)
+            return self._searching(reduction).first(base)
+
+    def _base(self, reduction: Reduction, model: RobotModel) -> Base:
+        rng = np.random.default_rng([self.seed, 11])
+        return fit_base(reduction, model, rng, self.settings, self._share("base"))
+
+    def _searching(self, reduction: Reduction) -> Search:
+        self.search = Search(reduction, self.without, self.settings, self._share("candidates"))
+        return self.search
 
     def reduction(self) -> Reduction:
         """The windows of the fitted runs."""
@@ -121,11 +125,9 @@ class Diagnosis:
         if not reduction.limbs:
             return self._void(model, STILL)
         with self._timed("base"):
-            rng = np.random.default_rng([self.seed, 11])
-            base = fit_base(reduction, model, rng, self.settings, self._share("base"))
+            base = self._base(reduction, model)
         with self._timed("candidates"):
-            self.search = Search(reduction, self.without, self.settings, self._share("candidates"))
-            self.stages = self.search.run(base)
+            self.stages = self._searching(reduction).run(base)
         with self._timed("show"):
             verdict = self._verdict(model, reduction)
         self._progress("show", 1.0)

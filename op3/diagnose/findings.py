@@ -302,11 +302,9 @@ class Search:
         good = refitted[0][0] >= self.settings.alarm - self.settings.temperature
         return self._with(stage, refitted) if good else None
 
-    def told(self, stage: Stage, number: int) -> Stage:
-        """The stage with a candidate named of which it is known that it is there, whatever its odds."""
-        with_it, alone = (stage.judge.fit(named, stage.fit.state, rounds=2) for named in ([number], []))
-        step = (with_it.mean[:-1] - alone.mean)[: len(stage.base.point)]
-        return self._with(stage, self._refitted(stage, [(number, step, float(with_it.mean[-1]), with_it.state)]))
+    def with_best(self, stage: Stage, estimates: Sequence[Estimated]) -> Stage:
+        """The stage with the best of what was estimated named, whatever its odds."""
+        return self._with(stage, self._refitted(stage, estimates))
 
     def _with(self, stage: Stage, refitted: Sequence[Refitted]) -> Stage:
         """The stage with the best of the refitted named, and those that are as good as its rivals."""

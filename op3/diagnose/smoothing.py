@@ -81,11 +81,6 @@ class SmoothLog:
     tilt: tuple[float, float]
     sway: np.ndarray | None
 
-    @property
-    def half_width(self) -> int:
-        """Ticks on each side that a smoothed state has seen."""
-        return half_width(self.period)
-
 
 @dataclass(frozen=True, eq=False)
 class VelocitySensing:
@@ -94,12 +89,10 @@ class VelocitySensing:
     Attributes:
         lag: how late they are [s], ``[joint]``.
         noise: their standard deviation [rad/s], ``[joint]``, as far as smoothing heeds it.
-        spread: the same, however large.
     """
 
     lag: np.ndarray
     noise: np.ndarray
-    spread: np.ndarray
 
 
 def half_width(period: float) -> int:
@@ -163,7 +156,6 @@ def velocity_sensing(logs: Sequence[SmoothLog]) -> VelocitySensing:
     """
     period, joints = logs[0].period, logs[0].position.shape[1]
     lag, noise = np.full(joints, VELOCITY_LAG), np.full(joints, LEAST_VELOCITY_NOISE)
-    spread = noise.copy()
     for j in range(joints):
         features, missed, jerky = [], [], []
         for log in logs:
@@ -176,11 +168,11 @@ def velocity_sensing(logs: Sequence[SmoothLog]) -> VelocitySensing:
         moves = np.abs(x).max(1) > 0
         if moves.any():
             calm = moves & (np.abs(x).max(1) <= np.median(np.abs(x).max(1)[moves]))
-            spread[j] = 1.4826 * np.median(third[calm]) / np.sqrt(20.0)
-            noise[j] = np.clip(spread[j], LEAST_VELOCITY_NOISE, VELOCITY_NOISE)
+            spread = 1.4826 * np.median(third[calm]) / np.sqrt(20.0)
+            noise[j] = np.clip(spread, LEAST_VELOCITY_NOISE, VELOCITY_NOISE)
         if np.sqrt(np.square(x[:, 1]).mean()) > EXCITED * np.sqrt(2) * noise[j] / period:
             lag[j] = np.clip(np.linalg.lstsq(x, y, rcond=1e-6)[0].sum(), 0.0, LONGEST_LAG)
-    return VelocitySensing(lag, noise, spread)
+    return VelocitySensing(lag, noise)
 
 
 def smooth(log: Rollout, sensing: VelocitySensing | None = None, period: float | None = None) -> SmoothLog:
@@ -219,7 +211,7 @@ def smooth(log: Rollout, sensing: VelocitySensing | None = None, period: float |
     v = readings.get(("joint", "velocity"), np.gradient(q, period, axis=0))
     if sensing is None:
         usual = np.full(q.shape[1], VELOCITY_NOISE)
-        sensing = VelocitySensing(np.full(q.shape[1], VELOCITY_LAG), usual, np.zeros(q.shape[1]))
+        sensing = VelocitySensing(np.full(q.shape[1], VELOCITY_LAG), usual)
     by_joint = zip(sensing.lag, sensing.noise, strict=True)
     weights = np.stack([kernels(period, half, lag, noise) for lag, noise in by_joint], -1)
     padded = [np.pad(x, ((half, half), (0, 0)), mode="edge") for x in (q, v)]

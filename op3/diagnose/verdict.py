@@ -29,7 +29,7 @@ class Finding:
         joints: names of the joints in which it sits.
         shared: whether all joints have it alike.
         parameter: the number that says how much of it there is.
-        size: its value.
+        size: its value; of an effect that the base has, what is added to that.
         unit: of the size.
         interval: 90 % interval of the size.
         probability: that this is what is missing.
@@ -61,6 +61,11 @@ class Finding:
         """The experiments that would tell it from its rivals."""
         names = [self.effect, *(rival.effect for rival in self.alternatives)] if self.alternatives else []
         return separating(names)
+
+    @property
+    def likely(self) -> bool:
+        """Whether it, or one of its rivals, is more likely there than not."""
+        return self.probability + sum(rival.probability for rival in self.alternatives) > LIKELY
 
     @property
     def phrase(self) -> str:
@@ -146,8 +151,10 @@ class Verdict:
         if not self.findings:
             said = "Nothing is missing that these logs show." if not flagged else "No effect of the catalogue is named."
             return first + said + odd
-        said = "; ".join(_stated(finding) for finding in self.findings)
-        return f"{first}The model lacks {said}.{odd}"
+        for verb, likely in (("lacks", True), ("may lack", False)):
+            if said := "; ".join(_stated(finding) for finding in self.findings if finding.likely == likely):
+                first += f"The model {verb} {said}. "
+        return first.rstrip() + odd
 
     def plain(self) -> dict[str, Any]:
         """The content of ``verdict.yaml``."""

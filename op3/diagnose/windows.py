@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from op3.diagnose.smoothing import CHANNELS, PREROLL, SmoothLog, smooth_all
+from op3.diagnose.smoothing import CHANNELS, PREROLL, SmoothLog, half_width, smooth_all
 from op3.diagnose.supply import open_voltages
 from op3.rollout import LogError, Rollout
 from op3.servo import RobotModel
@@ -336,7 +336,7 @@ def _within(model: RobotModel, joints: Sequence[str]) -> RobotModel:
 
 def _choose(logs: Sequence[SmoothLog], count: int, ticks: int) -> list[tuple[int, int]]:
     """Evenly spread starts (log, tick) of windows that do not overlap while there is room, at smooth places."""
-    half = logs[0].half_width if logs else 0
+    half = half_width(logs[0].period) if logs else 0
     lead, tail = max(PREROLL, half), ticks + half + 1
     room = np.array([max(0, len(log.time) - lead - tail) for log in logs])
     if room.sum() == 0:

@@ -1,5 +1,6 @@
 """Which model is handed back, how a late velocity is compared, and what a verdict says."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -183,6 +184,8 @@ def test_a_verdict_is_findings_and_what_stays_unexplained():
     (finding,) = verdict().findings
     assert verdict().verdict == "named"
     assert verdict().sentence.startswith("The model lacks backlash in r_knee")
+    less = verdict(findings=(finding, dataclasses.replace(finding, effect="lugre", probability=0.3)))
+    assert "probability 0.93. The model may lack lugre in r_knee" in less.sentence
     rival = Rival("compliance", ("r_knee",), False, 0.3)
     either = verdict(findings=(Finding(**{**vars(finding), "alternatives": (rival,)}),))
     assert either.verdict == "ambiguous"
