@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -39,26 +39,34 @@ def _rotation(angles: np.ndarray) -> Rotation:
     return Rotation.from_euler("ZYX", angles[:, ::-1])
 
 
-def _by_parts(order: list[int]) -> Callable[[np.ndarray], Rotation]:
-    return lambda angles: Rotation.from_quat(_rotation(angles).as_quat()[:, order])
+def _by_angles(order: Sequence[int], signs: Sequence[int] = (1, 1, 1)) -> Callable[[np.ndarray], Rotation]:
+    return lambda angles: _rotation(angles[:, list(order)] * np.array(signs))
 
 
-_NAMES = ("roll", "pitch", "yaw")
+def _by_parts(order: Sequence[int]) -> Callable[[np.ndarray], Rotation]:
+    return lambda angles: Rotation.from_quat(_rotation(angles).as_quat()[:, list(order)])
+
+
+def _where(some: Iterable[bool]) -> str:
+    return " and ".join(itertools.compress(("roll", "pitch", "yaw"), some))
+
+
 _READ: dict[str, Callable[[np.ndarray], Rotation]] = {
     "its angles were in degrees": lambda angles: _rotation(np.deg2rad(angles)),
     "it were the world's in the body's frame": lambda angles: _rotation(angles).inv(),
-    "the parts of its quaternion (x, y, z, w) had been written as w, x, y, z": _by_parts([1, 2, 3, 0]),
-    "the parts of its quaternion (w, x, y, z) had been written as x, y, z, w": _by_parts([3, 0, 1, 2]),
+    "the parts of its quaternion (x, y, z, w) had been written as w, x, y, z": _by_parts((1, 2, 3, 0)),
+    "the parts of its quaternion (w, x, y, z) had been written as x, y, z, w": _by_parts((3, 0, 1, 2)),
+    **{
+        f"the sign of {_where(sign < 0 for sign in signs)} were turned round": _by_angles((0, 1, 2), signs)
+        for signs in itertools.product((1, -1), repeat=3)
+        if min(signs) < 0
+    },
+    **{
+        f"{_where(at != i for i, at in enumerate(order))} were swapped": _by_angles(order)
+        for order in ((1, 0, 2), (2, 1, 0), (0, 2, 1))
+    },
 }
 """What an orientation may be that was not read as it was meant, and what it is then."""
-
-for _signs in itertools.product((1, -1), repeat=3):
-    _turned = " and ".join(name for name, sign in zip(_NAMES, _signs, strict=True) if sign < 0)
-    _READ[f"the sign of {_turned} were turned round"] = lambda angles, signs=_signs: _rotation(angles * signs)
-for _order in ((1, 0, 2), (2, 1, 0), (0, 2, 1)):
-    _moved = " and ".join(name for name, place in zip(_NAMES, _order, strict=True) if name != _NAMES[place])
-    _READ[f"{_moved} were swapped"] = lambda angles, order=_order: _rotation(angles[:, order])
-del _READ["the sign of  were turned round"]
 
 
 @check("orientation")
