@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import re
 from collections.abc import Iterable, Sequence
 
 from op3.rollout.readers.reader import Column
 from op3.rollout.schema import CHANNELS, normal_key, place
+from op3.rollout.units import UNITS, canonical
 
 _SPELLINGS: dict[str, str] = {
     "command/position": "target goal command commanded cmd desired des ref reference setpoint action ctrl control",
@@ -24,6 +26,9 @@ _SPELLINGS: dict[str, str] = {
 _WORDS = {word: normal_key(name) for name, words in _SPELLINGS.items() for word in words.split()}
 """Words that say what is measured; of several in a name the first listed here counts."""
 
+_SENSED = ("present", "measured", "meas", "actual", "raw")
+"""Words that say that something was measured; a position where nothing says what."""
+
 _NO_POSITIONS = {normal_key(f"joint/{kind}") for kind in ("velocity", "current", "duty", "load", "voltage")}
 """A target of one of these is not a target of a position."""
 
@@ -31,8 +36,9 @@ _IMU = {"gyro": "gyro", "gyroscope": "gyro", "angular": "gyro", "acc": "acc", "a
 _IMU |= {"linear": "acc", "acceleration": "acc"}
 _UNITS = {"deg": "deg", "degrees": "deg", "degree": "deg", "rad": None, "radians": None, "rpm": "rpm", "dps": "deg/s"}
 _UNITS |= {"ma": "mA", "mv": "mV", "ms": "ms", "us": "us", "ns": "ns", "percent": "percent", "mrad": "mrad"}
+_UNITS |= {"ticks": "counts of 4096 a turn", "counts": "counts of 4096 a turn"}
 _UNITS |= {"°": "deg", "degs": "deg/s", "radps": None, "rads": None}
-_FILLERS = re.split(" ", "joint joints present measured meas actual motor i s value observation imu of main")
+_FILLERS = re.split(" ", "joint joints present measured meas actual raw motor i s value observation imu of main")
 _TIMES = ("time", "timestamp", "t", "stamp", "secs", "seconds", "times")
 
 
@@ -47,6 +53,12 @@ def guess(name: str, joints: Sequence[str] = ()) -> Column | None:
     if ours and (ours[0].axes != "joint" or not joints or ours[1] in joints):
         return Column(name)
     words = [word for word in re.split(r"[^A-Za-z0-9°]+|(?<=[a-z]{2})(?=[A-Z])", name) if word]
+    said = re.search(r"\s*[\[(]([^\])]+)[\])]\s*$", name)
+    if said and (found := guess(name[: said.start()], joints)) and found.name and (of := place(found.name)):
+        unit = canonical(said[1])
+        unit = "deg/s" if unit == "deg" and found.name.endswith("velocity") else unit
+        if unit in UNITS.get(of[0].quantity.unit, {}):
+            return dataclasses.replace(found, unit=None if unit == of[0].quantity.unit else unit)
     lower = [word.lower() for word in words]
     unit = next((_UNITS[word] for word in lower if word in _UNITS), None)
     rate = "deg/s" if unit == "deg" else unit
@@ -61,11 +73,11 @@ def guess(name: str, joints: Sequence[str] = ()) -> Column | None:
     meant = {_WORDS[word] for word in lower if word in _WORDS}
     if {"error", "err"} & set(lower) or (meant & {normal_key("command/position")} and meant & _NO_POSITIONS):
         return Column(None, why=f"{name!r} names no angle, nor what was told to have one")
-    word = next((word for word in _WORDS if word in lower), None)
+    word = next((word for word in (*_WORDS, *_SENSED) if word in lower), None)
     if word is not None:
         known = {*_WORDS, *_FILLERS, *_UNITS}
         joint = _joint("_".join(w for w in words if w.lower() not in known), joints)
-        column = CHANNELS[_WORDS[word]].column.format(joint=joint)
+        column = CHANNELS[_WORDS.get(word, normal_key("joint/position"))].column.format(joint=joint)
         return Column(column, rate if column.endswith("velocity") else unit, why=f"{word!r} in {name!r}")
     joint = _joint(name, joints) if joints else ""
     return Column(f"{joint}.position", unit, why=f"{name!r} names a joint") if joint in joints else None

@@ -266,6 +266,9 @@ def _mend(columns: Columns, side: Side) -> None:
             if name not in known:
                 remedy = rename(name, known, f"write some of {', '.join([*known][:20])}")
                 raise LogError(f"{name} is not in the log", remedy, source=side.source, column=f"field {option}")
+    if none := next((name for name, scale in options.scale.items() if scale == 0), None):
+        problem = "a scale of 0 leaves nothing of it"
+        raise LogError(problem, "leave the column out", source=side.source, column=f"field scale.{none}")
     if wide := next((joint for joint, angle in options.shift.items() if abs(angle) > 4 * np.pi), None):
         problem = f"{options.shift[wide]:g} rad is over two turns, as if it were in degrees"
         raise LogError(problem, "write it in radians", source=side.source, column=f"field shift.{wide}")

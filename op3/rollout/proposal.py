@@ -41,7 +41,9 @@ def propose(path: Path, robot: str | None = None) -> tuple[dict[str, Any], dict[
             problem = f"it names none of the joints of {known.name}, which are {', '.join(known.joints)}"
             remedy = "give the robot that made it; or import it without robot=, and correct the names in the YAML"
             raise LogError(problem, remedy, source=path)
-        about |= {"joints": list(known.joints), "robot_file": known.reference}  # its terms are in the columns
+        there = {column.name.rpartition(".")[0] for column in columns.values() if column.name}
+        # its terms are in the columns
+        about |= {"joints": [joint for joint in known.joints if joint in there], "robot_file": known.reference}
     about = {name: value for name, value in about.items() if value not in (None, {}, [])}
     return about, columns, [f"{one.problem}; {one.remedy}" for one in found.doubts]
 

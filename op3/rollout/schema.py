@@ -58,11 +58,12 @@ STIFFNESS = Quantity("A/rad", 100.0, _GAIN, "convert to A/rad or name the column
 DAMPING = Quantity("A s/rad", 100.0, _GAIN, "convert to A s/rad or leave the column out", True)
 _TOO_LARGE = "is beyond the largest Dynamixel gain register, 16383"
 FIRMWARE = Quantity("firmware units", 16383.0, _TOO_LARGE, "write the register's value", True)
-CURRENT = Quantity("A", 20.0, "looks like mA", "divide by 1000")
+CURRENT = Quantity("A", 20.0, "looks like mA, or counts of a register", "divide by 1000, or write the size of a count")
 FULL_SCALE = "divide by the full scale (100, or 885 on X-series Dynamixels) so that full duty is 1"
 DUTY = Quantity("", 1.01, "looks like percent or a PWM register", FULL_SCALE)
 VOLTAGE = Quantity("V", 30.0, "looks like units of 0.1 V or mV", "convert to volts", True)
-TEMPERATURE = Quantity("C", 150.0, "looks like kelvin", "subtract 273.15 to get degrees Celsius")
+_KELVIN = "subtract 273.15 to get degrees Celsius, or divide by 10"
+TEMPERATURE = Quantity("C", 150.0, "looks like kelvin, or units of 0.1 C", _KELVIN)
 SWITCH = Quantity(mistake="is not 0 or 1", remedy="write 0 for off and 1 for on", binary=True)
 BYTE = Quantity("bits", 255.0, "does not fit into one byte", "write the register's value", True)
 

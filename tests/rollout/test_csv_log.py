@@ -212,6 +212,16 @@ def test_other_ways_of_a_clock_and_of_a_sidecar(tmp_path):
     np.testing.assert_allclose(np.diff(read_log(path).array("time")[:, 0]), 1 / 125, atol=2e-6)
 
 
+@pytest.mark.parametrize("change", [lambda line: f"{line},", lambda line: line.replace(",", "|")])
+def test_other_tables(tmp_path, change):
+    """Rows that end with a comma, unlike the header, and columns between strokes."""
+    path = written(tmp_path)
+    header, *rows = path.read_text().splitlines()
+    header = header.replace(",", "|") if change(",") == "|" else header
+    path.write_text("\n".join([header, *map(change, rows)]) + "\n")
+    assert_same(read_log(path), rollout())
+
+
 def test_column_order_quotes_and_blank_lines_do_not_matter(tmp_path):
     """Columns may come in any order, quoted, with spaces, a byte order mark and a blank last line."""
     path = written(tmp_path)

@@ -30,7 +30,7 @@ from foreign_logs import (
 )
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from rollout_logs import SERVO_BENCH, refusal
+from rollout_logs import SERVO_BENCH, refusal, rollout
 
 from op3.robot import load_robot
 from op3.rollout import LogError, read_episodes, read_log, read_logs
@@ -95,6 +95,27 @@ def test_what_the_numbers_of_a_dataset_are(tmp_path, monkeypatch):
     rests = np.where(np.arange(ROWS)[:, None] < ROWS / 2, position()[ROWS // 2], position())
     monkeypatch.setattr(foreign_logs, "position", lambda: np.round(rests / step) * step)
     assert "unit of LeRobot" not in {one.check for one in read_log(lerobot(tmp_path / "stepped")).findings}
+
+
+def test_a_gripper_without_its_calibration_is_told(tmp_path, monkeypatch):
+    """LeRobot's run from 0 to 100, whatever the other joints are in."""
+    monkeypatch.setattr(foreign_logs, "JOINTS", ("gripper", "elbow"))
+    for name, late in (("target", 0.0), ("position", 0.03)):
+        opened = np.deg2rad(50 + 48 * np.sin(3 * (foreign_logs.TIME - late)))
+        values = np.stack([opened, 0.5 * np.sin(2 * (foreign_logs.TIME - late))], axis=1)
+        monkeypatch.setattr(foreign_logs, name, lambda *_, values=values: values)
+    (found,) = (one for one in read_log(lerobot(tmp_path)).findings if one.check == "unit of LeRobot")
+    assert found.problem.startswith("a gripper's numbers of")
+
+
+def test_a_log_of_some_joints_of_a_robot(tmp_path):
+    """What is proposed names these, and is read."""
+    path = rollout().to_csv(tmp_path / "run.csv")
+    path.with_suffix(".yaml").unlink()
+    about, columns, _ = propose(path, "op3")
+    assert about["joints"] == ["l_knee", "r_knee"]
+    path.with_suffix(".yaml").write_text(as_yaml(about | {"rate": 125.0}, columns))
+    assert read_log(path).joints == ("l_knee", "r_knee")
 
 
 def test_episodes_of_a_dataset(tmp_path):
@@ -504,6 +525,11 @@ def test_an_imported_log_is_in_its_robots_terms_once(tmp_path):
         ("arm_hip_out_rpm", "hip.velocity", "rpm"),
         ("hip_position [°]", "hip.position", "deg"),
         ("hip_vel_degs", "hip.velocity", "deg/s"),
+        ("hip current [A]", "hip.current", None),
+        ("hip temperature (C)", "hip.temperature", None),
+        ("hip_vel [deg]", "hip.velocity", "deg/s"),
+        ("hip_present_position_ticks", "hip.position", "counts of 4096 a turn"),
+        ("hip_actual", "hip.position", None),
     ],
 )
 def test_a_unit_says_what_is_measured(name, column, unit):

@@ -841,6 +841,12 @@ COUNT = 2 * np.pi / 4096
         (noise("joint_2.velocity", 0.3), "joint_2.velocity", "scatters by 0.2"),
         (put("joint_2.velocity", 0.0, 580, 620), "joint_2.velocity", "part by"),
         (put("joint_2.velocity", 9.0, 500, 503), "joint_2.velocity", "part by"),
+        (
+            edit("joint_2.velocity", lambda values: values * (np.arange(1000) % 25 > 0)),
+            "joint_2.velocity",
+            r"is 0 in \d\d single rows",
+        ),
+        (swap("imu.acc_x", "imu.acc_y"), "imu.acc_x", "the two axes are swapped"),
         (put("joint_2.position", np.nan, 580, 610), "joint_2.velocity", "part by"),
         (add("joint_2.position", 0.0), None, ""),
         (
@@ -937,14 +943,95 @@ def test_velocities_that_were_differences_are_sound_at_any_rate(rate, estimator)
     assert not [one for one in examine(log) if one.check == "velocity against position"]
 
 
-@pytest.mark.parametrize("relative", [False, True])
-def test_commands_that_say_how_far_to_go_are_refused(relative):
-    """A target less the position there, as actions of learned policies often are."""
-    log = moving(50, three_sines, ESTIMATORS["true"], seconds=20)
+@pytest.mark.parametrize("kind", ["absolute", "relative", "increments"])
+def test_commands_that_say_how_far_to_go_are_refused(kind):
+    """A target less the position there, as actions of learned policies often are, or less the target before."""
+    log = moving(50 if kind == "relative" else 100, three_sines, ESTIMATORS["true"], seconds=20)
     goal = three_sines(log.array("time") + 0.12)
-    command = goal - log.array("joint/position") if relative else goal
-    found = examine(changed(log, command__position=command))
-    assert any("how far the joint is to move" in one.problem for one in found) == relative
+    less = {"absolute": 0.0, "relative": log.array("joint/position"), "increments": np.roll(goal, 1, 0)}
+    found = examine(changed(log, command__position=goal - less[kind]))
+    assert any("how far the joint is to move" in one.problem for one in found) == (kind != "absolute")
+
+
+def test_a_position_that_is_the_command_some_rows_later_is_refused():
+    """A controller's reference in the place of what was measured."""
+    log = moving(100, three_sines, ESTIMATORS["true"], seconds=20)
+    for noise, told in ((0.0, True), (0.002, False)):
+        late = np.roll(log.array("command/position"), 5, 0) + noise * np.sin(np.arange(log.rows))[:, None]
+        found = examine(changed(log, joint__position=late))
+        assert any("every row has the number of the command" in one.problem for one in found) == told
+
+
+def stepped(limit: float = np.inf) -> tuple[np.ndarray, ...]:
+    """Time, target, position, velocity and current of a joint that rests for two seconds and is then told to step."""
+    time = np.arange(1000) / 100
+    target = np.where(time < 2, 0.0, np.where(np.floor(time / 2) % 2, 0.5, -0.4))
+    angle, speed = np.zeros((2, len(time)))
+    current = np.zeros(len(time))
+    for row in range(1, len(time)):
+        angle[row], speed[row] = angle[row - 1], speed[row - 1]
+        for _ in range(10):
+            current[row] = np.clip(8 * (target[row - 1] - angle[row]) - 0.3 * speed[row], -limit, limit)
+            speed[row] += 1e-3 * (current[row] - 0.35 * speed[row] - 0.1 * np.tanh(speed[row] / 0.03)) / 0.02
+            angle[row] += 1e-3 * speed[row]
+    step = 2 * np.pi / 4096
+    return time, target, np.round(angle / step) * step, speed, np.round(current / 0.00269) * 0.00269
+
+
+@pytest.mark.parametrize("limit", [np.inf, 0.4])
+def test_a_joint_that_rests_before_it_steps_is_sound(limit):
+    """Also where a limit of the current decides how fast, and where its torque is off at first."""
+    time, *arrays = stepped(limit)
+    target, angle, speed, current = (array[:, None] for array in arrays)
+    given = {"time": time[:, None], "command/position": target, "joint/position": angle, "joint/velocity": speed}
+    given |= {"joint/current": current}
+    for more in ({}, {"command/torque_enable": 1.0 * (time[:, None] >= 2)}):
+        log = Rollout.from_arrays({**given, **more}, Metadata(("elbow",), "real", "stand", 100.0))
+        assert not examine(log)
+
+
+@pytest.mark.parametrize("joints", [1, 3])
+def test_a_zero_that_is_a_quarter_turn_off_is_told(tmp_path, joints):
+    """No servo yields by so much, whatever gravity does there."""
+    log = read_log(write(tmp_path, add(r"joint_0.position", np.pi / 2), joints=joints))
+    assert any("rad off its command in every pose" in one.problem for one in log.findings)
+
+
+def test_a_cell_without_a_number_is_told_once(tmp_path):
+    """What stands in the place of a channel that is set aside is not looked at."""
+    path = write(tmp_path, lambda table: table.update({"joint_0.current": 0.4 * table["joint_0.velocity"]}))
+    text = path.read_text().splitlines()
+    index = text[0].split(",").index("joint_0.current")
+    text[500] = ",".join("" if i == index else cell for i, cell in enumerate(text[500].split(",")))
+    path.write_text("\n".join(text) + "\n")
+    (found,) = (one for one in read_log(path).findings if one.column == "joint_0.current")
+    assert found.problem == "1 of 1000 rows hold no number"
+
+
+def test_loads_with_their_sign_in_bit_ten_are_told(tmp_path):
+    """As small servos of several makers tell them."""
+
+    def change(table: Table) -> None:
+        load = np.round(500 * np.sin(2 * table["time"]))
+        table["joint_0.load"] = np.where(load < 0, 1024 - load, load)
+
+    (found,) = (one for one in read_log(write(tmp_path, change)).findings if one.column == "joint_0.load")
+    assert "have their sign in bit 10" in found.problem
+    assert found.set_aside
+
+
+def test_rates_in_the_frame_of_the_world_are_refused():
+    """As some simulators tell them; in the body they are others as soon as it has turned."""
+    log = bench_log()
+    turned = log.array("imu/orientation") * [1, 1, 0] + [0, 0, 1.2]
+    rates = Rotation.from_euler("ZYX", turned[:, ::-1])
+    body = np.diff(turned, axis=0, append=turned[-1:]) * RATE
+    body[:-1] = (rates[:-1].inv() * rates[1:]).as_rotvec() * RATE
+    force = rates.inv().apply([0, 0, 9.81])
+    for read, told in ((body, False), (rates.apply(body), True)):
+        arrays = dict(imu__orientation=turned, imu__angular_velocity=read, imu__linear_acceleration=force)
+        found = examine(changed(log, **arrays))
+        assert any("in the frame of the world" in one.problem for one in found) == told
 
 
 def noised(time: np.ndarray, size: float) -> np.ndarray:

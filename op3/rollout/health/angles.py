@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 
 from op3.rollout.errors import LogError
 from op3.rollout.health.finding import COMMAND, CURRENT, ERROR, POSITION, WARNING, Finding, View, check
-from op3.rollout.health.match import SURE, match
+from op3.rollout.health.match import GIVES, SURE, match
 from op3.rollout.units import likely_unit
 
 _TURN = 2 * np.pi
@@ -81,9 +81,8 @@ def command(view: View) -> Iterator[Finding]:
     ahead = [n for n in lags if n and driven.all()]
     steps = [match(angle[n:] - angle[:-n], target[:-n]) for n in ahead]
     change = np.max([np.diagonal(m.correlation) for m in steps], axis=0) if steps else np.zeros(len(itself))
-    relative = (
-        asked & moved & (change > SURE) & (1 - change < 0.3 * (1 - itself)) & (target.std(0) < 0.6 * angle.std(0))
-    )
+    smaller = (wanted > 1e-3) & moved & (target.std(0) < 0.6 * angle.std(0))
+    relative = smaller & (change > SURE) & (1 - change < 0.3 * (1 - itself))
     for joint in np.flatnonzero(relative):
         problem = "the command is how far the joint is to move, and not where to"
         yield view.found(wrong, (COMMAND, joint), problem, "record the position plus the command as the target")
@@ -190,8 +189,9 @@ def constant_offset(view: View) -> Iterator[Finding]:
         else:  # what gravity and a soft loop leave goes with the angle, and what a slow one leaves with the speed
             speed = np.gradient(view.position[:, joint], view.time)[driven]
             causes = np.stack([np.ones(len(angle)), np.sin(angle), speed], axis=1)
-            fit = np.linalg.lstsq(causes, off)[0] if np.ptp(causes[:, 1]) > 0.5 else np.zeros(3)
-            odd, offset = abs(fit[0]) > max(0.2, 3 * float((off - causes @ fit).std())), float(fit[0])
+            fit = np.linalg.lstsq(causes, off)[0] if np.ptp(causes[:, 1]) > 0.5 else np.array([offset, 0.0, 0.0])
+            least = 0.2 if np.ptp(causes[:, 1]) > 0.5 else GIVES
+            odd, offset = abs(fit[0]) > max(least, 3 * float((off - causes @ fit).std())), float(fit[0])
         yields = False
         if gain is not None and current is not None:
             pulled = -gain[driven, joint] * off  # damping has no mean

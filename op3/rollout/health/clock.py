@@ -91,6 +91,8 @@ def rate(view: View) -> Iterator[Finding]:
     else:
         return
     remedy = f"the time looks like {unit}, convert it to seconds" if unit else remedy
+    if np.all(steps == 1):
+        remedy = f"it counts rows{', or ' + unit if unit else ''}: write the time of every row [s]"
     yield view.found(ERROR, "time", problem, remedy, row)
 
 
@@ -137,7 +139,9 @@ def repeated(view: View) -> Iterator[Finding]:
     moving = np.median(steps[steps > 0]) if steps.any() else np.inf
     velocity = view.get(VELOCITY)
     fast = velocity is not None and np.abs(velocity[first]).max() > 0.15 and length < 0.9 * len(same)
-    if fast or out > max(5 * moving, 0.03 * length * view.interval):
+    heeded = slice(first, max(last - round(0.1 / view.interval), first) + 1)
+    told = np.ptp(view.command[heeded], axis=0).max() > 0.02  # else they may all have stood
+    if fast or (told and out > max(5 * moving, 0.03 * length * view.interval)):
         problem = f"all sensors keep their numbers for {length + 1} rows, while the robot moves"
         yield view.found(ERROR, "time", problem, "leave these rows out; the recorder had no new reading", first, last)
 

@@ -37,7 +37,9 @@ def drive(view: View) -> Iterator[Finding]:
         both = asked & (wanted.min(0) < -0.3 * wanted.max(0)) & (wanted.max(0) > -0.3 * wanted.min(0))
         if both.sum() > 1 and signless.any() and (values.min(0) >= 0).all():
             signless = both
-        away = (sure > 0.6) & (factor < 0) & ~signless
+        # where a limit decides, error and speed go together, and neither's factor means anything
+        against = ((values - values.mean(0)) * (wanted - wanted.mean(0))).mean(0) < 0
+        away = (sure > 0.6) & (factor < 0) & against & ~signless
         # where the supply or a limit decides, currents are less than was wanted: small ones are asked as well
         some = np.where(np.abs(wanted) >= 1e-3 * np.abs(wanted).max(0), 1.0, np.nan)
         small, its = (np.nanquantile(some * np.abs(one), 0.25, axis=0) for one in (values, wanted))

@@ -183,7 +183,7 @@ def told_together(findings: Sequence[Finding]) -> list[Finding]:
 
 
 def _findings(view: View) -> Iterator[Finding]:
-    aside: set[str | None] = set()
+    aside = {finding.column for finding in view.log.findings if finding.set_aside}
     told: set[str] = set()
     for name, function in CHECKS.items():
         wrong_clock = False

@@ -16,6 +16,10 @@ SURE = 0.9
 """Correlation above which one signal follows another, so that a factor and a sign mean something."""
 
 
+GIVES = 0.5
+"""No servo that holds its target yields by so much [rad]."""
+
+
 @dataclass(frozen=True)
 class Match:
     """Signals a against signals b.

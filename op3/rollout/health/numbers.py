@@ -58,7 +58,8 @@ def not_measured(view: View) -> Iterator[Finding]:
     angle, told = view.position, view.command
     rounding = np.minimum(0.51 * view.steps(POSITION), np.pi / 1024)  # of an encoder
     late = [
-        (np.abs(angle[n:] - told[: len(told) - n]) <= rounding).all(0) for n in range(3 if len(view.time) >= 20 else 0)
+        (np.abs(angle[n:] - told[: len(told) - n]) <= rounding * (n < 3)).all(0)
+        for n in range(8 if len(view.time) >= 20 else 0)
     ]
     same = np.any(late, axis=0) & (np.ptp(told, axis=0) > 0.05) & view.driven.any(0) if late else np.zeros(0, bool)
     if view.metadata.robot == "simulated":  # which may move as it is told
@@ -75,9 +76,15 @@ def unsigned(view: View) -> Iterator[Finding]:
     """Negative numbers of a 16-bit or 32-bit register were read as large positive ones."""
     for key, index, column in view.columns(POSITION, VELOCITY, CURRENT, ("joint", "load")):
         size = float(view.steps(key)[index])
-        if not size or column.max() < 2**14 * size:
+        if not size or column.max() < 2**10 * size:
             continue
         counts = np.round(column / size)
+        for bit in (10, 11) if key not in (POSITION, VELOCITY) else ():  # loads and currents of small servos
+            top = counts >= 2**bit
+            apart = np.where(top, counts - 2**bit, counts).max() < 2 ** (bit - 1) and column.min() >= 0
+            if top.any() and not top.all() and apart:
+                problem = f"numbers from {column[top].min():.6g} on have their sign in bit {bit}"
+                yield view.found(WARNING, (key, index), problem, "read sign and size apart", top.argmax(), aside=True)
         for bits in (16, 32):
             high = counts > 2**bits * 0.9
             shifted = column - 2**bits * size - view.command[:, index]
@@ -127,7 +134,15 @@ def spikes(view: View) -> Iterator[Finding]:
 
 @check("zeros")
 def zeros(view: View) -> Iterator[Finding]:
-    """All axes of the trunk's sensor, or all joints, read 0 in single rows: nothing was read there."""
+    """All axes of the trunk's sensor, all joints, or a velocity read 0 in single rows: nothing was read there."""
+    for key, joint, column in view.columns(VELOCITY):
+        before, after = column[:-2], column[2:]
+        least = max(0.1, 15 * float(view.steps(key)[joint]))
+        gone = (column[1:-1] == 0) & (np.minimum(np.abs(before), np.abs(after)) > least) & (before * after > 0)
+        if gone.sum() > 2:
+            problem = f"it is 0 in {gone.sum()} single rows, and not beside them: nothing was read there"
+            remedy = "leave these rows out; until then the channel is not used"
+            yield view.found(WARNING, (key, joint), problem, remedy, gone.argmax() + 1, aside=True)
     for key, least in ((ORIENTATION, 0.02), (RATE, 0.1), (FORCE, 1.0), (POSITION, 0.02)):
         values = view.get(key)
         if values is None or len(values) < 20 or values.shape[1] < 2:

@@ -35,7 +35,7 @@ def coarse(view: View) -> Iterator[Finding]:
     exact = 2 * np.pi / 4096 if make is None else make.position_unit
     own = {} if make is None else {POSITION: exact, VELOCITY: make.counts.velocity and make.counts.velocity.si}
     for key, usual, least in (
-        (POSITION, exact, 0.01 if make is None else 4 * exact),
+        (POSITION, exact, 0.008 if make is None else 4 * exact),
         *((k, u, 4 * u) for k, u in _ROUGHEST.items()),
     ):
         steps = view.steps(key) if key in view.log else np.zeros(0)

@@ -20,11 +20,8 @@ from op3.rollout.health.finding import (
     View,
     check,
 )
-from op3.rollout.health.match import SURE, delayed, integral, longest_run
+from op3.rollout.health.match import GIVES, SURE, delayed, integral, longest_run
 from op3.rollout.schema import CHANNELS
-
-_GIVES = 0.5
-"""No servo that holds its target yields by so much [rad]."""
 
 _SHAKEN = 0.1
 """The accelerations of a trunk that is held spread by no more [m/s2]; by 0.08 in 179 logs, and 0.44 on the feet."""
@@ -71,7 +68,7 @@ def stands_still(view: View) -> Iterator[Finding]:
         switch = view.get(("command", "torque_enable"))
         for joint, position in enumerate(view.position.T):
             yield from _position_stands(view, joint, position)
-            if np.ptp(view.command[:, joint]) == 0 and view.driven[:, joint].all() and np.ptp(position) > _GIVES:
+            if np.ptp(view.command[:, joint]) == 0 and view.driven[:, joint].all() and np.ptp(position) > GIVES:
                 problem = f"target stands at {view.command[0, joint]:.4g} rad in every row while the joint moves by "
                 problem += f"{np.ptp(position):.3g} rad"
                 remedy = "record what was sent, or `torque_enable: 0` where it was pushed by hand"
@@ -183,6 +180,7 @@ def _stops(view: View, rows: int) -> Iterator[Finding]:
             through = turned if key == ORIENTATION else view.position[:, [index]] if key == CURRENT else view.position
             moved = np.ptp(through[run], axis=0).max() > (0.1 if key == ORIENTATION else 0.2)
             limited = key == CURRENT and abs(part[first, 0]) == np.abs(part).max()
+            limited |= key == CURRENT and part[first, 0] == 0 and not view.driven[run, index].any()  # it is off
             if length <= 2 * rows or length == len(same) or not moved or limited:
                 continue
             same[run] = False

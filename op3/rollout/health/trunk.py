@@ -117,8 +117,14 @@ def gyroscope(view: View) -> Iterator[Finding]:
         return
     body = (_rotation(angles[first]).inv() * _rotation(angles[last])).as_rotvec()
     summed = integral(view.time, rate)
-    found = match(summed[last] - summed[first], body)
-    bias = np.median(summed[last] - summed[first] - body, axis=0) / span
+    turned, world = summed[last] - summed[first], _rotation(angles[first]).apply(body)
+    of_body, of_world = (float(((turned - one) ** 2).sum() / max((one**2).sum(), 1e-12)) for one in (body, world))
+    if of_world < 0.1 and of_body > max(3 * of_world, 0.1):
+        problem = "the gyroscope turns as the trunk does in the frame of the world"
+        yield view.found(ERROR, (RATE, 0), problem, "turn the rates into the body's frame")
+        return
+    found = match(turned, body)
+    bias = np.median(turned - body, axis=0) / span
     moving = found.size_b > np.maximum(4 * view.steps(ORIENTATION), 0.03 * span)
     for axis in range(3):
         own, ratio = found.correlation[axis, axis], float(found.ratio[axis, axis])
@@ -177,8 +183,12 @@ def gravity(view: View) -> Iterator[Finding]:
         # of what may have been done to its axes, the least that brings gravity where the orientation says
         done, rest = min(_MISTAKES.items(), key=lambda item: _apart(item[1] @ mean, expected) // 0.1)
         problem = f"gravity lies along {np.round(mean / size, 2)}, and the orientation says {np.round(expected, 2)}"
-        problem += f": {done}" if _apart(rest @ mean, expected) < 0.3 else ""
         remedy = "write `sign: -1` for these under `columns:` in the YAML, or name the axes anew"
+        if _apart(rest @ mean, expected) < min(0.3, 0.7 * _apart(mean, expected)):
+            problem += f": {done}"
+        else:
+            done, remedy = "", "turn the sensor's readings by as much into the body's frame"
+            problem += f", {_apart(mean, expected):.2g} rad apart: the sensor is tilted in the trunk"
         yield view.found(ERROR if "all" in done else WARNING, (FORCE, int(np.abs(mean).argmax())), problem, remedy)
 
     else:
@@ -194,6 +204,11 @@ def _leans(view: View, force: np.ndarray, up: np.ndarray) -> Iterator[Finding]:
         return
     read, expected = (integral(view.time, values) for values in (force, _STANDARD * up))
     found = match((read[last] - read[first]) / span, (expected[last] - expected[first]) / span)
+    across = np.abs(found.correlation[[0, 1], [1, 0]])
+    if across.min() > 0.7 and np.abs(np.diagonal(found.correlation)[:2]).max() < 0.5 and found.size_b[:2].min() > 0.3:
+        problem = "x rises and falls as gravity does in y, and y as it does in x: the two axes are swapped"
+        yield view.found(WARNING, (FORCE, 0), problem, "exchange them under `columns:` in the YAML")
+        return
     # its own accelerations hide gravity in part, and never turn it round
     for axis in (axis for axis in (0, 1) if found.size_b[axis] > 0.3 and found.correlation[axis, axis] < -0.3):
         problem = "it falls where the trunk leans so that gravity rises in it (correlation "

@@ -150,6 +150,12 @@ def _units(columns: dict[str, np.ndarray], meanings: dict[str, Column], path: Pa
     guessed = [name for name in angles if meanings[name].why == why]
     if not guessed or unit == "rad" or calibration or most.max() > _NORMAL:
         return []
+    if hands := [name for name in guessed if str(meanings[name].name).startswith("gripper.")]:
+        low, high = min(columns[n].min() for n in hands), max(columns[n].max() for n in hands)
+        if low >= 0 and high - low > 5:
+            problem = f"a gripper's numbers of {low:.4g} to {high:.4g} are read as degrees; LeRobot's run from 0 to 100"
+            remedy = "copy LeRobot's calibration file there as calibration.json, or give the unit under `columns:`"
+            return [Finding(WARNING, problem, remedy, hands[0], check="unit of LeRobot")]
     grids = np.deg2rad(step(np.stack([columns[name] for name in guessed], axis=1)))
     if np.isclose(grids[grids > 0], _STEP, rtol=0.01).any():  # a range's hundredths have steps of their own
         return []

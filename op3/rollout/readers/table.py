@@ -123,13 +123,16 @@ def _header(lines: Iterator[str]) -> tuple[list[str], str, bool, Iterator[str]]:
     if follows and any(mark in remark for mark in ",;\t"):
         lines, first = itertools.chain([first] * bool(first), lines), remark
     first = first.lstrip("#% \t")
-    mark = next((m for m in (",", ";", "\t", " ") if m in first.strip()), ",")
+    mark = next((m for m in (",", ";", "\t", "|", " ") if m in first.strip()), ",")
     try:
         header = [name.strip() for name in next(csv.reader([first], delimiter=mark, strict=True), [])]
     except csv.Error as error:
         raise LogError(f"the header is not CSV ({error})", "write names and commas", row="header") from None
     open_end = len(header) > 1 and not header[-1]
     header = header[:-1] if open_end else header
+    row = next(lines, "")  # whose end may be open where the header's is not
+    open_end |= mark != " " and row.count(mark) == len(header) and row.rstrip().endswith(mark)
+    lines = itertools.chain([row] * bool(row), lines)
     if not header:
         raise LogError("the file is empty", "write a header and at least one row")
     if all(re.fullmatch(r"[-+]?[0-9.]+(e[-+]?[0-9]+)?", name) for name in header):
