@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from op3.rollout.health.finding import ERROR, FORCE, ORIENTATION, RATE, WARNING, Finding, View, check
@@ -102,9 +103,14 @@ def orientation(view: View) -> Iterator[Finding]:
 
 @check("gyroscope against orientation", unless=("orientation",))
 def gyroscope(view: View) -> Iterator[Finding]:
-    """The gyroscope and the derivative of the orientation differ in unit, sign, axes or zero."""
-    angles, rate = view.get(ORIENTATION), view.get(RATE)
-    if angles is None or rate is None or len(view.time) < 20:
+    """The gyroscope and the derivative of the orientation differ in unit, sign, axes or zero; without an orientation,
+    unit and sign are told by how the accelerometer tilts."""
+    angles, rate, force = (view.get(key) for key in (ORIENTATION, RATE, FORCE))
+    if rate is None or len(view.time) < 20:
+        return
+    if angles is None:
+        if force is not None:
+            yield from _against_gravity(view, rate, force)
         return
     read = np.ptp(turned_by_gyroscope(view), axis=0)
     still = held(view) and np.ptp(np.unwrap(angles, axis=0), axis=0).max() < _HELD[0]
@@ -150,6 +156,26 @@ def gyroscope(view: View) -> Iterator[Finding]:
         elif abs(bias[axis]) > _DRIFT and not shaken[axis]:
             problem = f"the gyroscope is {bias[axis]:+.3g} rad/s off the change of orientation on average"
             yield view.found(WARNING, (RATE, axis), problem, "look at its unit and its bias, and whether yaw drifts")
+
+
+def _against_gravity(view: View, rate: np.ndarray, force: np.ndarray) -> Iterator[Finding]:
+    """The gyroscope turns in another unit or sense than gravity does in the trunk."""
+    first, last, span = windows(view.time)
+    if len(first) < 8:
+        return
+    size = max(1, int(last[0] - first[0]))
+    x, y, z = np.stack([uniform_filter1d(axis, size) for axis in force.T])
+    tilt = np.stack([np.arctan2(y, z), np.arctan2(-x, np.hypot(y, z))], axis=1)
+    summed = integral(view.time, rate[:, :2])
+    found = match(summed[last] - summed[first], np.unwrap(tilt, axis=0)[last] - np.unwrap(tilt, axis=0)[first])
+    for axis in (0, 1):
+        own, ratio = found.correlation[axis, axis], float(found.ratio[axis, axis])
+        if abs(own) > 0.9 and found.size_b[axis] > 0.03 * span and no_sensor(ratio):
+            unit = likely_unit(ratio, "rad/s", 0.3)
+            problem = f"the gyroscope reads {ratio:.3g} times the rate at which gravity turns in the trunk"
+            problem += f", as if it were in {unit}" if unit else ""
+            remedy = "convert it to rad/s in the body frame, or write `scale:`"
+            yield view.found(ERROR, (RATE, axis), problem, remedy)
 
 
 @check("gravity", unless=("orientation",))
