@@ -846,6 +846,7 @@ COUNT = 2 * np.pi / 4096
             "joint_2.velocity",
             r"is 0 in \d\d single rows",
         ),
+        (scale("joint_2.(position|velocity)", 1.6), "joint_2.position", r"moves 1.5\d times as far as its command"),
         (swap("imu.acc_x", "imu.acc_y"), "imu.acc_x", "the two axes are swapped"),
         (put("joint_2.position", np.nan, 580, 610), "joint_2.velocity", "part by"),
         (add("joint_2.position", 0.0), None, ""),
@@ -1018,6 +1019,43 @@ def test_loads_with_their_sign_in_bit_ten_are_told(tmp_path):
     (found,) = (one for one in read_log(write(tmp_path, change)).findings if one.column == "joint_0.load")
     assert "have their sign in bit 10" in found.problem
     assert found.set_aside
+
+
+def test_a_joint_that_goes_limp_is_told():
+    """It stays within a step of its sensor, which its noise changes."""
+    log = moving(100, three_sines, ESTIMATORS["true"], seconds=20)
+    limp, step = np.arange(log.rows)[:, None] > 1200, 2 * np.pi / 4096
+    angle = np.where(limp, log.array("joint/position")[1200] + step * (np.arange(log.rows)[:, None] % 7 == 0), 0)
+    arrays = {"time": log.array("time"), "command/position": log.array("command/position")}
+    arrays["joint/position"] = np.where(limp, angle, log.array("joint/position"))
+    (found,) = examine(Rollout.from_arrays(arrays, log.metadata))
+    assert found.check == "stands still"
+    assert "and its command by" in found.problem
+
+
+def test_an_orientation_that_stops_is_set_aside():
+    """While the gyroscope goes on to and fro; where it turns by its own zero only, the trunk may stand."""
+    log = bench_log()
+    angles = log.array("imu/orientation").copy()
+    angles[400:] = angles[400]
+    found = examine(changed(log, imu__orientation=angles))
+    assert any("orientation keeps its numbers for 599 rows" in one.problem and one.set_aside for one in found)
+    rates = np.where(np.arange(log.rows)[:, None] < 400, log.array("imu/angular_velocity"), 0.03)
+    found = examine(changed(log, imu__orientation=angles, imu__angular_velocity=rates))
+    assert not any("orientation keeps" in one.problem for one in found)
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"), [(180 / np.pi, "as if it were in deg/s"), (-1.0, "gravity turns"), (1.0, "")]
+)
+def test_a_gyroscope_without_an_orientation_is_held_against_gravity(factor, said):
+    """Unit and sign are told by how the trunk tilts."""
+    log = bench_log()
+    keys = [key for key in log.channels if key != ("imu", "orientation")]
+    arrays = {key: log.array(key) * (factor if key == ("imu", "angular_velocity") else 1.0) for key in keys}
+    found = [one for one in examine(Rollout.from_arrays(arrays, log.metadata)) if (one.column or "").startswith("imu")]
+    assert bool(found) == bool(said)
+    assert all(said in one.problem for one in found)
 
 
 def test_rates_in_the_frame_of_the_world_are_refused():

@@ -14,8 +14,11 @@ from op3.rollout.units import likely_unit
 
 _TURN = 2 * np.pi
 
-_MOST = 1.9
-"""A servo does not move this many times as far as it is told to."""
+_MORE, _MOST = 1.4, 1.9
+"""A servo that follows its command moves less than the first times as far, 1.18 in 3,400 joints of sound logs; none by
+the second."""
+
+_GEAR = "look at the resolution and the gear ratio by which it was converted"
 
 
 def _returns(joint: int, leader: np.ndarray, follows: np.ndarray) -> bool:
@@ -98,7 +101,10 @@ def command(view: View) -> Iterator[Finding]:
             unit = likely_unit(ratio, "rad") or (likely_unit(1 / ratio, "rad") if ratio else None)
             cause = f", as if {'it' if ratio > 1 else 'the command'} were in {unit}" if unit else ""
             problem = f"the position moves {ratio:.3g} times as far as its command{cause}"
-            yield view.found(wrong, where, problem, "convert both to radians (57.3 is degrees)")
+            remedy = "convert both to radians (57.3 is degrees)" if unit else _GEAR
+            yield view.found(wrong, where, problem, remedy)
+        elif asked[joint] and sure > 0.97 and ratio > _MORE:
+            yield view.found(WARNING, where, f"the position moves {ratio:.3g} times as far as its command", _GEAR)
         elif asked[joint] and own[:, joint].min() < -0.95 and sure < 0.8:
             problem = "the position moves against its command: the sign of one of them is turned round"
             problem += f", or it was swapped with that of {other}" if other else ""
