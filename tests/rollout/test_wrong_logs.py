@@ -1045,17 +1045,14 @@ def test_an_orientation_that_stops_is_set_aside():
     assert not any("orientation keeps" in one.problem for one in found)
 
 
-@pytest.mark.parametrize(
-    ("factor", "said"), [(180 / np.pi, "as if it were in deg/s"), (-1.0, "gravity turns"), (1.0, "")]
-)
+@pytest.mark.parametrize(("factor", "said"), [(180 / np.pi, "deg/s"), (-1.0, "gravity turns"), (1.0, "")])
 def test_a_gyroscope_without_an_orientation_is_held_against_gravity(factor, said):
     """Unit and sign are told by how the trunk tilts."""
     log = bench_log()
     keys = [key for key in log.channels if key != ("imu", "orientation")]
     arrays = {key: log.array(key) * (factor if key == ("imu", "angular_velocity") else 1.0) for key in keys}
     found = [one for one in examine(Rollout.from_arrays(arrays, log.metadata)) if (one.column or "").startswith("imu")]
-    assert bool(found) == bool(said)
-    assert all(said in one.problem for one in found)
+    assert any(said in one.problem for one in found) == bool(said)
 
 
 def test_rates_in_the_frame_of_the_world_are_refused():
