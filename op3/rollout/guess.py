@@ -21,6 +21,7 @@ _SPELLINGS: dict[str, str] = {
     "joint/temperature": "temperature temperatures temp",
     "command/torque_enable": "enable enabled",
     "command/firmware_gain": "kp",
+    "command/d_gain": "kd",
     "joint/position": "position positions pos angle angles q qpos theta state",
 }
 _WORDS = {word: normal_key(name) for name, words in _SPELLINGS.items() for word in words.split()}
@@ -38,6 +39,7 @@ _UNITS = {"deg": "deg", "degrees": "deg", "degree": "deg", "rad": None, "radians
 _UNITS |= {"ma": "mA", "mv": "mV", "ms": "ms", "us": "us", "ns": "ns", "percent": "percent", "mrad": "mrad"}
 _UNITS |= {"ticks": "counts of 4096 a turn", "counts": "counts of 4096 a turn"}
 _UNITS |= {"°": "deg", "degs": "deg/s", "radps": None, "rads": None}
+_SUFFIXES = {"a": None, "v": None, "c": None, "degc": None, "nm": None, "est": None, "pct": "percent"}
 _FILLERS = re.split(" ", "joint joints present measured meas actual raw motor i s value observation imu of main")
 _TIMES = ("time", "timestamp", "t", "stamp", "secs", "seconds", "times")
 
@@ -60,6 +62,10 @@ def guess(name: str, joints: Sequence[str] = ()) -> Column | None:
         if unit in UNITS.get(of[0].quantity.unit, {}):
             return dataclasses.replace(found, unit=None if unit == of[0].quantity.unit else unit)
     lower = [word.lower() for word in words]
+    if len(words) > 2 and lower[-1] in _SUFFIXES and any(word in _WORDS for word in lower[:-1]):
+        found = guess(name[: name.rindex(words[-1])].rstrip("_ .-/"), joints)
+        if found and found.name and found.name.partition(".")[0] not in ("joint", "servo"):
+            return dataclasses.replace(found, unit=found.unit or _SUFFIXES[lower[-1]])
     unit = next((_UNITS[word] for word in lower if word in _UNITS), None)
     rate = "deg/s" if unit == "deg" else unit
     if lower and lower[0] in _TIMES:
@@ -105,4 +111,9 @@ def guess_all(names: Iterable[str], joints: Sequence[str] = ()) -> dict[str, Col
         if column.name is not None and taken.setdefault(column.name, name) != name:
             column = Column(None, why=f"{taken[column.name]!r} means the same already")
         meanings[name] = column
+    if any(str(column.name).endswith(".d_gain") for column in meanings.values()):  # a computer's loop, not a servo's
+        for name, column in meanings.items():
+            if str(column.name).endswith(".firmware_gain") and column.why:
+                ours = str(column.name).replace(".firmware_gain", ".p_gain")
+                meanings[name] = dataclasses.replace(column, name=ours)
     return meanings

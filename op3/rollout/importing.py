@@ -244,7 +244,7 @@ def _split(time: np.ndarray) -> list[slice]:
 
 def _rate(time: np.ndarray) -> float:
     span = float(np.ptp(time)) if len(time) else 0.0
-    return (len(time) - 1) / span if span > 0 else 1.0
+    return float(f"{(len(time) - 1) / span:.10g}") if span > 0 else 1.0
 
 
 def _joints(columns: Collection[str]) -> list[str]:

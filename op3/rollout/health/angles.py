@@ -18,6 +18,7 @@ _MORE, _MOST = 1.4, 1.9
 """A servo that follows its command moves less than the first times as far, 1.18 in 3,400 joints of sound logs; none by
 the second."""
 
+_SIGNS = "write `sign: -1` under `columns:` in the YAML for its position and velocity, or for its target"
 _GEAR = "look at the resolution and the gear ratio by which it was converted"
 
 
@@ -60,7 +61,7 @@ def command(view: View) -> Iterator[Finding]:
     for joint, other in exchanged.items():
         which = "of the two" if exchanged.get(other) == joint else "of several joints"
         problem = f"the position follows the command of {view.joints[other]}: the columns {which} are swapped"
-        yield view.found(wrong, (POSITION, joint), problem, "swap the columns")
+        yield view.found(wrong, (POSITION, joint), problem, "exchange their names under `columns:` in the YAML")
     stride = max(1, round(0.02 / view.interval)) if len(view.time) >= 20 else 1
     angle, target = view.position[::stride], view.command[::stride]
     driven = np.all(view.driven[::stride], axis=1)
@@ -108,11 +109,11 @@ def command(view: View) -> Iterator[Finding]:
         elif asked[joint] and own[:, joint].min() < -0.95 and sure < 0.8:
             problem = "the position moves against its command: the sign of one of them is turned round"
             problem += f", or it was swapped with that of {other}" if other else ""
-            yield view.found(wrong, where, problem, "write `sign: -1` for one of them under `columns:` in the YAML")
+            yield view.found(wrong, where, problem, _SIGNS)
         elif other:
             problem = f"the position follows the command of {other}: the columns of the two are swapped"
             problem += ", and the sign of one is turned round" if signed[joint, whose] < 0 else ""
-            yield view.found(wrong, where, problem, "swap the columns")
+            yield view.found(wrong, where, problem, "exchange their names under `columns:` in the YAML")
 
 
 def _small(values: np.ndarray) -> np.ndarray:

@@ -141,7 +141,7 @@ def gyroscope(view: View) -> Iterator[Finding]:
             cause = f", as if it were in {unit}" if unit else ""
             cause = " with the sign turned round" if abs(ratio + 1) < 0.3 else cause
             problem = f"the gyroscope reads {ratio:.3g} times the change of orientation per second{cause}"
-            remedy = "convert it to rad/s in the body frame, or write `scale:`"
+            remedy = _unit_of_rates(unit)
             yield view.found(ERROR if no_sensor(ratio) else WARNING, (RATE, axis), problem, remedy)
         elif moving[axis] and fits > 0.9 and 1 - fits < 0.1 * (1 - abs(own)) and abs(found.ratio[other, axis]) > 0.5:
             sign = "-" if found.correlation[other, axis] < 0 else ""
@@ -156,6 +156,11 @@ def gyroscope(view: View) -> Iterator[Finding]:
         elif abs(bias[axis]) > _DRIFT and not shaken[axis]:
             problem = f"the gyroscope is {bias[axis]:+.3g} rad/s off the change of orientation on average"
             yield view.found(WARNING, (RATE, axis), problem, "look at its unit and its bias, and whether yaw drifts")
+
+
+def _unit_of_rates(unit: str | None) -> str:
+    mends = f"write `unit: {unit}`" if unit else "write `unit:` or `sign:`"
+    return f"{mends} for all axes that have it under `columns:` in the YAML, also those that hardly turned"
 
 
 def _against_gravity(view: View, rate: np.ndarray, force: np.ndarray) -> Iterator[Finding]:
@@ -174,8 +179,7 @@ def _against_gravity(view: View, rate: np.ndarray, force: np.ndarray) -> Iterato
             unit = likely_unit(ratio, "rad/s", 0.3)
             problem = f"the gyroscope reads {ratio:.3g} times the rate at which gravity turns in the trunk"
             problem += f", as if it were in {unit}" if unit else ""
-            remedy = "convert it to rad/s in the body frame, or write `scale:`"
-            yield view.found(ERROR, (RATE, axis), problem, remedy)
+            yield view.found(ERROR, (RATE, axis), problem, _unit_of_rates(unit))
 
 
 @check("gravity", unless=("orientation",))

@@ -14,6 +14,7 @@ from op3.rollout.guess import guess_all
 from op3.rollout.readers.reader import Column, Recording, Stream
 
 _TIMES, _JOINTS = ("time", "times", "t", "timestamp"), ("joints", "joint_names", "names")
+_STEPS = ("dt", "timestep", "period")
 _SIGNALS = {2: ("_qpos", "position"), 3: ("_qvel", "velocity"), 5: ("_ctrl", "target")}
 """Kinds of signal in `mujoco.sysid`, its `SignalType`: ending of their names, and ours."""
 
@@ -45,6 +46,9 @@ class Npz:
             time = next((content[name] for name in _TIMES if name in content), np.zeros(()))
             if time.dtype.kind == "M":  # dates
                 time = time.astype("datetime64[ns]").astype(np.int64) * 1e-9
+            steps = [float(content[n]) for n in _STEPS if n in content and content[n].size == 1]
+            if not time.ndim and steps and steps[0] > 0:
+                time = steps[0] * np.arange(max(map(len, (a for a in content.values() if a.ndim)), default=0))
             if time.ndim not in (1, 2) or time.dtype.kind not in "fiu" or time.size != len(time):
                 raise LogError("there is no array of times", "save `time` [s], one per row", source=file, column="time")
             listed = next((content[n] for n in _JOINTS if n in content and content[n].dtype.kind in "US"), np.array([]))
