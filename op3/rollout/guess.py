@@ -84,7 +84,10 @@ def guess(name: str, joints: Sequence[str] = ()) -> Column | None:
         known = {*_WORDS, *_FILLERS, *_UNITS}
         joint = _joint("_".join(w for w in words if w.lower() not in known), joints)
         column = CHANNELS[_WORDS.get(word, normal_key("joint/position"))].column.format(joint=joint)
-        return Column(column, rate if column.endswith("velocity") else unit, why=f"{word!r} in {name!r}")
+        if column.endswith("temperature") and unit == "deg":  # of degC
+            unit = None
+        unit = rate if column.endswith("velocity") else unit
+        return Column(column, unit, why=f"{word!r} in {name!r}")
     joint = _joint(name, joints) if joints else ""
     return Column(f"{joint}.position", unit, why=f"{name!r} names a joint") if joint in joints else None
 
@@ -98,7 +101,10 @@ def _joint(name: str, joints: Sequence[str]) -> str:
         return joints[0]
     by_lower = {joint.lower(): joint for joint in joints}
     within = [one for one in by_lower if f"_{one}_" in f"_{name.lower()}_"]
-    close = within if len(within) == 1 else difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=0.75)
+    close = within if len(within) == 1 else difflib.get_close_matches(name.lower(), by_lower, n=2, cutoff=0.75)
+    if len(close) > 1:  # as near to a left joint as to a right one
+        first, second = (difflib.SequenceMatcher(None, one, name.lower()).ratio() for one in close)
+        close = close[: first > second]
     return by_lower[close[0]] if close and name not in joints else name
 
 

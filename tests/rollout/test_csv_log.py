@@ -222,6 +222,16 @@ def test_other_tables(tmp_path, change):
     assert_same(read_log(path), rollout())
 
 
+def test_aligned_columns_and_switches_in_words(tmp_path):
+    """Spaces as many as it takes, and True and False for 1 and 0."""
+    path = written(tmp_path)
+    table = [line.split(",") for line in path.read_text().splitlines()]
+    for joint in ("l_knee", "r_knee"):
+        whole(f"{joint}.torque_enable", lambda value: str(value > 0))(table)
+    path.write_text("\n".join("  ".join(f"{cell:>24}" for cell in cells) for cells in table) + "\n")
+    assert_same(read_log(path), rollout())
+
+
 def test_column_order_quotes_and_blank_lines_do_not_matter(tmp_path):
     """Columns may come in any order, quoted, with spaces, a byte order mark and a blank last line."""
     path = written(tmp_path)

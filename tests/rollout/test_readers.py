@@ -530,12 +530,21 @@ def test_an_imported_log_is_in_its_robots_terms_once(tmp_path):
         ("hip_vel [deg]", "hip.velocity", "deg/s"),
         ("hip_present_position_ticks", "hip.position", "counts of 4096 a turn"),
         ("hip_actual", "hip.position", None),
+        ("hip_temperature_degC", "hip.temperature", None),
+        ("hip_current_A", "hip.current", None),
+        ("hip_pwm_pct", "hip.duty", "percent"),
     ],
 )
 def test_a_unit_says_what_is_measured(name, column, unit):
     """Milliamperes are a current, in whatever case."""
     meaning = guess(name, ["knee", "hip"])
     assert (meaning.name, meaning.unit) == (column, unit)
+
+
+def test_a_joint_as_near_to_two_is_neither():
+    """A knee of no side stays what it is called."""
+    assert guess("knee_pos", ["l_knee", "r_knee"]).name == "knee.position"
+    assert guess("l_kne_pos", ["l_knee", "r_knee"]).name == "l_knee.position"
 
 
 def test_what_is_told_to_turn_is_no_target_of_a_position():

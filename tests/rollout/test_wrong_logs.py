@@ -846,6 +846,12 @@ COUNT = 2 * np.pi / 4096
             "joint_2.velocity",
             r"is 0 in \d\d single rows",
         ),
+        (scale("joint_2.position", 0.5), "joint_2.position", "and the velocity as that says"),
+        (
+            edit("joint_2.target", lambda values: values * (np.arange(1000) % 5 > 0)),
+            "joint_2.target",
+            r"is 0 in \d+ single rows",
+        ),
         (scale("joint_2.(position|velocity)", 1.6), "joint_2.position", r"moves 1.5\d times as far as its command"),
         (swap("imu.acc_x", "imu.acc_y"), "imu.acc_x", "the two axes are swapped"),
         (put("joint_2.position", np.nan, 580, 610), "joint_2.velocity", "part by"),
@@ -1053,6 +1059,38 @@ def test_a_gyroscope_without_an_orientation_is_held_against_gravity(factor, said
     arrays = {key: log.array(key) * (factor if key == ("imu", "angular_velocity") else 1.0) for key in keys}
     found = [one for one in examine(Rollout.from_arrays(arrays, log.metadata)) if (one.column or "").startswith("imu")]
     assert any(said in one.problem for one in found) == bool(said)
+
+
+@pytest.mark.parametrize("speed", [0.1, 0.2])
+def test_friction_in_a_slow_motion_is_no_late_clock(speed):
+    """A soft loop follows a triangle by what its friction asks for, which at a slow speed is a long time."""
+    time = np.arange(3000) / 100
+    target = np.abs((speed * time + 0.5) % 2 - 1) - 0.5
+    position = target - 0.03 * np.sign(np.gradient(target)) - 0.02 * np.sin(target)
+    arrays = {"time": time[:, None], "command/position": target[:, None], "joint/position": position[:, None]}
+    assert not examine(Rollout.from_arrays(arrays, Metadata(("elbow",), "real", "stand", 100.0)))
+
+
+def test_late_commands_are_no_turned_sign():
+    """Several sines that come half a period late are against their position for the most part."""
+    log = moving(100, three_sines, ESTIMATORS["true"], seconds=20)
+    (found,) = examine(changed(log, command__position=three_sines(log.array("time") - 0.5)))
+    assert "comes before its command" in found.problem
+
+
+def test_zeros_of_most_joints_are_told(tmp_path):
+    """Of a robot that was not calibrated; what most have is no usual sag where it is so much."""
+    log = read_log(write(tmp_path, add(r"joint_[0-3].position", 0.7), joints=6))
+    told = {one.column for one in log.findings if "off its command in every pose" in one.problem}
+    assert {f"joint_{i}.position" for i in range(4)} <= told
+
+
+def test_a_sensor_that_is_tilted_in_the_trunk_is_told():
+    """By how much; no sign would mend it."""
+    log = bench_log()
+    force = Rotation.from_euler("y", 0.35).apply(log.array("imu/linear_acceleration"))
+    (found,) = (one for one in examine(changed(log, imu__linear_acceleration=force)) if one.check == "gravity")
+    assert "0.35 rad apart: the sensor is tilted in the trunk" in found.problem
 
 
 def test_rates_in_the_frame_of_the_world_are_refused():

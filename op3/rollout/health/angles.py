@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 
 from op3.rollout.errors import LogError
 from op3.rollout.health.finding import COMMAND, CURRENT, ERROR, POSITION, WARNING, Finding, View, check
-from op3.rollout.health.match import GIVES, SURE, match
+from op3.rollout.health.match import GIVES, SURE, delayed, match
 from op3.rollout.units import likely_unit
 
 _TURN = 2 * np.pi
@@ -90,6 +90,12 @@ def command(view: View) -> Iterator[Finding]:
     for joint in np.flatnonzero(relative):
         problem = "the command is how far the joint is to move, and not where to"
         yield view.found(wrong, (COMMAND, joint), problem, "record the position plus the command as the target")
+
+    def late(joint: int) -> bool:
+        """Whether a command that comes after it explains a position better than its mirror image."""
+        most = min(51, len(angle) // 4)
+        return max(delayed(target[:, joint], angle[:, joint], n) for n in range(most)) > -own[:, joint].min()
+
     explained = {*exchanged, *np.flatnonzero(relative)}  # what else there is to say follows from that
     for joint in (int(j) for j in np.flatnonzero(asked | moved) if j not in explained):
         sure, ratio = float(best[joint, joint]), float(matches[int(own[:, joint].argmax())].ratio[joint, joint])
@@ -106,7 +112,7 @@ def command(view: View) -> Iterator[Finding]:
             yield view.found(wrong, where, problem, remedy)
         elif asked[joint] and sure > 0.97 and ratio > _MORE:
             yield view.found(WARNING, where, f"the position moves {ratio:.3g} times as far as its command", _GEAR)
-        elif asked[joint] and own[:, joint].min() < -0.95 and sure < 0.8:
+        elif asked[joint] and own[:, joint].min() < -0.95 and sure < 0.8 and not late(joint):
             problem = "the position moves against its command: the sign of one of them is turned round"
             problem += f", or it was swapped with that of {other}" if other else ""
             yield view.found(wrong, where, problem, _SIGNS)
@@ -193,6 +199,7 @@ def constant_offset(view: View) -> Iterator[Finding]:
         others, offset = np.delete(np.abs(middle), place), float(middle[place])
         if len(others) >= 3:
             odd = abs(offset) > max(0.15, 5 * float(np.quantile(others, 0.75)))
+            odd |= abs(offset) > max(GIVES, 5 * float(off.std()))
         else:  # what gravity and a soft loop leave goes with the angle, and what a slow one leaves with the speed
             speed = np.gradient(view.position[:, joint], view.time)[driven]
             causes = np.stack([np.ones(len(angle)), np.sin(angle), speed], axis=1)

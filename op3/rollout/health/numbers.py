@@ -134,15 +134,16 @@ def spikes(view: View) -> Iterator[Finding]:
 
 @check("zeros")
 def zeros(view: View) -> Iterator[Finding]:
-    """All axes of the trunk's sensor, all joints, or a velocity read 0 in single rows: nothing was read there."""
-    for key, joint, column in view.columns(VELOCITY):
+    """All axes of the trunk's sensor, all joints, or a velocity read 0 in single rows: nothing was read there. Or a
+    target is 0 there, where none was sent."""
+    for key, joint, column in view.columns(VELOCITY, COMMAND):
         before, after = column[:-2], column[2:]
         least = max(0.1, 15 * float(view.steps(key)[joint]))
         gone = (column[1:-1] == 0) & (np.minimum(np.abs(before), np.abs(after)) > least) & (before * after > 0)
         if gone.sum() > 2:
-            problem = f"it is 0 in {gone.sum()} single rows, and not beside them: nothing was read there"
-            remedy = "leave these rows out; until then the channel is not used"
-            yield view.found(WARNING, (key, joint), problem, remedy, gone.argmax() + 1, aside=True)
+            problem = f"it is 0 in {gone.sum()} single rows, and not beside them: nothing was read there, or sent"
+            remedy = "leave these rows out" + ("; until then the channel is not used" if key == VELOCITY else "")
+            yield view.found(WARNING, (key, joint), problem, remedy, gone.argmax() + 1, aside=key == VELOCITY)
     for key, least in ((ORIENTATION, 0.02), (RATE, 0.1), (FORCE, 1.0), (POSITION, 0.02)):
         values = view.get(key)
         if values is None or len(values) < 20 or values.shape[1] < 2:

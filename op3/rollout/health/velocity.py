@@ -150,6 +150,11 @@ def velocity(view: View) -> Iterator[Finding]:
     bad = sum(no_sensor(ratio) for _, ratio in wrong.values())
     refuse = 2 * bad > len(moving) and (bad > 1 or len(view.joints) == 1)
     for joint, (problem, ratio) in wrong.items():
+        if ratio and not refuse and (moves := _scaled(view, joint, ratio)):
+            problem = f"the position moves {moves:.3g} times as far as its command, and the velocity as that says"
+            remedy = "look at the resolution and the gear ratio by which the position was converted"
+            yield view.found(WARNING, (POSITION, joint), problem, remedy)
+            continue
         if refuse and no_sensor(ratio):
             remedy = "convert both to radians and the same sign, or write `scale:` into its YAML"
             yield view.found(ERROR, (VELOCITY, joint), problem, remedy, np.abs(rate[:, joint]).argmax())
@@ -160,6 +165,13 @@ def velocity(view: View) -> Iterator[Finding]:
         if joint not in wrong and np.ptp(rate[:, joint]) and (trace := _trace(view, joint, sums[:, joint])):
             moves = bool(found.size_b[joint] > max(10 * view.steps(POSITION)[joint], 0.03 * span))
             yield from _differs(view, joint, trace, moves)
+
+
+def _scaled(view: View, joint: int, ratio: float) -> float | None:
+    """How many times as far as its command a position moves, where its velocity is that of the command."""
+    told = match(view.position[:, [joint]], view.command[:, [joint]])
+    moves = float(told.ratio[0, 0])
+    return moves if told.correlation[0, 0] > SURE and abs(np.log(max(moves * ratio, 1e-9))) < 0.15 else None
 
 
 def _differs(view: View, joint: int, trace: Trace, moves: bool) -> Iterator[Finding]:

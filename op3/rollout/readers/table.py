@@ -79,6 +79,8 @@ def _number(cell: str) -> float:
         return math.nan
     if re.match(r"(\d{4}-\d\d-\d\d[T ])?\d\d:\d\d:|\d{8}T\d{6}", cell):
         return datetime.datetime.fromisoformat(cell if re.match(r"\d{4}", cell) else f"2001-01-01T{cell}").timestamp()
+    if cell.lower() in ("true", "false"):
+        return float(cell.lower() == "true")
     return float(cell.replace("_", "?").replace(",", "."))
 
 
@@ -125,7 +127,8 @@ def _header(lines: Iterator[str]) -> tuple[list[str], str, bool, Iterator[str]]:
     first = first.lstrip("#% \t")
     mark = next((m for m in (",", ";", "\t", "|", " ") if m in first.strip()), ",")
     try:
-        header = [name.strip() for name in next(csv.reader([first], delimiter=mark, strict=True), [])]
+        named = first.split() if mark == " " else next(csv.reader([first], delimiter=mark, strict=True), [])
+        header = [name.strip(' "' if mark == " " else None) for name in named]
     except csv.Error as error:
         raise LogError(f"the header is not CSV ({error})", "write names and commas", row="header") from None
     open_end = len(header) > 1 and not header[-1]
