@@ -55,8 +55,7 @@ def drive(view: View) -> Iterator[Finding]:
         for joint in np.flatnonzero(shifted):
             problem = f"current is {zero[joint]:+.2g} A off gain times error on average: its sensor has another zero"
             if abs(zero[joint]) > 5 * _ZERO and gain is not None:  # no sensor is so far off
-                angle = zero[joint] / float(np.median(gain[:, joint]))
-                problem = problem.replace("its sensor", f"its sensor, or the position by {angle:+.2g} rad,")
+                problem += f", or the position one of {zero[joint] / float(np.median(gain[:, joint])):+.2g} rad"
             yield view.found(WARNING, (key, joint), problem, "write `columns: {...: {offset: ...}}` into its YAML")
         usual = float(np.median(factor[off])) if off.any() else 1.0
         units = {"it": likely_unit(usual, "A"), "the gain": likely_unit(1 / usual if usual else 0.0, "A/rad")}
