@@ -1085,6 +1085,46 @@ def test_zeros_of_most_joints_are_told(tmp_path):
     assert {f"joint_{i}.position" for i in range(4)} <= told
 
 
+def test_an_accelerometer_that_reads_downwards_is_told_without_an_orientation(tmp_path):
+    """And its gyroscope is not blamed for it."""
+
+    def change(table: Table) -> None:
+        for axis in "xyz":
+            table[f"imu.acc_{axis}"] *= -1
+        for axis in ("roll", "pitch", "yaw"):
+            del table[f"imu.{axis}"]
+
+    found = [one for one in read_log(write(tmp_path, change)).findings if (one.column or "").startswith("imu")]
+    assert ["as if the trunk hung upside down" in one.problem for one in found] == [True]
+
+
+def test_a_gyroscope_that_is_read_rarely_is_told(tmp_path):
+    """Beside sensors that are read in every row; it is not cut off."""
+    every_fifth = edit("imu.gyro.*", lambda values: values[np.arange(len(values)) // 5 * 5])
+    told = {one.problem for one in read_log(write(tmp_path, every_fifth)).findings}
+    assert "the angular velocity has new numbers only in every 5 rows" in told
+    assert not any("cut off" in problem for problem in told)
+
+
+def test_a_clock_at_half_its_speed_is_told(tmp_path):
+    """All velocities are twice the change of their positions."""
+    side = "rate: 62.5"
+    path = write(tmp_path, lambda table: table.update(time=2 * table["time"]), joints=3)
+    path.with_suffix(".yaml").write_text(re.sub("rate: .*", side, path.with_suffix(".yaml").read_text()))
+    told = [one.problem for one in read_log(path).findings if str(one.column).endswith("velocity")]
+    assert told
+    assert all("as if the clock ran at 2 times its speed" in problem for problem in told)
+
+
+def test_a_misspelt_option_is_refused_by_its_name(tmp_path):
+    """In the YAML and in a call."""
+    with pytest.raises(LogError, match="'unwrapp': no such field; rename it unwrap if that is meant"):
+        read_log(write(tmp_path, side="unwrapp: true\n"))
+    (tmp_path / "other").mkdir()
+    with pytest.raises(LogError, match="'spllit' is no option of an import; rename it split"):
+        read_episodes(write(tmp_path / "other"), {"spllit": True})
+
+
 def test_a_sensor_that_is_tilted_in_the_trunk_is_told():
     """By how much; no sign would mend it."""
     log = bench_log()

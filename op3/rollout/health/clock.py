@@ -150,11 +150,15 @@ def repeated(view: View) -> Iterator[Finding]:
 def stale(view: View) -> Iterator[Finding]:
     """A position, or all that the trunk's sensors say, gets new numbers only in every so many rows: it was read more
     rarely."""
-    trunk = [values for key in (ORIENTATION, RATE, FORCE) if (values := view.get(key)) is not None]
     remedy = "read it in every row, or record fewer rows"
-    if trunk and (every := _new_in_every(np.concatenate(trunk, axis=1))) >= 3:
-        problem = f"the trunk's sensors have new numbers only in every {every} rows"
+    trunk = {key: values for key in (ORIENTATION, RATE, FORCE) if (values := view.get(key)) is not None}
+    rarely = {key: every for key, values in trunk.items() if (every := _new_in_every(values)) >= 3}
+    if rarely and len(rarely) == len(trunk):
+        problem = f"the trunk's sensors have new numbers only in every {min(rarely.values())} rows"
         yield view.found(WARNING, "imu", problem, remedy)
+    for key, every in rarely.items() if len(rarely) < len(trunk) else ():
+        problem = f"the {key[1].replace('_', ' ')} has new numbers only in every {every} rows"
+        yield view.found(WARNING, (key, 0), problem, remedy)
     if _new_in_every(view.position) == 2 and np.ptp(view.position, axis=0).max() > 0.2:
         yield view.found(WARNING, "time", "positions have new numbers only in every second row", remedy)
     for key, joint, column in view.columns(POSITION):

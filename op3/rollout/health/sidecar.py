@@ -31,6 +31,7 @@ def plausible(view: View) -> Iterator[Finding]:
         if value is None or least <= value <= most:
             continue
         likely = plausible_unit(value, unit, typical)
+        likely = likely if likely and least <= likely[1] <= most else None
         guess = f"; {value:g} {likely[0]} would be {likely[1]:.4g} {unit}" if likely else ""
         remedy = f"write {name}: {likely[1]:.4g}" if likely else f"write {name} in {unit}"
         yield view.found(ERROR, f"field {name}", f"{value:g} {unit} cannot be{guess}", remedy)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
+from scipy.signal import detrend
 from scipy.spatial.transform import Rotation
 
 from op3.rollout.health.finding import ERROR, FORCE, ORIENTATION, RATE, WARNING, Finding, View, check
@@ -173,7 +174,8 @@ def _against_gravity(view: View, rate: np.ndarray, force: np.ndarray) -> Iterato
     if len(first) < 8:
         return
     size = max(1, int(last[0] - first[0]))
-    x, y, z = np.stack([uniform_filter1d(axis, size) for axis in force.T])
+    down = np.median(force[:, 2]) < 0  # which another check tells
+    x, y, z = np.stack([uniform_filter1d(-axis if down else axis, size) for axis in force.T])
     tilt = np.stack([np.arctan2(y, z), np.arctan2(-x, np.hypot(y, z))], axis=1)
     summed = integral(view.time, rate[:, :2])
     found = match(summed[last] - summed[first], np.unwrap(tilt, axis=0)[last] - np.unwrap(tilt, axis=0)[first])
@@ -184,6 +186,11 @@ def _against_gravity(view: View, rate: np.ndarray, force: np.ndarray) -> Iterato
             problem = f"the gyroscope reads {ratio:.3g} times the rate at which gravity turns in the trunk"
             problem += f", as if it were in {unit}" if unit else ""
             yield view.found(ERROR, (RATE, axis), problem, _unit_of_rates(unit))
+            continue
+        read, turned = (float(np.ptp(detrend(values[:, axis]))) for values in (summed, tilt))
+        if read > 8 * turned + 2:
+            problem = f"the gyroscope turns by {read:.2g} rad to and fro, and gravity by {turned:.2g} rad"
+            yield view.found(WARNING, (RATE, axis), problem, _unit_of_rates(None))
 
 
 @check("gravity", unless=("orientation",))
@@ -208,6 +215,10 @@ def gravity(view: View) -> Iterator[Finding]:
             yield view.found(WARNING, (FORCE, axis), f"{problem}: gravity was taken out of it", remedy, aside=True)
     elif not (7 if falls else 8.5) < size < 11.5:
         yield view.found(WARNING, (FORCE, 0), f"{problem}, and gravity alone is 9.81", "look at its scale and offset")
+    elif angles is None and mean[2] < -8:
+        problem = f"gravity reads {mean[2]:.3g} m/s2 upwards, as if the trunk hung upside down"
+        remedy = "write `sign: -1` for all of its axes under `columns:` in the YAML, where it does not"
+        yield view.found(WARNING, (FORCE, 2), problem, remedy)
     elif tells and mean[2] > 5 and expected[2] < -0.5:
         problem = (
             f"the orientation says that the trunk hangs upside down, and the accelerometer reads {mean[2]:.3g} m/s2 "

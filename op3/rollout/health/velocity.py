@@ -149,6 +149,9 @@ def velocity(view: View) -> Iterator[Finding]:
     # where most joints are wrong by a factor, the channel is in another unit
     bad = sum(no_sensor(ratio) for _, ratio in wrong.values())
     refuse = 2 * bad > len(moving) and (bad > 1 or len(view.joints) == 1)
+    factors = [ratio for _, ratio in wrong.values() if ratio and ratio > 0]
+    alike = len(factors) == len(wrong) == len(moving) > 1 and max(factors) < 1.1 * min(factors)
+    clock = f"; alike in all joints, as if the clock ran at {factors[0]:.3g} times its speed" if alike else ""
     for joint, (problem, ratio) in wrong.items():
         if ratio and not refuse and (moves := _scaled(view, joint, ratio)):
             problem = f"the position moves {moves:.3g} times as far as its command, and the velocity as that says"
@@ -160,7 +163,7 @@ def velocity(view: View) -> Iterator[Finding]:
             yield view.found(ERROR, (VELOCITY, joint), problem, remedy, np.abs(rate[:, joint]).argmax())
         else:
             remedy = "the channel is not used; correct it where you know how"
-            yield view.found(WARNING, (VELOCITY, joint), problem, remedy, aside=True)
+            yield view.found(WARNING, (VELOCITY, joint), problem + clock, remedy, aside=True)
     for joint in range(len(view.joints)):
         if joint not in wrong and np.ptp(rate[:, joint]) and (trace := _trace(view, joint, sums[:, joint])):
             moves = bool(found.size_b[joint] > max(10 * view.steps(POSITION)[joint], 0.03 * span))
