@@ -1078,6 +1078,17 @@ def test_late_commands_are_no_turned_sign():
     assert "comes before its command" in found.problem
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_sign_is_told_of_a_joint_that_follows_badly(sign):
+    """Pushed about by what it carries as it walks, it is against its command for the most part."""
+    time = np.arange(1500)[:, None] / 100
+    target = 0.25 + 0.2 * np.sin(5 * time) + 0.2 * np.sin(3.1 * time)
+    position = 0.25 + 0.2 * np.sin(5 * time - 0.3) + 0.2 * np.sin(3.1 * time - 0.2) + 0.15 * np.sin(11 * time)
+    arrays = {"time": time, "command/position": target, "joint/position": sign * position}
+    found = examine(Rollout.from_arrays(arrays, Metadata(("knee",), "real", "stand", 100.0)))
+    assert ["moves against its command" in one.problem for one in found] == [True] * (sign < 0)
+
+
 def test_zeros_of_most_joints_are_told(tmp_path):
     """Of a robot that was not calibrated; what most have is no usual sag where it is so much."""
     log = read_log(write(tmp_path, add(r"joint_[0-3].position", 0.7), joints=6))

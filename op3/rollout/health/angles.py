@@ -118,9 +118,7 @@ def command(view: View) -> Iterator[Finding]:
             problem = "the position moves against its command: the sign of one of them is turned round"
             problem += f", or it was swapped with that of {other}" if other else ""
             yield view.found(wrong, where, problem, _SIGNS)
-        elif (
-            asked[joint] and moved[joint] and own[0, joint] < -0.65 and own[:6, joint].max() < -0.3 and not late(joint)
-        ):
+        elif against[joint] and not late(joint):
             problem = f"the position moves against its command (correlation {own[0, joint]:.2f})"
             yield view.found(WARNING, where, problem, _SIGNS)
         elif other:
