@@ -151,7 +151,11 @@ def velocity(view: View) -> Iterator[Finding]:
     refuse = 2 * bad > len(moving) and (bad > 1 or len(view.joints) == 1)
     factors = [ratio for _, ratio in wrong.values() if ratio and ratio > 0]
     alike = len(factors) == len(wrong) == len(moving) > 1 and max(factors) < 1.1 * min(factors)
-    clock = f"; alike in all joints, as if the clock ran at {factors[0]:.3g} times its speed" if alike else ""
+    clock = (
+        f"; alike in all joints, as if the clock ran at {factors[0]:.3g} times its speed, or all positions were scaled"
+        if alike
+        else ""
+    )
     for joint, (problem, ratio) in wrong.items():
         if ratio and not refuse and (moves := _scaled(view, joint, ratio)):
             problem = f"the position moves {moves:.3g} times as far as its command, and the velocity as that says"
