@@ -99,14 +99,10 @@ def read_side(path: Path, options: Mapping[str, Any] | None = None) -> Side:
     source = files[-1] if files else side_path(path)
     given = {name: values.pop(name) for name in OPTIONS if name in values}
     given |= {name: value for name, value in (options or {}).items() if value is not None}
-    known = [*OPTIONS, *(entry.name for entry in dataclasses.fields(Metadata))]
     with located(source=source):
         if (odd := next((name for name in options or {} if name not in OPTIONS), None)) is not None:
             problem, remedy = f"{odd!r} is no option of an import", f"options are {', '.join(OPTIONS)}"
             raise LogError(problem, rename(odd, OPTIONS, remedy))
-        for name in (name for name in values if name not in known):
-            remedy = rename(name, known, "move it under `extra:`")
-            raise LogError("no such field", remedy, column=f"field {str(name)[:60]!r}")
         chosen = Options(**{name: value for name, value in given.items() if value is not None})
     return Side(values, chosen, source, bool(files))
 
@@ -130,7 +126,7 @@ def roll_out(recording: Recording, side: Side, path: Path) -> list[Rollout]:
         said = {"rate": _rate(time[part]), **about}
         if len(parts) > 1:
             said["recording"] = f"{about.get('recording') or side_path(path).stem}/part-{number}"
-        metadata = Metadata.from_dict(said, side.source if side.found else path)
+        metadata = Metadata.from_dict(said, side.source if side.found else path, OPTIONS)
         chosen = {name: values[part] for name, values in columns.items()}
         _mend(chosen, side)
         with located(source=path):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,7 +17,10 @@ from op3.rollout.schema import RESERVED
 from op3.settings import Number, Positive, read_yaml, settings, shown
 
 ROBOTS = ("simulated", "emulated", "real", "rig")
-MOUNTS = ("floor", "stand", "pendulum", "board", "board_weight", *(f"bricks_{kind}" for kind in "abcd"), "terrain")
+HOLDING = ("stand", "pendulum")
+"""Mounts that carry the weight: joints then only carry what is theirs."""
+
+MOUNTS = ("floor", *HOLDING, "board", "board_weight", *(f"bricks_{kind}" for kind in "abcd"), "terrain")
 
 OUTCOMES = ("travelled_distance", "episode_duration", "fallen")
 """Fields of which a batch of episodes may have one value each."""
@@ -151,13 +154,16 @@ class Metadata:
         return {name: v for name, v in values.items() if v not in (None, {}, [])}
 
     @classmethod
-    def from_dict(cls, values: Mapping[str, Any], source: str | Path = "metadata") -> Metadata:
-        """Build from plain values, refusing missing and unknown fields by name."""
+    def from_dict(
+        cls, values: Mapping[str, Any], source: str | Path = "metadata", beside: Sequence[str] = ()
+    ) -> Metadata:
+        """Build from plain values, refusing missing and unknown fields by name; one of those that stand `beside` them
+        may be meant."""
         known = [f.name for f in dataclasses.fields(cls)]
         with located(source=source):
             for name in values:
                 if name not in known:
-                    remedy = rename(name, known, "move it under `extra:`")
+                    remedy = rename(name, [*known, *beside], "move it under `extra:`")
                     raise LogError("no such field", remedy, column=f"field {str(name)[:60]!r}")
             for name in ("joints", "robot", "mount", "rate"):
                 if values.get(name) is None:

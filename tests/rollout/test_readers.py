@@ -288,6 +288,14 @@ def test_a_bag_whose_joints_have_namespaces(tmp_path):
     np.testing.assert_array_equal(log.array("command/position")[:, order], plain.array("command/position"))
 
 
+def test_a_part_of_a_sage_pair_names_the_folder(tmp_path):
+    """A part is no CSV of its own."""
+    path = sage(tmp_path)
+    for name in ("control.csv", "state_motor.csv"):
+        with pytest.raises(LogError, match=f"one part of a SAGE pair; name its folder, {path.name}"):
+            read_log(path / name)
+
+
 def test_sage_in_seconds(tmp_path):
     """Times that are taken for microseconds, and what to write."""
     path = sage(tmp_path)

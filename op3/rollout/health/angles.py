@@ -10,6 +10,7 @@ from scipy.optimize import linear_sum_assignment
 from op3.rollout.errors import LogError
 from op3.rollout.health.finding import COMMAND, CURRENT, ERROR, POSITION, WARNING, Finding, View, check
 from op3.rollout.health.match import GIVES, SURE, delayed, match
+from op3.rollout.metadata import HOLDING
 from op3.rollout.units import likely_unit
 
 _TURN = 2 * np.pi
@@ -97,7 +98,7 @@ def command(view: View) -> Iterator[Finding]:
         return max(delayed(target[:, joint], angle[:, joint], n) for n in range(most)) > -own[:, joint].min()
 
     # of a motion that does not follow well; on the feet of a robot the weight may turn soft joints so
-    against = asked & moved & (own[0] < -0.7) & (own[:6].max(0) < -0.3) & (view.metadata.mount in ("stand", "pendulum"))
+    against = asked & moved & (own[0] < -0.7) & (own[:6].max(0) < -0.3) & (view.metadata.mount in HOLDING)
     explained = {*exchanged, *np.flatnonzero(relative)}  # what else there is to say follows from that
     for joint in (int(j) for j in np.flatnonzero(asked | moved) if j not in explained):
         sure, ratio = float(best[joint, joint]), float(matches[int(own[:, joint].argmax())].ratio[joint, joint])

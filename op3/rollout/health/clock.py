@@ -148,8 +148,7 @@ def repeated(view: View) -> Iterator[Finding]:
 
 @check("stale readings")
 def stale(view: View) -> Iterator[Finding]:
-    """A position, or all that the trunk's sensors say, gets new numbers only in every so many rows: it was read more
-    rarely."""
+    """A position, or a sensor of the trunk, gets new numbers only in every so many rows: it was read more rarely."""
     remedy = "read it in every row, or record fewer rows"
     trunk = {key: values for key in (ORIENTATION, RATE, FORCE) if (values := view.get(key)) is not None}
     rarely = {key: every for key, values in trunk.items() if (every := _new_in_every(values)) >= 3}

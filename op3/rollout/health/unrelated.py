@@ -8,6 +8,7 @@ import numpy as np
 
 from op3.rollout.health.finding import CURRENT, POSITION, WARNING, Finding, View, check
 from op3.rollout.health.match import SURE, delayed, match
+from op3.rollout.metadata import HOLDING
 
 _UNRELATED = 0.5
 """Correlation with its command, at the best delay, that a position is not below: 0.57 in 3,400 joints of sound logs,
@@ -18,7 +19,7 @@ where a late and undamped loop swings by three times what it is told."""
 def unrelated(view: View) -> Iterator[Finding]:
     """A position does not follow its command at any delay: it is another joint's, or of another recording. Not on its
     feet, where the weight moves soft joints against their commands."""
-    if view.metadata.mount not in ("stand", "pendulum"):
+    if view.metadata.mount not in HOLDING:
         return
     stride = max(1, round(0.02 / view.interval)) if len(view.time) >= 20 else 1
     angle, target, driven = (a[::stride] for a in (view.position, view.command, view.driven))

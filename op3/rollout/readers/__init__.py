@@ -10,9 +10,9 @@ from op3.rollout.readers.reader import Reader
 
 _OURS = {
     "folder": "folder:Folder",
+    "sage": "sage:Sage",  # before CSV, of which its parts are
     "csv": "csv_table:CsvTable",
     "servo_bench": "servo_bench:ServoBench",
-    "sage": "sage:Sage",
     "lerobot": "lerobot:LeRobot",
     "ros": "ros:Ros",
     "npz": "npz:Npz",

@@ -31,8 +31,6 @@ class CsvTable:
     def read(self, path: Path) -> list[Recording]:
         """One recording."""
         with located(source=path):
-            if path.name in ("control.csv", "state_motor.csv") and (path.parent / "joint_list.txt").is_file():
-                raise LogError("it is one part of a SAGE pair", f"name its folder, {path.parent.name}")
             header, table, codes = read_table(path, _texts)
             return [_long(header, table, codes) if codes else _wide(header, table)]
 

@@ -26,12 +26,16 @@ class Sage:
     paths = "<folder with control.csv, state_motor.csv, joint_list.txt>"
 
     def claims(self, path: Path) -> bool:
-        """By the files in the folder."""
+        """By the files in the folder; one of them with the list beside it is refused by what it belongs to."""
+        if path.is_file():
+            return path.name.startswith(_EVERY[:2]) and (path.parent / _EVERY[2]).is_file()
         there = [any(path.glob(f"{name}*")) for name in _EVERY]
         return there[1] or (there[0] and there[2])
 
     def read(self, path: Path) -> list[Recording]:
         """One recording; torques stay in the recorders' unit."""
+        if path.is_file():
+            raise LogError("it is one part of a SAGE pair", f"name its folder, {path.parent.name}", source=path)
         control, state, listed = (next(iter(sorted(path.glob(f"{name}*"))), path / name) for name in _EVERY)
         joints = [line.strip() for line in read_text(listed).splitlines() if line.strip()]
         about = dict(joints=joints, robot="real", mount="stand", motion=path.name)
