@@ -6,6 +6,7 @@ An edit changes bytes of a file (replaced, cut, added, doubled, moved), or what 
 texts, values of JSON and YAML, arrays of npz, columns of parquet, whole files. What fails is printed with its seed.
 """
 
+import argparse
 import io
 import json
 import logging
@@ -346,5 +347,9 @@ def main(edits: int, seed: int, only: str = "") -> int:
 
 
 if __name__ == "__main__":
-    given = sys.argv[1:]
-    sys.exit(bool(main(int(given[0]) if given else 1000, int(given[1]) if given[1:] else 0, *given[2:3])))
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("edits", type=int, nargs="?", default=1000)
+    parser.add_argument("seed", type=int, nargs="?", default=0)
+    parser.add_argument("only", metavar="format", nargs="?", default="", help="one format")
+    args = parser.parse_args()
+    sys.exit(bool(main(args.edits, args.seed, args.only)))

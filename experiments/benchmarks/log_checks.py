@@ -8,6 +8,7 @@ setting of the bench. `cost` measures reading and checking ten minutes of twenty
 CSV, and the checks of a squat beside `identify.py method=lsq` on it.
 """
 
+import argparse
 import logging
 import resource
 import subprocess
@@ -104,8 +105,15 @@ def cost() -> None:
 
 
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    measures = parser.add_subparsers(dest="measure", required=True)
+    measures.add_parser("cost", help="time and memory")
+    alarms = measures.add_parser("sound", help="findings in sound logs")
+    alarms.add_argument("cases", type=int, nargs="?", default=100, help="stand-ins with an effect each")
+    alarms.add_argument("logs", nargs="*", help="logs to examine besides")
+    args = parser.parse_args()
     logging.disable()
-    if sys.argv[1:2] == ["cost"]:
+    if args.measure == "cost":
         cost()
     else:
-        sound(int((sys.argv[2:3] or [100])[0]), sys.argv[3:])
+        sound(args.cases, args.logs)
