@@ -117,9 +117,8 @@ def roll_out(recording: Recording, side: Side, path: Path) -> list[Rollout]:
     with located(source=path):
         streams = [_named(s, meanings, recording, side) for s in recording.streams]
         time, columns = _one_clock(streams, side.options.split)
-    about = {"joints": _joints(columns), **recording.metadata, **side.metadata}
-    if not recording.strict:
-        about = {"recording": recording.name or side_path(path).stem, **about}
+    name = recording.name or side_path(path).stem
+    about = {"recording": name, "joints": _joints(columns), **recording.metadata, **side.metadata}
     parts = _split(time) if side.options.split else [slice(None)]
     logs = []
     for number, part in enumerate(parts):

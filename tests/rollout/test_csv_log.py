@@ -22,7 +22,7 @@ CONVERT = r"; .*(convert|divide|subtract|write|remove|add|correct|give|keep|comp
 
 def written(folder: Path) -> Path:
     """A good CSV of 30 rows and 2 joints with its sidecar."""
-    return rollout().to_csv(folder / "run.csv", overwrite=True)
+    return rollout(recording="run").to_csv(folder / "run.csv", overwrite=True)
 
 
 def cell(column: str, row: int, value: str) -> Callable[[Lines], None]:
@@ -219,7 +219,7 @@ def test_other_tables(tmp_path, change):
     header, *rows = path.read_text().splitlines()
     header = header.replace(",", "|") if change(",") == "|" else header
     path.write_text("\n".join([header, *map(change, rows)]) + "\n")
-    assert_same(read_log(path), rollout())
+    assert_same(read_log(path), rollout(recording="run"))
 
 
 def test_aligned_columns_and_switches_in_words(tmp_path):
@@ -229,7 +229,7 @@ def test_aligned_columns_and_switches_in_words(tmp_path):
     for joint in ("l_knee", "r_knee"):
         whole(f"{joint}.torque_enable", lambda value: str(value > 0))(table)
     path.write_text("\n".join("  ".join(f"{cell:>24}" for cell in cells) for cells in table) + "\n")
-    assert_same(read_log(path), rollout())
+    assert_same(read_log(path), rollout(recording="run"))
 
 
 def test_column_order_quotes_and_blank_lines_do_not_matter(tmp_path):
@@ -239,12 +239,12 @@ def test_column_order_quotes_and_blank_lines_do_not_matter(tmp_path):
     lines[0] = [f'"{name} "' for name in lines[0]]
     text = "\r\n".join(",".join(cells) for cells in lines) + "\r\n\r\n"
     path.write_text("\ufeff" + text, encoding="utf-8", newline="")
-    assert_same(read_log(path), rollout())
+    assert_same(read_log(path), rollout(recording="run"))
 
 
 def test_more_than_ten_vector_entries_keep_their_order(tmp_path):
     """Entry 10 of an observation comes after entry 9, not after entry 1."""
-    log = rollout()
+    log = rollout(recording="run")
     observation = np.arange(30.0 * 12).reshape(30, 12)
     arrays = {key: log.array(key) for key in log.channels}
     wide = type(log).from_arrays({**arrays, ("policy", "observation"): observation}, log.metadata)

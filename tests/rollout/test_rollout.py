@@ -67,10 +67,11 @@ def load_error(call, *arguments) -> str:
 @settings(max_examples=40, deadline=None)
 @given(log=rollouts())
 def test_folders_and_csv_give_back_the_log(tmp_path_factory, log):
-    """A log comes back with the same bits and metadata, and the checks have nothing against it."""
+    """A log comes back with the same bits and metadata, and the checks have nothing against it; a file names it."""
     folder = tmp_path_factory.mktemp("log")
     assert_same(Rollout.load(log.save(folder / "run")), log)
-    assert_same(read_log(log.to_csv(folder / "run.csv")), log)
+    named = Rollout(log.data, log.metadata.replace(recording=log.metadata.recording or "run"))
+    assert_same(read_log(log.to_csv(folder / "run.csv")), named)
 
 
 def test_batch_round_trip_and_episodes(tmp_path):
