@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import hydra
+import yaml
 from omegaconf import DictConfig
 from support import check_given, one_sentence, plain
 
@@ -26,15 +27,21 @@ from op3.rollout.read import expand, read_episodes
 def look(path: Path, cfg: DictConfig) -> bool:
     """Print what a log holds and what the checks find; whether it can be used."""
     print(f"{path}:")
+    proposed = None
     if not read_side(path).found:
         text = as_yaml(*propose(path, cfg.robot))
+        proposed = yaml.safe_load(text)
         print(text)
         if cfg.write:
-            write_text(side_path(path), text)
-            print(f"written to {side_path(path)}; correct it there")
+            try:
+                write_text(side_path(path), text)
+                print(f"written to {side_path(path)}; correct it there")
+            except OSError as error:
+                problem = f"{side_path(path)}: {(error.strerror or str(error)).lower()}"
+                print(f"{problem}; copy the log to a folder in which its YAML can lie", file=sys.stderr)
     options = {name: plain(cfg[name]) for name in OPTIONS if name in cfg}
     try:
-        logs = read_episodes(path, options, check=False, robot=cfg.robot)
+        logs = read_episodes(path, options, check=False, robot=cfg.robot, proposed=proposed)
     except LogError as error:
         print(error)
         return False
@@ -46,7 +53,7 @@ def show(log: Rollout, name: str) -> bool:
     names = ", ".join("/".join(key) if isinstance(key, tuple) else key for key in log.channels)
     print(f"{name}: {log.rows} rows, {log.duration:.2f} s, {log.metadata.rate:.4g} Hz")
     print(f"joints {', '.join(log.joints)}\nchannels {names}")
-    findings = examine(log)
+    findings = [*log.findings, *examine(log)]
     for finding in told_together(findings):
         print("\n".join(f"  {name}: {value}" for name, value in finding.row().items() if value), end="\n\n")
     if not findings:

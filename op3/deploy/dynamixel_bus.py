@@ -126,11 +126,13 @@ class Bus:
     @contextmanager
     def patience(self, first_answer: float, gap: float) -> Iterator[None]:
         """Wait otherwise than usual for the first byte of an answer, and inside a row of answers [ms]."""
-        usual, self._first_answer, self._gap = (self._first_answer, self._gap), first_answer, gap
+        usual, sdk = (self._first_answer, self._gap), dynamixel_sdk.port_handler
+        timer, self._first_answer, self._gap = sdk.LATENCY_TIMER, first_answer, gap
+        sdk.LATENCY_TIMER = max(timer, first_answer / 2 - 1)  # it waits for two of them and 2 ms
         try:
             yield
         finally:
-            self._first_answer, self._gap = usual
+            (self._first_answer, self._gap), sdk.LATENCY_TIMER = usual, timer
 
     def clear(self) -> None:
         """Free a port that an interrupted call left locked; without this the SDK sends nothing any more."""

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from op3.deploy.dynamixel_bus import BOARD, FIRST_ANSWER, SLOW_ANSWER, Bus, BusError, NoAnswer, Writer
+from op3.deploy.dynamixel_bus import BOARD, SLOW_ANSWER, Bus, BusError, NoAnswer, Writer
 from op3.deploy.limits import Limits
 from op3.deploy.registers import OPEN_CR_MODEL, HardwareError
 from op3.deploy.state import State
@@ -39,6 +39,9 @@ LARGEST_TILT_DEG = 30.0
 
 MARGIN = 0.05
 """How far a limp joint may hang beyond its soft limit [rad]."""
+
+LATE_ANSWER = 2.5
+"""Most pings take less by a latency timer of 1 ms [ms]: the wire and the computer add 0.3."""
 
 SAMPLES = 25
 """Readings of the IMU that must not all be the same, one every 8 ms."""
@@ -127,11 +130,8 @@ class StartChecks:
                 except NoAnswer:
                     self._look_for_protocol_1([first])
                     raise
-            port = Path(bus.port_name).name
-            raise Failed(
-                f"answers come only after {FIRST_ANSWER:g} ms: the USB adapter's latency timer is about 16 ms and must"
-                f" be 1; echo 1 | sudo tee {ADAPTERS}/{port}/latency_timer, or setserial /dev/{port} low_latency"
-            ) from None
+            self._blame_adapter()
+            raise
         if not bus.board or bus.read(BOARD, "dynamixel_power"):
             return "on"
         if self._writer is None:
@@ -142,6 +142,21 @@ class StartChecks:
         if not bus.read(BOARD, "dynamixel_power"):
             raise Failed("switched on, and still off; check the board")
         return "switched on"
+
+    def _blame_adapter(self) -> None:
+        """Say so where answers are only late: then whoever did not answer in time has no fault."""
+        bus, waits = self._bus, []
+        with bus.patience(SLOW_ANSWER, SLOW_ANSWER):
+            for _ in range(9):
+                began = bus.clock.now()
+                bus.ping(BOARD if bus.board else self._joints[0])
+                waits.append(1e3 * (bus.clock.now() - began))
+        port, late = Path(bus.port_name).name, float(np.median(waits))
+        if late > LATE_ANSWER:
+            raise Failed(
+                f"answers come after {late:.0f} ms: the USB adapter's latency timer is about as long and must be 1 ms;"
+                f" echo 1 | sudo tee {ADAPTERS}/{port}/latency_timer, or setserial /dev/{port} low_latency"
+            )
 
     def _ping(self) -> str:
         self._models = self._bus.ping_all()
@@ -250,6 +265,7 @@ class StartChecks:
                 blocks.add(state.raw["imu"].tobytes())
             bus.clock.sleep_until(bus.clock.now() + 0.008)
         if len(blocks) < 2:
+            self._blame_adapter()
             raise Failed(f"{SAMPLES} readings hold {len(blocks)} different block; switch the power off and on")
         assert state.orientation is not None
         assert state.linear_acceleration is not None
@@ -274,6 +290,7 @@ class StartChecks:
             heard |= state.answered
             if heard.all():
                 return state
+        self._blame_adapter()
         silent = ", ".join(self._joints[i] for i in np.flatnonzero(~heard))
         raise BusError(f"no answer from {silent} to ten readings")
 

@@ -65,10 +65,16 @@ class RunLogger:
             silent=quiet, console="off", disable_code=True, disable_git=True, x_disable_meta=quiet,
             x_disable_stats=quiet,
         )  # fmt: skip
-        self._run = wandb.init(
-            project="op3", group=sweep_group(folder), name=folder.resolve().name, dir=str(folder),
-            config=scrub(dict(config or {})), mode=mode, reinit="create_new", settings=settings,
-        )  # fmt: skip
+        try:
+            self._run = wandb.init(
+                project="op3", group=sweep_group(folder), name=folder.resolve().name, dir=str(folder),
+                config=scrub(dict(config or {})), mode=mode, reinit="create_new", settings=settings,
+            )  # fmt: skip
+        except wandb.errors.Error as error:
+            problem = str(error).strip().splitlines()[0].rstrip(".")
+            raise ValueError(
+                f"wandb={mode}: {problem}; log in with `wandb login`, or write wandb=offline, which needs no account"
+            ) from error
 
     def log(self, values: Mapping[str, float], step: int | None = None) -> None:
         """Log numbers; steps must not decrease. Without a step, wandb counts calls."""

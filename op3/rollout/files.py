@@ -7,6 +7,7 @@ and a file cut short is silently grown with zeros. The loader here checks the si
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import operator
@@ -65,8 +66,9 @@ def write_folder(path: Path, fill: Callable[[Path], None], overwrite: bool = Fal
         fill: Writes the contents into the empty folder it is given.
         overwrite: Whether a folder already there is replaced.
     """
+    there = LogError("there is something already", "choose another folder or pass overwrite=True", source=path)
     if path.exists() and not overwrite:
-        raise LogError("there is something already", "choose another folder or pass overwrite=True", source=path)
+        raise there
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = _temporary(path)
     shutil.rmtree(temporary, ignore_errors=True)
@@ -78,9 +80,14 @@ def write_folder(path: Path, fill: Callable[[Path], None], overwrite: bool = Fal
         sync(temporary)
         old = path.with_name(f".{path.name}.{os.getpid()}.old")
         shutil.rmtree(old, ignore_errors=True)
-        if path.exists():
+        if overwrite and path.exists():
             os.rename(path, old)
-        os.rename(temporary, path)
+        try:
+            os.rename(temporary, path)
+        except OSError as error:  # another process was faster
+            if error.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
+                raise there from None
+            raise
         sync(path.parent)
         shutil.rmtree(old, ignore_errors=True)
     finally:

@@ -90,9 +90,10 @@ def side_path(path: Path) -> Path:
     return short if short.is_file() else short.with_suffix(".yaml")
 
 
-def read_side(path: Path, options: Mapping[str, Any] | None = None) -> Side:
-    """What lies beside a log: its own file over the folder's, and options of a command over both."""
-    values: dict[str, Any] = {}
+def read_side(path: Path, options: Mapping[str, Any] | None = None, proposed: Mapping[str, Any] | None = None) -> Side:
+    """What lies beside a log: its own file over the folder's, and options of a command over both; or what is proposed
+    to lie there, where nothing does."""
+    values = dict(proposed or {})
     files = [file for file in (path.parent / SHARED, side_path(path)) if file.is_file() and file != path]
     for file in files:
         values |= read_yaml(file, LogError)
@@ -104,7 +105,7 @@ def read_side(path: Path, options: Mapping[str, Any] | None = None) -> Side:
             problem, remedy = f"{odd!r} is no option of an import", f"options are {', '.join(OPTIONS)}"
             raise LogError(problem, rename(odd, OPTIONS, remedy))
         chosen = Options(**{name: value for name, value in given.items() if value is not None})
-    return Side(values, chosen, source, bool(files))
+    return Side(values, chosen, source, bool(files or proposed))
 
 
 def roll_out(recording: Recording, side: Side, path: Path) -> list[Rollout]:

@@ -47,6 +47,7 @@ def read_episodes(
     options: Mapping[str, Any] | None = None,
     check: bool = True,
     robot: str | Path | Robot | None = None,
+    proposed: Mapping[str, Any] | None = None,
 ) -> list[Rollout]:
     """All recordings in one log.
 
@@ -55,6 +56,7 @@ def read_episodes(
         options: Of the import, over those in its YAML; see `op3.rollout.importing.Options`.
         check: Whether logs that cannot be right are refused, and bad channels of single joints set aside.
         robot: That made it, see `read_log`.
+        proposed: What its YAML would say, where it has none.
     """
     path = Path(path)
     logs: list[Rollout] = []
@@ -63,7 +65,7 @@ def read_episodes(
         if isinstance(found, Rollout) and asked:
             problem = f"a rollout folder is read as it is, and {asked[0]} changes nothing of it"
             raise LogError(problem, "import the log that it was made from, or leave the option out", source=path)
-        logs += roll_out(found, read_side(path, options), path) if isinstance(found, Recording) else [found]
+        logs += roll_out(found, read_side(path, options, proposed), path) if isinstance(found, Recording) else [found]
     if not logs:
         raise LogError("it holds no recording", "record at least one episode", source=path)
     if robot is not None:

@@ -209,7 +209,7 @@ class Rollout:
 
         source = source or self.metadata.recording
         findings = examine(self)
-        for finding in told_together(findings):
+        for finding in told_together([*self.findings, *findings]):  # the former are the reader's
             where = said if said and str(finding.column).startswith("field ") else source
             if finding.severity == ERROR:
                 raise finding.error(where)

@@ -48,8 +48,10 @@ FAILURES = {
     "profile": (put("l_knee", "profile_velocity", 30, at=0.3), "profile velocity: not normal: l_knee 30"),
     "latency timer": (
         dict(timing=Timing(latency_timer=0.016)),
-        r"servo power: answers come only after 4 ms: .*latency timer.*echo 1 .*latency_timer, or setserial",
+        r"servo power: answers come after 16 ms: .*latency timer.*echo 1 .*latency_timer, or setserial",
     ),
+    "latency timer of 8 ms": (dict(timing=Timing(latency_timer=0.008)), "answers come after 8 ms: .*latency timer"),
+    "latency timer of 4 ms": (dict(timing=Timing(latency_timer=0.004)), "answers come after 4 ms: .*latency timer"),
     "protocol": (
         put("l_knee", "protocol_version", 1),
         r"ping: protocol 1.0 is spoken by l_knee \(id 14\); set the register protocol_version there to 2",

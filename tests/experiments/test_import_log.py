@@ -23,3 +23,16 @@ def test_options_in_the_yaml_count(tmp_path, option, code, said):
         side.write(f"{option}\n")
     done = run_script("import_log.py", f"data={path}")
     assert (done.returncode, said in done.stdout) == (code, True), done.stdout
+
+
+def test_a_log_without_a_yaml_is_shown_where_none_can_be_written(tmp_path):
+    """What was understood of it is used; the YAML has to lie elsewhere. Nor is one needed with `write=false`."""
+    path = rollout(rows=300).to_csv(tmp_path / "run.csv")
+    path.with_suffix(".yaml").unlink()
+    done = run_script("import_log.py", f"data={path}", "write=false")
+    assert "run: 300 rows" in done.stdout
+    assert not path.with_suffix(".yaml").exists()
+    path.with_suffix(".yaml").mkdir()  # in whose place nobody can write a file, not even root
+    done = run_script("import_log.py", f"data={path}")
+    assert "run: 300 rows" in done.stdout
+    assert "is a directory; copy the log to a folder" in done.stderr

@@ -66,3 +66,12 @@ def test_an_unknown_mode_is_refused(tmp_path):
     with pytest.raises(ValueError, match="wandb mode 'of': choose offline, online or disabled"):
         RunLogger(tmp_path / "run", mode="of")
     assert not (tmp_path / "run").exists()
+
+
+def test_a_key_that_cannot_be_is_told_in_one_sentence(tmp_path, monkeypatch):
+    """Before anything is sent."""
+    monkeypatch.setenv("WANDB_API_KEY", "abc")
+    with pytest.raises(
+        ValueError, match=r"wandb=online: .*API key.*; log in with `wandb login`, or write wandb=offline"
+    ):
+        RunLogger(tmp_path / "run", mode="online")

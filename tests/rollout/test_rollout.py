@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import random
 import re
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 from rollout_logs import JOINTS, arrays, assert_same, metadata, rollout
 from tensordict import TensorDict
 
-from op3.rollout import CHANNELS, LogError, Metadata, Rollout, column_names, read_log, schema_table
+from op3.rollout import CHANNELS, LogError, Metadata, Rollout, column_names, files, read_log, schema_table
 
 finite = st.floats(-6, 6, allow_nan=False, width=64)
 
@@ -267,3 +268,19 @@ def test_metadata_takes_numpy_and_arrays():
     assert about.episode_duration == (1.0, 2.5)
     assert Metadata.from_dict(about.to_dict()) == about
     assert about.extra == {"scale": 0.5, "range": [1, 2]}
+
+
+def test_of_two_that_save_at_once_one_is_refused(tmp_path, monkeypatch):
+    """What another process has saved meanwhile stays as it is."""
+    mine, its, save = rollout(seed=1), rollout(seed=2), files.save_tensordict
+
+    def slow(data, folder):
+        monkeypatch.setattr(files, "save_tensordict", save)
+        its.save(tmp_path / "run")
+        save(data, folder)
+
+    monkeypatch.setattr(files, "save_tensordict", slow)
+    monkeypatch.setattr(files, "_temporary", lambda path: path.with_name(f".{path.name}.{random.random()}.tmp"))
+    assert "there is something already" in load_error(mine.save, tmp_path / "run")
+    assert_same(Rollout.load(tmp_path / "run"), its)
+    assert [file.name for file in tmp_path.iterdir()] == ["run"]

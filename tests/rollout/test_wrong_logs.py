@@ -116,6 +116,17 @@ def put(column: str, value: float, first: int, last: int | None = None) -> Chang
     return edit(column, how)
 
 
+def soft(share: float, unit: float) -> Change:
+    """The joint moves by a share of what it did, and its encoder's steps are told in a unit [1/rad]."""
+
+    def change(table: Table) -> None:
+        step = 2 * np.pi / 4096
+        table["joint_0.velocity"] = share * table["joint_0.velocity"]
+        table["joint_0.position"] = np.round(share * table["joint_0.position"] / step) * (step * unit)
+
+    return change
+
+
 def swap(one: str, other: str) -> Change:
     """Two columns are exchanged."""
 
@@ -174,6 +185,22 @@ REFUSED: dict[str, tuple[Change, str]] = {
     "position in degrees": (scale(".*position", 6.5), r"position: the position moves 6\.\d+ times as far"),
     "both in degrees": (scale(".*(position|target|velocity)", 57.29578), r"in steps of 0\.08789.* were in deg"),
     "position in counts": (scale(".*position", 4096 / 2 / np.pi), r"as if it were in counts of 4096 a turn"),
+    "position of a soft servo in degrees": (
+        soft(0.7, 57.29578),
+        r"moves 38\.\d times .*, as if it were in deg;",
+    ),
+    "position of a soft servo in counts": (
+        soft(0.8, 4096 / 2 / np.pi),
+        r"moves 49\d times .*, as if it were in counts of 4096 a turn",
+    ),
+    "targets of a soft servo in degrees": (
+        edit(".*target", lambda v: 57.29578 * v / 0.7),
+        r"moves 0\.0116 times .*, as if the command were in deg",
+    ),
+    "gyroscope in counts of 16.4": (
+        scale("imu.gyro_.", 939.65),
+        r"reads 9\d\d times the change .* second; write `unit:`",
+    ),
     "gyroscope in degrees": (scale("imu.gyro_.", 57.3), r"gyro_x: the gyroscope reads 57\.\d times .* in deg/s"),
     "gyroscope turned": (scale("imu.gyro_y", -1), r"gyro_y: the gyroscope reads -(1|0.99\d*) .* sign turned round"),
     "gyroscope's axes": (swap("imu.gyro_x", "imu.gyro_y"), r"axes are swapped"),
@@ -1004,7 +1031,7 @@ def test_a_zero_that_is_a_quarter_turn_off_is_told(tmp_path, joints):
     assert any("rad off its command in every pose" in one.problem for one in log.findings)
 
 
-def test_a_cell_without_a_number_is_told_once(tmp_path):
+def test_a_cell_without_a_number_is_told_once(tmp_path, caplog):
     """What stands in the place of a channel that is set aside is not looked at."""
     path = write(tmp_path, lambda table: table.update({"joint_0.current": 0.4 * table["joint_0.velocity"]}))
     text = path.read_text().splitlines()
@@ -1013,6 +1040,7 @@ def test_a_cell_without_a_number_is_told_once(tmp_path):
     path.write_text("\n".join(text) + "\n")
     (found,) = (one for one in read_log(path).findings if one.column == "joint_0.current")
     assert found.problem == "1 of 1000 rows hold no number"
+    assert "1 of 1000 rows hold no number" in caplog.text
 
 
 def test_loads_with_their_sign_in_bit_ten_are_told(tmp_path):

@@ -8,16 +8,29 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from op3.rollout.errors import LogError
-from op3.rollout.health.finding import COMMAND, CURRENT, ERROR, POSITION, WARNING, Finding, View, check
-from op3.rollout.health.match import GIVES, SURE, delayed, match
+from op3.rollout.health.finding import (
+    COMMAND,
+    CURRENT,
+    ERROR,
+    POSITION,
+    VELOCITY,
+    WARNING,
+    Finding,
+    View,
+    check,
+)
+from op3.rollout.health.match import GIVES, SURE, delayed, integral, match, windows
 from op3.rollout.metadata import HOLDING
-from op3.rollout.units import likely_unit
+from op3.rollout.units import UNITS, likely_unit
 
 _TURN = 2 * np.pi
 
 _MORE, _MOST = 1.4, 1.9
 """A servo that follows its command moves less than the first times as far, 1.18 in 3,400 joints of sound logs; none by
 the second."""
+
+_SOFT = 0.3
+"""Servos that follow their commands at all move so far, in parts of what is asked for: the softest of a bench."""
 
 _SIGNS = "write `sign: -1` under `columns:` in the YAML for its position and velocity, or for its target"
 _GEAR = "look at the resolution and the gear ratio by which it was converted"
@@ -108,8 +121,8 @@ def command(view: View) -> Iterator[Finding]:
         both = _returns(joint, leader, follows) or alone[joint]
         other = view.joints[whose] if follows[joint] and both else None
         if asked[joint] and sure > 0.95 and (ratio > _MOST or ratio < 1 / 30):
-            unit = likely_unit(ratio, "rad") or (likely_unit(1 / ratio, "rad") if ratio else None)
-            cause = f", as if {'it' if ratio > 1 else 'the command'} were in {unit}" if unit else ""
+            unit = _unit(view, joint, ratio) if ratio > 0 else None
+            cause = f", as if {unit}" if unit else ""
             problem = f"the position moves {ratio:.3g} times as far as its command{cause}"
             remedy = "convert both to radians (57.3 is degrees)" if unit else _GEAR
             yield view.found(wrong, where, problem, remedy)
@@ -126,6 +139,38 @@ def command(view: View) -> Iterator[Finding]:
             problem = f"the position follows the command of {other}: the columns of the two are swapped"
             problem += ", and the sign of one is turned round" if signed[joint, whose] < 0 else ""
             yield view.found(wrong, where, problem, "exchange their names under `columns:` in the YAML")
+
+
+def _unit(view: View, joint: int, ratio: float) -> str | None:
+    """Whether a position or its command is in another unit, in words; None where no unit or more than one fits.
+
+    A soft servo moves less than it is told, but its velocity tells how far, and so do the steps of its encoder.
+
+    Args:
+        view: of the log.
+        joint: number.
+        ratio: how many times as far as its command the position moves.
+    """
+    sizes = {name: size for name, size in UNITS["rad"].items() if size != 1.0}
+    own = [name for name, size in sizes.items() if _SOFT < ratio * size < _MORE]
+    told = [name for name, size in sizes.items() if _SOFT < ratio / size < _MORE]
+    exact = 2 * np.pi / 4096 if view.make is None else view.make.position_unit
+    step, rate = float(view.steps(POSITION)[joint]), view.get(VELOCITY)
+    first, last, _ = windows(view.time)
+    if rate is not None and len(first) > 7:
+        turned, summed = view.position[:, [joint]], integral(view.time, rate[:, [joint]])
+        found = match(summed[last] - summed[first], turned[last] - turned[first])
+        if found.correlation[0, 0] > SURE:
+            speed = float(found.ratio[0, 0])
+            own = [name for name in own if abs(np.log(speed / sizes[name])) < 0.1]
+            told = told if abs(np.log(speed)) < 0.1 else []
+    if len(own) > 1 and step:
+        own = [name for name in own if abs(np.log(step * sizes[name] / exact)) < 0.01] or own
+    causes = [*(("it", name) for name in own), *(("the command", name) for name in told)]
+    if len(causes) > 1:
+        nearest = likely_unit(max(ratio, 1 / ratio), "rad", 0.2)
+        causes = [one for one in causes if one[1] == nearest]
+    return f"{causes[0][0]} were in {causes[0][1]}" if causes else None
 
 
 def _small(values: np.ndarray) -> np.ndarray:

@@ -20,7 +20,8 @@ from op3.rollout.health.finding import (
     View,
     check,
 )
-from op3.rollout.schema import Key
+from op3.rollout.schema import CHANNELS, Key
+from op3.rollout.units import UNITS
 
 _LEAST: dict[Key, float] = {VELOCITY: 5.0, CURRENT: 5.0, ("joint", "voltage"): 2.0, ("joint", "temperature"): 5.0}
 _LEAST |= {RATE: 5.0, ORIENTATION: 0.2, FORCE: 100.0}
@@ -75,7 +76,7 @@ def not_measured(view: View) -> Iterator[Finding]:
 def unsigned(view: View) -> Iterator[Finding]:
     """Negative numbers of a 16-bit or 32-bit register were read as large positive ones."""
     for key, index, column in view.columns(POSITION, VELOCITY, CURRENT, ("joint", "load")):
-        size = float(view.steps(key)[index])
+        size = float(view.steps(key)[index]) or _counted(column, CHANNELS[key].quantity.unit)
         if not size or column.max() < 2**10 * size:
             continue
         counts = np.round(column / size)
@@ -101,6 +102,13 @@ def unsigned(view: View) -> Iterator[Finding]:
                 problem = f"numbers near {column[high].max():.6g} are negative ones of a {bits}-bit register"
                 severity, remedy = ERROR if key == POSITION else WARNING, "read the register with its sign"
                 yield view.found(severity, (key, index), problem, remedy, high.argmax(), aside=severity == WARNING)
+
+
+def _counted(column: np.ndarray, si_unit: str) -> float:
+    """Size of the unit of which numbers are whole 16-bit counts, in the SI unit; 0 where there is none."""
+    most = float(column.max())
+    fits = (u for u in UNITS.get(si_unit, {}).values() if 2**15 * u < most < 2**16 * u)
+    return next((u for u in fits if np.abs(column / u - np.round(column / u)).max() < 0.01), 0.0)
 
 
 @check("single readings")

@@ -203,7 +203,7 @@ def _stops(view: View, rows: int) -> Iterator[Finding]:
             through = turned if key == ORIENTATION else view.position[:, [index]] if key == CURRENT else view.position
             # of turning only what goes to and fro counts, as a gyroscope has a zero of its own
             path = detrend(through[run], axis=0) if key == ORIENTATION else through[run]
-            moved = np.ptp(path, axis=0).max() > (0.1 if key == ORIENTATION else 0.2)
+            moved = np.ptp(path, axis=0).max() > (0.05 if key == ORIENTATION else 0.2)
             limited = key == CURRENT and abs(part[first, 0]) == np.abs(part).max()
             limited |= key == CURRENT and part[first, 0] == 0 and not view.driven[run, index].any()  # it is off
             if length <= 2 * rows or length == len(same) or not moved or limited:

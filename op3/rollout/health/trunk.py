@@ -142,7 +142,7 @@ def gyroscope(view: View) -> Iterator[Finding]:
         other = int(np.abs(found.correlation[:, axis]).argmax())
         fits = abs(float(found.correlation[other, axis]))
         if moving[axis] and abs(own) > 0.9 and not ((0.5 < ratio < 2) if abs(own) < 0.97 else (0.75 < ratio < 1.35)):
-            unit = likely_unit(ratio, "rad/s")
+            unit = likely_unit(ratio, "rad/s", 0.05)
             cause = f", as if it were in {unit}" if unit else ""
             cause = " with the sign turned round" if abs(ratio + 1) < 0.3 else cause
             problem = f"the gyroscope reads {ratio:.3g} times the change of orientation per second{cause}"
