@@ -15,6 +15,7 @@ from omegaconf import DictConfig
 from support import check_given, one_sentence, plain
 
 from op3.command_line import launch
+from op3.private import masked
 from op3.robot import load_robot
 from op3.rollout import LogError, Rollout
 from op3.rollout.files import write_text
@@ -26,7 +27,7 @@ from op3.rollout.read import expand, read_episodes
 
 def look(path: Path, cfg: DictConfig) -> bool:
     """Print what a log holds and what the checks find; whether it can be used."""
-    print(f"{path}:")
+    print(masked(f"{path}:"))
     proposed = None
     if not read_side(path).found:
         text = as_yaml(*propose(path, cfg.robot))

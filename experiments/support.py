@@ -25,7 +25,7 @@ from pydantic import Field
 from op3.command_help import config_file
 from op3.command_line import told
 from op3.policy.actions import GAIN_HIGH, GAIN_LOW
-from op3.private import scrub
+from op3.private import masked, scrub
 from op3.robot import DEFAULT, Motion, named_configs
 from op3.rollout import Metadata, Rollout
 from op3.rollout.files import write_text
@@ -156,7 +156,7 @@ def one_sentence(
             error = error.__cause__ or error
         if HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN:
             raise CompactHydraException(told(error)) from error  # the sweeper says which job it was
-        print(told(error), file=sys.stderr)
+        print(masked(told(error)), file=sys.stderr)
         raise SystemExit(1) from None
     except KeyboardInterrupt:
         print(f"\nInterrupted. {interrupted}", file=sys.stderr)

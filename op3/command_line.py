@@ -290,7 +290,7 @@ def known_settings(config: str) -> list[str]:
 
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(config_file(config).parent), version_base="1.3"):
-        cfg = compose(config)
+        cfg = compose(config, return_hydra_config=True)
     names: list[str] = []
 
     def walk(node: DictConfig, prefix: str) -> None:
@@ -301,6 +301,7 @@ def known_settings(config: str) -> list[str]:
                 walk(value, f"{prefix}{key}.")
 
     walk(cfg, "")
+    names = [name for name in names if not name.startswith("hydra") or name.startswith("hydra.sweeper.")]
     groups = [choice.partition("=")[0] for choice in settings_of(config)]
     return list(dict.fromkeys([*names, *groups]))
 

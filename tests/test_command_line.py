@@ -47,6 +47,10 @@ def op3() -> Callable[..., tuple[int, str]]:
         (["collect", "twice"], "twice is no setting: write setting=value"),
         (["demo", "diagnos"], "diagnos is no setting: write setting=value; the nearest is 'demo diagnose'"),
         (["identify", "effects={dte: {}}"], "effects has no entry 'dte' yet: add it with +effects.dte=..."),
+        (
+            ["identify", "data=x", "hydra.sweeper.n_trails=5"],
+            "hydra.sweeper has no part 'n_trails'; the nearest is 'n_trials'",
+        ),
         (["identify", "hydra.sweeper.n_trials=x"], "hydra.sweeper.n_trials=x: Value 'x' of type 'str' could not be"),
         (
             ["identify", "data=x", "seed=1,2"],

@@ -17,7 +17,10 @@ ROOT = Path(__file__).resolve().parents[1]
     [
         ("storage=postgresql://me:s3cret@host/db", "storage=postgresql://me:***@host/db"),
         ("{'storage': 'mysql+pymysql://me:s3cret@h:3306/db'}", "{'storage': 'mysql+pymysql://me:***@h:3306/db'}"),
+        ("storage=postgresql://me:s3/cr@et@host/db", "storage=postgresql://me:***@host/db"),
         ("api_key=abcdef123", "api_key=***"),
+        ("wandb_key=abcdef123 and passphrase: abcdef", "wandb_key=*** and passphrase: ***"),
+        ("Authorization: Bearer abcdef", "Authorization: Bearer ***"),
         ("mysql://host/db?pw=abcdef&ssl=1", "mysql://host/db?pw=***&ssl=1"),
         ("db?password=$ecret1", "db?password=$***"),
         ("db?password=${oc.env:OP3_SECRET_7}", "db?password=${oc.env:OP3_SECRET_7}"),

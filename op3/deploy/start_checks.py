@@ -31,6 +31,7 @@ UNTOUCHED = {
     "pwm_limit": 885,
     "profile_velocity": 0,
     "profile_acceleration": 0,
+    "shutdown": 0x34,  # by overheating, an electrical shock and overload
 }
 """Registers that other programs leave behind, and their values from the factory; ROBOTIS e-Manual."""
 

@@ -90,7 +90,8 @@ def _collisions(motion: Motion, robot: Robot, position: np.ndarray) -> list[str]
                 ]
                 return [
                     f"motion {motion.name!r} brings {parts[0]} within {distance * 1000:.1f} mm of {parts[1]} at"
-                    f" {motion.time[row]:.3f} s; at least {CLEARANCE * 1000:.0f} mm must be left"
+                    f" {motion.time[row]:.3f} s; at least {CLEARANCE * 1000:.0f} mm must be left:"
+                    " move less, or elsewhere (motion.joints, motion.offset)"
                 ]
     return []
 

@@ -12,6 +12,7 @@ import json
 import math
 import operator
 import os
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -96,7 +97,12 @@ def write_folder(path: Path, fill: Callable[[Path], None], overwrite: bool = Fal
 
 def save_tensordict(data: TensorDictBase, folder: Path) -> None:
     """Write in TensorDict's memory-map format (also read by `TensorDict.load_memmap`)."""
-    data.clone().memmap(str(folder))
+    try:
+        data.clone().memmap(str(folder))
+    except RuntimeError as error:  # torch's, of a full disk
+        if (code := re.search(r"\((\d+)\)$", str(error))) is None:
+            raise
+        raise OSError(int(code[1]), os.strerror(int(code[1])), str(folder)) from None
 
 
 def map_tensordict(folder: Path) -> TensorDict:

@@ -46,6 +46,7 @@ FAILURES = {
     ),
     "pwm": (put("l_knee", "pwm_limit", 400), "pwm limit: not normal: l_knee 400; .*mode=setup"),
     "profile": (put("l_knee", "profile_velocity", 30, at=0.3), "profile velocity: not normal: l_knee 30"),
+    "shutdown": (put("l_knee", "shutdown", 0), "shutdown: not normal: l_knee 0; .*mode=setup"),
     "latency timer": (
         dict(timing=Timing(latency_timer=0.016)),
         r"servo power: answers come after 16 ms: .*latency timer.*echo 1 .*latency_timer, or setserial",
@@ -156,6 +157,7 @@ def test_the_checks_pass_at_1_ms_and_are_all_told(tmp_path, timer):
             "pwm limit",
             "profile velocity",
             "profile acceleration",
+            "shutdown",
         ),
         *("servo limits", "hardware errors", "temperature"),
         *("supply voltage", "joint angles", "IMU"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import random
 import re
+import resource
 from pathlib import Path
 
 import numpy as np
@@ -284,3 +285,15 @@ def test_of_two_that_save_at_once_one_is_refused(tmp_path, monkeypatch):
     assert "there is something already" in load_error(mine.save, tmp_path / "run")
     assert_same(Rollout.load(tmp_path / "run"), its)
     assert [file.name for file in tmp_path.iterdir()] == ["run"]
+
+
+def test_a_full_disk_leaves_nothing(tmp_path):
+    """The system's own error says so; a limit of the size of files stands for the disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (200, before[1]))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            rollout().save(tmp_path / "run")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert not list(tmp_path.iterdir())

@@ -97,6 +97,14 @@ def test_a_bad_recording_gets_one_sentence(tmp_path, offence):
         read(tmp_path, content)
 
 
+def test_a_key_that_stands_twice_is_refused(tmp_path):
+    """Else the last one would win without a word."""
+    path = tmp_path / "run.json"
+    path.write_text(json.dumps(recording()).replace('"mass"', '"kp": 16, "mass"', 1))
+    with pytest.raises(LogError, match=r"run\.json, field kp: the key stands twice; keep the one"):
+        read_log(path)
+
+
 def test_broken_files_are_refused(tmp_path):
     """Cut-off xz data, cut-off JSON and JSON of something else are told apart."""
     whole = json.dumps(recording()).encode()

@@ -11,6 +11,7 @@ import json
 import lzma
 import zlib
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +99,7 @@ def read_json(path: Path) -> dict[str, Any]:
     """The mapping in a JSON file."""
     again = "copy or download the file again"
     try:
-        content = json.loads(read_bytes(path))
+        content = json.loads(read_bytes(path), object_pairs_hook=partial(_once, path))
     except json.JSONDecodeError as error:
         problem = f"the JSON is broken or cut short at line {error.lineno} ({error.msg})"
         raise LogError(problem, again, source=path) from None
@@ -109,6 +110,16 @@ def read_json(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise LogError("the JSON is not a mapping", "name a file of the format", source=path)
     return content
+
+
+def _once(path: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A mapping in which every key stands once."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise LogError("the key stands twice", "keep the one that is right", source=path, column=f"field {twice}")
+    return found
 
 
 def numbers(cells: Sequence[Any], source: Path, column: str, width: int = 1) -> np.ndarray:
