@@ -41,7 +41,7 @@ class Monitor:
 
     def __init__(self, limits: Limits, robot: Robot, period: float):
         self._limits, self._period = limits, period
-        self._joints = robot.joints
+        self._joints, self._limits_of_joints = robot.joints, robot.limits.T
         self._units = Units(robot)
         self._loss_ticks = round(limits.loss_time / period)
         self._last_heard: np.ndarray | None = None
@@ -91,8 +91,8 @@ class Monitor:
     def _check_jump(self, silent: np.ndarray, state: State) -> None:
         """A controller that believes a position which cannot be drives the joint with all it has."""
         before, self._last_position = self._last_position, state.position
-        if before is None:
-            return
+        if before is None:  # the start checks found all joints within their limits
+            before = np.clip(state.position, *self._limits_of_joints)
         jump = np.where(state.answered, state.position - before, 0.0)
         limit = LEAST_JUMP + FASTEST * self._units.fastest * self._period * np.maximum(silent, 1)
         if (np.abs(jump) > limit).any():

@@ -323,3 +323,13 @@ def test_a_position_that_jumps_ends_the_run_within_a_tick(tmp_path, counts, jump
     assert torque_off(rig) < START + 0.02
     assert np.abs(goals(rig, start=START)[1]).max(initial=0) < 200  # nothing was driven by the wrong angle
     assert "l_knee" in str(Rollout.load(tmp_path / "logs" / "run").metadata.extra)
+
+
+def test_a_turn_that_is_lost_before_the_first_reading_drives_nothing(tmp_path):
+    """After the start checks have seen the joint inside its limits."""
+    rig = faulty(tmp_path)
+    rig.robot.at(0.9, lambda: rig.robot.servos["l_knee"].put("homing_offset", 4096))
+    outcome = go(rig)
+    assert outcome.code == ExitCode.POSITION_JUMP
+    assert "position of l_knee jumped by +5." in outcome.reason
+    assert np.abs(goals(rig)[1]).max(initial=0) == 0
