@@ -113,9 +113,10 @@ def fit_base(
 
     best, first, gains = _best(reduction, ends(), settings)
     others = [(point, gains[best][1] - gain) for number, (point, gain) in enumerate(gains) if number != best]
-    # what sticks has a basin for every form of its law: friction begins anew where all else is by now
-    afresh = (_afresh(first, form) for form in starts[best])
-    begins = [*afresh, *_earlier(first, reduction.engine.period), *_near_rest(first)]
+    # what sticks has a basin for every form of its law: each begins where this one is, and with friction as at first
+    same = [(replace(first.coordinates, model=form), first.point) for form in starts[best]]
+    afresh = [_afresh(first, form) for form in starts[best]]
+    begins = [*same, *afresh, *_earlier(first, reduction.engine.period), *_near_rest(first)]
     anew = (settle(reduction, *begin, settings, ELSEWHERE) for begin in begins)
     _, first, _ = _best(reduction, chain([first], anew), settings)
     progress(0.8)

@@ -244,6 +244,23 @@ def test_small_degrees_without_velocity(tmp_path):
         read_log(write(tmp_path, change))
 
 
+def test_a_joint_that_goes_round_is_read(tmp_path):
+    """Its target and velocity say so too; degrees in one joint's position alone are refused."""
+
+    def turns(table: Table) -> None:
+        step = 2 * np.pi / 4096
+        table["joint_1.target"] = table["joint_1.target"] + 2 * table["time"]
+        table["joint_1.position"] = table["joint_1.position"] + np.round(2 * (table["time"] - 0.03) / step) * step
+        table["joint_1.velocity"] = table["joint_1.velocity"] + 2.0
+
+    log = read_log(write(tmp_path, turns, joints=3))
+    assert log.array("joint/position")[:, 1].max() > 10
+    assert not log.findings
+    (tmp_path / "other").mkdir()
+    with pytest.raises(LogError, match=r"joint_1\.position: .* as if it were in deg;"):
+        read_log(write(tmp_path / "other", scale("joint_1.position", 57.3), joints=3))
+
+
 def test_a_clock_without_a_rate_beside_it(tmp_path):
     """Where the metadata do not tell the rate, one that no robot has tells the unit."""
     path = write(tmp_path, scale("time", 1e6))
@@ -1543,12 +1560,13 @@ def test_duty_is_the_firmwares_gain_times_error():
     log, law = bench_log(), load_servo("xl330-m288").position_law
     assert law is not None
     duty = 800 * law.error_gain.si * (log.array("command/position") - log.array("joint/position"))
-    for gain in (800.0, 80.0):
-        arrays = {key: log.array(key) for key in log.channels} | {("joint", "duty"): duty}
+    told = {(800.0, 1): None, (80.0, 1): "duty is 10 times gain times error", (800.0, 100): "as if it were in percent"}
+    for (gain, unit), said in told.items():
+        arrays = {key: log.array(key) for key in log.channels} | {("joint", "duty"): unit * duty}
         arrays["command", "firmware_gain"] = np.full_like(duty, gain)
         about = log.metadata.replace(servo="xl330", firmware_gain=gain, mount="stand")
-        problems = [one.problem for one in examine(Rollout.from_arrays(arrays, about))]
-        assert any("duty is 10 times gain times error" in problem for problem in problems) == (gain == 80.0)
+        problems = [one.problem for one in examine(Rollout.from_arrays(arrays, about)) if "duty" in one.problem]
+        assert [said is not None and said in one for one in problems] == [True] * (said is not None)
 
 
 @pytest.mark.parametrize(("name", "told"), [("xl330", None), ("sts3302", "rename it sts3"), ("acme", "known are")])

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from op3.rollout.health.finding import CURRENT, WARNING, Finding, View, check
+from op3.rollout.schema import CHANNELS
 from op3.rollout.units import likely_unit
 
 _ZERO = 0.1
@@ -58,7 +59,8 @@ def drive(view: View) -> Iterator[Finding]:
                 problem += f", or the position one of {zero[joint] / float(np.median(gain[:, joint])):+.2g} rad"
             yield view.found(WARNING, (key, joint), problem, "write `columns: {...: {offset: ...}}` into its YAML")
         usual = float(np.median(factor[off])) if off.any() else 1.0
-        units = {"it": likely_unit(usual, "A"), "the gain": likely_unit(1 / usual if usual else 0.0, "A/rad")}
+        units = {"it": likely_unit(usual, CHANNELS[key].quantity.unit)}
+        units["the gain"] = likely_unit(1 / usual if usual else 0.0, "A/rad") if key == CURRENT else None
         cause = next((f", as if {what} were in {unit}" for what, unit in units.items() if unit), "")
         for problem, wrong, remedy in (
             (f"{key[1]} has lost its sign", signless, "record it with its sign"),

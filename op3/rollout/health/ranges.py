@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from op3.rollout.health.finding import CURRENT, ERROR, POSITION, VELOCITY, WARNING, Finding, View, check
+from op3.rollout.health.finding import COMMAND, CURRENT, ERROR, POSITION, VELOCITY, WARNING, Finding, View, check
+from op3.rollout.health.match import SURE, integral, match, windows
 from op3.rollout.schema import CHANNELS
 from op3.rollout.units import likely_unit
 
@@ -67,7 +68,10 @@ def bounds(view: View) -> Iterator[Finding]:
         if quantity.binary or (-quantity.bound <= values.min() and values.max() <= quantity.bound):
             continue
         wrong = np.abs(values) > quantity.bound
-        names = np.flatnonzero(wrong.any(0))
+        if key in (POSITION, COMMAND):
+            wrong &= ~_goes_round(view, quantity.bound)
+        if not len(names := np.flatnonzero(wrong.any(0))):
+            continue
         single = float(wrong[:, names].mean()) < 0.02 and len(values) > 50
         few = key[0] == "joint" and key[1] in _ASIDE and (2 * len(names) < wrong.shape[1] or single)
         for index in names if few else names[:1]:
@@ -77,6 +81,20 @@ def bounds(view: View) -> Iterator[Finding]:
             remedy = "leave these rows out" if single else quantity.remedy
             severity = WARNING if few else ERROR
             yield view.found(severity, (key, index), f"{problem} and {likely}", remedy, row, aside=few)
+
+
+def _goes_round(view: View, bound: float) -> np.ndarray:
+    """Which joints turn more than once: their targets, and their velocities in rad/s, say so too, and most joints do
+    not, ``[joint]``."""
+    far = np.abs([view.position, view.command]).max((0, 1)) > bound
+    first, last, _ = windows(view.time)
+    rate = view.get(VELOCITY)
+    if rate is None or len(first) < 8 or 2 * far.sum() >= len(far):
+        return np.zeros(len(far), bool)
+    summed = integral(view.time, rate)
+    told = match(summed[last] - summed[first], view.position[last] - view.position[first])
+    agree = (np.diagonal(told.correlation) > SURE) & (np.abs(np.diagonal(told.ratio) - 1) < 0.1)
+    return far & agree & (np.median(np.abs(view.position - view.command), axis=0) < 1.0)
 
 
 def _likely(values: np.ndarray, mistake: str) -> str:
