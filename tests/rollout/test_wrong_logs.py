@@ -375,6 +375,10 @@ GYRO_AND_ANGLES = ("imu.gyr", "imu.rol", "imu.pit", "imu.yaw")
 
 WARNED: dict[str, tuple[Change, str]] = {
     "16 bits without sign": (edit(".*velocity", lambda v: np.where(v < 0, v + 65536 * 0.024, v)), "16-bit"),
+    "16 bits of mA without sign": (
+        lambda t: t.update({"joint_0.current": np.round(1e3 * 0.3 * t["joint_0.velocity"]) % 65536 / 1e3}),
+        "negative ones of a 16-bit register",
+    ),
     "a wrong reading": (put("joint_0.velocity", 40.0, 300), "a single reading of 40 stands between"),
     "held": (edit("joint_0.(position|velocity)", lambda v: v[np.arange(1000) // 10 * 10]), "only in every 10 rows"),
     "a short hole": (gap(400, 412), "about 12 rows are missing before this one"),
@@ -410,7 +414,7 @@ WARNED: dict[str, tuple[Change, str]] = {
         lambda t: t.update({n: 0 * v + 0.15 * (n == "imu.gyro_z") for n, v in t.items() if n[:7] in GYRO_AND_ANGLES}),
         "is +0.15 rad/s off the change of orientation on average",
     ),
-    "lost rows": (edit(".*", lambda v: v[np.random.default_rng(0).random(1000) > 0.3]), "the rows are missing, singly"),
+    "lost rows": (edit(".*", lambda v: v[np.random.default_rng(0).random(1000) > 0.07]), "the rows are missing, singly"),
 }
 
 

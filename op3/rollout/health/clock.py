@@ -112,7 +112,7 @@ def uneven(view: View) -> Iterator[Finding]:
     elif not 1 / CHANGE < (change := float(np.median(steps[-third:]) / np.median(steps[:third]))) < CHANGE:
         text = f"the intervals become {change:.2g} times as long in the course of the recording"
         yield view.found(WARNING, "time", text, "look whether the clock or the rate was changed", row)
-    elif lost > 0.12 and even.mean() > 0.9:
+    elif lost > 0.05 and even.mean() > 0.9:
         yield view.found(WARNING, "time", f"about {lost:.0%} of the rows are missing, singly", remedy, row)
     elif (short := float((steps < 0.5 * view.interval).mean())) > 0.05:
         text = f"{short:.0%} of the intervals are shorter than half the usual {view.interval:.4g} s"
