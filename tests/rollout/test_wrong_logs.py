@@ -414,7 +414,10 @@ WARNED: dict[str, tuple[Change, str]] = {
         lambda t: t.update({n: 0 * v + 0.15 * (n == "imu.gyro_z") for n, v in t.items() if n[:7] in GYRO_AND_ANGLES}),
         "is +0.15 rad/s off the change of orientation on average",
     ),
-    "lost rows": (edit(".*", lambda v: v[np.random.default_rng(0).random(1000) > 0.07]), "the rows are missing, singly"),
+    "lost rows": (
+        edit(".*", lambda v: v[np.random.default_rng(0).random(1000) > 0.07]),
+        "the rows are missing, singly",
+    ),
 }
 
 
