@@ -10,7 +10,6 @@ import sys
 from pathlib import Path
 
 import hydra
-import yaml
 from omegaconf import DictConfig
 from support import check_given, one_sentence, plain
 
@@ -23,6 +22,7 @@ from op3.rollout.health import ERROR, examine, told_together
 from op3.rollout.importing import OPTIONS, read_side, side_path
 from op3.rollout.proposal import as_yaml, propose
 from op3.rollout.read import expand, read_episodes
+from op3.settings import parse_yaml
 
 
 def look(path: Path, cfg: DictConfig) -> bool:
@@ -31,7 +31,7 @@ def look(path: Path, cfg: DictConfig) -> bool:
     proposed = None
     if not read_side(path).found:
         text = as_yaml(*propose(path, cfg.robot))
-        proposed = yaml.safe_load(text)
+        proposed = parse_yaml(text, side_path(path), LogError)
         print(text)
         if cfg.write:
             try:

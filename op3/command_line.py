@@ -110,14 +110,12 @@ def launch(run: Callable[[], Any], config: str, documentation: str | None) -> No
     asked = _asked_folder(config, kind, sys.argv[1:])
     if asked is not None and (other := taken(asked)) not in (None, Path(sys.argv[0]).stem):
         end(f"hydra.{kind}.dir is the folder of a run of {other}, which would be written over: choose another")
+    missing = 0 if asked is None else sum(not place.exists() for place in (asked, *asked.parents))
+    folder = None
     try:
         folder = claim(config, sys.argv[1:])
-    except OSError as error:
-        end(scrub(explained(error, config)))
-    missing = 0 if asked is None else sum(not place.exists() for place in (asked, *asked.parents))
-    if folder is not None:
-        sys.argv.append(os.environ.setdefault(CLAIMED, f"hydra.{kind}.dir={folder}"))
-    try:
+        if folder is not None:
+            sys.argv.append(os.environ.setdefault(CLAIMED, f"hydra.{kind}.dir={folder}"))
         run()
     except (HydraException, OmegaConfBaseException, OSError) as error:
         end(scrub(explained(error, config)))

@@ -19,7 +19,7 @@ from op3.rollout.health.finding import (
     View,
     check,
 )
-from op3.rollout.health.match import GIVES, SURE, delayed, integral, match, windows
+from op3.rollout.health.match import GIVES, SURE, delayed, match, match_rates
 from op3.rollout.metadata import HOLDING
 from op3.rollout.units import UNITS, likely_unit
 
@@ -154,18 +154,14 @@ def _unit(view: View, joint: int, ratio: float) -> str | None:
     sizes = {name: size for name, size in UNITS["rad"].items() if size != 1.0}
     own = [name for name, size in sizes.items() if _SOFT < ratio * size < _MORE]
     told = [name for name, size in sizes.items() if _SOFT < ratio / size < _MORE]
-    exact = 2 * np.pi / 4096 if view.make is None else view.make.position_unit
     step, rate = float(view.steps(POSITION)[joint]), view.get(VELOCITY)
-    first, last, _ = windows(view.time)
-    if rate is not None and len(first) > 7:
-        turned, summed = view.position[:, [joint]], integral(view.time, rate[:, [joint]])
-        found = match(summed[last] - summed[first], turned[last] - turned[first])
-        if found.correlation[0, 0] > SURE:
-            speed = float(found.ratio[0, 0])
-            own = [name for name in own if abs(np.log(speed / sizes[name])) < 0.1]
-            told = told if abs(np.log(speed)) < 0.1 else []
+    found = None if rate is None else match_rates(view.time, rate[:, [joint]], view.position[:, [joint]])
+    if found is not None and found.correlation[0, 0] > SURE:
+        speed = float(found.ratio[0, 0])
+        own = [name for name in own if abs(np.log(speed / sizes[name])) < 0.1]
+        told = told if abs(np.log(speed)) < 0.1 else []
     if len(own) > 1 and step:
-        own = [name for name in own if abs(np.log(step * sizes[name] / exact)) < 0.01] or own
+        own = [name for name in own if abs(np.log(step * sizes[name] / view.position_unit)) < 0.01] or own
     causes = [*(("it", name) for name in own), *(("the command", name) for name in told)]
     if len(causes) > 1:
         nearest = likely_unit(max(ratio, 1 / ratio), "rad", 0.2)

@@ -87,6 +87,11 @@ class View:
         """The make of servo that the metadata name; None where none is known."""
         return find_servo(self.metadata.servo)
 
+    @property
+    def position_unit(self) -> float:
+        """Step in which the servo's encoder tells angles, that of 4096 a turn where the make is unknown [rad]."""
+        return 2 * np.pi / 4096 if self.make is None else self.make.position_unit
+
     @cached_property
     def duty_gain(self) -> np.ndarray | None:
         """Duty per angle [1/rad] of servos that close the loop themselves [time, joint]; None where it is unknown."""

@@ -73,6 +73,13 @@ def integral(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
     return np.asarray(cumulative_trapezoid(rate, time, axis=0, initial=0))
 
 
+def match_rates(time: np.ndarray, rate: np.ndarray, angle: np.ndarray) -> Match | None:
+    """Rates [time, name], summed over windows, against how far their angles turn there; None where windows are few."""
+    first, last, _ = windows(time)
+    summed = integral(time, rate)
+    return match(summed[last] - summed[first], angle[last] - angle[first]) if len(first) >= 8 else None
+
+
 def step(values: np.ndarray) -> np.ndarray:
     """Step of the grid on which each column's numbers [row, name] lie [name]; 0 where they lie on none."""
     some = values[:: max(1, len(values) // 4000)]

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from op3.rollout.health.finding import COMMAND, CURRENT, ERROR, POSITION, VELOCITY, WARNING, Finding, View, check
-from op3.rollout.health.match import SURE, integral, match, windows
+from op3.rollout.health.match import SURE, match_rates
 from op3.rollout.schema import CHANNELS
 from op3.rollout.units import likely_unit
 
@@ -33,7 +33,7 @@ _ROUGHEST = {VELOCITY: 100 * np.pi / 4096, CURRENT: 0.0065}
 def coarse(view: View) -> Iterator[Finding]:
     """Numbers lie on another grid than the sensor's: they were rounded, or are in another unit."""
     make = view.make
-    exact = 2 * np.pi / 4096 if make is None else make.position_unit
+    exact = view.position_unit
     own = {} if make is None else {POSITION: exact, VELOCITY: make.counts.velocity and make.counts.velocity.si}
     for key, usual, least in (
         (POSITION, exact, 0.008 if make is None else 4 * exact),
@@ -86,13 +86,10 @@ def bounds(view: View) -> Iterator[Finding]:
 def _goes_round(view: View, bound: float) -> np.ndarray:
     """Which joints turn more than once: their targets, and their velocities in rad/s, say so too, and most joints do
     not, ``[joint]``."""
-    far = np.abs([view.position, view.command]).max((0, 1)) > bound
-    first, last, _ = windows(view.time)
-    rate = view.get(VELOCITY)
-    if rate is None or len(first) < 8 or 2 * far.sum() >= len(far):
+    far, rate = np.abs([view.position, view.command]).max((0, 1)) > bound, view.get(VELOCITY)
+    told = None if rate is None else match_rates(view.time, rate, view.position)
+    if told is None or 2 * far.sum() >= len(far):
         return np.zeros(len(far), bool)
-    summed = integral(view.time, rate)
-    told = match(summed[last] - summed[first], view.position[last] - view.position[first])
     agree = (np.diagonal(told.correlation) > SURE) & (np.abs(np.diagonal(told.ratio) - 1) < 0.1)
     return far & agree & (np.median(np.abs(view.position - view.command), axis=0) < 1.0)
 
