@@ -22,7 +22,7 @@ from support import model_file, one_sentence, plain, whole
 
 from op3.command_line import launch, no_such
 from op3.envs import BatchedEnv, make_env
-from op3.envs.specs import PEAKS
+from op3.envs.specs import MEASURES
 from op3.policy import ActionMap, Manifest, PolicyBundle, Training
 from op3.policy.mirror import Mirror
 from op3.report import RunFolder, RunLogger, run_provenance
@@ -88,7 +88,7 @@ def robots(cfg: DictConfig, task: Task) -> Collector:
     """What collects."""
     extras = (
         *(("reward_terms", name) for name in task.reward_terms),
-        *(("peak", name) for name in PEAKS),
+        *(("measure", name) for name in MEASURES),
     )
     options = {**plain(cfg.environment), "action_map": actions(cfg), "backend": cfg.env}
     if cfg.env == "composer" and cfg.environments != 1:

@@ -37,6 +37,7 @@ class BatchedEnv(EnvBase):
             model's for good.
         randomisation: draws each robot's parameters anew for every episode; None: they stay.
         gain_scale: factor on every P and D gain that is commanded, as of servos stronger or weaker than they are known.
+        timestep: of the physics [s]; None: that of the scene, 1 ms.
         num_threads: threads that step the physics; 0 for all processors.
 
     Raises:
@@ -54,6 +55,7 @@ class BatchedEnv(EnvBase):
         parameters: Mapping[str, Tensor | float] | None = None,
         randomisation: Randomisation | None = None,
         gain_scale: float = 1.0,
+        timestep: float | None = None,
         num_threads: int = 0,
     ):
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([num_envs]))
@@ -64,28 +66,7 @@ class BatchedEnv(EnvBase):
         self._gain_scale = gain_scale
         self.scene = build_scene(task.scene)
         attach_servos(self.scene.joints)
-        robot = self.scene.robot
-        assert robot is not None
-        self.simulation = BatchSimulation(
-            self.scene.compile(visual=False),
-            self.scene.joint_names,
-            model,
-            num_envs,
-            control_period=OP3_CONTROL_PERIOD,
-            base_body=robot.trunk.full_identifier,
-            num_threads=num_threads,
-        )
-        batch = self.simulation.batch
-        self._qpos, self._qvel = batch.bind("qpos"), batch.bind("qvel")
-        self._forces = batch.bind("qfrc_applied")
-        with_feet = task.cycle is not None
-        self._probe = Probe(batch.model, self.scene, with_feet)
-        self._sensordata = self.simulation.sensordata
-        self._whole_step = WholeStep(batch.model, self.scene, num_envs, with_feet)
-        self._sites = batch.bind("site_xpos")
-        self.simulation.on_step = self._look
-        self._tiles = tile_ids(batch.model)
-        self._geom_pos = batch.expand("geom_pos") if len(self._tiles) else None
+        self._num_envs, self._num_threads = num_envs, num_threads
         self._randomisation = randomisation
         self._drawn = {} if randomisation is None else randomisation.bounds(model)
         self._fixed = dict(parameters or {})
@@ -93,13 +74,11 @@ class BatchedEnv(EnvBase):
         if clash:
             raise ValueError(f"parameter {clash[0]!r} is both given and drawn; name it in one place")
         self.parameters_drawn = {name: torch.zeros(num_envs, dtype=torch.float64) for name in self._drawn}
-        if self._fixed:
-            self.simulation.set_parameters(self._fixed)
+        self.timestep = self._simulate(timestep)
         self._beginnings: dict[int, Beginning] = {}
         self.rules = Rules(task, self.action_map, num_envs)
         self._beginning_task = task
         self._board: Any = None
-        self._trunk = batch.bind("xfrc_applied")[:, batch.model.body(robot.trunk.full_identifier).id]
         self.pushes: Pushes | None = None
         """What pushes the trunks; those of the episodes, unless others are set after a reset."""
         self.episode_seeds = np.zeros(num_envs, dtype=np.int64)
@@ -110,10 +89,42 @@ class BatchedEnv(EnvBase):
         set_specs(self, task, self.action_map, num_envs)
         self.set_seed(seed)
 
+    def _simulate(self, timestep: float | None) -> float:
+        """Make the simulation and look into its arrays; returns the time step of the physics [s]."""
+        robot = self.scene.robot
+        assert robot is not None
+        compiled = self.scene.compile(visual=False)
+        if timestep is not None:
+            compiled.opt.timestep = timestep
+        self.simulation = BatchSimulation(
+            compiled,
+            self.scene.joint_names,
+            self.model,
+            self._num_envs,
+            control_period=OP3_CONTROL_PERIOD,
+            base_body=robot.trunk.full_identifier,
+            num_threads=self._num_threads,
+        )
+        batch = self.simulation.batch
+        self._qpos, self._qvel = batch.bind("qpos"), batch.bind("qvel")
+        self._forces = batch.bind("qfrc_applied")
+        with_feet = self.task.cycle is not None
+        self._probe = Probe(batch.model, self.scene, with_feet)
+        self._sensordata = self.simulation.sensordata
+        self._whole_step = WholeStep(batch.model, self.scene, self._num_envs, with_feet)
+        self._sites = batch.bind("site_xpos")
+        self.simulation.on_step = self._look
+        self._tiles = tile_ids(batch.model)
+        self._geom_pos = batch.expand("geom_pos") if len(self._tiles) else None
+        self._trunk = batch.bind("xfrc_applied")[:, batch.model.body(robot.trunk.full_identifier).id]
+        if self._fixed:
+            self.simulation.set_parameters(self._fixed)
+        return self.simulation.timestep
+
     @property
     def num_envs(self) -> int:
         """Number of robots."""
-        return self.simulation.num_sims
+        return self._num_envs
 
     def _set_seed(self, seed: int | None) -> None:
         self.seed = 0 if seed is None else int(seed)
@@ -123,6 +134,8 @@ class BatchedEnv(EnvBase):
         mask = torch.ones(self.num_envs, dtype=torch.bool)
         if tensordict is not None and tensordict.get("_reset", None) is not None:
             mask = tensordict["_reset"].view(self.num_envs)
+        if self.timestep != self.simulation.timestep and bool(mask.all()):
+            self._simulate(self.timestep)
         rows = mask.nonzero()[:, 0].tolist()
         seeds = {row: episode_seed(self.seed, row, int(self._episodes[row])) for row in rows}
         self._episodes[rows] += 1
@@ -141,14 +154,18 @@ class BatchedEnv(EnvBase):
         mask[list(episodes)] = True
         return self._begin(mask, {row: episode_seed(self.seed, 0, number) for row, number in episodes.items()})
 
-    def practise(self, speed_bonus: float = 0.0, largest_lag: float = inf, **task: float) -> None:
+    def practise(
+        self, speed_bonus: float = 0.0, largest_lag: float = inf, timestep: float | None = None, **task: float
+    ) -> None:
         """What learning begins with and grows out of.
 
         Args:
             speed_bonus: see `op3.tasks.rules.Rules`.
+            timestep: of the physics [s], from when all robots begin together the next time; None: as it is.
             **task: numbers of the task, such as `terrain_height`, for the episodes that begin from now on.
         """
         self.rules.speed_bonus, self.rules.largest_lag = speed_bonus, largest_lag
+        self.timestep = self.timestep if timestep is None else timestep
         self._beginning_task = find_task(self.task, **task)
 
     def set_parameters(self, values: Mapping[str, Tensor | float]) -> None:
@@ -191,8 +208,11 @@ class BatchedEnv(EnvBase):
                 self._drive: Any = board_drive(self.simulation.batch.model, motions[0], OP3_CONTROL_PERIOD)
             self._board = stack(motions)
         if self.task.push:
-            pushes = [self._beginnings[row].push for row in range(self.num_envs)]
-            self.pushes = Pushes([push for push in pushes if push is not None])
+            pushes = [beginning.push for beginning in chosen if beginning.push is not None]
+            if self.pushes is None:  # all robots begin together the first time
+                self.pushes = Pushes(pushes)
+            else:
+                self.pushes.replace(rows, pushes)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         action = tensordict["action"].double()

@@ -11,8 +11,8 @@ from op3.tasks.rules import Outcome
 from op3.tasks.task import Task
 from op3.tasks.whole_step import Throughout
 
-PEAKS = ("force", "acceleration")
-"""Largest force on a foot [N] and acceleration of the body [m/s^2] within a step, for logs."""
+MEASURES = ("peak_force", "peak_acceleration", "peak_penetration", "self_contact")
+"""What training logs of a step besides the reward, see `op3.tasks.whole_step.Throughout`."""
 
 
 def set_specs(env: EnvBase, task: Task, action_map: ActionMap, num_envs: int) -> None:
@@ -32,7 +32,7 @@ def set_specs(env: EnvBase, task: Task, action_map: ActionMap, num_envs: int) ->
     env.observation_spec = Composite(
         observation=numbers(task.observation_size),
         reward_terms=Composite({name: numbers(1) for name in task.reward_terms}, shape=batch),
-        peak=Composite({name: numbers(1) for name in PEAKS}, shape=batch),
+        measure=Composite({name: numbers(1) for name in MEASURES}, shape=batch),
         shape=batch,
     )
     env.action_spec = Bounded(-1.0, 1.0, shape=torch.Size([num_envs, action_map.size]), dtype=torch.float32)
@@ -54,7 +54,7 @@ def answer(
     content = {
         "observation": observation.float(),
         "reward_terms": {name: column(None if outcome is None else outcome.terms[name]) for name in task.reward_terms},
-        "peak": {name: column(getattr(throughout, f"peak_{name}", None)) for name in PEAKS},
+        "measure": {name: column(getattr(throughout, name, None)) for name in MEASURES},
         "done": (terminated | truncated)[:, None],
         "terminated": terminated.clone()[:, None],
         "truncated": truncated.clone()[:, None],

@@ -32,6 +32,10 @@ class RobotEntity(composer.Entity):
             base: Any = self._find("body", robot.file.base)
             if base.parent is root.worldbody:
                 base.pos = [0.0, 0.0, 0.0]
+            # the deepest contact between two parts of the robot
+            root.sensor.add(
+                "contact", name="self_contact", subtree1=base, subtree2=base, num=1, reduce="mindist", data="found dist"
+            )
         self._adjust(parameters)
         if robot.file.imu is not None:
             for name, kind in IMU_SENSORS.items():
@@ -98,6 +102,11 @@ class RobotEntity(composer.Entity):
     def ankles(self) -> list[mjcf.Element]:
         """The last joint above each foot."""
         return [self._find("joint", leg[-1]) for leg in self.robot.legs]
+
+    @property
+    def self_contact(self) -> mjcf.Element:
+        """Sensor of the robot's contacts with itself: their number, and the smallest distance [m], negative inside."""
+        return self._find("sensor", "self_contact")
 
     @property
     def imu(self) -> mjcf.Element:

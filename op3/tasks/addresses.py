@@ -22,6 +22,7 @@ class Addresses:
         qpos: first of the trunk's seven numbers in qpos.
         dof: first of its six in qvel.
         accelerometer: first of three in sensordata.
+        self_contact: first of two in sensordata: number of contacts, and smallest distance [m].
         foot_force: first of three in sensordata, between ankle and foot, left and right ``[2]``.
         foot_points: numbers of the sites of the key points, left and right ``[2, point]``.
     """
@@ -30,6 +31,7 @@ class Addresses:
     qpos: int
     dof: int
     accelerometer: int
+    self_contact: int
     foot_force: Index
     foot_points: Index
 
@@ -51,6 +53,7 @@ class Addresses:
             int(root.qposadr[0]),
             int(root.dofadr[0]),
             int(model.sensor(robot.imu_accelerometer.full_identifier).adr[0]),
+            int(model.sensor(robot.self_contact.full_identifier).adr[0]),
             np.array([int(model.sensor(f"{ankle.full_identifier}_force").adr[0]) for ankle in robot.ankles]),
             np.array(points).reshape(2, -1),
         )

@@ -112,6 +112,19 @@ def overload_term(current: Tensor) -> Tensor:
     return _penalty((load - 0.5).clamp(min=0.0).sum(-1))
 
 
+def clearance_term(phase: Tensor, clearance: Tensor, height: float) -> Tensor:
+    """How far feet that should swing are below a height above the other foot, in [-2, 0]; not in the paper.
+
+    Args:
+        phase: of the gait, ``[...]`` in cycles.
+        clearance: of the left and the right foot, ``[..., 2]`` in m.
+        height: from which nothing is lost [m].
+    """
+    offsets = torch.tensor(FOOT_OFFSETS, dtype=torch.float64)
+    swing = swing_probability(phase.double()[..., None] + offsets)
+    return -(swing * (1.0 - clearance / height).clamp(min=0.0)).sum(-1)
+
+
 def _swing_series(terms: int = 24) -> tuple[Tensor, Tensor]:
     """Fourier coefficients of the smoothed swing indicator: those of the interval times those of von Mises."""
     n = np.arange(1, terms + 1)

@@ -131,6 +131,11 @@ class Rules:
             terms["speed_bonus"] = self.speed_bonus * snapshot.velocity[:, 0].clamp(-wanted, wanted)
         if task.overload:
             terms["overload"] = task.overload * rewards.overload_term(snapshot.current)
+        if task.self_contact:
+            terms["self_contact"] = -task.self_contact * throughout.self_contact
+        if task.clearance:
+            clearance = rewards.clearance_term(self._phase(), throughout.foot_clearance, task.clearance_height)
+            terms["clearance"] = task.clearance * clearance
         return terms
 
     def _phase(self) -> Tensor:

@@ -56,8 +56,11 @@ class Snapshot:
             acceleration,
             force,
             none if self.foot_speed is None else self.foot_speed,
+            none,
+            none[:, 0],
             force.amax(1),
             acceleration,
+            none[:, 0],
         )
 
 

@@ -21,6 +21,9 @@ TICKS = 4
 POLICY_PERIOD = TICKS * OP3_CONTROL_PERIOD
 """Time between policy steps [s]."""
 
+EXTRA_TERMS = ("overload", "self_contact", "clearance")
+"""Terms of the training reward that are not in the paper, each with a weight of its own in the task."""
+
 BoardMotion = Literal["still", "waves", "tilts", "weight"]
 """What moves a board: nothing, random waves, steps between two tilts, or a weight that is lowered on it."""
 
@@ -62,6 +65,10 @@ class Task:
         terrain_steps: probability that all tiles of an episode lie either on the floor or at the largest height.
         push: impulse at the trunk, in any of eight directions at a random time of the gait [N s].
         overload: weight, in the training reward and besides eq. (8), of currents that a servo cannot carry for long.
+        self_contact: weight, in the training reward and besides eq. (8), of the share of a step in which the robot
+            touches itself.
+        clearance: weight, in the training reward and besides eq. (8), of swinging feet that are too low.
+        clearance_height: height of a swinging foot's lowest key point above the other foot from which it is not [m].
         first_phase: of the gait when an episode begins [cycles]; None: drawn anew for every episode.
         whole_step: whether currents, motion of the body, forces and speeds of the feet enter the training reward as
             means over the policy step, or as they are at its end, where most of a landing escapes.
@@ -82,6 +89,9 @@ class Task:
     terrain_steps: Share = 0.0
     push: NotNegative = 0.0
     overload: NotNegative = 0.0
+    self_contact: NotNegative = 0.0
+    clearance: NotNegative = 0.0
+    clearance_height: Positive = 0.02
     first_phase: Annotated[Number, Field(ge=0, lt=1)] | None = 0.0
     whole_step: bool = True
     placement: Placement = field(default_factory=Placement)
@@ -106,7 +116,7 @@ class Task:
     def reward_terms(self) -> tuple[str, ...]:
         """Names of the contributions to the training reward."""
         gait = () if self.cycle is None else ("bipedal", "speed_bonus")
-        return ("command", "smooth", *gait, *(("overload",) if self.overload else ()))
+        return ("command", "smooth", *gait, *(name for name in EXTRA_TERMS if getattr(self, name)))
 
     @property
     def observation_size(self) -> int:

@@ -9,7 +9,7 @@ from op3.settings import Listed, Number, Share, settings
 Schedule = Listed[Listed[Number]]
 """Pairs of a number of steps and a value, with straight lines between and constant beyond."""
 
-SCHEDULES = ("speed_bonus", "largest_lag", "terrain_height")
+SCHEDULES = ("speed_bonus", "largest_lag", "terrain_height", "timestep")
 """What changes while a policy learns."""
 
 
@@ -23,12 +23,14 @@ class Practice:
         largest_lag: how far a robot may fall behind where the desired speed would have it before its episode ends [m].
             Who marks time collects what the paper's reward pays for being upright, and no slope leads on from there.
         terrain_height: highest tile of the terrain [m].
+        timestep: of the physics [s], which changes at checkpoints, where all episodes begin anew.
         mirrored: share of each batch that is replaced by its image in the robot's plane of symmetry.
     """
 
     speed_bonus: Schedule = ()
     largest_lag: Schedule = ()
     terrain_height: Schedule = ()
+    timestep: Schedule = ()
     mirrored: Share = 0.0
 
     def __post_init__(self):

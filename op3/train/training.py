@@ -15,6 +15,7 @@ from tensordict import TensorDict
 from op3.policy import Manifest
 from op3.policy.mirror import Mirror
 from op3.settings import Count, NotNegative, Number, Whole, settings
+from op3.tasks.task import EXTRA_TERMS
 from op3.train.checkpoint import load_checkpoint, save_checkpoint, stop_requested
 from op3.train.collector import STORED, Collector, Episodes, Policy
 from op3.train.explorer import Explorer
@@ -142,6 +143,7 @@ def train(
     explorer = Explorer(sac, collector.count, settings.seed + run.steps)
     if settings.steps <= settings.warmup:
         say(f"no update will be made: the warm-up takes {settings.warmup:,} steps and the run has {settings.steps:,}")
+    collector.practise(practice.at(run.steps))
     collector.restart(settings.seed + run.steps)
     meter, began = _Meter(run, sac, settings), time.monotonic() - run.seconds
     with stop_requested() as stop, ThreadPoolExecutor(1, "collector", torch.set_num_threads, (1,)) as other:
@@ -181,6 +183,7 @@ def train(
                 replay.cut()
                 stored = replay if settings.checkpoint_buffer else None
                 _save(folder / CHECKPOINT, identity, manifest, run, sac, stored)
+                collector.practise(practice.at(run.steps))
                 collector.restart(settings.seed + run.steps)
                 explorer.restart(settings.seed + run.steps)
     return run
@@ -299,8 +302,8 @@ class _Meter:
         values = {"reward": rollout["reward"].mean(), "action/angle_spread": action[..., :joints].std()}
         values["action/gain"] = action[..., joints:].mean()
         values |= {name: rollout[name].mean() for name in rollout.keys() if "/" in str(name)}  # noqa: SIM118
-        if "reward_terms/speed_bonus" in values:
-            values["reward/paper"] = values["reward"] - values["reward_terms/speed_bonus"]
+        extra = [f"reward_terms/{name}" for name in ("speed_bonus", *EXTRA_TERMS)]
+        values["reward/paper"] = values["reward"] - sum(values[name] for name in extra if name in values)
         if len(episodes.returns):
             values["episode/return"] = episodes.returns.mean()
             values["episode/length"] = episodes.lengths.float().mean()
