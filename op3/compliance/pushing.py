@@ -19,7 +19,7 @@ AFTER = 2.0
 """Time after a push for which a robot must stay upright to have survived it [s]."""
 
 ROWS = 80
-"""Robots side by side."""
+"""Robots side by side; more are hardly cheaper each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,16 +67,19 @@ def survive_pushes(
     rungs: int = 10,
     episodes: int = 5,
     seed: int = 0,
+    rows: int = ROWS,
     **options: Any,
 ) -> Survival:
     """Push robots that act, each once, and see who stays upright.
 
-    Beginnings, directions and times of the pushes depend on the seed alone, so that policies meet the same.
+    Beginnings, directions and times of the pushes depend on the seed alone, so that policies meet the same; and no
+    push depends on how many robots stand side by side.
 
     Args:
         most: impulse up to which the ladder reaches [N s].
         rungs: of the ladder, each with so many episodes in each direction.
         episodes: see `rungs`.
+        rows: robots side by side, at most; who is done with one push gets the next.
         **options: further arguments of `op3.envs.make_env`.
     """
     impulse = most * (np.arange(rungs) + 0.5) / rungs
@@ -84,7 +87,7 @@ def survive_pushes(
     times = FIRST_PUSH + (task.cycle or 1.0) * np.random.default_rng([seed, 4]).random(len(direction))
     pushes = [Push.towards(int(d), float(impulse[r]), float(t)) for d, r, t in zip(direction, rung, times, strict=True)]
     task = find_task(task, {"events.pushing": {"impulse": 0.0}})
-    env = actor.environment(task, model, min(ROWS, len(pushes)), seed, **options)
+    env = actor.environment(task, model, min(rows, len(pushes)), seed, **options)
     survived = _push_all(env, actor, pushes)
     return Survival(impulse, survived.reshape(DIRECTIONS, rungs, episodes))
 
