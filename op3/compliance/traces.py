@@ -43,7 +43,7 @@ class Watch:
     def __init__(self, env: BatchedEnv):
         self._env, batch = env, env.simulation.batch
         at = Addresses.find(batch.model, env.scene)
-        self._trunk, self._points, self._accelerometer = at.trunk, at.foot_points, at.accelerometer
+        self._trunk, self._points, self._accelerometer = at.base, at.foot_points, at.accelerometer
         self._feet = batch.model.site_bodyid[self._points[:, 0]]
         self._external, self._sites = batch.bind("cfrc_ext"), batch.bind("site_xpos")
         self._turn, self._place = batch.bind("xmat"), batch.bind("xpos")
@@ -68,6 +68,7 @@ class Watch:
 
     def _look(self) -> None:
         upwards = self._turn[:, self._trunk].reshape(-1, 3, 3)[:, 2]
+        assert self._accelerometer is not None
         specific = self._sensors[:, self._accelerometer : self._accelerometer + 3]
         seen = (
             np.linalg.norm(self._external[:, self._feet, 3:], axis=-1),
