@@ -39,9 +39,10 @@ def relevance(reduction: Reduction, base: Base, size: int, rows: Rows, settings:
     floors = []
     for kind in (0, 2, 4):  # means of a window: of torque, current, rate
         mine = reduction.kinds == kind
-        known = rows.variance[..., mine]
-        square, seen = np.square(made[..., mine]).mean((1, 2)), np.isfinite(known).all((1, 2))
-        floors.append(float(np.sqrt(square[seen] / np.median(known[seen], (1, 2))).max(initial=0.0)))
+        both = [(did[..., mine], known[..., mine]) for did, known in zip(made, rows.variance, strict=True)]
+        read = [(did[seen], known[seen]) for did, known in both if (seen := np.isfinite(known)).any()]
+        ratios = [np.sqrt(np.square(did).mean() / np.median(known)) for did, known in read]
+        floors.append(float(max(ratios, default=0.0)))
     torque = np.sqrt(np.square(made[..., reduction.kinds == 0]).mean((1, 2))) / np.sqrt(PIECES) * reduction.unit
     load = float((torque / np.maximum(reduction.loads, reduction.unit)).max())
     names = reduction.engine.joints
