@@ -25,6 +25,7 @@ from op3.compliance.robustness import Variation, make_card
 from op3.envs import BatchedEnv
 from op3.envs.actors import Watched, find_actor
 from op3.envs.gait_validity import GaitValidity, judged_episodes
+from op3.envs.tracking import Obedience, measure_obedience
 from op3.intervals import mean_interval, wilson_interval
 from op3.policy.bundle import MANIFEST
 from op3.report import run_provenance
@@ -120,6 +121,13 @@ def write_card(cfg: DictConfig, task: Task, folder: Path) -> None:
     print(card.save(folder))
 
 
+def plain_obedience(obeyed: Obedience) -> dict[str, Any]:
+    """What a walk makes of its commands, as plain values."""
+    values = dataclasses.asdict(obeyed)
+    values["speeds"] = [list(row) for row in obeyed.speeds]
+    return values | {"errors": list(obeyed.errors)}
+
+
 def beside(cfg: DictConfig, task: Task, returns: list[float]) -> tuple[dict[str, Any], list[float]]:
     """Numbers of the baseline on the same episodes, and its returns."""
     logs, *_ = play(cfg, task, cfg.baseline, "baseline")
@@ -152,6 +160,13 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     bundle = card_folder(cfg)
     logs, watched, env, validity = play(cfg, task, cfg.policy)
     print(validity)
+    obeyed = None
+    if "velocity" in task.commands:
+        actor = find_actor(cfg.policy, task)
+        obeyed = measure_obedience(actor, cfg.model, task, cfg.episodes, cfg.seed, num_threads=cfg.threads)
+        print(obeyed)
+        for asked, achieved, spread in obeyed.speeds:
+            print(f"  {asked:.2f} m/s commanded: {achieved:.3f} m/s achieved (standard deviation {spread:.3f})")
     stiff = hasattr(watched, "commands")
     returns = [evaluation_return(log) for log in logs]
     numbers: dict[str, Any] = {
@@ -166,6 +181,8 @@ def run(cfg: DictConfig) -> dict[str, Any]:
         "evaluation.tilt": float(np.mean([mean_tilt(log) for log in logs])),
     }
     numbers |= {f"evaluation.validity.{name}": value for name, value in dataclasses.asdict(validity).items()}
+    if obeyed is not None:
+        numbers |= {f"evaluation.commands.{name}": value for name, value in plain_obedience(obeyed).items()}
     each = [] if stiff else [gains(log, task) for log in logs]  # in position mode a servo's gain is its own
     for name in each[0] if each else ():
         numbers[f"evaluation.{name}"] = float(np.mean([values[name] for values in each if name in values]))
