@@ -32,6 +32,7 @@ from op3.deploy import (
     run,
     setup,
 )
+from op3.deploy.commands import CommandSource, command_source
 from op3.deploy.deploy import EMULATED, HANG_SCALE, POLICY_RATE
 from op3.deploy.dynamixel_bus import Unplugged
 from op3.deploy.session import LOG_NAMES
@@ -67,6 +68,15 @@ def load_runner(cfg: DictConfig) -> PolicyRunner | None:
     if cfg.policy is None:
         return None
     return PolicyRunner(PolicyBundle.load(cfg.policy), cfg.cycle, cfg.robot, cfg.limits.p_gain)
+
+
+def commands_of(cfg: DictConfig, runner: PolicyRunner | None) -> CommandSource | None:
+    """Where commands come from; only a policy that sees a commanded velocity takes any."""
+    if cfg.commands is None:
+        return None
+    if runner is None or "command" not in runner.bundle.manifest.layout:
+        raise ValueError(f"commands={cfg.commands}: this policy takes no commands; give one trained on walk_command")
+    return command_source(str(cfg.commands))
 
 
 def check_policy(cfg: DictConfig, runner: PolicyRunner) -> Check:
@@ -110,6 +120,7 @@ def deploy(cfg: DictConfig) -> ExitCode:
         folder=folder,
         panel=cfg.panel,
     )
+    source = commands_of(cfg, runner)
     connection = open_robot(cfg)
     try:
         if cfg.mode == "read_only":
@@ -118,15 +129,23 @@ def deploy(cfg: DictConfig) -> ExitCode:
             return setup(connection)
         if cfg.mode == "calibrate":
             return calibrate(connection, cfg.calibration_out, pose_name=cfg.pose)
-        outcome = run_on(connection, runner, plan, cfg.duration)
+        outcome = run_on(connection, runner, plan, cfg.duration, source)
     finally:
         connection.close()
+        if source is not None:
+            source.close()
     for log in outcome.logs:
         print(folder / log)
     return outcome.code
 
 
-def run_on(connection: Connection, runner: PolicyRunner | None, plan: Plan, duration: float) -> Any:
+def run_on(
+    connection: Connection,
+    runner: PolicyRunner | None,
+    plan: Plan,
+    duration: float,
+    source: CommandSource | None = None,
+) -> Any:
     """Run the policy, or hold the stand pose."""
     if runner is None:
         home = connection.bus.robot.home
@@ -134,7 +153,7 @@ def run_on(connection: Connection, runner: PolicyRunner | None, plan: Plan, dura
         return run(connection, make, plan, motion="hold", git_hash=git_hash())
     manifest = runner.bundle.manifest
     known: dict[str, Any] = {"model_hash": manifest.training.model_hash or None, "git_hash": git_hash()}
-    make = lambda: FollowPolicy(runner, duration)  # noqa: E731
+    make = lambda: FollowPolicy(runner, duration, source)  # noqa: E731
     return run(connection, make, plan, motion=manifest.task, policy_rate=POLICY_RATE, **known)
 
 

@@ -28,8 +28,8 @@ from op3.policy.mirror import Mirror
 from op3.report import RunFolder, RunLogger, run_provenance
 from op3.report.training_page import histogram_figure, report_training
 from op3.report.video import film
-from op3.robot import named_configs
-from op3.sim import load_model
+from op3.robot import load_robot, named_configs
+from op3.sim import model_for
 from op3.sim.model_file import model_hash
 from op3.tasks.task import Task, find_task
 from op3.train import (
@@ -48,7 +48,7 @@ KEPT = (
     "task",
     "sac",
     "train",
-    "practice",
+    "mirrored",
     "environments",
     "env",
     "environment",
@@ -67,10 +67,17 @@ def earlier(cfg: DictConfig) -> PolicyBundle | None:
     return None if cfg.warm_start is None else PolicyBundle.load(cfg.warm_start)
 
 
-def actions(cfg: DictConfig) -> ActionMap:
+def chosen_task(cfg: DictConfig) -> Task:
+    """The task, of the robot that is asked for."""
+    if cfg.robot is not None:
+        cfg.task.robot = cfg.robot
+    return instantiate(cfg.task)
+
+
+def actions(cfg: DictConfig, task: Task) -> ActionMap:
     """What actions mean: the same as those of the policy to start with; with `fixed_gain` they command angles alone."""
     start = earlier(cfg)
-    made = ActionMap.around_stand(cfg.span) if start is None else start.manifest.action_map
+    made = task.action_map() if start is None else start.manifest.action_map
     if cfg.fixed_gain is None:
         return made
     return replace(made, gain_low=cfg.fixed_gain, gain_high=cfg.fixed_gain)
@@ -79,7 +86,7 @@ def actions(cfg: DictConfig) -> ActionMap:
 def environment(cfg: DictConfig, task: Task, count: int, seed: int) -> BatchedEnv:
     """Robots at a task, as the config describes them."""
     options = {"num_threads": cfg.threads, **plain(cfg.environment)}
-    made = make_env(task, cfg.model, count, seed, action_map=actions(cfg), **options)
+    made = make_env(task, cfg.model or "own", count, seed, action_map=actions(cfg, task), **options)
     assert isinstance(made, BatchedEnv)
     return made
 
@@ -90,21 +97,21 @@ def robots(cfg: DictConfig, task: Task) -> Collector:
         *(("reward_terms", name) for name in task.reward_terms),
         *(("measure", name) for name in MEASURES),
     )
-    options = {**plain(cfg.environment), "action_map": actions(cfg), "backend": cfg.env}
+    options = {**plain(cfg.environment), "action_map": actions(cfg, task), "backend": cfg.env}
     if cfg.env == "composer" and cfg.environments != 1:
         raise ValueError(f"env=composer is one robot: use environments=1, got {cfg.environments}")
     if cfg.env == "batched":
         options["num_threads"] = cfg.threads
     if task.cycle is not None:  # a policy that walks begins anywhere in the gait
-        task = replace(task, first_phase=None)
-    return Collector(make_env(task, cfg.model, cfg.environments, cfg.seed, **options), extras)
+        task = task.changed({"gait.first_phase": None})
+    return Collector(make_env(task, cfg.model or "own", cfg.environments, cfg.seed, **options), extras)
 
 
 def describe(cfg: DictConfig, task: Task, provenance: Mapping[str, Any]) -> Manifest:
     """The manifest of the policy to be trained."""
     training = Training(
-        model=str(cfg.model),
-        model_hash=model_hash(load_model(cfg.model)),
+        model=str(cfg.model or load_robot(task.robot).file.law or "own"),
+        model_hash=model_hash(model_for(load_robot(task.robot), cfg.model)),
         git_hash=provenance["git_hash"],
         seed=cfg.seed,
         command=provenance["command"],
@@ -115,10 +122,12 @@ def describe(cfg: DictConfig, task: Task, provenance: Mapping[str, Any]) -> Mani
         task=task.name,
         layout=task.layout,
         history=task.history,
-        action_map=actions(cfg),
+        action_map=actions(cfg, task),
         hidden=tuple(cfg.sac.hidden),
         normalisation=cfg.train.normalisation,
         clip=cfg.sac.clip,
+        observations=task.terms("observations"),
+        cycle=task.cycle,
         training=training,
     )
 
@@ -144,6 +153,13 @@ def learner(cfg: DictConfig, manifest: Manifest) -> SAC:
     return sac
 
 
+def mirror_of(cfg: DictConfig, manifest: Manifest) -> Mirror | None:
+    """The robot's plane of symmetry; none where its file names no mirror partners, or samples are not mirrored."""
+    if not cfg.mirrored or not load_robot(manifest.action_map.robot).partners:
+        return None
+    return Mirror(manifest.layout, manifest.history, manifest.action_map)
+
+
 def run(cfg: DictConfig) -> dict[str, Any]:
     """Train, judge the kept policy, and write page, numbers and film."""
     torch.set_num_threads(1)
@@ -157,7 +173,7 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     choices = HydraConfig.get().runtime.choices
     if choices.recipe not in ("null", choices.task, *named_configs("recipe")):  # Hydra leaves out one that is optional
         raise ValueError(no_such("recipe", choices.recipe))
-    task, provenance = instantiate(cfg.task), run_provenance(seed=cfg.seed)
+    task, provenance = chosen_task(cfg), run_provenance(seed=cfg.seed)
     if (start := earlier(cfg)) is not None:
         cfg.sac.hidden = list(start.manifest.hidden)
     SACSettings(**plain(cfg.sac))
@@ -169,7 +185,8 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     def judged(policy: Any, seed: int = cfg.evaluation.seed) -> dict[str, float]:
         return evaluate(judge, policy, seed, judge_task.steps)
 
-    sac, collector, practice = learner(cfg, manifest), robots(cfg, task), Practice(**plain(cfg.practice))
+    sac, collector = learner(cfg, manifest), robots(cfg, task)
+    practice = Practice(curricula=task.schedules, mirrored=cfg.mirrored)
     mode = os.environ.get("WANDB_MODE", cfg.wandb)
     with RunLogger(folder, config=plain(cfg), mode=mode) as logger:
         progress = train(
@@ -180,7 +197,7 @@ def run(cfg: DictConfig) -> dict[str, Any]:
             manifest,
             folder,
             practice=practice,
-            mirror=Mirror(manifest.layout, manifest.history, manifest.action_map.joints),
+            mirror=mirror_of(cfg, manifest),
             log=lambda measures, step: logger.log(measures, step),
             say=lambda line: print(line, flush=True),
             resume=cfg.resume is not None,
@@ -217,9 +234,9 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     return report_training(
         progress.history,
         RunFolder(folder, provenance),
-        title=f"Training: {task.name} on {cfg.model}, seed {cfg.seed}",
+        title=f"Training: {task.name} on {manifest.training.model}, seed {cfg.seed}",
         numbers=numbers,
-        settings={f"{part}.{k}": v for part in ("sac", "train", "practice") for k, v in plain(cfg[part]).items()},
+        settings={f"{part}.{k}": v for part in ("sac", "train") for k, v in plain(cfg[part]).items()},
         histograms=histograms,
         files=files,
     )

@@ -86,7 +86,8 @@ def survive_pushes(
     direction, rung, _ = (axis.reshape(-1) for axis in np.indices((DIRECTIONS, rungs, episodes)))
     times = FIRST_PUSH + (task.cycle or 1.0) * np.random.default_rng([seed, 4]).random(len(direction))
     pushes = [Push.towards(int(d), float(impulse[r]), float(t)) for d, r, t in zip(direction, rung, times, strict=True)]
-    env = actor.environment(find_task(task, push=1.0), model, min(rows, len(pushes)), seed, **options)
+    task = find_task(task, {"events.pushing": {"impulse": 0.0}})
+    env = actor.environment(task, model, min(rows, len(pushes)), seed, **options)
     survived = _push_all(env, actor, pushes)
     return Survival(impulse, survived.reshape(DIRECTIONS, rungs, episodes))
 
@@ -103,11 +104,10 @@ def _push_all(env: BatchedEnv, actor: Actor, pushes: Sequence[Push]) -> NDArray[
         begun = [int(row) for row in free if job[row] >= 0]
         if begun:
             state = env.begin({row: int(job[row]) for row in begun})
-            assert env.pushes is not None
-            env.pushes.replace(np.array(begun), [pushes[job[row]] for row in begun])
+            env.mdp.event("pushing").replace(np.array(begun), [pushes[job[row]] for row in begun])
         if (job < 0).all():
             return survived
         state = actor.step(env, state)
         fallen, active = state["terminated"][:, 0].numpy(), job >= 0
         survived[job[active & fallen]] = False
-        free = np.flatnonzero(active & (fallen | (env.rules.time.numpy() >= until[job])))
+        free = np.flatnonzero(active & (fallen | (env.mdp.time.numpy() >= until[job])))

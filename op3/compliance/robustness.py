@@ -44,7 +44,7 @@ class Variation:
             have is put into it; its parameters begin where it does nothing.
         scale: factors on them.
         gain_scale: factor on every gain that is commanded.
-        task: attributes of the task that are others.
+        task: values of the task that are others, by dotted path.
     """
 
     text: str = ""
@@ -160,7 +160,7 @@ def make_card(
     """
     bundle = actor.policy
     assert isinstance(bundle, PolicyBundle)
-    varied = {name: (one.model(model), find_task(task, **one.task), one) for name, one in variations.items()}
+    varied = {name: (one.model(model), find_task(task, one.task), one) for name, one in variations.items()}
     report(f"card: {robots} robots as they are")
     env = actor.environment(task, model, robots, seed, **options)
     logs, validity = judged_episodes(env, bundle)

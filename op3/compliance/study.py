@@ -176,7 +176,7 @@ class Study:
         Args:
             name: folder of a bundle for balancing, or hold.
         """
-        task = find_task("balance", board="still", duration=MINUTE)
+        task = find_task("balance", {"events.board.motion": "still"}, duration=MINUTE)
         actor = find_actor(name, task, field="standing")
         print(f"{actor.label}: standing", flush=True)
         env = actor.environment(task, self.model, STANDING, self.seed, **self._options)

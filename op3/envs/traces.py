@@ -59,7 +59,7 @@ class Watch:
         assert robot is not None
         model, at = batch.model, Addresses.find(batch.model, env.scene)
         self._timestep = model.opt.timestep
-        self._trunk, self._accelerometer, self._contact = at.trunk, at.accelerometer, at.self_contact
+        self._trunk, self._accelerometer, self._contact = at.base, at.accelerometer, at.self_contact
         soles = np.array([model.geom(sole.full_identifier).id for sole in robot.soles]).reshape(2, -1)
         self._soles, self._feet = soles, model.geom_bodyid[soles[:, 0]]
         corners = np.array(list(product((-1.0, 1.0), repeat=3)))
@@ -88,6 +88,7 @@ class Watch:
 
     def _look(self) -> None:
         turn = self._turn[:, self._trunk].reshape(-1, 3, 3)
+        assert self._accelerometer is not None
         specific = self._sensors[:, self._accelerometer : self._accelerometer + 3]
         found, distance = self._sensors[:, self._contact], self._sensors[:, self._contact + 1]
         height, speed, centre = self._look_at_soles()

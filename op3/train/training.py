@@ -15,7 +15,6 @@ from tensordict import TensorDict
 from op3.policy import Manifest
 from op3.policy.mirror import Mirror
 from op3.settings import Count, NotNegative, Number, Whole, settings
-from op3.tasks.task import EXTRA_TERMS
 from op3.train.checkpoint import load_checkpoint, save_checkpoint, stop_requested
 from op3.train.collector import STORED, Collector, Episodes, Policy
 from op3.train.explorer import Explorer
@@ -302,8 +301,6 @@ class _Meter:
         values = {"reward": rollout["reward"].mean(), "action/angle_spread": action[..., :joints].std()}
         values["action/gain"] = action[..., joints:].mean()
         values |= {name: rollout[name].mean() for name in rollout.keys() if "/" in str(name)}  # noqa: SIM118
-        extra = [f"reward_terms/{name}" for name in ("speed_bonus", *EXTRA_TERMS)]
-        values["reward/paper"] = values["reward"] - sum(values[name] for name in extra if name in values)
         if len(episodes.returns):
             values["episode/return"] = episodes.returns.mean()
             values["episode/length"] = episodes.lengths.float().mean()

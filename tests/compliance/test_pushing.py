@@ -51,12 +51,14 @@ def test_every_push_is_survived_or_not_whatever_is_beside_it(all_at_once, rows):
 
 def test_a_restart_leaves_the_pushes_of_the_others():
     """A robot that begins anew gets the task's push, and the others keep what they were given."""
-    env = make_env(find_task("walk", push=1.0), num_envs=3, num_threads=1)
+    env = make_env("walk_push", num_envs=3, num_threads=1)
     env.reset()
-    env.pushes.replace(np.arange(3), [Push.towards(number, 2.0 + number, 1.0) for number in range(3)])
+    event = env.mdp.event("pushing")
+    event.replace(np.arange(3), [Push.towards(number, 2.0 + number, 1.0) for number in range(3)])
     env.begin({1: 4})
-    wrench, impulse = np.zeros((3, 6)), np.zeros((3, 3))
+    impulse = np.zeros((3, 3))
     for time in np.arange(0.0, 4.0, OP3_CONTROL_PERIOD):
-        env.pushes.drive(np.full(3, time), wrench)
+        event.tick(np.full(3, time))
+        wrench = env.mdp._world.base_wrench
         impulse += OP3_CONTROL_PERIOD * wrench[:, :3]
     np.testing.assert_allclose(np.linalg.norm(impulse, axis=1), [2.0, 1.0, 4.0])
