@@ -123,14 +123,9 @@ class Robustness:
     @property
     def plain(self) -> dict[str, Any]:
         """For a file."""
-        interval = [round(end, 3) for end in wilson_interval(self.successes, self.robots)]
+        low, high = (round(end, 3) for end in wilson_interval(self.successes, self.robots))
         speed = {} if self.speed is None else {"speed": round(self.speed, 4)}
-        return {
-            "success": round(self.successes / self.robots, 3),
-            "interval": interval,
-            "upright": self.upright,
-            **speed,
-        }
+        return {"success": round(self.successes / self.robots, 3), "low": low, "high": high, **speed}
 
 
 def verdict(nominal: Robustness, task: Task) -> Literal["WALKS", "STANDS", "FALLS"]:
