@@ -23,8 +23,8 @@ class GaitValidity:
         penetration: depth of the deepest contact of the robot with itself [m].
         clearance: median over swings of how high the lowest corner of the sole rose above the higher one of the places
             where it left the ground and where it touched it again [m].
-        step_width: median over touchdowns of the distance of the soles' centres across the heading [m].
-        double_support: share of the time in which both feet are loaded [-]; None without swings.
+        step_width: median over touchdowns of the distance of the soles' centres across the heading [m]; of bipeds.
+        double_support: share of the time in which both feet are loaded [-]; of bipeds.
         foot_slip: mean horizontal speed of the lowest corner of a loaded foot's sole [m/s].
         yaw_drift: mean over episodes of how far the heading turned, either way, per time [rad/s].
         tilt: mean angle of the trunk from upright [rad].
@@ -88,18 +88,19 @@ def gait_validity(traces: Traces, lengths: NDArray[np.int64], timestep: float = 
         tilts.append(traces.tilt[kept, robot])
         if len(yaw) > 1:
             turned.append(abs(float(yaw[-1] - yaw[0])) / (len(yaw) * timestep))
-        for foot in range(2):
+        for foot in range(force.shape[-1]):
             for left, time in swings(force[:, foot]):
                 clearances.append(sole[left : time + 1, foot].max() - max(sole[left, foot], sole[time, foot]))
-                apart = centre[time, 0] - centre[time, 1]
+                apart = centre[time, 0] - centre[time, -1]
                 widths.append(abs(apart[1] * np.cos(yaw[time]) - apart[0] * np.sin(yaw[time])))
     depth, slip = np.concatenate(touching), np.concatenate(slips)
+    biped = clearances and traces.force.shape[-1] == 2
     return GaitValidity(
         self_contact=float((depth > 0).mean()),
         penetration=float(depth.max()),
         clearance=float(np.median(clearances)) if clearances else None,
-        step_width=float(np.median(widths)) if widths else None,
-        double_support=both / steps if clearances else None,
+        step_width=float(np.median(widths)) if biped else None,
+        double_support=both / steps if biped else None,
         foot_slip=float(slip.mean()) if len(slip) else None,
         yaw_drift=float(np.mean(turned)) if turned else 0.0,
         tilt=float(np.concatenate(tilts).mean()),

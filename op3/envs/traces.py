@@ -26,14 +26,14 @@ SKIPPED = 1.5
 
 @dataclass(frozen=True, eq=False)
 class Traces:
-    """Robots of a batch, step by step of the physics.
+    """Robots of a batch, step by step of the physics; feet are those with soles, the left one first.
 
     Attributes:
-        force: on the left and the right foot from outside, ``[time, sim, 2]`` in N.
-        acceleration: of the trunk at the IMU without gravity, ``[time, sim]`` in m/s^2.
-        sole: height of the lowest corner of each foot's sole, ``[time, sim, 2]`` in m.
-        slip: horizontal speed of that corner, ``[time, sim, 2]`` in m/s.
-        centre: of each sole, forwards and to the left in the world, ``[time, sim, 2, 2]`` in m.
+        force: on each foot from outside, ``[time, sim, foot]`` in N.
+        acceleration: of the trunk at the IMU without gravity, ``[time, sim]`` in m/s^2; NaN without an IMU.
+        sole: height of the lowest corner of each foot's sole, ``[time, sim, foot]`` in m.
+        slip: horizontal speed of that corner, ``[time, sim, foot]`` in m/s.
+        centre: of each sole, forwards and to the left in the world, ``[time, sim, foot, 2]`` in m.
         ahead: where the trunk is, forwards in the world, ``[time, sim]`` in m.
         tilt: angle of the trunk from upright, ``[time, sim]`` in rad.
         yaw: heading of the trunk, ``[time, sim]`` in rad, within pi of 0.
@@ -60,8 +60,9 @@ class Watch:
         model, at = batch.model, Addresses.find(batch.model, env.scene)
         self._timestep = model.opt.timestep
         self._trunk, self._accelerometer, self._contact = at.base, at.accelerometer, at.self_contact
-        soles = np.array([model.geom(sole.full_identifier).id for sole in robot.soles]).reshape(2, -1)
-        self._soles, self._feet = soles, model.geom_bodyid[soles[:, 0]]
+        soles = np.array([model.geom(sole.full_identifier).id for sole in robot.soles], dtype=np.int64)
+        self._feet = np.array(list(dict.fromkeys(model.geom_bodyid[soles])), dtype=np.int64)
+        self._soles = soles = soles.reshape(len(self._feet), -1) if len(soles) else soles.reshape(0, 1)
         corners = np.array(list(product((-1.0, 1.0), repeat=3)))
         self._corners = model.geom_size[soles][:, :, None] * corners  # [foot, box, corner, 3]
         self._external, self._sensors = batch.bind("cfrc_ext"), env.simulation.sensordata.numpy()
@@ -88,13 +89,11 @@ class Watch:
 
     def _look(self) -> None:
         turn = self._turn[:, self._trunk].reshape(-1, 3, 3)
-        assert self._accelerometer is not None
-        specific = self._sensors[:, self._accelerometer : self._accelerometer + 3]
         found, distance = self._sensors[:, self._contact], self._sensors[:, self._contact + 1]
         height, speed, centre = self._look_at_soles()
         seen = (
             np.linalg.norm(self._external[:, self._feet, 3:], axis=-1),
-            np.linalg.norm(specific - GRAVITY * turn[:, 2], axis=-1),
+            self._acceleration(turn),
             height,
             speed,
             centre,
@@ -105,14 +104,20 @@ class Watch:
         )
         self._rows.append(tuple(values.astype(np.float32) for values in seen))
 
+    def _acceleration(self, turn: NDArray[np.float64]) -> NDArray[np.float64]:
+        if self._accelerometer is None:
+            return np.full(len(turn), np.nan)
+        specific = self._sensors[:, self._accelerometer : self._accelerometer + 3]
+        return np.linalg.norm(specific - GRAVITY * turn[:, 2], axis=-1)
+
     def _look_at_soles(self) -> tuple[NDArray[np.float64], ...]:
-        """Height and horizontal speed of each sole's lowest corner ``[sim, 2]``, and centre ``[sim, 2, 2]``."""
+        """Height and horizontal speed of each sole's lowest corner ``[sim, foot]``, and centre ``[sim, foot, 2]``."""
         place = self._sole_place[:, self._soles]  # [sim, foot, box, 3]
         turn = self._sole_turn[:, self._soles].reshape(*place.shape, 3)
-        count = len(place)
+        shape = place.shape[:2]
         heights = place[..., None, 2] + np.einsum("sfbj,fbcj->sfbc", turn[..., 2, :], self._corners)
-        lowest = heights.reshape(count, 2, -1).argmin(-1)
-        sims, feet = np.indices((count, 2))
+        lowest = heights.reshape(*shape, heights.shape[2] * heights.shape[3]).argmin(-1)
+        sims, feet = np.indices(shape)
         box, corner = np.divmod(lowest, self._corners.shape[2])
 
         def corner_of(place: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -5,8 +5,9 @@ import pytest
 import torch
 
 from op3.envs import make_env
-from op3.envs.gait_validity import gait_validity
+from op3.envs.gait_validity import gait_validity, judged_episodes
 from op3.envs.traces import Watch
+from op3.tasks import find_task
 from tests.envs.scripted import still
 from tests.op3_table import CONTROLLED_JOINTS
 from tests.self_collision import PartDistances
@@ -71,3 +72,13 @@ def test_penetration_is_that_of_the_shapes():
     found = gait_validity(watch.traces(), np.array([256, 256]))
     assert found.penetration == pytest.approx(-gaps.min(), abs=2e-5)
     assert found.self_contact == pytest.approx((gaps < 0).mean(), abs=0.02)
+
+
+def test_a_robot_without_feet_has_no_gait():
+    """An arm that holds: it does not touch itself, and what is of feet is absent."""
+    env = make_env(find_task("reach", duration=0.2), "own", 2, num_threads=1)
+    action = torch.from_numpy(env.action_map.stand())
+    logs, found = judged_episodes(env, lambda observation: action.expand(len(observation), -1))
+    assert len(logs) == 2
+    assert (found.self_contact, found.penetration) == (0.0, 0.0)
+    assert (found.clearance, found.step_width, found.double_support, found.foot_slip) == (None,) * 4
