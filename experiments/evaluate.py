@@ -34,7 +34,7 @@ from op3.report.video import film
 from op3.robot import load_robot
 from op3.robot.assets import here_or_shipped
 from op3.rollout import Rollout
-from op3.sim import load_model
+from op3.sim import model_for
 from op3.tasks.behaviour import gains, gait_profile, mean_tilt
 from op3.tasks.evaluation import evaluation_return, succeeded
 from op3.tasks.task import Task
@@ -69,7 +69,7 @@ def play(
     known = dict(seed=cfg.seed, hold_gain=cfg.hold_gain, gain_scale=cfg.gain_scale, field=field)
     actor = find_actor(name, task, **known)
     options = dict(num_threads=cfg.threads, randomisation=cfg.randomisation, gain_scale=cfg.gain_scale)
-    env = actor.environment(task, cfg.model, cfg.episodes, cfg.seed, **options)
+    env = actor.environment(task, cfg.model or "own", cfg.episodes, cfg.seed, **options)
     watched = Told(actor.policy, env, task.steps)
     logs, validity = judged_episodes(env, watched, recording=f"{task.name}-{cfg.seed}")
     return logs, watched, env, validity
@@ -108,8 +108,8 @@ def write_card(cfg: DictConfig, task: Task, folder: Path) -> None:
     made = {name: facts[name] for name in ("command", "git_hash", "git_changes", "date", "seed") if name in facts}
     card = make_card(
         find_actor(cfg.policy, task),
-        str(cfg.model),
-        load_model(cfg.model),
+        str(cfg.model or load_robot(task.robot).file.law or "own"),
+        model_for(load_robot(task.robot), cfg.model),
         task,
         variations,
         made,
@@ -152,9 +152,12 @@ def run(cfg: DictConfig) -> dict[str, Any]:
         raise ValueError("policy is missing: add policy=<folder of a bundle>, or hold, zero, random or stiff")
     whole(cfg, "episodes", 1)
     whole(cfg, "card_robots", 1)
-    if cfg.joint not in load_robot().controlled:
-        raise ValueError(f"joint={cfg.joint}: choose {', '.join(load_robot().controlled)}")
+    if cfg.robot is not None:
+        cfg.task.robot = cfg.robot
     folder, task = Path(HydraConfig.get().runtime.output_dir), instantiate(cfg.task)
+    robot = load_robot(task.robot)
+    if len(robot.legs) == 2 and cfg.joint not in robot.controlled:
+        raise ValueError(f"joint={cfg.joint}: choose {', '.join(robot.controlled)}")
     if cfg.baseline is not None:  # before minutes of episodes
         find_actor(cfg.baseline, task, field="baseline")
     bundle = card_folder(cfg)
@@ -163,7 +166,7 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     obeyed = None
     if "velocity" in task.commands:
         actor = find_actor(cfg.policy, task)
-        obeyed = measure_obedience(actor, cfg.model, task, cfg.episodes, cfg.seed, num_threads=cfg.threads)
+        obeyed = measure_obedience(actor, cfg.model or "own", task, cfg.episodes, cfg.seed, num_threads=cfg.threads)
         print(obeyed)
         for asked, achieved, spread in obeyed.speeds:
             print(f"  {asked:.2f} m/s commanded: {achieved:.3f} m/s achieved (standard deviation {spread:.3f})")
@@ -171,7 +174,7 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     returns = [evaluation_return(log) for log in logs]
     numbers: dict[str, Any] = {
         "evaluation.task": task.name,
-        "evaluation.model": str(cfg.model),
+        "evaluation.model": str(cfg.model or robot.file.law or "own"),
         "evaluation.policy": str(cfg.policy),
         "evaluation.episodes": len(logs),
         **passed(logs, task, cfg.least_distance),
@@ -183,7 +186,8 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     numbers |= {f"evaluation.validity.{name}": value for name, value in dataclasses.asdict(validity).items()}
     if obeyed is not None:
         numbers |= {f"evaluation.commands.{name}": value for name, value in plain_obedience(obeyed).items()}
-    each = [] if stiff else [gains(log, task) for log in logs]  # in position mode a servo's gain is its own
+    takes_gains = not stiff and env.action_map.gain_low is not None
+    each = [] if not takes_gains else [gains(log, task) for log in logs]
     for name in each[0] if each else ():
         numbers[f"evaluation.{name}"] = float(np.mean([values[name] for values in each if name in values]))
     if task.cycle is not None:
@@ -211,7 +215,8 @@ def run(cfg: DictConfig) -> dict[str, Any]:
             files["episode.mp4"] = "a film of the first episode"
     if bundle is not None:
         write_card(cfg, task, bundle)
-    long_enough = [log for log in logs if log.duration > 1.5 and not stiff]
+    # a gait's profile is of gains and of a left and a right leg
+    long_enough = [log for log in logs if log.duration > 1.5 and takes_gains and len(robot.legs) == 2]
     return report_evaluation(
         logs,
         run_folder(cfg, folder, **({"log": "logs"} if cfg.logs else {})),
