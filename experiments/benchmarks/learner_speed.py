@@ -58,6 +58,7 @@ class Stock(OffPolicy):
     """Soft actor-critic as TorchRL's documentation shows it."""
 
     def make_loss(self) -> LossModule:
+        """The loss with its defaults."""
         units = list(self.settings.hidden)
         critic = MLP(
             self.observation_size + self.action_size,
@@ -154,7 +155,7 @@ def main() -> None:
     print(
         f"{facts['processor']}, one thread of {facts['cpu_count']}; {chosen.rounds} rounds of {chosen.updates} updates"
     )
-    print(f"bfloat16 is faster here: {bfloat16_is_faster()}")
+    print(f"bfloat16=null takes {'bfloat16' if bfloat16_is_faster() else 'float32'} here")
     for task, recipe in RECIPES.items():
         cases = {
             "TorchRL SACLoss, float32": updates_of(Stock, task),
