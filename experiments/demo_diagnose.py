@@ -67,7 +67,7 @@ def ending(content: Mapping[str, Any], answer: Mapping[str, Any], folder: Path) 
         for channel, gap in content["gap"].items()
     ]
     findings = [named(finding) for finding in content["findings"]] or [f"nothing. {content['sentence']}"]
-    added = [finding["effect"] for finding in content["findings"] if finding["in_model"]]
+    added = [finding["effect"] for finding in content["findings"]]
     lines = {
         "named": "\n          ".join(findings),
         "hidden": hidden(answer),

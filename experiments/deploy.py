@@ -32,10 +32,13 @@ from op3.deploy import (
     run,
     setup,
 )
+from op3.deploy.commands import CommandSource, command_source
 from op3.deploy.deploy import EMULATED, HANG_SCALE, POLICY_RATE
 from op3.deploy.dynamixel_bus import Unplugged
 from op3.deploy.session import LOG_NAMES
+from op3.deploy.start_checks import Check
 from op3.policy import PolicyBundle
+from op3.policy.card import check_card
 from op3.robot import load_robot
 from op3.rollout import git_hash, read_log
 
@@ -67,11 +70,37 @@ def load_runner(cfg: DictConfig) -> PolicyRunner | None:
     return PolicyRunner(PolicyBundle.load(cfg.policy), cfg.cycle, cfg.robot, cfg.limits.p_gain)
 
 
+def commands_of(cfg: DictConfig, runner: PolicyRunner | None) -> CommandSource | None:
+    """Where commands come from; only a policy that sees a commanded velocity takes any."""
+    if cfg.commands is None:
+        return None
+    if runner is None or "command" not in runner.bundle.manifest.layout:
+        raise ValueError(f"commands={cfg.commands}: this policy takes no commands; give one trained on walk_command")
+    return command_source(str(cfg.commands))
+
+
+def check_policy(cfg: DictConfig, runner: PolicyRunner) -> Check:
+    """Whether the policy's card allows a robot to run it."""
+    if cfg.card == "ignore":
+        return Check("policy card", True, "ignored")
+    try:
+        card = check_card(cfg.policy, runner.bundle)
+    except ValueError as error:
+        return Check("policy card", False, f"{error}; or run it all the same with card=ignore")
+    return Check("policy card", True, f"{card.verdict} at {card.task}")
+
+
 def deploy(cfg: DictConfig) -> ExitCode:
     """Do what the config says."""
     if cfg.mode not in MODES:
         raise ValueError(f"mode must be one of {', '.join(MODES)}, got {cfg.mode!r}")
+    if cfg.card not in ("required", "ignore"):
+        raise ValueError(f"card must be required or ignore, got {cfg.card!r}")
     runner = load_runner(cfg)
+    if runner is not None and cfg.mode in ("run", "hang"):
+        print(check := check_policy(cfg, runner))
+        if not check.ok:
+            return ExitCode.START_CHECK
     if cfg.mode == "replay":
         if cfg.log is None or runner is None:
             raise ValueError("mode=replay needs policy=<bundle> and log=<folder of a run>")
@@ -91,6 +120,7 @@ def deploy(cfg: DictConfig) -> ExitCode:
         folder=folder,
         panel=cfg.panel,
     )
+    source = commands_of(cfg, runner)
     connection = open_robot(cfg)
     try:
         if cfg.mode == "read_only":
@@ -99,15 +129,23 @@ def deploy(cfg: DictConfig) -> ExitCode:
             return setup(connection)
         if cfg.mode == "calibrate":
             return calibrate(connection, cfg.calibration_out, pose_name=cfg.pose)
-        outcome = run_on(connection, runner, plan, cfg.duration)
+        outcome = run_on(connection, runner, plan, cfg.duration, source)
     finally:
         connection.close()
+        if source is not None:
+            source.close()
     for log in outcome.logs:
         print(folder / log)
     return outcome.code
 
 
-def run_on(connection: Connection, runner: PolicyRunner | None, plan: Plan, duration: float) -> Any:
+def run_on(
+    connection: Connection,
+    runner: PolicyRunner | None,
+    plan: Plan,
+    duration: float,
+    source: CommandSource | None = None,
+) -> Any:
     """Run the policy, or hold the stand pose."""
     if runner is None:
         home = connection.bus.robot.home
@@ -115,7 +153,7 @@ def run_on(connection: Connection, runner: PolicyRunner | None, plan: Plan, dura
         return run(connection, make, plan, motion="hold", git_hash=git_hash())
     manifest = runner.bundle.manifest
     known: dict[str, Any] = {"model_hash": manifest.training.model_hash or None, "git_hash": git_hash()}
-    make = lambda: FollowPolicy(runner, duration)  # noqa: E731
+    make = lambda: FollowPolicy(runner, duration, source)  # noqa: E731
     return run(connection, make, plan, motion=manifest.task, policy_rate=POLICY_RATE, **known)
 
 

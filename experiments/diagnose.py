@@ -1,10 +1,10 @@
-"""Say what a model lacks, from logs of a robot on the stand, on the floor, or of a servo on a bench.
+"""Name the effects that a model does not include, from logs of a robot on the stand or of a servo on a bench.
 
 python experiments/diagnose.py data=<folder of logs> model=<model.yaml or name in conf/servo>
-python experiments/diagnose.py data=<folder of logs> model=paper mode=loop      # again from the model handed back
-python experiments/diagnose.py data=<folder of logs> model=paper mode=aliasing  # what these logs can tell
+python experiments/diagnose.py data=<folder of logs> model=paper mode=loop      # again from the returned model
+python experiments/diagnose.py data=<folder of logs> model=paper mode=aliasing  # what these logs can show
 python experiments/diagnose.py data=<folder> model=paper policy=assets/policies/balance [actual=<logs of its episodes>]
-python experiments/diagnose.py planned=leg_suite mode=aliasing   # what a suite would tell
+python experiments/diagnose.py planned=leg_suite mode=aliasing   # what a suite would show
 python experiments/diagnose.py "planned=[squat_fast,multisine_legs]" mode=aliasing
 """
 
@@ -33,6 +33,7 @@ from op3.diagnose import (
     suited,
     with_chain,
 )
+from op3.diagnose.window_gaps import gap_table
 from op3.identify.resolvers import chosen_model
 from op3.policy import PolicyBundle
 from op3.report.diagnosis import report_diagnosis
@@ -109,6 +110,8 @@ def diagnose(cfg: DictConfig, folder: Path) -> dict[str, Any]:
         content["downstream"] = returns(cfg, verdict, *attempted)
     content["processor_seconds"] = round(time.process_time() - IMPORTED, 1)
     print(f"\n{verdict.sentence}")
+    if verdict.windows is not None:
+        print(gap_table(verdict.windows))
     report_diagnosis(verdict, split, content, run_folder(cfg, folder, model="model.yaml"))
     # last, so that a verdict means that all is there
     (folder / "verdict.yaml").write_text(yaml.safe_dump(content, sort_keys=False))

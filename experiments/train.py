@@ -30,8 +30,8 @@ from op3.private import CLAIMED
 from op3.report import RunFolder, RunLogger, run_provenance
 from op3.report.training_page import histogram_figure, report_training
 from op3.report.video import film
-from op3.robot import named_configs
-from op3.sim import load_model
+from op3.robot import load_robot, named_configs
+from op3.sim import model_for
 from op3.sim.model_file import model_hash
 from op3.tasks.task import Task, find_task
 from op3.train import Algorithm, Practice, TrainSettings, evaluate, train
@@ -42,7 +42,6 @@ KEPT = (
     "task",
     "algorithm",
     "train",
-    "practice",
     "environments",
     "env",
     "environment",
@@ -61,10 +60,17 @@ def earlier(cfg: DictConfig) -> PolicyBundle | None:
     return None if cfg.warm_start is None else PolicyBundle.load(cfg.warm_start)
 
 
-def actions(cfg: DictConfig) -> ActionMap:
+def chosen_task(cfg: DictConfig) -> Task:
+    """The task, of the robot that is asked for."""
+    if cfg.robot is not None:
+        cfg.task.robot = cfg.robot
+    return instantiate(cfg.task)
+
+
+def actions(cfg: DictConfig, task: Task) -> ActionMap:
     """What actions mean: the same as those of the policy to start with; with `fixed_gain` they command angles alone."""
     start = earlier(cfg)
-    made = ActionMap.around_stand(cfg.span) if start is None else start.manifest.action_map
+    made = task.action_map() if start is None else start.manifest.action_map
     if cfg.fixed_gain is None:
         return made
     return replace(made, gain_low=cfg.fixed_gain, gain_high=cfg.fixed_gain)
@@ -73,28 +79,28 @@ def actions(cfg: DictConfig) -> ActionMap:
 def environment(cfg: DictConfig, task: Task, count: int, seed: int) -> BatchedEnv:
     """Robots at a task, as the config describes them."""
     options = {"num_threads": cfg.threads, **plain(cfg.environment)}
-    made = make_env(task, cfg.model, count, seed, action_map=actions(cfg), **options)
+    made = make_env(task, cfg.model or "own", count, seed, action_map=actions(cfg, task), **options)
     assert isinstance(made, BatchedEnv)
     return made
 
 
 def robots(cfg: DictConfig, task: Task) -> EnvBase:
     """Those that learn."""
-    options = {**plain(cfg.environment), "action_map": actions(cfg), "backend": cfg.env}
+    options = {**plain(cfg.environment), "action_map": actions(cfg, task), "backend": cfg.env}
     if cfg.env == "composer" and cfg.environments != 1:
         raise ValueError(f"env=composer is one robot: use environments=1, got {cfg.environments}")
     if cfg.env == "batched":
         options["num_threads"] = cfg.threads
     if task.cycle is not None:  # a policy that walks begins anywhere in the gait
-        task = replace(task, first_phase=None)
-    return make_env(task, cfg.model, cfg.environments, cfg.seed, **options)
+        task = task.changed({"gait.first_phase": None})
+    return make_env(task, cfg.model or "own", cfg.environments, cfg.seed, **options)
 
 
 def describe(cfg: DictConfig, task: Task, algorithm: Algorithm, provenance: Mapping[str, Any]) -> Manifest:
     """The manifest of the policy to be trained."""
     training = Training(
-        model=str(cfg.model),
-        model_hash=model_hash(load_model(cfg.model)),
+        model=str(cfg.model or load_robot(task.robot).file.law or "own"),
+        model_hash=model_hash(model_for(load_robot(task.robot), cfg.model)),
         git_hash=provenance["git_hash"],
         seed=cfg.seed,
         command=provenance["command"],
@@ -105,10 +111,12 @@ def describe(cfg: DictConfig, task: Task, algorithm: Algorithm, provenance: Mapp
         task=task.name,
         layout=task.layout,
         history=task.history,
-        action_map=actions(cfg),
+        action_map=actions(cfg, task),
         hidden=algorithm.settings.hidden,
         normalisation=algorithm.normalisation,
         clip=algorithm.settings.clip,
+        observations=task.terms("observations"),
+        cycle=task.cycle,
         training=training,
     )
 
@@ -121,7 +129,7 @@ def learner(cfg: DictConfig, task: Task, robots: EnvBase) -> Algorithm:
         raise ValueError(f"device={cfg.device}: give cpu or cuda") from None
     if device.type == "cuda" and not torch.cuda.is_available():
         raise ValueError("device=cuda: torch finds no GPU; leave device=cpu")
-    action_map, start = actions(cfg), earlier(cfg)
+    action_map, start = actions(cfg, task), earlier(cfg)
     settings = plain(cfg.algorithm)
     if start is not None:
         settings["hidden"] = list(start.manifest.hidden)
@@ -133,13 +141,20 @@ def learner(cfg: DictConfig, task: Task, robots: EnvBase) -> Algorithm:
         robots,
         seed=cfg.seed,
         initial_action=torch.as_tensor(action_map.stand(cfg.initial_gain)),
-        mirror=Mirror(task.layout, task.history, action_map.joints),
+        mirror=mirror_of(cfg, task, action_map),
         device=device,
         **settings,
     )
     if cfg.resume is None and start is not None:
         algorithm.start_from(start)
     return algorithm
+
+
+def mirror_of(cfg: DictConfig, task: Task, action_map: ActionMap) -> Mirror | None:
+    """The robot's plane of symmetry; none where its file names no mirror partners, or samples are not mirrored."""
+    if not cfg.algorithm.get("mirrored") or not load_robot(action_map.robot).partners:
+        return None
+    return Mirror(task.layout, task.history, action_map)
 
 
 def as_begun(cfg: DictConfig) -> tuple[DictConfig, dict[str, str]]:
@@ -181,8 +196,8 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     recipes = ("null", choices["task"], *named_configs("recipe"))
     if choices["recipe"] not in recipes:  # Hydra leaves out one that is optional
         raise ValueError(no_such("recipe", choices["recipe"]))
-    task, provenance = instantiate(cfg.task), run_provenance(seed=cfg.seed)
-    settings, practice = TrainSettings(**plain(cfg.train)), Practice(plain(cfg.practice))
+    task, provenance = chosen_task(cfg), run_provenance(seed=cfg.seed)
+    settings, practice = TrainSettings(**plain(cfg.train)), Practice(task.schedules)
     training = robots(cfg, task)
     algorithm = learner(cfg, task, training)
     manifest = describe(cfg, task, algorithm, provenance)
@@ -238,9 +253,9 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     return report_training(
         progress.history,
         RunFolder(folder, provenance),
-        title=f"Training: {task.name} on {cfg.model}, seed {cfg.seed}",
+        title=f"Training: {task.name} on {manifest.training.model}, seed {cfg.seed}",
         numbers=numbers,
-        settings={f"{part}.{k}": v for part in ("algorithm", "train", "practice") for k, v in plain(cfg[part]).items()},
+        settings={f"{part}.{k}": v for part in ("algorithm", "train") for k, v in plain(cfg[part]).items()},
         histograms=histograms,
         files=files,
     )

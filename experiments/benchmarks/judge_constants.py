@@ -46,7 +46,7 @@ def first_names(case: Path) -> dict[str, tuple[str, tuple[str, ...]] | None]:
         search.settings = search.reduction.settings = settings
         stage = search._stage(first.base, (), first.found, first.columns, None)
         leaders = search.leaders(stage, stage.judge.scores(stage.fit), stage.fit.state)
-        one = stage.found[leaders[0][1][0]] if leaders else None
+        one = stage.found[leaders[0].number] if leaders else None
         where = () if one is None or one.joints is None else tuple(sorted(joints[j] for j in one.joints))
         names[name] = None if one is None else (one.effect.name, where)
     return names

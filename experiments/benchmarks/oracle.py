@@ -1,4 +1,6 @@
-"""What a hidden-effect case shows to a diagnosis to which the answer is told: log odds, and how far the gap closes.
+"""What a hidden-effect case shows to a diagnosis to which the answer is told.
+
+Log odds, the gain in held-out runs in standard errors, and how far the gap closes.
 
 python experiments/benchmarks/oracle.py <case>/data <base model> <answer.yaml> <folder for oracle.yaml>
 
@@ -15,7 +17,7 @@ import torch
 import yaml
 
 from op3.diagnose import Diagnosis, show, split_logs
-from op3.diagnose.findings import Search, Stage
+from op3.diagnose.findings import Proposal, Search, Stage
 from op3.rollout import read_logs
 from op3.sim import load_model
 
@@ -31,7 +33,7 @@ def told(search: Search, stage: Stage, effect: str, joints: Sequence[str] | None
     number = max(mine, key=lambda i: float(odds[i]))
     with_it, alone = (stage.judge.fit(named, stage.fit.state, rounds=2) for named in ([number], []))
     step = (with_it.mean[:-1] - alone.mean)[: len(stage.base.point)]
-    return search.with_best(stage, [(number, step, float(with_it.mean[-1]), with_it.state)])
+    return search.with_best(stage, [Proposal(number, step, float(with_it.mean[-1]), with_it.state)])
 
 
 def main(data: str, base: str, answer: str, run: str) -> None:
@@ -44,7 +46,10 @@ def main(data: str, base: str, answer: str, run: str) -> None:
     for one in hidden:
         last = told(diagnosis.search, last, one["name"], None if one["shared"] else one["joints"])
     shown = show(first.base.model, last.base.model, diagnosis.split)
-    known = [{"name": one.candidate.effect.name, "log_odds": round(one.log_odds, 2)} for one in last.named]
+    known = [
+        {"name": one.candidate.effect.name, "log_odds": round(one.log_odds, 2), "z": round(one.gain.z, 2)}
+        for one in last.named
+    ]
     content = {"effects": known, "gap": shown["gap"], "loss": shown["loss"]}
     (Path(run) / "oracle.yaml").write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
 

@@ -15,7 +15,7 @@ from op3.report import machine
 from op3.robot import load_robot, pose
 from op3.servo import Servos
 from op3.sim import BatchSimulation, load_model
-from op3.tasks import LocomotionTask, Setup, find_task, locomotion_environment
+from op3.tasks import ComposerTask, Setup, composer_environment, find_task
 
 SIMS = 64
 ROUNDS = 7
@@ -86,8 +86,8 @@ def processor_seconds(batch: Batch, steps: int) -> float:
 
 def composer() -> Callable[[], float]:
     """A step through dm_control composer, one robot."""
-    task = LocomotionTask(find_task("walk", duration=1e6), load_model("paper"))
-    environment, stand = locomotion_environment(task), task.action_map.stand()
+    task = ComposerTask(find_task("walk", duration=1e6), load_model("paper"))
+    environment, stand = composer_environment(task), task.action_map.stand()
     environment.reset()
     count = TICKS // 4
     return lambda: seconds_per_step(lambda: [environment.step(stand) for _ in range(count)], count * 32)

@@ -33,7 +33,7 @@ def seconds(cfg, overlap: bool) -> float:
     algorithm = learner(cfg, task, environment)
     manifest = describe(cfg, task, algorithm, run_provenance(seed=0))
     settings = TrainSettings(**{**plain(cfg.train), "overlap": overlap})
-    options = {"practice": Practice(plain(cfg.practice)), "say": lambda line: None}
+    options = {"practice": Practice(task.schedules), "say": lambda line: None}
     with tempfile.TemporaryDirectory() as folder:
         began = time.perf_counter()
         train(algorithm, environment, lambda policy: {}, settings, manifest, folder, **options)

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from op3.compliance.energy import torque_per_current
-from op3.compliance.traces import TOUCHED, Traces, touchdowns
+from op3.envs.traces import SKIPPED, TOUCHED, Traces, touchdowns
 from op3.intervals import with_interval
-from op3.policy.observation import WALK_LAYOUT, layout_slices
+from op3.policy.observation import layout_slices
 from op3.robot import load_robot
 from op3.rollout import Rollout
 from op3.servo import RobotModel
@@ -21,9 +21,6 @@ Array = NDArray[np.float64]
 
 BINS = 25
 """Parts of the gait's cycle."""
-
-SKIPPED = 1.5
-"""Time at the beginning of an episode that does not count [s]: the robot is not walking yet."""
 
 AFTER_LANDING = 0.1
 """Time after a touchdown that is looked at apart [s]."""
@@ -118,7 +115,7 @@ def _masks(force: NDArray[np.float32], log: Rollout, task: Task) -> dict[str, ND
 def _phase(log: Rollout, task: Task) -> Array:
     """Phase of the gait at a log's rows [cycles], as the policy saw it."""
     assert task.cycle is not None
-    sine, cosine = log.array("policy/observation")[:, layout_slices(WALK_LAYOUT)["phase"]].T
+    sine, cosine = log.array("policy/observation")[:, layout_slices(task.layout)["phase"]].T
     since = OP3_CONTROL_PERIOD * (np.arange(log.rows) % TICKS)
     return np.remainder(np.arctan2(sine, cosine) / (2 * np.pi) + since / task.cycle, 1.0)
 

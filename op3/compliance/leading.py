@@ -82,7 +82,7 @@ def lead(
     state: Any = env.begin({row: row % episodes for row in range(env.num_envs)})
 
     def pull(tick: int) -> None:
-        since = env.rules.time.numpy()[:count] + tick * OP3_CONTROL_PERIOD - FIRST
+        since = env.mdp.time.numpy()[:count] + tick * OP3_CONTROL_PERIOD - FIRST
         size = MOST * np.clip(since / DURATION, 0.0, 1.0)
         external[np.arange(count), body, :3] = size[:, None] * way
 

@@ -19,7 +19,7 @@ AFTER = 2.0
 """Time after a push for which a robot must stay upright to have survived it [s]."""
 
 ROWS = 80
-"""Robots side by side."""
+"""Robots side by side; more are hardly cheaper each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,23 +67,27 @@ def survive_pushes(
     rungs: int = 10,
     episodes: int = 5,
     seed: int = 0,
+    rows: int = ROWS,
     **options: Any,
 ) -> Survival:
     """Push robots that act, each once, and see who stays upright.
 
-    Beginnings, directions and times of the pushes depend on the seed alone, so that policies meet the same.
+    Beginnings, directions and times of the pushes depend on the seed alone, so that policies meet the same; and no
+    push depends on how many robots stand side by side.
 
     Args:
         most: impulse up to which the ladder reaches [N s].
         rungs: of the ladder, each with so many episodes in each direction.
         episodes: see `rungs`.
+        rows: robots side by side, at most; who is done with one push gets the next.
         **options: further arguments of `op3.envs.make_env`.
     """
     impulse = most * (np.arange(rungs) + 0.5) / rungs
     direction, rung, _ = (axis.reshape(-1) for axis in np.indices((DIRECTIONS, rungs, episodes)))
     times = FIRST_PUSH + (task.cycle or 1.0) * np.random.default_rng([seed, 4]).random(len(direction))
     pushes = [Push.towards(int(d), float(impulse[r]), float(t)) for d, r, t in zip(direction, rung, times, strict=True)]
-    env = actor.environment(find_task(task, push=1.0), model, min(ROWS, len(pushes)), seed, **options)
+    task = find_task(task, {"events.pushing": {"impulse": 0.0}})
+    env = actor.environment(task, model, min(rows, len(pushes)), seed, **options)
     survived = _push_all(env, actor, pushes)
     return Survival(impulse, survived.reshape(DIRECTIONS, rungs, episodes))
 
@@ -100,11 +104,10 @@ def _push_all(env: BatchedEnv, actor: Actor, pushes: Sequence[Push]) -> NDArray[
         begun = [int(row) for row in free if job[row] >= 0]
         if begun:
             state = env.begin({row: int(job[row]) for row in begun})
-            assert env.pushes is not None
-            env.pushes.replace(np.array(begun), [pushes[job[row]] for row in begun])
+            env.mdp.event("pushing").replace(np.array(begun), [pushes[job[row]] for row in begun])
         if (job < 0).all():
             return survived
         state = actor.step(env, state)
         fallen, active = state["terminated"][:, 0].numpy(), job >= 0
         survived[job[active & fallen]] = False
-        free = np.flatnonzero(active & (fallen | (env.rules.time.numpy() >= until[job])))
+        free = np.flatnonzero(active & (fallen | (env.mdp.time.numpy() >= until[job])))

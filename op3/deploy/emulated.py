@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from op3.deploy.emulator import EmulatedRobot, Faults, Physics, SimPhysics, StandInPhysics, Timing
 from op3.deploy.operator import Operator
 from op3.deploy.registers import Units
-from op3.robot import DEFAULT, BoardMotion, Robot, Waves, WeightSchedule, build_scene, draw_tiles, load_robot
+from op3.robot import DEFAULT, BoardMotion, Robot, Waves, WeightSchedule, build_scene, load_robot
 from op3.robot.scenes import check_scene
 from op3.sim import model_for
 from op3.stand_in import World
-from op3.tasks.beginning import board_of
+from op3.tasks.events import Terrain, board_motion
 from op3.tasks.task import Task, find_task
 
 MakePhysics = Callable[[str, ArrayLike | None], Physics]
@@ -45,8 +45,9 @@ class Place:
     def of_task(cls, task: str | Task, seed: int) -> Place:
         """The ground of a task's episode."""
         task = find_task(task)
-        tiles = draw_tiles(seed, task.terrain_height, task.terrain_steps) if task.scene == "terrain" else None
-        return cls(task.scene, board_of(task, seed), tiles)
+        events = task.terms("events")
+        tiles = Terrain(**events["terrain"]).heights(seed) if "terrain" in events else None
+        return cls(task.scene, board_motion(events["board"]["motion"], seed) if "board" in events else None, tiles)
 
     @property
     def waiting(self) -> BoardMotion | WeightSchedule | None:

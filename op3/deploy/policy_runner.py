@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
+from op3.deploy.commands import STANDING, CommandSource
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command
 from op3.deploy.phases import Phase
@@ -17,11 +18,13 @@ from op3.deploy.state import State
 from op3.deploy.ticker import PERIOD, POLICY_TICKS
 from op3.policy import PolicyBundle
 from op3.policy.actions import GAIN_HIGH
-from op3.policy.observation import BALANCE_LAYOUT, WALK_LAYOUT, History, observe
+from op3.policy.heading import HeadingReference
+from op3.policy.observation import Observer
+from op3.policy.observations import Sensed
 from op3.robot import DEFAULT, Robot, load_robot
 from op3.rollout import Rollout
 from op3.tasks.evaluation import policy_rows
-from op3.tasks.task import POLICY_PERIOD, TASKS
+from op3.tasks.task import POLICY_PERIOD, find_task, task_names
 
 Array = NDArray[np.float64]
 
@@ -31,6 +34,9 @@ TOLERANCE = 1e-5
 
 class PolicyRunner:
     """A policy, its memory and its clock.
+
+    Attributes:
+        velocity: commanded: forwards and to the left [m/s], and rate of turning [rad/s], ``[3]``.
 
     Args:
         cycle: duration of a gait cycle [s], for a policy that sees the phase; None for that of its task.
@@ -49,31 +55,40 @@ class PolicyRunner:
     ):
         manifest = bundle.manifest
         manifest.check_robot(robot)
-        layout = dict(manifest.layout)
-        if layout not in (BALANCE_LAYOUT, WALK_LAYOUT):
-            raise ValueError(f"field layout: this version observes {BALANCE_LAYOUT} and phase, the policy {layout}")
-        manifest.check_fits(layout, manifest.history, 1 / PERIOD, 1 / (PERIOD * POLICY_TICKS))
-        if (highest := manifest.action_map.gain_high) > p_gain:
+        manifest.check_fits(manifest.layout, manifest.history, 1 / PERIOD, 1 / (PERIOD * POLICY_TICKS))
+        highest = manifest.action_map.gain_high
+        if highest is not None and highest > p_gain:
             allowed = f"the robot's limit is {p_gain:g} A/rad; give a policy that stays below, or limits.p_gain"
             raise ValueError(f"field gain_high of the policy's manifest is {highest:g} A/rad, and {allowed}")
-        if cycle is None and manifest.task in TASKS:
-            cycle = TASKS[manifest.task].cycle
-        if "phase" in layout and (cycle is None or cycle <= 0):
+        cycle = manifest.cycle if cycle is None else cycle
+        if cycle is None and manifest.task in task_names():
+            cycle = find_task(manifest.task).cycle
+        if "phase" in manifest.layout and (cycle is None or cycle <= 0):
             raise ValueError("the policy sees the phase of a gait; give cycle=<seconds>")
+        self._cycle = cycle if "phase" in manifest.layout else None
+        self._robot = load_robot(robot)
         self.bundle = bundle
-        self._cycle = cycle if "phase" in layout else None
         # The first steps build tables and take a hundred times as long as later ones: not in a running loop.
         self.reset()
-        home = load_robot(robot).home
+        home = self._robot.home
+        try:
+            example = self._sense(home, 0.0 * home, np.zeros(3), np.zeros(3), 0)
+            self._observer = Observer(manifest.observations, self._robot, manifest.history, example)
+        except ValueError as error:
+            raise ValueError(f"field layout: this version cannot observe it ({error})") from None
+        if self._observer.layout != dict(manifest.layout):
+            observed = self._observer.layout
+            raise ValueError(f"field layout: this version observes {observed}, the policy {dict(manifest.layout)}")
         for step in range(3):
             self.act(self.observe(home, 0.0 * home, np.zeros(3), np.zeros(3), step))
         self.reset()
 
     def reset(self) -> None:
-        """Begin an episode: the robot has held the stand pose."""
-        self._history = History(self.bundle.manifest.history)
+        """Begin an episode: the robot has held the stand pose, and its commanded velocity is zero."""
         self._begun = False
         self._yaw = 0.0
+        self.velocity = np.zeros(3)
+        self._heading = HeadingReference(1)
         self.previous = self.bundle.manifest.action_map.stand()
 
     def observe(
@@ -92,18 +107,28 @@ class PolicyRunner:
             orientation: [3] roll, pitch, yaw in rad.
             angular_velocity: [3] in rad/s.
         """
+        sensed = self._sense(joint_position, joint_velocity, orientation, angular_velocity, step)
+        stacked = self._observer.push(sensed) if self._begun else self._observer.reset(sensed)
+        self._begun = True
+        return stacked[0].numpy()
+
+    def _sense(self, *readings: Any) -> Sensed:
+        position, velocity, orientation, rates, step = readings
         angles = np.array(orientation, dtype=float)
         if not self._begun:
             self._yaw = angles[2]
         # Yaw counts from where the episode began, and does not jump where the sensor's wraps around.
         angles[2] = np.remainder(angles[2] - self._yaw + np.pi, 2 * np.pi) - np.pi
-        seen = (joint_position, joint_velocity, angles, angular_velocity, self.previous)
-        cycle = self._cycle
-        phase = None if cycle is None else torch.tensor(step * POLICY_PERIOD / cycle % 1.0, dtype=torch.float64)
-        now = observe(*(torch.as_tensor(np.asarray(values, dtype=float)) for values in seen), phase=phase)
-        stacked = self._history.push(now) if self._begun else self._history.reset(now)
-        self._begun = True
-        return stacked.numpy()
+        values = (position, velocity, self.previous, angles, rates)
+        rows = (torch.as_tensor(np.asarray(value, dtype=float))[None] for value in values)
+        yaw = torch.tensor([angles[2]], dtype=torch.float64)
+        if self._begun:
+            self._heading.step(yaw, torch.from_numpy(self.velocity[2:]), POLICY_PERIOD)
+        else:
+            self._heading.begin(torch.ones(1, dtype=torch.bool), yaw)
+        asked = {"velocity": torch.from_numpy(self.velocity)[None], "heading": self._heading.heading[:, None]}
+        phase = None if self._cycle is None else torch.tensor([step * POLICY_PERIOD / self._cycle % 1.0]).double()
+        return Sensed(*rows, phase=phase, commands=asked)
 
     def act(self, observation: Array) -> Array:
         """The action [2 controlled joint] in [-1, 1], remembered for the next observation."""
@@ -116,8 +141,17 @@ class PolicyRunner:
         return Command(commands["position_target"], commands["p_gain"], commands["d_gain"])
 
 
+STOPPING = 2.0
+"""How long before its end a commanded walk is told to stand [s]: within it the robot comes to rest."""
+
+
 class FollowPolicy(Phase):
     """The phase in which the policy commands, every fourth deadline.
+
+    A policy that takes commands stands for the last `STOPPING` seconds, and from when its source of commands is lost.
+
+    Args:
+        commands: what velocity is asked for; None: to stand.
 
     Attributes:
         on_begin: called once, right before the first observation.
@@ -127,10 +161,10 @@ class FollowPolicy(Phase):
     name = "policy"
     log = "run"
 
-    def __init__(self, runner: PolicyRunner, duration: float):
+    def __init__(self, runner: PolicyRunner, duration: float, commands: CommandSource | None = None):
         if not duration > 0:
             raise ValueError(f"duration must be positive, got {duration}")
-        self._runner = runner
+        self._runner, self._source = runner, commands
         self._steps = max(1, round(duration / (POLICY_TICKS * PERIOD)))
         self._last_step = -1
         self.on_begin: Callable[[], None] = lambda: None
@@ -161,6 +195,7 @@ class FollowPolicy(Phase):
         if state.orientation is None or state.angular_velocity is None:
             raise Stop(ExitCode.NON_FINITE, "the policy needs an IMU, and the robot has none", damp=True)
         seen = (state.position, state.velocity, state.orientation, state.angular_velocity)
+        self._runner.velocity = self._asked(step)
         try:
             observation = self._runner.observe(*seen, step)
             action = self._runner.act(observation)
@@ -170,6 +205,15 @@ class FollowPolicy(Phase):
             raise Stop(ExitCode.NON_FINITE, "the policy's action is not finite; refused", damp=True)
         self._command = self._runner.command(action)
         self._channels = {("policy", "observation"): observation, ("policy", "action"): action.copy()}
+
+    def _asked(self, step: int) -> Array:
+        """The velocity commanded at a step ``[3]``."""
+        time = step * POLICY_PERIOD
+        asked = None if self._source is None else self._source.at(time)
+        if asked is None and self._source is not None:
+            self._source = None  # lost for good: a robot that has stopped does not start by itself
+        ends = self._steps * POLICY_PERIOD - time <= STOPPING
+        return STANDING.copy() if asked is None or ends else asked
 
     def channels(self) -> dict[Any, Array]:
         """Observation and action in force."""

@@ -8,8 +8,8 @@ from op3.diagnose.settings import Settings
 from op3.diagnose.show import show
 from op3.diagnose.split import LogSplit, split_logs
 from op3.diagnose.verdict import Finding, Verdict
-from op3.diagnose.windows import WindowResiduals
 from op3.identify.bench_model import suited
+from op3.replay.windows import WindowResiduals
 
 __all__ = [
     "Diagnosis",

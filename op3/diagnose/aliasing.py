@@ -8,18 +8,15 @@ import numpy as np
 from op3.diagnose.base import base_numbers
 from op3.diagnose.diagnosis import Diagnosis
 from op3.diagnose.findings import Stage
-from op3.diagnose.judge import Judge, evidence
+from op3.diagnose.judge import Judge
 from op3.diagnose.verdict import separating
-from op3.servo.effect import parameter
+from op3.diagnose.visibility import size_of, smallest_sizes
 
 ALIKE = 0.7
 """Cosine beyond which two effects are alike to these logs."""
 
 VISIBLE = 0.3
 """Share of an effect that the base must leave for it to be seen."""
-
-SIZES = np.geomspace(0.02, 20.0, 60)
-"""Shares of a secant that are tried."""
 
 
 def aliasing(diagnosis: Diagnosis, most: int = 60, *, planned: bool = False) -> dict[str, Any]:
@@ -39,7 +36,7 @@ def aliasing(diagnosis: Diagnosis, most: int = 60, *, planned: bool = False) -> 
     left, whole = _left_by_base(stage.judge, stage, own)
     strength = np.sqrt(np.maximum(np.diag(left), 0.0))
     visibility = strength / np.sqrt(np.maximum(np.diag(whole), 1e-12))
-    smallest = _smallest(stage)
+    smallest = smallest_sizes(stage)
     best: dict[str, int] = {}
     for i, one in enumerate(stage.found):
         label = one.label(joints)
@@ -52,7 +49,7 @@ def aliasing(diagnosis: Diagnosis, most: int = 60, *, planned: bool = False) -> 
         "sentence": f"These logs show {len(best) - len(hidden)} of {len(best)} effects in their places,"
         f" and {count} pairs look alike to them.",
         "visibility": {label: round(float(visibility[i]), 3) for label, i in best.items()},
-        "smallest": {label: _size(stage, i, smallest[i]) for label, i in best.items()},
+        "smallest": {label: size_of(stage, i, smallest[i]) for label, i in best.items()},
         "hidden": hidden,
         "show_by": {label: effects[label].separating_experiment for label in hidden},
         "alike": pairs,
@@ -67,25 +64,6 @@ def _left_by_base(judge: Judge, stage: Stage, own: int) -> tuple[np.ndarray, np.
     inner, across = products[:own, :own] + np.diag(prior), products[:own, own:] @ sums
     whole = sums.T @ products[own:, own:] @ sums
     return whole - across.T @ np.linalg.solve(inner, across), whole
-
-
-def _smallest(stage: Stage) -> np.ndarray:
-    """Share of each candidate's secant from which on its expected log odds reach the alarm; infinite if none does."""
-    n, settings = stage.judge.numbers, stage.judge.settings
-    _, h = stage.judge.of_candidates(stage.fit)
-    result = np.full(len(stage.found), np.inf)
-    for size in SIZES[::-1]:
-        share = np.where(n.high > 0, size, -size)
-        odds = evidence(h * share, h, 0.0, n.slab, n.low, n.high) + n.place
-        named = (odds > settings.alarm) & (share <= n.high) & (share >= n.low)
-        result = np.where(named, size, result)
-    return result
-
-
-def _size(stage: Stage, i: int, share: float) -> dict[str, Any] | None:
-    known = parameter(stage.found[i].sized)
-    size = float(f"{abs(share * stage.found[i].secant[known.name]):.3g}")
-    return {"size": size, "unit": known.unit} if np.isfinite(share) else None
 
 
 def _pairs(

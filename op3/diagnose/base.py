@@ -1,4 +1,5 @@
-"""The base that findings are held against: several starts, and Gauss-Newton with the judge's weights.
+"""The baseline fit that findings are held against: a start for every structure, and Gauss-Newton with the judge's
+weights.
 
 Stiction kills gradients, so an evolution strategy (CatCMA: Hamano et al. 2024) over the shared numbers finds the
 basins, in long steps; Gauss-Newton steps with the judge's noise then settle in each.
@@ -14,7 +15,6 @@ from cmaes import CatCMA
 from op3.diagnose.coordinates import (
     BENCH,
     CHAIN,
-    FORMS,
     WIDEST,
     Coordinates,
     base_coordinates,
@@ -29,18 +29,21 @@ from op3.diagnose.settings import SETTINGS, Settings
 from op3.servo import Estimate, RobotModel, Stage
 from op3.servo.conditions import split_name
 
-GENERATIONS, FINE, SIGMA = 70, 10, 0.2
+GENERATIONS, FINE, SIGMA = 50, 10, 0.2
 """Of the search: generations, the last of them in steps half as long, and the first one's standard deviation as a share
 of every range."""
 
 STEPS, ELSEWHERE = 12, 4
 """Gauss-Newton steps at most of the best start, and of every start before they are compared."""
 
-GEAR = ("dte", "load_friction")
-"""Effects whose forms say where the gear's losses go."""
+GEAR = (Stage.GEAR, Stage.LOAD)
+"""Stages of the effects that say where the gear's losses go."""
 
 DAMPING = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)
 """Dampings of a step that are tried at once, as shares of each number's curvature."""
+
+FEWEST_WINDOWS, FINALISTS = 24, 2
+"""Windows on which starts settle first, at least, and starts that settle on all."""
 
 SETTLED = 8.0
 """Gain in minus two log posterior below which a base no longer moves."""
@@ -94,49 +97,77 @@ def fit_base(
     settings: Settings = SETTINGS,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Base:
-    """Fit a model's own numbers, its servos' spread and the chain of measurement, from several starts."""
+    """Fit a model's own numbers, its servos' spread and the chain of measurement.
+
+    Starts of every structure (form of the gear's law, form of friction's, commands before or after the next reading)
+    settle on a third of the windows, the best of these on all.
+    """
     lengths = reduction.engine.lengths
     full = with_chain(with_setups(model, lengths))
     priors = {**CHAIN, **BENCH} if lengths else CHAIN
     coordinates = base_coordinates(full, reduction.engine.joints, reduction.moving, priors)
+    thin = reduction.thinned(max(FEWEST_WINDOWS, reduction.windows // 3))
     # another law of the gear does best with other numbers everywhere: each gets a start of its own
-    gears = [full, *other_forms(full, GEAR)]
-    groups = [[gear, *other_forms(gear, [name for name in FORMS if name not in GEAR])] for gear in gears]
-    starts = groups if len(groups) > 1 else groups * 2
+    gears = [full, *other_forms(full, lambda effect: effect.stage in GEAR)]
+    groups = [[gear, *other_forms(gear, lambda effect: effect.stage not in GEAR)] for gear in gears]
 
     def ends() -> Iterator[Base]:
-        for number, forms in enumerate(starts):
-            searched = number < len(groups)
-            start = search(reduction, coordinates, rng, forms) if searched else (coordinates, coordinates.start)
-            yield settle(reduction, *start, settings, ELSEWHERE)
-            progress(0.6 * (number + 1) / len(starts))
+        for number, forms in enumerate(groups):
+            yield settle(thin, *search(thin, coordinates, rng, forms), settings, ELSEWHERE)
+            progress(0.5 * (number + 1) / len(groups))
+        if len(groups) == 1:
+            yield settle(thin, coordinates, coordinates.start, settings, ELSEWHERE)
 
-    best, first, gains = _best(reduction, ends(), settings)
-    others = [(point, gains[best][1] - gain) for number, (point, gain) in enumerate(gains) if number != best]
+    first = _ranked(thin, ends(), settings)[0].base
     # what sticks has a basin for every form of its law: each begins where this one is, and with friction as at first
-    same = [(replace(first.coordinates, model=form), first.point) for form in starts[best]]
-    afresh = [_afresh(first, form) for form in starts[best]]
-    begins = [*same, *afresh, *_earlier(first, reduction.engine.period), *_near_rest(first)]
-    anew = (settle(reduction, *begin, settings, ELSEWHERE) for begin in begins)
-    _, first, _ = _best(reduction, chain([first], anew), settings)
-    progress(0.8)
-    first = settle(reduction, first.coordinates, first.point, settings, state=first.fit.state)
+    forms = next(group for group in groups if _gear(group[0]) == _gear(first.coordinates.model))
+    same = [(replace(first.coordinates, model=form), first.point) for form in forms]
+    afresh = [_afresh(first, form) for form in forms]
+    begins = [*same, *afresh, *_timings(first, reduction.engine.period), *_near_rest(first)]
+    anew = (settle(thin, *begin, settings, ELSEWHERE) for begin in begins)
+    best = _ranked(thin, chain([first], anew), settings)[:FINALISTS]
+    progress(0.7)
+    ranked = _ranked(reduction, (settle(reduction, e.coordinates, e.point, settings) for e in best), settings)
+    progress(0.9)
+    first, others = ranked[0].base, tuple((end.point, ranked[0].gain - end.gain) for end in ranked[1:])
     own, point = with_own_spread(first.coordinates, first.point, first.told, settings)
-    return replace(settle(reduction, own, point, settings, state=first.fit.state), others=tuple(others))
+    return replace(settle(reduction, own, point, settings, state=first.fit.state), others=others)
 
 
-def _best(
-    reduction: Reduction, bases: Iterator[Base], settings: Settings
-) -> tuple[int, Base, list[tuple[np.ndarray, float]]]:
-    """The best of bases and its number, and the points of all with what they gain on the first; a base holds 15 MB, and
-    the others are let go."""
-    first = best = next(bases)
-    number, gains = 0, [(first.point, 0.0)]
+@dataclass(frozen=True, eq=False)
+class End:
+    """Where a start of the baseline fit has ended.
+
+    Attributes:
+        coordinates: its numbers, and the forms of its laws.
+        point: where they are.
+        gain: on the first start, in minus two log evidence.
+        base: the fit; None where another is better, as one holds 15 MB.
+    """
+
+    coordinates: Coordinates
+    point: np.ndarray
+    gain: float
+    base: Base | None
+
+
+def _gear(model: RobotModel) -> list:
+    """The forms of the gear's law."""
+    return [effect for effect in model.effects if effect.stage in GEAR and effect.written]
+
+
+def _ranked(reduction: Reduction, bases: Iterator[Base], settings: Settings) -> list[End]:
+    """Ends of starts, the best first, alone with its fit."""
+    first = next(bases)
+    ends = [End(first.coordinates, first.point, 0.0, first)]
     for base in bases:
-        gains.append((base.point, gap_of(reduction, first, base, settings)))
-        if gains[-1][1] > gains[number][1]:
-            number, best = len(gains) - 1, base
-    return number, best, gains
+        end = End(base.coordinates, base.point, gap_of(reduction, first, base, settings), base)
+        if end.gain > ends[0].gain:
+            ends[0] = replace(ends[0], base=None)
+            ends.insert(0, end)
+        else:
+            ends.append(replace(end, base=None))
+    return [ends[0], *sorted(ends[1:], key=lambda end: -end.gain)]
 
 
 def _afresh(base: Base, form: RobotModel) -> tuple[Coordinates, np.ndarray]:
@@ -150,23 +181,26 @@ def _near_rest(base: Base) -> Iterator[tuple[Coordinates, np.ndarray]]:
     """A base whose gear loses more near rest, in every form of its law: where it has ended at nothing more, the end of
     what there may be, another form may have taken the place of that loss."""
     near = np.array([entry.parameter == "near_rest_loss" for entry in base.coordinates.entries])
-    for form in (base.coordinates.model, *other_forms(base.coordinates.model, GEAR)):
+    for form in (base.coordinates.model, *other_forms(base.coordinates.model, lambda effect: effect.stage in GEAR)):
         yield replace(base.coordinates, model=form), np.where(near, CHAIN["near_rest_loss"].spread, base.point)
 
 
-def _earlier(base: Base, period: float) -> Iterator[tuple[Coordinates, np.ndarray]]:
-    """A base whose commands arrive after the next reading, with commands that do not: their currents lag the more.
+def _timings(base: Base, period: float) -> Iterator[tuple[Coordinates, np.ndarray]]:
+    """A base with commands before the next reading where they come after it, and the other way round; their currents
+    lag the more or the less.
 
-    A reading then shows the first of a command's current, or nothing of it yet: each has a basin.
+    A reading shows the first of a command's current, or nothing of it yet: each has a basin.
     """
-    coordinates, point = base.coordinates, base.point.copy()
+    coordinates = base.coordinates
     at = {entry.parameter: i for i, entry in enumerate(coordinates.entries) if entry.joints is None}
     late, lag = at.get("command_latency"), at.get("current_time_constant")
-    if late is not None and lag is not None and point[late] > period:
-        before = period - CHAIN["command_latency"].spread
-        point[lag] += point[late] - before
-        point[late] = before
-        yield coordinates, point
+    if late is None or lag is None:
+        return
+    point, margin = base.point.copy(), CHAIN["command_latency"].spread
+    other = period - margin if point[late] > period else period + margin
+    point[lag] += point[late] - other
+    point[late] = other
+    yield coordinates, np.clip(point, coordinates.low, coordinates.high)
 
 
 def gap_of(reduction: Reduction, one: Base, other: Base, settings: Settings = SETTINGS) -> float:

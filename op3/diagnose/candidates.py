@@ -8,11 +8,10 @@ from math import isclose, pi, remainder
 import numpy as np
 from torch import Tensor
 
-from op3.diagnose.coordinates import CHAIN, FORMS, Coordinate, other_forms
+from op3.diagnose.coordinates import CHAIN, Coordinate, other_forms
 from op3.diagnose.settings import Settings
 from op3.servo import Effect, Parameter, RobotModel, catalogue
 from op3.servo.effect import parameter
-from op3.servo.effects import PacketDrop
 
 PLACES = {"shared": 0.5, "joint": 0.35, "pair": 0.1, "side": 0.05}
 """How much more probable it is beforehand that a fault is of all joints, of one, of a mirror pair, or of a side."""
@@ -172,10 +171,12 @@ def candidates(
     for name, effect in catalogue().items():
         if not _possible(effect, model) or name in without:
             continue
+        if effect.both_sides and not mirror_pairs(joints, moving, mirror):
+            continue
         on = name in model.effect_names
         neutral = {p.name: p.nominal if p.neutral is None else p.neutral for p in effect.parameters}
         with_it = model if on else model.with_effect(effect(), neutral)
-        forms = [with_it, *(other_forms(with_it, (name,)) if name in FORMS and not on else ())]
+        forms = [with_it, *([] if on else other_forms(with_it, lambda other, mine=effect: other is mine))]
         for variant in forms:
             for secant in _own(effect, on):
                 for scope, place in _places(model, effect, joints, moving, mirror):
@@ -187,13 +188,11 @@ def candidates(
 
 def _possible(effect: type[Effect], model: RobotModel) -> bool:
     """Whether a robot with a held base and this drive could show it, and the base does not have it as a number."""
-    if not effect.secants or any(CHAIN[p.name].own for p in effect.parameters if p.name in CHAIN):
+    if not effect.secants or not effect.foreseeable or effect.free_base:
         return False
-    if effect is PacketDrop:
-        return False  # which packets were lost differs from run to run: no window foresees it
+    if any(CHAIN[p.name].own for p in effect.parameters if p.name in CHAIN):
+        return False
     if any(e.target in ("base_body", "ground_geom", "option") for e in effect.edits):
-        return False
-    if "trunk" in effect.__module__:
         return False
     regulated = "current_pd" in model.effect_names
     asks = set(effect.commands)

@@ -1,6 +1,6 @@
 """The numbers of the base: shared parameters, the spread of its servos, and the chain of measurement, with priors."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf
 
@@ -10,21 +10,12 @@ from scipy.stats import norm
 from torch import Tensor
 
 from op3.diagnose.settings import Settings
-from op3.servo import Parameter, RobotModel, catalogue
+from op3.servo import Effect, Parameter, RobotModel, Usual, catalogue
 from op3.servo.conditions import Condition, split_name
 from op3.servo.effects import LinkInertia
 
-SPREAD: Mapping[str, float] = {
-    "torque_constant": 0.05,
-    "terminal_resistance": 0.05,
-    "coulomb_friction": 0.15,
-    "viscous_friction": 0.15,
-    "static_friction_excess": 0.15,
-}
-"""How much servos of one make differ, as a standard deviation relative to the shared value. No maker of hobby servos
-says it. Data of motors hold within +-10 % (Beckhoff AM8100, "technical data"), taken here as two standard deviations of
-torque constant and resistance. That of friction is our own choice: no finer than four fits of one XL330 to more and
-fewer of its runs tell it, which differ by 17 % (`friction_base` of m1 on four branches of github.com/Rhoban/bam)."""
+SPREAD: Mapping[str, float] = {name: share for e in catalogue().values() for name, share in e.spread.items()}
+"""By how much servos of one make differ, as a standard deviation relative to the shared value."""
 
 SPREAD_LIMIT = 3.0
 """Standard deviations that a joint may differ in the base; what differs more is a fault, and a candidate."""
@@ -35,69 +26,13 @@ choice: all hobby servos differ by more (XL330-M288 and MX-106: 0.52 and 8.4 N m
 is given is that of one alike. A search begins so far below what is given."""
 
 
-@dataclass(frozen=True)
-class Chain:
-    """One number that every chain of measurement has.
+_USUAL = {name: usual for effect in catalogue().values() for name, usual in effect.usual.items()}
 
-    Attributes:
-        usual: expected value.
-        spread: standard deviation of what is usual; a number far from it is a finding.
-        wide: standard deviation of the base's prior.
-        most: largest value that the base may take.
-        own: whether joints differ.
-        least: smallest value that the base may take, beside what physics allows.
-        none: how much is as good as none where a model does not have it, a standard deviation; None where such a model
-            says nothing of it, as of sensors.
-    """
+CHAIN: Mapping[str, Usual] = {name: usual for name, usual in _USUAL.items() if not usual.bench}
+"""What is part of every baseline, whatever the given model holds."""
 
-    usual: float
-    spread: float
-    wide: float
-    most: float
-    own: bool = False
-    least: float = -inf
-    none: float | None = None
-
-
-CHAIN: Mapping[str, Chain] = {
-    # no maker publishes how present velocity is averaged; in bench logs of an STS3032 it is 17 ms late, of an XL330 20
-    # ms or more (`velocity_sensing` in op3/diagnose/smoothing.py), so nothing up to 20 ms is a fault
-    "velocity_time_constant": Chain(0.006, 0.006, 0.008, 0.04),
-    # of one lag 0, of two alike 1/4, of a difference of angles 1/3, of a filter of Butterworth's 1/2
-    "velocity_filter_shape": Chain(0.25, 0.25, 0.15, 0.5),
-    # our own choice: ROBOTIS does not disclose it (ROBOTIS-GIT/emanual issue 1331), only that loops run much faster
-    # than 1 kHz (DynamixelSDK issue 534)
-    "current_time_constant": Chain(0.001, 0.001, 0.002, 0.01),
-    # our own choice: about two counts of 2.69 mA (ROBOTIS e-Manual, XM430); no maker states the zero
-    "current_offset": Chain(0.0, 0.006, 0.01, 0.06, own=True),
-    # our own choice, 1 / (330 N m/rad): friction of 0.1 N m grips within 0.3 mrad, a fifth of an encoder's count
-    "bristle_compliance": Chain(0.003, 0.003, 0.004, 0.05),
-    # a sync write of 2 and a sync read of 10 bytes by twenty servos are 530 bytes of ROBOTIS' protocol 2.0: 5.3 ms at
-    # 1 Mbit/s and 1.3 ms at 4 Mbit/s, and the pauses before the answers; less than the latter is as good as none
-    "command_latency": Chain(0.004, 0.0015, 0.004, 0.03, none=0.0013),
-    # a mesh's efficiency depends on speed, as a table (Pelchen, Schweiger & Otter 2002). The fade is that of M4 of
-    # Duclusaud et al. (2025), whose fits fade over 0.35 to 2.6 rad/s. How much more is lost near rest is our own
-    # choice: there 1.1 times as much on the XL330, nothing on XL-320 and eRob80:50, nearly all on MX-64 and MX-106
-    "near_rest_loss": Chain(0.0, 1.0, 0.4, 3.0),
-    "lubrication_velocity": Chain(0.5, 1.0, 0.5, 3.0, least=0.03),
-}
-"""What is part of every base, whatever the given model holds: expected values and how far they may lie from them."""
-
-BENCH: Mapping[str, Chain] = {
-    # no weight is a point: a ball of steel of 0.2 to 1 kg has k^2 = 2/5 r^2 = 1.3e-4 to 3.9e-4 m^2, the most compact
-    # there is; discs, screws and the arm add to it. With one weight it is not told from the rotor's inertia
-    "gyration_squared": Chain(2.5e-4, 1.5e-4, 2e-4, 1.5e-3, least=0.0),
-}
-"""What is part of every base of a bench."""
-
-FORMS: Mapping[str, tuple[str, tuple[str, ...]]] = {
-    "dte": ("form", ("passive", "power")),
-    "stribeck": ("fade", ("exponential", "gaussian", "lorentz")),
-    "load_friction": ("form", ("sum", "motor")),
-    "encoder_nonlinearity": ("velocity", ("bent", "apart")),
-}
-"""Laws that can be written in several ways with the same parameters; the effects say whose each is. Which of them a
-servo obeys is not what is asked, so none of them may decide a name."""
+BENCH: Mapping[str, Usual] = {name: usual for name, usual in _USUAL.items() if usual.bench}
+"""What is part of every baseline of a bench."""
 
 
 @dataclass(frozen=True)
@@ -198,7 +133,7 @@ def with_chain(model: RobotModel) -> RobotModel:
     """
     regulated = "current_pd" in model.effect_names
     for effect in catalogue().values():
-        usual = {known.name: CHAIN[known.name].usual for known in effect.parameters if known.name in CHAIN}
+        usual = {known.name: CHAIN[known.name].value for known in effect.parameters if known.name in CHAIN}
         if not usual or effect.name in model.effect_names:
             continue
         if {"current_time_constant", "current_offset"} & set(usual) and not regulated:
@@ -211,7 +146,7 @@ def with_chain(model: RobotModel) -> RobotModel:
 def with_setups(model: RobotModel, lengths: Sequence[float]) -> RobotModel:
     """The model with the extent of a bench's weight, and a zero of the encoder for each arm: each is mounted anew."""
     if lengths and "link_inertia" not in model.effect_names:
-        model = model.with_effect(LinkInertia(), {name: chain.usual for name, chain in BENCH.items()})
+        model = model.with_effect(LinkInertia(), {name: chain.value for name, chain in BENCH.items()})
     if "encoder_offset" not in model.effect_names or len(set(lengths)) < 2:
         return model
     zero = model.value("encoder_offset")
@@ -219,14 +154,13 @@ def with_setups(model: RobotModel, lengths: Sequence[float]) -> RobotModel:
     return model.with_values(dict.fromkeys(names, zero))
 
 
-def other_forms(model: RobotModel, names: Sequence[str] = tuple(FORMS)) -> list[RobotModel]:
-    """The model with its effects in every other combination of forms."""
+def other_forms(model: RobotModel, chosen: Callable[[type[Effect]], bool] = lambda effect: True) -> list[RobotModel]:
+    """The model with its effects, or chosen ones, in every other combination of ways to write their laws."""
     result = [model]
-    for name in names:
-        option, forms = FORMS[name]
-        for effect in (e for e in model.effects if e.name == name):
+    for effect in (one for one in model.effects if chosen(type(one))):
+        values = {p.name: model.estimate(p.name) for p in effect.parameters}
+        for option, forms in effect.written.items():
             others = [replace(effect, **{option: form}) for form in forms if form != getattr(effect, option)]  # type: ignore[type-var]
-            values = {p.name: model.estimate(p.name) for p in effect.parameters}
             result += [variant.with_effect(other, values) for variant in result for other in others]
     return result[1:]
 
@@ -235,7 +169,7 @@ def base_coordinates(
     model: RobotModel,
     joints: Sequence[str],
     moving: Sequence[bool] | None = None,
-    priors: Mapping[str, Chain] = CHAIN,
+    priors: Mapping[str, Usual] = CHAIN,
 ) -> Coordinates:
     """What is fitted before and beside every finding: the model's own parameters, the servos' spread, and the chain.
 
@@ -344,7 +278,7 @@ def _together(known: Parameter, own: np.ndarray) -> list[Coordinate]:
     return [Coordinate(known.name, None, max(ends[0], -1.0), ends[1], 0.0, 0.0, 1.0, "scale")]
 
 
-def _chain(known: Parameter, chain: Chain, joints: Sequence[str], moving: Sequence[bool]) -> list[Coordinate]:
+def _chain(known: Parameter, chain: Usual, joints: Sequence[str], moving: Sequence[bool]) -> list[Coordinate]:
     low, high = max(known.least, chain.least, -chain.most), min(known.most, chain.most)
     places = [(j,) for j in range(len(joints)) if moving[j]] if chain.own and len(joints) > 1 else [None]
-    return [Coordinate(known.name, place, low, high, chain.usual, chain.usual, chain.wide) for place in places]
+    return [Coordinate(known.name, place, low, high, chain.value, chain.value, chain.wide) for place in places]

@@ -1,4 +1,4 @@
-"""The workflow: windows, base, findings one after another, the model that predicts best, the gap before and after."""
+"""The workflow: windows, baseline fit, findings one after another, the gap of the model with them."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -12,16 +12,19 @@ from threadpoolctl import threadpool_limits
 from op3.diagnose.base import Base, at_point, fit_base, unfitted
 from op3.diagnose.candidates import Candidate
 from op3.diagnose.coordinates import CHAIN
-from op3.diagnose.doubts import doubts, held_odds, untold, unusual
+from op3.diagnose.doubts import AT_BOUND, doubts, freed, untold, unusual
 from op3.diagnose.findings import Search, Stage
+from op3.diagnose.held_out import Gain
 from op3.diagnose.reduction import Reduction
 from op3.diagnose.settings import SETTINGS, Settings
-from op3.diagnose.show import choose, show
+from op3.diagnose.show import show, shown_logs
 from op3.diagnose.split import LogSplit
 from op3.diagnose.unexplained import joint_gaps, lacking
-from op3.diagnose.verdict import LIKELY, Finding, Rival, Verdict, plain
+from op3.diagnose.verdict import LIKELY, Alternative, Finding, Verdict
+from op3.diagnose.visibility import not_shown
 from op3.diagnose.whole_runs import on_whole_runs
-from op3.diagnose.windows import HELD, WindowResiduals
+from op3.diagnose.window_gaps import window_gaps
+from op3.replay.windows import HELD, WindowResiduals
 from op3.servo import RobotModel, catalogue
 from op3.servo.conditions import split_name
 
@@ -85,16 +88,18 @@ class Diagnosis:
         with threadpool_limits(1):
             verdict = self._once(self.given)
             for _ in range(rounds - 1):
-                if not any(finding.in_model and not finding.of_base for finding in verdict.findings):
+                if all(finding.of_base for finding in verdict.findings):
                     break
-                further = self._once(verdict.model)
-                if not further.findings or not any(f.in_model for f in further.findings):
+                first, further = self.stages[0].base, self._once(verdict.model)
+                if all(finding.of_base for finding in further.findings):
                     break
                 findings = sorted((*verdict.findings, *further.findings), key=lambda finding: -finding.probability)
                 doubted = tuple(dict.fromkeys((*verdict.doubts, *further.doubts)))
                 verdict = replace(further, findings=tuple(findings), doubts=doubted, base=verdict.base)
-                shown = show(verdict.base, verdict.model, self.split, self.seed)
-                verdict = replace(verdict, gap=shown["gap"], loss=shown["loss"], shown=shown)
+                shown = show(verdict.base, verdict.model, self.split, self.seed, self.given)
+                models = (self.given, verdict.base, verdict.model)
+                windows = window_gaps(models, first, self.split, shown_logs(self.split))
+                verdict = replace(verdict, windows=windows, gap=shown["gap"], loss=shown["loss"], shown=shown)
         return verdict
 
     def first_stage(self, fitted: bool = True) -> Stage:
@@ -147,36 +152,32 @@ class Diagnosis:
 
     def _void(self, model: RobotModel, why: str) -> Verdict:
         shown = show(model, model, self.split, self.seed)
-        return Verdict((), {}, (), (), (why,), model, model, gap=shown["gap"], loss=shown["loss"], shown=shown)
+        return Verdict((), {}, (), (), (why,), model, model, None, shown["gap"], shown["loss"], shown=shown)
 
     def _verdict(self, given: RobotModel, reduction: Reduction) -> Verdict:
         first, last = self.stages[0], self.stages[-1]
-        whole = [on_whole_runs(stage.base, self.split.fit) for stage in self.stages]
-        points = [stage.base.point if at is None else at for stage, at in zip(self.stages, whole, strict=True)]
-        models = [at_point(one.base.coordinates, point) for one, point in zip(self.stages, points, strict=True)]
-        choice = choose(models, self.split.select) if len(models) > 1 else {"taken": 0, "left": [1.0], "channels": []}
-        # what a name frees from a bound may have driven it there, or have let a poor base move on
-        doubted = tuple(dict.fromkeys(doubt for stage in self.stages for doubt in doubts(stage.base)))
-        most = LIKELY if doubted or self._short else 1.0
-        held = most if whole[0] is None else LIKELY  # whole runs that were refitted know better
-        findings = [*self._named(reduction, choice["taken"], most, held), *self._of_base(given, reduction, last, most)]
-        stage, point = self.stages[choice["taken"]], points[choice["taken"]]
-        deviation = np.sqrt(np.diag(stage.fit.covariance))[: len(point)]
-        deviation = np.hypot(deviation, point - stage.base.point)  # windows and whole runs disagree by so much
-        shown = show(models[0], models[choice["taken"]], self.split, self.seed)
+        points = {stage: on_whole_runs(stage.base, self.split.fit) for stage in (first, last)}
+        points = {stage: stage.base.point if point is None else point for stage, point in points.items()}
+        baseline = at_point(first.base.coordinates, points[first])
+        deviation = np.sqrt(np.diag(last.fit.covariance))[: len(points[last])]
+        deviation = np.hypot(deviation, points[last] - last.base.point)  # windows and whole runs disagree by so much
+        returned = at_point(last.base.coordinates, points[last], deviation)
+        findings = [*self._named(reduction, last), *self._of_base(given, reduction, last)]
+        shown = show(baseline, returned, self.split, self.seed, given)
         return Verdict(
             tuple(sorted(findings, key=lambda finding: -finding.probability)),
             joint_gaps(reduction, first, last),
-            doubted,
+            doubts(first.base),
             tuple(untold(first.base)),
             self._cannot_tell(reduction),
-            models[0],
-            at_point(stage.base.coordinates, point, deviation),
-            choice,
+            baseline,
+            returned,
+            window_gaps((given, baseline, returned), first.base, self.split, shown_logs(self.split)),
             shown["gap"],
             shown["loss"],
             self._chain(first.base),
             self._ranking(reduction, first),
+            not_shown=not_shown(first, reduction.engine.joints),
             shown=shown,
         )
 
@@ -187,43 +188,42 @@ class Diagnosis:
     def _cannot_tell(self, reduction: Reduction) -> tuple[str, ...]:
         said = []
         still = [joint for joint, moves in zip(reduction.engine.joints, reduction.moving, strict=True) if not moves]
+        if self.search is not None and self.search.held.in_time:
+            said.append(
+                "These logs are few: blocks of their time stand for runs, and other motions may be predicted worse."
+            )
         if still:
             said.append(f"{', '.join(still)} hardly moved: nothing is said of them. Move every joint.")
         if self._short:
             said.append(f"The fitted runs last less than {SHORTEST:.0f} s in all: record 100 s, better three minutes.")
         return tuple(said)
 
-    def _probability(self, log_odds: float) -> float:
+    def _probability(self, z: float) -> float:
+        """That a gain of so many standard errors is no chance; of short logs not beyond a half."""
         s = self.settings
-        return float(1.0 / (1.0 + np.exp(-np.clip((log_odds - s.alarm) / s.temperature, -50, 50))))
+        most = LIKELY if self._short else 1.0
+        return min(most, float(1.0 / (1.0 + np.exp(-s.steepness * (z - s.threshold)))))
 
-    def _named(self, reduction: Reduction, taken: int, most: float, held: float) -> list[Finding]:
-        """Findings of the last stage, sharing their probability with rivals; not handed back, at most `held`."""
-        result, stage = [], self.stages[-1]
-        joints = reduction.engine.joints
+    def _named(self, reduction: Reduction, stage: Stage) -> list[Finding]:
+        """Findings of the last stage, sharing their probability with rivals."""
+        assert self.search is not None
+        result, joints, opened = [], reduction.engine.joints, self.search.opened(stage)
         variance = np.diag(stage.fit.covariance)
         entries = stage.base.coordinates.entries
-        assert self.search is not None
-        for number, (one, log_odds) in enumerate(zip(stage.named, self.search.worth(stage), strict=True)):
-            if log_odds < self.settings.alarm - self.settings.temperature and number >= taken:
-                continue  # it would not be named any more, and the model handed back does without
+        lacked = [lacking(reduction, at) for at in self.stages]
+        for number, one in enumerate(stage.named):
             i = entries.index(one.coordinates[0])
-            whole = self._probability(log_odds)
-            odds = np.array([one.log_odds, *(odds for _, odds in one.rivals)]) / self.settings.temperature
-            share = np.exp(odds - odds.max())
-            share = whole * share / share.sum()
+            share = np.exp(-self.settings.steepness * np.array([0.0, *(max(r.behind.z, 0.0) for r in one.rivals)]))
+            z = one.gain.z if opened is None else min(one.gain.z, opened[number].z)
+            share = self._probability(z) * share / share.sum()
             both = zip(one.rivals, share[1:], strict=True)
-            rivals = tuple(_rival(candidate, joints, float(part)) for (candidate, _), part in both)
+            rivals = tuple(_alternative(rival.candidate, joints, float(part)) for rival, part in both)
             known = one.candidate.model.parameters()[entries[i].parameter]
-            size = float(stage.base.point[i] + (known.neutral or 0.0))
-            form = self.settings.form * stage.base.point[i]
-            half = QUANTILE * float(np.sqrt(self.settings.temperature * variance[i] + form**2))
-            made = stage.base.linear.base[i] * (stage.base.point[i] / max(abs(stage.base.point[i]), 1e-12))
-            torque = np.sqrt(np.square(made[..., reduction.kinds == 0]).mean((1, 2))) * abs(stage.base.point[i])
-            torque = torque / 2 * reduction.unit  # the mean of four pieces is half of their turned sum
-            felt = np.flatnonzero(torque > 0.1 * torque.max())
-            around = [self.stages[min(k, len(self.stages) - 1)] for k in (number, number + 1)]
-            before, after = (lacking(reduction, at) for at in around)
+            point, reach = stage.base.point[i], AT_BOUND * (entries[i].high - entries[i].low)
+            ended = point - entries[i].low < reach or entries[i].high - point < reach
+            size = float(point + (known.neutral or 0.0))
+            half = QUANTILE * float(np.sqrt(variance[i] + (self.settings.form * point) ** 2))
+            before, after = (np.square(lacked[min(k, len(lacked) - 1)]).sum() for k in (number, number + 1))
             result.append(
                 Finding(
                     one.candidate.effect.name,
@@ -232,34 +232,41 @@ class Diagnosis:
                     known.name,
                     size,
                     known.unit,
-                    (size - half, size + half),
-                    min(float(share[0]), most if number < taken else min(most, held)),
-                    log_odds,
+                    (max(size - half, known.least), min(size + half, known.most)),
+                    float(share[0]),
+                    one.log_odds,
+                    one.gain,
                     rivals,
-                    float(1 - np.square(after).sum() / np.square(before).sum()),
-                    {joints[reduction.judged[k]]: float(torque[k]) for k in felt},
-                    in_model=number < taken,
+                    float(1 - after / before),
+                    one.relevance.torque,
+                    one.relevance.load,
+                    beyond=ended and abs(point) > 0.0,
+                    opened=None if opened is None else opened[number].z,
                 )
             )
         return result
 
-    def _of_base(self, given: RobotModel, reduction: Reduction, stage: Stage, most: float) -> list[Finding]:
+    def _of_base(self, given: RobotModel, reduction: Reduction, stage: Stage) -> list[Finding]:
         """Numbers of the chain of measurement that are far from what is usual, or from what the given model says."""
         result, joints = [], reduction.engine.joints
-        for i, odds, deviation, held in unusual(given, stage.base, stage.fit, stage.judge.numbers):
-            if self._probability(odds) > LIKELY:
-                odds = min(odds, held_odds(reduction, stage.base, i, held, self.settings))
-            probability = self._probability(odds)
+        assert self.search is not None
+        base, rows = stage.base, stage.judge.rows
+        for i, odds, deviation, held in unusual(given, base, stage.fit, stage.judge.numbers):
+            if odds < self.settings.alarm:
+                continue
+            better, usual = freed(reduction, base, i, held, self.settings)
+            gain = Gain.of(self.search.held.score(better, rows), self.search.held.score(usual, rows))
+            probability = self._probability(gain.z)
             if probability <= LIKELY:
                 continue
-            entry = stage.base.coordinates.entries[i]
+            entry = base.coordinates.entries[i]
             effect = next(e for e in catalogue().values() if entry.parameter in {p.name for p in e.parameters})
             known = next(p for p in effect.parameters if p.name == entry.parameter)
-            value, half = float(stage.base.point[i]), QUANTILE * deviation
+            value, half = float(base.point[i]), QUANTILE * deviation
             where = joints if entry.joints is None else tuple(joints[j] for j in entry.joints)
-            ends, probability = (value - half, value + half), min(probability, most)
+            ends = max(value - half, known.least), min(value + half, known.most)
             place = (where, entry.joints is None)
-            told = (known.name, value, known.unit, ends, probability, odds)
+            told = (known.name, value, known.unit, ends, probability, odds, gain)
             result.append(Finding(effect.name, *place, *told, of_base=True))
         return result
 
@@ -270,7 +277,7 @@ class Diagnosis:
         for entry, value in zip(base.coordinates.entries, base.point, strict=True):
             chain = CHAIN.get(split_name(entry.parameter)[0])
             if chain is not None and entry.joints is None:
-                numbers = {"found": float(f"{value:.4g}"), "usual": chain.usual, "spread": chain.spread}
+                numbers = {"found": float(f"{value:.4g}"), "usual": chain.value, "spread": chain.spread}
                 told.append({"name": entry.parameter, **numbers, "unit": known[entry.parameter].unit})
         return told
 
@@ -284,11 +291,18 @@ class Diagnosis:
             candidate = stage.found[number]
             best.setdefault(candidate.place, (float(odds[number]), candidate))
         return [
-            plain(_rival(candidate, reduction.engine.joints, self._probability(score))) | {"log_odds": round(score, 2)}
+            {"effect": name, "joints": joints, "shared": shared, "log_odds": round(score, 2)}
             for score, candidate in best.values()
+            for name, joints, shared in [_place(candidate, reduction.engine.joints)]
         ]
 
 
-def _rival(candidate: Candidate, joints: Sequence[str], probability: float) -> Rival:
-    where = tuple(joints) if candidate.joints is None else tuple(joints[j] for j in candidate.joints)
-    return Rival(candidate.effect.name, where, candidate.joints is None, probability)
+def _place(candidate: Candidate, joints: Sequence[str]) -> tuple[str, list[str], bool]:
+    """Effect, names of its joints, and whether these are all."""
+    where = list(joints) if candidate.joints is None else [joints[j] for j in candidate.joints]
+    return candidate.effect.name, where, candidate.joints is None
+
+
+def _alternative(candidate: Candidate, joints: Sequence[str], probability: float) -> Alternative:
+    name, where, shared = _place(candidate, joints)
+    return Alternative(name, tuple(where), shared, probability)

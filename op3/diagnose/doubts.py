@@ -4,6 +4,7 @@ Numbers at a bound, basins that the logs like alike and directions that they do 
 is a number of the chain of measurement that is far from what is usual.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,23 +27,45 @@ UNTOLD = 0.8
 """Share of its prior standard deviation that a shared number keeps if the logs do not tell it."""
 
 
-def doubts(base: Base) -> list[str]:
-    """Numbers at a bound, and optima that the logs like alike."""
-    result, known = [], base.coordinates.model.parameters()
-    of = {one.name: effect for effect in base.coordinates.model.effects for one in effect.parameters}
+def at_bound(base: Base) -> list[Coordinate]:
+    """Shared numbers that logs exercise and that ended where their range does, but not what physics allows."""
+    result, known, unexercised = [], base.coordinates.model.parameters(), set(untold(base))
     for entry, value in zip(base.coordinates.entries, base.point, strict=True):
         reach, one = AT_BOUND * (entry.high - entry.low), known[split_name(entry.parameter)[0]]
         low, high = value - entry.low < reach, entry.high - value < reach
         natural = entry.low == one.least if low else entry.high == one.most
-        if entry.joints is None and entry.kind == "value" and (low or high) and not natural:
-            said = f"{entry.parameter} is at its {'smallest' if low else 'largest'} plausible value, {value:.3g}"
-            pinned = of[one.name].separating_experiment
-            result.append(said + (f" (what pins it: {pinned})" if pinned else ""))
+        shared = entry.joints is None and entry.kind == "value" and entry.parameter not in unexercised
+        if shared and (low or high) and not natural:
+            result.append(entry)
+    return result
+
+
+def opened(base: Base, numbers: Sequence[Coordinate]) -> Coordinates:
+    """The base's numbers, some of them with three times their range, as far as physics allows."""
+    known = base.coordinates.model.parameters()
+
+    def wider(entry: Coordinate) -> Coordinate:
+        limits, span = known[split_name(entry.parameter)[0]], entry.high - entry.low
+        low, high = max(entry.low - span, limits.least), min(entry.high + span, limits.most)
+        return replace(entry, low=low, high=high, deviation=3 * entry.deviation)
+
+    entries = tuple(wider(entry) if entry in numbers else entry for entry in base.coordinates.entries)
+    return replace(base.coordinates, entries=entries)
+
+
+def doubts(base: Base) -> tuple[str, ...]:
+    """Shared numbers that ended at a bound, and other starts that ended as well elsewhere."""
+    result, known = [], base.coordinates.model.parameters()
+    for entry in at_bound(base):
+        value = base.point[base.coordinates.entries.index(entry)]
+        end = "lower" if value - entry.low < entry.high - value else "upper"
+        unit = known[split_name(entry.parameter)[0]].unit
+        result.append(f"{entry.parameter} hit its {end} bound ({value:.3g} {unit})".replace(" -)", ")"))
     for point, gap in base.others:
         if gap < SAME_OPTIMUM and (far := far_apart(base.coordinates, point, base.point)):
             apart = f"{gap:.1f} apart in -2 log evidence"
             result.append(f"another start ends as well ({apart}) with other {', '.join(far)}")
-    return result
+    return tuple(result)
 
 
 def far_apart(coordinates: Coordinates, one: np.ndarray, other: np.ndarray) -> list[str]:
@@ -75,7 +98,7 @@ def unusual(
         mine = [i for i, e in enumerate(base.coordinates.entries) if e.parameter == name and e.kind == "value"]
         told = 1 / np.sqrt(curvature[mine])
         spread = own_spread(point[mine], told, chain.spread, settings) if chain.own and len(mine) > 1 else chain.spread
-        expected = given.value(name) if name in known else chain.usual
+        expected = given.value(name) if name in known else chain.value
         if name not in known and chain.none is not None:
             expected, spread = 0.0, chain.none
         for i, deviation in zip(mine, told, strict=True):
@@ -88,8 +111,10 @@ def unusual(
     return found
 
 
-def held_odds(reduction: Reduction, base: Base, number: int, held: Coordinate, settings: Settings = SETTINGS) -> float:
-    """Log odds of a number's being free against its being what is usual, all else fitted anew.
+def freed(
+    reduction: Reduction, base: Base, number: int, held: Coordinate, settings: Settings = SETTINGS
+) -> tuple[Base, Base]:
+    """The base with a number free, and the base in which it is what is usual, all else fitted anew.
 
     Where joints stick a fit may end with a number that some others might have been instead: bases in which it is held
     begin where the base is and with what is usual, and one in which it is free where the better of these ends.
@@ -104,4 +129,4 @@ def held_odds(reduction: Reduction, base: Base, number: int, held: Coordinate, s
 
     here = settle(reduction, coordinates, base.point, settings, ELSEWHERE, base.fit.state)
     usual = better(here, coordinates, point)
-    return gap_of(reduction, usual, better(base, base.coordinates, usual.point), settings) / 2
+    return better(base, base.coordinates, usual.point), usual

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from op3.diagnose.windows import WindowResiduals
+from op3.replay.windows import WindowResiduals
 
 FLOORS = {("joint", "position"): 0.0005, ("joint", "velocity"): 0.010, ("joint", "current"): 0.0035}
 """Of a reading [rad, rad/s, A]: a count of a 4096-step encoder and of 0.024 rad/s over sqrt(12), and a little more

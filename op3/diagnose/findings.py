@@ -1,7 +1,7 @@
-"""Findings, one after another: the judge's leaders estimated anew, refitted with the base, and checked backwards."""
+"""Findings, one after another: the judge's evidence proposes, predictions of runs that were left out decide."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import logsumexp
@@ -9,29 +9,79 @@ from scipy.special import logsumexp
 from op3.diagnose.base import ELSEWHERE, Base, base_numbers, settle
 from op3.diagnose.candidates import Candidate, candidates, parts_of, place_priors, secants_of_place
 from op3.diagnose.coordinates import Coordinate, Coordinates
+from op3.diagnose.doubts import AT_BOUND, at_bound, opened
+from op3.diagnose.held_out import Gain, HeldOut, Score
 from op3.diagnose.judge import Judge, Numbers, Posterior, Rows, State, log_mass
 from op3.diagnose.reduction import Reduction
+from op3.diagnose.relevance import Relevance, relevance
 from op3.diagnose.settings import SETTINGS, Settings
 
 MOST = 3
 """Findings that are looked for, and places of which candidates are refitted."""
 
-STARTS = 4
+STARTS = 2
 """Forms and secants of an effect in one place that are refitted, at most."""
 
 RELINEARISED = 60
 """Candidates whose columns are made anew around a named effect; those of the others hardly matter."""
+
+ALIKE = 0.7
+"""Correlation over runs and joints from which on two gains are gains on the same."""
+
+BEYOND = (0.2, 0.6)
+"""Shares of what is plausible from which a fault is refitted whose size nothing linear shows."""
 
 NOTHING = 1e-6
 """Torque below which a candidate does nothing here [units]."""
 
 Place = tuple[str, tuple[int, ...] | None]
 
-Estimated = tuple[int, np.ndarray, float, State]
-"""A candidate's number; how far the base's numbers move with it and its share of the secant; the judge's variances."""
 
-Refitted = tuple[float, Base, int, tuple[Coordinate, ...]]
-"""Log odds, the base around it, the candidate's number, and its own in the fit."""
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """A candidate with the size that is linear in the judge's rows.
+
+    Attributes:
+        number: of the candidate.
+        step: how far the base's numbers move with it, ``[coordinate]``.
+        share: of its secant.
+        state: the judge's variances.
+    """
+
+    number: int
+    step: np.ndarray
+    share: float
+    state: State
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """A candidate fitted with everything else, nonlinearly.
+
+    Attributes:
+        log_odds: by the evidence of the windows that were fitted.
+        base: the fit.
+        number: of the candidate.
+        coordinates: its own numbers in the fit, its size the first.
+    """
+
+    log_odds: float
+    base: Base
+    number: int
+    coordinates: tuple[Coordinate, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """A name that predicts runs that were left out as well as a finding's, and the same of them.
+
+    Attributes:
+        candidate: what it is.
+        behind: the finding's gain on it.
+    """
+
+    candidate: Candidate
+    behind: Gain
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,16 +91,18 @@ class Named:
     Attributes:
         candidate: what it is.
         coordinates: its numbers in the fit, its size the first.
-        log_odds: against its being there only a little, when it was named.
-        place_prior: how probable its place is beforehand, a logarithm.
-        rivals: names that the logs tell from it by less than `Settings.family`, with their log odds.
+        log_odds: by the evidence of the windows that were fitted, when it was named.
+        gain: of the model with it on the model without, in runs that were left out.
+        relevance: what it does.
+        rivals: names that are not distinguished from it.
     """
 
     candidate: Candidate
     coordinates: tuple[Coordinate, ...]
     log_odds: float
-    place_prior: float
-    rivals: tuple[tuple[Candidate, float], ...]
+    gain: Gain
+    relevance: Relevance
+    rivals: tuple[Rival, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +185,8 @@ class Search:
     ):
         self.reduction, self.without, self.settings = reduction, tuple(without), settings
         self.progress = progress
+        self.held = HeldOut(reduction)
+        self.considered: list[tuple[Candidate, float, Gain, Relevance]] = []
 
     def first(self, base: Base) -> Stage:
         """The judge around a base with nothing named."""
@@ -168,45 +222,41 @@ class Search:
         return Stage(base, named, found, columns, judge, judge.fit(state=state, rounds=rounds))
 
     def run(self, base: Base, most: int = MOST) -> list[Stage]:
-        """Stages with nothing named, one effect named, two, as far as the evidence goes."""
+        """Stages with nothing named, one effect named, two, as far as runs that were left out are predicted better."""
         stages = [self.first(base)]
-        for _ in range(2 * most):
-            further = None if len(stages) > most else self.further(stages[-1])
-            odds = [] if further is None else self.backward_odds(further)
-            if further is None or odds[-1] <= 0:
+        for number in range(most):
+            further = self.further(stages[-1])
+            if further is None:
                 break
-            if min(odds) > 0:
-                stages.append(further)
+            gains = self.backward(further)
+            if all(self.good(gain) for gain in gains):
+                stages.append(self._with_gains(further, gains))
             else:  # the new name makes an earlier one needless, and takes its place
-                needless = [one for one, its in zip(further.named, odds, strict=True) if its <= 0]
-                stages[-1] = self._without(further, needless)
-            self.progress(0.4 + 0.6 * len(further.named) / most)
+                kept = [one for one, gain in zip(further.named, gains, strict=True) if self.good(gain)]
+                stages[-1] = self._around(further, self._less(further, kept, 2), tuple(kept))
+            self.progress(0.4 + 0.6 * (number + 1) / most)
         self.progress(1.0)
         return stages
 
+    def good(self, gain: Gain) -> bool:
+        """Whether runs that were left out are predicted better beyond chance."""
+        return gain.z >= self.settings.threshold
+
     def further(self, stage: Stage) -> Stage | None:
-        """The stage with one more effect named; None where no candidate is worth its slab."""
+        """The stage with one more effect named; None where none is worth it."""
         odds, shared = stage.judge.scores(stage.fit), self.shared(stage)
-        while True:
-            leaders = self.leaders(stage, odds, stage.fit.state)
-            if (found := self._name(stage, leaders, shared)) is not None:
-                return found
-            if not leaders or leaders[0][0] < self.settings.alarm:
-                break
-            # of an effect that no refit finds where its odds are best, they deceive: what they hid is refitted next
-            deceive = {name for name, _ in self._leading(stage, leaders)}
-            odds = np.where([one.place[0] in deceive for one in stage.found], -np.inf, odds)
-            shared = []
+        leaders = self.leaders(stage, odds, stage.fit.state)
+        if (named := self._name(stage, [*shared, *leaders, *self._beyond_limits(stage)])) is not None:
+            return named
         # what happens in few windows only is hidden where these count for little: let them count in full to propose it,
         # and begin anew with it, so that windows which it explains count again
         gaussian = Judge(stage.judge.rows, stage.judge.numbers, self.settings, gaussian=True)
         odds = np.where(self._in_wild_windows(stage), gaussian.scores(gaussian.fit(rounds=6)), -np.inf)
         return self._name(stage, self.leaders(stage, odds, None))
 
-    def leaders(self, stage: Stage, odds: np.ndarray, state: State | None) -> list[tuple[float, Estimated]]:
-        """Log odds and numbers of candidates of a few places, estimated anew with everything else, best first.
-
-        Empty unless the best is within a family of the alarm: sizes are linear here, and a refit finds more.
+    def leaders(self, stage: Stage, odds: np.ndarray, state: State | None) -> list[Proposal]:
+        """Candidates of a few places, estimated anew with everything else, best first, and behind them those of their
+        family: other names for what they do.
 
         Args:
             odds: by which candidates are proposed, ``[candidate]``.
@@ -223,20 +273,43 @@ class Search:
         if not ranked or ranked[0][0] < s.alarm - s.family:
             return []
         rounds = 2 if state else 6
-        control, anew, own = judge.fit(state=state, rounds=rounds), [], len(stage.base.point)
-        for number in (number for _, mine in ranked[: s.leaders] for number in mine):
+        control, own = judge.fit(state=state, rounds=rounds), len(stage.base.point)
+        estimates: list[tuple[float, Proposal]] = []
+        leading = ranked[: s.leaders]
+        names = {stage.found[mine[0]].effect.name for _, mine in leading[:MOST]}
+        relatives = [(odd, mine) for odd, mine in ranked[s.leaders :] if stage.found[mine[0]].effect.related(names)]
+        for number in (number for _, mine in [*leading, *_one_of_each(stage, relatives)] for number in mine):
             with_it = judge.fit([number], state, rounds=rounds)
-            if not n.low[number] <= with_it.mean[-1] <= n.high[number]:
-                continue
+            share = float(np.clip(with_it.mean[-1], n.low[number], n.high[number]))
             truncated = float(log_mass(n.low[number], n.high[number], 0.0, n.slab[number]))
             gain = with_it.evidence - control.evidence + n.place[number] - truncated
             # what the base would do by itself it has tried: where joints stick, long steps lead astray
             step = with_it.mean[:own] - control.mean[:own]
-            anew.append((gain, (number, step, float(with_it.mean[-1]), with_it.state)))
-        anew.sort(key=lambda one: -one[0])
-        return anew if anew and anew[0][0] > s.alarm - s.family else []
+            estimates.append((gain, Proposal(number, step, share, with_it.state)))
+        estimates.sort(key=lambda one: -one[0])
+        places = list(dict.fromkeys(stage.found[one.number].place for _, one in estimates))
+        first, behind = places[:MOST], {stage.found[mine[0]].place for _, mine in relatives}
+        kept = {*first, *[place for place in places[MOST:] if place in behind][:MOST]}
+        return [one for _, one in estimates if stage.found[one.number].place in kept]
 
-    def shared(self, stage: Stage) -> list[Estimated]:
+    def _beyond_limits(self, stage: Stage) -> list[Proposal]:
+        """Faults of servos that differ as far from the others as the baseline lets them: windows of such a joint are so
+        far off that nothing linear there shows how far."""
+        base, found = stage.base, []
+        for entry, value in zip(base.coordinates.entries, base.point, strict=True):
+            reach = AT_BOUND * (entry.high - entry.low)
+            low, high = value - entry.low < reach, entry.high - value < reach
+            if entry.kind != "scale" or entry.joints is None or not (low or high):
+                continue
+            for number, one in enumerate(stage.found):
+                own = {entry.parameter} & {one.effect.name, *(p.name for p in one.effect.parameters)}
+                if one.joints == entry.joints and own:
+                    ends = stage.judge.numbers.high if high else stage.judge.numbers.low
+                    starts = [share * float(ends[number]) for share in BEYOND]
+                    found += [Proposal(number, np.zeros(len(base.point)), start, stage.fit.state) for start in starts]
+        return found
+
+    def shared(self, stage: Stage) -> list[Proposal]:
         """Candidates of all joints that are above the alarm once the base has taken a step with them, best first.
 
         Numbers that all joints share take such an effect's place as far as they can, and where they have, nothing that
@@ -259,9 +332,10 @@ class Search:
                 self.reduction.forget()
                 gain = evident - without + self._prior(stage, number, joined)
                 size = float(end.point[len(base.point)]) / one.secant[one.sized]
-                found.append((gain, (number, end.point[: len(base.point)] - base.point, size, end.fit.state)))
+                moved = end.point[: len(base.point)] - base.point
+                found.append((gain, Proposal(number, moved, size, end.fit.state)))
         found.sort(key=lambda one: -one[0])
-        return [one for gain, one in found if gain > self.settings.alarm][:MOST]
+        return [one for gain, one in found if gain > self.settings.alarm - self.settings.family][:MOST]
 
     def _joined(self, stage: Stage, number: int, share: float) -> Coordinates:
         """The base's numbers and a candidate's, which begin at a share of its secant."""
@@ -284,73 +358,80 @@ class Search:
         members = [list(one) for one in stage.judge.numbers.members]
         return np.array([wild[one].sum() > 0.5 * total[one].sum() for one in members])
 
-    def _leading(self, stage: Stage, leaders: list[tuple[float, Estimated]]) -> list[Place]:
-        """The places of leaders that are refitted."""
-        return list(dict.fromkeys(stage.found[one[0]].place for _, one in leaders))[:MOST]
-
-    def _name(
-        self, stage: Stage, leaders: list[tuple[float, Estimated]], shared: Sequence[Estimated] = ()
-    ) -> Stage | None:
-        """The leaders refitted with the base, the best named; None where it is far below the alarm."""
-        if not leaders and not shared:
+    def _name(self, stage: Stage, proposals: Sequence[Proposal]) -> Stage | None:
+        """The proposals refitted with the base; the one named that predicts runs that were left out best, with those
+        that are not distinguished from it; None where none predicts them better beyond chance, or all do too little."""
+        if not proposals:
             return None
-        # how large an effect is decides by how far odds are off that are linear in it
-        least = min(leaders[0][0] - 2 * self.settings.family, self.settings.alarm) if leaders else 0.0
-        places = self._leading(stage, [one for one in leaders if one[0] > least])
-        of_places = [one for _, one in leaders if stage.found[one[0]].place in places]
-        refitted = self._refitted(stage, [*shared, *of_places])
-        good = refitted[0][0] >= self.settings.alarm - self.settings.temperature
-        return self._with(stage, refitted) if good else None
+        refits, control = self._refitted(stage, proposals)
+        rows, own = stage.judge.rows, len(stage.base.point)
+        without = max(
+            (self.held.score(base, rows) for base in (stage.base, control)), key=lambda one: one.density.sum()
+        )
+        judged: list[tuple[Gain, Score, Refit, Relevance]] = []
+        for one in refits:
+            score = self.held.score(one.base, rows)
+            its = self.reduction.rows(one.base.linear, (), rows)
+            does = relevance(self.reduction, one.base, own, its, self.settings)
+            gain = Gain.of(score, without)
+            self.considered.append((stage.found[one.number], one.log_odds, gain, does))
+            if self.good(gain) and does.matters and one.log_odds > self.settings.alarm:
+                judged.append((gain, score, one, does))
+        if not judged:
+            return None
+        # what fitted windows and runs that were left out say together
+        gain, score, best, does = max(judged, key=lambda one: one[2].log_odds + one[0].mean * one[0].runs)
+        rivals = []
+        for _, its, one, _ in judged:
+            behind = Gain.of(score, its)
+            if one is not best and not self.good(behind) and _alike(score, its, without):
+                rivals.append(Rival(stage.found[one.number], behind))
+        named = Named(stage.found[best.number], best.coordinates, best.log_odds, gain, does, tuple(rivals))
+        return self._around(stage, best.base, (*stage.named, named))
 
-    def with_best(self, stage: Stage, estimates: Sequence[Estimated]) -> Stage:
-        """The stage with the best of what was estimated named, whatever its odds."""
-        return self._with(stage, self._refitted(stage, estimates))
+    def with_best(self, stage: Stage, proposals: Sequence[Proposal]) -> Stage:
+        """The stage with the most evident of proposals named, whether or not runs that were left out bear it out."""
+        best = self._refitted(stage, proposals)[0][0]
+        rows = stage.judge.rows
+        gain = Gain.of(self.held.score(best.base, rows), self.held.score(stage.base, rows))
+        does = relevance(self.reduction, best.base, len(stage.base.point), rows, self.settings)
+        named = Named(stage.found[best.number], best.coordinates, best.log_odds, gain, does)
+        return self._around(stage, best.base, (*stage.named, named))
 
-    def _with(self, stage: Stage, refitted: Sequence[Refitted]) -> Stage:
-        """The stage with the best of the refitted named, and those that are as good as its rivals."""
-        odds, base, number, coordinates = refitted[0]
-        rivals = tuple((stage.found[one[2]], one[0]) for one in refitted[1:] if one[0] > odds - self.settings.family)
-        prior = float(place_priors(stage.found)[number])
-        return self._around(stage, base, (*stage.named, Named(stage.found[number], coordinates, odds, prior, rivals)))
-
-    def _refitted(self, stage: Stage, estimates: Sequence[Estimated]) -> list[Refitted]:
-        """Log odds of candidates refitted with the base against the base without, and what the refit gave, the best of
-        each place, best first.
+    def _refitted(self, stage: Stage, proposals: Sequence[Proposal]) -> tuple[list[Refit], Base]:
+        """Proposals refitted with the base, the best of each place, the most evident first; and the base refitted
+        without, from where the most evident has left it.
 
         Sizes are linear in the judge's rows and too small, as the base gives way only once the effect is there; and the
         effect has one of a few shapes there, and any that is plausible here.
         """
         coordinates, point = stage.base.coordinates, stage.base.point
-        best: dict[Place, Refitted] = {}
+        best: dict[Place, Refit] = {}
 
         def refit(joined: Coordinates, start: np.ndarray, state: State, steps: int = 2) -> Stage:
             base = settle(self.reduction, joined, start, self.settings, steps, state, stage.base.linear)
             self.reduction.forget()
             return self._stage(base, stage.named, stage.found, stage.columns, state, 2, stage.judge.rows)
 
-        def compared(number: int, end: Stage, base: float) -> Refitted:
+        def compared(number: int, end: Stage, base: float) -> Refit:
             gain = end.fit.evidence - base + self._prior(stage, number, end.base.coordinates)
-            return gain, end.base, number, end.base.coordinates.entries[len(point) :]
+            return Refit(gain, end.base, number, end.base.coordinates.entries[len(point) :])
 
         alone = stage.judge.fit(state=stage.fit.state, rounds=2)
         without = refit(coordinates, point, alone.state).fit.evidence  # the base takes as many steps without
-        for number, step, share, state in estimates:
-            joined = self._joined(stage, number, share)
-            moved = np.clip(point + step, coordinates.low, coordinates.high)
-            end = compared(number, refit(joined, np.concatenate([moved, joined.start[len(point) :]]), state), without)
-            place = stage.found[number].place
-            best[place] = max(end, best.get(place, end), key=lambda one: one[0])
-        checked: set[Place] = set()
-        while True:
-            _, base, number, _ = max(best.values(), key=lambda one: one[0])
-            place = stage.found[number].place
-            if place in checked:
-                return sorted(best.values(), key=lambda one: -one[0])
-            # where joints stick the way is long; and what lets a poor base move on has no merit in what that gains
-            checked.add(place)
-            end = refit(base.coordinates, base.point, base.fit.state, ELSEWHERE)
-            back = refit(coordinates, end.base.point[: len(point)], end.base.fit.state, ELSEWHERE)
-            best[place] = compared(number, end, max(without, back.fit.evidence))
+        for one in proposals:
+            joined = self._joined(stage, one.number, one.share)
+            moved = np.clip(point + one.step, coordinates.low, coordinates.high)
+            start = np.concatenate([moved, joined.start[len(point) :]])
+            end = compared(one.number, refit(joined, start, one.state), without)
+            place = stage.found[one.number].place
+            best[place] = max(end, best.get(place, end), key=lambda one: one.log_odds)
+        # where joints stick the way is long; and what lets a poor base move on has no merit in what that gains
+        leader = max(best.values(), key=lambda one: one.log_odds)
+        end = refit(leader.base.coordinates, leader.base.point, leader.base.fit.state, ELSEWHERE)
+        back = refit(coordinates, end.base.point[: len(point)], end.base.fit.state, ELSEWHERE)
+        best[stage.found[leader.number].place] = compared(leader.number, end, max(without, back.fit.evidence))
+        return sorted(best.values(), key=lambda one: -one.log_odds), back.base
 
     def _around(self, stage: Stage, base: Base, named: tuple[Named, ...]) -> Stage:
         """The judge around a base with what was named, the leading candidates' columns made anew."""
@@ -361,36 +442,49 @@ class Search:
         columns = {**stage.columns, **self._columns(base, parts)}
         return self._stage(base, named, found, {one.key: columns[one.key] for one in parts_of(found)}, base.fit.state)
 
-    def _without(self, stage: Stage, needless: Sequence[Named]) -> Stage:
-        """The stage without some names."""
-        named = tuple(one for one in stage.named if one not in needless)
-        return self._around(stage, self._less(stage, needless, 2), named)
-
-    def _less(self, stage: Stage, needless: Sequence[Named], steps: int) -> Base:
-        """The base without some names, fitted from where it is with them."""
-        whole, gone = stage.base.coordinates, [entry for one in needless for entry in one.coordinates]
+    def _less(self, stage: Stage, kept: Sequence[Named], steps: int) -> Base:
+        """The base with some of its names only, fitted from where it is with all."""
+        gone = [entry for one in stage.named if one not in kept for entry in one.coordinates]
+        whole = stage.base.coordinates
         at = [i for i, entry in enumerate(whole.entries) if entry not in gone]
         coordinates = Coordinates(whole.model, whole.joints, tuple(whole.entries[i] for i in at))
         state, like = stage.base.fit.state, stage.base.linear
         return settle(self.reduction, coordinates, stage.base.point[at], self.settings, steps, state, like)
 
-    def worth(self, stage: Stage) -> list[float]:
-        """Log odds of every named effect: those when it was named, and no more than in the end, with its place's prior.
+    def backward(self, stage: Stage) -> list[Gain]:
+        """The gain of the model on the model without each named effect, fitted from where it is with it."""
+        rows = stage.judge.rows
+        score = self.held.score(stage.base, rows)
+        rest = [[other for other in stage.named if other is not one] for one in stage.named]
+        return [Gain.of(score, self.held.score(self._less(stage, kept, ELSEWHERE), rows)) for kept in rest]
 
-        A refit gains where it lets a poor base move on, which is not the name's merit.
-        """
-        in_the_end = zip(stage.named, self.backward_odds(stage), strict=True)
-        return [min(one.log_odds, odds + one.place_prior) for one, odds in in_the_end]
+    def opened(self, stage: Stage) -> list[Gain] | None:
+        """Gains of named effects with the ranges of numbers opened that ended at a bound, which might imitate them;
+        None where no number did."""
+        if not stage.named or not (numbers := at_bound(stage.base)):
+            return None
+        state = stage.base.fit.state
+        base = settle(self.reduction, opened(stage.base, numbers), stage.base.point, self.settings, ELSEWHERE, state)
+        return self.backward(replace(stage, base=base))
 
-    def backward_odds(self, stage: Stage) -> list[float]:
-        """Log odds of every named effect against the base without it, fitted from where it is with it, whatever its
-        place."""
-        result = []
-        for one in stage.named:
-            rest, base = tuple(other for other in stage.named if other is not one), self._less(stage, [one], ELSEWHERE)
-            without = self._stage(base, rest, stage.found, stage.columns, base.fit.state, 2, stage.judge.rows)
-            result.append(stage.fit.evidence - without.fit.evidence - _within(one.coordinates))
-        return result
+    def _with_gains(self, stage: Stage, gains: Sequence[Gain]) -> Stage:
+        """The stage with gains as they are beside all that is named."""
+        named = tuple(replace(one, gain=gain) for one, gain in zip(stage.named, gains, strict=True))
+        return replace(stage, named=named)
+
+
+def _one_of_each(stage: Stage, ranked: Sequence[tuple[float, list[int]]]) -> list[tuple[float, list[int]]]:
+    """The best place of each effect."""
+    best: dict[str, tuple[float, list[int]]] = {}
+    for odds, mine in ranked:
+        best.setdefault(stage.found[mine[0]].effect.name, (odds, mine[:1]))
+    return list(best.values())
+
+
+def _alike(one: Score, other: Score, without: Score) -> bool:
+    """Whether two models predict the same joints of the same runs better: the correlation of their gains."""
+    first, second = ((score.density - without.density).ravel() for score in (one, other))
+    return float(first @ second) > ALIKE * float(np.linalg.norm(first) * np.linalg.norm(second))
 
 
 def _within(own: Sequence[Coordinate]) -> float:

@@ -67,7 +67,7 @@ def on_other_mounts(
     for mount, logs in others.items():
         begun = [(log, float(log.array("time")[0, 0])) for log in logs]
         parts = tuple(log.between(start, start + BEGINNING) for log, start in begun)
-        shown = show(before, after, LogSplit((), (), parts, repeats(parts)), seed=seed)
+        shown = show(before, after, LogSplit((), parts, repeats(parts)), seed=seed)
         longest = max(part.duration for part in parts)
         result[mount] = {"logs": len(parts), "seconds": longest, "gap": shown["gap"], "loss": shown["loss"]}
     return result

@@ -25,7 +25,7 @@ from op3.diagnose.judge import Rows
 from op3.diagnose.rates import ESTIMATE, RATES, filtered, read, rounding
 from op3.diagnose.responses import INITIAL, Reducer, reducer, torque_responses
 from op3.diagnose.settings import SETTINGS, Settings
-from op3.diagnose.windows import WindowResiduals
+from op3.replay.windows import WindowResiduals
 from op3.servo import RobotModel, parameter
 from op3.servo.conditions import split_name
 
@@ -80,18 +80,21 @@ class Reduction:
     Args:
         engine: windows of logs.
         settings: tuned constants.
+        like: windows of the same logs, whose unit and moving joints hold here too.
 
     Attributes:
         judged: columns of the joints that are judged: all of limbs of which one joint moves.
         moving: whether each of the robot's joints moves.
         unit: one hundredth of the torque of the busiest joint [N m].
+        loads: torque of the judged joints, root mean square, ``[joint]`` [N m].
     """
 
-    def __init__(self, engine: WindowResiduals, settings: Settings = SETTINGS):
+    def __init__(self, engine: WindowResiduals, settings: Settings = SETTINGS, like: "Reduction | None" = None):
         self.engine, self.settings = engine, settings
         self.windows, self.ticks, self.count = len(engine.windows), engine.ticks, len(engine.joints)
         motion = engine.motion
-        self.moving = engine.by_window(motion.velocity).reshape(-1, self.count).std(0) > MOVES
+        moving = engine.by_window(motion.velocity).reshape(-1, self.count).std(0) > MOVES
+        self.moving = moving if like is None else like.moving
         linked = np.abs(motion.dynamics.mass).max(0) > 1e-12
         limbs, of = sparse.csgraph.connected_components(linked, directed=False)
         every = [np.flatnonzero(of == limb) for limb in range(limbs)]
@@ -100,7 +103,8 @@ class Reduction:
         self.limb_of = {int(j): k for k, limb in enumerate(self.limbs) for j in limb}
         self.slot_of = {int(j): i for limb in self.limbs for i, j in enumerate(limb)}
         needed = np.einsum("tij,tj->ti", motion.dynamics.mass, motion.acceleration) + motion.dynamics.bias
-        self.unit = 0.01 * float(np.quantile(np.abs(needed), 0.95, axis=0).max())
+        self.unit = 0.01 * float(np.quantile(np.abs(needed), 0.95, axis=0).max()) if like is None else like.unit
+        self.loads = np.sqrt(np.square(needed).mean(0))[self.judged]
         self.floor = np.where(engine.known, list(FLOORS.values()), np.inf)
         self._parts = [engine.part(limb) for limb in self.limbs] if len(every) > 1 else [engine]
         self._turn = linalg.helmert(PIECES, full=True)
@@ -109,6 +113,10 @@ class Reduction:
         self._read = read(self.ticks).astype(np.float32)
         counts = (PIECES, PIECES, RATES)
         self.kinds = np.array([2 * group + (row > 0) for group, count in enumerate(counts) for row in range(count)])
+
+    def thinned(self, windows: int) -> "Reduction":
+        """Fewer windows of the same logs."""
+        return Reduction(self.engine.thinned(windows), self.settings, self) if windows < self.windows else self
 
     def errors(
         self, model: RobotModel, sets: Mapping[str, Tensor], count: int, stretch: int = 1, **offsets: Tensor
@@ -162,11 +170,7 @@ class Reduction:
         here = self.at(coordinates, point[None])
         changes = np.zeros((len(groups), len(self.judged), self.windows, len(self.kinds)), np.float32)
         if reduced is None:
-            filters = self._filters(coordinates, point)
-            nuisances = self._nuisances(coordinates, point, [one[0] for one in here], filters)
-            both = zip(self.limbs, nuisances, strict=True)
-            made = [reducer(n, filters[limb], self.engine.period) for limb, n in both]
-            reducers, variance = tuple(m[0] for m in made), tuple(m[1] for m in made)
+            reducers, variance = self.reducers(coordinates, point, here)
         else:
             reducers, variance = reduced.reducers, reduced.variance
         lacking = -self.reduce(reducers, here)[0]
@@ -190,6 +194,29 @@ class Reduction:
                 base[i] = changes[number] / step[i]
                 base[i][~self._felt(entries[i].joints)] = 0.0
         return Linear(coordinates, point, reducers, variance, lacking, base)
+
+    def reducers(
+        self, coordinates: Coordinates, point: np.ndarray, here: Sequence[np.ndarray] | None = None
+    ) -> tuple[tuple[Reducer, ...], tuple[np.ndarray, ...]]:
+        """What makes rows of residuals around a point, and the variance of their torques, by limb.
+
+        Args:
+            here: whitened errors at the point, where they are known.
+        """
+        here = self.at(coordinates, point[None]) if here is None else here
+        filters = self._filters(coordinates, point)
+        nuisances = self._nuisances(coordinates, point, [one[0] for one in here], filters)
+        both = zip(self.limbs, nuisances, strict=True)
+        made = [reducer(n, filters[limb], self.engine.period) for limb, n in both]
+        return tuple(m[0] for m in made), tuple(m[1] for m in made)
+
+    def of_model(self, model: RobotModel) -> list[np.ndarray]:
+        """Whitened errors of a model as it is, by limb ``[1, window, residual]``."""
+        name = next(iter(model.parameters()))
+        value = model.tensors(self.engine.joints)[name].double().reshape(1, -1)
+        errors = self.errors(model, {name: value}, 1)
+        self.forget()
+        return errors
 
     def forget(self) -> None:
         """Drop what is kept of a model for further simulations."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from op3.diagnose.features import FLOORS, PIECES
 from op3.diagnose.rates import moved
-from op3.diagnose.windows import WindowResiduals
+from op3.replay.windows import WindowResiduals
 
 INITIAL = (0.0015, 0.06)
 """Standard deviations of a window's initial angle [rad] and velocity [rad/s]: what smoothing leaves."""

@@ -23,8 +23,13 @@ class Settings:
         law: usual size of what a joint does and nobody explains [units], estimated per joint about it.
         law_spread: standard deviation of its logarithm, and of that of the servos' spread.
         features: of a joint's unexplained law; twice as many change no name.
-        alarm: log odds from which on a finding is as likely as not: what sound robots reach now and then.
-        temperature: by which log odds are divided before they are probabilities; model error is not independent.
+        alarm: log odds from which on a candidate is proposed: what sound robots reach now and then.
+        threshold: standard errors over runs by which a model has to predict runs that were left out better with an
+            effect than without, at which it is as likely there as not.
+        steepness: by which each further standard error multiplies the odds, as a logarithm.
+        least_load: share of a joint's torque that an effect has to make to matter.
+        least_floor: ratio to the noise of one window's torque, current or rate that an effect has to have to matter:
+            25 windows show a fifth.
         form: standard deviation of a finding's size, as a share of it: no law is quite the robot's, and of eleven sizes
             found on robots of another simulator ten were off by 2 to 28 %.
         family: log odds within which names are one finding.
@@ -45,7 +50,10 @@ class Settings:
     law_spread: float = 0.5
     features: int = 40
     alarm: float = 6.0
-    temperature: float = 2.0
+    threshold: float = 2.0
+    steepness: float = 2.0
+    least_load: float = 0.01
+    least_floor: float = 0.2
     form: float = 0.2
     family: float = 6.0
     windows: int | None = None

@@ -1,4 +1,4 @@
-"""Which logs are fitted, which choose, and which only show."""
+"""Which logs are fitted, and on which the gap is only shown."""
 
 import re
 from collections.abc import Sequence
@@ -8,9 +8,6 @@ from itertools import pairwise
 import numpy as np
 
 from op3.rollout import LogError, Rollout, stand_tilt
-
-SELECT_SHARE = 0.25
-"""Share of the runs that are not repeats by which hypotheses are chosen."""
 
 SHOW_SHARE = 0.2
 """Share of the runs that only show, where no command was repeated."""
@@ -33,14 +30,12 @@ class LogSplit:
     """Logs by what they are used for; no log serves two purposes.
 
     Attributes:
-        fit: parameters are fitted to these.
-        select: hypotheses are ranked and chosen by these.
-        show: the gap before and after is shown on these; nothing is chosen by them.
+        fit: parameters are fitted to these, and names decided by leaving some of these out in turn.
+        show: the gap is shown on these; nothing is chosen by them.
         repeats: groups of logs with the same commands, as indices into `show`; empty where nothing was repeated.
     """
 
     fit: tuple[Rollout, ...]
-    select: tuple[Rollout, ...]
     show: tuple[Rollout, ...]
     repeats: tuple[tuple[int, ...], ...] = ()
 
@@ -48,9 +43,9 @@ class LogSplit:
 def split_logs(logs: Sequence[Rollout], seed: int = 0) -> LogSplit:
     """Split by run; fixed before anything is fitted.
 
-    Runs that repeat the same commands show, as their spread tells the noise floor. Of the others one run of every
-    kind of motion (its name without a number at the end) is chosen by until a quarter is reached. With fewer than
-    five runs, each is cut in time: the first 60 % fit, then 20 % choose, 20 % show. Logs of the same numbers are one.
+    Runs that repeat the same commands show, as their spread is the noise floor; where no command was repeated, a fifth
+    of the runs, of different motions, shows. With fewer than five runs, each is cut in time: the first 80 % fit, the
+    rest shows. Logs of the same numbers are one.
 
     Raises:
         LogError: if no log is long enough.
@@ -72,21 +67,13 @@ def split_logs(logs: Sequence[Rollout], seed: int = 0) -> LogSplit:
     if len(rest) < 3:  # then a command's runs go one way together
         alike = {group[0]: list(group) for group in groups}
         heads = [*alike, *rest]
-        if len(heads) < 3:
+        if len(heads) < 2:
             return _split_in_time(usable)
         show = [i for head in _pick(usable, heads, 1, rng) for i in alike.get(head, [head])]
-        left = [head for head in heads if head not in show]
-        select = [i for head in _pick(usable, left, 1, rng) for i in alike.get(head, [head])]
-        fit = [i for head in left if head not in select for i in alike.get(head, [head])]
-    else:
-        if not show:
-            show = _pick(usable, rest, max(1, round(SHOW_SHARE * len(rest))), rng)
-            rest = [i for i in rest if i not in show]
-        select = _pick(usable, rest, max(1, round(SELECT_SHARE * len(rest))), rng)
-        fit = [i for i in rest if i not in select]
+    elif not show:
+        show = _pick(usable, rest, max(1, round(SHOW_SHARE * len(rest))), rng)
     return LogSplit(
-        fit=tuple(usable[i] for i in fit),
-        select=tuple(usable[i] for i in select),
+        fit=tuple(log for i, log in enumerate(usable) if i not in show),
         show=tuple(usable[i] for i in show),
         repeats=tuple(tuple(show.index(i) for i in group) for group in groups if group[0] in show),
     )
@@ -143,7 +130,7 @@ def _pick(logs: Sequence[Rollout], among: Sequence[int], count: int, rng: np.ran
 def _split_in_time(logs: Sequence[Rollout]) -> LogSplit:
     parts = []
     for log in logs:
-        cuts = float(log.array("time")[0, 0]) + log.duration * np.array([0.0, 0.6, 0.8, 1.0])
+        cuts = float(log.array("time")[0, 0]) + log.duration * np.array([0.0, 0.8, 1.0])
         cuts[-1] += 1.0
         parts.append([log.between(float(begin), float(end)) for begin, end in pairwise(cuts)])
     return LogSplit(*(tuple(part) for part in zip(*parts, strict=True)))

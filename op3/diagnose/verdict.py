@@ -4,6 +4,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
+from op3.diagnose.held_out import Gain
+from op3.diagnose.window_gaps import WindowGaps, plain_gaps
 from op3.servo import RobotModel, effect_class
 
 LIKELY = 0.5
@@ -11,8 +13,8 @@ LIKELY = 0.5
 
 
 @dataclass(frozen=True)
-class Rival:
-    """A name that the logs hardly tell from a finding's."""
+class Alternative:
+    """A name that is not distinguished from a finding's."""
 
     effect: str
     joints: tuple[str, ...]
@@ -33,12 +35,16 @@ class Finding:
         unit: of the size.
         interval: 90 % interval of the size.
         probability: that this is what is missing.
-        log_odds: of the evidence behind it.
+        log_odds: of the evidence by which it was proposed.
+        gain: by how much the model with it predicts runs that were left out better than the model without.
         alternatives: what it could be confused with, with probabilities.
-        explains: share of the squared torques that the base lacks.
+        explains: share of the squared torques that the baseline fit leaves.
         torque: what it makes in the joints that feel it most [N m], root mean square.
-        of_base: whether it is a number that every base has, far from what is usual, and so in every model.
-        in_model: whether the model handed back has it.
+        load: largest share of a joint's torque that this is.
+        of_base: whether it is a number that every baseline fit has, far from what is usual.
+        opened: its gain in standard errors with the ranges opened of those numbers of the baseline that ended at a
+            bound; None where none did.
+        beyond: whether its size ended where the searched range does: it may be larger.
     """
 
     effect: str
@@ -50,27 +56,31 @@ class Finding:
     interval: tuple[float, float]
     probability: float
     log_odds: float
-    alternatives: tuple[Rival, ...] = ()
+    gain: Gain
+    alternatives: tuple[Alternative, ...] = ()
     explains: float = 0.0
     torque: Mapping[str, float] = field(default_factory=dict)
+    load: float = 0.0
     of_base: bool = False
-    in_model: bool = True
+    beyond: bool = False
+    opened: float | None = None
 
     @property
     def separate_by(self) -> str:
-        """The experiments that would tell it from its rivals."""
-        names = [self.effect, *(rival.effect for rival in self.alternatives)] if self.alternatives else []
+        """The experiments that would tell it from its alternatives."""
+        names = [self.effect, *(other.effect for other in self.alternatives)] if self.alternatives else []
         return separating(names)
 
     @property
     def likely(self) -> bool:
-        """Whether it, or one of its rivals, is more likely there than not."""
-        return self.probability + sum(rival.probability for rival in self.alternatives) > LIKELY
+        """Whether it, or one of its alternatives, is more likely there than not."""
+        return self.probability + sum(other.probability for other in self.alternatives) > LIKELY
 
     @property
     def phrase(self) -> str:
         """Name, place and size in a few words."""
         size = f"{self.size:.3g} {self.unit}".removesuffix(" -")  # pure numbers have no unit
+        size = f"at least {size}, end of the searched range" if self.beyond else size
         return f"{_place(self.effect, self.joints, self.shared)} ({self.parameter} {size})"
 
 
@@ -102,16 +112,17 @@ class Verdict:
     Attributes:
         findings: most probable first.
         joints: what each joint lacks, by name.
-        doubts: sentences about the base: numbers at a bound, other optima.
-        untold: shared numbers that the logs do not tell.
+        doubts: sentences about the baseline fit: numbers at a bound, other optima.
+        untold: shared numbers that are not identifiable from these logs.
         cannot_tell: what the logs do not show, and what to record.
-        base: the refitted base model.
-        model: the model handed back.
-        choice: by number of findings, what its model leaves of withheld runs, and which was taken.
-        gap: by channel, before and after on runs that nothing was chosen by.
+        base: the baseline fit: the given model refitted without new effects.
+        model: the returned model: the baseline with every finding.
+        windows: the gap in windows of held-out runs, in three stages; None where there are no windows.
+        gap: by channel, before and after in free-run simulations of runs that nothing was chosen by.
         loss: ``paper_eq7`` before and after on them.
         chain: the numbers of the chain of measurement, as found and as usual.
         ranking: what was considered, best first.
+        not_shown: effects that these logs would not show at any plausible size, and in which joints.
         seconds: processor time by stage.
         shown: predictions for the page.
     """
@@ -123,11 +134,12 @@ class Verdict:
     cannot_tell: tuple[str, ...]
     base: RobotModel
     model: RobotModel
-    choice: Mapping[str, Any] = field(default_factory=dict)
+    windows: WindowGaps | None = None
     gap: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     loss: Mapping[str, Any] = field(default_factory=dict)
     chain: Sequence[Mapping[str, Any]] = ()
     ranking: Sequence[Mapping[str, Any]] = ()
+    not_shown: Mapping[str, Sequence[str]] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
     shown: Mapping[str, Any] = field(default_factory=dict)
 
@@ -142,19 +154,35 @@ class Verdict:
 
     @property
     def sentence(self) -> str:
-        """The verdict in a few sentences, what speaks against it first."""
-        first = "".join(f"The base is in doubt: {text}. " for text in self.doubts)
+        """The verdict in a few sentences."""
         if self.cannot_tell and not self.joints:
-            return first + " ".join(self.cannot_tell)
+            return " ".join(self.cannot_tell)
         flagged = [joint for joint, gap in self.joints.items() if gap.flagged]
-        odd = f" What {', '.join(flagged)} does, no effect of the catalogue explains." if flagged else ""
+        odd = f" No effect of the catalogue explains what {', '.join(flagged)} does." if flagged else ""
         if not self.findings:
             said = "Nothing is missing that these logs show." if not flagged else "No effect of the catalogue is named."
-            return first + said + odd
-        for verb, likely in (("lacks", True), ("may lack", False)):
-            if said := "; ".join(_stated(finding) for finding in self.findings if finding.likely == likely):
-                first += f"The model {verb} {said}. "
-        return first.rstrip() + odd
+        else:
+            said = "; ".join(_stated(finding) for finding in self.findings)
+            said = f"The model does not include {said}."
+        return f"{said}{odd} {self.gap_sentence}".rstrip()
+
+    @property
+    def gap_sentence(self) -> str:
+        """The gap in windows of held-out runs in three stages."""
+        if self.windows is None:
+            return ""
+        one = self.windows.whole["position"]
+        floor = "" if one.floor is None else f" (repeats differ by {1e3 * one.floor:.2f})"
+        worse = (
+            f" The baseline fit of {', '.join(self.windows.worse)} is worse than the given model."
+            if self.windows.worse
+            else ""
+        )
+        return (
+            f"Error of the angle after {self.windows.length:.2g} s in held-out runs: {1e3 * one.given:.2f} mrad with"
+            f" the given model, {1e3 * one.baseline:.2f} refitted, {1e3 * one.returned:.2f} with the findings{floor}."
+            f"{worse}"
+        )
 
     def plain(self) -> dict[str, Any]:
         """The content of ``verdict.yaml``."""
@@ -165,8 +193,9 @@ class Verdict:
             "findings": [plain(one) | {"separate_by": one.separate_by} for one in self.findings],
             **{
                 name: plain(getattr(self, name))
-                for name in ("joints", "cannot_tell", "choice", "gap", "loss", "ranking", "seconds")
+                for name in ("joints", "cannot_tell", "not_shown", "gap", "loss", "ranking", "seconds")
             },
+            "windows": None if self.windows is None else plain(plain_gaps(self.windows)),
         }
 
 

@@ -10,11 +10,11 @@ import numpy as np
 import torch
 
 from op3.diagnose.base import Base
-from op3.diagnose.show import settle_time
-from op3.diagnose.windows import LENGTHS
 from op3.identify.loss import TrajectoryLoss, position_error
 from op3.identify.refine import refine
 from op3.identify.sensitivity import Box
+from op3.replay.free_runs import settle_time
+from op3.replay.windows import LENGTHS
 from op3.rollout import Rollout
 from op3.tasks import Replay
 from op3.tasks.setups import BENCH_CONTROL_PERIOD

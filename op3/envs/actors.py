@@ -72,6 +72,8 @@ class FixedGain:
     def __init__(self, policy: Any, action_map: ActionMap, p_gain: float):
         self._policy, self._joints = policy, len(action_map.joints)
         low, high = action_map.gain_low, action_map.gain_high
+        if low is None or high is None:
+            raise ValueError(f"the servos of {action_map.robot} close their own loop; they take no fixed gain")
         if not low <= p_gain <= high:
             raise ValueError(f"a fixed gain must be between {low} and {high} A/rad, got {p_gain}")
         self._share = 2 * (p_gain - low) / (high - low) - 1
@@ -98,7 +100,7 @@ def find_actor(
         FileNotFoundError: if there is no such bundle.
         ValueError: if it cannot attempt the task.
     """
-    action_map = ActionMap.around_stand()
+    action_map = task.action_map()
     baselines: dict[str, Callable[[], Any]] = {
         "hold": lambda: Hold(hold_gain, action_map),
         "zero": lambda: Zero(action_map),

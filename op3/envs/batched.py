@@ -12,16 +12,15 @@ from torchrl.envs import EnvBase
 
 from op3.envs.specs import answer, set_specs
 from op3.policy import ActionMap
-from op3.robot import board_drive, build_scene, place_tiles, stack, tile_ids
+from op3.robot import build_scene, load_robot, tile_ids
 from op3.servo import RobotModel
 from op3.sim import BatchSimulation, attach_servos
-from op3.tasks.beginning import Beginning, begin, episode_seed
-from op3.tasks.pushes import Pushes
-from op3.tasks.randomisation import Randomisation
-from op3.tasks.rules import Rules
+from op3.sim.batch_simulation import torch_view
+from op3.tasks.episodes import World, episode_seed
+from op3.tasks.mdp import Mdp
 from op3.tasks.setups import OP3_CONTROL_PERIOD
 from op3.tasks.snapshot import Probe, Snapshot
-from op3.tasks.task import POLICY_PERIOD, TICKS, Task, find_task
+from op3.tasks.task import POLICY_PERIOD, TICKS, Task
 from op3.tasks.whole_step import WholeStep
 
 
@@ -35,13 +34,13 @@ class BatchedEnv(EnvBase):
         model: effects and parameter values of the robots.
         parameters: values by parameter name, ``[num_envs]`` or ``[num_envs, joint]`` or a number, that replace the
             model's for good.
-        randomisation: draws each robot's parameters anew for every episode; None: they stay.
         gain_scale: factor on every P and D gain that is commanded, as of servos stronger or weaker than they are known.
         timestep: of the physics [s]; None: that of the scene, 1 ms.
         num_threads: threads that step the physics; 0 for all processors.
 
     Raises:
-        ValueError: if a parameter is unknown, or one that `parameters` gives is also drawn.
+        ValueError: if a term of the task cannot be, a parameter is unknown, or one that `parameters` gives is also
+            drawn.
     """
 
     def __init__(
@@ -53,40 +52,32 @@ class BatchedEnv(EnvBase):
         *,
         action_map: ActionMap | None = None,
         parameters: Mapping[str, Tensor | float] | None = None,
-        randomisation: Randomisation | None = None,
         gain_scale: float = 1.0,
         timestep: float | None = None,
         num_threads: int = 0,
     ):
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([num_envs]))
-        self.task, self.model = task, model
-        self.action_map = action_map or ActionMap.around_stand()
         if not 0 < gain_scale < inf:
             raise ValueError(f"gain_scale must be a number above 0, got {gain_scale}")
-        self._gain_scale = gain_scale
-        self.scene = build_scene(task.scene)
+        self.task, self.model = task, model
+        self.action_map = action_map or task.action_map()
+        self._gain_scale, self._num_envs, self._num_threads = gain_scale, num_envs, num_threads
+        self.scene = build_scene(task.scene, robot=load_robot(task.robot))
         attach_servos(self.scene.joints)
-        self._num_envs, self._num_threads = num_envs, num_threads
-        self._randomisation = randomisation
-        self._drawn = {} if randomisation is None else randomisation.bounds(model)
+        self.mdp = Mdp(task, self.scene, model, self.action_map, num_envs)
+        drawn = self.mdp.event("randomisation")
+        self.parameters_drawn: dict[str, Tensor] = {} if drawn is None else drawn.drawn
+        """Values that the episodes' robots drew, by parameter, ``[num_envs]``."""
         self._fixed = dict(parameters or {})
-        clash = sorted(set(self._drawn) & set(self._fixed))
-        if clash:
+        if clash := sorted(set(self.parameters_drawn) & set(self._fixed)):
             raise ValueError(f"parameter {clash[0]!r} is both given and drawn; name it in one place")
-        self.parameters_drawn = {name: torch.zeros(num_envs, dtype=torch.float64) for name in self._drawn}
         self.timestep = self._simulate(timestep)
-        self._beginnings: dict[int, Beginning] = {}
-        self.rules = Rules(task, self.action_map, num_envs)
-        self._beginning_task = task
-        self._board: Any = None
-        self.pushes: Pushes | None = None
-        """What pushes the trunks; those of the episodes, unless others are set after a reset."""
         self.episode_seeds = np.zeros(num_envs, dtype=np.int64)
         self.commander: Any = None
         """Commands the servos itself at every tick, as `op3.tasks.StiffWalk` does; None: the actions do."""
         self.on_tick: Callable[[int], None] | None = None
         """Called with the number of the tick in the step, before it; a recorder looks at the robots here."""
-        set_specs(self, task, self.action_map, num_envs)
+        set_specs(self, task, self.action_map, self.mdp.observer.size, num_envs)
         self.set_seed(seed)
 
     def _simulate(self, timestep: float | None) -> float:
@@ -102,21 +93,28 @@ class BatchedEnv(EnvBase):
             self.model,
             self._num_envs,
             control_period=OP3_CONTROL_PERIOD,
-            base_body=robot.trunk.full_identifier,
+            base_body=None if robot.robot.file.base is None else robot.trunk.full_identifier,
             num_threads=self._num_threads,
         )
-        batch = self.simulation.batch
-        self._qpos, self._qvel = batch.bind("qpos"), batch.bind("qvel")
-        self._forces = batch.bind("qfrc_applied")
-        with_feet = self.task.cycle is not None
-        self._probe = Probe(batch.model, self.scene, with_feet)
+        batch, with_feet = self.simulation.batch, self.task.gait is not None
+        self._qpos, self._qvel, self._sites = (batch.bind(name) for name in ("qpos", "qvel", "site_xpos"))
+        self._bodies = batch.bind("xpos"), batch.bind("xquat")
         self._sensordata = self.simulation.sensordata
+        self._probe = Probe(batch.model, self.scene, with_feet)
         self._whole_step = WholeStep(batch.model, self.scene, self._num_envs, with_feet)
-        self._sites = batch.bind("site_xpos")
         self.simulation.on_step = self._look
-        self._tiles = tile_ids(batch.model)
-        self._geom_pos = batch.expand("geom_pos") if len(self._tiles) else None
-        self._trunk = batch.bind("xfrc_applied")[:, batch.model.body(robot.trunk.full_identifier).id]
+        base = batch.model.body(robot.trunk.full_identifier).id
+        self.mdp.attach(
+            World(
+                model=batch.model,
+                qpos=self._qpos,
+                qvel=self._qvel,
+                qfrc_applied=batch.bind("qfrc_applied"),
+                base_wrench=batch.bind("xfrc_applied")[:, base],
+                geom_pos=batch.expand("geom_pos") if len(tile_ids(batch.model)) else None,
+                set_parameters=lambda _: self.set_parameters(self._fixed),
+            )
+        )
         if self._fixed:
             self.simulation.set_parameters(self._fixed)
         return self.simulation.timestep
@@ -125,6 +123,11 @@ class BatchedEnv(EnvBase):
     def num_envs(self) -> int:
         """Number of robots."""
         return self._num_envs
+
+    @property
+    def policy_period(self) -> float:
+        """Time between steps [s]."""
+        return POLICY_PERIOD
 
     def _set_seed(self, seed: int | None) -> None:
         self.seed = 0 if seed is None else int(seed)
@@ -139,7 +142,7 @@ class BatchedEnv(EnvBase):
         rows = mask.nonzero()[:, 0].tolist()
         seeds = {row: episode_seed(self.seed, row, int(self._episodes[row])) for row in rows}
         self._episodes[rows] += 1
-        return self._begin(mask, seeds)
+        return self._begin(seeds)
 
     def begin(self, episodes: Mapping[int, int]) -> TensorDict:
         """Put some robots down for chosen episodes, in which all robots find the same beginning.
@@ -150,74 +153,41 @@ class BatchedEnv(EnvBase):
         Returns:
             The state of all robots, as `reset` gives it.
         """
-        mask = torch.zeros(self.num_envs, dtype=torch.bool)
-        mask[list(episodes)] = True
-        return self._begin(mask, {row: episode_seed(self.seed, 0, number) for row, number in episodes.items()})
+        return self._begin({row: episode_seed(self.seed, 0, number) for row, number in episodes.items()})
 
-    def practise(
-        self, speed_bonus: float = 0.0, largest_lag: float = inf, timestep: float | None = None, **task: float
-    ) -> None:
-        """What learning begins with and grows out of.
+    def practise(self, timestep: float | None = None, **values: float) -> None:
+        """Change numbers of the task, as curricula do.
 
         Args:
-            speed_bonus: see `op3.tasks.rules.Rules`.
             timestep: of the physics [s], from when all robots begin together the next time; None: as it is.
-            **task: numbers of the task, such as `terrain_height`, for the episodes that begin from now on.
+            **values: by the path of the term, see `op3.tasks.mdp.Mdp.set`. What is drawn when an episode begins changes
+                for the episodes to come.
         """
-        self.rules.speed_bonus, self.rules.largest_lag = speed_bonus, largest_lag
         self.timestep = self.timestep if timestep is None else timestep
-        self._beginning_task = find_task(self.task, **task)
+        for path, value in values.items():
+            self.mdp.set(path, value)
 
     def set_parameters(self, values: Mapping[str, Tensor | float]) -> None:
         """Give robots other parameters from now on, as the constructor's `parameters`."""
         self._fixed = dict(values)
-        self.simulation.set_parameters({**self._fixed, **self._drawn_values()})
-
-    def _drawn_values(self) -> dict[str, Tensor]:
-        """What has been drawn, by joint where the model has joints that differ."""
         joints = self.scene.joint_names
-        return {name: self.model.for_joints(name, value, joints) for name, value in self.parameters_drawn.items()}
+        drawn = {name: self.model.for_joints(name, value, joints) for name, value in self.parameters_drawn.items()}
+        self.simulation.set_parameters({**self._fixed, **drawn})
 
-    def _begin(self, mask: Tensor, seeds: Mapping[int, int]) -> TensorDict:
-        rows = np.array(sorted(seeds))
-        for row, seed in seeds.items():
-            self.episode_seeds[row] = seed
-            self._beginnings[row] = begin(self._beginning_task, self.scene, seed)
-        self._place(rows)
-        phase = torch.tensor([self._beginnings[row].phase for row in range(self.num_envs)], dtype=torch.float64)
-        return answer(self.task, self.rules.begin(self.snapshot(), mask, phase))
-
-    def _place(self, rows: np.ndarray) -> None:
-        """Put robots at their beginnings, on their grounds, with their parameters."""
-        chosen = [self._beginnings[row] for row in rows]
-        if self._randomisation is not None:
-            for row in rows:
-                drawn = self._randomisation.draw(self.model, int(self.episode_seeds[row]))
-                for name, value in drawn.items():
-                    self.parameters_drawn[name][row] = value
-            self.simulation.set_parameters({**self._fixed, **self._drawn_values()})
-        if self._geom_pos is not None:
-            heights = [self._beginnings[row].tiles for row in range(self.num_envs)]
-            place_tiles(self._geom_pos, self._tiles, np.stack([h for h in heights if h is not None]))
-        qpos, qvel = (np.stack([getattr(b, name) for b in chosen]) for name in ("qpos", "qvel"))
-        commands = self._scaled(self.rules.resting_commands(len(rows)))
-        self.simulation.reset(qpos, commands, qvel, rows=None if len(rows) == self.num_envs else rows)
-        if self.task.board is not None:
-            motions: list[Any] = [self._beginnings[row].board for row in range(self.num_envs)]
-            if self._board is None:
-                self._drive: Any = board_drive(self.simulation.batch.model, motions[0], OP3_CONTROL_PERIOD)
-            self._board = stack(motions)
-        if self.task.push:
-            pushes = [beginning.push for beginning in chosen if beginning.push is not None]
-            if self.pushes is None:  # all robots begin together the first time
-                self.pushes = Pushes(pushes)
-            else:
-                self.pushes.replace(rows, pushes)
+    def _begin(self, seeds: Mapping[int, int]) -> TensorDict:
+        rows = np.array(sorted(seeds), dtype=np.int64)
+        drawn = np.array([seeds[int(row)] for row in rows], dtype=np.int64)
+        self.episode_seeds[rows] = drawn
+        episodes = self.mdp.begin(rows, drawn)
+        commands = self._scaled(self.mdp.resting_commands(len(rows)))
+        every = len(rows) == self.num_envs
+        self.simulation.reset(episodes.qpos, commands, episodes.qvel, rows=None if every else rows)
+        return answer(self.task, self.mdp.begun(self.snapshot()))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         action = tensordict["action"].double()
         self.simulation.command(**self._scaled(self.action_map.commands(action)))
-        time = self.rules.time.numpy()
+        time = self.mdp.time.numpy()
         self._whole_step.begin(self._sites)
         for tick in range(TICKS):
             now = time + tick * OP3_CONTROL_PERIOD
@@ -225,13 +195,10 @@ class BatchedEnv(EnvBase):
                 self.simulation.command(**self.commander.commands(torch.from_numpy(now)))
             if self.on_tick is not None:
                 self.on_tick(tick)
-            if self.pushes is not None:
-                self.pushes.drive(now, self._trunk)
-            if self._board is not None:
-                self._drive.apply(self._board, now, self._qpos, self._qvel, self._forces)
+            self.mdp.tick(now)
             self.simulation.advance()
         throughout = self._whole_step.result()
-        outcome = self.rules.finish(action, self.snapshot(), throughout, self.simulation.failed)
+        outcome = self.mdp.finish(action, self.snapshot(), throughout, self.simulation.failed)
         return answer(self.task, outcome.observation, outcome, throughout)
 
     def _scaled(self, commands: dict[str, Tensor]) -> dict[str, Tensor]:
@@ -246,12 +213,6 @@ class BatchedEnv(EnvBase):
 
     def snapshot(self) -> Snapshot:
         """The robots now."""
-        simulation = self.simulation
-        return self._probe.read(
-            torch.from_numpy(self._qpos), torch.from_numpy(self._qvel), self._sensordata, simulation.measure()
-        )
-
-    @property
-    def policy_period(self) -> float:
-        """Time between steps [s]."""
-        return POLICY_PERIOD
+        arrays = (self._qpos, self._qvel, *self._bodies, self._sites)
+        qpos, qvel, place, turn, sites = map(torch_view, arrays)
+        return self._probe.read(qpos, qvel, self._sensordata, (place, turn), sites, self.simulation.measure())

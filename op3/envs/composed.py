@@ -9,7 +9,7 @@ from torchrl.envs import EnvBase
 from op3.envs.specs import answer, set_specs
 from op3.policy import ActionMap
 from op3.servo import RobotModel
-from op3.tasks.locomotion import LocomotionTask, locomotion_environment
+from op3.tasks.composer_task import ComposerTask, composer_environment
 from op3.tasks.task import Task
 
 
@@ -25,10 +25,10 @@ class ComposerEnv(EnvBase):
 
     def __init__(self, task: Task, model: RobotModel, seed: int = 0, *, action_map: ActionMap | None = None):
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([1]))
-        self.composer_task = LocomotionTask(task, model, seed, action_map)
-        self.composer = locomotion_environment(self.composer_task, seed)
+        self.composer_task = ComposerTask(task, model, seed, action_map)
+        self.composer = composer_environment(self.composer_task, seed)
         self.task, self.model, self.action_map = task, model, self.composer_task.action_map
-        set_specs(self, task, self.action_map, 1)
+        set_specs(self, task, self.action_map, self.composer_task.mdp.observer.size, 1)
 
     def _set_seed(self, seed: int | None) -> None:
         self.composer_task.seed(0 if seed is None else int(seed))

@@ -8,8 +8,9 @@ from torchrl.envs import EnvBase
 
 from op3.envs.batched import BatchedEnv
 from op3.envs.composed import ComposerEnv
+from op3.robot import load_robot
 from op3.servo import RobotModel
-from op3.sim import load_model
+from op3.sim import model_for
 from op3.tasks.randomisation import Randomisation
 from op3.tasks.task import Task, find_task
 
@@ -28,8 +29,9 @@ def make_env(
     """An environment with the keys observation, action, reward, reward_terms, done, terminated and truncated.
 
     Args:
-        task: a `Task`, or a name from `op3.tasks.TASKS`.
-        model: a model, the path of a model.yaml, or a name from `op3.sim.model_names`.
+        task: a `Task`, or the name of one in ``conf/task``.
+        model: a model, the path of a model.yaml, a name from `op3.sim.model_names`, or ``own``: that of the robot's
+            file, else one made of its servos.
         num_envs: number of robots; None: 64, and one with the composer backend, which has no more.
         backend: ``batched`` steps all robots together; ``composer`` is the same task in dm_control composer.
         randomisation: "ranges" (Table I) or "intervals" (the model's own) draws each robot's parameters anew for every
@@ -40,23 +42,23 @@ def make_env(
     """
     task = find_task(task)
     if not isinstance(model, RobotModel):
-        name, model = model, load_model(model)
-        if "current_pd" not in model.effect_names:
+        name, model = model, model_for(load_robot(task.robot), None if model == "own" else model)
+        if "current_pd" not in model.effect_names and task.action_map().gain_low is not None:
             raise ValueError(f"model={name}: its servos take no gains, which a task commands; choose one such as paper")
     if isinstance(randomisation, str):
         randomisation = Randomisation(randomisation)  # type: ignore[arg-type]
+    if randomisation is not None:
+        task = task.changed({"events.randomisation": {"source": randomisation.source, "names": randomisation.names}})
     kinds = {"batched": BatchedEnv, "composer": ComposerEnv}
     if backend in kinds:
-        taken = ("self", "task", "model", "num_envs", "seed", "randomisation")
+        taken = ("self", "task", "model", "num_envs", "seed")
         known = [name for name in signature(kinds[backend].__init__).parameters if name not in taken]
         if unknown := [name for name in options if name not in known]:
             raise ValueError(f"the {backend} environment has no option {unknown[0]!r}; it has {', '.join(known)}")
     if backend == "batched":
-        return BatchedEnv(
-            task, model, 64 if num_envs is None else num_envs, seed, randomisation=randomisation, **options
-        )
+        return BatchedEnv(task, model, 64 if num_envs is None else num_envs, seed, **options)
     if backend == "composer":
-        if num_envs not in (None, 1) or randomisation is not None:
+        if num_envs not in (None, 1) or "randomisation" in task.terms("events"):
             raise ValueError(
                 f"the composer backend has one robot without randomisation, got {num_envs} with "
                 f"randomisation={randomisation}: use backend='batched'"

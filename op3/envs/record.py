@@ -8,7 +8,6 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from op3.envs.batched import BatchedEnv
-from op3.robot import load_robot
 from op3.rollout import Metadata, Rollout
 from op3.sim import model_hash
 from op3.tasks.setups import OP3_CONTROL_PERIOD
@@ -45,7 +44,7 @@ class _Tape:
             ("command", "p_gain"): signals.p_gain,
             ("command", "d_gain"): signals.d_gain,
         }
-        if env.commander is not None:
+        if env.commander is not None or env.action_map.gain_low is None:
             del row["command", "p_gain"], row["command", "d_gain"]
             row["command", "firmware_gain"] = signals.firmware_gain
         self.ticks.append({key: value.clone() for key, value in row.items()})
@@ -53,9 +52,10 @@ class _Tape:
     def fill(self, observation: Tensor, action: Tensor, reward: Tensor) -> None:
         """Add what the policy saw, did and got to the ticks of the step that is over."""
         if self._env.commander is not None:  # what it commanded, on the scale of actions, as if with the highest gain
-            made, legs = self._env.action_map, load_robot().indices(self._env.action_map.joints)
+            made = self._env.action_map
+            legs = self._env.mdp.robot.indices(made.joints)
             target = self.ticks[-TICKS]["command", "position"][:, legs]
-            action = made.action(target, torch.full_like(target, made.gain_high))
+            action = made.action(target, torch.full_like(target, made.gain_high or 0.0))
         for row in self.ticks[-TICKS:]:
             row["policy", "observation"] = observation.double()
             row["policy", "action"] = action.double()
@@ -131,8 +131,9 @@ def _log(
     drawn = {name: float(values[robot]) for name, values in env.parameters_drawn.items()}
     extra: Mapping[str, Any] = {"task": env.task.name, **({"parameters": drawn} if drawn else {})}
     metadata = Metadata(
-        joints=load_robot().joints,
+        joints=env.mdp.robot.joints,
         robot="simulated",
+        robot_file=env.mdp.robot.reference,
         mount=env.scene.mount,
         rate=1.0 / OP3_CONTROL_PERIOD,
         policy_rate=1.0 / env.policy_period,

@@ -84,7 +84,10 @@ class ReturnsBench:
         """
         numbers = range(self.episodes) if episodes is None else episodes
         given = {name: torch.as_tensor(v, dtype=torch.float64) for name, v in (parameters or {}).items()}
-        parameters = {name: self.model.for_joints(name, value, load_robot().joints) for name, value in given.items()}
+        parameters = {
+            name: self.model.for_joints(name, value, load_robot(self.task.robot).joints)
+            for name, value in given.items()
+        }
         total = candidates * len(numbers)
         env = self._environment(_rows(total))
         tally = _Tally(env, self.task, total)
@@ -165,7 +168,7 @@ class _Tally:
         action = action.double()
         previous = torch.where(fresh, action, self._previous)
         orientation, rates = before.readings["orientation"], before.readings["angular_velocity"]
-        velocity = swayed(rates) if self._task.cycle is None else None
+        velocity = swayed(rates, self._env.scene.robot_file) if self._task.cycle is None else None
         reward = evaluation_terms(
             self._task, action, previous, before.current, orientation, rates, before.specific_force, velocity
         )

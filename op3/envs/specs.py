@@ -7,7 +7,7 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from op3.policy import ActionMap
-from op3.tasks.rules import Outcome
+from op3.tasks.mdp import Outcome
 from op3.tasks.task import Task
 from op3.tasks.whole_step import Throughout
 
@@ -15,11 +15,11 @@ MEASURES = ("peak_force", "peak_acceleration", "peak_penetration", "self_contact
 """What training logs of a step besides the reward, see `op3.tasks.whole_step.Throughout`."""
 
 
-def set_specs(env: EnvBase, task: Task, action_map: ActionMap, num_envs: int) -> None:
+def set_specs(env: EnvBase, task: Task, action_map: ActionMap, observation_size: int, num_envs: int) -> None:
     """Give an environment its specs.
 
     Observations, actions and rewards are float32; ``reward_terms`` holds the weighted contributions to the reward,
-    which is 1 plus their sum.
+    which is their sum.
     """
     batch = torch.Size([num_envs])
 
@@ -30,7 +30,7 @@ def set_specs(env: EnvBase, task: Task, action_map: ActionMap, num_envs: int) ->
         return Binary(n=1, shape=torch.Size([num_envs, 1]), dtype=torch.bool)
 
     env.observation_spec = Composite(
-        observation=numbers(task.observation_size),
+        observation=numbers(observation_size),
         reward_terms=Composite({name: numbers(1) for name in task.reward_terms}, shape=batch),
         measure=Composite({name: numbers(1) for name in MEASURES}, shape=batch),
         shape=batch,

@@ -2,20 +2,18 @@
 
 from op3.policy.actions import ActionMap
 from op3.policy.bundle import PolicyBundle
-from op3.policy.leg_kinematics import LegKinematics, leg_kinematics
+from op3.policy.leg_kinematics import leg_kinematics
 from op3.policy.manifest import Manifest, Training
-from op3.policy.observation import BALANCE_LAYOUT, WALK_LAYOUT, History, layout_slices, observe
+from op3.policy.observation import Observer, layout_slices
+from op3.policy.observations import Sensed
 
 __all__ = [
-    "BALANCE_LAYOUT",
-    "WALK_LAYOUT",
     "ActionMap",
-    "History",
-    "LegKinematics",
     "Manifest",
+    "Observer",
     "PolicyBundle",
+    "Sensed",
     "Training",
     "layout_slices",
     "leg_kinematics",
-    "observe",
 ]

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from op3.robot import DEFAULT, load_robot
-from op3.settings import Listed, NotNegative, Number, Some, Text, settings
+from op3.robot import DEFAULT, Robot, load_robot
+from op3.settings import Listed, NotNegative, Number, Some, Text, nearest, settings
 
 Array = TypeVar("Array", NDArray[Any], torch.Tensor)
 
@@ -39,14 +39,14 @@ HELD_GAIN = 6.0
 class ActionMap:
     """Actions in [-1, 1] as target angles and P gains, both linear in the action.
 
-    An action ``[..., 2 joint]`` holds first the angle of every joint, then its gain. Values beyond [-1, 1] are
-    clipped, so no action commands an angle outside the range.
+    An action ``[..., 2 joint]`` holds first the angle of every joint, then its gain; of servos that close their own
+    loop it holds angles alone. Values beyond [-1, 1] are clipped, so no action commands an angle outside the range.
 
     Attributes:
         joints: the controlled joints, in the order of the action.
         position_low: target angle [rad] of each joint at action -1.
         position_high: target angle [rad] of each joint at action +1.
-        gain_low: P gain at action -1 [A/rad].
+        gain_low: P gain at action -1 [A/rad]; None: the servos close their own loop and take no gains.
         gain_high: P gain at action +1 [A/rad]; equal to `gain_low`, the gain is fixed whatever the action says.
         d_gain: D gain of every joint [A s/rad].
         robot: whose joints these are.
@@ -55,8 +55,8 @@ class ActionMap:
     joints: Some[str]
     position_low: Listed[Number]
     position_high: Listed[Number]
-    gain_low: NotNegative = GAIN_LOW
-    gain_high: NotNegative = GAIN_HIGH
+    gain_low: NotNegative | None = GAIN_LOW
+    gain_high: NotNegative | None = GAIN_HIGH
     d_gain: NotNegative = D_GAIN
     robot: Text = DEFAULT
 
@@ -76,18 +76,51 @@ class ActionMap:
                 raise ValueError(
                     f"action map: {joint} ranges from {low} to {high} rad; it must rise within [{lowest}, {highest}]"
                 )
-        if not self.gain_low <= self.gain_high:
+        if (self.gain_low is None) != (self.gain_high is None):
+            raise ValueError("action map: gain_low and gain_high are given together, or neither")
+        if self.gain_low is not None and self.gain_high is not None and not self.gain_low <= self.gain_high:
             raise ValueError(f"action map: gains must not fall, got {self.gain_low} to {self.gain_high} A/rad")
 
     @classmethod
-    def around_stand(cls, span: float = SPAN, joints: tuple[str, ...] | None = None) -> "ActionMap":
+    def of_terms(cls, terms: Mapping[str, Mapping[str, Any]], robot: Robot) -> "ActionMap":
+        """What the action terms of a task command.
+
+        Args:
+            terms: ``position`` with ``span`` [rad] about the home pose and ``joints``, by default those that the
+                robot's file calls controlled; ``p_gain`` with ``low`` and ``high`` [A/rad], equal for a fixed gain, or
+                none for servos that close their own loop.
+
+        Raises:
+            ValueError: naming the term and the field that is unknown or missing.
+        """
+        known = {"position": ("span", "joints"), "p_gain": ("low", "high"), "d_gain": ("value",)}
+        for name, fields in terms.items():
+            if name not in known:
+                raise ValueError(f"actions.{name}: there is no such action term{nearest(name, known)}")
+            if unknown := [entry for entry in fields if entry not in known[name]]:
+                raise ValueError(f"actions.{name}.{unknown[0]}: unknown field{nearest(unknown[0], known[name])}")
+        if "position" not in terms:
+            raise ValueError("actions.position is missing: give it, for example {span: 0.4}")
+        gain, joints = terms.get("p_gain"), terms["position"].get("joints")
+        made = cls.around_stand(terms["position"].get("span", SPAN), None if joints is None else tuple(joints), robot)
+        if gain is None or all(servo.loop == "firmware" for servo in robot.servos):
+            return dataclasses.replace(made, gain_low=None, gain_high=None)
+        low, high = gain.get("low", GAIN_LOW), gain.get("high", GAIN_HIGH)
+        d_gain = terms.get("d_gain", {}).get("value", D_GAIN)
+        return dataclasses.replace(made, gain_low=low, gain_high=high, d_gain=d_gain)
+
+    @classmethod
+    def around_stand(
+        cls, span: float = SPAN, joints: tuple[str, ...] | None = None, robot: Robot | None = None
+    ) -> "ActionMap":
         """Targets within `span` [rad] of the stand pose, clipped to the soft limits.
 
         Args:
             span: largest distance from the stand pose [rad].
             joints: the controlled joints; None: those of the robot.
+            robot: whose; None: the OP3.
         """
-        robot = load_robot()
+        robot = load_robot() if robot is None else robot
         joints = robot.controlled if joints is None else joints
         places = robot.indices(joints)
         stand, (low, high) = robot.home[places], robot.limits[places].T
@@ -95,6 +128,7 @@ class ActionMap:
             tuple(joints),
             tuple(round(float(value), 9) for value in np.clip(stand - span, low, high)),
             tuple(round(float(value), 9) for value in np.clip(stand + span, low, high)),
+            robot=robot.reference,
         )
 
     @property
@@ -105,8 +139,8 @@ class ActionMap:
 
     @property
     def size(self) -> int:
-        """Numbers in an action: an angle and a gain per joint."""
-        return 2 * len(self.joints)
+        """Numbers in an action: an angle per joint, and a gain where the servos take any."""
+        return (1 if self.gain_low is None else 2) * len(self.joints)
 
     def targets(self, action: Array) -> tuple[Array, Array]:
         """Target angles and P gains of actions.
@@ -115,7 +149,8 @@ class ActionMap:
             action: [..., 2 joint], numpy or torch.
 
         Returns:
-            position_target [..., joint] in rad and p_gain [..., joint] in A/rad, of the kind given.
+            position_target [..., joint] in rad and p_gain [..., joint] in A/rad, of the kind given; no gains
+            [..., 0] for servos that close their own loop.
 
         Raises:
             ValueError: if the last axis has another length.
@@ -135,10 +170,13 @@ class ActionMap:
             action: [..., 2 joint], numpy or torch.
 
         Returns:
-            position_target in rad, p_gain in A/rad and d_gain in A s/rad, each [..., robot joint] of the kind given.
+            position_target in rad, p_gain in A/rad and d_gain in A s/rad, each [..., robot joint] of the kind given;
+            the target alone for servos that close their own loop.
         """
         position, p_gain = self.targets(action)
         robot = load_robot(self.robot)
+        if self.gain_low is None:
+            return {"position_target": self._whole(robot.home, position)}
         return {
             "position_target": self._whole(robot.home, position),
             "p_gain": self._whole(np.full(len(robot.joints), HELD_GAIN), p_gain),
@@ -158,13 +196,16 @@ class ActionMap:
 
         Args:
             position_target: [..., joint] in rad, clipped to the range.
-            p_gain: [..., joint] in A/rad, clipped to the range.
+            p_gain: [..., joint] in A/rad, clipped to the range; ignored for servos that close their own loop.
 
         Returns:
             [..., 2 joint] in [-1, 1].
         """
-        for values, name in ((position_target, "position_target"), (p_gain, "p_gain")):
-            self._check(values, len(self.joints), name)
+        self._check(position_target, len(self.joints), "position_target")
+        if self.gain_low is None:
+            p_gain = position_target[..., :0]
+        else:
+            self._check(p_gain, len(self.joints), "p_gain")
         if isinstance(position_target, torch.Tensor):
             values: Any = torch.cat([position_target, torch.as_tensor(p_gain).to(position_target)], -1)
         else:
@@ -180,7 +221,7 @@ class ActionMap:
             p_gain: P gain of every joint [A/rad]; the highest where None.
         """
         gain = self.gain_high if p_gain is None else p_gain
-        return self.action(load_robot(self.robot).home[self._places], np.full(len(self.joints), gain))
+        return self.action(load_robot(self.robot).home[self._places], np.full(len(self.joints), gain or 0.0))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for a manifest."""
@@ -204,12 +245,13 @@ class ActionMap:
     @cached_property
     def _range(self) -> NDArray[np.float64]:
         """Lowest and highest commands [2, 2 joint]."""
-        count = len(self.joints)
+        count = 0 if self.gain_low is None else len(self.joints)
         return np.array(
             [
                 (*self.position_low, *[self.gain_low] * count),
                 (*self.position_high, *[self.gain_high] * count),
-            ]
+            ],
+            dtype=float,
         )
 
     @cached_property

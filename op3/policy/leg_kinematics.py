@@ -3,44 +3,54 @@
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false
 
+from collections.abc import Sequence
 from functools import lru_cache
 
+import mujoco
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from op3.robot import load_robot
+from op3.robot import Robot
 
 
-class LegKinematics:
-    """Forward kinematics of both legs, batched, in torch float64, differentiable.
+class Chains:
+    """Forward kinematics of chains of hinges that hang on the base, batched, in torch float64, differentiable.
 
-    Link offsets, axes and key points are read from the robot's model; use the shared `leg_kinematics`.
+    Joints turn about axes where the robot has them at angle zero, one after the other from the
+    foot inwards (product of exponentials; Brockett 1984). Use the shared `leg_kinematics`.
+
+    Args:
+        chains: names of the joints of each chain, equally many, from the base outwards.
+        points: ``[chain, point, xyz]`` in the world of the robot's bare model at angle zero.
     """
 
-    def __init__(self):
-        robot = load_robot()
-        model, names = robot.bare_model, robot.legs
-        self._count, self._length = len(robot.joints), len(names[0])
-        joints = [[model.joint(name) for name in leg] for leg in names]
-        # [joint of the leg, leg, ...]
-        self._index = torch.from_numpy(np.array([robot.indices(leg) for leg in names]).T.copy())
-        offset = np.array([[model.body(int(joint.bodyid[0])).pos for joint in leg] for leg in joints])
-        axis = np.array([[joint.axis for joint in leg] for leg in joints])
-        if any(model.body(int(j.bodyid[0])).quat[0] != 1.0 or j.pos.any() for leg in joints for j in leg):
-            raise ValueError(f"{robot.model_path}: leg links must be parallel to the trunk, joints at their origins")
-        self._offset = torch.from_numpy(offset.swapaxes(0, 1).copy())
-        self._axis = torch.from_numpy(axis.swapaxes(0, 1).copy())
-        skew = torch.zeros(self._length, 2, 3, 3, dtype=torch.float64)
-        x, y, z = self._axis.unbind(-1)
+    def __init__(self, robot: Robot, chains: Sequence[Sequence[str]], points: NDArray[np.float64]):
+        data, model = _at_zero(robot), robot.bare_model
+        self._count, self._length, self._chains = len(robot.joints), len(chains[0]), len(chains)
+        base = 0 if robot.file.base is None else model.body(robot.file.base).id
+        place, turn = data.xpos[base].copy(), data.xmat[base].reshape(3, 3).copy()
+        joints = np.array([[model.joint(name).id for name in chain] for chain in chains])
+        # [joint of the chain, chain, ...]
+        self._index = torch.from_numpy(np.array([robot.indices(chain) for chain in chains]).T.copy())
+        anchor = (data.xanchor[joints.T] - place) @ turn
+        self._offset = torch.from_numpy(np.diff(anchor, axis=0, prepend=0.0))
+        axis = torch.from_numpy(data.xaxis[joints.T] @ turn)
+        self._axis = axis
+        skew = torch.zeros(self._length, self._chains, 3, 3, dtype=torch.float64)
+        x, y, z = axis.unbind(-1)
         skew[..., 0, 1], skew[..., 0, 2], skew[..., 1, 2] = -z, y, -x
         self._skew = skew - skew.mT
         self._square = self._skew @ self._skew
-        points = np.array([model.site(name).pos for name in robot.file.key_points]).reshape(2, -1, 3)
-        self._points = torch.from_numpy(points)
+        self._points = torch.from_numpy((points - place) @ turn - anchor[-1][:, None])
+
+    def position(self, joint_position: Tensor) -> Tensor:
+        """Of the first chain's first point relative to the base, ``[..., xyz]`` in m; angles as of `key_points`."""
+        return self.key_points(joint_position, torch.zeros_like(joint_position))[0][..., 0, :]
 
     def key_points(self, joint_position: Tensor, joint_velocity: Tensor) -> tuple[Tensor, Tensor]:
-        """The six key points with the trunk as origin, in the trunk's frame.
+        """The key points with the base as origin, in the base's frame.
 
         The velocity is that of the points relative to the trunk: the Jacobian times the joint velocities.
 
@@ -61,8 +71,8 @@ class LegKinematics:
         axes, origins = [], []
         for joint in range(self._length):
             origin = origin + (rotation @ self._offset[joint][..., None])[..., 0]
-            axes.append((rotation @ self._axis[joint][..., None])[..., 0].expand(*angle.shape[:-2], 2, 3))
-            origins.append(origin.expand(*angle.shape[:-2], 2, 3))
+            axes.append((rotation @ self._axis[joint][..., None])[..., 0].expand(*angle.shape[:-2], self._chains, 3))
+            origins.append(origin.expand(*angle.shape[:-2], self._chains, 3))
             rotation = rotation @ turns[..., joint, :, :, :]
         points = origin[..., None, :] + self._points @ rotation.mT  # [..., leg, point, xyz]
         # sum_j w_j x (p - o_j) = (sum_j w_j) x p - sum_j w_j x o_j
@@ -75,7 +85,35 @@ class LegKinematics:
 _IDENTITY = torch.eye(3, dtype=torch.float64)
 
 
-@lru_cache(maxsize=1)
-def leg_kinematics() -> LegKinematics:
-    """The robot's legs."""
-    return LegKinematics()
+def _at_zero(robot: Robot) -> mujoco.MjData:
+    """The bare robot with all its angles at zero."""
+    data = mujoco.MjData(robot.bare_model)
+    data.qpos[:] = 0.0
+    mujoco.mj_kinematics(robot.bare_model, data)
+    return data
+
+
+@lru_cache(maxsize=4)
+def leg_kinematics(robot: Robot) -> Chains:
+    """A robot's legs and the key points of their soles; without any the origins of its feet.
+
+    Raises:
+        ValueError: if it has no feet, or legs of different numbers of joints.
+    """
+    if not robot.legs or len({len(leg) for leg in robot.legs}) != 1:
+        raise ValueError(f"key points need legs of equally many joints; {robot.name} has {len(robot.legs)} feet")
+    data, file = _at_zero(robot), robot.file
+    points = [data.site(n).xpos for n in file.key_points] or [data.body(n).xpos for n in file.feet]
+    return Chains(robot, robot.legs, np.array(points).reshape(len(robot.legs), -1, 3))
+
+
+@lru_cache(maxsize=4)
+def tip_kinematics(robot: Robot) -> Chains:
+    """The joints that move an arm's tip, and the tip.
+
+    Raises:
+        ValueError: if its file names no tip.
+    """
+    if robot.file.tip is None:
+        raise ValueError(f"the file of the robot {robot.name} names no tip")
+    return Chains(robot, [robot.arm], _at_zero(robot).site(robot.file.tip).xpos[None, None])

@@ -55,6 +55,9 @@ class Manifest:
         task: it was trained for, `balance` or `walk`.
         layout: name and size of each part of one observation, in order.
         history: how many earlier observations are appended to the latest, n in the paper.
+        observations: terms of one observation by name, see `op3.policy.observation`; none in files of older versions,
+            whose parts are terms of their own name.
+        cycle: duration of a gait cycle [s]; None for a policy that sees no phase.
         action_map: what its actions mean.
         hidden: units of the hidden layers, ReLU each.
         command_rate: of the PD control [Hz].
@@ -73,9 +76,13 @@ class Manifest:
     policy_rate: Positive = POLICY_RATE
     normalisation: Literal["fixed", "running"] = "fixed"
     clip: Positive = 10.0
+    observations: Named[Any] = dataclasses.field(default_factory=dict, hash=False)
+    cycle: Positive | None = None
     training: Training = dataclasses.field(default_factory=Training)
 
     def __post_init__(self):
+        terms = {name: dict(self.observations.get(name) or {}) for name in self.layout}
+        object.__setattr__(self, "observations", terms)
         ratio = self.command_rate / self.policy_rate
         if ratio < 1 or abs(ratio - round(ratio)) > 1e-9:
             raise ValueError(
@@ -127,7 +134,7 @@ class Manifest:
     def to_yaml(self) -> str:
         """The text of ``manifest.yaml``."""
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        values["layout"] = dict(self.layout)
+        values["layout"], values["observations"] = dict(self.layout), dict(self.observations)
         values["hidden"] = list(self.hidden)
         values["action_map"] = self.action_map.to_dict()
         values["training"] = dataclasses.asdict(self.training)

@@ -1,106 +1,141 @@
-"""What a policy sees: functions of what a robot can sense, the same in simulation and on the robot."""
+"""What a policy sees: observation terms side by side, with noise, resolution, delay and history."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from itertools import accumulate, pairwise
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from op3.policy.leg_kinematics import leg_kinematics
+from op3.policy import observations
+from op3.policy.observations import Sensed
+from op3.policy.terms import Term
+from op3.robot import Robot
 
-BALANCE_LAYOUT: dict[str, int] = {
-    "key_point_position": 18,
-    "key_point_velocity": 18,
-    "previous_action": 20,
-    "orientation": 3,
-    "angular_velocity": 3,
-}
-"""Parts of one observation and their widths, in order (paper, section "Action space, observation space")."""
+Terms = Mapping[str, Mapping[str, Any]]
+"""Observation terms by name, each with ``function``, its parameters, and the options of `Observer`."""
 
-WALK_LAYOUT: dict[str, int] = {**BALANCE_LAYOUT, "phase": 2}
-"""The same for walking, which also sees the phase of the gait."""
+OPTIONS = {"noise": 0.0, "resolution": 0.0, "delay": 0}
+"""Options of an observation term, and what they are where a task does not give them."""
 
 
-def layout_slices(layout: dict[str, int]) -> dict[str, slice]:
+def layout_slices(layout: Mapping[str, int]) -> dict[str, slice]:
     """Where each part of one observation lies on its last axis."""
     edges = pairwise(accumulate(layout.values(), initial=0))
     return {name: slice(first, last) for name, (first, last) in zip(layout, edges, strict=True)}
 
 
-def observe(
-    joint_position: Tensor,
-    joint_velocity: Tensor,
-    orientation: Tensor,
-    angular_velocity: Tensor,
-    previous_action: Tensor,
-    phase: Tensor | None = None,
-) -> Tensor:
-    """One observation, without its history.
+class Observer:
+    """Turns what robots sense into what their policy sees.
+
+    A term's options: ``noise``, standard deviation of a normal distribution added to every number; ``resolution``, the
+    step to which numbers are rounded; both in the unit of the term; ``delay``, policy steps by which it is late.
 
     Args:
-        joint_position: measured, ``[..., joint]`` in rad, in the robot's order.
-        joint_velocity: measured, ``[..., joint]`` in rad/s.
-        orientation: roll, pitch and yaw of the trunk, ``[..., 3]`` in rad; yaw counts from where the episode began.
-        angular_velocity: in the trunk's frame, ``[..., 3]`` in rad/s.
-        previous_action: the policy's last action, ``[..., 20]`` in [-1, 1].
-        phase: of the gait, ``[...]`` in cycles; None for balance.
+        terms: of one observation, in order.
+        history: number of earlier observations that follow the latest, newest first (paper: 1 for balance, 3 for
+            walking).
+        example: what one robot senses, ``[1, ...]``; the widths of the terms follow from it.
 
-    Returns:
-        ``[..., 62]``, or ``[..., 64]`` with a phase, float64: parts as in `BALANCE_LAYOUT` or `WALK_LAYOUT`, SI units.
-        Key points are relative to the trunk, in its frame.
-    """
-    position, velocity = leg_kinematics().key_points(joint_position.double(), joint_velocity.double())
-    parts = [position.flatten(-2), velocity.flatten(-2), previous_action, orientation, angular_velocity]
-    if phase is not None:
-        parts.append(phase_signal(phase))
-    return torch.cat([part.to(torch.float64) for part in parts], -1)
+    Attributes:
+        layout: name and width of each term, in order.
 
-
-def phase_signal(phase: Tensor) -> Tensor:
-    """Sine and cosine of a phase ``[...]`` in cycles, ``[..., 2]``: equal at the beginning and the end of a cycle."""
-    angle = 2 * torch.pi * phase
-    return torch.stack([torch.sin(angle), torch.cos(angle)], -1)
-
-
-class History:
-    """The latest observation followed by the ``length`` ones before it, newest first.
-
-    At the start of an episode there are none before it, so the first one stands in for them.
-
-    Args:
-        length: number of earlier observations; paper, 1 for balance and 3 for walking.
+    Raises:
+        ValueError: naming the term, if it does not exist, does not fit the robot, or an option is impossible.
     """
 
-    def __init__(self, length: int):
-        if length < 0:
-            raise ValueError(f"history length must be at least 0, got {length}")
-        self.length = length
+    def __init__(self, terms: Terms, robot: Robot, history: int, example: Sensed):
+        if history < 0:
+            raise ValueError(f"history must be at least 0, got {history}")
+        context = {"robot": robot}
+        self.terms = [Term("observations", n, s or {}, observations, context, OPTIONS) for n, s in terms.items()]
+        self.layout: dict[str, int] = {}
+        for term in self.terms:
+            _check_options(term)
+            try:
+                self.layout[term.name] = term(example).shape[-1]
+            except (ValueError, TypeError, AttributeError, KeyError) as error:
+                raise ValueError(f"observations.{term.name} does not fit the robot {robot.name}: {error}") from None
+        self.history = history
+        self._late: dict[str, list[Tensor]] = {}
         self._stack: Tensor | None = None
 
-    def reset(self, observation: Tensor, rows: Tensor | None = None) -> Tensor:
-        """Begin with this observation.
+    @property
+    def size(self) -> int:
+        """Numbers that the policy sees, history included."""
+        return sum(self.layout.values()) * (self.history + 1)
+
+    def reset(
+        self, sensed: Sensed, rows: Tensor | None = None, noise: Sequence[np.random.Generator] | None = None
+    ) -> Tensor:
+        """Episodes begin; the first observation stands in for those before it.
 
         Args:
-            observation: ``[..., observation]``.
             rows: mask over the first axis of those that begin anew; None for all.
+            noise: generator of each robot; None: no noise.
 
         Returns:
-            ``[..., (length + 1) * observation]``.
+            The observation, ``[..., (history + 1) * observation]``.
         """
-        filled = torch.stack([observation] * (self.length + 1), -2)
+        now = self._observe(sensed, rows, noise)
+        filled = torch.stack([now] * (self.history + 1), -2)
         if rows is not None and self._stack is not None:
             filled = torch.where(rows.view(-1, *[1] * (filled.ndim - 1)), filled, self._stack)
         self._stack = filled
         return filled.flatten(-2)
 
-    def push(self, observation: Tensor) -> Tensor:
-        """Add the latest observation and return ``[..., (length + 1) * observation]``.
+    def push(self, sensed: Sensed, noise: Sequence[np.random.Generator] | None = None) -> Tensor:
+        """The observation after a policy step, ``[..., (history + 1) * observation]``.
 
         Raises:
             RuntimeError: if `reset` was not called before.
         """
         if self._stack is None:
-            raise RuntimeError("a history begins with reset(observation)")
-        self._stack = torch.cat([observation[..., None, :], self._stack[..., :-1, :]], -2)
+            raise RuntimeError("an observer begins with reset(sensed)")
+        now = self._observe(sensed, None, noise, begins=False)
+        self._stack = torch.cat([now[..., None, :], self._stack[..., :-1, :]], -2)
         return self._stack.flatten(-2)
+
+    def _observe(
+        self,
+        sensed: Sensed,
+        rows: Tensor | None,
+        noise: Sequence[np.random.Generator] | None,
+        begins: bool = True,
+    ) -> Tensor:
+        parts = []
+        for term in self.terms:
+            value = term(sensed).to(torch.float64)
+            deviation, resolution = term.options["noise"], term.options["resolution"]
+            if deviation and noise is not None:
+                drawn = np.stack([generator.standard_normal(value.shape[-1]) for generator in noise])
+                value = value + deviation * torch.from_numpy(drawn).view(value.shape)
+            if resolution:
+                value = torch.round(value / resolution) * resolution
+            parts.append(self._delayed(term, value, rows, begins) if term.options["delay"] else value)
+        return torch.cat(parts, -1)
+
+    def _delayed(self, term: Term, value: Tensor, rows: Tensor | None, begins: bool) -> Tensor:
+        """The value of some steps ago; at the start of an episode the first one."""
+        earlier = self._late.get(term.name)
+        if begins:
+            fresh = [value] * (term.options["delay"] + 1)
+            if rows is not None and earlier is not None:
+                fresh = [torch.where(rows[:, None], value, old) for old in earlier]
+            self._late[term.name] = fresh
+        else:
+            assert earlier is not None
+            self._late[term.name] = [*earlier[1:], value]
+        return self._late[term.name][0]
+
+
+def _check_options(term: Term) -> None:
+    for name, value in term.options.items():
+        if not isinstance(value, int | float) or isinstance(value, bool) or not value >= 0:
+            raise ValueError(f"observations.{term.name}.{name} must be a number of at least 0, got {value!r}")
+    if term.options["delay"] != int(term.options["delay"]):
+        raise ValueError(f"observations.{term.name}.delay must be whole policy steps, got {term.options['delay']!r}")
+    term.options["delay"] = int(term.options["delay"])

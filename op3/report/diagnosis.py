@@ -7,15 +7,23 @@ import numpy as np
 import plotly.graph_objects as go
 
 from op3.diagnose import LogSplit, Verdict
+from op3.diagnose.window_gaps import CHANNELS, STAGES, StageGap, WindowGaps
 from op3.identify.intervals import at_bound
 from op3.report.page import Page
+from op3.report.panels import Panel, panels_figure
 from op3.report.result import RunFolder, publish
-from op3.report.style import bars_figure
+from op3.report.style import MUTED, PALETTE, bars_figure
 from op3.report.tables import TableRows, place_in_range, span
 from op3.report.traces import checks_table, traces_figure
 from op3.report.tracks import SHOWN, predicted
 from op3.servo import Parameter, RobotModel, effect_class
 from op3.tasks import Prediction
+
+SHOWN_STAGES = {"given model": "given", "baseline fit": "before", "returned model": "after"}
+"""Names of the stages on a page, and in what a verdict shows."""
+
+COLOURS = dict(zip((*SHOWN_STAGES, "repeats"), (PALETTE[3], PALETTE[1], PALETTE[0], MUTED), strict=True))
+"""Of the stages, in every figure."""
 
 
 def report_diagnosis(verdict: Verdict, split: LogSplit, content: Mapping[str, Any], run: RunFolder) -> dict[str, Any]:
@@ -27,16 +35,23 @@ def report_diagnosis(verdict: Verdict, split: LogSplit, content: Mapping[str, An
         "findings": ", ".join(f"{one['effect']} in {', '.join(one['joints'])}" for one in found),
         "probability": max((one["probability"] for one in found), default=None),
         **_flat("", content),
+        **_windows(content),
         **{key: value for mount, told in elsewhere.items() for key, value in _flat(f"{mount}.", told).items()},
     }
     figures, joint = {}, ""
     if (worst := _worst(verdict)) is not None:
-        before, after = worst
+        before, after = worst["baseline fit"], worst["returned model"]
         for name, log in {"measured": before.log, "before": predicted(before), "after": predicted(after)}.items():
             log.save(run.path / SHOWN / name, overwrite=True)
         joint = before.log.joints[int(_errors(before).argmax())]
-        told = {"before": before} | ({} if after is before else {"after": after})
-        figures = {"traces": traces_figure(before.log, told, [joint]), "joints": _joints_figure(verdict)}
+        if after is before:
+            del worst["returned model"]
+        figures = {
+            "traces": _coloured(traces_figure(before.log, worst, [joint])),
+            "residuals": _coloured(_residuals_figure(worst, joint)),
+        }
+    if verdict.windows is not None:
+        figures["joints"] = _coloured(_joints_figure(verdict.windows))
     page = Page.of(
         "diagnosis", figures, _tables(verdict, split, content), verdict=verdict, content=content, folder=run.path,
         joint=joint, effect=effect_class,
@@ -51,11 +66,22 @@ def _flat(prefix: str, content: Mapping[str, Any]) -> dict[str, Any]:
     return gap | {f"{prefix}loss.paper_eq7.{end}": content["loss"][end] for end in ends[:2] if content["loss"]}
 
 
-def _worst(verdict: Verdict) -> tuple[Prediction, Prediction] | None:
-    """Predictions before and after of the run that the base predicts worst; None where none went to its end."""
-    pairs = zip(*(verdict.shown.get(name, ()) for name in ("before", "after")), strict=True)
-    whole = [pair for pair in pairs if not any(one.failed.any() for one in pair)]
-    return max(whole, key=lambda pair: float(_errors(pair[0]).mean()), default=None)
+def _windows(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Errors in windows of held-out runs under one name each."""
+    windows = content.get("windows") or {"whole": {}, "joints": {}, "horizons": {}}
+    parts = {"windows": windows["whole"], "horizons": windows["horizons"]}
+    parts |= {f"windows.{joint}": channels for joint, channels in windows["joints"].items()}
+    ends = (*STAGES, "floor")
+    return {f"{at}.{name}.{end}": one[end] for at, of in parts.items() for name, one in of.items() for end in ends}
+
+
+def _worst(verdict: Verdict) -> dict[str, Any] | None:
+    """Predictions by stage of the run that the baseline predicts worst; None where none went to its end."""
+    shown = {label: verdict.shown.get(key) or () for label, key in SHOWN_STAGES.items()}
+    shown = {label: predictions for label, predictions in shown.items() if predictions}
+    runs = [dict(zip(shown, run, strict=True)) for run in zip(*shown.values(), strict=True)]
+    whole = [run for run in runs if not any(one.failed.any() for one in run.values())]
+    return max(whole, key=lambda run: float(_errors(run["baseline fit"]).mean()), default=None)
 
 
 def _errors(prediction: Prediction) -> np.ndarray:
@@ -64,11 +90,45 @@ def _errors(prediction: Prediction) -> np.ndarray:
     return np.square(simulated - prediction.log.array("joint/position")[: len(simulated)]).mean(0)
 
 
-def _joints_figure(verdict: Verdict) -> go.Figure | None:
-    """What every joint lacks before and after, on one scale."""
-    parts = ("before", "after", "floor")
-    bars = {part: {name: 1e3 * getattr(gap, part) for name, gap in verdict.joints.items()} for part in parts}
-    return bars_figure(bars, "lacking torque [mN m]") if verdict.joints else None
+def _joints_figure(windows: WindowGaps) -> go.Figure:
+    """The error of every joint's angle in three stages, on one scale."""
+    bars = {
+        label: {joint: 1e3 * getattr(of["position"], stage) for joint, of in windows.joints.items()}
+        for label, stage in zip(SHOWN_STAGES, STAGES, strict=True)
+    }
+    floors = {joint: of["position"].floor for joint, of in windows.joints.items()}
+    if all(floor is not None for floor in floors.values()):
+        bars["repeats"] = {joint: 1e3 * (floor or 0.0) for joint, floor in floors.items()}
+    return bars_figure(bars, f"error of the angle after {windows.length:.2g} s [mrad]")
+
+
+def _residuals_figure(predictions: Mapping[str, Prediction], joint: str) -> go.Figure:
+    """Simulated less measured angle and current of a joint."""
+    grid = []
+    for key, unit, scale in ((("joint", "position"), "mrad", 1e3), (("joint", "current"), "A", 1.0)):
+        lines = []
+        for label, one in predictions.items():
+            if key in one.channels and key in one.log:
+                column = one.log.joints.index(joint)
+                simulated = one.channels[key][0].numpy()[:, column]
+                left = simulated - one.log.array(key)[: len(simulated), column]
+                time = one.log.array("time")[: len(left), 0]
+                lines.append((label, time - time[0], scale * left))
+        if lines:
+            grid.append(Panel(f"{key[1]} [{unit}]", lines))
+    return panels_figure([grid])
+
+
+def _coloured(figure: go.Figure) -> go.Figure:
+    """A figure in which every stage has the colour that it has in all others."""
+
+    def colour(trace: Any) -> None:
+        if trace.name in COLOURS:
+            trace.update({"marker": {"color": COLOURS[trace.name]}})
+            if trace.type == "scatter":
+                trace.update({"line": {"color": COLOURS[trace.name]}})
+
+    return figure.for_each_trace(colour)
 
 
 def _where(joints: Sequence[str], shared: bool) -> str:
@@ -80,14 +140,17 @@ def _tables(verdict: Verdict, split: LogSplit, content: Mapping[str, Any]) -> di
     models = (verdict.base, verdict.model)
     tables: dict[str, TableRows] = {
         "findings": (
-            ["effect", "joints", "parameter", "size", "probability", "or", "explains [%]", "in the model"],
+            [
+                "effect", "joints", "parameter", "size", "probability", "gain [SE]", "torque [mN m]", "load [%]", "or",
+            ],
             [
                 [
                     one.effect, _where(one.joints, one.shared), one.parameter,
-                    f"{span((one.size, *one.interval))} {one.unit}".removesuffix(" -"), one.probability,
+                    f"{span((one.size, *one.interval))} {one.unit}".removesuffix(" -")
+                    + (", end of the searched range" if one.beyond else ""),
+                    one.probability, one.gain.z, 1e3 * max(one.torque.values(), default=0.0), 100 * one.load,
                     "; ".join(f"{r.effect} in {_where(r.joints, r.shared)}, {r.probability:.2f}"
                               for r in one.alternatives),
-                    100 * one.explains, one.in_model,
                 ]
                 for one in verdict.findings
             ],
@@ -107,18 +170,22 @@ def _tables(verdict: Verdict, split: LogSplit, content: Mapping[str, Any]) -> di
             ],
         ),
         "gap": (
-            ["channel", "unit", "before", "after", "floor", ""],
+            ["channel", "unit", "given model", "baseline fit", "returned model", "repeats", ""],
             [
-                [channel, v["unit"], *(_with_interval(v, end) for end in ("before", "after", "floor")), v["change"]]
+                [channel, v["unit"], v.get("given"), *(_with_interval(v, end) for end in ("before", "after", "floor")),
+                 v["change"]]
                 for channel, v in verdict.gap.items()
             ],
         ),
-        "choice": _choice(verdict.choice),
-        "checks": checks_table((*split.fit, *split.select, *split.show)),
+        **_window_tables(verdict.windows),
+        "not_shown": (
+            ["effect", "joints"], [[name, ", ".join(where) or "all"] for name, where in verdict.not_shown.items()]
+        ),
+        "checks": checks_table((*split.fit, *split.show)),
         "motions": _motions(verdict, split),
         "returns": _returns(content.get("downstream", {})),
         "base": (
-            ["parameter", "unit", "base", "handed back", ""],
+            ["parameter", "unit", "baseline fit", "returned model", ""],
             [
                 [name, known.unit, *(m.value(name) if name in m.parameters() else None for m in models),
                  "at its bound" if _ended(verdict.base, known) else ""]
@@ -147,15 +214,29 @@ def _with_interval(values: Mapping[str, Any], end: str) -> str | None:
     return None if values[end] is None else span((values[end], *values[f"{end}_interval"]))
 
 
-def _choice(choice: Mapping[str, Any]) -> TableRows:
-    """What each number of effects leaves of withheld runs."""
-    if len(choice.get("left", ())) < 2:
-        return [], []
+def _window_tables(windows: WindowGaps | None) -> dict[str, TableRows]:
+    """Errors in windows by joint, over all joints, and by horizon."""
+    if windows is None:
+        return {}
+    ends = [*SHOWN_STAGES, "repeats", "given model [%]", "returned model [%]"]
+
+    def row(one: StageGap, scale: float) -> list[Any]:
+        floor = None if one.floor is None else scale * one.floor
+        shares = (one.percent["given"], one.percent["returned"])
+        return [*(scale * getattr(one, stage) for stage in STAGES), floor, *shares]
+
+    units = {"position": ("mrad", 1e3), "current": ("mA", 1e3), "torque": ("mN m", 1e3)}
     rows = [
-        [number, left, *channels.values(), "taken" if number == choice["taken"] else ""]
-        for number, (left, channels) in enumerate(zip(choice["left"], choice["channels"], strict=True))
+        [joint, name, units[name][0], *row(of[name], units[name][1])]
+        for joint, of in ({"all joints": windows.whole} | dict(windows.joints)).items()
+        for name in CHANNELS
+        if name in of
     ]
-    return ["effects", "left of the base's squares", *choice["channels"][0], ""], rows
+    horizons = [[f"{length:g}", *row(one, 1e3)] for length, one in windows.horizons.items()]
+    return {
+        "windows": (["joint", "channel", "unit", *ends], rows),
+        "horizons": (["horizon [s]", *(f"{end} [mrad]" for end in ends[:4]), *ends[4:]], horizons),
+    }
 
 
 def _motions(verdict: Verdict, split: LogSplit) -> TableRows:
@@ -175,7 +256,7 @@ def _motions(verdict: Verdict, split: LogSplit) -> TableRows:
 def _returns(returns: Mapping[str, Any]) -> TableRows:
     """What a policy returns under the two models, and on the robot."""
     rows = []
-    for key, label in (("before", "base"), ("after", "with what was named"), ("actual", "the robot")):
+    for key, label in (("before", "baseline fit"), ("after", "returned model"), ("actual", "the robot")):
         if value := returns.get(key):
             off = returns.get(f"error_{key}")
             rows.append([label, value["mean"], *(value["interval"] or (None, None)), 100 * value["fallen"], off])

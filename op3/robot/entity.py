@@ -36,6 +36,10 @@ class RobotEntity(composer.Entity):
             root.sensor.add(
                 "contact", name="self_contact", subtree1=base, subtree2=base, num=1, reduce="mindist", data="found dist"
             )
+        if not robot.file.key_points:
+            for name in robot.file.feet:
+                foot: Any = self._find("body", name)
+                foot.add("site", name=f"{name}_origin")
         self._adjust(parameters)
         if robot.file.imu is not None:
             for name, kind in IMU_SENSORS.items():
@@ -90,8 +94,9 @@ class RobotEntity(composer.Entity):
 
     @property
     def key_points(self) -> list[mjcf.Element]:
-        """The sites on the soles, in the order of the file."""
-        return [self._find("site", name) for name in self.robot.file.key_points]
+        """The sites on the soles, in the order of the file; without any, the origins of the feet."""
+        file = self.robot.file
+        return [self._find("site", name) for name in file.key_points or [f"{foot}_origin" for foot in file.feet]]
 
     @property
     def soles(self) -> list[mjcf.Element]:
@@ -107,6 +112,12 @@ class RobotEntity(composer.Entity):
     def self_contact(self) -> mjcf.Element:
         """Sensor of the robot's contacts with itself: their number, and the smallest distance [m], negative inside."""
         return self._find("sensor", "self_contact")
+
+    @property
+    def tip(self) -> mjcf.Element | None:
+        """The site at the end of an arm; None where the file names none."""
+        name = self.robot.file.tip
+        return None if name is None else self._find("site", name)
 
     @property
     def imu(self) -> mjcf.Element:

@@ -6,6 +6,8 @@ All results are in the frame of the base (of the OP3: origin between the hip yaw
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false
 
+from functools import lru_cache
+
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -50,15 +52,30 @@ def key_points(joint_position: ArrayLike, robot: str | Robot = DEFAULT) -> Array
 def standing_height(
     joint_position: ArrayLike, roll: float = 0.0, pitch: float = 0.0, robot: str | Robot = DEFAULT
 ) -> float:
-    """Height [m] of the base's origin above a floor that the lowest corner of the soles just touches.
+    """Height [m] of the base's origin above a floor that the robot's soles just touch.
 
     Args:
         joint_position: angles [joint] in rad.
         roll: roll of the base in rad.
         pitch: pitch of the base in rad, positive forward.
     """
-    corners = sole_corners(joint_position, robot) @ rotation_matrix(roll, pitch).T
-    return float(-corners[..., 2].min())
+    known, data, base = _forward(joint_position, robot)
+    model, up = known.bare_model, rotation_matrix(roll, pitch)[2]
+    lowest = []
+    for geom in known.sole_geoms:
+        place, turn = data.geom_xpos[geom] - base, data.geom_xmat[geom].reshape(3, 3)
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE:
+            lowest.append(up @ place - model.geom_size[geom, 0])
+        else:
+            middle, half = np.split(model.geom_aabb[geom], 2)
+            lowest.append(((place + (middle + _CORNER_SIGNS * half) @ turn.T) @ up).min())
+    return -float(min(lowest))
+
+
+@lru_cache(maxsize=8)
+def home_height(robot: Robot) -> float:
+    """Height [m] of the base's origin above level ground in the home pose."""
+    return standing_height(robot.home, *level_soles(robot.home, robot), robot)
 
 
 def sole_normals(joint_position: ArrayLike, robot: str | Robot = DEFAULT) -> Array:
@@ -68,7 +85,9 @@ def sole_normals(joint_position: ArrayLike, robot: str | Robot = DEFAULT) -> Arr
 
 
 def level_soles(joint_position: ArrayLike, robot: str | Robot = DEFAULT) -> tuple[float, float]:
-    """Roll and pitch [rad] of a base whose soles, on average over the feet, are level."""
+    """Roll and pitch [rad] of a base whose soles, on average over the feet, are level; zero where feet are no soles."""
+    if not load_robot(robot).file.soles:
+        return 0.0, 0.0
     up = sole_normals(joint_position, robot).mean(0)
     return float(np.arctan2(up[1], up[2])), float(np.arctan2(-up[0], np.hypot(up[1], up[2])))
 

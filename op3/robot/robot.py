@@ -126,6 +126,22 @@ class Robot:
         return tuple(self._above(self.bare_model.body(foot).id) for foot in self.file.feet)
 
     @property
+    def arm(self) -> tuple[str, ...]:
+        """Joints between the base and the tip, from the base outwards; none without a tip."""
+        tip = self.file.tip
+        return () if tip is None else self._above(int(self.bare_model.site_bodyid[self.bare_model.site(tip).id]))
+
+    @cached_property
+    def sole_geoms(self) -> tuple[int, ...]:
+        """Numbers of the geoms on which it stands, in the bare model: its soles, else what of its feet collides."""
+        model = self.bare_model
+        if self.file.soles:
+            return tuple(int(model.geom(name).id) for name in self.file.soles)
+        feet = {int(model.body(name).id) for name in self.file.feet}
+        touches = (model.geom_contype | model.geom_conaffinity) != 0
+        return tuple(int(g) for g in range(model.ngeom) if int(model.geom_bodyid[g]) in feet and touches[g])
+
+    @property
     def inner_tips(self) -> list[int]:
         """Which of its key points are the inner tips of the feet."""
         count = len(self.file.key_points)

@@ -100,7 +100,8 @@ class RobotFile(Record):
         feet: bodies that it stands on, if it does, the left one first.
         soles: geoms under the feet that touch the floor, all boxes.
         key_points: sites of the soles whose place a policy sees, as many per foot, in the order of `feet`; the first of
-            each foot is its inner tip.
+            each foot is its inner tip. Without any, a policy of a robot with feet sees the origins of these bodies.
+        tip: site at the end of an arm, which tasks move to a place.
         servo: make of the servos of all joints that name none.
         loop: who closes the loop of all servos; None: as their makes say.
         law: servo model that is taken where none is asked for, a name in conf/servo; None: one made of its servos.
@@ -122,6 +123,7 @@ class RobotFile(Record):
     feet: tuple[str, ...] = ()
     soles: tuple[str, ...] = ()
     key_points: tuple[str, ...] = ()
+    tip: str | None = None
     servo: str | None = None
     loop: Loop | None = None
     law: Annotated[str, among("law", named_configs("servo"))] | None = None
@@ -156,6 +158,7 @@ def check_names(file: DataFile, content: RobotFile, model: mujoco.MjModel) -> No
     wanted: list[tuple[tuple[str | int, ...], str, str | None]] = [
         (("base",), "body", content.base),
         (("imu",), "site", content.imu),
+        (("tip",), "site", content.tip),
         *((("feet", number), "body", name) for number, name in enumerate(content.feet)),
         *((("soles", number), "geom", name) for number, name in enumerate(content.soles)),
         *((("key_points", number), "site", name) for number, name in enumerate(content.key_points)),

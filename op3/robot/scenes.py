@@ -200,8 +200,10 @@ def check_scene(name: str, robot: Robot) -> None:
     """Refuse a scene that there is not, or on which a robot cannot be put down."""
     if name not in SCENES:
         raise ValueError(f"unknown scene {name!r}; the scenes are {', '.join(SCENES)}")
-    if name not in ("stand", "bench") and not robot.file.soles:
-        raise ValueError(f"{robot.name} does not walk: the scene {name!r} needs soles, and its file names none")
+    if name not in ("stand", "bench") and not robot.sole_geoms:
+        raise ValueError(
+            f"{robot.name} does not walk: the scene {name!r} needs soles, and its file names none, nor colliding feet"
+        )
 
 
 def _without_limbs(entity: RobotEntity, wanted: Sequence[str]) -> tuple[mjcf.Element, ...]:

@@ -4,7 +4,7 @@ A robot model is a list of effects with parameter values. The same class serves 
 diagnosis and training; adding an effect is one class here and one test.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from enum import IntEnum
 from functools import cache
@@ -69,6 +69,32 @@ class Parameter:
     most: float = inf
     searched: bool = True
     mirrored: bool = False
+
+
+@dataclass(frozen=True)
+class Usual:
+    """What a number is in sound robots, which every baseline fit of a diagnosis has: one of the chain of measurement.
+
+    Attributes:
+        value: expected.
+        spread: standard deviation of what is usual; a number far from it is a finding.
+        wide: standard deviation of the baseline's prior.
+        most: largest value that the baseline may take.
+        own: whether joints differ.
+        least: smallest value that the baseline may take, beside what physics allows.
+        none: how much is as good as none where a model does not have it, a standard deviation; None where such a model
+            says nothing of it, as of sensors.
+        bench: whether only benches have it.
+    """
+
+    value: float
+    spread: float
+    wide: float
+    most: float
+    own: bool = False
+    least: float = -inf
+    none: float | None = None
+    bench: bool = False
 
 
 @dataclass(frozen=True)
@@ -238,6 +264,13 @@ class Effect:
         confounders: other effects that may look like it.
         separating_experiment: what tells it from them.
         scopes: who can have it; of parameters that joints share the whole robot, whatever is said here.
+        usual: of parameters that every baseline fit has, what they are in sound robots.
+        spread: by how much servos of one make differ in a parameter, a standard deviation relative to its value.
+        written: options that say how the same law is written, and ways that are tried; which a servo obeys decides no
+            name.
+        foreseeable: whether a short window says what it does there; a lost packet is not foreseen.
+        free_base: whether only a robot whose base is free shows it.
+        both_sides: whether it is a difference between left and right, which one side alone does not show.
         acts_in: name of the effect whose functions act for this one too.
         stiff: whether it moves within milliseconds, so that no simulation of it may take longer steps than usual.
     """
@@ -258,6 +291,12 @@ class Effect:
     confounders: ClassVar[tuple[str, ...]] = ()
     separating_experiment: ClassVar[str] = ""
     scopes: ClassVar[tuple[Scope, ...]] = ("joint", "shared", "side")
+    usual: ClassVar[Mapping[str, Usual]] = {}
+    spread: ClassVar[Mapping[str, float]] = {}
+    written: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    foreseeable: ClassVar[bool] = True
+    free_base: ClassVar[bool] = False
+    both_sides: ClassVar[bool] = False
     acts_in: ClassVar[str] = ""
     stiff: ClassVar[bool] = False
 
@@ -299,6 +338,13 @@ class Effect:
         Args:
             values: parameters of the model, ``[sim, 1]`` those of the whole robot.
         """
+
+    @classmethod
+    def related(cls, names: Collection[str]) -> bool:
+        """Whether it may look like one of some effects: either names the other as its confounder."""
+        return bool(set(names) & set(cls.confounders)) or any(
+            cls.name in _CATALOGUE[name].confounders for name in names
+        )
 
     @classmethod
     def options(cls) -> tuple[str, ...]:

@@ -77,9 +77,9 @@ class BatchSimulation:
         batch, self._at = self.batch, self.ports.table
         self._state = tuple(batch.bind(name) for name in ("qpos", "qvel", "sensordata", "qfrc_applied"))
         self._handed = batch.bind("ctrl"), batch.expand("dof_armature"), batch.expand("dof_frictionloss")
-        self._qpos, self._qvel, self._sensors = map(_torch_view, self._state[:3])
-        _, self._armature, self._friction = map(_torch_view, self._handed)
-        self._xquat = _torch_view(batch.bind("xquat"))
+        self._qpos, self._qvel, self._sensors = map(torch_view, self._state[:3])
+        _, self._armature, self._friction = map(torch_view, self._handed)
+        self._xquat = torch_view(batch.bind("xquat"))
 
     @property
     def motor_current(self) -> np.ndarray:
@@ -208,7 +208,7 @@ class BatchSimulation:
         hand_over(self.law.records, self._at, self.timestep, self._rotor.numpy(), *self._handed, failed)
 
 
-def _torch_view(array: np.ndarray) -> Tensor:
+def torch_view(array: np.ndarray) -> Tensor:
     """A tensor over the same memory; outputs of the batch are read-only for numpy and stay unwritten here."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*not writable.*")

@@ -33,7 +33,7 @@ STOP_DAMPING = 0.5
 
 _SERVO = """
 constant resistance armature current_lag late_stages late_time current_offset magnet_fading
-coulomb excess stribeck_velocity fade_form viscous drag driving_loss driven_loss loss_form
+coulomb excess stribeck_velocity fade_form viscous viscous_form drag driving_loss driven_loss loss_form
 stiffness damping bristle_form load_friction load_friction_form
 oval oval_centre oval_form asymmetry patch patch_centre ageing cogging cogging_periods cogging_phase cogging_form
 chip chip_phase gear_stiffness gear_damping half_gap tooth_form output_inertia
@@ -63,13 +63,23 @@ SERVO, STATE, ROBOT = _record(_SERVO), _record(_STATE), _record(_ROBOT)
 
 @njit(cache=True)
 def fade(form: float, speed: float, scale: float) -> float:
-    """Share of static friction that is left at a speed: Gaussian, exponential, or Lorentz's curve."""
+    """Share of static friction left at a speed: Gaussian, exponential, Lorentz's, stretched exponential, or linear."""
     ratio = speed / scale
     if form == 0:
         return np.exp(-ratio * ratio)
     if form == 1:
         return np.exp(-ratio)
-    return 1 / (1 + ratio * ratio)
+    if form == 2:
+        return 1 / (1 + ratio * ratio)
+    if form == 3:
+        return np.exp(-np.sqrt(ratio))
+    return max(0.0, 1 - 0.5 * ratio)
+
+
+@njit(cache=True)
+def viscous_rate(p, speed: float) -> float:
+    """Viscous torque by velocity [N m s/rad]: constant, or of a grease that shear makes thinner."""
+    return p.viscous if p.viscous_form == 0 else p.viscous * (speed + 0.01) ** -0.3
 
 
 @njit(cache=True)
@@ -80,6 +90,12 @@ def friction_bound(p, s, torque: float, position: float, velocity: float) -> flo
     loss = p.driving_loss if torque * s.bristle > 0 else p.driven_loss
     if p.loss_form == 1:
         loss *= 0.85 + 0.3 * np.exp(-speed / 0.3)
+    elif p.loss_form == 2:  # seals and grease cost relatively more at light load
+        loss *= 0.85 + 0.4 * np.exp(-abs(torque) / 0.3)
+    elif p.loss_form == 3:  # teeth mesh better and worse
+        loss *= 1 + 0.2 * np.sin(23 * position)
+    elif p.loss_form == 4:  # loss grows more slowly than torque
+        loss *= 1.2 / np.sqrt(1 + 2 * abs(torque))
     static = s.static
     if p.ageing > 0:
         static += p.ageing * (1 - np.exp(-s.rest_time))
@@ -192,7 +208,11 @@ def servo_torque(p, s, robot) -> float:
     if p.load_friction != 0:
         s.transmitted += 0.25 * (s.torque - p.output_inertia * s.acceleration - s.transmitted)
     bound = friction_bound(p, s, torque, position, velocity)
-    passed = torque - slide(p, s, velocity, bound, step) - (p.viscous + p.drag * abs(velocity)) * velocity
+    passed = (
+        torque
+        - slide(p, s, velocity, bound, step)
+        - (viscous_rate(p, abs(velocity)) + p.drag * abs(velocity)) * velocity
+    )
     passed += gear_ripple(p, torque, position)
     if soft:
         motor = passed

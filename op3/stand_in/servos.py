@@ -80,7 +80,7 @@ class Servos:
         servos["stiffness"], servos["damping"] = world.bristle_stiffness, world.bristle_damping
         servos["driving_loss"], servos["driven_loss"] = 1 - world.forward_efficiency, 1 / world.backward_efficiency - 1
         servos["velocity_time"], servos["output_inertia"] = world.velocity_lag, OUTPUT_INERTIA
-        for name in ("loss_form", "fade_form", "bristle_form", "velocity_form"):
+        for name in ("loss_form", "fade_form", "viscous_form", "bristle_form", "velocity_form"):
             servos[name] = FORMS[name].index(getattr(world, name))
         servos["low"], servos["high"] = limits.T
         zero = np.random.default_rng([world.spread_seed, 3]).standard_normal(len(servos))

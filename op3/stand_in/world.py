@@ -24,14 +24,16 @@ _SPREAD = (
     "terminal_resistance",
 )
 
-LossForm = Literal["power", "near_rest"]
-FadeForm = Literal["gaussian", "exponential", "lorentz"]
+LossForm = Literal["power", "near_rest", "light_load", "mesh", "concave"]
+FadeForm = Literal["gaussian", "exponential", "lorentz", "stretched", "ramp"]
+ViscousForm = Literal["constant", "thinning"]
 BristleForm = Literal["prandtl", "lugre"]
 VelocityForm = Literal["lag", "two_lags", "difference"]
 
 FORMS: dict[str, tuple[str, ...]] = {
     "loss_form": get_args(LossForm),
     "fade_form": get_args(FadeForm),
+    "viscous_form": get_args(ViscousForm),
     "bristle_form": get_args(BristleForm),
     "velocity_form": get_args(VelocityForm),
 }
@@ -113,6 +115,7 @@ class World:
         timestep: of the physics [s]; made a whole part of a millisecond.
         loss_form: how the gear loses torque.
         fade_form: how static friction fades with speed.
+        viscous_form: whether viscous friction is in proportion to speed.
         bristle_form: elastic element of friction.
         velocity_form: how servos estimate their velocity.
         hidden: effects beyond all this, from the kinds that the hidden-effect bench knows.
@@ -162,6 +165,7 @@ class World:
     timestep: Positive = 0.00025
     loss_form: LossForm = "power"
     fade_form: FadeForm = "gaussian"
+    viscous_form: ViscousForm = "constant"
     bristle_form: BristleForm = "prandtl"
     velocity_form: VelocityForm = "lag"
     hidden: Listed[Hidden] = ()

@@ -15,25 +15,29 @@ Index = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Addresses:
-    """Of a robot whose trunk is free.
+    """Of a robot in a compiled scene.
 
     Attributes:
-        trunk: number of the body.
-        qpos: first of the trunk's seven numbers in qpos.
-        dof: first of its six in qvel.
-        accelerometer: first of three in sensordata.
+        base: number of its base body.
+        qpos: first of the base's seven numbers in qpos; None where it is bolted to something.
+        dof: first of its six in qvel; None where it is bolted to something.
+        accelerometer: first of three in sensordata; None without an IMU.
         self_contact: first of two in sensordata: number of contacts, and smallest distance [m].
-        foot_force: first of three in sensordata, between ankle and foot, left and right ``[2]``.
-        foot_points: numbers of the sites of the key points, left and right ``[2, point]``.
+        foot_force: first of three in sensordata, above each foot ``[foot]``.
+        foot_points: numbers of the sites of the key points ``[foot, point]``.
+        inner_tips: numbers of the sites of the feet's inner tips.
+        tip: number of the site of an arm's tip; None without one.
     """
 
-    trunk: int
-    qpos: int
-    dof: int
-    accelerometer: int
+    base: int
+    qpos: int | None
+    dof: int | None
+    accelerometer: int | None
     self_contact: int
     foot_force: Index
     foot_points: Index
+    inner_tips: Index
+    tip: int | None
 
     @classmethod
     def find(cls, model: mujoco.MjModel, scene: Scene) -> Addresses:
@@ -42,18 +46,24 @@ class Addresses:
         Raises:
             ValueError: if it has no robot.
         """
-        robot = scene.robot
-        if robot is None:
+        entity = scene.robot
+        if entity is None:
             raise ValueError(f"scene {scene.name!r} has no robot to look at")
-        trunk = int(model.body(robot.trunk.full_identifier).id)
-        root = model.jnt(int(model.body_jntadr[model.body_rootid[trunk]]))
-        points = [model.site(site.full_identifier).id for site in robot.key_points]
+        base = int(model.body(entity.trunk.full_identifier).id)
+        root = int(model.body_rootid[base])
+        free = model.jnt(int(model.body_jntadr[root])) if scene.floating and model.body_dofnum[root] == 6 else None
+        feet = len(entity.robot.file.feet)
+        points = np.array([model.site(site.full_identifier).id for site in entity.key_points], dtype=np.int64)
+        ankles = [f"{ankle.full_identifier}_force" for ankle in entity.ankles]
+        imu, tip = entity.robot.file.imu, entity.tip
         return cls(
-            trunk,
-            int(root.qposadr[0]),
-            int(root.dofadr[0]),
-            int(model.sensor(robot.imu_accelerometer.full_identifier).adr[0]),
-            int(model.sensor(robot.self_contact.full_identifier).adr[0]),
-            np.array([int(model.sensor(f"{ankle.full_identifier}_force").adr[0]) for ankle in robot.ankles]),
-            np.array(points).reshape(2, -1),
+            base,
+            None if free is None else int(free.qposadr[0]),
+            None if free is None else int(free.dofadr[0]),
+            None if imu is None else int(model.sensor(entity.imu_accelerometer.full_identifier).adr[0]),
+            int(model.sensor(entity.self_contact.full_identifier).adr[0]),
+            np.array([int(model.sensor(name).adr[0]) for name in ankles], dtype=np.int64),
+            points.reshape(feet, -1) if feet else points.reshape(0, 0),
+            points[entity.robot.inner_tips] if len(points) == len(entity.robot.file.key_points) else points,
+            None if tip is None else int(model.site(tip.full_identifier).id),
         )

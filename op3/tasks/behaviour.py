@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from op3.robot import load_robot
 from op3.rollout import Rollout
-from op3.tasks.rewards import FOOT_OFFSETS, swing_probability
+from op3.tasks.rewards import FOOT_OFFSETS, swing_of_feet, swing_probability
 from op3.tasks.task import Task, find_task
 
 
@@ -51,8 +51,8 @@ def in_stance(log: Rollout, task: str | Task) -> NDArray[np.bool_]:
     if task.cycle is None:
         return np.ones((log.rows, 2), dtype=bool)
     time = log.array("time")
-    phase = torch.from_numpy(np.remainder((time - time[0]) / task.cycle + np.array(FOOT_OFFSETS), 1.0))
-    return swing_probability(phase).numpy() < 0.5
+    phase = torch.from_numpy(np.remainder((time[:, 0] - time[0, 0]) / task.cycle, 1.0))
+    return swing_of_feet(phase).numpy() < 0.5
 
 
 def gains(log: Rollout, task: str | Task) -> dict[str, float]:
@@ -110,7 +110,7 @@ def gait_profile(
     number = np.minimum((np.concatenate(phases) * bins).astype(int), bins - 1)
     target, gain = (_binned(number, np.concatenate(values), bins) for values in (targets, stiffness))
     middle = (np.arange(bins) + 0.5) / bins
-    swing = swing_probability(torch.from_numpy(np.remainder(middle + FOOT_OFFSETS[side], 1.0))).numpy()
+    swing = swing_probability(torch.from_numpy(np.remainder(middle + FOOT_OFFSETS[2][side], 1.0))).numpy()
     return GaitProfile(middle, *target, *gain, swing < 0.5)
 
 

@@ -11,17 +11,17 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from op3.robot import pose, standing_height
+from op3.robot import Robot, load_robot, standing_height
 from op3.rollout import LogError, Rollout
 from op3.tasks import rewards
 from op3.tasks.task import Task, find_task
 
-TRUNK_HEIGHT = standing_height(pose("stand"))
-"""Height of the trunk above the soles in the stand pose [m]: lever from its rates to its velocity."""
+COMMAND_WEIGHT, SMOOTH_WEIGHT, STEEPNESS = 0.6, 0.1, (2.0, 2.0)
+"""K_cmd, K_smooth, and K_xd and K_yd [s/m] of R_eval, for both tasks (paper, Table II)."""
 
 
 def evaluation_rewards(log: Rollout, task: str | Task | None = None) -> Tensor:
-    """R_eval of every policy step.
+    """R_eval of every policy step; of a task without the paper's ``command`` term the rewards that it logged.
 
     A step is judged by the sensors at its beginning, when its action was chosen; the action before the first counts as
     equal to it.
@@ -40,6 +40,8 @@ def evaluation_rewards(log: Rollout, task: str | Task | None = None) -> Tensor:
         raise LogError("R_eval is of one episode, but the log has many", "give log.episodes() one by one")
     task = find_task(task if task is not None else _field(log, "task", log.metadata.extra.get("task")))
     _, rows = policy_rows(log, _field(log, "policy_rate", log.metadata.policy_rate))
+    if not paper_reward(task):
+        return torch.from_numpy(log.array("policy/reward"))[rows, 0]
 
     def channel(key: str) -> Tensor:
         return torch.from_numpy(log.array(key))[rows]
@@ -53,7 +55,7 @@ def evaluation_rewards(log: Rollout, task: str | Task | None = None) -> Tensor:
         orientation,
         rates,
         channel("imu/linear_acceleration"),
-        swayed(rates) if task.cycle is None else None,
+        swayed(rates, load_robot(task.robot)) if task.cycle is None else None,
     )
     return result if task.cycle is None else result + travel_term(task, _walked(log))
 
@@ -80,14 +82,11 @@ def evaluation_terms(
     """
     desired = torch.tensor(task.desired_velocity, dtype=torch.float64)
     acceleration = rewards.body_acceleration(specific_force, orientation)
-    terms = rewards.weighted(
-        rewards.EVALUATION,
-        rewards.command_term(desired if velocity is None else velocity, desired, orientation, rewards.EVALUATION),
-        rewards.smooth_term(
-            rewards.norm(action - previous), rewards.norm(current), rewards.norm(rates) + rewards.norm(acceleration)
-        ),
-    )
-    return rewards.total(terms)
+    velocity = desired if velocity is None else velocity
+    motion = rewards.norm(rates) + rewards.norm(acceleration)
+    smooth = rewards.smooth_term(rewards.norm(action - previous), rewards.norm(current), motion)
+    command = rewards.command_term(velocity, desired, orientation, *STEEPNESS)
+    return 1.0 + COMMAND_WEIGHT * command + SMOOTH_WEIGHT * smooth
 
 
 def travel_term(task: Task, speed: Tensor) -> Tensor:
@@ -95,7 +94,7 @@ def travel_term(task: Task, speed: Tensor) -> Tensor:
     velocity = torch.stack([speed, torch.zeros_like(speed)], -1)
     desired = torch.tensor(task.desired_velocity, dtype=torch.float64)
     upright = torch.zeros_like(velocity)
-    return rewards.EVALUATION.command * rewards.command_term(velocity, desired, upright, rewards.EVALUATION)
+    return COMMAND_WEIGHT * rewards.command_term(velocity, desired, upright, *STEEPNESS)
 
 
 def evaluation_return(log: Rollout, task: str | Task | None = None) -> float:
@@ -148,9 +147,17 @@ def policy_rows(log: Rollout, rate: float) -> tuple[NDArray[np.intp], NDArray[np
     return step[rows], rows
 
 
-def swayed(rates: Tensor) -> Tensor:
-    """Velocity forwards and sideways of a trunk that turns about its soles, ``[..., 2]`` in m/s."""
-    return TRUNK_HEIGHT * torch.stack([rates[..., 1], -rates[..., 0]], -1)
+def paper_reward(task: Task) -> bool:
+    """Whether R_eval judges a task: the paper's balancing or walking, at one velocity."""
+    return "command" in task.terms("rewards") and not task.commands
+
+
+def swayed(rates: Tensor, robot: Robot) -> Tensor:
+    """Velocity forwards and sideways of a trunk that turns about its soles, ``[..., 2]`` in m/s.
+
+    The lever is the height of the trunk above the soles in the stand pose.
+    """
+    return standing_height(robot.home, robot=robot) * torch.stack([rates[..., 1], -rates[..., 0]], -1)
 
 
 def _walked(log: Rollout) -> Tensor:

@@ -39,15 +39,9 @@ class Push:
         tick = round(start / OP3_CONTROL_PERIOD) * OP3_CONTROL_PERIOD
         return cls(tick, (float(size * np.cos(angle)), float(size * np.sin(angle))))
 
-    @classmethod
-    def draw(cls, seed: int, size: float, spread: float) -> "Push":
-        """The push of an episode's seed: any direction, begun within `spread` [s] from `FIRST_PUSH` on."""
-        rng = np.random.default_rng([seed, 3])
-        return cls.towards(int(rng.integers(DIRECTIONS)), size, FIRST_PUSH + spread * rng.random())
-
 
 class Pushes:
-    """The pushes of many robots, written into the simulator's external forces once per tick."""
+    """One push of each of many robots."""
 
     def __init__(self, pushes: Sequence[Push]):
         self._start = np.array([push.start for push in pushes])
@@ -58,9 +52,9 @@ class Pushes:
         new = Pushes(pushes)
         self._start[rows], self._force[rows] = new._start, new._force
 
-    def drive(self, time: Array, external: Array) -> None:
-        """Push at times [s] of each episode, ``[sim]``, in the external wrenches of the trunk, ``[sim, 6]``."""
+    def force(self, time: Array) -> Array:
+        """Forces [N] at times of each episode [s], ``[sim]``, in the world: ``[sim, 3]``."""
         # half a tick of room on both sides: times are whole ticks up to rounding
         since = time - self._start + OP3_CONTROL_PERIOD / 2
         now = (since > 0) & (since < PUSH_DURATION)
-        external[:, :3] = np.where(now[:, None], self._force, 0.0)
+        return np.where(now[:, None], self._force, 0.0)

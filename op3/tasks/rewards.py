@@ -1,17 +1,43 @@
-"""Reward terms as functions of tensors (paper, eq. 8 and Table II; Siekmann et al. 2021, eq. 2).
+"""Reward terms: functions of the state of many robots that return ``[env]``; a task gives each a weight.
 
-Every term is at most 0, and the reward is 1 plus their weighted sum. Norms are Euclidean.
+``alive``, ``command``, ``smooth`` and ``bipedal`` are the reward of the paper (eq. 8 and Table II; Siekmann et al.
+2021, eq. 2); the others are ours. Norms are Euclidean. The mathematics stands apart in functions of tensors, which
+the evaluation of a log uses too.
 """
 
-from dataclasses import dataclass
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from scipy.special import ive
 from torch import Tensor
 
-from op3.robot import load_robot
+from op3.policy.heading import wrapped
+from op3.robot import Robot
 from op3.robot.units import GRAVITY
+
+if TYPE_CHECKING:
+    from op3.tasks.state import State
+
+__all__ = [
+    "TrackVelocity",
+    "action_rate",
+    "alive",
+    "bipedal",
+    "clearance",
+    "command",
+    "distance_to_target",
+    "heading",
+    "joint_power",
+    "overload",
+    "self_contact",
+    "smooth",
+    "speed_bonus",
+    "upright",
+]
 
 STANCE_SHARE = 0.7
 """Share of the cycle in which a foot carries the robot; paper, 0.7:0.3."""
@@ -22,43 +48,15 @@ PHASE_CONCENTRATION = 20.0
 Siekmann et al. (2021) smooth the boundaries in this way; the paper gives no number.
 """
 
-FOOT_OFFSETS = (0.0, 0.5)
-"""Where in the cycle the left and the right foot are when the phase is 0: half a cycle apart."""
+FOOT_OFFSETS = {2: (0.0, 0.5), 4: (0.0, 0.5, 0.5, 0.0)}
+"""Where in the cycle each foot is when the phase is 0, by the number of feet: two half a cycle apart; four in diagonal
+pairs (a trot), where the file names both front feet and then both hind feet."""
 
-FORCE_SCALE = 100.0
-"""Square of the force at which a foot counts as loaded [N^2], as Siekmann et al. (2021).
+LOADED_SHARE = 0.648
+"""Force at which a foot counts as loaded, as a share of the weight that it carries when all stand.
 
-Half the OP3's weight is 17 N, which gives 1 - exp(-2.9) = 0.94, so the number serves without scaling.
+Siekmann et al. (2021) take 10 N; of the OP3, half of which weighs 15.4 N, that is this share.
 """
-
-
-@dataclass(frozen=True)
-class Coefficients:
-    """Weights of the reward (paper, Table II).
-
-    Attributes:
-        bipedal: K_bipedal.
-        command: K_cmd.
-        smooth: K_smooth.
-        forward: K_xd, steepness of the penalty on forward speed [s/m].
-        sideways: K_yd, steepness of the penalty on sideways speed [s/m].
-    """
-
-    bipedal: float
-    command: float
-    smooth: float
-    forward: float
-    sideways: float
-
-
-BALANCE = Coefficients(bipedal=0.0, command=0.6, smooth=0.1, forward=2.0, sideways=2.0)
-"""Training of the balancing task."""
-
-WALK = Coefficients(bipedal=0.4, command=0.3, smooth=0.1, forward=15.0, sideways=1.0)
-"""Training of the walking task."""
-
-EVALUATION = Coefficients(bipedal=0.0, command=0.6, smooth=0.1, forward=2.0, sideways=2.0)
-"""R_eval, for both tasks."""
 
 
 def _penalty(size: Tensor) -> Tensor:
@@ -66,17 +64,19 @@ def _penalty(size: Tensor) -> Tensor:
     return torch.expm1(-size)
 
 
-def command_term(velocity: Tensor, desired: Tensor, orientation: Tensor, coefficients: Coefficients) -> Tensor:
+def command_term(velocity: Tensor, desired: Tensor, orientation: Tensor, forward: float, sideways: float) -> Tensor:
     """R_cmd: how far the body is from the commanded velocity and from upright, in [-3, 0].
 
     Args:
         velocity: of the body forwards and sideways, ``[..., 2]`` in m/s.
+        forward: K_xd, steepness of the penalty on forward speed [s/m].
+        sideways: K_yd, steepness of the penalty on sideways speed [s/m].
         orientation: roll and pitch, more columns are ignored, ``[..., 2 | 3]`` in rad; level is desired.
     """
     error = (desired - velocity).abs()
     return (
-        _penalty(coefficients.forward * error[..., 0])
-        + _penalty(coefficients.sideways * error[..., 1])
+        _penalty(forward * error[..., 0])
+        + _penalty(sideways * error[..., 1])
         + _penalty(4.0 * torch.linalg.vector_norm(orientation[..., :2], dim=-1))
     )
 
@@ -96,33 +96,6 @@ def smooth_term(action_change: Tensor, current: Tensor, motion: Tensor) -> Tenso
             ``[...]``.
     """
     return _penalty(0.1 * action_change) + _penalty(0.5 * current) + _penalty(0.1 * motion)
-
-
-def overload_term(current: Tensor) -> Tensor:
-    """Currents that a servo cannot carry for long, in [-1, 0]; not in the paper.
-
-    An episode is much shorter than the minute over which a robot averages currents before it limits them, so a policy
-    that is to stand for longer must be told of it. Heat goes with the square of the current; half of what a servo
-    carries for ever costs nothing.
-
-    Args:
-        current: of all motors, ``[..., joint]`` in A.
-    """
-    load = (current / load_robot().servos[0].continuous_current).square()
-    return _penalty((load - 0.5).clamp(min=0.0).sum(-1))
-
-
-def clearance_term(phase: Tensor, clearance: Tensor, height: float) -> Tensor:
-    """How far feet that should swing are below a height above the other foot, in [-2, 0]; not in the paper.
-
-    Args:
-        phase: of the gait, ``[...]`` in cycles.
-        clearance: of the left and the right foot, ``[..., 2]`` in m.
-        height: from which nothing is lost [m].
-    """
-    offsets = torch.tensor(FOOT_OFFSETS, dtype=torch.float64)
-    swing = swing_probability(phase.double()[..., None] + offsets)
-    return -(swing * (1.0 - clearance / height).clamp(min=0.0)).sum(-1)
 
 
 def _swing_series(terms: int = 24) -> tuple[Tensor, Tensor]:
@@ -146,31 +119,35 @@ def swing_probability(phase: Tensor) -> Tensor:
     return (swing + (torch.cos(angle) * _WEIGHT).sum(-1)).clamp(0.0, 1.0)
 
 
-def bipedal_term(phase: Tensor, foot_force: Tensor, foot_speed: Tensor) -> Tensor:
-    """R_bipedal: force on a foot that should swing, speed of a foot that should stand, in [-2, 0].
+def swing_of_feet(phase: Tensor, feet: int = 2) -> Tensor:
+    """How surely each foot is in swing, ``[..., foot]``.
+
+    Args:
+        phase: of the gait, ``[...]`` in cycles.
+        feet: their number, a key of `FOOT_OFFSETS`.
+    """
+    return swing_probability(phase.double()[..., None] + torch.tensor(FOOT_OFFSETS[feet], dtype=torch.float64))
+
+
+def loaded_force(robot: Robot) -> float:
+    """Force at which one of its feet counts as loaded [N]."""
+    return LOADED_SHARE * float(robot.bare_model.body_mass.sum()) * GRAVITY / len(robot.file.feet)
+
+
+def bipedal_term(swing: Tensor, foot_force: Tensor, foot_speed: Tensor, loaded: float) -> Tensor:
+    """R_bipedal: force on a foot that should swing, speed of a foot that should stand, at most 0.
 
     Siekmann et al. (2021), eq. (2): in swing C_frc = -1 and C_spd = 0, in stance C_frc = 0 and C_spd = -1.
 
     Args:
-        phase: of the gait, ``[...]`` in cycles.
-        foot_force: size of the force on the left and the right foot, ``[..., 2]`` in N.
-        foot_speed: of the feet over the ground, ``[..., 2]`` in m/s.
+        swing: how surely each foot is in swing, ``[..., foot]``.
+        foot_force: size of the force on each foot, ``[..., foot]`` in N.
+        foot_speed: of the feet over the ground, ``[..., foot]`` in m/s.
+        loaded: force at which a foot counts as loaded [N].
     """
-    offsets = torch.tensor(FOOT_OFFSETS, dtype=torch.float64)
-    swing = swing_probability(phase.double()[..., None] + offsets)
-    loaded = _penalty(foot_force.square() / FORCE_SCALE)
+    loading = _penalty((foot_force / loaded).square())
     moving = _penalty(2.0 * foot_speed.square())
-    return (swing * loaded + (1.0 - swing) * moving).sum(-1)
-
-
-def weighted(coefficients: Coefficients, command: Tensor, smooth: Tensor) -> dict[str, Tensor]:
-    """Contributions to the reward by name; the reward is 1 plus their sum, see `total`."""
-    return {"command": coefficients.command * command, "smooth": coefficients.smooth * smooth}
-
-
-def total(terms: dict[str, Tensor]) -> Tensor:
-    """Eq. (8): 1 plus the weighted terms."""
-    return 1.0 + torch.stack(list(terms.values())).sum(0)
+    return (swing * loading + (1.0 - swing) * moving).sum(-1)
 
 
 def body_acceleration(specific_force: Tensor, orientation: Tensor) -> Tensor:
@@ -183,3 +160,153 @@ def body_acceleration(specific_force: Tensor, orientation: Tensor) -> Tensor:
     roll, pitch = orientation[..., 0], orientation[..., 1]
     up = torch.stack([-torch.sin(pitch), torch.sin(roll) * torch.cos(pitch), torch.cos(roll) * torch.cos(pitch)], -1)
     return specific_force - GRAVITY * up
+
+
+def alive(state: State) -> Tensor:
+    """1: the constant of eq. (8), earned by every step without a fall."""
+    return torch.ones_like(state.time)
+
+
+def command(
+    state: State, forward: float, sideways: float, velocity: Sequence[float] = (0.0, 0.0), name: str | None = None
+) -> Tensor:
+    """R_cmd of the paper, in [-3, 0].
+
+    Args:
+        forward: K_xd, steepness of the penalty on forward speed [s/m].
+        sideways: K_yd, steepness of the penalty on sideways speed [s/m].
+        velocity: desired, forwards and to the left in the world [m/s].
+        name: of a command of the task that is desired instead, in the heading of the robot.
+    """
+    if name is None:
+        desired, actual = torch.tensor(velocity, dtype=torch.float64), state.base_velocity
+    else:
+        desired, actual = state.commands[name][:, :2], state.heading_velocity
+    return command_term(actual[:, :2], desired, state.orientation, forward, sideways)
+
+
+def smooth(state: State) -> Tensor:
+    """R_smt of the paper: changes of the action, motor currents, and motion of the body, in [-3, 0]."""
+    motion = state.step.angular_velocity + state.step.acceleration
+    return smooth_term(norm(state.action - state.previous_action), state.step.current, motion)
+
+
+def bipedal(state: State, robot: Robot, name: str | None = None) -> Tensor:
+    """R_bipedal of the paper, for two or four feet.
+
+    Args:
+        name: of a command at whose zero all feet should stand; None: the gait never stops.
+    """
+    return bipedal_term(_swing(state, name), state.step.foot_force, state.step.foot_speed, loaded_force(robot))
+
+
+def clearance(state: State, height: float = 0.02, name: str | None = None) -> Tensor:
+    """How far feet that should swing are below a height above the lowest foot, at most 0.
+
+    Args:
+        height: from which nothing is lost [m].
+        name: as of `bipedal`.
+    """
+    low = (1.0 - state.step.foot_clearance / height).clamp(min=0.0)
+    return -(_swing(state, name) * low).sum(-1)
+
+
+def _swing(state: State, name: str | None) -> Tensor:
+    feet = state.step.foot_force.shape[-1]
+    if feet not in FOOT_OFFSETS:
+        raise ValueError(f"a gait needs two or four feet and the task's gait, got {feet} feet")
+    swing = swing_of_feet(state.phase, feet)
+    return swing if name is None else swing * state.commands[name].ne(0.0).any(-1, keepdim=True)
+
+
+def self_contact(state: State) -> Tensor:
+    """Share of the step in which the robot touches itself, negative."""
+    return -state.step.self_contact
+
+
+def overload(state: State, robot: Robot) -> Tensor:
+    """Currents that a servo cannot carry for long, in [-1, 0].
+
+    An episode is much shorter than the minute over which a robot averages currents before it limits them, so a policy
+    that must stand for longer has to learn of it. Heat goes with the square of the current; half of a servo's
+    continuous current costs nothing.
+    """
+    continuous = torch.tensor([servo.continuous_current for servo in robot.servos], dtype=torch.float64)
+    load = (state.joint_current / continuous).square()
+    return _penalty((load - 0.5).clamp(min=0.0).sum(-1))
+
+
+def speed_bonus(state: State, velocity: float = 0.3) -> Tensor:
+    """Forward speed up to a desired one [m/s]; standing still is a local optimum of the paper's reward."""
+    return state.base_velocity[:, 0].clamp(-abs(velocity), abs(velocity))
+
+
+class TrackVelocity:
+    """How far the robot is from a commanded velocity, in [-3, 0], averaged over a stride: a body sways as it walks.
+
+    Args:
+        forward: steepness of the penalty on forward speed [s/m].
+        sideways: steepness of the penalty on sideways speed [s/m].
+        turning: steepness of the penalty on the rate of turning [s/rad].
+        time_constant: of the average [s].
+        name: of the command.
+    """
+
+    def __init__(
+        self,
+        num_envs: int,
+        policy_period: float,
+        forward: float = 10.0,
+        sideways: float = 10.0,
+        turning: float = 3.0,
+        time_constant: float = 0.5,
+        name: str = "velocity",
+    ):
+        self.forward, self.sideways, self.turning, self.name = forward, sideways, turning, name
+        self._keep = float(np.exp(-policy_period / time_constant))
+        self._error = torch.zeros(num_envs, 3, dtype=torch.float64)
+
+    def begin(self, rows: Tensor) -> None:
+        """Episodes of a mask of robots begin."""
+        self._error[rows] = 0.0
+
+    def __call__(self, state: State) -> Tensor:
+        """The term, ``[env]``."""
+        error = state.heading_velocity - state.commands[self.name]
+        self._error = self._keep * self._error + (1.0 - self._keep) * error
+        steepness = torch.tensor([self.forward, self.sideways, self.turning], dtype=torch.float64)
+        return _penalty(steepness * self._error.abs()).sum(-1)
+
+
+def heading(state: State, steepness: float = 4.0) -> Tensor:
+    """How far the robot's heading is from that which its commands ask for, in [-1, 0].
+
+    Args:
+        steepness: of the penalty [1/rad].
+    """
+    return _penalty(steepness * wrapped(state.orientation[:, 2] - state.commands["heading"][:, 0]).abs())
+
+
+def upright(state: State) -> Tensor:
+    """Roll and pitch of the base, in [-1, 0]."""
+    return _penalty(4.0 * norm(state.orientation[:, :2]))
+
+
+def distance_to_target(state: State, name: str = "target", scale: float = 0.1) -> Tensor:
+    """How far the tip of an arm is from a commanded place, in [-1, 0].
+
+    Args:
+        name: of the command, a place relative to the base [m].
+        scale: distance at which 63 % of the penalty is reached [m].
+    """
+    return _penalty(norm(state.tip_position - state.commands[name]) / scale)
+
+
+def action_rate(state: State) -> Tensor:
+    """Change of the action, in [-1, 0]."""
+    return _penalty(0.1 * norm(state.action - state.previous_action))
+
+
+def joint_power(state: State) -> Tensor:
+    """Square of the joint velocities' norm [rad^2/s^2], negative."""
+    return -state.joint_velocity.square().sum(-1)

@@ -1,4 +1,4 @@
-"""The state of robots in a scene that tasks judge: what their sensors say, and what only a simulator knows."""
+"""Robots at one time: what their sensors say, and what only a simulator knows."""
 
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false
@@ -7,18 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import mujoco
-import numpy as np
 import torch
 from torch import Tensor
 
-from op3.policy.leg_kinematics import leg_kinematics
-from op3.robot import Scene, load_robot
-from op3.sim import ServoPorts
+from op3.robot import Scene
 from op3.tasks import rewards
 from op3.tasks.addresses import Addresses
 from op3.tasks.whole_step import Throughout
-
-_INNER_TIPS = load_robot().inner_tips
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,14 +21,15 @@ class Snapshot:
     """Robots at one time, tensors ``[sim, ...]``.
 
     Attributes:
-        readings: what sensors say before quantisation, by the names of `op3.tasks.rules.UNITS`.
+        readings: what sensors say before quantisation: joint_position [rad], joint_velocity [rad/s], orientation [rad],
+            angular_velocity [rad/s].
         current: of the motors, ``[sim, joint]`` in A.
-        specific_force: of the IMU, ``[sim, 3]`` in m/s^2.
-        height: of the trunk's origin above the ground's, ``[sim]`` in m.
-        velocity: of the trunk in the world, ``[sim, 3]`` in m/s.
-        foot_force: between ankle and foot, left and right, ``[sim, 2]`` in N; None for tasks without a gait.
-        foot_speed: mean over a foot's key points in the world, ``[sim, 2]`` in m/s.
-        tip: how far ahead the inner tip of the foremost foot is in the world, ``[sim]`` in m.
+        specific_force: of the IMU, ``[sim, 3]`` in m/s^2; zeros without one.
+        height: of the base's origin above the ground's, ``[sim]`` in m.
+        velocity: of the base in the world, ``[sim, 3]`` in m/s.
+        quaternion: of the base in the world, ``[sim, 4]``, w first.
+        tip: how far ahead the inner tip of the foremost foot is in the world, ``[sim]`` in m; None without a gait.
+        tip_position: of an arm's tip relative to the base, in its frame, ``[sim, 3]`` in m; None without one.
     """
 
     readings: dict[str, Tensor]
@@ -41,27 +37,15 @@ class Snapshot:
     specific_force: Tensor
     height: Tensor
     velocity: Tensor
-    foot_force: Tensor | None = None
-    foot_speed: Tensor | None = None
+    quaternion: Tensor
     tip: Tensor | None = None
+    tip_position: Tensor | None = None
 
-    def at_the_end(self) -> Throughout:
-        """A policy step as if it had been all the time like this."""
+    def at_the_end(self, step: Throughout) -> Throughout:
+        """A policy step as if its currents and the body's motion had been all the time as they are now."""
         acceleration = rewards.norm(rewards.body_acceleration(self.specific_force, self.readings["orientation"]))
-        none = torch.zeros(len(self.height), 2, dtype=torch.float64)
-        force = none if self.foot_force is None else self.foot_force
-        return Throughout(
-            rewards.norm(self.current),
-            rewards.norm(self.readings["angular_velocity"]),
-            acceleration,
-            force,
-            none if self.foot_speed is None else self.foot_speed,
-            none,
-            none[:, 0],
-            force.amax(1),
-            acceleration,
-            none[:, 0],
-        )
+        rate = rewards.norm(self.readings["angular_velocity"])
+        return step.replace(current=rewards.norm(self.current), angular_velocity=rate, acceleration=acceleration)
 
 
 class Probe:
@@ -73,15 +57,19 @@ class Probe:
 
     def __init__(self, model: mujoco.MjModel, scene: Scene, feet: bool):
         at = Addresses.find(model, scene)
-        ports = ServoPorts.find(model, scene.joint_names)
-        self._qpos, self._dof = ports.qpos, ports.dof
-        self._base, self._base_dof = at.qpos, at.dof
-        self._force = slice(at.accelerometer, at.accelerometer + 3)
-        self._feet = at.foot_force[:, None] + np.arange(3) if feet else None
-        self._ground = scene.ground_height
+        self._base, self._base_dof, self._body = at.qpos, at.dof, at.base
+        self._force = None if at.accelerometer is None else slice(at.accelerometer, at.accelerometer + 3)
+        self._tips = at.inner_tips if feet else None
+        self._tip, self._ground = at.tip, scene.ground_height
 
     def read(
-        self, qpos: Tensor, qvel: Tensor, sensordata: Tensor, channels: Mapping[tuple[str, str], Tensor]
+        self,
+        qpos: Tensor,
+        qvel: Tensor,
+        sensordata: Tensor,
+        bodies: tuple[Tensor, Tensor],
+        site_xpos: Tensor,
+        channels: Mapping[tuple[str, str], Tensor],
     ) -> Snapshot:
         """A snapshot.
 
@@ -89,35 +77,32 @@ class Probe:
             qpos: ``[sim, nq]``.
             qvel: ``[sim, nv]``.
             sensordata: ``[sim, nsensordata]``.
+            bodies: positions ``[sim, body, 3]`` and quaternions ``[sim, body, 4]``.
+            site_xpos: ``[sim, site, 3]``.
             channels: what the servos and the IMU measure, as `op3.sim.BatchSimulation.measure` gives it.
         """
-        base, dof = self._base, self._base_dof
-        place, velocity = qpos[:, base : base + 3], qvel[:, dof : dof + 3].clone()
-        feet = {}
-        if self._feet is not None:
-            points, speeds = leg_kinematics().key_points(qpos[:, self._qpos], qvel[:, self._dof])
-            turn = rotation(qpos[:, base + 3 : base + 7])
-            spin = qvel[:, dof + 3 : dof + 6]
-            # of the points in the world: v + R (v_relative + w x p)
-            moving = (speeds + torch.linalg.cross(spin[:, None], points)) @ turn.mT + velocity[:, None]
-            tips = (points[:, _INNER_TIPS] @ turn.mT)[..., 0] + place[:, None, 0]
-            feet = dict(
-                foot_force=torch.linalg.vector_norm(sensordata[:, self._feet], dim=-1),
-                foot_speed=torch.linalg.vector_norm(moving.unflatten(1, (2, 3)).mean(2), dim=-1),
-                tip=tips.amax(1),
-            )
+        count = len(qpos)
+        if self._base is None or self._base_dof is None:  # bolted to something
+            position, quaternion = bodies[0][:, self._body], bodies[1][:, self._body]
+            velocity = torch.zeros(count, 3, dtype=torch.float64)
+        else:
+            position = qpos[:, self._base : self._base + 3]
+            velocity = qvel[:, self._base_dof : self._base_dof + 3].clone()
+            quaternion = qpos[:, self._base + 3 : self._base + 7]
+        names = {"joint_position": ("joint", "position"), "joint_velocity": ("joint", "velocity")}
+        names |= {"orientation": ("imu", "orientation"), "angular_velocity": ("imu", "angular_velocity")}
+        tip = None if self._tip is None else site_xpos[:, self._tip] - position
         return Snapshot(
-            readings={
-                "joint_position": channels["joint", "position"],
-                "joint_velocity": channels["joint", "velocity"],
-                "orientation": channels["imu", "orientation"],
-                "angular_velocity": channels["imu", "angular_velocity"],
-            },
+            readings={name: channels[key] for name, key in names.items()},
             current=channels["joint", "current"],
-            specific_force=sensordata[:, self._force].clone(),
-            height=place[:, 2] - self._ground,
+            specific_force=torch.zeros(count, 3, dtype=torch.float64)
+            if self._force is None
+            else sensordata[:, self._force].clone(),
+            height=position[:, 2] - self._ground,
             velocity=velocity,
-            **feet,
+            quaternion=quaternion.clone(),
+            tip=None if self._tips is None else site_xpos[:, self._tips, 0].amax(1),
+            tip_position=None if tip is None else (rotation(quaternion).mT @ tip[..., None])[..., 0],
         )
 
 

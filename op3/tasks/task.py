@@ -1,18 +1,22 @@
-"""The balancing and walking tasks as data: where, how long, what is rewarded, what the policy senses."""
+"""A task as data: a scene and named terms. ``conf/task/<name>.yaml`` is where tasks are written."""
+
+from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from math import ceil, radians
-from typing import Annotated, Any, Literal
+from dataclasses import field, fields
+from math import ceil
+from typing import Annotated, Any
 
-from pydantic import Field
+from omegaconf import DictConfig, OmegaConf
+from pydantic import BeforeValidator, Field
 
+from op3.policy.actions import ActionMap
 from op3.policy.manifest import Manifest
-from op3.policy.observation import BALANCE_LAYOUT, WALK_LAYOUT
-from op3.robot.surfaces import TILE_HEIGHT
-from op3.settings import Listed, NotNegative, Number, Positive, Share, Whole, settings
-from op3.tasks import rewards
-from op3.tasks.rewards import Coefficients
+from op3.policy.observation import Observer
+from op3.policy.observations import Sensed
+from op3.robot import Robot, load_robot
+from op3.robot.assets import named_configs
+from op3.settings import Named, Number, Positive, Text, Whole, nearest, settings
 from op3.tasks.setups import OP3_CONTROL_PERIOD
 
 TICKS = 4
@@ -21,86 +25,80 @@ TICKS = 4
 POLICY_PERIOD = TICKS * OP3_CONTROL_PERIOD
 """Time between policy steps [s]."""
 
-EXTRA_TERMS = ("overload", "self_contact", "clearance")
-"""Terms of the training reward that are not in the paper, each with a weight of its own in the task."""
-
-BoardMotion = Literal["still", "waves", "tilts", "weight"]
-"""What moves a board: nothing, random waves, steps between two tilts, or a weight that is lowered on it."""
+Terms = Named[Any]
+"""Terms by name, each a mapping of ``function`` (where the name does not say it), parameters and options."""
 
 
-@dataclass(frozen=True)
-class Placement:
-    """How far an episode's beginning scatters about the stand pose at rest; standard deviations, ours.
+@settings("gait")
+class Gait:
+    """The clock of a gait.
 
     Attributes:
-        joint_position: of each leg joint [rad].
-        joint_velocity: of each leg joint [rad/s].
-        velocity: of the trunk, forwards and sideways [m/s].
-        angular_velocity: of the trunk's roll and pitch [rad/s].
+        cycle: duration [s].
+        first_phase: when an episode begins [cycles]; None: drawn anew for every episode.
     """
 
-    joint_position: float = 0.02
-    joint_velocity: float = 0.1
-    velocity: float = 0.02
-    angular_velocity: float = 0.1
+    cycle: Positive
+    first_phase: Annotated[Number, Field(ge=0, lt=1)] | None = 0.0
+
+
+def _gait(value: Any) -> Any:
+    return Gait(**value) if isinstance(value, Mapping) else value
 
 
 @settings("task")
 class Task:
-    """One task.
+    """One task. Terms are found as `op3.policy.terms.Term` says; a term set to null is left out.
 
     Attributes:
         name: of the task.
+        robot: name or path of the file of the robot.
         scene: name for `op3.robot.build_scene`.
-        coefficients: of the training reward.
-        desired_velocity: forwards and sideways [m/s].
-        board: what moves the board; None where there is none.
-        cycle: duration of a gait cycle [s]; None for a task without a gait.
-        history: number of earlier observations that the policy sees besides the latest.
         duration: time limit of an episode [s].
-        fall_angle: the episode ends when the trunk rolls or pitches further [rad].
-        fall_height: the episode ends when the trunk's origin is lower than this above the ground [m]; it stands at
-            0.24 m.
-        terrain_height: highest tile of the scene "terrain" above the floor [m], up to 0.01.
-        terrain_steps: probability that all tiles of an episode lie either on the floor or at the largest height.
-        push: impulse at the trunk, in any of eight directions at a random time of the gait [N s].
-        overload: weight, in the training reward and besides eq. (8), of currents that a servo cannot carry for long.
-        self_contact: weight, in the training reward and besides eq. (8), of the share of a step in which the robot
-            touches itself.
-        clearance: weight, in the training reward and besides eq. (8), of swinging feet that are too low.
-        clearance_height: height of a swinging foot's lowest key point above the other foot from which it is not [m].
-        first_phase: of the gait when an episode begins [cycles]; None: drawn anew for every episode.
-        whole_step: whether currents, motion of the body, forces and speeds of the feet enter the training reward as
-            means over the policy step, or as they are at its end, where most of a landing escapes.
-        placement: scatter of the beginning.
+        history: number of earlier observations that the policy sees besides the latest.
+        gait: clock of a gait; None for a task without one.
+        actions: ``position: {span: <rad>, joints: <names>}`` and ``p_gain: {low: <A/rad>, high: <A/rad>}``; without
+            ``p_gain`` the servos close their own loop.
+        observations: terms of `op3.policy.observations`.
+        rewards: terms of `op3.tasks.rewards`, each with a ``weight``; of what is judged.
+        shaping: the same, for what helps learning besides.
+        terminations: terms of `op3.tasks.terminations`.
+        events: terms of `op3.tasks.events`.
+        commands: terms of `op3.tasks.commands`.
+        curricula: by the path of a number, such as ``shaping.speed_bonus.weight``, pairs of steps and value with
+            straight lines between; in training alone.
+        whole_step: whether currents and motion of the body enter rewards as means over the policy step, or as they are
+            at its end, where most of a landing escapes.
     """
 
-    name: str
-    scene: str
-    coefficients: Coefficients
-    desired_velocity: Annotated[Listed[Number], Field(min_length=2, max_length=2)] = (0.0, 0.0)
-    board: BoardMotion | None = None
-    cycle: Positive | None = None
-    history: Whole = 1
+    name: Text
+    robot: Text
+    scene: Text
+    actions: Terms
+    observations: Terms
+    rewards: Terms
     duration: Positive = 10.0
-    fall_angle: Positive = radians(45.0)
-    fall_height: NotNegative = 0.15
-    terrain_height: Annotated[Number, Field(ge=0, le=TILE_HEIGHT)] = TILE_HEIGHT
-    terrain_steps: Share = 0.0
-    push: NotNegative = 0.0
-    overload: NotNegative = 0.0
-    self_contact: NotNegative = 0.0
-    clearance: NotNegative = 0.0
-    clearance_height: Positive = 0.02
-    first_phase: Annotated[Number, Field(ge=0, lt=1)] | None = 0.0
+    history: Whole = 0
+    gait: Annotated[Gait | None, BeforeValidator(_gait)] = None
+    shaping: Terms = field(default_factory=dict)
+    terminations: Terms = field(default_factory=dict)
+    events: Terms = field(default_factory=dict)
+    commands: Terms = field(default_factory=dict)
+    curricula: Named[Any] = field(default_factory=dict)
     whole_step: bool = True
-    placement: Placement = field(default_factory=Placement)
 
     def __post_init__(self):
-        if (self.board == "weight") != (self.scene == "board_weight") or (self.board is None) != (
-            not self.scene.startswith("board")
-        ):
-            raise ValueError(f"task {self.name!r}: scene {self.scene!r} cannot be moved by board={self.board!r}")
+        if twice := set(self.terms("rewards")) & set(self.terms("shaping")):
+            raise ValueError(f"task {self.name}: {min(twice)!r} is a term of rewards and of shaping; rename one")
+
+    def terms(self, kind: str) -> dict[str, dict[str, Any]]:
+        """Terms of a kind that are on, by name."""
+        return {name: dict(spec or {}) for name, spec in getattr(self, kind).items() if spec is not None}
+
+    @property
+    def schedules(self) -> dict[str, Any]:
+        """Curricula that are on, by path."""
+        return {path: schedule for path, schedule in self.curricula.items() if schedule is not None}
 
     @property
     def steps(self) -> int:
@@ -108,68 +106,122 @@ class Task:
         return ceil(self.duration / POLICY_PERIOD - 1e-9)
 
     @property
-    def layout(self) -> dict[str, int]:
-        """Parts of one observation and their widths."""
-        return BALANCE_LAYOUT if self.cycle is None else WALK_LAYOUT
+    def cycle(self) -> float | None:
+        """Duration of a gait cycle [s]; None for a task without a gait."""
+        return None if self.gait is None else self.gait.cycle
+
+    @property
+    def desired_velocity(self) -> tuple[float, float]:
+        """Forwards and sideways [m/s], as the reward term ``command`` says; zero without it."""
+        forward, sideways = self.rewards.get("command", {}).get("velocity", (0.0, 0.0))
+        return float(forward), float(sideways)
 
     @property
     def reward_terms(self) -> tuple[str, ...]:
-        """Names of the contributions to the training reward."""
-        gait = () if self.cycle is None else ("bipedal", "speed_bonus")
-        return ("command", "smooth", *gait, *(name for name in EXTRA_TERMS if getattr(self, name)))
+        """Names of all contributions to the training reward."""
+        return (*self.terms("rewards"), *self.terms("shaping"))
+
+    def action_map(self) -> ActionMap:
+        """What actions of the task mean."""
+        return ActionMap.of_terms(self.terms("actions"), load_robot(self.robot))
+
+    @property
+    def layout(self) -> dict[str, int]:
+        """Parts of one observation and their widths."""
+        return self.observer(self.action_map().size).layout
 
     @property
     def observation_size(self) -> int:
         """Numbers that the policy sees, history included."""
-        return sum(self.layout.values()) * (self.history + 1)
+        return self.observer(self.action_map().size).size
+
+    def observer(self, action_size: int) -> Observer:
+        """What a policy of so many actions sees."""
+        robot = load_robot(self.robot)
+        return Observer(self.terms("observations"), robot, self.history, self.example(robot, action_size))
+
+    def example(self, robot: Robot, action_size: int) -> Sensed:
+        """What one robot senses at home, ``[1, ...]``."""
+        import torch
+
+        from op3.policy.terms import Term
+        from op3.tasks import commands
+
+        context = {"num_envs": 1, "duration": self.duration, "robot": robot, "policy_period": POLICY_PERIOD}
+        asked = {name: Term("commands", name, spec, commands, context) for name, spec in self.terms("commands").items()}
+        position = torch.from_numpy(robot.home)[None]
+        three = torch.zeros(1, 3, dtype=torch.float64)
+        imu = robot.file.imu is not None
+        return Sensed(
+            joint_position=position,
+            joint_velocity=0.0 * position,
+            previous_action=torch.zeros(1, action_size, dtype=torch.float64),
+            orientation=three if imu else None,
+            angular_velocity=three if imu else None,
+            phase=None if self.gait is None else three[:, 0],
+            commands={name: term.target.at(three[:, 0]) for name, term in asked.items()},
+        )
 
     def check_policy(self, manifest: Manifest, name: str) -> None:
         """Refuse a policy that cannot attempt the task; a ValueError that begins with its name."""
+        layout = self.observer(manifest.action_map.size).layout
         try:
-            manifest.check_fits(self.layout, self.history, 1 / OP3_CONTROL_PERIOD, 1 / POLICY_PERIOD)
+            manifest.check_fits(layout, self.history, 1 / OP3_CONTROL_PERIOD, 1 / POLICY_PERIOD)
         except ValueError as error:
             raise ValueError(f"{name} does not fit task {self.name}: {error}") from None
 
-
-def _balance(name: str, board: BoardMotion) -> Task:
-    return Task(name, "board_weight" if board == "weight" else "board", rewards.BALANCE, board=board)
-
-
-def _walk(name: str, scene: str, push: float = 0.0) -> Task:
-    return Task(name, scene, rewards.WALK, desired_velocity=(0.3, 0.0), cycle=1.0, history=3, push=push)
-
-
-TASKS: Mapping[str, Task] = {
-    task.name: task
-    for task in (
-        _balance("balance", "waves"),
-        _balance("balance_eval", "tilts"),
-        _balance("balance_weight", "weight"),
-        _walk("walk", "floor"),
-        _walk("walk_terrain", "terrain"),
-        _walk("walk_bricks_a", "bricks_a"),
-        _walk("walk_bricks_b", "bricks_b"),
-        _walk("walk_bricks_c", "bricks_c"),
-        _walk("walk_bricks_d", "bricks_d"),
-        _walk("walk_push", "floor", push=1.0),
-    )
-}
-"""The tasks that come with the project, by name."""
+    def changed(self, changes: Mapping[str, Any]) -> Task:
+        """The task with other values, by dotted path such as ``gait.first_phase``; a path may be new."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
+        values["gait"] = None if self.gait is None else vars(self.gait)
+        tree = OmegaConf.create({name: _plain(value) for name, value in values.items()})
+        for path, value in changes.items():
+            if path.split(".")[0] not in values:
+                raise ValueError(f"a task has no {path.split('.')[0]!r}{nearest(path, values)}")
+            OmegaConf.update(tree, path, value, merge=False, force_add=True)
+        return _made(tree)
 
 
-def find_task(task: str | Task, **changes: Any) -> Task:
-    """A task by name, with some of its attributes changed.
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _plain(entry) for name, entry in value.items()}
+    return list(value) if isinstance(value, tuple) else value
+
+
+def task_names() -> tuple[str, ...]:
+    """The tasks that come with the project."""
+    return tuple(named_configs("task"))
+
+
+def find_task(task: str | Task, changes: Mapping[str, Any] | None = None, **values: Any) -> Task:
+    """A task by name, with some of its values changed.
+
+    Args:
+        changes: values by dotted path, see `Task.changed`.
+        **values: values at the top, such as ``duration``.
 
     Raises:
-        ValueError: if there is no such task.
+        ValueError: if there is no such task, or no such value.
     """
     if isinstance(task, str):
-        if task not in TASKS:
-            raise ValueError(f"unknown task {task!r}; the tasks are {', '.join(TASKS)}")
-        task = TASKS[task]
-    if not changes:
-        return task
-    unknown = sorted(set(changes) - set(vars(task)))
-    if unknown:
-        raise ValueError(f"a task has no {unknown[0]!r}; it has {', '.join(vars(task))}")
-    return Task(**{**vars(task), **changes})
+        task = _made(_read(task))
+    changes = {**(changes or {}), **values}
+    return task.changed(changes) if changes else task
+
+
+def _read(name: str) -> DictConfig:
+    """A task's file with the files of its defaults below it, as Hydra composes them."""
+    known = named_configs("task")
+    if name not in known:
+        raise ValueError(f"unknown task {name!r}{nearest(name, known)}")
+    own = OmegaConf.load(known[name])
+    assert isinstance(own, DictConfig)
+    layers = [entry for entry in own.pop("defaults", []) if entry != "_self_"]
+    merged = OmegaConf.merge(*(_read(layer) for layer in layers), own)
+    assert isinstance(merged, DictConfig)
+    return merged
+
+
+def _made(tree: DictConfig) -> Task:
+    values: Any = OmegaConf.to_container(tree, resolve=True)
+    return Task(**{name: value for name, value in values.items() if not name.startswith("_")})

@@ -3,7 +3,9 @@
 One look per step lets the peaks of a landing escape the reward, which last a few milliseconds.
 """
 
-from dataclasses import dataclass
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import mujoco
 import numba
@@ -18,38 +20,38 @@ from op3.tasks.addresses import Addresses
 
 Array = NDArray[np.float64]
 
-MEANS, PEAKS = 10, 3
-"""How many numbers of a step are means, and how many are largest values."""
-
 
 @dataclass(frozen=True, eq=False)
 class Throughout:
     """Means over a policy step and the largest values in it, ``[sim]`` unless stated.
 
     Attributes:
-        current: of all motors together [A].
-        angular_velocity: of the body [rad/s].
-        acceleration: of the body, without gravity [m/s^2].
-        foot_force: between ankle and foot, left and right, ``[sim, 2]`` in N; zeros for tasks without a gait.
-        foot_speed: path of the middle of a foot's key points per time, ``[sim, 2]`` in m/s; the same.
-        foot_clearance: height of a foot's lowest key point above that of the other foot, ``[sim, 2]`` in m, at least 0;
-            the same.
+        current: norm of the currents of all motors together [A].
+        angular_velocity: norm of that of the base [rad/s]; zeros where it is bolted to something.
+        acceleration: norm of that of the base, without gravity [m/s^2]; zeros without an IMU.
         self_contact: share of the step in which the robot touches itself.
+        foot_force: norm of the force above each foot, ``[sim, foot]`` in N; no columns for tasks without a gait.
+        foot_speed: path of the middle of a foot's key points per time, ``[sim, foot]`` in m/s.
+        foot_clearance: height of a foot's lowest key point above that of the lowest foot, ``[sim, foot]`` in m.
         peak_force: largest force on a foot [N].
-        peak_acceleration: largest acceleration of the body [m/s^2].
+        peak_acceleration: largest acceleration of the base [m/s^2].
         peak_penetration: how deep one part of the robot entered another [m].
     """
 
     current: Tensor
     angular_velocity: Tensor
     acceleration: Tensor
+    self_contact: Tensor
     foot_force: Tensor
     foot_speed: Tensor
     foot_clearance: Tensor
-    self_contact: Tensor
     peak_force: Tensor
     peak_acceleration: Tensor
     peak_penetration: Tensor
+
+    def replace(self, **values: Tensor) -> Throughout:
+        """The same with other values of some attributes."""
+        return replace(self, **values)
 
 
 class WholeStep:
@@ -61,18 +63,22 @@ class WholeStep:
 
     def __init__(self, model: mujoco.MjModel, scene: Scene, num_sims: int, feet: bool):
         at = Addresses.find(model, scene)
-        self._base = at.qpos + 3, at.dof + 3
-        self._accelerometer, self._contact = at.accelerometer, at.self_contact
+        # first of the quaternion in qpos and of the angular velocity in qvel; negative where the base is bolted
+        self._base = (-1, -1) if at.qpos is None or at.dof is None else (at.qpos + 3, at.dof + 3)
+        self._accelerometer = -1 if at.accelerometer is None or at.qpos is None else at.accelerometer
+        self._contact = at.self_contact
         self._forces = at.foot_force if feet else at.foot_force[:0]
         self._points = at.foot_points[: len(self._forces)]
-        self._sums = np.zeros((num_sims, MEANS + PEAKS))
-        self._feet = np.zeros((num_sims, 2, 3))
+        count = len(self._forces)
+        self._sums, self._peaks = np.zeros((num_sims, 4)), np.zeros((num_sims, 3))
+        self._feet_sums, self._feet = np.zeros((num_sims, 3, count)), np.zeros((num_sims, count, 3))
         self._samples = 0
         self._timestep = float(model.opt.timestep)
 
     def begin(self, site_xpos: Array) -> None:
         """A policy step begins with the feet here, ``[sim, site, 3]``."""
-        self._sums[:] = 0.0
+        for sums in (self._sums, self._peaks, self._feet_sums):
+            sums[:] = 0.0
         self._samples = 0
         if len(self._forces):
             self._feet[:] = site_xpos[:, self._points].mean(2)
@@ -81,49 +87,52 @@ class WholeStep:
         """After a step of the physics; arrays ``[sim, ...]``, `current` in A."""
         self._samples += 1
         _add(
-            self._sums, self._feet, qpos, qvel, sensordata, site_xpos, current,
+            self._sums, self._peaks, self._feet_sums, self._feet, qpos, qvel, sensordata, site_xpos, current,
             self._base, self._accelerometer, self._contact, self._forces, self._points, self._timestep,
         )  # fmt: skip
 
     def result(self) -> Throughout:
         """The step so far."""
-        mean = torch.from_numpy(self._sums[:, :MEANS] / max(self._samples, 1))
-        peak = torch.from_numpy(self._sums[:, MEANS:].copy())
-        feet = mean[:, 3:5], mean[:, 5:7], mean[:, 7:9]
-        return Throughout(mean[:, 0], mean[:, 1], mean[:, 2], *feet, mean[:, 9], peak[:, 0], peak[:, 1], peak[:, 2])
+        mean = torch.from_numpy(self._sums / max(self._samples, 1))
+        feet = torch.from_numpy(self._feet_sums / max(self._samples, 1))
+        peak = torch.from_numpy(self._peaks.copy())
+        return Throughout(*mean.unbind(1), *feet.unbind(1), *peak.unbind(1))
 
 
 @numba.njit(cache=True, nogil=True)
 def _add(
-    sums, feet, qpos, qvel, sensordata, site_xpos, current, base, accelerometer, contact, forces, points, timestep
+    sums, peaks, feet_sums, feet, qpos, qvel, sensordata, site_xpos, current, base, accelerometer, contact, forces,
+    points, timestep,
 ):  # fmt: skip
-    """Adds one look to sums ``[sim, MEANS + PEAKS]``."""
+    """Adds one look to sums ``[sim, 4]``, peaks ``[sim, 3]`` and sums of the feet ``[sim, 3, foot]``."""
+    lowest = np.zeros(len(forces))
     for sim in range(len(sums)):
         total = 0.0
         for joint in range(current.shape[1]):
             total += current[sim, joint] ** 2
         sums[sim, 0] += np.sqrt(total)
-        rate = base[1]
-        sums[sim, 1] += np.sqrt(qvel[sim, rate] ** 2 + qvel[sim, rate + 1] ** 2 + qvel[sim, rate + 2] ** 2)
-        w, x, y, z = qpos[sim, base[0]], qpos[sim, base[0] + 1], qpos[sim, base[0] + 2], qpos[sim, base[0] + 3]
-        # the accelerometer reads gravity too, upwards in the world
-        ax = sensordata[sim, accelerometer] - GRAVITY * 2.0 * (x * z - w * y)
-        ay = sensordata[sim, accelerometer + 1] - GRAVITY * 2.0 * (y * z + w * x)
-        az = sensordata[sim, accelerometer + 2] - GRAVITY * (1.0 - 2.0 * (x * x + y * y))
-        acceleration = np.sqrt(ax * ax + ay * ay + az * az)
-        sums[sim, 2] += acceleration
-        sums[sim, MEANS + 1] = max(sums[sim, MEANS + 1], acceleration)
+        if base[0] >= 0:
+            rate = base[1]
+            sums[sim, 1] += np.sqrt(qvel[sim, rate] ** 2 + qvel[sim, rate + 1] ** 2 + qvel[sim, rate + 2] ** 2)
+        if accelerometer >= 0:
+            w, x, y, z = qpos[sim, base[0]], qpos[sim, base[0] + 1], qpos[sim, base[0] + 2], qpos[sim, base[0] + 3]
+            # the accelerometer reads gravity too, upwards in the world
+            ax = sensordata[sim, accelerometer] - GRAVITY * 2.0 * (x * z - w * y)
+            ay = sensordata[sim, accelerometer + 1] - GRAVITY * 2.0 * (y * z + w * x)
+            az = sensordata[sim, accelerometer + 2] - GRAVITY * (1.0 - 2.0 * (x * x + y * y))
+            acceleration = np.sqrt(ax * ax + ay * ay + az * az)
+            sums[sim, 2] += acceleration
+            peaks[sim, 1] = max(peaks[sim, 1], acceleration)
         if sensordata[sim, contact] > 0.0 and sensordata[sim, contact + 1] < 0.0:
-            sums[sim, 9] += 1.0
-            sums[sim, MEANS + 2] = max(sums[sim, MEANS + 2], -sensordata[sim, contact + 1])
-        lowest = np.zeros(2)
+            sums[sim, 3] += 1.0
+            peaks[sim, 2] = max(peaks[sim, 2], -sensordata[sim, contact + 1])
         for foot in range(len(forces)):
             first = forces[foot]
             force = np.sqrt(
                 sensordata[sim, first] ** 2 + sensordata[sim, first + 1] ** 2 + sensordata[sim, first + 2] ** 2
             )
-            sums[sim, 3 + foot] += force
-            sums[sim, MEANS] = max(sums[sim, MEANS], force)
+            feet_sums[sim, 0, foot] += force
+            peaks[sim, 0] = max(peaks[sim, 0], force)
             lowest[foot] = site_xpos[sim, points[foot, 0], 2]
             for point in points[foot, 1:]:
                 lowest[foot] = min(lowest[foot], site_xpos[sim, point, 2])
@@ -135,6 +144,8 @@ def _add(
                 here /= points.shape[1]
                 way += (here - feet[sim, foot, axis]) ** 2
                 feet[sim, foot, axis] = here
-            sums[sim, 5 + foot] += np.sqrt(way) / timestep
-        sums[sim, 7] += max(0.0, lowest[0] - lowest[1])
-        sums[sim, 8] += max(0.0, lowest[1] - lowest[0])
+            feet_sums[sim, 1, foot] += np.sqrt(way) / timestep
+        if len(forces):
+            ground = lowest.min()
+            for foot in range(len(forces)):
+                feet_sums[sim, 2, foot] += lowest[foot] - ground

@@ -1,6 +1,7 @@
 """Networks: normalisation of observations, a squashed Gaussian policy, Q functions and their ensemble."""
 
 import math
+import time
 from collections.abc import Sequence
 
 import torch
@@ -168,13 +169,14 @@ class Ensemble(nn.Module):
         return torch.stack([member(observation, action).squeeze(-1) for member in self.members])
 
 
-def bfloat16_is_faster() -> bool:
-    """Whether this processor multiplies bfloat16 so much faster than float32 that conversions are worth it.
+def bfloat16_is_faster(device: torch.device) -> bool:
+    """Whether a device multiplies bfloat16 so much faster than float32 that conversions are worth it.
 
-    It is measured: instructions for it say little, for with the same avx512_bf16 one make of processor is twice as
-    fast at it and another half as fast.
+    For processors it is measured: of two makes with the same avx512_bf16, one is twice as fast in bfloat16 and the other
+    half as fast.
     """
-    import time
+    if device.type != "cpu":
+        return True
 
     def best(dtype: torch.dtype) -> float:
         first, second = (torch.ones(512, 256, dtype=dtype), torch.ones(256, 256, dtype=dtype))

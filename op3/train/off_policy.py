@@ -85,7 +85,7 @@ class OffPolicy(Algorithm):
     def q_network(self) -> QNetwork:
         """A fresh Q function."""
         chosen = self.settings
-        bfloat16 = bfloat16_is_faster() if chosen.bfloat16 is None else chosen.bfloat16
+        bfloat16 = bfloat16_is_faster(self.device) if chosen.bfloat16 is None else chosen.bfloat16
         hidden = chosen.critic_hidden or chosen.hidden
         return QNetwork(self.observation_size, self.action_size, hidden, chosen.layer_norm, bfloat16)
 

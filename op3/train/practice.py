@@ -1,6 +1,8 @@
-"""Numbers of an environment that change while a policy learns."""
+"""Curricula: numbers of a task that change over the steps of a run."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import field
+from typing import Any
 
 import numpy as np
 
@@ -10,22 +12,27 @@ Schedule = Listed[Listed[Number]]
 """Pairs of a number of steps and a value, with straight lines between and constant beyond."""
 
 
-@settings()
+@settings("practice")
 class Practice:
-    """Curricula of a run; evaluations know nothing of them.
+    """What learning begins with and grows out of; evaluations know nothing of it.
 
     Attributes:
-        practice: schedules by the name of what the environment's method ``practise`` takes.
+        curricula: schedules by the path of a number in the task, such as ``shaping.speed_bonus.weight``; ``timestep``
+            is that of the physics [s], which changes at checkpoints, where all episodes begin anew.
     """
 
-    practice: Named[Schedule]
+    curricula: Named[Schedule] = field(default_factory=dict)
 
     def __post_init__(self):
-        for name, pairs in self.practice.items():
-            if any(len(pair) != 2 for pair in pairs) or list(pairs) != sorted(pairs):
-                raise ValueError(f"practice.{name} lists pairs of steps and value, steps rising, got {pairs}")
+        for path, pairs in self.curricula.items():
+            if not pairs or any(len(pair) != 2 for pair in pairs) or list(pairs) != sorted(pairs):
+                raise ValueError(f"curricula.{path} lists pairs of steps and value, steps rising, got {pairs}")
 
-    def at(self, steps: int) -> Mapping[str, float]:
-        """What the environment is told after so many steps, by name; nothing of what has an empty schedule."""
-        schedules = {name: np.array(pairs).T for name, pairs in self.practice.items() if pairs}
-        return {name: float(np.interp(steps, *columns)) for name, columns in schedules.items()}
+    def at(self, steps: int) -> Mapping[str, Any]:
+        """Values after so many steps, by path."""
+        return {path: _value(schedule, steps) for path, schedule in self.curricula.items()}
+
+
+def _value(schedule: Sequence[Sequence[float]], steps: float) -> float:
+    at, values = np.array(schedule).T
+    return float(np.interp(steps, at, values))

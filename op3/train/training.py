@@ -110,7 +110,7 @@ def train(
             finite, or if a checkpoint does not fit.
         FileNotFoundError: if there is no checkpoint to resume from.
     """
-    folder, practice, config = Path(folder), practice or Practice({}), dict(config or {})
+    folder, practice, config = Path(folder), practice or Practice(), dict(config or {})
     identity = _identity(algorithm, manifest, settings)
     if not resume:
         check_unused(folder)

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from op3.compliance.pushing import Survival, survive_pushes
+from op3.envs import make_env
 from op3.envs.actors import find_actor
 from op3.tasks import find_task
-from op3.tasks.pushes import DIRECTIONS
+from op3.tasks.pushes import DIRECTIONS, Push
+from op3.tasks.setups import OP3_CONTROL_PERIOD
 
 
 def test_area_under_the_survival():
@@ -27,3 +29,36 @@ def test_a_stiff_stand_is_pushed_over():
     weak = survive_pushes(find_actor("hold", task), "paper", task, most=0.4, rungs=2, episodes=1)
     assert not found.survived[:, 1].any()
     assert weak.survived[:, 0].all()
+
+
+@pytest.fixture(scope="module")
+def all_at_once() -> Survival:
+    """Sixteen pushes of a stiff walk, each on a robot of its own."""
+    return ladder(rows=16)
+
+
+def ladder(rows: int) -> Survival:
+    task = find_task("walk")
+    return survive_pushes(find_actor("stiff", task), "paper", task, most=3.0, rungs=2, episodes=1, seed=3, rows=rows)
+
+
+@pytest.mark.parametrize("rows", [3, 7])
+def test_every_push_is_survived_or_not_whatever_is_beside_it(all_at_once, rows):
+    """Fewer robots than pushes, which restart at different times: push by push as with a robot for each."""
+    assert 0 < all_at_once.survived.sum() < all_at_once.survived.size
+    assert np.array_equal(ladder(rows).survived, all_at_once.survived)
+
+
+def test_a_restart_leaves_the_pushes_of_the_others():
+    """A robot that begins anew gets the task's push, and the others keep what they were given."""
+    env = make_env("walk_push", num_envs=3, num_threads=1)
+    env.reset()
+    event = env.mdp.event("pushing")
+    event.replace(np.arange(3), [Push.towards(number, 2.0 + number, 1.0) for number in range(3)])
+    env.begin({1: 4})
+    impulse = np.zeros((3, 3))
+    for time in np.arange(0.0, 4.0, OP3_CONTROL_PERIOD):
+        event.tick(np.full(3, time))
+        wrench = env.mdp._world.base_wrench
+        impulse += OP3_CONTROL_PERIOD * wrench[:, :3]
+    np.testing.assert_allclose(np.linalg.norm(impulse, axis=1), [2.0, 1.0, 4.0])

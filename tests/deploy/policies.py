@@ -3,15 +3,15 @@
 import numpy as np
 import torch
 
-from op3.policy import ActionMap, Manifest, PolicyBundle
+from op3.policy import Manifest, PolicyBundle
 from op3.policy.bundle import weight_shapes
-from op3.policy.observation import BALANCE_LAYOUT, WALK_LAYOUT
+from op3.tasks import find_task
 
 
 def hold_policy(task: str = "balance", feedback: float = 0.0, seed: int = 0) -> PolicyBundle:
     """Holds the stand pose with a P gain of 5 A/rad; with feedback, actions depend a little on every observation."""
-    layout, history = (WALK_LAYOUT, 3) if task == "walk" else (BALANCE_LAYOUT, 1)
-    action_map = ActionMap.around_stand()
+    layout, history = find_task(task).layout, find_task(task).history
+    action_map = find_task(task).action_map()
     manifest = Manifest(task=task, layout=layout, history=history, action_map=action_map, hidden=(8,))
     generator = torch.Generator().manual_seed(seed)
     weights = {

@@ -26,7 +26,7 @@ def test_observation_is_that_of_training(task):
     state = env.reset()
     worst = 0.0
     for step in range(25):
-        now = {name: value[0].numpy() for name, value in env.rules.readings.items()}
+        now = {name: value[0].numpy() for name, value in env.mdp.readings.items()}
         observation = runner.observe(*(now[name] for name in ORDER), step)
         worst = max(worst, float(np.abs(observation - state["observation"][0].double().numpy()).max()))
         # the environment keeps single precision, of the phase before its sine is taken; nothing else may differ
@@ -113,7 +113,7 @@ def test_a_policy_for_another_loop_is_refused():
     bundle.manifest = dataclasses.replace(bundle.manifest, policy_rate=62.5)
     with pytest.raises(ValueError, match=r"field policy_rate of its manifest is 62\.5 Hz, here it is 31\.25 Hz"):
         PolicyRunner(bundle)
-    bundle.manifest = dataclasses.replace(hold_policy().manifest, layout={"joint_position": 20})
+    bundle.manifest = dataclasses.replace(hold_policy().manifest, layout={"temperature": 20}, observations={})
     with pytest.raises(ValueError, match="field layout"):
         PolicyRunner(bundle)
     bundle.manifest = dataclasses.replace(hold_policy("walk").manifest, task="hop")

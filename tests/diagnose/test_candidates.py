@@ -11,7 +11,7 @@ from op3.diagnose.coordinates import CHAIN, base_coordinates, other_forms, with_
 from op3.diagnose.reduction import Reduction
 from op3.diagnose.settings import SETTINGS
 from op3.diagnose.verdict import separating
-from op3.diagnose.windows import WindowResiduals
+from op3.replay.windows import WindowResiduals
 from op3.robot import leg_suite
 from op3.servo import catalogue
 from op3.servo.effect import parameter

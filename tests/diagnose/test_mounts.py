@@ -71,7 +71,7 @@ def test_logs_in_which_nothing_moves_are_told_so():
     """A robot that stands still on its stand gets a sentence on what to record, and no finding."""
     model = load_model("paper")
     still = simulate_motion(model, chirp({"l_knee": 1e-4}, duration=4.0), mount="stand")
-    part = LogSplit((still,), (still,), (still,))
+    part = LogSplit((still,), (still,))
     verdict = Diagnosis(model, part).run()
     assert not verdict.findings
     assert "No joint moves" in verdict.sentence

@@ -43,8 +43,10 @@ def test_a_strong_effect_is_found_in_its_joint_and_a_sound_leg_is_silent(windows
     assert (finding.effect, finding.joints) == ("cable_spring", ("r_knee",))
     assert finding.size == pytest.approx(0.25, rel=0.2)
     assert finding.interval[0] < 0.25 < finding.interval[1]
-    assert finding.in_model
-    assert found.gap["joint/position"]["after"] < found.gap["joint/position"]["before"]
+    assert "cable_spring" in found.model.effect_names
+    assert found.windows is not None
+    torque = found.windows.joints["r_knee"]["torque"]
+    assert torque.returned < torque.baseline < torque.given
     quiet = Diagnosis(load_model("paper"), split_logs(logs_of(sound)), settings=Settings(windows=windows)).run()
     assert quiet.findings == ()
     assert quiet.verdict == "nothing_missing"

@@ -7,7 +7,7 @@ from tensordict import TensorDict
 from torchrl.envs import check_env_specs
 
 from op3.envs import BatchedEnv, make_env
-from op3.tasks.task import TASKS, find_task
+from op3.tasks.task import find_task, task_names
 
 
 def roll(env: BatchedEnv, steps: int, seed: int = 0, start: TensorDict | None = None) -> TensorDict:
@@ -24,7 +24,7 @@ def roll(env: BatchedEnv, steps: int, seed: int = 0, start: TensorDict | None = 
     return torch.stack(seen)
 
 
-@pytest.mark.parametrize("name", sorted(TASKS))
+@pytest.mark.parametrize("name", task_names())
 def test_specs(name):
     """Every task passes TorchRL's check of its specs."""
     check_env_specs(make_env(name, num_envs=2, num_threads=1), break_when_any_done="both")
@@ -46,7 +46,7 @@ def test_partial_reset_leaves_others_alone(name):
     roll(untouched, 6)
     mask = torch.tensor([False, True, False])[:, None]
     again = touched.reset(TensorDict({"_reset": mask}, [3]))
-    assert touched.rules.steps.tolist() == [6, 0, 6]
+    assert touched.mdp.steps.tolist() == [6, 0, 6]
     after, expected = roll(touched, 6, 1, again), roll(untouched, 6, 1, again.clone())
     others = [0, 2]
     assert torch.equal(after["observation"][:, others], expected["observation"][:, others])
@@ -75,7 +75,11 @@ def test_overload_joins_the_reward_where_it_has_a_weight(backend):
     crouch[0, 10:] = 1.0
     seen = {}
     for weight in (0.0, 0.5):
-        env = make_env(find_task("balance", overload=weight), backend=backend, num_envs=1)
+        env = make_env(
+            find_task("balance", {"shaping.overload": {"weight": weight} if weight else None}),
+            backend=backend,
+            num_envs=1,
+        )
         state = env.reset()
         seen[weight] = [state := env.step(state.set("action", crouch))["next"] for _ in range(5)]
     assert not any("overload" in set(state["reward_terms"].keys()) for state in seen[0.0])
@@ -142,14 +146,14 @@ def test_board_follows_its_motion():
     """Under a robot the board is where the motion of the episode's seed says, to 0.1 mrad."""
     env = make_env("balance", num_envs=2, seed=2)
     roll(env, 60)
-    angle, _ = env._board.at(env.rules.time.numpy())
+    angle, _ = env.mdp.event("board")._stacked.at(env.mdp.time.numpy())
     np.testing.assert_allclose(env._qpos[:, [28, 27]], angle, atol=1e-4)
     assert np.abs(angle).max() > 0.01
 
 
 def test_unknown_names_are_refused():
     """Unknown tasks and backends are named, with those there are."""
-    with pytest.raises(ValueError, match=r"unknown task 'run'; the tasks are balance,"):
+    with pytest.raises(ValueError, match=r"unknown task 'run'; there are balance,"):
         make_env("run")
     with pytest.raises(ValueError, match="model=sts3032: its servos take no gains"):
         make_env("balance", "sts3032", 1)

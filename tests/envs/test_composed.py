@@ -29,7 +29,7 @@ def test_twins_agree(name):
     """The same actions give the same observations, rewards and ends through composer and through the batch."""
     envs = [make_env(name, num_envs=1, seed=3, backend=b) for b in ("composer", "batched")]
     composed, batched = (play(env, 20) for env in envs)
-    position = [servos.signals.position for servos in (envs[0].composer_task.servo, envs[1].simulation)]
+    position = [servos.signals.position for servos in (envs[0].composer_task.servos, envs[1].simulation)]
     torch.testing.assert_close(*position, rtol=0, atol=1e-9)
     for one, other in zip(composed, batched, strict=True):
         # float32 of trajectories that agree to rounding; a count of a quantised sensor may fall either way

@@ -67,7 +67,7 @@ def test_more_episodes_than_robots():
 @pytest.mark.slow
 def test_holding_survives_a_level_board():
     """Holding the stand pose stiffly survives 10 s on a board that stays level, with a good R_eval."""
-    logs = record_episodes(make_env(find_task("balance", board="still"), num_envs=4), Hold())
+    logs = record_episodes(make_env(find_task("balance", {"events.board.motion": "still"}), num_envs=4), Hold())
     assert not any(log.metadata.fallen for log in logs)
     assert all(log.rows == 1252 for log in logs)
     assert min(float(evaluation_rewards(log).mean()) for log in logs) > 0.5

@@ -49,6 +49,7 @@ def test_jobs_write_verdict_page_and_one_wandb_group(logs, tmp_path):
         assert told["verdict"] in ("named", "ambiguous", "nothing_missing", "unknown")
         assert any("record 100 s" in text for text in told["cannot_tell"])
         assert all(finding["probability"] <= 0.5 for finding in told["findings"])
+        assert set(told["windows"]["horizons"]) <= {"250 ms", "500 ms", "1000 ms"}
         assert set(told["joints"]) <= {f"r_{joint}" for joint in LEG}
         for gap in told["gap"].values():
             for end in ("before", "after"):

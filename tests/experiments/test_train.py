@@ -9,6 +9,7 @@ from types import ModuleType
 import pytest
 from hydra import compose, initialize_config_dir
 from hydra.core.hydra_config import HydraConfig
+from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
 from op3.policy import PolicyBundle
@@ -168,13 +169,13 @@ def test_ctrl_c_says_how_a_training_goes_on(capsys):
 def test_a_fixed_gain_holds_for_a_policy_that_begins_with_another():
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
         cfg = compose("train", ["fixed_gain=2", "warm_start=assets/policies/balance"])
-    made = module("train").actions(cfg)
+    made = module("train").actions(cfg, instantiate(cfg.task))
     start = PolicyBundle.load(ROOT / "assets/policies/balance").manifest.action_map
     assert made.gain_low == made.gain_high == 2.0
     assert made.position_low == start.position_low
 
 
-@pytest.mark.parametrize("task", ["balance", "walk", "walk_terrain"])
+@pytest.mark.parametrize("task", ["balance", "walk", "walk_terrain", "walk_command"])
 def test_the_papers_budget_is_for_every_task(task):
     """Two layers of 256 and a million steps for balancing, of 1024 and three million for walking on whatever ground."""
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):

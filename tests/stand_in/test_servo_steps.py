@@ -44,7 +44,14 @@ def test_gear_loss_follows_the_sign_of_the_power(current, speed):
 
 
 @pytest.mark.parametrize(
-    ("form", "left"), [("gaussian", np.exp(-0.390625)), ("exponential", np.exp(-0.625)), ("lorentz", 1 / 1.390625)]
+    ("form", "left"),
+    [
+        ("gaussian", np.exp(-0.390625)),
+        ("exponential", np.exp(-0.625)),
+        ("lorentz", 1 / 1.390625),
+        ("stretched", np.exp(-np.sqrt(0.625))),
+        ("ramp", 0.6875),
+    ],
 )
 def test_sliding_friction(form, left):
     """A dead servo moved at 0.05 of 0.08 rad/s resists with Coulomb, viscous and what is left of static friction."""

@@ -103,7 +103,7 @@ def test_spread():
         ({"armature": "heavy"}, "armature must be a number, got 'heavy'"),
         ({"armature": float("nan")}, "armature must be a finite number"),
         ({"spread_seed": 1.5}, "spread_seed must be a whole number"),
-        ({"loss_form": "magic"}, "loss_form must be one of 'power' or 'near_rest'"),
+        ({"loss_form": "magic"}, "loss_form must be one of 'power', 'near_rest', 'light_load', 'mesh' or 'concave'"),
         ([1, 2], "one `name: value` per line"),
     ],
 )

@@ -4,17 +4,22 @@ import math
 
 import numpy as np
 import pytest
+import torch
 
+from op3.robot import load_robot
 from op3.rollout import LogError, Metadata, Rollout
 from op3.tasks.evaluation import (
-    TRUNK_HEIGHT,
     evaluation_return,
     evaluation_rewards,
     succeeded,
+    swayed,
 )
 from tests.op3_table import JOINTS
 
 RATE = 125.0
+
+LEVER = 0.24479
+"""Height of the trunk's origin above the soles in the stand pose [m]."""
 
 
 def log(task: str, steps: int = 3, **metadata) -> Rollout:
@@ -45,16 +50,17 @@ def test_balance_by_hand():
     made = log("balance_eval")
     made.data["imu", "angular_velocity"][4:8, 1] = 0.5
     made.data["joint", "current"][4:8] = 0.1
-    forward = -(1 - math.exp(-2 * TRUNK_HEIGHT * 0.5))
+    forward = -(1 - math.exp(-2 * LEVER * 0.5))
     currents = -(1 - math.exp(-0.05 * 10 * 0.1 * math.sqrt(20)))
     turning = -(1 - math.exp(-0.1 * 0.5))
     expected = 1 + 0.6 * forward + 0.1 * (currents + turning)
-    assert evaluation_rewards(made).tolist() == pytest.approx([1.0, expected, 1.0])
+    assert evaluation_rewards(made).tolist() == pytest.approx([1.0, expected, 1.0], rel=1e-5)
 
 
 def test_trunk_height():
     """The lever from rates to velocities is the height of the trunk in the stand pose, 0.245 m."""
-    assert pytest.approx(0.2448, abs=1e-4) == TRUNK_HEIGHT
+    rates = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
+    assert swayed(rates, load_robot())[0].item() == pytest.approx(LEVER, abs=1e-5)
 
 
 def test_walk_by_hand():

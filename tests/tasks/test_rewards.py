@@ -1,6 +1,7 @@
 """The reward terms against values worked out by hand, their limits, and the smoothed gait phase."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from op3.robot import load_robot
 from op3.robot.kinematics import rotation_matrix
 from op3.tasks import rewards
 
@@ -18,16 +20,9 @@ def tensor(*values):
     return torch.tensor(values, dtype=torch.float64)
 
 
-def test_table_two():
-    """The coefficients are those of the paper's Table II."""
-    assert vars(rewards.BALANCE) == dict(bipedal=0.0, command=0.6, smooth=0.1, forward=2.0, sideways=2.0)
-    assert vars(rewards.WALK) == dict(bipedal=0.4, command=0.3, smooth=0.1, forward=15.0, sideways=1.0)
-    assert vars(rewards.EVALUATION) == dict(bipedal=0.0, command=0.6, smooth=0.1, forward=2.0, sideways=2.0)
-
-
 def test_command_term_by_hand():
     """0.1 m/s too slow, 0.2 m/s sideways, tilted by (0.3, 0.4) rad, whose norm is 0.5; yaw does not count."""
-    value = rewards.command_term(tensor(0.2, 0.2), tensor(0.3, 0.0), tensor(0.3, 0.4, 9.0), rewards.WALK)
+    value = rewards.command_term(tensor(0.2, 0.2), tensor(0.3, 0.0), tensor(0.3, 0.4, 9.0), 15.0, 1.0)
     # K_xd = 15, K_yd = 1
     expected = -(1 - math.exp(-15 * 0.1)) - (1 - math.exp(-1 * 0.2)) - (1 - math.exp(-4 * 0.5))
     assert value.item() == pytest.approx(expected)
@@ -43,15 +38,22 @@ def test_smooth_term_by_hand():
 def test_overload_term_by_hand():
     """Half the heat of 171 counts (0.45999 A) costs nothing; twice that current in two motors is an excess of 7."""
     fifth = 171 * 0.00269
-    assert rewards.overload_term(tensor(fifth * 0.7071, -0.3, 0.0)).item() == 0.0
-    value = rewards.overload_term(tensor(2 * fifth, -2 * fifth, 0.3))
+    robot = load_robot()
+
+    def overload(*values: float) -> torch.Tensor:
+        currents = torch.zeros(1, len(robot.joints), dtype=torch.float64)
+        currents[0, : len(values)] = tensor(*values)
+        return rewards.overload(SimpleNamespace(joint_current=currents), robot)
+
+    assert overload(fifth * 0.7071, -0.3, 0.0).item() == 0.0
+    value = overload(2 * fifth, -2 * fifth, 0.3)
     assert value.item() == pytest.approx(-(1 - math.exp(-7.0)))
 
 
 def test_bipedal_term_by_hand():
     """In mid-swing of the left foot its force counts and its speed does not; with the right foot it is the reverse."""
     swing_middle = torch.tensor(0.15, dtype=torch.float64)
-    value = rewards.bipedal_term(swing_middle, tensor(10.0, 17.0), tensor(2.0, 0.5))
+    value = rewards.bipedal_term(rewards.swing_of_feet(swing_middle), tensor(10.0, 17.0), tensor(2.0, 0.5), 10.0)
     # the left foot's phase is 0.15, the middle of its swing; the right one's is 0.65, the middle of its stance
     expected = -(1 - math.exp(-(10.0**2) / 100)) - (1 - math.exp(-2 * 0.5**2))
     assert value.item() == pytest.approx(expected, abs=2e-3)
@@ -76,8 +78,8 @@ def test_gait_is_symmetric():
         torch.rand(20, 2).double() * 20,
         torch.rand(20, 2).double(),
     )
-    here = rewards.bipedal_term(phase, force, speed)
-    there = rewards.bipedal_term((phase + 0.5) % 1, force.flip(-1), speed.flip(-1))
+    here = rewards.bipedal_term(rewards.swing_of_feet(phase), force, speed, 10.0)
+    there = rewards.bipedal_term(rewards.swing_of_feet((phase + 0.5) % 1), force.flip(-1), speed.flip(-1), 10.0)
     torch.testing.assert_close(here, there)
 
 
@@ -86,23 +88,19 @@ def test_gait_is_symmetric():
 def test_terms_are_bounded(values):
     """R_cmd and R_smt lie in [-3, 0], so that the reward of balancing lies in [1 - 1.8 - 0.3, 1]."""
     v = torch.tensor(values, dtype=torch.float64)
-    command = rewards.command_term(v[:2], v[2:4], v[4:7], rewards.BALANCE)
+    command = rewards.command_term(v[:2], v[2:4], v[4:7], 2.0, 2.0)
     smooth = rewards.smooth_term(rewards.norm(v[:4]), rewards.norm(v[8:10]), rewards.norm(v[10:13]))
     assert -3 <= command <= 0
     assert -3 <= smooth <= 0
-    reward = rewards.total(rewards.weighted(rewards.BALANCE, command, smooth))
+    reward = 1.0 + 0.6 * command + 0.1 * smooth
     assert -1.1 - 1e-12 <= reward <= 1
 
 
 def test_perfect_is_one():
-    """At rest, level, without current, the reward is 1."""
+    """At rest, level, without current, the penalties are 0."""
     zero = torch.zeros(3, dtype=torch.float64)
-    terms = rewards.weighted(
-        rewards.BALANCE,
-        rewards.command_term(zero[:2], zero[:2], zero, rewards.BALANCE),
-        rewards.smooth_term(zero[0], zero[0], zero[0]),
-    )
-    assert rewards.total(terms) == 1.0
+    assert rewards.command_term(zero[:2], zero[:2], zero, 2.0, 2.0) == 0.0
+    assert rewards.smooth_term(zero[0], zero[0], zero[0]) == 0.0
 
 
 @settings(max_examples=30, deadline=None)

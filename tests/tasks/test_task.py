@@ -1,59 +1,99 @@
 """Tasks as data, their configs, and how their episodes begin."""
 
+import re
+
 import hydra
 import numpy as np
 import pytest
-from omegaconf import OmegaConf
 
+from op3.envs import make_env
 from op3.policy import PolicyBundle
-from op3.robot import asset_path, build_scene, named_configs, pose
+from op3.robot import asset_path, named_configs, pose
 from op3.servo import Estimate
 from op3.sim import load_model
-from op3.tasks import TASKS, Randomisation, Setup, find_task
-from op3.tasks.beginning import begin
+from op3.tasks import Randomisation, Setup, find_task, task_names
 
 
-@pytest.mark.parametrize("name", sorted(TASKS))
-def test_configs(name):
-    """Every task has a config of its name that makes just this task."""
-    assert hydra.utils.instantiate(OmegaConf.load(named_configs("task")[name])) == TASKS[name]
-
-
-def test_no_config_without_task():
-    """There is no config of a task that does not exist."""
-    assert set(named_configs("task")) == set(TASKS)
+@pytest.mark.parametrize("name", task_names())
+def test_a_task_is_the_same_through_hydra(name):
+    """Composed by Hydra and instantiated, a file of conf/task gives the task that its name gives in Python."""
+    with hydra.initialize_config_dir(str(named_configs("task")[name].parent.parent), version_base="1.3"):
+        config = hydra.compose("evaluate", [f"task={name}"])
+    assert hydra.utils.instantiate(config.task) == find_task(name)
 
 
 def test_rates():
     """Ten seconds are 313 steps of 32 ms; walking has a cycle of 1 s at 0.3 m/s."""
-    assert TASKS["balance"].steps == 313
-    assert (TASKS["walk"].cycle, TASKS["walk"].desired_velocity) == (1.0, (0.3, 0.0))
-    assert (TASKS["balance"].observation_size, TASKS["walk"].observation_size) == (124, 256)
+    balance, walk = find_task("balance"), find_task("walk")
+    assert balance.steps == 313
+    assert (walk.cycle, walk.desired_velocity) == (1.0, (0.3, 0.0))
+    assert (balance.observation_size, walk.observation_size) == (124, 256)
+    assert (sum(balance.layout.values()), sum(walk.layout.values())) == (62, 64)
+
+
+def test_table_two():
+    """The rewards of training are those of the paper's Table II."""
+    balance, walk = find_task("balance").rewards, find_task("walk").rewards
+    assert [balance[name]["weight"] for name in ("alive", "command", "smooth")] == [1.0, 0.6, 0.1]
+    assert (balance["command"]["forward"], balance["command"]["sideways"]) == (2.0, 2.0)
+    assert [walk[name]["weight"] for name in ("alive", "command", "smooth", "bipedal")] == [1.0, 0.3, 0.1, 0.4]
+    assert (walk["command"]["forward"], walk["command"]["sideways"]) == (15.0, 1.0)
 
 
 def test_changes():
-    """A task by name may be changed; unknown attributes and impossible grounds are refused by name."""
+    """A task by name may be changed by dotted path; what it does not have is refused by name."""
     assert find_task("walk", duration=2.0).duration == 2.0
-    assert TASKS["walk"].duration == 10.0
+    assert find_task("walk").duration == 10.0
+    changed = find_task("walk", {"rewards.command.forward": 5.0, "rewards.smooth": None, "gait.cycle": 0.8})
+    assert (changed.rewards["command"]["forward"], changed.cycle) == (5.0, 0.8)
+    assert "smooth" not in changed.reward_terms
     with pytest.raises(ValueError, match="a task has no 'speed'"):
         find_task("walk", speed=1.0)
-    with pytest.raises(ValueError, match=r"terrain_height must be at most 0\.01, got 0\.02"):
-        find_task("walk_terrain", terrain_height=0.02)
-    with pytest.raises(ValueError, match="overload must be at least 0, got -1"):
-        find_task("balance", overload=-1.0)
-    with pytest.raises(ValueError, match="scene 'floor' cannot be moved by board='tilts'"):
-        find_task("walk", board="tilts")
+    with pytest.raises(ValueError, match="task: duration must be above 0, got -1"):
+        find_task("walk", duration=-1.0)
+
+
+IMPOSSIBLE = {
+    "events.terrain: height must be between 0 and 0.01 m, got 0.02": ("walk_terrain", {"events.terrain.height": 0.02}),
+    "events.board: scene 'floor' cannot be moved by motion='tilts'": ("walk", {"events.board": {"motion": "tilts"}}),
+    "rewards.smoth: there is no term 'smoth'; the nearest is 'smooth'": ("walk", {"rewards.smoth": {"weight": 1.0}}),
+    "rewards.command.foward: unknown field; the nearest is 'forward'": ("walk", {"rewards.command.foward": 2.0}),
+    "rewards.command.forward is missing: give it a value": ("walk", {"rewards.command": {"sideways": 1.0}}),
+    "terminations.tilt.function: 'nowhere.tilt' cannot be imported": (
+        "walk",
+        {"terminations.tilt.function": "nowhere.tilt"},
+    ),
+    "rewards.smooth.function: math has no 'smoth'": ("walk", {"rewards.smooth.function": "math.smoth"}),
+    "observations.phase does not fit the robot op3: the task has no gait": ("balance", {"observations.phase": {}}),
+    "observations.command does not fit the robot op3: the task has no command": ("walk", {"observations.command": {}}),
+    "observations.phase.noise must be a number of at least 0": ("walk", {"observations.phase.noise": -1.0}),
+    "actions.position.spam: unknown field; the nearest is 'span'": ("walk", {"actions.position.spam": 1.0}),
+    "actions.positions: there is no such action term": ("walk", {"actions.positions": {}}),
+    "commands.velocity: forward must be a least and a greatest value": (
+        "walk",
+        {"commands.velocity": {"forward": [1.0, 0.0]}},
+    ),
+}
+
+
+@pytest.mark.parametrize("message", IMPOSSIBLE)
+def test_an_impossible_term_is_named(message):
+    """One sentence names the term, the field and the nearest name."""
+    name, changes = IMPOSSIBLE[message]
+    with pytest.raises(ValueError, match=re.escape(message)):
+        make_env(find_task(name, changes), num_envs=1, num_threads=1)
 
 
 def test_beginnings():
     """A beginning is a pure function of its seed, near the stand pose, with the soles near the ground."""
-    task, scene = TASKS["balance"], build_scene("board")
-    first, again, other = (begin(task, scene, seed) for seed in (3, 3, 4))
+    env = make_env("balance", num_envs=1, num_threads=1)
+    row = np.zeros(1, dtype=np.int64)
+    first, again, other = (env.mdp.begin(row, np.array([seed])) for seed in (3, 3, 4))
     np.testing.assert_array_equal(first.qpos, again.qpos)
     np.testing.assert_array_equal(first.qvel, again.qvel)
     assert not np.array_equal(first.qpos, other.qpos)
-    assert np.abs(first.qpos[7:27] - pose("stand")).max() < 0.1
-    assert first.qvel[[2, 5]].tolist() == [0.0, 0.0]
+    assert np.abs(first.qpos[0, 7:27] - pose("stand")).max() < 0.1
+    assert first.qvel[0, [2, 5]].tolist() == [0.0, 0.0]
 
 
 def test_randomisation_from_intervals():

@@ -7,6 +7,7 @@ import torch
 
 from op3.envs import make_env
 from op3.tasks import find_task
+from op3.tasks.addresses import Addresses
 
 
 def drop(height: float):
@@ -38,7 +39,8 @@ def test_a_landing_escapes_a_single_look():
     for _ in range(6):
         env.step(_with(env, stand))
         peaks.append(float(env._whole_step.result().peak_force))
-        ends.append(float(env.snapshot().foot_force.max()))
+        at = Addresses.find(env.simulation.batch.model, env.scene).foot_force
+        ends.append(max(float(env.simulation.sensordata[0, foot : foot + 3].norm()) for foot in at))
     assert max(peak / end for peak, end in zip(peaks, ends, strict=True) if peak > 50) > 3
 
 
@@ -63,46 +65,49 @@ def test_the_single_look_is_an_option():
 
 def test_the_phase_is_drawn_where_asked():
     """Without a first phase each episode has its own, by its seed; otherwise all begin there."""
-    drawn = make_env(find_task("walk", first_phase=None), num_envs=8, seed=0)
+    drawn = make_env(find_task("walk", {"gait.first_phase": None}), num_envs=8, seed=0)
     drawn.reset()
-    assert len(set(drawn.rules.first_phase.tolist())) == 8
-    again = make_env(find_task("walk", first_phase=None), num_envs=8, seed=0)
+    assert len(set(drawn.mdp.phase.tolist())) == 8
+    again = make_env(find_task("walk", {"gait.first_phase": None}), num_envs=8, seed=0)
     again.reset()
-    assert torch.equal(drawn.rules.first_phase, again.rules.first_phase)
-    fixed = make_env(find_task("walk", first_phase=0.25), num_envs=8, seed=0)
+    assert torch.equal(drawn.mdp.phase, again.mdp.phase)
+    fixed = make_env(find_task("walk", {"gait.first_phase": 0.25}), num_envs=8, seed=0)
     fixed.reset()
-    assert set(fixed.rules.first_phase.tolist()) == {0.25}
+    assert set(fixed.mdp.phase.tolist()) == {0.25}
 
 
 def test_practice_changes_the_reward_and_the_ground():
     """A bonus is paid per speed and reported beside the paper's terms; tiles grow with the next episodes."""
-    env = make_env("walk_terrain", num_envs=2, seed=0)
-    env.practise(speed_bonus=2.0, terrain_height=0.0)
-    state = env.reset()
-    assert env._beginnings[0].tiles.max() == 0.0
+    env = make_env(find_task("walk_terrain", {"shaping.speed_bonus": {"weight": 0.0}}), num_envs=2, seed=0)
+    env.practise(**{"shaping.speed_bonus.weight": 2.0, "events.terrain.height": 0.0})
+    state, tiles = env.reset(), env.mdp.event("terrain")
+    heights = [tiles._geom_pos[:, tiles._tiles, 2].max()]
     env._qvel[:, 0] = 0.1
     state["action"] = torch.from_numpy(env.action_map.stand()).float().expand(2, -1)
     after = env.step(state)["next"]
     velocity = torch.from_numpy(env._qvel[:, :1]).clamp(-0.3, 0.3)
     torch.testing.assert_close(after["reward_terms", "speed_bonus"], (2.0 * velocity).float())
-    total = 1.0 + sum(after["reward_terms"].values())
-    torch.testing.assert_close(after["reward"], total)
-    env.practise(terrain_height=0.01)
+    torch.testing.assert_close(after["reward"], sum(after["reward_terms"].values()))
+    env.practise(**{"events.terrain.height": 0.01})
     env.reset()
-    assert env._beginnings[0].tiles.max() > 0.005
+    heights.append(tiles._geom_pos[:, tiles._tiles, 2].max())
+    assert heights[1] - heights[0] > 0.005
+    with pytest.raises(ValueError, match=r"the nearest is 'events\.terrain'"):
+        env.practise(**{"events.terain.height": 0.01})
+    with pytest.raises(ValueError, match="term terrain has no field 'hight'; the nearest is 'height'"):
+        env.practise(**{"events.terrain.hight": 0.01})
 
 
 def test_who_stands_still_falls_behind():
     """An episode of standing ends once the robot is so far behind, and the next begins without what it lacked."""
-    env = make_env("walk", num_envs=1, seed=0)
-    env.practise(largest_lag=0.1)
+    env = make_env(find_task("walk", {"terminations.lag": {"velocity": 0.3, "distance": 0.1}}), num_envs=1, seed=0)
     state, stand = env.reset(), torch.from_numpy(env.action_map.stand()).float()[None]
     for _ in range(20):
         state["action"] = stand
         state = env.step(state)["next"]
         if state["terminated"].item():
             break
-    assert 8 <= env.rules.steps.item() <= 13  # 0.3 m/s for 0.35 s are 0.1 m, and the body sways
+    assert 8 <= env.mdp.steps.item() <= 13  # 0.3 m/s for 0.35 s are 0.1 m, and the body sways
     state = env.reset()
     state["action"] = stand
     assert not env.step(state)["next"]["terminated"].item()

@@ -233,8 +233,8 @@ def test_a_run_does_not_go_on_as_another(tmp_path):
     [
         (lambda: TrainSettings(steps="many"), "steps must be a whole number, got 'many'"),
         (lambda: TrainSettings(seed=-1), "seed must be at least 0"),
-        (lambda: Practice({"height": [[0, 1], 2]}), "practice.height.1 must be a list, got 2"),
-        (lambda: Practice({"height": [[9, 1.0], [3, 2.0]]}), "practice.height lists pairs of steps and value, steps"),
+        (lambda: Practice({"height": [[0, 1], 2]}), "practice: curricula.height.1 must be a list, got 2"),
+        (lambda: Practice({"height": [[9, 1.0], [3, 2.0]]}), "curricula.height lists pairs of steps and value, steps"),
     ],
 )
 def test_settings_name_what_is_wrong(make, message):
@@ -278,7 +278,7 @@ def test_curricula_reach_the_environment(tmp_path):
 
     env = Practising(16)
     env.given = []
-    schedule = Practice({"height": [[0, 1.0], [256, 2.0]], "unused": []})
+    schedule = Practice({"height": [[0, 1.0], [256, 2.0]]})
     settings = dataclasses.replace(SETTINGS, steps=256)
     train(SAC(env, **LEARN), env, lambda policy: {}, settings, MANIFEST, tmp_path, practice=schedule)
     # before the first reset, before each of the four rollouts of 64 steps, and when episodes begin anew at the end

@@ -1,6 +1,6 @@
 """What bodies carry beyond their models."""
 
-from op3.servo.effect import Effect, ModelEdit, Parameter, Stage, register
+from op3.servo.effect import Effect, ModelEdit, Parameter, Stage, Usual, register
 
 
 @register
@@ -58,6 +58,9 @@ class LinkInertia(Effect):
     equation = "J_link += m_link k^2"
     source = "rigid body; a disc of radius r about its axis has k^2 = r^2 / 2, so the range is one of 0.16 m at most"
     parameters = (Parameter("gyration_squared", "m^2", 0.0, 0.0125, 0.0, 0.0, "squared radius of gyration added, k^2"),)
+    # no weight is a point: a ball of steel of 0.2 to 1 kg has k^2 = 2/5 r^2 = 1.3e-4 to 3.9e-4 m^2, the most compact
+    # there is; discs, screws and the arm add to it. With one weight it is not distinguished from the rotor's inertia
+    usual = {"gyration_squared": Usual(2.5e-4, 1.5e-4, 2e-4, 1.5e-3, least=0.0, bench=True)}
     edits = (ModelEdit("body_inertia", "joint_body", "add", "gyration_squared", per="body_mass"),)
     secants = ({"gyration_squared": 2e-3},)
     fingerprint = "in proportion to acceleration, in the joint and in those that carry it"

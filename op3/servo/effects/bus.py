@@ -36,6 +36,7 @@ class PacketDrop(Effect):
     """
 
     name = "packet_drop"
+    foreseeable = False
     stage = Stage.TRANSPORT
     rank = -1
     equation = "u_k = u_{k-1} with probability p"

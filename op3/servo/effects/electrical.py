@@ -6,7 +6,7 @@ from typing import Literal
 
 from torch import Tensor
 
-from op3.servo.effect import Effect, Parameter, Stage, register
+from op3.servo.effect import Effect, Parameter, Stage, Usual, register
 from op3.servo.law import CURRENT, clip, lags_per_step
 
 REFERENCE_TEMPERATURE = 25.0
@@ -148,6 +148,9 @@ class CurrentLag(Effect):
     equation = "dI/dt = (u - I) / Tc"
     source = "closed current loop; ROBOTIS does not disclose its lag, so the range is our own choice"
     parameters = (Parameter("current_time_constant", "s", 0.0, 0.01, 0.0, 0.0, "Tc", least=0.0),)
+    # our own choice: ROBOTIS does not disclose it (ROBOTIS-GIT/emanual issue 1331), only that loops run much faster
+    # than 1 kHz (DynamixelSDK issue 534)
+    usual = {"current_time_constant": Usual(0.001, 0.001, 0.002, 0.01)}
     memory = ("end", "wanted")
     constants = ("rate", "left")
     secants = (
@@ -207,6 +210,8 @@ class CurrentOffset(Effect):
     equation = "I_measured = I + o; regulated: I = I* - o"
     source = "zero of a shunt's amplifier; range our own choice, 19 counts of the XM430's 2.69 mA (ROBOTIS e-Manual)"
     parameters = (Parameter("current_offset", "A", -0.05, 0.05, 0.0, 0.0, "o, reading without current"),)
+    # our own choice: about two counts of 2.69 mA (ROBOTIS e-Manual, XM430); no maker states the zero
+    usual = {"current_offset": Usual(0.0, 0.006, 0.01, 0.06, own=True)}
     secants = ({"current_offset": 0.01},)
     fingerprint = "a constant torque in all poses, in both directions and at rest"
     confounders = ("asymmetric_friction", "cable_spring", "link_com", "encoder_offset")

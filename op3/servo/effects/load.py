@@ -35,6 +35,7 @@ class LoadFriction(Effect):
     """
 
     name = "load_friction"
+    written = {"form": ("sum", "motor")}
     stage = Stage.LOAD
     equation = (
         "tau_fric += (l + s ls) |tau_m - tau_a|, s = exp(-|w| / w_static); form `motor`: 2 |tau_m| in place of the"

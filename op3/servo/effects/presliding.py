@@ -4,7 +4,7 @@ from math import exp, expm1, sqrt
 
 import numpy as np
 
-from op3.servo.effect import Effect, Parameter, Stage, register
+from op3.servo.effect import Effect, Parameter, Stage, Usual, register
 from op3.servo.law import clip
 from op3.servo.machine_code import part
 
@@ -42,6 +42,8 @@ class LuGre(Effect):
         " friction too; range of s and damping our own choice"
     )
     parameters = (Parameter("bristle_compliance", "rad/(N m)", 0.0, 0.05, 0.0, 0.0, "s", least=0.0),)
+    # our own choice, 1 / (330 N m/rad): friction of 0.1 N m grips within 0.3 mrad, a fifth of an encoder's count
+    usual = {"bristle_compliance": Usual(0.003, 0.003, 0.004, 0.05)}
     memory = ("bent", "left", "gain", "velocity")
     constants = ("stiffness", "rate")
     secants = ({"bristle_compliance": 0.005}, {"bristle_compliance": 0.02})

@@ -13,6 +13,7 @@ class ImuMount(Effect):
     """The IMU is mounted turned: R_imu = Rz(yaw) Ry(pitch) Rx(roll) in the trunk."""
 
     name = "imu_mount"
+    free_base = True
     stage = Stage.SENSING
     equation = "R_measured = R R_imu, w_measured = R_imu' w"
     source = "rigid motion; a board on two screws, up to 3 degrees, our own choice"
@@ -38,6 +39,7 @@ class GyroBias(Effect):
     """The gyroscope reads a rate at rest."""
 
     name = "gyro_bias"
+    free_base = True
     stage = Stage.SENSING
     rank = 1
     equation = "w_measured = w + b"

@@ -55,6 +55,7 @@ class LeftRightAsymmetry(Effect):
     """
 
     name = "left_right_asymmetry"
+    both_sides = True
     stage = Stage.FRICTION
     equation = "fc, kv, fs - fc *= 1 +- a; Kt *= 1 +- b; + left, - right"
     source = "unit-to-unit spread and wear; ranges our own choice"

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from op3.diagnose.smoothing import CHANNELS, PREROLL, SmoothLog, half_width, smooth_all
-from op3.diagnose.supply import open_voltages
+from op3.replay.smoothing import CHANNELS, PREROLL, SmoothLog, half_width, smooth_all
+from op3.replay.supply import open_voltages
 from op3.rollout import LogError, Rollout
 from op3.servo import RobotModel
 from op3.servo.conditions import split_name
@@ -53,6 +53,8 @@ class WindowResiduals:
     Args:
         logs: all of one mount that holds the base, with the same joints.
         windows: how many.
+        length: of a window [s]; by default that of the mount.
+        closed: whether the computer's controller acts on the simulated readings; it sends what the log says otherwise.
 
     Raises:
         LogError: if logs differ in joints or mount, or the base is free.
@@ -65,7 +67,9 @@ class WindowResiduals:
         motion: of all windows' ticks one behind another, each with its lead.
     """
 
-    def __init__(self, logs: Sequence[Rollout], *, windows: int = 72):
+    def __init__(
+        self, logs: Sequence[Rollout], *, windows: int = 72, length: float | None = None, closed: bool = False
+    ):
         first = logs[0]
         for log in logs:
             alike = (log.metadata.mount, log.joints) == (first.metadata.mount, first.joints)
@@ -79,18 +83,28 @@ class WindowResiduals:
         self.joints = first.joints
         self.smooth_logs = smoothed = smooth_all(logs)
         self.period = smoothed[0].period
-        self.ticks = round(LENGTHS[str(first.metadata.mount)] / self.period)
+        length, self.closed = length or LENGTHS[str(first.metadata.mount)], closed
+        self.ticks = round(length / self.period)
         if self.ticks < FEWEST_TICKS:
             raise LogError(
                 f"{self.ticks} readings in {self.ticks * self.period:.2g} s are too few for a window",
-                f"record {FEWEST_TICKS} or more in {LENGTHS[str(first.metadata.mount)]:g} s",
+                f"record {FEWEST_TICKS} or more in {length:g} s",
                 source=first.metadata.recording,
                 column="time",
             )
         self.timestep = self.period / np.ceil(self.period / STEP - 1e-6)
-        self.windows = _choose(smoothed, windows, self.ticks)
-        self._stack(smoothed)
+        self._begin(_choose(smoothed, windows, self.ticks))
+
+    def _begin(self, windows: list[tuple[int, int]]) -> None:
+        self.windows = windows
+        self._stack(self.smooth_logs)
         self.measured = np.stack([self._readings(key) for key in CHANNELS], -1)
+
+    def thinned(self, count: int) -> "WindowResiduals":
+        """Evenly chosen ones of these windows."""
+        other = copy.copy(self)
+        other._begin([self.windows[i] for i in np.linspace(0, len(self.windows) - 1, count).round().astype(int)])
+        return other
 
     @property
     def lengths(self) -> list[float]:
@@ -140,7 +154,7 @@ class WindowResiduals:
             self._mounts.append((spans[mine[0]][0], at))
         sways = all(log.sway is not None for log in logs)
         self.sway = stacked(lambda log: log.sway) if sways else np.zeros((len(self._position), 2, 3))
-        q, v = stacked(lambda log: log.control[0]), stacked(lambda log: log.control[1])
+        q, v = (stacked(lambda log, k=k: log.control[k] * (np.nan if self.closed else 1.0)) for k in (0, 1))
         self.motion = MeasuredMotion(
             self.period,
             self._position,

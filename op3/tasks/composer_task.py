@@ -1,4 +1,4 @@
-"""Balancing and walking as a dm_control composer task: the batched environment's twin, one robot at a time."""
+"""A task as a dm_control composer task: the stepper for one robot, beside the batched one."""
 
 from typing import Any
 
@@ -9,12 +9,11 @@ from dm_control.composer.observation import observable
 from dm_env import specs
 
 from op3.policy import ActionMap
-from op3.robot import board_drive, build_scene, place_tiles, stack, tile_ids
+from op3.robot import build_scene, load_robot, tile_ids
 from op3.servo import RobotModel
 from op3.sim import GearedServo
-from op3.tasks.beginning import begin, episode_seed
-from op3.tasks.pushes import Pushes
-from op3.tasks.rules import Outcome, Rules
+from op3.tasks.episodes import World, episode_seed
+from op3.tasks.mdp import Mdp, Outcome
 from op3.tasks.setups import OP3_CONTROL_PERIOD
 from op3.tasks.snapshot import Probe, Snapshot
 from op3.tasks.task import POLICY_PERIOD, Task
@@ -24,12 +23,12 @@ PHYSICS_TIMESTEP = 0.001
 """Step of the physics [s]; paper, 1 ms."""
 
 
-class LocomotionTask(composer.Task):
+class ComposerTask(composer.Task):
     """A robot at a task; the action is the policy's.
 
-    Build an environment with `locomotion_environment`: only then is the order of steps that of the batched environment,
+    Build an environment with `composer_environment`: only then is the order of steps that of the batched environment,
     whose observations and rewards this one gives to rounding. A time step's ``observation`` has one entry of that name,
-    history included.
+    history included; the servos' observables are there too, disabled.
 
     Args:
         seed: of everything random; episodes are those of the batched environment's first robot.
@@ -37,17 +36,22 @@ class LocomotionTask(composer.Task):
 
     def __init__(self, task: Task, model: RobotModel, seed: int = 0, action_map: ActionMap | None = None):
         self.task = task
-        self.action_map = action_map or ActionMap.around_stand()
-        self._scene = build_scene(task.scene)
-        assert self._scene.robot is not None
-        self.servo = GearedServo(self._scene.joints, model, self._scene.robot.trunk, OP3_CONTROL_PERIOD)
+        self.action_map = action_map or task.action_map()
+        self.scene = build_scene(task.scene, robot=load_robot(task.robot))
+        robot = self.scene.robot
+        assert robot is not None
+        base = None if robot.robot.file.base is None else robot.trunk
+        self.servos = GearedServo(self.scene.joints, model, base, OP3_CONTROL_PERIOD)
+        robot.attach(self.servos)
         self._every = round(OP3_CONTROL_PERIOD / PHYSICS_TIMESTEP)
         self.set_timesteps(control_timestep=POLICY_PERIOD, physics_timestep=PHYSICS_TIMESTEP)
-        self.observation = torch.zeros(1, task.observation_size, dtype=torch.float64)
-        seen = observable.Generic(lambda physics: self.observation[0].numpy())
+        self.mdp = Mdp(task, self.scene, model, self.action_map, 1)
+        self.observation = torch.zeros(1, self.mdp.observer.size, dtype=torch.float64)
+        self.outcome: Outcome | None = None
+        self._begins = False
+        seen = observable.Generic(self._observe)
         seen.enabled = True
         self._observables: dict[str, observable.Observable] = {"observation": seen}
-        self.rules = Rules(task, self.action_map, 1)
         self.seed(seed)
 
     def seed(self, seed: int) -> None:
@@ -57,7 +61,7 @@ class LocomotionTask(composer.Task):
     @property
     def root_entity(self) -> composer.Entity:
         """The arena."""
-        return self._scene.arena
+        return self.scene.arena
 
     @property
     def task_observables(self) -> dict[str, observable.Observable]:
@@ -70,70 +74,66 @@ class LocomotionTask(composer.Task):
         return specs.BoundedArray((self.action_map.size,), np.float64, minimum=-1.0, maximum=1.0)
 
     def after_compile(self, physics: Any, random_state: Any) -> None:
-        """Find servos, sensors and tiles."""
-        self.servo.after_compile(physics)
-        model = physics.model.ptr
-        self._probe = Probe(model, self._scene, self.task.cycle is not None)
-        self._whole_step = WholeStep(model, self._scene, 1, self.task.cycle is not None)
-        self._tiles = tile_ids(model)
-        assert self._scene.robot is not None
-        self._trunk = model.body(self._scene.robot.trunk.full_identifier).id
+        """Find sensors, and let events find what they change."""
+        del random_state
+        model, data = physics.model.ptr, physics.data.ptr
+        with_feet = self.task.gait is not None
+        self._probe = Probe(model, self.scene, with_feet)
+        self._whole_step = WholeStep(model, self.scene, 1, with_feet)
+        assert self.scene.robot is not None
+        base = model.body(self.scene.robot.trunk.full_identifier).id
+        self.mdp.attach(
+            World(
+                model=model,
+                qpos=data.qpos[None],
+                qvel=data.qvel[None],
+                qfrc_applied=data.qfrc_applied[None],
+                base_wrench=data.xfrc_applied[base][None],
+                geom_pos=model.geom_pos[None] if len(tile_ids(model)) else None,
+            )
+        )
 
     def initialize_episode(self, physics: Any, random_state: Any) -> None:
-        """Put the robot down for the next episode."""
-        beginning = begin(self.task, self._scene, episode_seed(self._seed, 0, self._episodes))
+        """Put the robot down for the next episode; the servos' own hook follows."""
+        del random_state
+        seed = episode_seed(self._seed, 0, self._episodes)
         self._episodes += 1
-        data, model = physics.data.ptr, physics.model.ptr
-        data.qpos[:], data.qvel[:], data.qfrc_applied[:] = beginning.qpos, beginning.qvel, 0.0
-        if beginning.tiles is not None:
-            place_tiles(model.geom_pos, self._tiles, beginning.tiles)
-        data.xfrc_applied[:] = 0.0
-        self._pushes = None if beginning.push is None else Pushes([beginning.push])
-        if beginning.board is not None:
-            self._board: Any = stack([beginning.board])
-            self._drive: Any = board_drive(model, beginning.board, OP3_CONTROL_PERIOD)
-        first = {name: value[0] for name, value in self.rules.resting_commands(1).items()}
-        self.servo.initialize_episode(physics, **first)
-        phase = torch.tensor([beginning.phase], dtype=torch.float64)
-        self.observation = self.rules.begin(self._snapshot(physics), torch.ones(1, dtype=torch.bool), phase)
-        self.outcome: Outcome | None = None
+        data = physics.data.ptr
+        data.qfrc_applied[:] = data.xfrc_applied[:] = 0.0
+        episodes = self.mdp.begin(np.zeros(1, dtype=np.int64), np.array([seed]))
+        data.qpos[:], data.qvel[:] = episodes.qpos[0], episodes.qvel[0]
+        self.servos.command(**{name: value[0] for name, value in self.mdp.resting_commands(1).items()})
+        self.outcome, self._begins = None, True
 
     def before_step(self, physics: Any, action: Any, random_state: Any) -> None:
         """Take the policy's action."""
         del random_state
         self._whole_step.begin(physics.data.ptr.site_xpos[None])
         self._action = torch.as_tensor(action, dtype=torch.float64)[None]
-        self._commands = {name: value[0] for name, value in self.rules.action_map.commands(self._action).items()}
-        self._substep, self._start = 0, self.rules.time.numpy()
+        self.servos.command(**{name: value[0] for name, value in self.action_map.commands(self._action).items()})
+        self._substep, self._start = 0, self.mdp.time.numpy()
 
     def before_substep(self, physics: Any, action: Any, random_state: Any) -> None:
-        """Drive the board and tick the servos every 8 ms; run the servo law."""
-        del action
+        """Let events act every 8 ms; the servos' own hook follows."""
+        del physics, action, random_state
         if self._substep % self._every == 0:
-            data, time = physics.data.ptr, self._start + self._substep * PHYSICS_TIMESTEP
-            if self._pushes is not None:
-                self._pushes.drive(time, data.xfrc_applied[self._trunk][None])
-            if self.task.board is not None:
-                self._drive.apply(self._board, time, data.qpos[None], data.qvel[None], data.qfrc_applied[None])
-            self.servo.before_step(physics, **self._commands)
-        self.servo.before_substep(physics)
+            self.mdp.tick(self._start + self._substep * PHYSICS_TIMESTEP)
         self._substep += 1
 
     def after_substep(self, physics: Any, random_state: Any) -> None:
         """Look at what the step's means and peaks are made of."""
         del random_state
         data = physics.data.ptr
-        arrays = (data.qpos, data.qvel, data.sensordata, data.site_xpos, self.servo.motor_current)
+        arrays = (data.qpos, data.qvel, data.sensordata, data.site_xpos, self.servos.motor_current)
         self._whole_step.look(*(array[None] for array in arrays))
 
     def after_step(self, physics: Any, random_state: Any) -> None:
         """Judge the step."""
         del random_state
-        snapshot = self._snapshot(physics)
         data = physics.data.ptr
         failed = torch.tensor([not np.isfinite(data.qacc).all() or bool(data.warning.number.any())])
         self.throughout = self._whole_step.result()
-        self.outcome = self.rules.finish(self._action, snapshot, self.throughout, failed)
+        self.outcome = self.mdp.finish(self._action, self._snapshot(physics), self.throughout, failed)
         self.observation = self.outcome.observation
 
     def get_reward(self, physics: Any) -> float:
@@ -142,24 +142,31 @@ class LocomotionTask(composer.Task):
         return 0.0 if self.outcome is None else float(self.outcome.reward)
 
     def should_terminate_episode(self, physics: Any) -> bool:
-        """Whether the robot fell or the time is over."""
+        """Whether the robot failed or the time is over."""
         del physics
         outcome = self.outcome
         return outcome is not None and bool(outcome.terminated | outcome.truncated)
 
     def get_discount(self, physics: Any) -> float:
-        """0 where the robot fell, 1 elsewhere, the time limit included."""
+        """0 where the robot failed, 1 elsewhere, the time limit included."""
         del physics
         return 0.0 if self.outcome is not None and bool(self.outcome.terminated) else 1.0
 
+    def _observe(self, physics: Any) -> np.ndarray:
+        """What the policy sees; the servos have begun when the first observation of an episode is asked for."""
+        if self._begins:
+            self.observation, self._begins = self.mdp.begun(self._snapshot(physics)), False
+        return self.observation[0].numpy()
+
     def _snapshot(self, physics: Any) -> Snapshot:
         data = physics.data.ptr
-        channels = {key: value[None] for key, value in self.servo.measure(physics).items()}
-        qpos, qvel, sensors = (torch.from_numpy(array)[None] for array in (data.qpos, data.qvel, data.sensordata))
-        return self._probe.read(qpos, qvel, sensors, channels)
+        channels = {key: value[None] for key, value in self.servos.measure(physics).items()}
+        arrays = (data.qpos, data.qvel, data.sensordata, data.xpos, data.xquat, data.site_xpos)
+        qpos, qvel, sensors, place, turn, sites = (torch.from_numpy(array)[None] for array in arrays)
+        return self._probe.read(qpos, qvel, sensors, (place, turn), sites, channels)
 
 
-def locomotion_environment(task: LocomotionTask, seed: int = 0) -> composer.Environment:
+def composer_environment(task: ComposerTask, seed: int = 0) -> composer.Environment:
     """A composer environment whose physics steps are those of the batched environment; diverging ends an episode."""
     return composer.Environment(
         task,

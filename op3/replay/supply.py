@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from op3.diagnose.smoothing import SmoothLog
+from op3.replay.smoothing import SmoothLog
 
 EXPLAINED = 0.5
 """Share of the changes of the voltage from tick to tick that the currents have to explain."""

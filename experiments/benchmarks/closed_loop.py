@@ -1,0 +1,155 @@
+"""Whether a diagnosis closes its loop: known faults of stand-in robots, what is named, and the gap in three stages.
+
+python experiments/benchmarks/closed_loop.py --robot leg --seed 300
+python experiments/benchmarks/closed_loop.py --robot op3 --cases mild_dte,sound --seed 310
+python experiments/benchmarks/closed_loop.py --robot arm3 --seed 320 --out outputs/closed_loop.yaml
+
+Robots: `arm3`, three joints of an OP3's arm; `leg`, one leg; `op3`, the whole robot, all on the stand. Windows of 0.2 s
+of the runs that the diagnosis only shows are compared under the given model, the baseline fit and the returned model.
+"""
+
+import argparse
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import yaml
+
+from op3.diagnose import Diagnosis, split_logs
+from op3.replay.windows import WindowResiduals
+from op3.robot import DEFAULT, Excitation, Motion, build_scene, leg_suite, load_robot
+from op3.robot.op3_suites import LEG_JOINTS
+from op3.rollout import Rollout
+from op3.servo import RobotModel
+from op3.sim import load_model
+from op3.stand_in import cases as bench
+from op3.stand_in.cases import Case, record_case
+from op3.stand_in.hidden import Hidden
+from op3.stand_in.settings import SETTINGS, Setting
+from op3.stand_in.world import BENCH_RANGES, World
+
+ARM = ("l_sho_pitch", "l_sho_roll", "l_el")
+
+
+def arm_suite(seed: int) -> list[Excitation]:
+    """A leg's suite for three joints of an arm, twice as far."""
+    known = load_robot(DEFAULT)
+    at = known.indices(ARM)
+    home, limits = known.home[at], known.limits[at]
+    columns = [LEG_JOINTS.index(name) for name in ("r_hip_pitch", "r_hip_roll", "r_knee")]
+    runs = []
+    for run in leg_suite(seed):
+        away = run.motion.position[:, columns] - run.motion.position[:, columns].mean(0)
+        position = np.clip(home + 1.5 * away, limits[:, 0] + 0.02, limits[:, 1] - 0.02)
+        motion = Motion(run.motion.time, position, ARM, run.motion.name)
+        runs.append(Excitation(motion, run.p_gain, run.d_gain, run.tilt, run.warm))
+    return runs
+
+
+SETTINGS["arm3"] = Setting(partial(build_scene, "stand", joints=ARM), arm_suite, arm_suite)
+
+PLACES = {
+    "arm3": {"strong": "l_sho_pitch", "loose": "l_el", "end": "l_el", "link": ("l_el",)},
+    "leg": {"strong": "r_knee", "loose": "r_hip_pitch", "end": "r_ank_pitch", "link": ("r_knee",)},
+    "op3": {"strong": "r_knee", "loose": "r_hip_pitch", "end": "r_ank_pitch", "link": ("r_knee", "l_knee")},
+}
+"""Joints of each robot in which faults sit."""
+
+Fault = Callable[[World, dict[str, Any]], tuple[str, World, tuple[Hidden, ...]]]
+
+
+def hidden(name: str, size: float, where: str) -> Fault:
+    """One effect in one place of the robot."""
+
+    def of(world: World, places: dict[str, Any]) -> tuple[str, World, tuple[Hidden, ...]]:
+        joints = places[where] if isinstance(places[where], tuple) else (places[where],)
+        return "paper", world, (Hidden(name, size, joints),)
+
+    return of
+
+
+FAULTS: dict[str, Fault] = {
+    "mild_dte": lambda world, _: ("paper_without_dte", world.replace(backward_efficiency=0.9), ()),
+    "strong_stribeck": lambda world, _: ("paper_without_stribeck", world.replace(static_friction_excess=0.12), ()),
+    "sound": lambda world, _: ("paper", world, ()),
+    "friction_x4": lambda world, places: hidden("coulomb", 3 * world.coulomb_friction, "strong")(world, places),
+    "backlash_12": hidden("backlash", 0.006, "loose"),
+    "backlash_20": hidden("backlash", 0.010, "loose"),
+    "current_offset": hidden("current_offset", 0.03, "end"),
+    "link_mass": hidden("link_mass", 0.08, "link"),
+    "cable_spring": hidden("cable_spring", 0.15, "strong"),
+}
+"""What is hidden: the base model, the world and the effects beside it."""
+
+
+def case_of(fault: str, robot: str, seed: int) -> Case:
+    """A robot drawn from a seed, with a fault."""
+    base, world, effects = FAULTS[fault](World.random(seed, BENCH_RANGES), PLACES[robot])
+    kind = "null" if fault == "sound" else "single"
+    joints = tuple(str(joint.name) for joint in SETTINGS[robot].scene().joints)
+    return bench.Case(f"{fault}_{robot}_{seed}", seed, kind, None, base, world, effects, joints, robot)
+
+
+def window_errors(models: Sequence[RobotModel], logs: Sequence[Rollout]) -> list[list[float]]:
+    """Root mean squares of windows of 0.2 s, by model: angle [mrad] and current [mA]."""
+    engine, result = WindowResiduals(logs, windows=8 * len(logs)), []
+    for model in models:
+        values = model.tensors(engine.joints)["torque_constant"]
+        error = engine.errors(model, {"torque_constant": values.double().reshape(1, -1)}, 1)[0]
+        square = np.square(np.clip(error, -0.5, 0.5))
+        result.append([1e3 * float(np.sqrt(square[..., k][..., engine.known[:, k]].mean())) for k in (0, 2)])
+        engine.forget()
+    return result
+
+
+def diagnosed(case: Case) -> dict[str, Any]:
+    """What a diagnosis makes of a case."""
+    logs = list(record_case(case))
+    given, split = load_model(case.base), split_logs(logs, seed=0)
+    began, cpu = time.monotonic(), time.process_time()
+    verdict = Diagnosis(given, split, seed=0).run()
+    spent, cpu = time.monotonic() - began, time.process_time() - cpu
+    errors = window_errors((given, verdict.base, verdict.model), split.show)
+    findings = [
+        {
+            "effect": one.effect, "joints": "all" if one.shared else " ".join(one.joints), "size": round(one.size, 5),
+            "probability": round(one.probability, 2),
+        }
+        for one in verdict.findings
+    ]  # fmt: skip
+    return {
+        "case": case.name, "findings": findings, "mrad": [round(one[0], 2) for one in errors],
+        "mA": [round(one[1], 2) for one in errors], "wall": round(spent), "cpu": round(cpu),
+    }  # fmt: skip
+
+
+def main() -> None:
+    """Diagnose and print a line for each case."""
+    torch.set_num_threads(1)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--robot", choices=sorted(PLACES), default="leg")
+    parser.add_argument("--cases", default=",".join(FAULTS))
+    parser.add_argument("--seed", type=int, default=300, help="of the first robot; each case has the next")
+    parser.add_argument("--out", type=Path, help="file that gets all results")
+    given = parser.parse_args()
+    rows = []
+    for number, fault in enumerate(given.cases.split(",")):
+        row = diagnosed(case_of(fault, given.robot, given.seed + number))
+        rows.append(row)
+        named = "; ".join(
+            f"{one['effect']} in {one['joints']} {one['size']:g} p {one['probability']:.2f}" for one in row["findings"]
+        )
+        angle = " -> ".join(f"{value:.2f}" for value in row["mrad"])
+        current = " -> ".join(f"{value:.1f}" for value in row["mA"])
+        print(f"{row['case']:24} {angle} mrad, {current} mA, {row['wall']} s: {named or 'nothing'}", flush=True)
+        if given.out:
+            given.out.parent.mkdir(parents=True, exist_ok=True)
+            given.out.write_text(yaml.safe_dump(rows, sort_keys=False), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,230 @@
+"""Where the velocity that a walking policy is commanded comes from: a file, a function, the keyboard, a gamepad."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import select
+import struct
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from op3.settings import read_yaml
+
+Array = NDArray[np.float64]
+
+STANDING = np.zeros(3)
+"""The command to stop and stand."""
+
+RANGES = {"forward": (-0.1, 0.3), "sideways": (-0.1, 0.1), "turning": (-0.5, 0.5)}
+"""Velocities within which commands are kept [m/s, m/s, rad/s]: those of the task walk_command."""
+
+LOW, HIGH = (np.array([bounds[side] for bounds in RANGES.values()]) for side in (0, 1))
+
+
+class CommandSource(Protocol):
+    """Says what velocity is asked for."""
+
+    def at(self, time: float) -> Array | None:
+        """Forwards and to the left [m/s], and rate of turning [rad/s], ``[3]``; None once the source is lost.
+
+        Args:
+            time: since the policy began [s].
+        """
+        ...
+
+    def close(self) -> None:
+        """Give back what was opened."""
+        ...
+
+
+def command_source(name: str) -> CommandSource:
+    """A source by its name: ``keyboard``, ``gamepad`` or a device such as ``/dev/input/js1``, a YAML file, or
+    ``python:<package.module.function>``.
+
+    Raises:
+        ValueError: if there is no such source; one sentence with the remedy.
+    """
+    if name == "keyboard":
+        return Keyboard()
+    if name == "gamepad" or name.startswith("/dev/input/"):
+        return Gamepad("/dev/input/js0" if name == "gamepad" else name)
+    if name.startswith("python:"):
+        return Function(name.removeprefix("python:"))
+    if Path(name).suffix in (".yaml", ".yml"):
+        return Schedule(name)
+    raise ValueError(
+        f"commands={name}: give keyboard, gamepad, a file such as walk.yaml, or python:<package.module.function>"
+    )
+
+
+class Schedule:
+    """Commands from a YAML file.
+
+        commands:  # each holds until the next; the last one ends standing
+          - {time: 0.0, forward: 0.2}
+          - {time: 4.0, turning: 0.4}
+          - {time: 8.0}
+
+    Raises:
+        ValueError: naming file and field, if an entry is no such mapping or times do not rise.
+    """
+
+    def __init__(self, path: str | Path):
+        entries = read_yaml(path).get("commands")
+        if not isinstance(entries, list) or not entries:
+            raise ValueError(f"{path}, field commands: must be a list of {{time: <s>, forward: <m/s>}}")
+        times, values = [], []
+        for number, entry in enumerate(entries):
+            where = f"{path}, field commands.{number}"
+            unknown = set(entry) - {"time", *RANGES} if isinstance(entry, dict) else {"it"}
+            numbers = isinstance(entry, dict) and all(type(value) in (int, float) for value in entry.values())
+            if unknown or not numbers or "time" not in entry:
+                raise ValueError(f"{where}: must be a mapping of time and any of {', '.join(RANGES)} to numbers")
+            times.append(float(entry["time"]))
+            values.append([float(entry.get(axis, 0.0)) for axis in RANGES])
+        if times != sorted(set(times)):
+            raise ValueError(f"{path}, field commands: times must rise, got {times}")
+        self._times, self._values = np.array(times), limited(np.array(values))
+
+    def at(self, time: float) -> Array | None:
+        """The entry in force; standing before the first one."""
+        number = int(np.searchsorted(self._times, time + 1e-9, side="right")) - 1
+        return STANDING.copy() if number < 0 else self._values[number].copy()
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+class Function:
+    """Commands from a Python function of the time; it raises or returns None when it has no more.
+
+    Args:
+        path: ``package.module.function``.
+    """
+
+    def __init__(self, path: str):
+        module, _, name = path.rpartition(".")
+        try:
+            self._function: Callable[[float], Sequence[float] | None] = getattr(importlib.import_module(module), name)
+        except (ImportError, AttributeError, ValueError) as error:
+            raise ValueError(f"commands=python:{path} cannot be imported ({error}); correct the path") from None
+
+    def at(self, time: float) -> Array | None:
+        """What the function says; a fault of its own counts as a lost source."""
+        try:
+            value = self._function(time)
+            asked = None if value is None else np.asarray(value, dtype=float)
+        except Exception as error:  # whatever a user's function does, the robot stops and stands
+            print(f"the command function failed ({error}); the robot stops", file=sys.stderr)
+            return None
+        return None if asked is None or asked.shape != (3,) or not np.isfinite(asked).all() else limited(asked)
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+class Keyboard:
+    """Keys in a terminal: w and s for speed, a and d to turn, q and e sideways, space to stop; x ends commanding.
+
+    Args:
+        stream: whose file descriptor is read; the terminal by default.
+    """
+
+    STEPS = {
+        "w": (0.05, 0.0, 0.0),
+        "s": (-0.05, 0.0, 0.0),
+        "a": (0.0, 0.0, 0.1),
+        "d": (0.0, 0.0, -0.1),
+        "q": (0.0, 0.05, 0.0),
+        "e": (0.0, -0.05, 0.0),
+    }
+    """What each key adds [m/s, m/s, rad/s]."""
+
+    def __init__(self, stream: int | None = None):
+        self._stream = sys.stdin.fileno() if stream is None else stream
+        self._asked, self._lost, self._before = STANDING.copy(), False, None
+        if os.isatty(self._stream):
+            import termios
+            import tty
+
+            self._before = termios.tcgetattr(self._stream)
+            tty.setcbreak(self._stream)
+        elif stream is None:
+            raise ValueError("commands=keyboard: there is no terminal; give a file or a gamepad")
+
+    def at(self, time: float) -> Array | None:
+        """What the keys so far add up to."""
+        del time
+        while not self._lost and select.select([self._stream], [], [], 0.0)[0]:
+            keys = os.read(self._stream, 64).decode(errors="ignore")
+            self._lost = not keys or "x" in keys
+            for key in keys:
+                if key == " ":
+                    self._asked = STANDING.copy()
+                elif key in self.STEPS:
+                    self._asked = limited(np.round(self._asked + self.STEPS[key], 6))
+        return None if self._lost else self._asked.copy()
+
+    def close(self) -> None:
+        """Give the terminal back."""
+        if self._before is not None:
+            import termios
+
+            termios.tcsetattr(self._stream, termios.TCSADRAIN, self._before)
+
+
+class Gamepad:
+    """A gamepad of Linux: the left stick moves, the right one turns; unplugging it loses the source.
+
+    Events of the joystick interface are 8 bytes: time [ms], value, kind, number (kernel, Documentation/input/joydev).
+
+    Args:
+        path: of its device.
+    """
+
+    AXES = {1: (0, -1), 0: (1, -1), 3: (2, -1)}
+    """Number of a stick's axis: which command it gives, and with which sign."""
+
+    DEAD = 0.1
+    """Share of a stick's travel about its middle that counts as zero: sticks do not return to it."""
+
+    def __init__(self, path: str | Path):
+        try:
+            self._file = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        except OSError as error:
+            raise ValueError(f"commands={path}: no gamepad there ({error.strerror}); plug it in") from None
+        self._sticks, self._lost = np.zeros(3), False
+
+    def at(self, time: float) -> Array | None:
+        """Where the sticks are."""
+        del time
+        while not self._lost:
+            try:
+                event = os.read(self._file, 8)
+            except BlockingIOError:
+                break
+            except OSError:
+                event = b""
+            self._lost = len(event) < 8
+            if not self._lost:
+                _, value, kind, number = struct.unpack("<IhBB", event)
+                if kind & 2 and number in self.AXES:
+                    axis, sign = self.AXES[number]
+                    share = sign * value / 32767
+                    self._sticks[axis] = 0.0 if abs(share) < self.DEAD else share
+        return None if self._lost else np.where(self._sticks > 0, self._sticks * HIGH, -self._sticks * LOW)
+
+    def close(self) -> None:
+        """Close the device."""
+        os.close(self._file)
+
+
+def limited(command: Array) -> Array:
+    """A command ``[..., 3]`` within `RANGES`."""
+    return np.clip(command, LOW, HIGH)

@@ -1,0 +1,45 @@
+"""The heading that a robot under velocity commands should have: the same in simulation and on the robot."""
+
+from math import pi
+
+import torch
+from torch import Tensor
+
+LARGEST = 0.3
+"""Largest difference between heading and reference [rad]; beyond it the reference gives in, so that a robot that was
+turned by hand or lagged behind a command does not make up for it."""
+
+
+def wrapped(angle: Tensor) -> Tensor:
+    """An angle in [-pi, pi) [rad]."""
+    return torch.remainder(angle + pi, 2 * pi) - pi
+
+
+class HeadingReference:
+    """Integrates commanded rates of turning, within reach of the measured heading.
+
+    Args:
+        count: robots.
+    """
+
+    def __init__(self, count: int):
+        self.heading = torch.zeros(count, dtype=torch.float64)
+
+    def begin(self, rows: Tensor, yaw: Tensor) -> None:
+        """Robots of a mask ``[robot]`` begin at their measured yaw, ``[robot]`` in rad."""
+        self.heading = torch.where(rows, yaw, self.heading)
+
+    def step(self, yaw: Tensor, rate: Tensor, period: float) -> Tensor:
+        """A policy step has passed.
+
+        Args:
+            yaw: measured, ``[robot]`` in rad.
+            rate: commanded in the step, ``[robot]`` in rad/s.
+            period: of the step [s].
+
+        Returns:
+            The reference, ``[robot]`` in rad.
+        """
+        ahead = wrapped(self.heading + period * rate - yaw).clamp(-LARGEST, LARGEST)
+        self.heading = yaw + ahead
+        return self.heading

@@ -1,0 +1,130 @@
+"""Terms of a task: functions or classes found by name, with the parameters that a configuration gives them."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+from collections.abc import Callable, Mapping
+from types import ModuleType
+from typing import Any
+
+from op3.settings import nearest
+
+FUNCTION = "function"
+"""Field of a term's configuration that names its function or class; without it the term's own name does."""
+
+
+class Term:
+    """One term: a function of the state and its parameters, or an instance of a class that keeps a memory.
+
+    Parameters that the configuration does not give, but which the signature names, come from the context: ``robot``,
+    ``scene``, ``num_envs`` and what else the caller offers.
+
+    Args:
+        kind: list of terms that it stands in, for messages.
+        spec: its configuration.
+        home: module in which short names are looked up.
+        context: values of parameters that the configuration need not give.
+        options: see `options`, with the values that they have where the configuration does not give them.
+        inputs: number of arguments of a function that are no parameters: the state, for events the world and the time.
+
+    Attributes:
+        name: of the term in its task.
+        options: fields of the configuration that belong to the list of terms and not to the function, as ``weight``.
+
+    Raises:
+        ValueError: in one sentence with the term, the field and the nearest name, if the function does not exist, or a
+            parameter is unknown or missing.
+    """
+
+    def __init__(
+        self,
+        kind: str,
+        name: str,
+        spec: Mapping[str, Any],
+        home: ModuleType,
+        context: Mapping[str, Any],
+        options: Mapping[str, Any] | None = None,
+        inputs: int = 1,
+    ):
+        self.name, self.options, self._inputs = name, dict(options or {}), inputs
+        where = f"{kind}.{name}"
+        given = dict(spec)
+        function = find(given.pop(FUNCTION, name), home, where)
+        for option in self.options:
+            if option in given:
+                self.options[option] = given.pop(option)
+        arguments = _arguments(function, inputs)
+        wanted = [argument for argument in arguments if argument not in context]
+        if unknown := [argument for argument in given if argument not in arguments]:
+            known = [*wanted, *self.options]
+            raise ValueError(f"{where}.{unknown[0]}: unknown field{nearest(unknown[0], known)}")
+        offered = {argument: context[argument] for argument in arguments if argument in context}
+        required = [a for a in wanted if arguments[a].default is inspect.Parameter.empty and a not in given]
+        if required:
+            raise ValueError(f"{where}.{required[0]} is missing: give it a value")
+        self.parameters: dict[str, Any] = {**offered, **given}
+        self.target: Any = function
+        if inspect.isclass(function):
+            try:
+                self.target = function(**self.parameters)
+            except ValueError as error:
+                raise ValueError(f"{where}: {error}") from None
+
+    @property
+    def keeps_memory(self) -> bool:
+        """Whether it is an instance of a class."""
+        return not inspect.isroutine(self.target)
+
+    def __call__(self, *inputs: Any) -> Any:
+        """The term's value."""
+        return self.target(*inputs) if self.keeps_memory else self.target(*inputs, **self.parameters)
+
+    def hook(self, name: str) -> Callable[..., Any] | None:
+        """A method of the instance by its name; None where it has none."""
+        return getattr(self.target, name, None) if self.keeps_memory else None
+
+    def set(self, field: str, value: Any) -> None:
+        """Change an option or a parameter while the task runs, as a curriculum does."""
+        if field in self.options:
+            self.options[field] = value
+        elif self.keeps_memory and hasattr(self.target, field):
+            setattr(self.target, field, value)
+        elif not self.keeps_memory and field in _arguments(self.target, self._inputs):
+            self.parameters[field] = value
+        else:
+            target = type(self.target) if self.keeps_memory else self.target
+            known = [*self.options, *_arguments(target, self._inputs)]
+            raise ValueError(f"term {self.name} has no field {field!r}{nearest(field, known)}")
+
+
+def find(name: Any, home: ModuleType, where: str) -> Callable[..., Any]:
+    """A function or class by its dotted path, or by its name in the module that holds terms of its kind.
+
+    There a class ``TrackVelocity`` is called ``track_velocity``.
+    """
+    if not isinstance(name, str):
+        raise ValueError(f"{where}.function must be the name of a function, got {name!r}")
+    module, _, attribute = name.rpartition(".")
+    if not module:
+        known = {re.sub(r"(?<!^)(?=[A-Z])", "_", key).lower(): getattr(home, key) for key in home.__all__}
+        if attribute not in known:
+            raise ValueError(
+                f"{where}: there is no term {name!r}{nearest(name, known)}, or give function: package.name"
+            )
+        return known[attribute]
+    try:
+        return getattr(importlib.import_module(module), attribute)
+    except ImportError as error:
+        raise ValueError(f"{where}.function: {name!r} cannot be imported ({error}); correct the path") from None
+    except AttributeError:
+        known = [key for key, value in vars(importlib.import_module(module)).items() if callable(value)]
+        raise ValueError(f"{where}.function: {module} has no {attribute!r}{nearest(attribute, known)}") from None
+
+
+def _arguments(function: Any, inputs: int) -> dict[str, inspect.Parameter]:
+    """Parameters that a configuration may give: of a class all, of a function all behind its inputs."""
+    found = list(inspect.signature(function).parameters.items())
+    found = found if inspect.isclass(function) else found[inputs:]
+    return {name: p for name, p in found if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)}

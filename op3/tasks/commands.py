@@ -1,0 +1,162 @@
+"""Commands: what robots are asked for, drawn anew for every episode and known to the policy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import ceil
+
+import mujoco
+import numpy as np
+import torch
+from torch import Tensor
+
+from op3.policy.heading import HeadingReference
+from op3.robot import Robot
+from op3.tasks.episodes import Episodes
+
+__all__ = ["Heading", "Target", "Velocity"]
+
+Range = Sequence[float]
+
+
+class Velocity:
+    """Velocity forwards and to the left [m/s] and rate of turning [rad/s], ``[env, 3]``, in the robot's heading.
+
+    A command is drawn uniformly from the ranges and held for an interval. An exact zero, and turning on the spot, have
+    shares of their own: drawn from ranges alone they would never occur, and so never be learned.
+
+    Args:
+        forward: least and greatest [m/s].
+        sideways: least and greatest [m/s].
+        turning: least and greatest [rad/s].
+        interval: how long a command is held [s]; the first one of an episode for a random part of it.
+        zero_share: probability of standing.
+        turn_share: probability of turning on the spot.
+        straight_share: probability of moving without turning.
+        scale: factor on all ranges, which a curriculum may raise from 0 to 1.
+    """
+
+    def __init__(
+        self,
+        num_envs: int,
+        duration: float,
+        forward: Range = (0.3, 0.3),
+        sideways: Range = (0.0, 0.0),
+        turning: Range = (0.0, 0.0),
+        interval: float = 2.0,
+        zero_share: float = 0.0,
+        turn_share: float = 0.0,
+        straight_share: float = 0.0,
+        scale: float = 1.0,
+    ):
+        for name, bounds in (("forward", forward), ("sideways", sideways), ("turning", turning)):
+            if len(bounds) != 2 or bounds[0] > bounds[1]:
+                raise ValueError(f"{name} must be a least and a greatest value, got {list(bounds)}")
+        if not interval > 0:
+            raise ValueError(f"interval must be above 0 s, got {interval}")
+        if not 0 <= zero_share + turn_share + straight_share <= 1:
+            raise ValueError("zero_share, turn_share and straight_share must be at least 0 and at most 1 together")
+        self.scale = scale
+        self._low, self._high = np.array([forward, sideways, turning], dtype=float).T
+        self._interval, self._shares = interval, (zero_share, turn_share, straight_share)
+        self._count = ceil(duration / interval) + 1
+        self._shift = np.zeros(num_envs)
+        self._schedule = np.zeros((num_envs, self._count, 3))
+
+    def begin(self, episodes: Episodes) -> None:
+        """Draw the commands of whole episodes."""
+        zero, turn, straight = np.cumsum(self._shares)
+        for row, generator in zip(episodes.rows, episodes.generators(6), strict=True):
+            drawn = self.scale * generator.uniform(self._low, self._high, (self._count, 3))
+            lot = generator.random(self._count)
+            drawn[(zero <= lot) & (lot < turn), :2] = 0.0
+            drawn[(turn <= lot) & (lot < straight), 2] = 0.0
+            drawn[lot < zero] = 0.0
+            self._schedule[row] = drawn
+            self._shift[row] = generator.uniform(0.0, self._interval)
+
+    def at(self, time: Tensor) -> Tensor:
+        """The commands in force at a time of each episode [s], ``[env, 3]``."""
+        number = ((time.numpy() + self._shift) / self._interval).astype(int).clip(max=self._count - 1)
+        return torch.from_numpy(self._schedule[np.arange(len(number)), number])
+
+
+class Heading:
+    """The heading that a velocity command asks for, ``[env, 1]`` in rad; see `op3.policy.heading`.
+
+    Args:
+        rate: name of the command whose last number is a rate of turning.
+    """
+
+    def __init__(self, num_envs: int, policy_period: float, rate: str = "velocity"):
+        self.rate, self._period = rate, policy_period
+        self._reference = HeadingReference(num_envs)
+
+    def begun(self, rows: Tensor, yaw: Tensor) -> None:
+        """Robots of a mask have been put down with a measured yaw [rad]."""
+        self._reference.begin(rows, yaw)
+
+    def follow(self, yaw: Tensor, commands: Mapping[str, Tensor]) -> None:
+        """A policy step has passed under these commands; the robots measure a yaw [rad]."""
+        self._reference.step(yaw, commands[self.rate][:, -1], self._period)
+
+    def at(self, time: Tensor) -> Tensor:
+        """The reference now."""
+        del time
+        return self._reference.heading[:, None]
+
+
+class Target:
+    """A place for the tip of an arm, relative to its base and in the base's frame, ``[env, 3]`` in m.
+
+    Places are where the tip is in random poses within the robot's limits, so that each can be reached.
+
+    Args:
+        share: of the range of each joint about its middle from which poses are drawn.
+        least_height: of a place above the base's origin [m].
+        interval: how long a place is held [s]; None: for the whole episode.
+    """
+
+    def __init__(
+        self,
+        num_envs: int,
+        duration: float,
+        robot: Robot,
+        share: float = 0.8,
+        least_height: float = 0.02,
+        interval: float | None = None,
+    ):
+        if robot.file.tip is None:
+            raise ValueError(f"the file of the robot {robot.name} names no tip; add tip: <site at the end of the arm>")
+        self._robot, self._share, self._least = robot, share, least_height
+        self._interval = duration if interval is None else interval
+        self._count = ceil(duration / self._interval)
+        self._data = mujoco.MjData(robot.bare_model)
+        self._places = np.zeros((num_envs, self._count, 3))
+
+    def begin(self, episodes: Episodes) -> None:
+        """Draw the places of whole episodes."""
+        for row, generator in zip(episodes.rows, episodes.generators(6), strict=True):
+            self._places[row] = [self._draw(generator) for _ in range(self._count)]
+
+    def at(self, time: Tensor) -> Tensor:
+        """The places in force at a time of each episode [s], ``[env, 3]``."""
+        number = (time.numpy() / self._interval).astype(int).clip(max=self._count - 1)
+        return torch.from_numpy(self._places[np.arange(len(number)), number])
+
+    def _draw(self, generator: np.random.Generator) -> np.ndarray:
+        robot, data = self._robot, self._data
+        middle, half = robot.limits.mean(1), self._share * np.ptp(robot.limits, axis=1) / 2
+        controlled = robot.indices(robot.controlled)
+        place = np.zeros(3)
+        for _ in range(100):
+            position = robot.home.copy()
+            position[controlled] = generator.uniform(middle - half, middle + half)[controlled]
+            data.qpos[[robot.bare_model.joint(name).qposadr[0] for name in robot.joints]] = position
+            mujoco.mj_kinematics(robot.bare_model, data)
+            base = 0 if robot.file.base is None else robot.bare_model.body(robot.file.base).id
+            turn = data.xmat[base].reshape(3, 3)
+            place = turn.T @ (data.site(robot.file.tip).xpos - data.xpos[base])
+            if place[2] >= self._least:
+                return place
+        raise ValueError(f"no pose of {robot.name} brings its tip {self._least:g} m above its base")

@@ -1,0 +1,62 @@
+"""Episodes that begin: each a pure function of its seed, for every simulator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+Array = NDArray[np.float64]
+
+
+def episode_seed(seed: int, index: int, episode: int) -> int:
+    """The seed of an environment's k-th episode, whatever happens in the others."""
+    return int(np.random.SeedSequence([seed, index, episode]).generate_state(1)[0])
+
+
+@dataclass(frozen=True, eq=False)
+class Episodes:
+    """Episodes that begin now, in some robots of many.
+
+    Attributes:
+        rows: numbers of these robots, ``[row]``.
+        seeds: of their episodes, ``[row]``.
+        qpos: where they will be put down, ``[row, nq]``; an event may change it.
+        qvel: and how fast they move, ``[row, nv]``; an event may change it.
+    """
+
+    rows: NDArray[np.int64]
+    seeds: NDArray[np.int64]
+    qpos: Array
+    qvel: Array
+
+    def generators(self, stream: int) -> list[np.random.Generator]:
+        """A generator for each episode; callers that draw independent numbers take different streams."""
+        return [np.random.default_rng([int(seed), stream]) for seed in self.seeds]
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """Live arrays of a simulation that events change, ``[env, ...]``.
+
+    Attributes:
+        model: of MuJoCo.
+        qpos: full position.
+        qvel: full velocity.
+        qfrc_applied: generalised forces, held until they are changed.
+        base_wrench: force [N] and torque [N m] on the base in the world, ``[env, 6]``, held until they are changed.
+        geom_pos: positions of the geoms in their bodies, ``[env, geom, 3]``; None for a scene without movable geoms.
+        set_parameters: gives servo models other parameters by name, ``[env]``; None where the stepper cannot.
+    """
+
+    model: mujoco.MjModel
+    qpos: Array
+    qvel: Array
+    qfrc_applied: Array
+    base_wrench: Array
+    geom_pos: Array | None
+    set_parameters: Callable[[Mapping[str, Tensor]], None] | None = None

@@ -1,0 +1,251 @@
+"""The decision process of a task for many robots at once: what they see, what they earn, when an episode ends."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from op3.policy import ActionMap
+from op3.policy.observations import Sensed
+from op3.policy.terms import Term
+from op3.robot import Robot, Scene
+from op3.robot.units import ANGLE_UNIT, GYRO_UNIT
+from op3.servo import RobotModel
+from op3.settings import nearest
+from op3.tasks import commands, events, rewards, terminations
+from op3.tasks.episodes import Array, Episodes, World
+from op3.tasks.snapshot import Snapshot
+from op3.tasks.state import State
+from op3.tasks.task import POLICY_PERIOD, Task
+from op3.tasks.whole_step import Throughout
+
+HOMES: Mapping[str, Any] = {
+    "rewards": rewards,
+    "shaping": rewards,
+    "terminations": terminations,
+    "commands": commands,
+    "events": events,
+}
+"""Kinds of terms, and the module in which short names are looked up."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What a policy step led to, tensors ``[env, ...]``.
+
+    Attributes:
+        observation: history included.
+        reward: ``[env]``.
+        terms: weighted contributions to the reward by name, ``[env]``; the reward is their sum.
+        terminated: the robot failed, or its simulation did.
+        truncated: the time is over.
+    """
+
+    observation: Tensor
+    reward: Tensor
+    terms: dict[str, Tensor]
+    terminated: Tensor
+    truncated: Tensor
+
+
+class Mdp:
+    """A task compiled for so many robots: its terms, and the little memory they need. It simulates nothing.
+
+    Args:
+        model: of the servos, from which randomisation draws.
+
+    Attributes:
+        readings: what the computer read last, in whole counts: joint_position, joint_velocity, orientation and
+            angular_velocity, ``[env, joint | 3]``.
+        terms: by kind and name.
+
+    Raises:
+        ValueError: naming the term and the field that cannot be.
+    """
+
+    def __init__(self, task: Task, scene: Scene, model: RobotModel, action_map: ActionMap, num_envs: int):
+        self.task, self.scene, self.action_map, self.num_envs = task, scene, action_map, num_envs
+        self.robot: Robot = scene.robot_file
+        context = {
+            "robot": self.robot,
+            "scene": scene,
+            "model": model,
+            "num_envs": num_envs,
+            "policy_period": POLICY_PERIOD,
+            "duration": task.duration,
+            "gait_cycle": task.cycle,
+        }
+        self.terms: dict[str, dict[str, Term]] = {}
+        for kind, home in HOMES.items():
+            options = {"weight": 1.0} if kind in ("rewards", "shaping") else {}
+            inputs = 2 if kind == "events" else 1
+            self.terms[kind] = {
+                name: Term(kind, name, spec, home, context, options, inputs) for name, spec in task.terms(kind).items()
+            }
+        self.observer = task.observer(action_map.size)
+        self._units = _resolutions(self.robot)
+        self.readings: dict[str, Tensor] = {}
+        self.steps = torch.zeros(num_envs, dtype=torch.int64)
+        self._first_phase = torch.zeros(num_envs, dtype=torch.float64)
+        self._first_action = torch.from_numpy(action_map.stand())
+        self._previous = self._first_action.repeat(num_envs, 1)
+        self._noise = [np.random.default_rng(0)] * num_envs
+
+    @property
+    def time(self) -> Tensor:
+        """Time since each episode began [s], ``[env]``."""
+        return self.steps.double() * POLICY_PERIOD
+
+    @property
+    def phase(self) -> Tensor:
+        """Phase of the gait in cycles, ``[env]``; zeros without a gait."""
+        cycle = self.task.cycle
+        return 0.0 * self.time if cycle is None else torch.remainder(self.time / cycle + self._first_phase, 1.0)
+
+    def event(self, name: str) -> Any:
+        """The instance of an event by its name; None where the task has none of this name."""
+        term = self.terms["events"].get(name)
+        return None if term is None else term.target
+
+    def set(self, path: str, value: float) -> None:
+        """Change a number of a term, by its path such as ``shaping.speed_bonus.weight``.
+
+        Raises:
+            ValueError: if there is no such term or field.
+        """
+        kind, name, field = (*path.split("."), "", "")[:3]
+        if kind not in self.terms or name not in self.terms[kind]:
+            known = [f"{kind}.{name}" for kind, terms in self.terms.items() for name in terms]
+            raise ValueError(f"{path}: the task has no such term{nearest(f'{kind}.{name}', known)}")
+        self.terms[kind][name].set(field, value)
+
+    def attach(self, world: World) -> None:
+        """The simulation has been made; events look up what they change."""
+        self._world = world
+        for term in self.terms["events"].values():
+            if hook := term.hook("attach"):
+                hook(world)
+
+    def begin(self, rows: np.ndarray, seeds: np.ndarray) -> Episodes:
+        """Draw episodes of some robots.
+
+        Args:
+            rows: numbers of the robots, ``[row]``.
+            seeds: of their episodes, ``[row]``.
+
+        Returns:
+            Where they must be put down, before `begun` is called.
+        """
+        world = self._world
+        qpos = np.tile(self.scene.initial_qpos(self.robot.home), (len(rows), 1))
+        episodes = Episodes(rows, seeds, qpos, np.zeros((len(rows), world.qvel.shape[1])))
+        mask = torch.zeros(self.num_envs, dtype=torch.bool)
+        mask[rows] = True
+        for kind in ("events", "commands"):
+            for term in self.terms[kind].values():
+                if hook := term.hook("begin"):
+                    hook(episodes)
+        for kind in ("rewards", "shaping", "terminations"):
+            for term in self.terms[kind].values():
+                if hook := term.hook("begin"):
+                    hook(mask)
+        self.steps[rows] = 0
+        self._previous[rows] = self._first_action
+        gait = self.task.gait
+        if gait is not None:
+            drawn = [g.random() for g in episodes.generators(2)] if gait.first_phase is None else gait.first_phase
+            self._first_phase[rows] = torch.as_tensor(drawn, dtype=torch.float64)
+        for row, generator in zip(rows, episodes.generators(5), strict=True):
+            self._noise[row] = generator
+        self._begun = mask
+        return episodes
+
+    def begun(self, snapshot: Snapshot) -> Tensor:
+        """The robots have been put down; returns the observation of all, ``[env, observation]``."""
+        for term in self.terms["commands"].values():
+            if hook := term.hook("begun"):
+                hook(self._begun, snapshot.readings["orientation"][:, 2])
+        return self.observer.reset(self._sense(snapshot), self._begun, self._noise)
+
+    def resting_commands(self, count: int) -> dict[str, Tensor]:
+        """Commands of the servos that are in force when an episode begins, ``[count, joint]``."""
+        return self.action_map.commands(self._first_action.expand(count, -1))
+
+    def tick(self, time: Array) -> None:
+        """A tick of the control at times of each episode [s], ``[env]``: events act."""
+        for term in self.terms["events"].values():
+            if not term.keeps_memory:
+                term(self._world, time)
+            elif hook := term.hook("tick"):
+                hook(time)
+
+    def finish(self, action: Tensor, snapshot: Snapshot, step: Throughout, failed: Tensor) -> Outcome:
+        """A policy step is over.
+
+        Args:
+            action: taken at its beginning, ``[env, action]``; beyond [-1, 1] it counts as clipped, as it was commanded.
+            failed: simulations that diverged, ``[env]``.
+        """
+        action = action.clamp(-1.0, 1.0)
+        asked = self._asked()
+        self.steps += 1
+        for term in self.terms["commands"].values():
+            if hook := term.hook("follow"):
+                hook(snapshot.readings["orientation"][:, 2], asked)
+        judged = step if self.task.whole_step else snapshot.at_the_end(step)
+        state = State(snapshot, judged, action, self._previous, self.time, self.phase, asked)
+        terms = {
+            name: term.options["weight"] * self._value(kind, term, state)
+            for kind in ("rewards", "shaping")
+            for name, term in self.terms[kind].items()
+        }
+        reward = torch.stack(list(terms.values())).sum(0)
+        terminated = failed.clone()
+        for term in self.terms["terminations"].values():
+            terminated |= self._value("terminations", term, state)
+        self._previous = action
+        observation = self.observer.push(self._sense(snapshot), self._noise)
+        if failed.any():  # what a diverged state would say is worth nothing
+            reward = torch.where(failed, 0.0, reward)
+            terms = {name: torch.where(failed, 0.0, term) for name, term in terms.items()}
+            observation = torch.where(failed[:, None], 0.0, observation)
+        truncated = (self.steps >= self.task.steps) & ~terminated
+        return Outcome(observation, reward, terms, terminated, truncated)
+
+    def _value(self, kind: str, term: Term, state: State) -> Tensor:
+        """A term's value, which must have one number per robot."""
+        value = term(state)
+        if tuple(value.shape) != (self.num_envs,):
+            raise ValueError(f"{kind}.{term.name} must return [env] = ({self.num_envs},), got {tuple(value.shape)}")
+        return value
+
+    def _asked(self) -> dict[str, Tensor]:
+        """Commands in force now by name, ``[env, number]``."""
+        return {name: term.target.at(self.time) for name, term in self.terms["commands"].items()}
+
+    def _sense(self, snapshot: Snapshot) -> Sensed:
+        self.readings = {n: torch.round(snapshot.readings[n] / unit) * unit for n, unit in self._units.items()}
+        gait = None if self.task.gait is None else self.phase
+        imu = {name: self.readings.get(name) for name in ("orientation", "angular_velocity")}
+        joints = self.readings["joint_position"], self.readings["joint_velocity"]
+        return Sensed(*joints, self._previous, **imu, phase=gait, commands=self._asked())
+
+
+def _resolutions(robot: Robot) -> dict[str, Tensor]:
+    """One count of what the robot's computer reads, ``[joint]`` in rad and rad/s, and ``[1]`` of the IMU."""
+
+    def numbers(values: list[float]) -> Tensor:
+        return torch.tensor(values, dtype=torch.float64)
+
+    units = {
+        "joint_position": numbers([servo.position_unit for servo in robot.servos]),
+        "joint_velocity": numbers([servo.counts.velocity.si for servo in robot.servos]),
+    }
+    if robot.file.imu is not None:  # counts of the OpenCR's IMU
+        units |= {"orientation": numbers([ANGLE_UNIT]), "angular_velocity": numbers([GYRO_UNIT])}
+    return units

@@ -1,0 +1,91 @@
+"""What terms of a task see: the state of many robots after a policy step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from op3.tasks.snapshot import Snapshot, rotation
+from op3.tasks.whole_step import Throughout
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Many robots, float64 tensors ``[env, ...]``; channels of the log keep their names and units.
+
+    Attributes:
+        snapshot: the robots at the end of the step.
+        step: means and peaks over the step; with ``whole_step: false`` in the task, values at its end.
+        action: taken in the step, ``[env, action]`` in [-1, 1].
+        previous_action: the one before.
+        time: since each episode began [s], ``[env]``.
+        phase: of the gait in cycles, ``[env]``; zeros for a task without a gait.
+        commands: what robots are asked for, by name, ``[env, number]``.
+    """
+
+    snapshot: Snapshot
+    step: Throughout
+    action: Tensor
+    previous_action: Tensor
+    time: Tensor
+    phase: Tensor
+    commands: Mapping[str, Tensor]
+
+    @property
+    def joint_position(self) -> Tensor:
+        """Measured, ``[env, joint]`` in rad."""
+        return self.snapshot.readings["joint_position"]
+
+    @property
+    def joint_velocity(self) -> Tensor:
+        """Measured, ``[env, joint]`` in rad/s."""
+        return self.snapshot.readings["joint_velocity"]
+
+    @property
+    def joint_current(self) -> Tensor:
+        """Measured, ``[env, joint]`` in A."""
+        return self.snapshot.current
+
+    @property
+    def orientation(self) -> Tensor:
+        """Roll, pitch and yaw of the base, ``[env, 3]`` in rad."""
+        return self.snapshot.readings["orientation"]
+
+    @property
+    def angular_velocity(self) -> Tensor:
+        """Of the base in its own frame, ``[env, 3]`` in rad/s."""
+        return self.snapshot.readings["angular_velocity"]
+
+    @property
+    def linear_acceleration(self) -> Tensor:
+        """Specific force of the IMU in its frame, +g upwards at rest, ``[env, 3]`` in m/s^2."""
+        return self.snapshot.specific_force
+
+    @property
+    def base_height(self) -> Tensor:
+        """Of the base's origin above the ground's, ``[env]`` in m."""
+        return self.snapshot.height
+
+    @property
+    def base_velocity(self) -> Tensor:
+        """Of the base in the world, ``[env, 3]`` in m/s."""
+        return self.snapshot.velocity
+
+    @property
+    def heading_velocity(self) -> Tensor:
+        """Forwards and to the left of the base's heading [m/s], and its rate of turning [rad/s], ``[env, 3]``."""
+        yaw = self.orientation[:, 2]
+        cosine, sine = torch.cos(yaw), torch.sin(yaw)
+        x, y = self.base_velocity[:, 0], self.base_velocity[:, 1]
+        upwards = rotation(self.snapshot.quaternion)[:, 2]
+        return torch.stack([cosine * x + sine * y, cosine * y - sine * x, (upwards * self.angular_velocity).sum(1)], -1)
+
+    @property
+    def tip_position(self) -> Tensor:
+        """Of the tip of an arm relative to its base, in the base's frame, ``[env, 3]`` in m."""
+        if self.snapshot.tip_position is None:
+            raise ValueError("the robot's file names no tip")
+        return self.snapshot.tip_position

@@ -1,0 +1,51 @@
+"""Terminations: functions of the state of many robots that return whether an episode has failed, ``[env]``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from op3.robot import Robot
+from op3.robot.kinematics import home_height
+
+if TYPE_CHECKING:
+    from op3.tasks.state import State
+
+__all__ = ["Lag", "height", "tilt"]
+
+
+def tilt(state: State, angle: float) -> Tensor:
+    """The base rolls or pitches further than an angle [rad]."""
+    return state.orientation[:, :2].abs().amax(1) > angle
+
+
+def height(state: State, robot: Robot, share: float) -> Tensor:
+    """The base is lower above the ground than a share of its height in the home pose."""
+    return state.base_height < share * home_height(robot)
+
+
+class Lag:
+    """The robot is further behind where a desired forward speed would have it than a distance.
+
+    Stepping in place earns the upright reward, and no slope leads on from there; a learner's episodes end there.
+
+    Args:
+        velocity: desired forward speed [m/s].
+        distance: largest [m].
+    """
+
+    def __init__(self, num_envs: int, policy_period: float, velocity: float, distance: float):
+        self.velocity, self.distance = velocity, distance
+        self._period, self._behind = policy_period, torch.zeros(num_envs, dtype=torch.float64)
+
+    def begin(self, rows: Tensor) -> None:
+        """Episodes of a mask of robots begin."""
+        self._behind[rows] = 0.0
+
+    def __call__(self, state: State) -> Tensor:
+        """Whether each robot is too far behind, ``[env]``."""
+        shortfall = (self.velocity - state.base_velocity[:, 0]) * (1.0 if self.velocity >= 0 else -1.0)
+        self._behind = (self._behind + self._period * shortfall).clamp(min=0.0)
+        return self._behind > self.distance

@@ -1,0 +1,78 @@
+"""What decides names: predictions of runs that were left out."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from op3.diagnose import WindowResiduals
+from op3.diagnose.base import settle
+from op3.diagnose.coordinates import base_coordinates, with_chain
+from op3.diagnose.held_out import Gain, HeldOut, Score, log_density
+from op3.diagnose.reduction import Reduction
+from op3.robot import leg_suite
+from op3.sim import load_model
+from op3.tasks.planned import planned_suite
+from tests.op3_table import LEG_JOINTS
+
+
+def test_a_gain_is_counted_in_standard_errors_over_runs():
+    """Gains of 1, 2 and 3: 2 with an error of 1 / sqrt(3), Student's t of 3.46 with two degrees of freedom, of which a
+    tail of 3.7 % is left, as of a normal behind 1.79."""
+    better, other = Score(np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 3.0]])), Score(np.zeros((3, 2)))
+    gain = Gain.of(better, other)
+    assert (gain.mean, gain.error, gain.runs) == (pytest.approx(2.0), pytest.approx(3**-0.5), 3)
+    assert gain.z == pytest.approx(1.786, abs=0.01)
+    assert Gain.of(other, better).z == pytest.approx(-gain.z)
+    assert Gain.of(better, better).z == 0.0
+
+
+def test_a_density_integrates_the_unexplained_law_out():
+    """With noise that has no tails it is that of a normal whose covariance is noise and law."""
+    rng = np.random.default_rng(0)
+    features, kinds = rng.standard_normal((4, 3, 5)), np.array([0, 1, 1])
+    known, noise, law = np.full((4, 3), 0.2), np.array([0.5, 0.3]), 0.7
+    flat = features.reshape(12, 5)
+    covariance = np.diag((known + noise[kinds] ** 2).ravel()) + law**2 * flat @ flat.T
+    found, expected = [], []
+    for left in rng.standard_normal((2, 4, 3)):
+        found.append(log_density(left, known, features, kinds, noise, law, 1e9))
+        expected.append(stats.multivariate_normal(cov=covariance).logpdf(left.ravel()))
+    assert found[0] - found[1] == pytest.approx(expected[0] - expected[1], rel=1e-4)
+
+
+def test_a_reading_that_is_not_there_says_nothing():
+    """Rows without a known variance change no density."""
+    left, features, kinds = np.array([[0.3, 5.0]]), np.zeros((1, 2, 1)), np.array([0, 2])
+    known = np.array([[0.2, np.inf]])
+    densities = [log_density(left * [1, k], known, features, kinds, np.full(4, 0.1), 1.0, 4.0) for k in (1, 2)]
+    assert densities[0] == pytest.approx(densities[1])
+
+
+@pytest.fixture(scope="module")
+def reduction() -> Reduction:
+    """Windows of five runs of a leg with more friction than the paper's model."""
+    truth = with_chain(load_model("paper")).with_values({"coulomb_friction": 0.2})
+    return Reduction(WindowResiduals(planned_suite(truth, leg_suite(3, 2.5)[:5]), windows=15))
+
+
+def test_the_numbers_that_made_the_logs_predict_runs_that_were_left_out(reduction):
+    """Better than others, beyond chance; runs are left out one by one, each with all of its windows."""
+    held = HeldOut(reduction)
+    assert not held.in_time
+    assert held.runs.max() == 4
+    coordinates = base_coordinates(with_chain(load_model("paper")), LEG_JOINTS, reduction.moving)
+    at = [(entry.parameter, entry.joints) for entry in coordinates.entries].index(("coulomb_friction", None))
+    wrong = np.where(np.arange(len(coordinates.start)) == at, 0.3, coordinates.start)
+    right = np.where(np.arange(len(coordinates.start)) == at, 0.2, coordinates.start)
+    bases = [settle(reduction, coordinates, point, steps=0) for point in (right, wrong)]
+    rows = reduction.rows(bases[0].linear, ())
+    gain = Gain.of(*(held.score(base, rows) for base in bases))
+    assert gain.z > 2.0
+
+
+def test_of_few_runs_blocks_of_time_are_left_out(reduction):
+    """Fewer than five runs are no sample."""
+    engine = WindowResiduals([log.log for log in reduction.engine.smooth_logs][:2], windows=12)
+    held = HeldOut(Reduction(engine))
+    assert held.in_time
+    assert len(np.unique(held.runs)) == 8

@@ -1,0 +1,187 @@
+"""Terms, robots and tasks from a package of a user's own, without an edit in op3."""
+
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+import torch
+from torchrl.envs import check_env_specs
+
+from op3.envs import make_env
+from op3.policy import PolicyBundle
+from op3.tasks import find_task, task_names
+
+ROOT = Path(__file__).resolve().parents[2]
+
+PACKAGE = """
+import torch
+
+
+def forward_speed(state, target):
+    return -(state.base_velocity[:, 0] - target).abs()
+
+
+class Airtime:
+    def __init__(self, num_envs, policy_period, longest=0.4):
+        self.longest, self.period, self.time = longest, policy_period, torch.zeros(num_envs, dtype=torch.float64)
+
+    def begin(self, rows):
+        self.time[rows] = 0.0
+
+    def __call__(self, state):
+        lifted = state.step.foot_force.min(1).values < 1.0
+        self.time = torch.where(lifted, self.time + self.period, 0.0)
+        return self.time.clamp(max=self.longest)
+
+
+def knees(sensed, robot):
+    return sensed.joint_position[..., robot.indices(["l_knee", "r_knee"])]
+
+
+def too_fast(state, limit):
+    return state.base_velocity.norm(dim=1) > limit
+
+
+def wind(world, time, force):
+    world.base_wrench[:, 1] = force
+
+
+class Beat:
+    def __init__(self, num_envs, rate):
+        self.rate = rate
+
+    def at(self, time):
+        return torch.sin(2 * torch.pi * self.rate * time)[:, None]
+
+
+def wrong_shape(state):
+    return state.base_velocity
+"""
+
+OWN = {
+    "rewards.forward": {"function": "my_package.terms.forward_speed", "weight": 0.5, "target": 0.3},
+    "shaping.airtime": {"function": "my_package.terms.Airtime", "weight": 0.1, "longest": 0.2},
+    "observations.knees": {"function": "my_package.terms.knees", "noise": 0.01, "delay": 1},
+    "observations.beat": {"function": "op3.policy.observations.command", "name": "beat"},
+    "terminations.too_fast": {"function": "my_package.terms.too_fast", "limit": 2.0},
+    "events.wind": {"function": "my_package.terms.wind", "force": 3.0},
+    "commands.beat": {"function": "my_package.terms.Beat", "rate": 2.0},
+}
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A package of a user's own on the path."""
+    folder = tmp_path / "my_package"
+    folder.mkdir()
+    (folder / "__init__.py").touch()
+    (folder / "terms.py").write_text(textwrap.dedent(PACKAGE))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield folder
+    for name in [name for name in sys.modules if name.startswith("my_package")]:
+        del sys.modules[name]
+
+
+@pytest.mark.parametrize("backend", ["batched", "composer"])
+def test_own_terms_act(package, backend):
+    """A reward, a termination, an observation, an event and a command of a user's own act in both steppers."""
+    env = make_env(find_task("walk", OWN), num_envs=1, backend=backend)
+    check_env_specs(env)
+    state = env.reset()
+    state["action"] = torch.from_numpy(env.action_map.stand()).float()[None]
+    calm = make_env(find_task("walk", {**OWN, "events.wind": None}), num_envs=1, backend=backend)
+    still = calm.reset().set("action", state["action"])
+    for _ in range(3):
+        after, other = env.step(state)["next"], calm.step(still)["next"]
+        state = after.exclude("reward").set("action", state["action"])
+        still = other.exclude("reward").set("action", state["action"])
+    mdp = env.mdp if backend == "batched" else env.composer_task.mdp
+    assert mdp.observer.layout["knees"] == 2
+    assert mdp.observer.layout["beat"] == 1
+    assert -0.25 < after["reward_terms", "forward"].item() < -0.05  # at rest it misses 0.3 m/s, times 0.5
+    assert after["reward_terms", "airtime"].item() == 0.0
+    leaned = [made["observation"][0, 3 * 18 : 3 * 18 + 20] for made in (after, other)]
+    assert (after["observation"] - other["observation"]).abs().max() > 1e-3, leaned
+
+
+def test_a_term_of_the_wrong_shape_is_named(package):
+    """One number per robot: anything else is refused with both shapes."""
+    env = make_env(find_task("walk", {"rewards.mine": {"function": "my_package.terms.wrong_shape"}}), num_envs=2)
+    state = env.reset().set("action", torch.zeros(2, 20))
+    with pytest.raises(ValueError, match=r"rewards.mine must return \[env\] = \(2,\), got \(2, 3\)"):
+        env.step(state)
+
+
+def test_a_curriculum_changes_own_terms(package):
+    """A number of a term is changed by its path, whether the term is a function or a class."""
+    env = make_env(find_task("walk", OWN), num_envs=1)
+    env.practise(**{"rewards.forward.weight": 2.0, "rewards.forward.target": 0.0, "shaping.airtime.longest": 0.1})
+    state = env.reset().set("action", torch.from_numpy(env.action_map.stand()).float()[None])
+    assert env.step(state)["next", "reward_terms", "forward"].abs().item() < 0.4
+    assert env.mdp.terms["shaping"]["airtime"].target.longest == 0.1
+
+
+def test_a_task_of_ones_own_trains(package, tmp_path, monkeypatch):
+    """A task file in a folder of one's own, built on one that exists, with a curriculum of its own."""
+    folder = tmp_path / "configs" / "task"
+    folder.mkdir(parents=True)
+    (folder / "walk_in_wind.yaml").write_text(
+        "defaults: [walk, _self_]\nname: walk_in_wind\n"
+        "events:\n  wind: {function: my_package.terms.wind, force: 0.0}\n"
+        "curricula:\n  events.wind.force: [[0, 0.0], [100, 2.0]]\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{ROOT}")
+    small = ["train.steps=64", "train.warmup=32", "train.rollout=4", "environments=4", "train.buffer=64"]
+    small += ["train.evaluate_every=64", "train.checkpoint_every=64", "evaluation.episodes=1", "evaluation.video=false"]
+    out = tmp_path / "out"
+    words = [f"--config-dir={folder.parent}", "task=walk_in_wind", *small, "wandb=disabled", f"hydra.run.dir={out}"]
+    done = subprocess.run([sys.executable, str(ROOT / "experiments/train.py"), *words], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert PolicyBundle.load(out / "policy").manifest.task == "walk_in_wind"
+
+
+ROBOTS = [(name, None) for name in task_names()] + [("stand", "quadruped"), ("walk", "quadruped")]
+
+
+@pytest.mark.parametrize(("name", "robot"), ROBOTS)
+def test_every_task_with_no_and_with_random_actions(name, robot):
+    """Zero and random actions give finite observations and rewards in every task, for every robot that fits it."""
+    task = find_task(name) if robot is None else find_task(name, robot=robot)
+    env = make_env(task, "own", num_envs=2, num_threads=1)
+    check_env_specs(env)
+    generator = torch.Generator().manual_seed(0)
+    state = env.reset()
+    for step in range(12):
+        action = 2.0 * torch.rand(2, env.action_map.size, generator=generator) - 1.0
+        state["action"] = action if step % 2 else 0.0 * action
+        after = env.step(state)["next"]
+        assert torch.isfinite(after["observation"]).all()
+        assert torch.isfinite(after["reward"]).all()
+        state = after.exclude("reward")
+
+
+def test_key_points_of_four_legs_are_mujocos():
+    """For feet without key points a policy sees the origins of the feet, as MuJoCo has them."""
+    import mujoco
+    import numpy as np
+
+    from op3.policy.leg_kinematics import leg_kinematics, tip_kinematics
+    from op3.robot import load_robot
+
+    for name, chains in (("quadruped", leg_kinematics), ("arm", tip_kinematics)):
+        robot = load_robot(name)
+        model, data = robot.bare_model, mujoco.MjData(robot.bare_model)
+        position = np.random.default_rng(0).uniform(*robot.limits.T)
+        data.qpos[:] = position
+        mujoco.mj_kinematics(model, data)
+        base = data.body(robot.file.base)
+        turn = base.xmat.reshape(3, 3)
+        if name == "arm":
+            expected = [data.site(robot.file.tip).xpos]
+        else:
+            expected = [data.body(foot).xpos for foot in robot.file.feet]
+        angles = torch.from_numpy(position)
+        points, _ = chains(robot).key_points(angles, 0 * angles)
+        np.testing.assert_allclose(points.numpy(), (np.array(expected) - base.xpos) @ turn, atol=1e-12)
