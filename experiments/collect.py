@@ -44,6 +44,7 @@ from op3.deploy.dynamixel_bus import Unplugged
 from op3.deploy.exit_codes import ExitCode
 from op3.deploy.ticker import PERIOD
 from op3.policy import PolicyBundle
+from op3.policy.card import check_card
 from op3.robot import Motion, check_motion, load_robot
 from op3.rollout import MOUNTS, Rollout, git_hash
 from op3.settings import read_yaml
@@ -126,6 +127,8 @@ def collect_episodes(cfg: DictConfig) -> list[Path]:
     if not hasattr(robot, "run_policy"):
         raise ValueError("this source only plays motions; record a policy with source=emulated or source=real")
     bundle, task = PolicyBundle.load(cfg.policy), cfg.get("task")
+    if HydraConfig.get().runtime.choices.source == "real" and cfg.card != "ignore":
+        check_card(cfg.policy, bundle)
     if task is not None:
         task = build(task)
         task.check_policy(bundle.manifest, f"policy={cfg.policy}")

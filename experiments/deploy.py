@@ -36,7 +36,9 @@ from op3.deploy.commands import CommandSource, command_source
 from op3.deploy.deploy import EMULATED, HANG_SCALE, POLICY_RATE
 from op3.deploy.dynamixel_bus import Unplugged
 from op3.deploy.session import LOG_NAMES
+from op3.deploy.start_checks import Check
 from op3.policy import PolicyBundle
+from op3.policy.card import check_card
 from op3.robot import load_robot
 from op3.rollout import git_hash, read_log
 
@@ -77,11 +79,28 @@ def commands_of(cfg: DictConfig, runner: PolicyRunner | None) -> CommandSource |
     return command_source(str(cfg.commands))
 
 
+def check_policy(cfg: DictConfig, runner: PolicyRunner) -> Check:
+    """Whether the policy's card allows a robot to run it."""
+    if cfg.card == "ignore":
+        return Check("policy card", True, "ignored")
+    try:
+        card = check_card(cfg.policy, runner.bundle)
+    except ValueError as error:
+        return Check("policy card", False, f"{error}; or run it all the same with card=ignore")
+    return Check("policy card", True, f"{card.verdict} at {card.task}")
+
+
 def deploy(cfg: DictConfig) -> ExitCode:
     """Do what the config says."""
     if cfg.mode not in MODES:
         raise ValueError(f"mode must be one of {', '.join(MODES)}, got {cfg.mode!r}")
+    if cfg.card not in ("required", "ignore"):
+        raise ValueError(f"card must be required or ignore, got {cfg.card!r}")
     runner = load_runner(cfg)
+    if runner is not None and cfg.mode in ("run", "hang"):
+        print(check := check_policy(cfg, runner))
+        if not check.ok:
+            return ExitCode.START_CHECK
     if cfg.mode == "replay":
         if cfg.log is None or runner is None:
             raise ValueError("mode=replay needs policy=<bundle> and log=<folder of a run>")

@@ -6,6 +6,8 @@ python experiments/evaluate.py -m policy=<bundle>,hold,random task=balance_eval,
 python experiments/evaluate.py -m policy=<bundle>,stiff task=walk,walk_bricks_a,walk_bricks_b,walk_bricks_c
 """
 
+import dataclasses
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,16 +18,23 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from support import Progress, one_sentence, run_folder, whole
+from support import Progress, one_sentence, plain, run_folder, whole
 
 from op3.command_line import launch
-from op3.envs import BatchedEnv, record_episodes
+from op3.compliance.robustness import Variation, make_card
+from op3.envs import BatchedEnv
 from op3.envs.actors import Watched, find_actor
+from op3.envs.gait_validity import GaitValidity, judged_episodes
+from op3.envs.tracking import Obedience, measure_obedience
 from op3.intervals import mean_interval, wilson_interval
+from op3.policy.bundle import MANIFEST
+from op3.report import run_provenance
 from op3.report.evaluation_page import report_evaluation
 from op3.report.video import film
 from op3.robot import load_robot
+from op3.robot.assets import here_or_shipped
 from op3.rollout import Rollout
+from op3.sim import model_for
 from op3.tasks.behaviour import gains, gait_profile, mean_tilt
 from op3.tasks.evaluation import evaluation_return, succeeded
 from op3.tasks.task import Task
@@ -53,14 +62,17 @@ class Told(Watched):
         return super().act(observation)
 
 
-def play(cfg: DictConfig, task: Task, name: str, field: str = "policy") -> tuple[list[Rollout], Watched, BatchedEnv]:
-    """The episodes of the seed, which begin alike for every policy; and who acted where."""
+def play(
+    cfg: DictConfig, task: Task, name: str, field: str = "policy"
+) -> tuple[list[Rollout], Watched, BatchedEnv, GaitValidity]:
+    """The episodes of the seed, which begin alike for every policy; who acted where; and whether a robot could."""
     known = dict(seed=cfg.seed, hold_gain=cfg.hold_gain, gain_scale=cfg.gain_scale, field=field)
     actor = find_actor(name, task, **known)
     options = dict(num_threads=cfg.threads, randomisation=cfg.randomisation, gain_scale=cfg.gain_scale)
-    env = actor.environment(task, cfg.model, cfg.episodes, cfg.seed, **options)
+    env = actor.environment(task, cfg.model or "own", cfg.episodes, cfg.seed, **options)
     watched = Told(actor.policy, env, task.steps)
-    return record_episodes(env, watched, cfg.episodes, recording=f"{task.name}-{cfg.seed}"), watched, env
+    logs, validity = judged_episodes(env, watched, recording=f"{task.name}-{cfg.seed}")
+    return logs, watched, env, validity
 
 
 def passed(logs: Sequence[Rollout], task: Task, least_distance: float, prefix: str = "") -> dict[str, Any]:
@@ -73,9 +85,52 @@ def passed(logs: Sequence[Rollout], task: Task, least_distance: float, prefix: s
     }
 
 
+def card_folder(cfg: DictConfig) -> Path | None:
+    """Folder of the bundle that gets a card; None where none is asked for.
+
+    Raises:
+        ValueError: if the policy is no bundle, or nothing can be written there: known before minutes of episodes.
+    """
+    if not cfg.card:
+        return None
+    folder = here_or_shipped(cfg.policy)
+    if not (folder / MANIFEST).is_file():
+        raise ValueError(f"card=true writes into a policy bundle, and policy={cfg.policy} is none; give its folder")
+    if not os.access(folder, os.W_OK):
+        raise ValueError(f"card=true: nothing can be written to {cfg.policy}; copy the bundle to a folder of your own")
+    return folder
+
+
+def write_card(cfg: DictConfig, task: Task, folder: Path) -> None:
+    """Measure what the card says, write it into the bundle, and print it."""
+    variations = {name: Variation(**values) for name, values in plain(cfg.variations).items()}
+    facts = run_provenance(seed=cfg.seed)
+    made = {name: facts[name] for name in ("command", "git_hash", "git_changes", "date", "seed") if name in facts}
+    card = make_card(
+        find_actor(cfg.policy, task),
+        str(cfg.model or load_robot(task.robot).file.law or "own"),
+        model_for(load_robot(task.robot), cfg.model),
+        task,
+        variations,
+        made,
+        robots=cfg.card_robots,
+        seed=cfg.seed,
+        num_threads=cfg.threads,
+    )
+    print(card.to_yaml())
+    print(card.save(folder))
+
+
+def plain_obedience(obeyed: Obedience) -> dict[str, Any]:
+    """What a walk makes of its commands, as plain values."""
+    values = dataclasses.asdict(obeyed)
+    values["speeds"] = [list(row) for row in obeyed.speeds]
+    return values | {"errors": list(obeyed.errors)}
+
+
 def beside(cfg: DictConfig, task: Task, returns: list[float]) -> tuple[dict[str, Any], list[float]]:
     """Numbers of the baseline on the same episodes, and its returns."""
-    logs, _, _ = play(cfg, task, cfg.baseline, "baseline")
+    logs, *_ = play(cfg, task, cfg.baseline, "baseline")
     others = [evaluation_return(log) for log in logs]
     margins = [ours - theirs for ours, theirs in zip(returns, others, strict=True)]
     numbers = {
@@ -96,17 +151,30 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     if OmegaConf.is_missing(cfg, "policy"):
         raise ValueError("policy is missing: add policy=<folder of a bundle>, or hold, zero, random or stiff")
     whole(cfg, "episodes", 1)
-    if cfg.joint not in load_robot().controlled:
-        raise ValueError(f"joint={cfg.joint}: choose {', '.join(load_robot().controlled)}")
+    whole(cfg, "card_robots", 1)
+    if cfg.robot is not None:
+        cfg.task.robot = cfg.robot
     folder, task = Path(HydraConfig.get().runtime.output_dir), instantiate(cfg.task)
+    robot = load_robot(task.robot)
+    if len(robot.legs) == 2 and cfg.joint not in robot.controlled:
+        raise ValueError(f"joint={cfg.joint}: choose {', '.join(robot.controlled)}")
     if cfg.baseline is not None:  # before minutes of episodes
         find_actor(cfg.baseline, task, field="baseline")
-    logs, watched, env = play(cfg, task, cfg.policy)
+    bundle = card_folder(cfg)
+    logs, watched, env, validity = play(cfg, task, cfg.policy)
+    print(validity)
+    obeyed = None
+    if "velocity" in task.commands:
+        actor = find_actor(cfg.policy, task)
+        obeyed = measure_obedience(actor, cfg.model or "own", task, cfg.episodes, cfg.seed, num_threads=cfg.threads)
+        print(obeyed)
+        for asked, achieved, spread in obeyed.speeds:
+            print(f"  {asked:.2f} m/s commanded: {achieved:.3f} m/s achieved (standard deviation {spread:.3f})")
     stiff = hasattr(watched, "commands")
     returns = [evaluation_return(log) for log in logs]
     numbers: dict[str, Any] = {
         "evaluation.task": task.name,
-        "evaluation.model": str(cfg.model),
+        "evaluation.model": str(cfg.model or robot.file.law or "own"),
         "evaluation.policy": str(cfg.policy),
         "evaluation.episodes": len(logs),
         **passed(logs, task, cfg.least_distance),
@@ -115,7 +183,11 @@ def run(cfg: DictConfig) -> dict[str, Any]:
         "evaluation.duration": float(np.mean([log.metadata.episode_duration for log in logs])),  # type: ignore
         "evaluation.tilt": float(np.mean([mean_tilt(log) for log in logs])),
     }
-    each = [] if stiff else [gains(log, task) for log in logs]  # in position mode a servo's gain is its own
+    numbers |= {f"evaluation.validity.{name}": value for name, value in dataclasses.asdict(validity).items()}
+    if obeyed is not None:
+        numbers |= {f"evaluation.commands.{name}": value for name, value in plain_obedience(obeyed).items()}
+    takes_gains = not stiff and env.action_map.gain_low is not None
+    each = [] if not takes_gains else [gains(log, task) for log in logs]
     for name in each[0] if each else ():
         numbers[f"evaluation.{name}"] = float(np.mean([values[name] for values in each if name in values]))
     if task.cycle is not None:
@@ -141,7 +213,10 @@ def run(cfg: DictConfig) -> dict[str, Any]:
         rate = 1 / (FRAME_EVERY * env.policy_period)
         if film(env.scene, states, folder / "episode.mp4", rate, follow=task.cycle is not None):
             files["episode.mp4"] = "a film of the first episode"
-    long_enough = [log for log in logs if log.duration > 1.5 and not stiff]
+    if bundle is not None:
+        write_card(cfg, task, bundle)
+    # a gait's profile is of gains and of a left and a right leg
+    long_enough = [log for log in logs if log.duration > 1.5 and takes_gains and len(robot.legs) == 2]
     return report_evaluation(
         logs,
         run_folder(cfg, folder, **({"log": "logs"} if cfg.logs else {})),

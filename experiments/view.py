@@ -25,6 +25,7 @@ from op3.command_line import launch
 from op3.envs import record_episodes
 from op3.envs.actors import Watched, find_actor
 from op3.policy.bundle import MANIFEST, PolicyBundle
+from op3.policy.card import find_card
 from op3.report.frames import RenderError
 from op3.report.live import stretches, told
 from op3.report.tracks import SHOWN, Tracks, of_diagnosis, predicted, scene_of
@@ -60,6 +61,8 @@ def of_log(cfg: DictConfig) -> Tracks:
 def of_policy(cfg: DictConfig, path: Path) -> Tracks:
     """An episode of a policy, in the simulation that it was trained in."""
     made = PolicyBundle.load(path).manifest
+    card = find_card(path)
+    print(card.to_yaml() if card else f"{cfg.what} has no card; op3 evaluate policy={cfg.what} card=true makes one")
     task = find_task(made.task)
     actor = find_actor(str(path), task)
     model = cfg.model or made.training.model

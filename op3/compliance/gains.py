@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from op3.compliance.energy import torque_per_current
-from op3.compliance.traces import TOUCHED, Traces, touchdowns
+from op3.envs.traces import SKIPPED, TOUCHED, Traces, touchdowns
 from op3.intervals import with_interval
 from op3.policy.observation import layout_slices
 from op3.robot import load_robot
@@ -21,9 +21,6 @@ Array = NDArray[np.float64]
 
 BINS = 25
 """Parts of the gait's cycle."""
-
-SKIPPED = 1.5
-"""Time at the beginning of an episode that does not count [s]: the robot is not walking yet."""
 
 AFTER_LANDING = 0.1
 """Time after a touchdown that is looked at apart [s]."""

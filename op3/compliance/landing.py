@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from op3.compliance.gains import SKIPPED
-from op3.compliance.traces import TOUCHED, Traces, touchdowns
+from op3.envs.traces import SKIPPED, Traces, swings
 
 Array = NDArray[np.float64]
 
@@ -64,13 +63,11 @@ def find_landings(traces: Traces, lengths: NDArray[np.int64]) -> Landings:
     for robot, length in enumerate(lengths):
         for side in range(2):
             force, sole = traces.force[:length, robot, side], traces.sole[:length, robot, side]
-            for time in touchdowns(force):
+            for left, time in swings(force):
                 if time < 1000 * SKIPPED or time + 500 >= length:
                     continue
-                # short touches during the swing belong to it
-                stood = np.flatnonzero(force[:time] >= TOUCHED)
-                in_the_air, inside = slice(stood[-1] if len(stood) else 0, time), slice(time, time + WINDOW)
-                ahead, height = traces.ahead[:, robot], sole[in_the_air].max() - sole[time]
+                inside = slice(time, time + WINDOW)
+                ahead, height = traces.ahead[:, robot], sole[left:time].max() - sole[time]
                 peaks = force[inside].max(), traces.acceleration[inside, robot].max()
                 found.append((robot, *peaks, ahead[time + 500] - ahead[time - 500], height))
     columns = np.array(found, dtype=float).reshape(-1, 5).T

@@ -12,13 +12,13 @@ from pydantic import Field
 
 from op3.compliance.backdrive import BackDrive, back_drive
 from op3.compliance.energy import Energy, measure_energy
-from op3.compliance.gains import SKIPPED, TICK, Gains, measure_gains
+from op3.compliance.gains import TICK, Gains, measure_gains
 from op3.compliance.landing import Landings, find_landings
 from op3.compliance.leading import Led, lead
 from op3.compliance.pushing import Survival, survive_pushes
-from op3.compliance.traces import Traces, Watch
 from op3.envs.actors import Actor, FixedGain, find_actor
 from op3.envs.record import record_episodes
+from op3.envs.traces import SKIPPED, Traces, Watch
 from op3.policy import ActionMap
 from op3.robot import SinusoidalGait
 from op3.rollout import Rollout

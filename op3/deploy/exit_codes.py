@@ -45,6 +45,8 @@ class ExitCode(IntEnum):
     """A position moved faster than its servo can: a turn was lost, or a counter was reset."""
     ERROR = 30
     """An unexpected error, printed above."""
+    SELF_COLLISION = 31
+    """Parts of the robot were about to collide, by its measured or its commanded angles."""
     NOT_VERIFIED = 40
     """Torque off could not be read back from every servo: switch the power off by hand."""
     REPLAY = 50

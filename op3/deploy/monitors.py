@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from op3.deploy.exit_codes import ExitCode, Stop
-from op3.deploy.limits import Limits
+from op3.deploy.limits import Command, Limits
 from op3.deploy.registers import HardwareError, Units
 from op3.deploy.state import State
 from op3.robot import Robot
+from op3.robot.self_collision import Gap, SelfCollision
 
 CONFIRMED = 3
 """Readings in a row that confirm a temperature; a single reading may be a glitch."""
@@ -42,7 +43,7 @@ class Monitor:
     def __init__(self, limits: Limits, robot: Robot, period: float):
         self._limits, self._period = limits, period
         self._joints, self._limits_of_joints = robot.joints, robot.limits.T
-        self._units = Units(robot)
+        self._units, self._parts = Units(robot), SelfCollision(robot, margin=0.0)
         self._loss_ticks = round(limits.loss_time / period)
         self._last_heard: np.ndarray | None = None
         self._last_position: np.ndarray | None = None
@@ -70,7 +71,17 @@ class Monitor:
             self._check_fall(time, float(np.rad2deg(np.abs(state.orientation[:2]).max())))
         self._check_heat(state)
         self._check_supply(state)
+        self._check_parts("measured", self._parts.coming(state.position, state.velocity, self._limits.overlap))
         return verdict
+
+    def judge_command(self, command: Command) -> None:
+        """Judge a command before it is carried out.
+
+        Raises:
+            Stop: if joints with a P gain are sent to angles at which parts of the robot are in each other.
+        """
+        if command.p_gain.any():
+            self._check_parts("commanded", self._parts.overlap(command.position, self._limits.target_overlap))
 
     def _check_shutdown(self, state: State) -> None:
         errors = state.raw["hardware_error"]
@@ -128,6 +139,10 @@ class Monitor:
             self._upright = time
         elif time - self._upright >= self._limits.fall_time - 1e-9:
             raise Stop(ExitCode.FALL, f"the trunk is tilted by {tilt:.0f} deg: the robot has fallen", damp=True)
+
+    def _check_parts(self, whose: str, gap: Gap | None) -> None:
+        if gap is not None:
+            raise Stop(ExitCode.SELF_COLLISION, f"at the {whose} angles the robot hits itself: {gap}", damp=True)
 
     def _check_heat(self, state: State) -> None:
         hot = state.temperature >= self._limits.temperature

@@ -141,6 +141,7 @@ POLICY_FAILED = (
     ExitCode.TEMPERATURE,
     ExitCode.VOLTAGE,
     ExitCode.NON_FINITE,
+    ExitCode.SELF_COLLISION,
 )
 """Ends of an episode that its policy has to answer for, unlike those of the bus."""
 

@@ -245,10 +245,11 @@ class Safety(Onlooker):
             Goal currents [joint] in counts, and the command as it was carried out.
 
         Raises:
-            Stop: if a number is not finite; then nothing is written.
+            Stop: if a number is not finite, or at the commanded angles the robot hits itself; then nothing is written.
             Unplugged: if the port is gone.
         """
         command = command.limited(self.bus.robot)
+        self._monitor.judge_command(command)
         if verdict.damp:
             self._gain_share = 0.0
             command = command.damped(self.limits.damp_gain)

@@ -14,6 +14,7 @@ from op3.deploy.limits import Limits
 from op3.deploy.registers import OPEN_CR_MODEL, HardwareError
 from op3.deploy.state import State
 from op3.doctor import ADAPTERS, LATENCY, latency_timer
+from op3.robot.self_collision import SelfCollision
 from op3.robot.units import VOLTAGE_UNIT
 
 POWER_UP_TIME = 0.5
@@ -93,6 +94,7 @@ class StartChecks:
             ("temperature", self._temperature),
             ("supply voltage", self._voltage),
             ("joint angles", self._angles),
+            ("self-collision", self._parts),
             *([("IMU", self._imu)] if self._bus.board else []),
         )
 
@@ -257,6 +259,12 @@ class StartChecks:
                 f" [{low[worst]:.2f}, {high[worst]:.2f}]; move it by hand, or check its calibration and horn"
             )
         return "inside the soft limits"
+
+    def _parts(self) -> str:
+        largest = self._limits.overlap
+        if gap := SelfCollision(self._bus.robot, margin=0.0).overlap(self._read().position, largest):
+            raise Failed(f"{gap}; move them apart by hand, or check the joints' calibration and horns")
+        return f"no part more than {1000 * largest:g} mm in another"
 
     def _imu(self) -> str:
         bus, blocks = self._bus, set()

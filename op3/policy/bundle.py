@@ -1,5 +1,6 @@
 """A policy as a folder: ``policy.pt`` with the weights and ``manifest.yaml`` with the rest."""
 
+import hashlib
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
@@ -73,6 +74,14 @@ class PolicyBundle:
         weight, bias = self._layers[-1]
         action: Any = torch.tanh(values @ weight + bias).to(given.dtype)
         return action if isinstance(observation, torch.Tensor) else action.numpy()
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of weights and manifest, 16 hexadecimal digits."""
+        digest = hashlib.sha256(self.manifest.to_yaml().encode())
+        for name in sorted(self.weights):
+            digest.update(name.encode() + self.weights[name].contiguous().numpy().tobytes())
+        return digest.hexdigest()[:16]
 
     def save(self, folder: str | Path, overwrite: bool = False) -> Path:
         """Write the bundle; the folder appears whole or not at all.

@@ -46,12 +46,13 @@ class Mirror:
             torch.tensor([float(images[name][1]) for name in every]),
         )
         # a rotation is an axial vector: the reflection keeps its part along y and reverses the others
+        axial = torch.tensor([-1.0, 1.0, -1.0])
         seen = {
             "key_point_position": (coordinates, torch.tensor([1.0, -1.0, 1.0] * len(points))),
             "key_point_velocity": (coordinates, torch.tensor([1.0, -1.0, 1.0] * len(points))),
             "previous_action": (self._action, self._action_sign),
-            "orientation": (torch.arange(3), torch.tensor([-1.0, 1.0, -1.0])),
-            "angular_velocity": (torch.arange(3), torch.tensor([-1.0, 1.0, -1.0])),
+            "orientation": tuple(part[: layout.get("orientation", 3)] for part in (torch.arange(3), axial)),
+            "angular_velocity": (torch.arange(3), axial),
             "phase": (torch.arange(2), torch.tensor([-1.0, -1.0])),
             "heading_error": (torch.arange(1), torch.tensor([-1.0])),
             "command": (torch.arange(3), torch.tensor([1.0, -1.0, -1.0])),

@@ -1,19 +1,13 @@
 """Whether a motion is safe to play: soft limits, speeds, self-collision."""
 
-# MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
-# pyright: reportAttributeAccessIssue=false
-
 from collections.abc import Sequence
 from functools import lru_cache
 
-import mujoco
 import numpy as np
 
 from op3.robot.motions import Motion
-from op3.robot.robot import Robot, exclude_neighbours, load_robot, read_spec
-
-CLEARANCE = 0.005
-"""Least distance between two parts of the robot that are not neighbours [m]."""
+from op3.robot.robot import Robot, load_robot
+from op3.robot.self_collision import CLEARANCE, SelfCollision
 
 
 def motion_faults(motion: Motion, mount: str | None = None) -> list[str]:
@@ -79,37 +73,14 @@ def _speed_faults(motion: Motion, robot: Robot, position: np.ndarray) -> list[st
 
 
 def _collisions(motion: Motion, robot: Robot, position: np.ndarray) -> list[str]:
-    model = _colliding_model(robot)
-    data = mujoco.MjData(model)
-    usual = {pair for pair, _ in _near(model, data, robot.home)}  # parts that touch at home are made to
-    for row in range(len(position)):
-        for pair, distance in _near(model, data, position[row]):
-            if pair not in usual:
-                parts = [
-                    model.geom(geom).name or f"a part of {model.body(model.geom_bodyid[geom]).name}" for geom in pair
-                ]
-                return [
-                    f"motion {motion.name!r} brings {parts[0]} within {distance * 1000:.1f} mm of {parts[1]} at"
-                    f" {motion.time[row]:.3f} s; at least {CLEARANCE * 1000:.0f} mm must be left:"
-                    " move less, or elsewhere (motion.joints, motion.offset)"
-                ]
+    parts = _self_collision(robot)
+    for row, angles in enumerate(position):
+        if gap := parts.nearest(angles):
+            return [
+                f"motion {motion.name!r} brings {gap} at {motion.time[row]:.3f} s; at least"
+                f" {CLEARANCE * 1000:.0f} mm must be left: move less, or elsewhere (motion.joints, motion.offset)"
+            ]
     return []
 
 
-def _near(model: mujoco.MjModel, data: mujoco.MjData, position: np.ndarray) -> list[tuple[tuple[int, int], float]]:
-    """Pairs of geoms that are closer than `CLEARANCE`, and how far they are apart [m]."""
-    data.qpos[:] = position
-    mujoco.mj_fwdPosition(model, data)
-    return [((int(c.geom1), int(c.geom2)), float(c.dist)) for c in data.contact if c.dist < CLEARANCE]
-
-
-@lru_cache(maxsize=4)
-def _colliding_model(robot: Robot) -> mujoco.MjModel:
-    """The bare robot whose parts, but for neighbours, feel each other from `CLEARANCE` on."""
-    # before compiling: MuJoCo sums up what each body may touch at that moment
-    spec = read_spec(robot.model_path, robot.file.base)
-    for geom in spec.geoms:
-        if geom.conaffinity:
-            geom.contype = 1
-            geom.margin = CLEARANCE
-    return exclude_neighbours(spec).compile()
+_self_collision = lru_cache(maxsize=4)(SelfCollision)

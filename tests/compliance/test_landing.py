@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from op3.compliance.landing import Landings, compare_landings, find_landings
-from op3.compliance.traces import Traces
+from tests.envs.scripted import still
 
 
 def test_peaks_of_a_scripted_landing():
@@ -17,7 +17,7 @@ def test_peaks_of_a_scripted_landing():
     sole[2700:3000, 0, 0], sole[3000:, 0, 0] = 0.020, 0.005
     acceleration = np.full((5000, 1), 1.0, dtype=np.float32)
     acceleration[3030] = 30.0
-    traces = Traces(force, acceleration, sole, (0.25 * time / 1000)[:, None].astype(np.float32))
+    traces = still(5000, force=force, acceleration=acceleration, sole=sole, ahead=(0.25 * time / 1000)[:, None])
     found = find_landings(traces, np.array([5000]))
     assert found.episode.tolist() == [0]
     expected = (90.0, 30.0, 0.25, 0.015)

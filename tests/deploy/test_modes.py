@@ -242,6 +242,11 @@ def test_deploy_script_and_replay(tmp_path):
     """A policy on the emulated robot from the command line ends with 0, and its log replays to the same actions."""
     bundle = hold_policy(feedback=0.1).save(tmp_path / "bundle")
     common = (f"policy={bundle}", "panel=false")
+    refused = run_script("deploy.py", *common, "port=emulated", f"hydra.run.dir={tmp_path / 'refused'}")
+    assert refused.returncode == ExitCode.START_CHECK
+    assert f"FAIL policy card: {bundle} has no card" in refused.stdout
+    assert refused.stdout.rstrip().endswith("or run it all the same with card=ignore")
+    common = (*common, "card=ignore")
     result = run_script(
         "deploy.py", *common, "port=emulated", "duration=0.5", "mount=stand", f"hydra.run.dir={tmp_path / 'run'}"
     )

@@ -51,6 +51,7 @@ def known(log) -> dict:
 def test_the_python_of_a_page_runs(page: Path, log, tmp_path, monkeypatch):
     """One namespace per page, as in a notebook; what a comment before a block excuses is left out."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
     (tmp_path / "assets").symlink_to(ROOT / "assets")
     log.save("log")
     space = known(log)

@@ -40,6 +40,7 @@ def recorded():
     target = np.tile(pose("stand"), (TICKS, 1))
     for k, column in enumerate(columns):
         target[:, column] += 0.2 * np.sin(2 * np.pi * (0.7 + 0.3 * k) * time)
+    target[:, JOINTS.index("r_hip_roll")] += 0.2  # away from the other leg
     simulation = BatchSimulation(
         setup.mj_model, setup.scene.joint_names, model, 1, base_body=setup.base_body, joint_names=setup.joints
     )

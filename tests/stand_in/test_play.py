@@ -129,7 +129,7 @@ def test_saved_and_loaded(tmp_path):
 
 def test_a_fall_is_written_down():
     """A robot without gains collapses, and the metadata says so."""
-    straight = Motion(np.arange(250) / 125, np.tile(pose("stand"), (250, 1)), name="collapse")
+    straight = Motion(np.arange(250) / 125, np.tile(pose("zero"), (250, 1)), name="collapse")
     log = StandIn(World(foot_friction=0.7)).play(straight, p_gain=0.0, d_gain=0.0, settle=0.0)
     assert log.metadata.fallen is True
 

@@ -1,5 +1,6 @@
 """Terms, robots and tasks from a package of a user's own, without an edit in op3."""
 
+import subprocess
 import sys
 import textwrap
 from pathlib import Path
@@ -9,7 +10,10 @@ import torch
 from torchrl.envs import check_env_specs
 
 from op3.envs import make_env
+from op3.policy import PolicyBundle
 from op3.tasks import find_task, task_names
+
+ROOT = Path(__file__).resolve().parents[2]
 
 PACKAGE = """
 import torch
@@ -117,6 +121,25 @@ def test_a_curriculum_changes_own_terms(package):
     state = env.reset().set("action", torch.from_numpy(env.action_map.stand()).float()[None])
     assert env.step(state)["next", "reward_terms", "forward"].abs().item() < 0.4
     assert env.mdp.terms["shaping"]["airtime"].target.longest == 0.1
+
+
+def test_a_task_of_ones_own_trains(package, tmp_path, monkeypatch):
+    """A task file in a folder of one's own, built on one that exists, with a curriculum of its own."""
+    folder = tmp_path / "configs" / "task"
+    folder.mkdir(parents=True)
+    (folder / "walk_in_wind.yaml").write_text(
+        "defaults: [walk, _self_]\nname: walk_in_wind\n"
+        "events:\n  wind: {function: my_package.terms.wind, force: 0.0}\n"
+        "curricula:\n  events.wind.force: [[0, 0.0], [100, 2.0]]\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{ROOT}")
+    small = ["train.steps=64", "train.warmup=32", "train.rollout=4", "environments=4", "train.buffer=64"]
+    small += ["train.evaluate_every=64", "train.checkpoint_every=64", "evaluation.episodes=1", "evaluation.video=false"]
+    out = tmp_path / "out"
+    words = [f"--config-dir={folder.parent}", "task=walk_in_wind", *small, "wandb=disabled", f"hydra.run.dir={out}"]
+    done = subprocess.run([sys.executable, str(ROOT / "experiments/train.py"), *words], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert PolicyBundle.load(out / "policy").manifest.task == "walk_in_wind"
 
 
 ROBOTS = [(name, None) for name in task_names()] + [("stand", "quadruped"), ("walk", "quadruped")]

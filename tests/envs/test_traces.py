@@ -3,8 +3,8 @@
 import numpy as np
 import torch
 
-from op3.compliance.traces import Watch, touchdowns
 from op3.envs import make_env
+from op3.envs.traces import Watch, touchdowns
 from op3.robot.units import GRAVITY
 
 

@@ -1,0 +1,230 @@
+"""How many robots that differ in one thing a policy keeps upright, and the card that says so."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from op3.compliance.energy import measure_energy
+from op3.compliance.pushing import survive_pushes
+from op3.envs.actors import Actor
+from op3.envs.gait_validity import GaitValidity, judged_episodes
+from op3.envs.record import record_episodes
+from op3.envs.tracking import AXES, measure_obedience
+from op3.intervals import wilson_interval
+from op3.policy import PolicyBundle
+from op3.policy.card import Card
+from op3.rollout import Rollout
+from op3.servo import Parameter, RobotModel, catalogue
+from op3.settings import Named, Number, Positive, nearest, settings
+from op3.tasks.evaluation import succeeded
+from op3.tasks.pushes import DIRECTIONS
+from op3.tasks.task import Task, find_task
+
+ENOUGH = 0.9
+"""Share of robots that must walk, or stand, for a card to say that a policy does."""
+
+BUS_VOLTAGE = "bus_voltage"
+"""Name under which a variation changes the supply of a model."""
+
+PUSH_RUNGS, LARGEST_PUSH = 10, 3.0
+"""Of the ladder of pushes, and its end [N s]."""
+
+
+@settings("variation")
+class Variation:
+    """One thing that is different from the robot, or the task, that a policy was trained on.
+
+    Attributes:
+        text: what, in words.
+        add: to the values of the model's parameters, or to `bus_voltage`, by name. An effect that the model does not
+            have is put into it; its parameters begin where it does nothing.
+        scale: factors on them.
+        gain_scale: factor on every gain that is commanded.
+        task: values of the task that are others, by dotted path.
+    """
+
+    text: str = ""
+    add: Named[Number] = dataclasses.field(default_factory=dict)
+    scale: Named[Positive] = dataclasses.field(default_factory=dict)
+    gain_scale: Positive = 1.0
+    task: Named[Any] = dataclasses.field(default_factory=dict)
+
+    def model(self, model: RobotModel) -> RobotModel:
+        """The robot with it.
+
+        Raises:
+            ValueError: if there is no such parameter, or its value is impossible.
+        """
+        changes: dict[str, Callable[[float], float]] = {name: _adding(value) for name, value in self.add.items()}
+        changes |= {name: _scaling(value) for name, value in self.scale.items()}
+        for name, change in changes.items():
+            if name == BUS_VOLTAGE:
+                model = replace(model, bus_voltage=change(model.bus_voltage))
+                continue
+            model = _with_parameter(model, name)
+            model = model.moved({name: change(model.value(name))})
+        return model
+
+
+def _adding(value: float) -> Callable[[float], float]:
+    return lambda before: before + value
+
+
+def _scaling(value: float) -> Callable[[float], float]:
+    return lambda before: before * value
+
+
+def _with_parameter(model: RobotModel, name: str) -> RobotModel:
+    """A model that has a parameter: where its effect is off, with the effect at values at which it does nothing."""
+    if name in model.parameters():
+        return model
+    for effect in catalogue().values():
+        if any(parameter.name == name for parameter in effect.parameters):
+            return model.with_effect(effect(), {p.name: _neutral(p) for p in effect.parameters})
+    known = sorted({p.name for effect in catalogue().values() for p in effect.parameters} | {BUS_VOLTAGE})
+    raise ValueError(f"a variation changes {name!r}, which no model has{nearest(name, known)}")
+
+
+def _neutral(parameter: Parameter) -> float:
+    return parameter.nominal if parameter.neutral is None else parameter.neutral
+
+
+@dataclass(frozen=True)
+class Robustness:
+    """Robots under one variation.
+
+    Attributes:
+        robots: all of them, one episode each.
+        upright: that did not fall.
+        successes: that also did what the task asks for.
+        speed: mean forward [m/s]; None for a task without a gait.
+    """
+
+    robots: int
+    upright: int
+    successes: int
+    speed: float | None
+
+    @classmethod
+    def of(cls, logs: list[Rollout], task: Task) -> Robustness:
+        """Count the episodes."""
+        speed = None
+        if task.cycle is not None:
+            facts = [vars(log.metadata) for log in logs]
+            speed = float(np.mean([fact["travelled_distance"] / fact["episode_duration"] for fact in facts]))
+        upright = sum(not log.metadata.fallen for log in logs)
+        return cls(len(logs), upright, sum(succeeded(log, task) for log in logs), speed)
+
+    @property
+    def plain(self) -> dict[str, Any]:
+        """For a file."""
+        low, high = (round(end, 3) for end in wilson_interval(self.successes, self.robots))
+        speed = {} if self.speed is None else {"speed": round(self.speed, 4)}
+        return {"success": round(self.successes / self.robots, 3), "low": low, "high": high, **speed}
+
+
+def verdict(nominal: Robustness, task: Task) -> Literal["WALKS", "STANDS", "FALLS"]:
+    """What a policy does, by `ENOUGH` robots that are as it was trained."""
+    if task.cycle is not None and nominal.successes >= ENOUGH * nominal.robots:
+        return "WALKS"
+    return "STANDS" if nominal.upright >= ENOUGH * nominal.robots else "FALLS"
+
+
+def make_card(
+    actor: Actor,
+    model_name: str,
+    model: RobotModel,
+    task: Task,
+    variations: Mapping[str, Variation],
+    made: Mapping[str, Any],
+    *,
+    robots: int = 50,
+    seed: int = 0,
+    report: Callable[[str], None] = print,
+    **options: Any,
+) -> Card:
+    """Measure what a card says.
+
+    Args:
+        actor: a policy bundle.
+        model_name: of the model, for the card.
+        variations: by name; the robot as it is comes first by itself.
+        made: command, commit and date, for the card.
+        robots: in each variation, and pushed in each direction.
+        seed: of the episodes, the same for all variations.
+        **options: further arguments of `op3.envs.make_env`.
+    """
+    bundle = actor.policy
+    assert isinstance(bundle, PolicyBundle)
+    varied = {name: (one.model(model), find_task(task, one.task), one) for name, one in variations.items()}
+    report(f"card: {robots} robots as they are")
+    env = actor.environment(task, model, robots, seed, **options)
+    logs, validity = judged_episodes(env, bundle)
+    mass = float(env.simulation.batch.get_model(0).body_subtreemass[0])
+    nominal = Robustness.of(logs, task)
+    found = {"nominal": nominal.plain}
+    for name, (other, attempted, variation) in varied.items():
+        report(f"card: {name}, {variation.text}" if variation.text else f"card: {name}")
+        env = actor.environment(attempted, other, robots, seed, **{**options, "gain_scale": variation.gain_scale})
+        text = {"text": variation.text} if variation.text else {}
+        found[name] = {**text, **Robustness.of(record_episodes(env, actor.policy), attempted).plain}
+    report("card: pushes")
+    per_rung = -(-robots // PUSH_RUNGS)
+    ladder = {"most": LARGEST_PUSH, "rungs": PUSH_RUNGS, "episodes": per_rung}
+    survival = survive_pushes(actor, model, task, seed=seed, **ladder, **options)
+    directions = {f"{360 * i // DIRECTIONS} deg": _rounded(row) for i, row in enumerate(survival.largest)}
+    return Card(
+        verdict=verdict(nominal, task),
+        policy=bundle.fingerprint,
+        task=task.name,
+        model=model_name,
+        robots=robots,
+        self_contact=round(validity.self_contact, 5),
+        penetration=round(validity.penetration, 6),
+        validity=_plain_validity(validity),
+        robustness=found,
+        pushes={"robots": survival.survived.size, "mean": _rounded(survival.mean_largest), **directions},
+        commands=_commands(actor, model, task, robots, seed, report, **options),
+        cost=_cost(logs, model, mass, task),
+        made=dict(made),
+    )
+
+
+def _plain_validity(validity: GaitValidity) -> dict[str, float | None]:
+    values = dataclasses.asdict(validity)
+    del values["self_contact"], values["penetration"]
+    return {name: None if value is None else round(value, 5) for name, value in values.items()}
+
+
+def _commands(
+    actor: Actor, model: RobotModel, task: Task, robots: int, seed: int, report: Callable[[str], None], **options: Any
+) -> dict[str, Any]:
+    if "velocity" not in task.commands:
+        return {}
+    obeyed = measure_obedience(actor, model, task, robots, seed, report=report, **options)
+    return {
+        "rms_error": dict(zip(AXES, _rounded(obeyed.errors), strict=True)),
+        "upright": obeyed.upright,
+        "speeds": {f"{asked:g} m/s": _rounded((achieved, spread)) for asked, achieved, spread in obeyed.speeds},
+        "stopped": obeyed.stopped,
+        "stand_drift": round(obeyed.stand_drift, 4),
+        "yaw_drift": round(obeyed.yaw_drift, 4),
+    }
+
+
+def _cost(logs: list[Rollout], model: RobotModel, mass: float, task: Task) -> dict[str, Any]:
+    energy = measure_energy(logs, model, mass, travels=task.cycle is not None)
+    current = float(np.mean([np.abs(log.array("joint/current")).mean() for log in logs]))
+    transport = (
+        {} if energy.cost_of_transport is None else {"cost_of_transport": round(float(energy.cost_of_transport[0]), 3)}
+    )
+    return {"current": round(current, 4), "power": round(float(energy.power[0]), 3), **transport}
+
+
+def _rounded(values: Any) -> list[float]:
+    return [round(float(value), 3) for value in values]

@@ -1,0 +1,119 @@
+"""Whether a real robot could move like this: self-contact, clearance of swinging feet, width, slip, drift, tilt."""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from op3.envs.batched import BatchedEnv
+from op3.envs.record import record_episodes
+from op3.envs.traces import SKIPPED, TOUCHED, Traces, Watch, swings
+from op3.robot.self_collision import LARGEST_TARGET_OVERLAP, SelfCollision
+from op3.rollout import Rollout
+
+
+@dataclass(frozen=True)
+class GaitValidity:
+    """What all episodes together show; None where there is no such thing, as the clearance of a robot that stands.
+
+    Attributes:
+        self_contact: share of physics steps in which the robot touches itself [-].
+        penetration: depth of the deepest contact of the robot with itself [m].
+        clearance: median over swings of how high the lowest corner of the sole rose above the higher one of the places
+            where it left the ground and where it touched it again [m].
+        step_width: median over touchdowns of the distance of the soles' centres across the heading [m]; of bipeds.
+        double_support: share of the time in which both feet are loaded [-]; of bipeds.
+        foot_slip: mean horizontal speed of the lowest corner of a loaded foot's sole [m/s].
+        yaw_drift: mean over episodes of how far the heading turned, either way, per time [rad/s].
+        tilt: mean angle of the trunk from upright [rad].
+        collision_ahead: share of episodes that `op3 deploy` would have ended for a measured or commanded pose in which
+            parts collide [-]; None where it was not looked at.
+    """
+
+    self_contact: float
+    penetration: float
+    clearance: float | None
+    step_width: float | None
+    double_support: float | None
+    foot_slip: float | None
+    yaw_drift: float
+    tilt: float
+    collision_ahead: float | None = None
+
+    def __str__(self) -> str:
+        shares = [f"touches itself in {self.self_contact:.1%} of the steps, {1000 * self.penetration:.1f} mm deep"]
+        if self.clearance is not None and self.step_width is not None:
+            shares.append(f"swing foot clears the ground by {1000 * self.clearance:.1f} mm")
+            shares.append(f"step width {1000 * self.step_width:.0f} mm")
+        if self.double_support is not None:
+            shares.append(f"double support {self.double_support:.0%}")
+        if self.foot_slip is not None:
+            shares.append(f"loaded feet slip at {self.foot_slip:.3f} m/s")
+        shares.append(f"yaw drifts by {np.degrees(self.yaw_drift):.2f} deg/s")
+        return f"{', '.join(shares)}, trunk tilts by {np.degrees(self.tilt):.1f} deg"
+
+
+def judged_episodes(env: BatchedEnv, policy: Any, recording: str | None = None) -> tuple[list[Rollout], GaitValidity]:
+    """One episode of each robot of an environment, as of `op3.envs.record_episodes`, and how valid the gait is."""
+    watch = Watch(env)
+    with watch.watching():
+        logs = record_episodes(env, policy, recording=recording)
+    timestep = env.simulation.timestep
+    lengths = np.array([round(log.rows / log.metadata.rate / timestep) for log in logs])
+    stopped = float(np.mean([collision_ahead(log) for log in logs]))
+    return logs, replace(gait_validity(watch.traces(), lengths, timestep), collision_ahead=stopped)
+
+
+def gait_validity(traces: Traces, lengths: NDArray[np.int64], timestep: float = 0.001) -> GaitValidity:
+    """Judge episodes by their traces.
+
+    Self-contact counts from the first step on, everything else from `SKIPPED` on.
+
+    Args:
+        lengths: steps for which each robot's episode lasted, [sim].
+        timestep: of the physics [s].
+    """
+    first = round(SKIPPED / timestep)
+    touching, clearances, widths, turned, tilts = [], [], [], [], []
+    slips, both, steps = [], 0, 0
+    for robot, length in enumerate(lengths):
+        touching.append(traces.penetration[:length, robot])
+        kept = slice(min(first, length // 2), length)
+        force, sole, centre = (values[kept, robot] for values in (traces.force, traces.sole, traces.centre))
+        yaw, loaded = np.unwrap(traces.yaw[kept, robot]), force >= TOUCHED
+        slips.append(traces.slip[kept, robot][loaded])
+        both, steps = both + int(loaded.all(-1).sum()), steps + len(force)
+        tilts.append(traces.tilt[kept, robot])
+        if len(yaw) > 1:
+            turned.append(abs(float(yaw[-1] - yaw[0])) / (len(yaw) * timestep))
+        for foot in range(force.shape[-1]):
+            for left, time in swings(force[:, foot]):
+                clearances.append(sole[left : time + 1, foot].max() - max(sole[left, foot], sole[time, foot]))
+                apart = centre[time, 0] - centre[time, -1]
+                widths.append(abs(apart[1] * np.cos(yaw[time]) - apart[0] * np.sin(yaw[time])))
+    depth, slip = np.concatenate(touching), np.concatenate(slips)
+    biped = clearances and traces.force.shape[-1] == 2
+    return GaitValidity(
+        self_contact=float((depth > 0).mean()),
+        penetration=float(depth.max()),
+        clearance=float(np.median(clearances)) if clearances else None,
+        step_width=float(np.median(widths)) if biped else None,
+        double_support=both / steps if biped else None,
+        foot_slip=float(slip.mean()) if len(slip) else None,
+        yaw_drift=float(np.mean(turned)) if turned else 0.0,
+        tilt=float(np.concatenate(tilts).mean()),
+    )
+
+
+def collision_ahead(log: Rollout) -> bool:
+    """Whether `op3 deploy` would have ended this episode for a measured or commanded pose in which parts collide."""
+    parts = _self_collision(log.robot)
+    measured = zip(log.array("joint/position"), log.array("joint/velocity"), strict=True)
+    return any(parts.coming(position, velocity) for position, velocity in measured) or any(
+        parts.overlap(target, LARGEST_TARGET_OVERLAP) for target in log.array("command/position")
+    )
+
+
+_self_collision = lru_cache(maxsize=4)(SelfCollision)

@@ -1,0 +1,105 @@
+"""How close parts of a robot come to each other, fast enough for a control loop."""
+
+# MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
+# pyright: reportAttributeAccessIssue=false
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from op3.robot.robot import Robot, exclude_neighbours, read_spec
+
+CLEARANCE = 0.005
+"""Least distance between two parts of the robot that are not neighbours [m]."""
+
+LARGEST_OVERLAP = 0.002
+"""Depth to which collision shapes may enter each other [m]: more than three times what two legs that meet at stall
+current reach in simulation, 0.6 mm, so that deeper is no contact but a pose that a robot cannot take."""
+
+LARGEST_TARGET_OVERLAP = 0.01
+"""The same of commanded angles [m]: soft joints do not get where they are sent. The targets of the shipped balancing
+policy overlap by up to 4 mm while its feet stay 7 mm apart."""
+
+HORIZON = 0.016
+"""How far ahead of a measured pose a collision counts as coming [s]: within two ticks of 8 ms a new command acts."""
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Two parts of a robot that are close to each other.
+
+    Attributes:
+        distance: between their collision shapes [m], negative where one is inside the other.
+        parts: their names.
+    """
+
+    distance: float
+    parts: tuple[str, str]
+
+    def __str__(self) -> str:
+        first, second = self.parts
+        millimetres = 1000 * self.distance
+        place = f"within {millimetres:.1f} mm of" if millimetres >= 0 else f"{-millimetres:.1f} mm into"
+        return f"{first} {place} {second}"
+
+
+class SelfCollision:
+    """The collision shapes of a robot on their own, without masses, ground or forces.
+
+    Parent and child never collide, and neither do parts that touch in the home pose.
+
+    Args:
+        margin: distance up to which parts count as close [m].
+    """
+
+    def __init__(self, robot: Robot, margin: float = CLEARANCE):
+        # before compiling: MuJoCo sums up what each body may touch at that moment
+        spec = read_spec(robot.model_path, robot.file.base)
+        for geom in spec.geoms:
+            if geom.conaffinity:
+                geom.contype, geom.margin = 1, margin
+        self._model = exclude_neighbours(spec).compile()
+        self._data = mujoco.MjData(self._model)
+        self._places = np.array([int(self._model.joint(name).qposadr[0]) for name in robot.joints])
+        self._margin = margin
+        self._at_home: set[tuple[int, int]] = set()
+        self._at_home = {pair for pair, _ in self._close(robot.home)}
+
+    def nearest(self, joint_position: ArrayLike) -> Gap | None:
+        """The closest pair of parts in a pose [joint] in rad; None where no two are within the margin."""
+        close = self._close(joint_position)
+        if not close:
+            return None
+        pair, distance = min(close, key=lambda found: found[1])
+        return Gap(distance, (self._name(pair[0]), self._name(pair[1])))
+
+    def coming(self, position: ArrayLike, velocity: ArrayLike, largest: float = LARGEST_OVERLAP) -> Gap | None:
+        """Parts that would be deeper in each other than `largest` [m] after `HORIZON`; None where none would be.
+
+        Args:
+            position: measured, [joint] in rad.
+            velocity: measured, [joint] in rad/s.
+        """
+        return self.overlap(np.asarray(position) + HORIZON * np.asarray(velocity), largest)
+
+    def overlap(self, joint_position: ArrayLike, largest: float) -> Gap | None:
+        """The deepest overlap in a pose [joint] in rad where it is deeper than `largest` [m], else None."""
+        gap = self.nearest(joint_position)
+        return gap if gap is not None and gap.distance < -largest else None
+
+    def _close(self, joint_position: ArrayLike) -> list[tuple[tuple[int, int], float]]:
+        """Pairs of geoms within the margin, and their distances [m]."""
+        data = self._data
+        data.qpos[self._places] = joint_position
+        mujoco.mj_kinematics(self._model, data)
+        mujoco.mj_collision(self._model, data)
+        if not data.ncon:
+            return []
+        pairs, distances = data.contact.geom.tolist(), data.contact.dist.tolist()
+        found = [((pair[0], pair[1]), distance) for pair, distance in zip(pairs, distances, strict=True)]
+        return [one for one in found if one[1] < self._margin and one[0] not in self._at_home]
+
+    def _name(self, geom: int) -> str:
+        return self._model.geom(geom).name or f"a part of {self._model.body(self._model.geom_bodyid[geom]).name}"
