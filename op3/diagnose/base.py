@@ -256,7 +256,7 @@ def search(
         whole[:, shared] = np.clip(np.where(positive, np.exp(np.where(positive, x, 0.0)), x), low, high)
         for number, option in enumerate(options):
             if (mine := form == number).any():
-                cost[mine] = _robust(reduction.at(option, whole[mine], stretch))
+                cost[mine] = _robust(reduction.at(option, whole[mine], stretch), reduction.limbs)
         return cost + coordinates.penalties(whole), whole, form
 
     strategy = CatCMA(
@@ -277,9 +277,15 @@ def search(
     return options[best[2]], best[1]
 
 
-def _robust(errors: Sequence[np.ndarray]) -> np.ndarray:
-    """Cost of whitened errors by limb: a window that misses altogether counts once."""
-    return sum(np.log1p(np.square(e.astype(np.float64)).mean(2)).sum(1) for e in errors)  # type: ignore[return-value]
+def _robust(errors: Sequence[np.ndarray], limbs: Sequence[np.ndarray]) -> np.ndarray:
+    """Cost of whitened errors by limb: what a joint misses altogether in a window counts once, so that one bad joint
+    does not decide what all share."""
+    cost = np.zeros(len(errors[0]))
+    for error, limb in zip(errors, limbs, strict=True):
+        sets, windows, _ = error.shape
+        square = np.square(error.reshape(sets, windows, -1, len(limb), 3), dtype=np.float64).mean((2, 4))
+        cost += np.log1p(square).sum((1, 2))
+    return cost
 
 
 def settle(
