@@ -25,6 +25,7 @@ from op3.compliance.robustness import Variation, make_card
 from op3.envs import BatchedEnv
 from op3.envs.actors import Watched, find_actor
 from op3.envs.gait_validity import GaitValidity, judged_episodes
+from op3.envs.tracking import Obedience, measure_obedience
 from op3.intervals import mean_interval, wilson_interval
 from op3.policy.bundle import MANIFEST
 from op3.report import run_provenance
@@ -33,7 +34,7 @@ from op3.report.video import film
 from op3.robot import load_robot
 from op3.robot.assets import here_or_shipped
 from op3.rollout import Rollout
-from op3.sim import load_model
+from op3.sim import model_for
 from op3.tasks.behaviour import gains, gait_profile, mean_tilt
 from op3.tasks.evaluation import evaluation_return, succeeded
 from op3.tasks.task import Task
@@ -68,7 +69,7 @@ def play(
     known = dict(seed=cfg.seed, hold_gain=cfg.hold_gain, gain_scale=cfg.gain_scale, field=field)
     actor = find_actor(name, task, **known)
     options = dict(num_threads=cfg.threads, randomisation=cfg.randomisation, gain_scale=cfg.gain_scale)
-    env = actor.environment(task, cfg.model, cfg.episodes, cfg.seed, **options)
+    env = actor.environment(task, cfg.model or "own", cfg.episodes, cfg.seed, **options)
     watched = Told(actor.policy, env, task.steps)
     logs, validity = judged_episodes(env, watched, recording=f"{task.name}-{cfg.seed}")
     return logs, watched, env, validity
@@ -107,8 +108,8 @@ def write_card(cfg: DictConfig, task: Task, folder: Path) -> None:
     made = {name: facts[name] for name in ("command", "git_hash", "git_changes", "date", "seed") if name in facts}
     card = make_card(
         find_actor(cfg.policy, task),
-        str(cfg.model),
-        load_model(cfg.model),
+        str(cfg.model or load_robot(task.robot).file.law or "own"),
+        model_for(load_robot(task.robot), cfg.model),
         task,
         variations,
         made,
@@ -118,6 +119,13 @@ def write_card(cfg: DictConfig, task: Task, folder: Path) -> None:
     )
     print(card.to_yaml())
     print(card.save(folder))
+
+
+def plain_obedience(obeyed: Obedience) -> dict[str, Any]:
+    """What a walk makes of its commands, as plain values."""
+    values = dataclasses.asdict(obeyed)
+    values["speeds"] = [list(row) for row in obeyed.speeds]
+    return values | {"errors": list(obeyed.errors)}
 
 
 def beside(cfg: DictConfig, task: Task, returns: list[float]) -> tuple[dict[str, Any], list[float]]:
@@ -144,19 +152,29 @@ def run(cfg: DictConfig) -> dict[str, Any]:
         raise ValueError("policy is missing: add policy=<folder of a bundle>, or hold, zero, random or stiff")
     whole(cfg, "episodes", 1)
     whole(cfg, "card_robots", 1)
-    if cfg.joint not in load_robot().controlled:
-        raise ValueError(f"joint={cfg.joint}: choose {', '.join(load_robot().controlled)}")
+    if cfg.robot is not None:
+        cfg.task.robot = cfg.robot
     folder, task = Path(HydraConfig.get().runtime.output_dir), instantiate(cfg.task)
+    robot = load_robot(task.robot)
+    if len(robot.legs) == 2 and cfg.joint not in robot.controlled:
+        raise ValueError(f"joint={cfg.joint}: choose {', '.join(robot.controlled)}")
     if cfg.baseline is not None:  # before minutes of episodes
         find_actor(cfg.baseline, task, field="baseline")
     bundle = card_folder(cfg)
     logs, watched, env, validity = play(cfg, task, cfg.policy)
     print(validity)
+    obeyed = None
+    if "velocity" in task.commands:
+        actor = find_actor(cfg.policy, task)
+        obeyed = measure_obedience(actor, cfg.model or "own", task, cfg.episodes, cfg.seed, num_threads=cfg.threads)
+        print(obeyed)
+        for asked, achieved, spread in obeyed.speeds:
+            print(f"  {asked:.2f} m/s commanded: {achieved:.3f} m/s achieved (standard deviation {spread:.3f})")
     stiff = hasattr(watched, "commands")
     returns = [evaluation_return(log) for log in logs]
     numbers: dict[str, Any] = {
         "evaluation.task": task.name,
-        "evaluation.model": str(cfg.model),
+        "evaluation.model": str(cfg.model or robot.file.law or "own"),
         "evaluation.policy": str(cfg.policy),
         "evaluation.episodes": len(logs),
         **passed(logs, task, cfg.least_distance),
@@ -166,7 +184,10 @@ def run(cfg: DictConfig) -> dict[str, Any]:
         "evaluation.tilt": float(np.mean([mean_tilt(log) for log in logs])),
     }
     numbers |= {f"evaluation.validity.{name}": value for name, value in dataclasses.asdict(validity).items()}
-    each = [] if stiff else [gains(log, task) for log in logs]  # in position mode a servo's gain is its own
+    if obeyed is not None:
+        numbers |= {f"evaluation.commands.{name}": value for name, value in plain_obedience(obeyed).items()}
+    takes_gains = not stiff and env.action_map.gain_low is not None
+    each = [] if not takes_gains else [gains(log, task) for log in logs]
     for name in each[0] if each else ():
         numbers[f"evaluation.{name}"] = float(np.mean([values[name] for values in each if name in values]))
     if task.cycle is not None:
@@ -194,7 +215,8 @@ def run(cfg: DictConfig) -> dict[str, Any]:
             files["episode.mp4"] = "a film of the first episode"
     if bundle is not None:
         write_card(cfg, task, bundle)
-    long_enough = [log for log in logs if log.duration > 1.5 and not stiff]
+    # a gait's profile is of gains and of a left and a right leg
+    long_enough = [log for log in logs if log.duration > 1.5 and takes_gains and len(robot.legs) == 2]
     return report_evaluation(
         logs,
         run_folder(cfg, folder, **({"log": "logs"} if cfg.logs else {})),

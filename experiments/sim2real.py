@@ -38,7 +38,7 @@ JUDGED = {"balance": "balance_eval", "walk": "walk"}
 """Task of the evaluation by task of the training."""
 ROBOTS = ("emulated", "real")
 """Robots that play policies."""
-UNHEARD = ("train.", "task.", "sac.", "environment", "evaluation.", "robot.")
+UNHEARD = ("train.", "task.", "algorithm.", "environment", "evaluation.", "robot.")
 """Overrides of what the budget, the task and the robot bring in, which the stages do not see."""
 MOST = 10.0
 """Largest criterion: beyond, somebody meant per cent."""

@@ -1,8 +1,9 @@
-"""Train a policy with soft actor-critic on a simulated robot.
+"""Train a policy on a simulated robot.
 
 python experiments/train.py task=balance|walk [model=<model.yaml>] [seed=0] [budget=demo|laptop|paper]
 python experiments/train.py -m task=balance model=<a.yaml>,<b.yaml> seed=0,1,2
-python experiments/train.py resume=<folder of a run> <its overrides>
+python experiments/train.py task=walk algorithm=sac|td3|ppo
+python experiments/train.py resume=<folder of a run> [train.steps=<more>]
 python experiments/train.py task=balance model=<model.yaml> warm_start=<bundle>
 """
 
@@ -16,15 +17,16 @@ import hydra
 import numpy as np
 import torch
 from hydra.core.hydra_config import HydraConfig
-from hydra.utils import instantiate
-from omegaconf import DictConfig
-from support import model_file, one_sentence, plain, whole
+from hydra.utils import get_class, instantiate
+from omegaconf import DictConfig, OmegaConf
+from support import by_name, model_file, one_sentence, plain, whole
+from torchrl.envs import EnvBase
 
 from op3.command_line import launch, no_such
 from op3.envs import BatchedEnv, make_env
-from op3.envs.specs import MEASURES
 from op3.policy import ActionMap, Manifest, PolicyBundle, Training
 from op3.policy.mirror import Mirror
+from op3.private import CLAIMED
 from op3.report import RunFolder, RunLogger, run_provenance
 from op3.report.training_page import histogram_figure, report_training
 from op3.report.video import film
@@ -32,23 +34,14 @@ from op3.robot import load_robot, named_configs
 from op3.sim import model_for
 from op3.sim.model_file import model_hash
 from op3.tasks.task import Task, find_task
-from op3.train import (
-    SAC,
-    Collector,
-    Practice,
-    ReplayBuffer,
-    SACSettings,
-    TrainSettings,
-    evaluate,
-    train,
-)
-from op3.train.training import CHECKPOINT
+from op3.train import Algorithm, Practice, TrainSettings, evaluate, train
+from op3.train.checkpoint import load_checkpoint
+from op3.train.training import CHECKPOINT, check_unused
 
 KEPT = (
     "task",
-    "sac",
+    "algorithm",
     "train",
-    "mirrored",
     "environments",
     "env",
     "environment",
@@ -91,12 +84,8 @@ def environment(cfg: DictConfig, task: Task, count: int, seed: int) -> BatchedEn
     return made
 
 
-def robots(cfg: DictConfig, task: Task) -> Collector:
-    """What collects."""
-    extras = (
-        *(("reward_terms", name) for name in task.reward_terms),
-        *(("measure", name) for name in MEASURES),
-    )
+def robots(cfg: DictConfig, task: Task) -> EnvBase:
+    """Those that learn."""
     options = {**plain(cfg.environment), "action_map": actions(cfg, task), "backend": cfg.env}
     if cfg.env == "composer" and cfg.environments != 1:
         raise ValueError(f"env=composer is one robot: use environments=1, got {cfg.environments}")
@@ -104,10 +93,10 @@ def robots(cfg: DictConfig, task: Task) -> Collector:
         options["num_threads"] = cfg.threads
     if task.cycle is not None:  # a policy that walks begins anywhere in the gait
         task = task.changed({"gait.first_phase": None})
-    return Collector(make_env(task, cfg.model or "own", cfg.environments, cfg.seed, **options), extras)
+    return make_env(task, cfg.model or "own", cfg.environments, cfg.seed, **options)
 
 
-def describe(cfg: DictConfig, task: Task, provenance: Mapping[str, Any]) -> Manifest:
+def describe(cfg: DictConfig, task: Task, algorithm: Algorithm, provenance: Mapping[str, Any]) -> Manifest:
     """The manifest of the policy to be trained."""
     training = Training(
         model=str(cfg.model or load_robot(task.robot).file.law or "own"),
@@ -123,96 +112,126 @@ def describe(cfg: DictConfig, task: Task, provenance: Mapping[str, Any]) -> Mani
         layout=task.layout,
         history=task.history,
         action_map=actions(cfg, task),
-        hidden=tuple(cfg.sac.hidden),
-        normalisation=cfg.train.normalisation,
-        clip=cfg.sac.clip,
+        hidden=algorithm.settings.hidden,
+        normalisation=algorithm.normalisation,
+        clip=algorithm.settings.clip,
         observations=task.terms("observations"),
         cycle=task.cycle,
         training=training,
     )
 
 
-def learner(cfg: DictConfig, manifest: Manifest) -> SAC:
-    """Networks and optimisers; the untrained policy holds the stand pose."""
+def learner(cfg: DictConfig, task: Task, robots: EnvBase) -> Algorithm:
+    """The algorithm; its untrained policy holds the stand pose."""
     try:
         device = torch.device(cfg.device)
     except (RuntimeError, TypeError):
         raise ValueError(f"device={cfg.device}: give cpu or cuda") from None
     if device.type == "cuda" and not torch.cuda.is_available():
         raise ValueError("device=cuda: torch finds no GPU; leave device=cpu")
-    sac = SAC(
-        manifest.observation_size,
-        manifest.action_map.size,
-        SACSettings(**plain(cfg.sac)),
-        torch.Generator(device).manual_seed(cfg.seed),
-        torch.as_tensor(manifest.action_map.stand(cfg.initial_gain)),
-        device,
+    action_map, start = actions(cfg, task), earlier(cfg)
+    settings = plain(cfg.algorithm)
+    if start is not None:
+        settings["hidden"] = list(start.manifest.hidden)
+    try:
+        make = get_class(target := settings.pop("_target_"))
+    except (ImportError, ValueError) as error:
+        raise ValueError(f"algorithm._target_={target}: {error}; give a class of an algorithm") from None
+    algorithm = make(
+        robots,
+        seed=cfg.seed,
+        initial_action=torch.as_tensor(action_map.stand(cfg.initial_gain)),
+        mirror=mirror_of(cfg, task, action_map),
+        device=device,
+        **settings,
     )
-    if cfg.resume is None and (start := earlier(cfg)) is not None:
-        sac.start_from(start)
-    return sac
+    if cfg.resume is None and start is not None:
+        algorithm.start_from(start)
+    return algorithm
 
 
-def mirror_of(cfg: DictConfig, manifest: Manifest) -> Mirror | None:
+def mirror_of(cfg: DictConfig, task: Task, action_map: ActionMap) -> Mirror | None:
     """The robot's plane of symmetry; none where its file names no mirror partners, or samples are not mirrored."""
-    if not cfg.mirrored or not load_robot(manifest.action_map.robot).partners:
+    if not cfg.algorithm.get("mirrored") or not load_robot(action_map.robot).partners:
         return None
-    return Mirror(manifest.layout, manifest.history, manifest.action_map)
+    return Mirror(task.layout, task.history, action_map)
+
+
+def as_begun(cfg: DictConfig) -> tuple[DictConfig, dict[str, str]]:
+    """The settings of the run to resume, with the overrides that are given now, and its choices of config groups."""
+    folder, hydra_config = Path(cfg.resume), HydraConfig.get()
+    if not (folder / CHECKPOINT).is_file():
+        raise ValueError(
+            f"resume={cfg.resume}: there is no {CHECKPOINT}; give the folder of a training, or leave it out"
+        )
+    begun = load_checkpoint(folder / CHECKPOINT)["config"]
+    choices = begun.pop("choices")
+    before = OmegaConf.create({**begun, "resume": cfg.resume})
+    for name, value in by_name(hydra_config.overrides.task).items():
+        if name in choices:
+            if value != choices[name]:
+                raise ValueError(f"{name}={value}: the run in {folder} has {name}={choices[name]}; leave it out")
+        else:
+            OmegaConf.update(before, name.lstrip("+"), OmegaConf.select(cfg, name.lstrip("+")), force_add=True)
+    given = [word for word in hydra_config.overrides.hydra if word != os.environ.get(CLAIMED)]
+    asked = by_name(given).get("hydra.run.dir")
+    if asked is not None and Path(asked).resolve() != folder.resolve():
+        raise ValueError(
+            f"hydra.run.dir={asked}: resume={cfg.resume} goes on in its own folder; leave hydra.run.dir out"
+        )
+    return before, choices
 
 
 def run(cfg: DictConfig) -> dict[str, Any]:
     """Train, judge the kept policy, and write page, numbers and film."""
     torch.set_num_threads(1)
+    choices = {name: str(value) for name, value in HydraConfig.get().runtime.choices.items()}
+    if cfg.resume is not None:
+        cfg, choices = as_begun(cfg)
     for name, least in (("episodes", 1), ("seed", 0), ("final_seed", 0)):
         whole(cfg, f"evaluation.{name}", least)
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
-    if cfg.resume is not None and not (folder / CHECKPOINT).is_file():
-        raise ValueError(
-            f"resume={cfg.resume}: there is no {CHECKPOINT}; give the folder of a training, or leave it out"
-        )
-    choices = HydraConfig.get().runtime.choices
-    if choices.recipe not in ("null", choices.task, *named_configs("recipe")):  # Hydra leaves out one that is optional
-        raise ValueError(no_such("recipe", choices.recipe))
+    if cfg.resume is None:
+        check_unused(folder)
+    recipes = ("null", choices["task"], *named_configs("recipe"))
+    if choices["recipe"] not in recipes:  # Hydra leaves out one that is optional
+        raise ValueError(no_such("recipe", choices["recipe"]))
     task, provenance = chosen_task(cfg), run_provenance(seed=cfg.seed)
-    if (start := earlier(cfg)) is not None:
-        cfg.sac.hidden = list(start.manifest.hidden)
-    SACSettings(**plain(cfg.sac))
-    manifest, settings = describe(cfg, task, provenance), TrainSettings(**plain(cfg.train))
-    ReplayBuffer.rows_of(settings.buffer, cfg.environments)
+    settings, practice = TrainSettings(**plain(cfg.train)), Practice(task.schedules)
+    training = robots(cfg, task)
+    algorithm = learner(cfg, task, training)
+    manifest = describe(cfg, task, algorithm, provenance)
     judge_task = task if cfg.evaluation.task is None else find_task(cfg.evaluation.task)
     judge = environment(cfg, judge_task, cfg.evaluation.episodes, cfg.evaluation.seed)
 
     def judged(policy: Any, seed: int = cfg.evaluation.seed) -> dict[str, float]:
         return evaluate(judge, policy, seed, judge_task.steps)
 
-    sac, collector = learner(cfg, manifest), robots(cfg, task)
-    practice = Practice(curricula=task.schedules, mirrored=cfg.mirrored)
     mode = os.environ.get("WANDB_MODE", cfg.wandb)
     with RunLogger(folder, config=plain(cfg), mode=mode) as logger:
         progress = train(
-            sac,
-            collector,
+            algorithm,
+            training,
             judged,
             settings,
             manifest,
             folder,
             practice=practice,
-            mirror=mirror_of(cfg, manifest),
             log=lambda measures, step: logger.log(measures, step),
             say=lambda line: print(line, flush=True),
+            config={**plain(cfg), "resume": None, "choices": choices},
             resume=cfg.resume is not None,
         )
-        collector.close()
+        training.close(raise_if_closed=False)
         if progress.stopped:
-            print(f"Stopped after {progress.steps:,} steps. To go on: the same command with resume={folder}")
+            print(f"Stopped after {progress.steps:,} steps. To go on: op3 train resume={folder}")
             raise SystemExit(143)
         policy = PolicyBundle.load(folder / "policy")
-        actions, states = episode(judge, policy, cfg.evaluation.final_seed, judge_task.steps)
+        # on other episodes than those that chose the policy
+        final, actions, states = episode(judge, policy, cfg.evaluation.final_seed, judge_task.steps)
         histograms = commands(policy, actions)
         for name, figure in histograms.items():
             logger.figure(name, figure)
-        # on other episodes than those that chose the policy
-        final = judged(policy.act, cfg.evaluation.final_seed)
         numbers: dict[str, Any] = {f"evaluation.{name}": value for name, value in final.items()}
         numbers |= {
             "evaluation.task": judge_task.name,
@@ -220,7 +239,7 @@ def run(cfg: DictConfig) -> dict[str, Any]:
             "policy.steps": policy.manifest.training.steps,
             "policy.updates": policy.manifest.training.updates,
             "steps": progress.steps,
-            "updates": sac.updates,
+            "updates": algorithm.updates,
             "wall_seconds": progress.seconds,
         }
         logger.summary({name: value for name, value in numbers.items() if isinstance(value, int | float)})
@@ -236,24 +255,22 @@ def run(cfg: DictConfig) -> dict[str, Any]:
         RunFolder(folder, provenance),
         title=f"Training: {task.name} on {manifest.training.model}, seed {cfg.seed}",
         numbers=numbers,
-        settings={f"{part}.{k}": v for part in ("sac", "train") for k, v in plain(cfg[part]).items()},
+        settings={f"{part}.{k}": v for part in ("algorithm", "train") for k, v in plain(cfg[part]).items()},
         histograms=histograms,
         files=files,
     )
 
 
-def episode(judge: BatchedEnv, policy: PolicyBundle, seed: int, steps: int) -> tuple[Any, Any]:
-    """Actions [time, env, action] of one evaluation, and states [frame, nq] of its first robot's first episode."""
-    positions, actions, states, running = judge.simulation.batch.bind("qpos"), [], [], True
-    collector = Collector(judge)
-    collector.restart(seed)
-    for step in range(steps):
-        if running and step % FRAME_EVERY == 0:
+def episode(judge: BatchedEnv, policy: PolicyBundle, seed: int, steps: int) -> tuple[dict[str, float], Any, Any]:
+    """An evaluation with its actions [time, env, action], and states [frame, nq] of its first robot's episode."""
+    positions, actions, states = judge.simulation.batch.bind("qpos"), [], []
+
+    def watch(action: torch.Tensor, running: torch.Tensor) -> None:
+        if bool(running[0]) and len(actions) % FRAME_EVERY == 0:
             states.append(np.array(positions[0]))
-        rollout, _ = collector.collect(policy.act, 1)
-        actions.append(rollout["action"][0].numpy())
-        running = running and not bool(rollout["done"][0, 0])
-    return np.stack(actions), np.stack(states)
+        actions.append(action.numpy())
+
+    return evaluate(judge, policy.act, seed, steps, watch), np.stack(actions), np.stack(states)
 
 
 def commands(policy: PolicyBundle, actions: Any) -> dict[str, Any]:

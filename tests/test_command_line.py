@@ -32,7 +32,7 @@ def op3() -> Callable[..., tuple[int, str]]:
         (["trian"], "op3 has no command 'trian'; the nearest is 'train'"),
         (["train", "task=wlak"], "task=wlak: there is no 'wlak' in the group task; the nearest is 'walk'"),
         (["train", "train.stpes=3"], "train has no part 'stpes'; the nearest is 'steps'"),
-        (["train", "practice={mirored: 1}"], "practice has no part 'mirored'; the nearest is 'mirrored'"),
+        (["train", "evaluation={vidoe: true}"], "evaluation has no part 'vidoe'; the nearest is 'video'"),
         (["train", "steps=3"], "there is no setting 'steps'; the nearest is 'train.steps'"),
         (["demo", "diagnose", "efect=dte"], "there is no setting 'efect'; the nearest is 'effect'"),
         (["collect", "motion=sqat"], "motion=sqat: there is no 'sqat' in the group motion; the nearest is 'squat'"),

@@ -1,6 +1,6 @@
-"""What overlap of collecting and updating gains: walk's recipe, with and without it in turn, in one run.
+"""What overlap of collecting and updating gains: a task's recipe, with and without it in turn, in one run.
 
-python experiments/benchmarks/training_speed.py [steps=20000] [rounds=3]
+python experiments/benchmarks/training_speed.py [--task walk] [steps=20000] [rounds=3]
 
 Both learn the same to the last bit, so that only the time differs. Robots collect and update from the first
 step, which is what most of a run is like.
@@ -22,7 +22,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from support import plain
 from train import describe, learner, robots
 
-from op3.policy.mirror import Mirror
 from op3.report import machine, run_provenance
 from op3.train import Practice, TrainSettings, train
 
@@ -30,17 +29,14 @@ from op3.train import Practice, TrainSettings, train
 def seconds(cfg, overlap: bool) -> float:
     """Wall time of the run [s]."""
     task = instantiate(cfg.task)
-    manifest = describe(cfg, task, run_provenance(seed=0))
-    sac, collector = learner(cfg, manifest), robots(cfg, task)
+    environment = robots(cfg, task)
+    algorithm = learner(cfg, task, environment)
+    manifest = describe(cfg, task, algorithm, run_provenance(seed=0))
     settings = TrainSettings(**{**plain(cfg.train), "overlap": overlap})
-    practice, mirror = (
-        Practice(**plain(cfg.practice)),
-        Mirror(manifest.layout, manifest.history, manifest.action_map.joints),
-    )
+    options = {"practice": Practice(task.schedules), "say": lambda line: None}
     with tempfile.TemporaryDirectory() as folder:
         began = time.perf_counter()
-        options = {"practice": practice, "mirror": mirror, "say": lambda line: None}
-        train(sac, collector, lambda policy: {}, settings, manifest, folder, **options)
+        train(algorithm, environment, lambda policy: {}, settings, manifest, folder, **options)
         return time.perf_counter() - began
 
 
@@ -50,11 +46,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("steps", type=int, nargs="?", default=20000, help="of one training")
     parser.add_argument("rounds", type=int, nargs="?", default=3, help="in turn")
+    parser.add_argument("--task", default="walk")
     options = parser.parse_args()
     steps, rounds = options.steps, options.rounds
     never = steps + 1
     overrides = [
-        "task=walk", f"train.steps={steps}", "train.warmup=2048", "sac.actor_after=0", "train.checkpoint_buffer=false",
+        f"task={options.task}", f"train.steps={steps}", "algorithm.warmup=2048", "algorithm.actor_after=0",
+        "algorithm.checkpoint_buffer=false",
         *(f"train.{name}={never}" for name in ("evaluate_every", "checkpoint_every", "log_every")),
     ]  # fmt: skip
     conf = Path(__file__).resolve().parents[2] / "conf"

@@ -14,6 +14,7 @@ from op3.compliance.pushing import survive_pushes
 from op3.envs.actors import Actor
 from op3.envs.gait_validity import GaitValidity, judged_episodes
 from op3.envs.record import record_episodes
+from op3.envs.tracking import AXES, measure_obedience
 from op3.intervals import wilson_interval
 from op3.policy import PolicyBundle
 from op3.policy.card import Card
@@ -188,6 +189,7 @@ def make_card(
         validity=_plain_validity(validity),
         robustness=found,
         pushes={"robots": survival.survived.size, "mean": _rounded(survival.mean_largest), **directions},
+        commands=_commands(actor, model, task, robots, seed, report, **options),
         cost=_cost(logs, model, mass, task),
         made=dict(made),
     )
@@ -197,6 +199,22 @@ def _plain_validity(validity: GaitValidity) -> dict[str, float | None]:
     values = dataclasses.asdict(validity)
     del values["self_contact"], values["penetration"]
     return {name: None if value is None else round(value, 5) for name, value in values.items()}
+
+
+def _commands(
+    actor: Actor, model: RobotModel, task: Task, robots: int, seed: int, report: Callable[[str], None], **options: Any
+) -> dict[str, Any]:
+    if "velocity" not in task.commands:
+        return {}
+    obeyed = measure_obedience(actor, model, task, robots, seed, report=report, **options)
+    return {
+        "rms_error": dict(zip(AXES, _rounded(obeyed.errors), strict=True)),
+        "upright": obeyed.upright,
+        "speeds": {f"{asked:g} m/s": _rounded((achieved, spread)) for asked, achieved, spread in obeyed.speeds},
+        "stopped": obeyed.stopped,
+        "stand_drift": round(obeyed.stand_drift, 4),
+        "yaw_drift": round(obeyed.yaw_drift, 4),
+    }
 
 
 def _cost(logs: list[Rollout], model: RobotModel, mass: float, task: Task) -> dict[str, Any]:

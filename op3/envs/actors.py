@@ -12,9 +12,10 @@ from torch import Tensor
 from op3.envs.batched import BatchedEnv
 from op3.envs.factory import make_env
 from op3.policy import ActionMap, PolicyBundle
+from op3.robot import load_robot
 from op3.robot.assets import here_or_shipped
 from op3.servo import RobotModel
-from op3.sim import load_model
+from op3.sim import model_for
 from op3.tasks.baselines import POSITION_GAIN, Hold, Random, StiffWalk, Zero, position_mode
 from op3.tasks.task import Task
 
@@ -41,7 +42,9 @@ class Actor:
     def environment(self, task: Task, model: str | RobotModel, num_envs: int, seed: int, **options: Any) -> BatchedEnv:
         """Robots for it to act on; further arguments are those of `op3.envs.make_env`."""
         if self.stiff:
-            model = position_mode(load_model(model) if isinstance(model, str) else model)
+            if isinstance(model, str):
+                model = model_for(load_robot(task.robot), None if model == "own" else model)
+            model = position_mode(model)
         made = make_env(task, model, num_envs, seed, action_map=self.action_map, **options)
         assert isinstance(made, BatchedEnv)
         made.commander = self.policy if self.stiff else None

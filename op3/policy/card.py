@@ -37,6 +37,7 @@ class Card:
         validity: further numbers of the gait, see `op3.envs.gait_validity.GaitValidity`.
         robustness: success by variation, with its 95 % interval.
         pushes: largest impulse survived at the trunk [N s], mean and by direction, with 95 % intervals.
+        commands: of a walk that takes any, see `op3.envs.tracking.Obedience`; empty for others.
         cost: currents [A], power [W] and cost of transport.
         made: command, commit and date.
     """
@@ -51,6 +52,7 @@ class Card:
     validity: Named[Any] = dataclasses.field(default_factory=dict)
     robustness: Named[Any] = dataclasses.field(default_factory=dict)
     pushes: Named[Any] = dataclasses.field(default_factory=dict)
+    commands: Named[Any] = dataclasses.field(default_factory=dict)
     cost: Named[Any] = dataclasses.field(default_factory=dict)
     made: Named[Any] = dataclasses.field(default_factory=dict)
 

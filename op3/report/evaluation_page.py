@@ -10,7 +10,6 @@ from op3.report.page import Page
 from op3.report.result import RunFolder, publish
 from op3.report.style import boxes_figure, grid_figure, shade, words
 from op3.report.traces import body_figure, traces_figure
-from op3.robot import load_robot
 from op3.rollout import Rollout
 from op3.tasks.behaviour import GaitProfile
 
@@ -55,13 +54,14 @@ def report_evaluation(
         joint: that the profile is of.
         files: that lie beside the page, with what is in them.
     """
-    ankles = [leg[place] for place in (-2, -1) for leg in load_robot().legs]
+    robot = logs[0].robot
+    outer = [leg[place] for place in (-2, -1) for leg in robot.legs] or list(robot.arm[-2:])
     quantities = [key for key in ("joint/position", "command/p_gain", "joint/current") if key in logs[0]]
     figures = {
         "returns": boxes_figure({name: {name: values} for name, values in returns.items()}, "R_eval per episode [-]"),
         "gait": None if profile is None else gait_figure(profile, joint),
         "body": body_figure(logs[0], {}),
-        "ankles": traces_figure(logs[0], {}, ankles, quantities),
+        "ankles": traces_figure(logs[0], {}, outer, quantities),
     }
     page = Page.of(
         "evaluation", figures, n=numbers, episodes=len(logs), label=label, task=task, joint=joint, files=files

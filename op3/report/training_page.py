@@ -19,7 +19,7 @@ _PANELS = {
     "return per episode [-]": {"without exploration": "evaluation/return", "while training": "episode/return"},
     "episodes that ended upright [-]": {"without exploration": "evaluation/upright"},
     "critics [-]": {"mean value": "update/value", "loss": "update/critic_loss"},
-    "policy [-]": {"temperature": "update/temperature", "spread of the angles": "action/angle_spread"},
+    "policy [-]": {"temperature": "update/temperature", "spread of the actions": "action/spread"},
 }
 
 

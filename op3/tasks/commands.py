@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from math import ceil
 
 import mujoco
@@ -14,9 +14,9 @@ from op3.policy.heading import HeadingReference
 from op3.robot import Robot
 from op3.tasks.episodes import Episodes
 
-__all__ = ["Heading", "Target", "Velocity"]
+__all__ = ["Heading", "Stepwise", "Target", "Velocity"]
 
-Range = Sequence[float]
+Range = tuple[float, float] | list[float]
 
 
 class Velocity:
@@ -79,6 +79,26 @@ class Velocity:
         """The commands in force at a time of each episode [s], ``[env, 3]``."""
         number = ((time.numpy() + self._shift) / self._interval).astype(int).clip(max=self._count - 1)
         return torch.from_numpy(self._schedule[np.arange(len(number)), number])
+
+
+class Stepwise:
+    """The same commands for all robots, each held until the next, ``[env, number]``.
+
+    Args:
+        times: when each begins [s], rising from 0.
+        values: of each.
+    """
+
+    def __init__(self, num_envs: int, times: Iterable[float], values: Iterable[Iterable[float]]):
+        self._times, self._values = np.array(list(times), dtype=float), np.array([list(v) for v in values], dtype=float)
+        if len(self._times) != len(self._values) or (np.diff(self._times) <= 0).any() or self._times[:1] != 0.0:
+            raise ValueError(f"times must rise from 0 and there must be a value for each, got {self._times.tolist()}")
+        self._count = num_envs
+
+    def at(self, time: Tensor) -> Tensor:
+        """The commands in force at a time of each episode [s]."""
+        number = np.searchsorted(self._times, time.numpy() + 1e-9, side="right") - 1
+        return torch.from_numpy(self._values[number])
 
 
 class Heading:

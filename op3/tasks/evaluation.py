@@ -119,7 +119,8 @@ def succeeded(log: Rollout, task: str | Task, least_distance: float = LEAST_DIST
     """
     if not stood(log):
         return False
-    if find_task(task).cycle is None:
+    attempted = find_task(task)
+    if attempted.cycle is None or attempted.commands:
         return True
     return _field(log, "travelled_distance", log.metadata.travelled_distance) >= least_distance
 

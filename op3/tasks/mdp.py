@@ -63,6 +63,7 @@ class Mdp:
         readings: what the computer read last, in whole counts: joint_position, joint_velocity, orientation and
             angular_velocity, ``[env, joint | 3]``.
         terms: by kind and name.
+        state: what the terms saw at the end of the last policy step.
 
     Raises:
         ValueError: naming the term and the field that cannot be.
@@ -90,6 +91,7 @@ class Mdp:
         self.observer = task.observer(action_map.size)
         self._units = _resolutions(self.robot)
         self.readings: dict[str, Tensor] = {}
+        self.state: State
         self.steps = torch.zeros(num_envs, dtype=torch.int64)
         self._first_phase = torch.zeros(num_envs, dtype=torch.float64)
         self._first_action = torch.from_numpy(action_map.stand())
@@ -198,7 +200,7 @@ class Mdp:
             if hook := term.hook("follow"):
                 hook(snapshot.readings["orientation"][:, 2], asked)
         judged = step if self.task.whole_step else snapshot.at_the_end(step)
-        state = State(snapshot, judged, action, self._previous, self.time, self.phase, asked)
+        self.state = state = State(snapshot, judged, action, self._previous, self.time, self.phase, asked)
         terms = {
             name: term.options["weight"] * self._value(kind, term, state)
             for kind in ("rewards", "shaping")

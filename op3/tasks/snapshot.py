@@ -25,6 +25,7 @@ class Snapshot:
             angular_velocity [rad/s].
         current: of the motors, ``[sim, joint]`` in A.
         specific_force: of the IMU, ``[sim, 3]`` in m/s^2; zeros without one.
+        place: of the base's origin in the world, ``[sim, 3]`` in m.
         height: of the base's origin above the ground's, ``[sim]`` in m.
         velocity: of the base in the world, ``[sim, 3]`` in m/s.
         quaternion: of the base in the world, ``[sim, 4]``, w first.
@@ -35,6 +36,7 @@ class Snapshot:
     readings: dict[str, Tensor]
     current: Tensor
     specific_force: Tensor
+    place: Tensor
     height: Tensor
     velocity: Tensor
     quaternion: Tensor
@@ -98,6 +100,7 @@ class Probe:
             specific_force=torch.zeros(count, 3, dtype=torch.float64)
             if self._force is None
             else sensordata[:, self._force].clone(),
+            place=position.clone(),
             height=position[:, 2] - self._ground,
             velocity=velocity,
             quaternion=quaternion.clone(),

@@ -1,22 +1,38 @@
-"""Soft actor-critic for policies that command angles and gains."""
+"""Algorithms that learn policies, and the loop in which they do."""
 
-from op3.train.collector import Collector
+import logging
+import warnings
+
+with warnings.catch_warnings():  # TorchRL warns of classes of its own
+    warnings.simplefilter("ignore", DeprecationWarning)
+    import torchrl.collectors  # noqa: F401
+logging.getLogger("torchrl").setLevel(logging.WARNING)  # and says whenever it makes a storage
+
+# isort: split
+from op3.train.algorithm import Algorithm, AlgorithmSettings, Explorer
 from op3.train.evaluate import evaluate
-from op3.train.explorer import Explorer
+from op3.train.off_policy import Mirrored, OffPolicy, OffPolicySettings
+from op3.train.ppo import PPO, PPOSettings
 from op3.train.practice import Practice
-from op3.train.replay_buffer import Batch, ReplayBuffer
 from op3.train.sac import SAC, SACSettings
+from op3.train.td3 import TD3, TD3Settings
 from op3.train.training import Progress, TrainSettings, train
 
 __all__ = [
+    "PPO",
     "SAC",
-    "Batch",
-    "Collector",
+    "TD3",
+    "Algorithm",
+    "AlgorithmSettings",
     "Explorer",
+    "Mirrored",
+    "OffPolicy",
+    "OffPolicySettings",
+    "PPOSettings",
     "Practice",
     "Progress",
-    "ReplayBuffer",
     "SACSettings",
+    "TD3Settings",
     "TrainSettings",
     "evaluate",
     "train",

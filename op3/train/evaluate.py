@@ -1,12 +1,23 @@
 """One episode in each of many environments, with a policy that does not explore."""
 
+from collections.abc import Callable
+
 import torch
+from torch import Tensor
 from torchrl.envs import EnvBase
 
-from op3.train.collector import Collector, Policy
+Policy = Callable[[Tensor], Tensor]
+"""Observations [env, observation] to actions [env, action] in [-1, 1]."""
 
 
-def evaluate(environment: EnvBase, policy: Policy, seed: int, longest: int) -> dict[str, float]:
+@torch.no_grad()
+def evaluate(
+    environment: EnvBase,
+    policy: Policy,
+    seed: int,
+    longest: int,
+    watch: Callable[[Tensor, Tensor], None] | None = None,
+) -> dict[str, float]:
     """How a policy fares over one episode of each environment.
 
     Args:
@@ -14,21 +25,25 @@ def evaluate(environment: EnvBase, policy: Policy, seed: int, longest: int) -> d
         policy: chooses the actions.
         seed: of the episodes.
         longest: most steps of an episode; what runs on counts as survived.
+        watch: called before each step with the actions [env, action] and which environments [env] are still in it.
 
     Returns:
         ``return`` and ``length`` (mean over the episodes) and ``upright``, the share not terminated.
     """
-    collector = Collector(environment)
-    collector.restart(seed)
-    returns, lengths = torch.zeros(collector.count), torch.zeros(collector.count)
-    running = torch.ones(collector.count, dtype=torch.bool)
-    terminated = torch.zeros(collector.count, dtype=torch.bool)
+    environment.set_seed(seed)
+    now, count = environment.reset(), environment.batch_size[0]
+    returns, lengths = torch.zeros(count), torch.zeros(count)
+    running, terminated = torch.ones(count, dtype=torch.bool), torch.zeros(count, dtype=torch.bool)
     for _ in range(longest):
-        rollout, _ = collector.collect(policy, 1)
-        returns += torch.where(running, rollout["reward"][0], 0.0)
+        now["action"] = policy(now["observation"].float())
+        if watch is not None:
+            watch(now["action"], running)
+        step, now = environment.step_and_maybe_reset(now)
+        reward, fell, done = (step["next", name].view(count) for name in ("reward", "terminated", "done"))
+        returns += torch.where(running, reward, 0.0)
         lengths += running
-        terminated |= running & rollout["terminated"][0]
-        running &= ~rollout["done"][0]
+        terminated |= running & fell
+        running &= ~done
         if not bool(running.any()):
             break
     return {

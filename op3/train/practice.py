@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from op3.settings import Listed, Named, Number, Share, settings
+from op3.settings import Listed, Named, Number, settings
 
 Schedule = Listed[Listed[Number]]
 """Pairs of a number of steps and a value, with straight lines between and constant beyond."""
@@ -19,11 +19,9 @@ class Practice:
     Attributes:
         curricula: schedules by the path of a number in the task, such as ``shaping.speed_bonus.weight``; ``timestep``
             is that of the physics [s], which changes at checkpoints, where all episodes begin anew.
-        mirrored: share of each batch that is replaced by its image in the robot's plane of symmetry.
     """
 
     curricula: Named[Schedule] = field(default_factory=dict)
-    mirrored: Share = 0.0
 
     def __post_init__(self):
         for path, pairs in self.curricula.items():

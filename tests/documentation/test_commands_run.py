@@ -35,8 +35,8 @@ SMALL = {
     "import_log": "",
     "predict": "wandb=disabled",
     "reidentify": f"{SEARCH} hydra.sweeper.starts=2 repeats=2 finalists=1 processes=1",
-    "train": "environments=4 sac.hidden=[16,16] sac.batch=32 train.steps=320 train.warmup=128 train.log_every=64 "
-    "train.evaluate_every=160 evaluation.episodes=1 evaluation.video=false wandb=disabled",
+    "train": "environments=4 algorithm.hidden=[16,16] algorithm.batch=32 train.steps=320 algorithm.warmup=128 "
+    "train.log_every=64 train.evaluate_every=160 evaluation.episodes=1 evaluation.video=false wandb=disabled",
 }
 """What makes a script quick. Those that are not here take minutes at any budget; they are only composed."""
 

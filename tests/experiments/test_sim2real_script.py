@@ -13,7 +13,13 @@ from op3.sim import load_model
 from tests.scripts import run_script
 
 ROOT = Path(__file__).resolve().parents[2]
-TRAIN = ("train.steps=1200", "train.warmup=400", "train.evaluate_every=600", "environments=8", "evaluation.episodes=2")
+TRAIN = (
+    "train.steps=1200",
+    "algorithm.warmup=400",
+    "train.evaluate_every=600",
+    "environments=8",
+    "evaluation.episodes=2",
+)
 TINY = {
     "train": ("budget=demo", *TRAIN),
     "retrain": ("budget=retrain", *TRAIN),

@@ -15,7 +15,7 @@ from omegaconf import OmegaConf
 from op3.policy import PolicyBundle
 from op3.report import read_result
 from op3.rollout import Rollout
-from op3.train import SACSettings, TrainSettings
+from op3.train import PPOSettings, SACSettings, TD3Settings, TrainSettings
 from tests.scripts import run_script
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -23,10 +23,10 @@ TINY = [
     "budget=demo",
     "environments=4",
     "threads=1",
-    "sac.hidden=[16,16]",
-    "sac.batch=32",
+    "algorithm.hidden=[16,16]",
+    "algorithm.batch=32",
     "train.steps=320",
-    "train.warmup=128",
+    "algorithm.warmup=128",
     "train.log_every=64",
     "train.evaluate_every=160",
     "evaluation.episodes=2",
@@ -78,9 +78,24 @@ def test_a_policy_is_trained_resumed_and_judged(tmp_path):
     assert (run / "index.html").is_file()
     assert read_result(run / "result.yaml")["steps"] >= 320
 
-    done = run_script("train.py", *TINY, "train.steps=640", f"resume={run}", f"hydra.run.dir={tmp_path / 'again'}")
+    done = run_script("train.py", f"resume={run}", f"hydra.run.dir={tmp_path / 'again'}")
+    assert "goes on in its own folder; leave hydra.run.dir out" in done.stderr
+    assert not (tmp_path / "again").exists()
+    done = run_script("train.py", *TINY, f"hydra.run.dir={run}")
+    assert f"go on with resume={run}, or choose another folder" in done.stderr
+    done = run_script("train.py", "task=walk", f"resume={run}")
+    assert f"task=walk: the run in {run} has task=balance; leave it out" in done.stderr
+
+    # with the settings it had, but for what is given now
+    done = run_script("train.py", "train.steps=640", f"resume={run}")
     assert done.returncode == 0, done.stderr
+    assert "resumed with train.steps=640, which was 320" in done.stdout
     assert read_result(run / "result.yaml")["steps"] >= 640
+    assert PolicyBundle.load(run / "policy").manifest.hidden == (16, 16)
+    (run / "checkpoint.pt").write_bytes((run / "checkpoint.pt").read_bytes()[:5000])
+    done = run_script("train.py", f"resume={run}")
+    assert "checkpoint.pt: truncated or no checkpoint" in done.stderr
+    assert "Traceback" not in done.stderr
 
     judged = tmp_path / "judged"
     options = ["episodes=2", "threads=1", "video=false", "task=balance_eval", f"hydra.run.dir={judged}"]
@@ -99,7 +114,7 @@ def test_wrong_input_ends_with_one_sentence(tmp_path):
     cases = [
         ("evaluate.py", ["policy=nowhere"], "no such folder; give a bundle's, or hold, zero, random"),
         ("train.py", [*TINY, "task=fly"], "there is no 'fly' in the group task"),
-        ("train.py", [*TINY, "sac.n_step=0"], "n_step must be at least 1, got 0"),
+        ("train.py", [*TINY, "algorithm.n_step=0"], "n_step must be at least 1, got 0"),
     ]
     for name, overrides, message in cases:
         done = run_script(name, *overrides, f"hydra.run.dir={tmp_path / 'out'}")
@@ -112,12 +127,14 @@ def test_wrong_input_ends_with_one_sentence(tmp_path):
     ("overrides", "message"),
     [
         (["device=gpu"], "device=gpu: give cpu or cuda"),
-        (["mirrored=2"], "practice: mirrored must be at most 1, got 2"),
+        (["algorithm.mirrored=2"], "mirrored must be at most 1, got 2"),
         (["train.steps=many"], "steps must be a whole number, got 'many'"),
         (["seed=1.5"], "seed must be a whole number, got 1.5"),
         (["environments=0"], "environments must be at least 1, got 0"),
         (["evaluation.episodes=0"], "evaluation.episodes must be a whole number"),
         (["+environment.foo=1"], "the batched environment has no option 'foo'; it has"),
+        (["algorithm._target_=op3.train.Sarsa"], "algorithm._target_=op3.train.Sarsa"),
+        (["+algorithm.gama=0.9"], "gama is no field"),
         (["env=gym"], "unknown backend 'gym'"),
         (["env=composer", "environments=2"], "use environments=1"),
         (["task.duration=-1"], "duration must be above 0"),
@@ -139,23 +156,6 @@ def test_a_baseline_that_is_not_there_is_told_before_the_episodes(tmp_path, caps
     with pytest.raises(SystemExit):
         in_process("evaluate", ["policy=hold", "baseline=nobody"], tmp_path)
     assert capsys.readouterr().err.startswith("baseline=nobody: no such folder")
-
-
-@pytest.mark.parametrize(
-    ("overrides", "terms"),
-    [
-        (["task=balance"], {"alive", "command", "smooth", "overload"}),
-        (["task=balance", "task.shaping.overload=null"], {"alive", "command", "smooth"}),
-        (["task=walk"], {"alive", "command", "smooth", "bipedal", "speed_bonus", "self_contact", "clearance"}),
-        (["task=walk", "+task.rewards.mine={function: upright, weight: 0.1}"], {"alive", "mine"}),
-    ],
-)
-def test_every_term_of_the_reward_is_logged(overrides, terms):
-    """The terms that a run collects are those of its task, so that they add up to its reward."""
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        cfg = compose("train", [*overrides, "environments=1", "threads=1"])
-    collector = module("train").robots(cfg, instantiate(cfg.task))
-    assert terms <= {name for kind, name in collector.extras if kind == "reward_terms"}
 
 
 def test_ctrl_c_says_how_a_training_goes_on(capsys):
@@ -181,17 +181,18 @@ def test_the_papers_budget_is_for_every_task(task):
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
         cfg = compose("train", [f"task={task}", "budget=paper"])
     units, steps = (256, 1_000_000) if task == "balance" else (1024, 3_000_000)
-    assert list(cfg.sac.hidden) == [units, units]
+    assert list(cfg.algorithm.hidden) == [units, units]
     assert cfg.train.steps == steps
-    assert cfg.train.updates_per_step == 1
+    assert cfg.algorithm.updates_per_step == 1
 
 
 def test_the_config_has_every_setting():
     """Settings of the learner, the loop and the curricula can all be overridden without a plus sign."""
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        cfg = compose("train")
-    for part, kind in (("sac", SACSettings), ("train", TrainSettings)):
-        assert {field.name for field in dataclasses.fields(kind)} == set(cfg[part])
+        assert set(compose("train").train) == {field.name for field in dataclasses.fields(TrainSettings)}
+        for name, kind in (("sac", SACSettings), ("td3", TD3Settings), ("ppo", PPOSettings)):
+            chosen = set(compose("train", [f"algorithm={name}"]).algorithm) - {"_target_"}
+            assert chosen == {field.name for field in dataclasses.fields(kind)}
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,267 @@
+"""What every algorithm is: networks, a policy that explores while it learns, and two moments of learning."""
+
+import copy
+import math
+from abc import ABC, abstractmethod
+from typing import Annotated, Any
+
+import torch
+from pydantic import Field
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
+from torch import Tensor, nn
+from torchrl.envs import EnvBase
+from torchrl.modules import ProbabilisticActor, TanhNormal
+
+from op3.policy import Manifest, PolicyBundle
+from op3.policy.mirror import Mirror
+from op3.settings import Count, Number, Positive, Some, settings
+from op3.train.networks import LARGEST_STD, SMALLEST_STD, Normaliser, PolicyNetwork
+
+NORMALISED = "normalised"
+"""Key of the normalised observation, which networks read; environments and stored transitions have ``observation``."""
+
+TAKEN_OVER = 10_000
+"""Observations that a normalisation taken over from another policy counts for."""
+
+Measures = dict[str, Tensor]
+"""Scalars by name, for logs."""
+
+
+@settings()
+class AlgorithmSettings:
+    """What algorithms have in common.
+
+    Attributes:
+        hidden: units of the policy's hidden layers.
+        critic_hidden: units of the critics' hidden layers; those of the policy where None.
+        rollout: steps of every environment between two lessons.
+        discount: per policy step.
+        initial_std: standard deviation of the untrained policy before tanh.
+        largest_std: bound of the standard deviation; a small one keeps exploration where critics have data.
+        clip: bound of a normalised observation.
+    """
+
+    hidden: Some[Count] = (256, 256)
+    critic_hidden: Some[Count] | None = None
+    rollout: Count = 8
+    discount: Annotated[Number, Field(ge=0, lt=1)] = 0.98
+    initial_std: Positive = 0.2
+    largest_std: Annotated[Number, Field(gt=SMALLEST_STD)] = LARGEST_STD
+    clip: Positive = 10.0
+
+
+class Algorithm(nn.Module, ABC):
+    """Learns a policy from rollouts of a batched environment.
+
+    `take` has what must happen before the next rollout begins, `learn` what may happen while it is collected. The
+    state dictionary holds all that a run needs to go on to the last bit, but for torch's global generator, which
+    `op3.train.train` seeds whenever episodes begin anew.
+
+    Args:
+        environment: batched, with ``observation`` and ``action`` in [-1, 1].
+        seed: of the initial weights.
+        initial_action: mean action [action] of the untrained policy; zeros where None.
+        mirror: the environment's plane of symmetry, for algorithms that use it.
+        device: of the networks.
+        **settings: of the algorithm, see its `Settings`.
+
+    Raises:
+        ValueError: if a setting is unknown or impossible.
+    """
+
+    Settings: type[AlgorithmSettings] = AlgorithmSettings
+
+    def __init__(
+        self,
+        environment: EnvBase,
+        *,
+        seed: int = 0,
+        initial_action: Tensor | None = None,
+        mirror: Mirror | None = None,
+        device: torch.device | str = "cpu",
+        **settings: Any,
+    ):
+        super().__init__()
+        self.settings: Any = self.Settings(**settings)
+        if len(environment.batch_size) != 1:
+            raise ValueError(f"the environment must have one batch dimension, got {tuple(environment.batch_size)}")
+        self.environments = environment.batch_size[0]
+        self.observation_size = environment.observation_spec["observation"].shape[-1]
+        self.action_size = environment.action_spec.shape[-1]
+        self.mirror, self.device = mirror, torch.device(device)
+        self.normalisation = getattr(self.settings, "normalisation", "running")
+        self.updates = 0
+        self.optimisers: dict[str, torch.optim.Optimizer] = {}
+        torch.manual_seed(seed)  # weights are drawn on the processor, so that a seed gives the same on every device
+        self.normaliser = Normaliser(self.observation_size, self.settings.clip)
+        self.network = self.policy_network(initial_action)
+        self.build()
+        self.to(self.device)
+        self.optimise()
+        self._explorer = (self.make_explorer(),)  # in a tuple, and so no part of the state dictionary
+        self.restart(seed)
+
+    @abstractmethod
+    def build(self) -> None:
+        """Make the networks beside `network`, which is the policy's."""
+
+    @abstractmethod
+    def optimise(self) -> None:
+        """Make the `optimisers`, by name."""
+
+    @abstractmethod
+    def take(self, rollout: TensorDictBase) -> Measures:
+        """Receive a rollout [env, time] before the next one begins; steps after which episodes begin anew are done."""
+
+    def learn(self) -> Measures:
+        """Learn from what was taken, while the next rollout is collected in another thread."""
+        return {}
+
+    @property
+    def explorer(self) -> "Explorer":
+        """The policy that collects: a copy of this one, so that this one may change meanwhile."""
+        return self._explorer[0]
+
+    def follow(self) -> None:
+        """Bring the explorer up to date."""
+        self.explorer.follow()
+
+    def restart(self, seed: int) -> None:
+        """Episodes begin anew, and exploration with them."""
+        self.explorer.generator.manual_seed(seed)
+
+    @torch.no_grad()
+    def act(self, observation: Tensor) -> Tensor:
+        """Actions [..., action] without exploration for observations [..., observation]."""
+        return self.network(self.normaliser(observation.to(self.device, torch.float32)))[0].tanh().to(observation)
+
+    def bundle(self, manifest: Manifest) -> PolicyBundle:
+        """The policy without exploration, with the normalisation as it is now."""
+        return PolicyBundle(manifest, self._policy_weights())
+
+    def start_from(self, policy: PolicyBundle) -> None:
+        """Begin with a policy's network and normalisation; critics and exploration begin anew.
+
+        Raises:
+            ValueError: if the policy has another size.
+        """
+        here, there = self._policy_weights(), policy.weights
+        if {name: value.shape for name, value in here.items()} != {name: value.shape for name, value in there.items()}:
+            raise ValueError(
+                f"the policy to start from has hidden layers {list(policy.manifest.hidden)} and"
+                f" {policy.manifest.observation_size} observations, this run {list(self.settings.hidden)} and"
+                f" {self.observation_size}; use the settings that it was trained with"
+            )
+        with torch.no_grad():
+            for name, value in here.items():
+                value.copy_(there[name])
+        self.normaliser.assume(there["observation.mean"], there["observation.scale"], TAKEN_OVER)
+
+    def policy_network(self, initial_action: Tensor | None) -> PolicyNetwork:
+        """The policy's network, before tanh."""
+        chosen = self.settings
+        return PolicyNetwork(
+            self.observation_size,
+            self.action_size,
+            chosen.hidden,
+            initial_action,
+            chosen.initial_std,
+            chosen.largest_std,
+        )
+
+    def stochastic_actor(self) -> ProbabilisticActor:
+        """The policy as TorchRL's losses take it: normalised observations to squashed Gaussian actions."""
+        return ProbabilisticActor(
+            TensorDictModule(self.network, [NORMALISED], ["loc", "scale"]),
+            in_keys=["loc", "scale"],
+            distribution_class=TanhNormal,
+            return_log_prob=True,
+        )
+
+    def make_explorer(self) -> "Explorer":
+        """See `explorer`."""
+        return Explorer(self.normaliser, self.network, self.environments)
+
+    def normalise(self, batch: TensorDictBase) -> TensorDictBase:
+        """Set the normalised observations of transitions."""
+        places: Any = (batch, batch["next"])
+        for place in places:
+            place[NORMALISED] = self.normaliser(place["observation"])
+        return batch
+
+    def step(self, name: str, loss: Tensor) -> None:
+        """One step of an optimiser along the gradient of its own parameters alone."""
+        optimiser = self.optimisers[name]
+        parameters = [parameter for group in optimiser.param_groups for parameter in group["params"]]
+        for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters), strict=True):
+            parameter.grad = gradient
+        optimiser.step()
+
+    def get_extra_state(self) -> dict[str, Any]:
+        """What is neither weight nor buffer."""
+        return {"updates": self.updates} | {name: one.state_dict() for name, one in self.optimisers.items()}
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """The inverse of `get_extra_state`."""
+        self.updates = state["updates"]
+        for name, optimiser in self.optimisers.items():
+            optimiser.load_state_dict(state[name])
+
+    def _policy_weights(self) -> dict[str, Tensor]:
+        """The tensors of a bundle, as views of this policy's."""
+        weights: dict[str, Tensor] = {
+            "observation.mean": self.normaliser.mean,
+            "observation.scale": self.normaliser.scale,
+        }
+        layers = [layer for layer in self.network.mlp if isinstance(layer, nn.Linear)]
+        for number, layer in enumerate(layers):
+            rows = slice(self.action_size) if layer is layers[-1] else slice(None)
+            weights |= {f"layer_{number}.weight": layer.weight[rows], f"layer_{number}.bias": layer.bias[rows]}
+        return weights
+
+
+class Explorer(TensorDictModuleBase):
+    """A frozen copy of a policy with exploration of its own; robots explore more boldly from first to last.
+
+    Args:
+        normaliser: of the policy.
+        network: of the policy.
+        count: robots side by side.
+        scored: whether the logarithm of an action's probability is kept with it, as ``action_log_prob``.
+    """
+
+    in_keys: Any = ["observation"]
+    out_keys: Any = ["action"]
+
+    def __init__(self, normaliser: Normaliser, network: PolicyNetwork, count: int, scored: bool = False):
+        super().__init__()
+        self._scored = scored
+        self._sources = (normaliser, network)
+        self._copies = nn.ModuleList(copy.deepcopy(self._sources)).requires_grad_(False)
+        device = normaliser.mean.device
+        self._ladder = torch.linspace(0.0, 1.0, count, device=device)[:, None]
+        self.boldness = torch.ones(count, 1, device=device)
+        self.generator = torch.Generator(device)
+
+    def follow(self, boldest: float = 1.0) -> None:
+        """Take over the policy as it is now.
+
+        Args:
+            boldest: multiple of the policy's standard deviation with which the last robot explores; the first does
+                with 1, the others between, evenly in the logarithm.
+        """
+        for here, source in zip(self._copies, self._sources, strict=True):
+            here.load_state_dict(source.state_dict())
+        self.boldness = torch.exp(self._ladder * math.log(boldest))
+
+    @torch.no_grad()
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Set ``action`` [env, action] for ``observation`` [env, observation]."""
+        observation, (normaliser, network) = tensordict["observation"], self._copies
+        mean, std = network(normaliser(observation.to(self._ladder)))
+        noise = torch.randn(mean.shape, generator=self.generator, device=mean.device)
+        action = torch.tanh(mean + self.boldness * std * noise)
+        if self._scored:
+            tensordict["action_log_prob"] = TanhNormal(mean, std).log_prob(action).to(observation.device)
+        return tensordict.set("action", action.to(observation.device))

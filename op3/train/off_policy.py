@@ -1,0 +1,228 @@
+"""Algorithms that learn from a replay buffer, among them any for which TorchRL has a loss."""
+
+from typing import Annotated, Any, Literal
+
+import torch
+from pydantic import Field
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import LazyTensorStorage, ReplayBuffer
+from torchrl.envs.transforms import MultiStepTransform, Transform
+from torchrl.modules import ValueOperator
+from torchrl.objectives import LossModule, SoftUpdate
+
+from op3.policy.mirror import Mirror
+from op3.settings import Count, NotNegative, Number, Positive, Share, Whole, settings
+from op3.train.algorithm import NORMALISED, Algorithm, AlgorithmSettings, Measures
+from op3.train.networks import QNetwork, bfloat16_is_faster
+
+Bold = Annotated[Number, Field(ge=1)]
+
+
+@settings()
+class OffPolicySettings(AlgorithmSettings):
+    """What algorithms with a replay buffer have in common; one step is one policy step of one environment.
+
+    Attributes:
+        layer_norm: whether the critics' hidden layers are normalised.
+        n_step: steps of the return before the critics take over.
+        batch: transitions per update.
+        actor_rate: learning rate of the policy.
+        critic_rate: learning rate of the critics.
+        target_rate: share by which the target critics follow per update.
+        actor_every: critic updates per policy update.
+        actor_after: critic updates before the first policy update, so that it does not follow untrained critics.
+        warmup: steps before the first update, taken by the untrained policy.
+        noise: exploration of the boldest environment, in multiples of the policy's standard deviation; the others lie
+            between it and 1, evenly in the logarithm. It shows the critics what is wrong with larger actions.
+        warmup_noise: the same during the warm-up.
+        updates_per_step: updates per step after the warm-up.
+        buffer: transitions kept; the oldest are overwritten.
+        checkpoint_buffer: whether checkpoints hold the buffer; without it a resumed run fills a new one first.
+        normalisation: `running`, observations are measured all along, or `fixed`, during the warm-up only.
+        bfloat16: whether the critics multiply in bfloat16; None: where this processor is faster at it.
+        mirrored: share of each batch that is replaced by its image in the robot's plane of symmetry.
+    """
+
+    layer_norm: bool = True
+    n_step: Count = 3
+    batch: Count = 256
+    actor_rate: Positive = 3e-4
+    critic_rate: Positive = 3e-4
+    target_rate: Positive = 0.005
+    actor_every: Count = 1
+    actor_after: Whole = 0
+    warmup: Whole = 5_000
+    noise: Bold = 1.0
+    warmup_noise: Bold = 1.0
+    updates_per_step: NotNegative = 0.25
+    buffer: Count = 300_000
+    checkpoint_buffer: bool = True
+    normalisation: Literal["running", "fixed"] = "running"
+    bfloat16: bool | None = False
+    mirrored: Share = 0.0
+
+
+class OffPolicy(Algorithm):
+    """Collects into TorchRL's replay buffer and makes updates from it.
+
+    A subclass gives `make_loss`, one of TorchRL's losses; its entries ``loss_*`` are minimised together, the policy's
+    only when its turn has come.
+    """
+
+    Settings = OffPolicySettings
+
+    def build(self) -> None:
+        """Make loss, target networks and buffer."""
+        self.loss = self.make_loss()
+        self.targets = SoftUpdate(self.loss, tau=self.settings.target_rate)
+        self.make_buffer()
+
+    def make_loss(self) -> LossModule:
+        """The loss, of `stochastic_actor` and `critic`, with a value estimator of this discount."""
+        raise NotImplementedError
+
+    def q_network(self) -> QNetwork:
+        """A fresh Q function."""
+        chosen = self.settings
+        bfloat16 = bfloat16_is_faster(self.device) if chosen.bfloat16 is None else chosen.bfloat16
+        hidden = chosen.critic_hidden or chosen.hidden
+        return QNetwork(self.observation_size, self.action_size, hidden, chosen.layer_norm, bfloat16)
+
+    def critic(self) -> ValueOperator:
+        """A fresh Q function as TorchRL's losses take it."""
+        return ValueOperator(self.q_network(), in_keys=[NORMALISED, "action"])
+
+    def make_buffer(self) -> None:
+        """Make an empty buffer."""
+        chosen = self.settings
+        if chosen.buffer < 2 * self.environments:
+            raise ValueError(
+                f"a buffer of {chosen.buffer} transitions holds under two steps of {self.environments} environments"
+            )
+        self.steps = self.learned = self.stored = 0
+        storage = LazyTensorStorage(chosen.buffer, device=self.device)
+        self.buffer = ReplayBuffer(storage=storage, batch_size=chosen.batch)
+        if self.mirror is not None and chosen.mirrored:
+            self.buffer.append_transform(Mirrored(self.mirror, chosen.mirrored))
+        self.buffer.append_transform(self.normalise)  # pyright: ignore[reportArgumentType]
+
+    def optimise(self) -> None:
+        """One optimiser, with a rate for the critics and one for all else."""
+        chosen, critics, others = self.settings, [], []
+        for name, parameter in self.loss.named_parameters():
+            (critics if "value_network" in name else others).append(parameter)
+        groups = [{"params": critics, "lr": chosen.critic_rate}, {"params": others, "lr": chosen.actor_rate}]
+        self.optimisers["loss"] = torch.optim.Adam(groups, fused=True)
+
+    def follow(self) -> None:
+        """Bring the explorer up to date, bolder during the warm-up."""
+        self.explorer.follow(self.settings.warmup_noise if self.steps < self.settings.warmup else self.settings.noise)
+
+    def restart(self, seed: int) -> None:
+        """Episodes begin anew; the few latest steps whose returns are not complete are forgotten."""
+        super().restart(seed)
+        # the keys of the end too must be those of the last of the n steps: by default they stay those of the first,
+        # and a return that ends in a fall goes on with the value of lying
+        self.multi_step = MultiStepTransform(self.settings.n_step, self.settings.discount, done_keys=[])
+
+    def take(self, rollout: TensorDictBase) -> Measures:
+        """Store the transitions, as returns over n steps, and measure the observations."""
+        if self.settings.normalisation == "running" or self.steps < self.settings.warmup:
+            self.normaliser.update(rollout["observation"])
+        self.steps += rollout.numel()
+        self.stored += rollout.numel()
+        ends = [("next", name) for name in ("observation", "reward", "done", "terminated")]
+        complete = self.multi_step.inv(rollout.select("observation", "action", *ends))
+        if complete is not None:
+            self.buffer.extend(complete.select("observation", "action", "steps_to_next_obs", *ends).reshape(-1))
+        return {}
+
+    def learn(self) -> Measures:
+        """The updates that the steps since the last call bring."""
+        due = self._due(self.steps) - self._due(self.learned)
+        self.learned, measures = self.steps, {}
+        if self.stored >= min(self.settings.warmup, self.settings.buffer):  # after a resumption without a buffer
+            for _ in range(due):
+                measures = self.update(self.buffer.sample())
+                self.updates += 1
+        return measures
+
+    @property
+    def actor_is_due(self) -> bool:
+        """Whether this update is one of the policy too."""
+        return self.updates >= self.settings.actor_after and self.updates % self.settings.actor_every == 0
+
+    def update(self, batch: TensorDictBase) -> Measures:
+        """One gradient step.
+
+        Args:
+            batch: transitions with n-step returns, normalised.
+
+        Returns:
+            Measures as scalars on the device.
+        """
+        losses = self.loss(batch)
+        names = [str(name) for name in losses.sorted_keys if str(name).startswith("loss_")]
+        critics = [name for name in names if "value" in name]
+        optimiser = self.optimisers["loss"]
+        optimiser.zero_grad()
+        sum(losses[name] for name in (names if self.actor_is_due else critics)).backward()
+        optimiser.step()
+        self.targets.step()
+        return {name.removeprefix("loss_") + "_loss": losses[name].detach() for name in names}
+
+    def get_extra_state(self) -> dict[str, Any]:
+        """Counters and, where asked for, the buffer."""
+        state = super().get_extra_state() | {"steps": self.steps, "learned": self.learned}
+        if self.settings.checkpoint_buffer and len(self.buffer):
+            data = self.buffer.storage[:].flatten_keys(".").to_dict()
+            state |= {"buffer": data, "writer": self.buffer.writer.state_dict()}
+        return state
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """The inverse of `get_extra_state`."""
+        super().set_extra_state(state)
+        self.make_buffer()
+        self.steps, self.learned = state["steps"], state["learned"]
+        if "buffer" in state:
+            data = state["buffer"]
+            size = len(data["action"])
+            if size > self.settings.buffer:
+                raise ValueError(f"the stored buffer has {size} transitions, this run {self.settings.buffer}")
+            self.buffer.extend(TensorDict(data, [size]).unflatten_keys("."))
+            self.buffer.writer.load_state_dict(state["writer"])
+            self.stored = self.steps
+
+    def _due(self, steps: int) -> int:
+        """Updates after so many steps."""
+        return int(max(steps - self.settings.warmup, 0) * self.settings.updates_per_step)
+
+
+class Mirrored(Transform):
+    """Replaces a share of every sampled batch by its image in a plane of symmetry.
+
+    Args:
+        mirror: images of observations and actions.
+        share: of the batch, its first part.
+    """
+
+    def __init__(self, mirror: Mirror, share: float):
+        super().__init__()
+        self.mirror, self.share = mirror, share
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The batch with its first part mirrored, in place."""
+        part = slice(round(self.share * len(tensordict)))
+        for place, image in (
+            (tensordict["observation"], self.mirror.observation),
+            (tensordict["action"], self.mirror.action),
+            (tensordict["next", "observation"], self.mirror.observation),
+        ):
+            place[part] = image(place[part])
+        return tensordict
+
+
+def scalar(column: Tensor) -> Tensor:
+    """A column [batch, 1] as [batch]."""
+    return column.squeeze(-1)
