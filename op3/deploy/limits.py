@@ -18,7 +18,7 @@ from op3.deploy.registers import DYNAMIXEL_X, Units
 from op3.deploy.state import State
 from op3.policy.actions import GAIN_HIGH
 from op3.robot import Robot
-from op3.robot.self_collision import LARGEST_OVERLAP, LARGEST_TARGET_OVERLAP
+from op3.robot.self_collision import LARGEST_OVERLAP, LARGEST_OVERLAP_AHEAD
 from op3.settings import Count, NotNegative, Positive, Whole, settings
 
 Array = NDArray[np.float64]
@@ -45,8 +45,8 @@ class Limits:
         homing_offset: largest homing offset that a servo may have [counts], for a robot that was calibrated with it.
         damp_gain: D gain of a damped joint [A s/rad].
         damp_time: how long joints are damped before torque goes off [s].
-        overlap: depth to which collision shapes may be in each other, 16 ms ahead of the measured angles [m].
-        target_overlap: the same of commanded angles, which soft joints do not reach [m].
+        overlap: depth to which parts of the robot may be in each other by the measured angles [m].
+        overlap_ahead: the same 16 ms later, by the measured speeds or by the commands, see `SelfCollision` [m].
     """
 
     peak_current: Positive | None = None
@@ -65,7 +65,7 @@ class Limits:
     damp_gain: NotNegative = 0.2
     damp_time: NotNegative = 0.5
     overlap: NotNegative = LARGEST_OVERLAP
-    target_overlap: NotNegative = LARGEST_TARGET_OVERLAP
+    overlap_ahead: NotNegative = LARGEST_OVERLAP_AHEAD
 
     def __post_init__(self):
         if self.start_voltage < self.voltage:

@@ -10,6 +10,7 @@ from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command, Limits
 from op3.deploy.registers import HardwareError, Units
 from op3.deploy.state import State
+from op3.policy.actions import GAIN_HIGH
 from op3.robot import Robot
 from op3.robot.self_collision import Gap, SelfCollision
 
@@ -71,17 +72,19 @@ class Monitor:
             self._check_fall(time, float(np.rad2deg(np.abs(state.orientation[:2]).max())))
         self._check_heat(state)
         self._check_supply(state)
-        self._check_parts("measured", self._parts.coming(state.position, state.velocity, self._limits.overlap))
+        limits = self._limits
+        gap = self._parts.measured(state.position, state.velocity, limits.overlap, limits.overlap_ahead)
+        self._check_parts("measured", gap)
         return verdict
 
-    def judge_command(self, command: Command) -> None:
+    def judge_command(self, state: State, command: Command) -> None:
         """Judge a command before it is carried out.
 
         Raises:
-            Stop: if joints with a P gain are sent to angles at which parts of the robot are in each other.
+            Stop: if it drives parts of the robot into each other.
         """
-        if command.p_gain.any():
-            self._check_parts("commanded", self._parts.overlap(command.position, self._limits.target_overlap))
+        stiffness, largest = command.p_gain / GAIN_HIGH, self._limits.overlap_ahead
+        self._check_parts("commanded", self._parts.commanded(state.position, command.position, stiffness, largest))
 
     def _check_shutdown(self, state: State) -> None:
         errors = state.raw["hardware_error"]

@@ -249,7 +249,7 @@ class Safety(Onlooker):
             Unplugged: if the port is gone.
         """
         command = command.limited(self.bus.robot)
-        self._monitor.judge_command(command)
+        self._monitor.judge_command(state, command)
         if verdict.damp:
             self._gain_share = 0.0
             command = command.damped(self.limits.damp_gain)

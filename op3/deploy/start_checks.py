@@ -261,8 +261,8 @@ class StartChecks:
         return "inside the soft limits"
 
     def _parts(self) -> str:
-        largest = self._limits.overlap
-        if gap := SelfCollision(self._bus.robot, margin=0.0).overlap(self._read().position, largest):
+        position, largest = self._read().position, self._limits.overlap
+        if gap := SelfCollision(self._bus.robot, margin=0.0).measured(position, 0.0 * position, largest):
             raise Failed(f"{gap}; move them apart by hand, or check the joints' calibration and horns")
         return f"no part more than {1000 * largest:g} mm in another"
 

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from op3.envs.batched import BatchedEnv
 from op3.envs.record import record_episodes
 from op3.envs.traces import SKIPPED, TOUCHED, Traces, Watch, swings
-from op3.robot.self_collision import LARGEST_TARGET_OVERLAP, SelfCollision
+from op3.policy.actions import GAIN_HIGH
+from op3.robot import Robot
+from op3.robot.self_collision import SelfCollision
 from op3.rollout import Rollout
 
 
@@ -108,12 +110,18 @@ def gait_validity(traces: Traces, lengths: NDArray[np.int64], timestep: float = 
 
 
 def collision_ahead(log: Rollout) -> bool:
-    """Whether `op3 deploy` would have ended this episode for a measured or commanded pose in which parts collide."""
-    parts = _self_collision(log.robot)
-    measured = zip(log.array("joint/position"), log.array("joint/velocity"), strict=True)
-    return any(parts.coming(position, velocity) for position, velocity in measured) or any(
-        parts.overlap(target, LARGEST_TARGET_OVERLAP) for target in log.array("command/position")
+    """Whether `op3 deploy` would have ended this episode for a measured or commanded pose in which parts collide.
+
+    Servos that close a position loop themselves count as stiff.
+    """
+    parts, position, target = _self_collision(log.robot), log.array("joint/position"), log.array("command/position")
+    stiffness = log.array("command/p_gain") / GAIN_HIGH if "command/p_gain" in log else np.ones_like(target)
+    measured = zip(position, log.array("joint/velocity"), strict=True)
+    return any(parts.measured(*row) for row in measured) or any(
+        parts.commanded(*row) for row in zip(position, target, stiffness, strict=True)
     )
 
 
-_self_collision = lru_cache(maxsize=4)(SelfCollision)
+@lru_cache(maxsize=4)
+def _self_collision(robot: Robot) -> SelfCollision:
+    return SelfCollision(robot, margin=0.0)

@@ -23,17 +23,25 @@ def crossed(angle: float) -> np.ndarray:
 
 
 def test_a_collision_that_is_coming_is_seen_before_it_is_there():
-    """Legs that close at 2 rad/s are reported while the shapes are apart, and those at rest there are not."""
+    """Legs that close at 4 rad/s are reported while they are apart, and those at rest there are not."""
     parts, apart = SelfCollision(OP3, margin=0.0), crossed(0.035)
     closing = np.zeros(len(JOINTS))
-    closing[LEFT], closing[RIGHT] = 2.0, -2.0
+    closing[LEFT], closing[RIGHT] = 4.0, -4.0
     distances = PartDistances()
     assert distances.least(apart, distances.legs) > 0
-    assert parts.coming(apart, 0.0 * closing) is None
-    found = parts.coming(apart, closing)
+    assert parts.measured(apart, 0.0 * closing) is None
+    found = parts.measured(apart, closing)
     assert found is not None
     assert found.distance == pytest.approx(distances.least(apart + HORIZON * closing, distances.legs), abs=1e-5)
     assert {name[2:] for name in found.parts} <= {"sole_wide", "sole_long", "ankle", "shin"}
+
+
+def test_a_soft_joint_may_be_sent_further():
+    """Legs that are apart: a target 0.2 rad inside is refused at the highest gain and not at a sixth of it."""
+    parts, apart, inside = SelfCollision(OP3, margin=0.0), crossed(0.03), crossed(0.2)
+    assert parts.commanded(apart, inside, np.ones(len(JOINTS))) is not None
+    assert parts.commanded(apart, inside, np.full(len(JOINTS), 1 / 6)) is None
+    assert parts.commanded(apart, inside, np.zeros(len(JOINTS))) is None
 
 
 def test_the_deepest_pair_is_reported():
@@ -65,7 +73,7 @@ def test_a_pose_that_is_measured_ends_the_run(tmp_path):
 
 
 def test_a_pose_that_is_commanded_ends_the_run(tmp_path):
-    """A target 10 mm inside the other leg is refused before anything of it is written; damped, then off."""
+    """A stiff target inside the other leg is refused before anything of it is written; damped, then off."""
     rig = make_rig(tmp_path)
     outcome = rig.run([GainRamp(), Hold(crossed(0.2), duration=1.0)])
     assert outcome.code == ExitCode.SELF_COLLISION
@@ -78,7 +86,7 @@ def test_a_pose_that_is_commanded_ends_the_run(tmp_path):
 def test_limits_of_overlap_are_settings(tmp_path):
     """With limits of 0.1 m the same target is carried out."""
     rig = make_rig(tmp_path)
-    limits = Limits(overlap=0.1, target_overlap=0.1)
+    limits = Limits(overlap=0.1, overlap_ahead=0.1)
     outcome = rig.run([GainRamp(), Move(crossed(0.2)), Hold(crossed(0.2), duration=0.1)], limits=limits)
     assert outcome.code == ExitCode.OK
     assert rig.physics.position[LEFT] > 0.15
