@@ -97,7 +97,7 @@ def updates_of(kind: type[OffPolicy], task: str, **settings: object) -> Callable
     """An update of an algorithm with the recipe of a task."""
     chosen, action_map = find_task(task), ActionMap.around_stand()
     size, actions = chosen.observation_size, action_map.size
-    mirror = Mirror(chosen.layout, chosen.history, action_map.joints)
+    mirror = Mirror(chosen.layout, chosen.history, action_map)
     algorithm = kind(Shape(size, actions), mirror=mirror, **{**RECIPES[task], **COMMON, **settings})
     algorithm.take(rollout(size, actions))
     return lambda: algorithm.update(algorithm.buffer.sample())
