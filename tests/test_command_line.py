@@ -83,7 +83,7 @@ def op3() -> Callable[..., tuple[int, str]]:
         (["deploy", "confirm=maybe"], "confirm must be true or false, got 'maybe'"),
         (["deploy", "policy=[x]"], "a path must be a text, got ['x']"),
         (["train", "recipe=wlak"], "recipe=wlak: there is no 'wlak' in the group recipe; the nearest is 'walk'"),
-        (["design", "robot=spot"], "there is no robot 'spot'; there are arm, bench, op3, or give the path of a .yaml"),
+        (["design", "robot=spot"], "there is no robot 'spot'; there are arm, bench, op3, quadruped, or give the path"),
         (["design", "joints=[knee]"], "unknown joint 'knee' of op3; the nearest is 'r_knee'"),
         (["design", "mounts=[table]"], "mounts.0 must be one of 'floor' or 'stand', got 'table'"),
         (["compliance", "policy=stiff", "grounds=[]"], "grounds must be a list of at least 1, got []"),

@@ -41,6 +41,7 @@ class BatchedEnv(EnvBase):
     Raises:
         ValueError: if a term of the task cannot be, a parameter is unknown, or one that `parameters` gives is also
             drawn.
+        MemoryError: if there are too many robots.
     """
 
     def __init__(
@@ -64,7 +65,12 @@ class BatchedEnv(EnvBase):
         self._gain_scale, self._num_envs, self._num_threads = gain_scale, num_envs, num_threads
         self.scene = build_scene(task.scene, robot=load_robot(task.robot))
         attach_servos(self.scene.joints)
-        self.mdp = Mdp(task, self.scene, model, self.action_map, num_envs)
+        try:
+            self.mdp = Mdp(task, self.scene, model, self.action_map, num_envs)
+        except RuntimeError as error:
+            if "can't allocate memory" in str(error):  # torch has no error of its own for it on processors
+                raise MemoryError(f"no memory for {num_envs} robots") from None
+            raise
         drawn = self.mdp.event("randomisation")
         self.parameters_drawn: dict[str, Tensor] = {} if drawn is None else drawn.drawn
         """Values that the episodes' robots drew, by parameter, ``[num_envs]``."""

@@ -52,9 +52,9 @@ def test_unknown_sources_are_named():
 
 def test_a_function_of_ones_own(tmp_path, monkeypatch):
     """It is asked for every time; when it fails the source is lost."""
-    (tmp_path / "mine.py").write_text("def walk(time):\n    return [0.1, 0.0, 0.2] if time < 1 else 1 / 0\n")
+    (tmp_path / "my_commands.py").write_text("def walk(time):\n    return [0.1, 0.0, 0.2] if time < 1 else 1 / 0\n")
     monkeypatch.syspath_prepend(str(tmp_path))
-    source = command_source("python:mine.walk")
+    source = command_source("python:my_commands.walk")
     assert source.at(0.0).tolist() == [0.1, 0.0, 0.2]
     assert source.at(1.0) is None
 
