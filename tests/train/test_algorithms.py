@@ -51,7 +51,9 @@ def rollout(env: Pendulum, algorithm: Algorithm, steps: int) -> TensorDict:
 def test_untrained_policy_is_the_initial_action():
     """Whatever it sees, the untrained policy's mean is within 0.05 of the initial action, with the initial spread."""
     wanted = torch.tensor([0.0, 0.5, -0.9])
-    mean, std = PolicyNetwork(5, 3, (64, 64), initial_action=wanted, initial_std=0.2)(torch.randn(100, 5, generator=generator(1)))
+    mean, std = PolicyNetwork(5, 3, (64, 64), initial_action=wanted, initial_std=0.2)(
+        torch.randn(100, 5, generator=generator(1))
+    )
     assert float((mean.detach().tanh() - wanted).abs().max()) < 0.05
     torch.testing.assert_close(std, torch.full_like(mean, 0.2), rtol=0.1, atol=0)
 
