@@ -113,8 +113,6 @@ def describe(cfg: DictConfig, task: Task, algorithm: Algorithm, provenance: Mapp
         history=task.history,
         action_map=actions(cfg, task),
         hidden=algorithm.settings.hidden,
-        normalisation=algorithm.normalisation,
-        clip=algorithm.settings.clip,
         observations=task.terms("observations"),
         cycle=task.cycle,
         training=training,
@@ -132,7 +130,7 @@ def learner(cfg: DictConfig, task: Task, robots: EnvBase) -> Algorithm:
     action_map, start = actions(cfg, task), earlier(cfg)
     settings = plain(cfg.algorithm)
     if start is not None:
-        settings["hidden"] = list(start.manifest.hidden)
+        settings |= {"hidden": list(start.manifest.hidden), "activation": start.manifest.activation}
     try:
         make = get_class(target := settings.pop("_target_"))
     except (ImportError, ValueError) as error:

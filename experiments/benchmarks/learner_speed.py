@@ -23,7 +23,6 @@ from torchrl.envs import EnvBase
 from torchrl.modules import MLP, ValueOperator
 from torchrl.objectives import LossModule, SACLoss
 
-from op3.policy import ActionMap
 from op3.policy.mirror import Mirror
 from op3.report import machine
 from op3.tasks import find_task
@@ -76,6 +75,12 @@ class Stock(OffPolicy):
         return loss
 
 
+def sizes(task: str) -> tuple[int, int]:
+    """Numbers in an observation and in an action."""
+    chosen = find_task(task)
+    return chosen.observation_size, chosen.action_map().size
+
+
 def rollout(observation: int, action: int) -> TensorDict:
     """Random transitions [env, time]."""
     g = torch.Generator().manual_seed(0)
@@ -95,9 +100,8 @@ def rollout(observation: int, action: int) -> TensorDict:
 
 def updates_of(kind: type[OffPolicy], task: str, **settings: object) -> Callable[[], object]:
     """An update of an algorithm with the recipe of a task."""
-    chosen, action_map = find_task(task), ActionMap.around_stand()
-    size, actions = chosen.observation_size, action_map.size
-    mirror = Mirror(chosen.layout, chosen.history, action_map)
+    chosen = find_task(task)
+    (size, actions), mirror = sizes(task), Mirror(chosen.layout, chosen.history, chosen.action_map())
     algorithm = kind(Shape(size, actions), mirror=mirror, **{**RECIPES[task], **COMMON, **settings})
     algorithm.take(rollout(size, actions))
     return lambda: algorithm.update(algorithm.buffer.sample())
@@ -111,7 +115,7 @@ def stable_baselines(task: str) -> Callable[[], object] | None:
         from stable_baselines3.common.logger import configure
     except ImportError:
         return None
-    size, actions = find_task(task).observation_size, ActionMap.around_stand().size
+    size, actions = sizes(task)
 
     class Nothing(gymnasium.Env):
         observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)

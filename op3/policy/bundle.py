@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch.nn import functional
 
 from op3.policy.actions import Array
 from op3.policy.manifest import Manifest
@@ -69,8 +70,9 @@ class PolicyBundle:
         if not bool(torch.isfinite(values).all()):
             raise ValueError("an observation is not finite; stop the robot and check its sensors")
         values = values.clamp(-self.manifest.clip, self.manifest.clip)
+        activation = getattr(functional, self.manifest.activation)
         for weight, bias in self._layers[:-1]:
-            values = torch.relu(values @ weight + bias)
+            values = activation(values @ weight + bias)
         weight, bias = self._layers[-1]
         action: Any = torch.tanh(values @ weight + bias).to(given.dtype)
         return action if isinstance(observation, torch.Tensor) else action.numpy()

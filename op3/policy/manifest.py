@@ -59,7 +59,8 @@ class Manifest:
             whose parts are terms of their own name.
         cycle: duration of a gait cycle [s]; None for a policy that sees no phase.
         action_map: what its actions mean.
-        hidden: units of the hidden layers, ReLU each.
+        hidden: units of the hidden layers.
+        activation: of the hidden layers.
         command_rate: of the PD control [Hz].
         policy_rate: of the policy [Hz].
         normalisation: `fixed` or `running`, how mean and scale of the observation were found.
@@ -72,6 +73,7 @@ class Manifest:
     history: Whole
     action_map: ActionMap
     hidden: Some[Count]
+    activation: Literal["relu", "elu", "silu", "tanh"] = "relu"
     command_rate: Positive = COMMAND_RATE
     policy_rate: Positive = POLICY_RATE
     normalisation: Literal["fixed", "running"] = "fixed"

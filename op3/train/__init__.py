@@ -14,6 +14,7 @@ from op3.train.evaluate import evaluate
 from op3.train.off_policy import Mirrored, OffPolicy, OffPolicySettings
 from op3.train.ppo import PPO, PPOSettings
 from op3.train.practice import Practice
+from op3.train.recorded import transitions
 from op3.train.sac import SAC, SACSettings
 from op3.train.td3 import TD3, TD3Settings
 from op3.train.training import Progress, TrainSettings, train
@@ -36,4 +37,5 @@ __all__ = [
     "TrainSettings",
     "evaluate",
     "train",
+    "transitions",
 ]

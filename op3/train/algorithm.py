@@ -1,9 +1,10 @@
 """What every algorithm is: networks, a policy that explores while it learns, and two moments of learning."""
 
 import copy
+import dataclasses
 import math
 from abc import ABC, abstractmethod
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import torch
 from pydantic import Field
@@ -34,6 +35,7 @@ class AlgorithmSettings:
 
     Attributes:
         hidden: units of the policy's hidden layers.
+        activation: of the policy's hidden layers.
         critic_hidden: units of the critics' hidden layers; those of the policy where None.
         rollout: steps of every environment between two lessons.
         discount: per policy step.
@@ -43,6 +45,7 @@ class AlgorithmSettings:
     """
 
     hidden: Some[Count] = (256, 256)
+    activation: Literal["relu", "elu", "silu", "tanh"] = "relu"
     critic_hidden: Some[Count] | None = None
     rollout: Count = 8
     discount: Annotated[Number, Field(ge=0, lt=1)] = 0.98
@@ -137,7 +140,10 @@ class Algorithm(nn.Module, ABC):
         return self.network(self.normaliser(observation.to(self.device, torch.float32)))[0].tanh().to(observation)
 
     def bundle(self, manifest: Manifest) -> PolicyBundle:
-        """The policy without exploration, with the normalisation as it is now."""
+        """The policy without exploration, with the normalisation as it is now; what the manifest says of it is set."""
+        chosen = self.settings
+        network = {"hidden": chosen.hidden, "activation": chosen.activation, "clip": chosen.clip}
+        manifest = dataclasses.replace(manifest, normalisation=self.normalisation, **network)
         return PolicyBundle(manifest, self._policy_weights())
 
     def start_from(self, policy: PolicyBundle) -> None:
@@ -147,11 +153,13 @@ class Algorithm(nn.Module, ABC):
             ValueError: if the policy has another size.
         """
         here, there = self._policy_weights(), policy.weights
-        if {name: value.shape for name, value in here.items()} != {name: value.shape for name, value in there.items()}:
+        shapes = [{name: value.shape for name, value in weights.items()} for weights in (here, there)]
+        known, chosen = policy.manifest, self.settings
+        if shapes[0] != shapes[1] or known.activation != chosen.activation:
             raise ValueError(
-                f"the policy to start from has hidden layers {list(policy.manifest.hidden)} and"
-                f" {policy.manifest.observation_size} observations, this run {list(self.settings.hidden)} and"
-                f" {self.observation_size}; use the settings that it was trained with"
+                f"the policy to start from has hidden layers {list(known.hidden)} ({known.activation}) and "
+                f"{known.observation_size} observations, this run {list(chosen.hidden)} ({chosen.activation}) and "
+                f"{self.observation_size}; use the settings that it was trained with"
             )
         with torch.no_grad():
             for name, value in here.items():
@@ -165,6 +173,7 @@ class Algorithm(nn.Module, ABC):
             self.observation_size,
             self.action_size,
             chosen.hidden,
+            chosen.activation,
             initial_action,
             chosen.initial_std,
             chosen.largest_std,

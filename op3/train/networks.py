@@ -15,6 +15,7 @@ SMALLEST_SCALE = 0.01
 """Floor of the scale of an observation, in its unit: what hardly moved yet is not blown up."""
 
 _LARGEST_INITIAL_ACTION = 0.97
+_ACTIVATIONS = {"relu": nn.ReLU, "elu": nn.ELU, "silu": nn.SiLU, "tanh": nn.Tanh}
 
 
 class Normaliser(nn.Module):
@@ -75,7 +76,8 @@ class PolicyNetwork(nn.Module):
     Args:
         observation_size: numbers in an observation.
         action_size: numbers in an action.
-        hidden: units of the hidden layers, ReLU each.
+        hidden: units of the hidden layers.
+        activation: of the hidden layers.
         initial_action: mean action [action] of the untrained policy, whatever it sees; zeros where None.
         initial_std: standard deviation of the untrained policy before tanh.
         largest_std: bound of it; None: it stays as it is, and is not learned.
@@ -86,13 +88,14 @@ class PolicyNetwork(nn.Module):
         observation_size: int,
         action_size: int,
         hidden: Sequence[int],
+        activation: str = "relu",
         initial_action: Tensor | None = None,
         initial_std: float = 0.2,
         largest_std: float | None = LARGEST_STD,
     ):
         super().__init__()
         outputs = action_size if largest_std is None else 2 * action_size
-        self.mlp = MLP(observation_size, outputs, num_cells=list(hidden), activation_class=nn.ReLU)
+        self.mlp = MLP(observation_size, outputs, num_cells=list(hidden), activation_class=_ACTIVATIONS[activation])
         self.action_size = action_size
         self._std, self._largest_std = initial_std, largest_std
         action = torch.zeros(action_size) if initial_action is None else torch.as_tensor(initial_action).float()

@@ -5,7 +5,6 @@ from typing import Annotated, Any, Literal
 import torch
 from pydantic import Field
 from tensordict import TensorDict, TensorDictBase
-from torch import Tensor
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 from torchrl.envs.transforms import MultiStepTransform, Transform
 from torchrl.modules import ValueOperator
@@ -122,9 +121,15 @@ class OffPolicy(Algorithm):
     def restart(self, seed: int) -> None:
         """Episodes begin anew; the few latest steps whose returns are not complete are forgotten."""
         super().restart(seed)
-        # the keys of the end too must be those of the last of the n steps: by default they stay those of the first,
-        # and a return that ends in a fall goes on with the value of lying
-        self.multi_step = MultiStepTransform(self.settings.n_step, self.settings.discount, done_keys=[])
+        self.multi_step = self.returns()
+
+    def returns(self) -> MultiStepTransform:
+        """What makes n-step returns of rollouts of the same robots, over the borders between them.
+
+        The flags of the end are those of the last of the n steps, as is the observation: by default TorchRL leaves
+        those of the first, and a return that ends in a fall goes on with the value of lying.
+        """
+        return MultiStepTransform(self.settings.n_step, self.settings.discount, done_keys=[])
 
     def take(self, rollout: TensorDictBase) -> Measures:
         """Store the transitions, as returns over n steps, and measure the observations."""
@@ -132,11 +137,24 @@ class OffPolicy(Algorithm):
             self.normaliser.update(rollout["observation"])
         self.steps += rollout.numel()
         self.stored += rollout.numel()
+        self._extend(self.multi_step, rollout)
+        return {}
+
+    def store(self, rollout: TensorDictBase) -> None:
+        """Store transitions of other origin, such as those of `op3.train.transitions`; updates are due as before.
+
+        Args:
+            rollout: [env, time], with ``done`` at the last step of each.
+        """
+        padding = rollout[:, -1:].expand(-1, self.settings.n_step)  # after the end, so that all returns are complete
+        whole: Any = torch.cat([rollout, padding], 1)
+        self._extend(self.returns(), whole)
+
+    def _extend(self, returns: MultiStepTransform, rollout: TensorDictBase) -> None:
         ends = [("next", name) for name in ("observation", "reward", "done", "terminated")]
-        complete = self.multi_step.inv(rollout.select("observation", "action", *ends))
+        complete = returns.inv(rollout.select("observation", "action", *ends))
         if complete is not None:
             self.buffer.extend(complete.select("observation", "action", "steps_to_next_obs", *ends).reshape(-1))
-        return {}
 
     def learn(self) -> Measures:
         """The updates that the steps since the last call bring."""
@@ -176,8 +194,10 @@ class OffPolicy(Algorithm):
         """Counters and, where asked for, the buffer."""
         state = super().get_extra_state() | {"steps": self.steps, "learned": self.learned}
         if self.settings.checkpoint_buffer and len(self.buffer):
-            data = self.buffer.storage[:].flatten_keys(".").to_dict()
-            state |= {"buffer": data, "writer": self.buffer.writer.state_dict()}
+            data = self.buffer.storage[:].flatten_keys(".")
+            if len(self.buffer) < self.settings.buffer:  # what is saved of a view is all that it is a view of
+                data = data.clone()
+            state |= {"buffer": data.to_dict(), "writer": self.buffer.writer.state_dict()}
         return state
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
@@ -221,8 +241,3 @@ class Mirrored(Transform):
         ):
             place[part] = image(place[part])
         return tensordict
-
-
-def scalar(column: Tensor) -> Tensor:
-    """A column [batch, 1] as [batch]."""
-    return column.squeeze(-1)

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from op3.settings import Number, Positive, settings
 from op3.train.algorithm import NORMALISED, Measures
 from op3.train.networks import Ensemble
-from op3.train.off_policy import OffPolicy, OffPolicySettings, scalar
+from op3.train.off_policy import OffPolicy, OffPolicySettings
 
 
 @settings()
@@ -70,8 +70,8 @@ class SAC(OffPolicy):
         with torch.no_grad():
             action, log_prob = self.actor.get_dist(after).rsample_and_log_prob()
             value = self.target_critics(after[NORMALISED], action).amin(0) - self.log_temperature.exp() * log_prob
-            discount = self.settings.discount ** scalar(batch["steps_to_next_obs"]) * ~scalar(after["terminated"])
-            target = torch.addcmul(scalar(after["reward"]), discount, value)
+            discount = self.settings.discount ** batch["steps_to_next_obs"] * ~after["terminated"].squeeze(-1)
+            target = torch.addcmul(after["reward"].squeeze(-1), discount, value)
         value = self.critics(batch[NORMALISED], batch["action"])
         return 0.5 * (value - target).square().mean(1).sum(), value.mean()
 

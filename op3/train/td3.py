@@ -35,7 +35,9 @@ class TD3(OffPolicy):
         """The policy's network, of which only the mean is learned."""
         chosen = self.settings
         sizes = self.observation_size, self.action_size
-        return PolicyNetwork(*sizes, chosen.hidden, initial_action, chosen.initial_std, largest_std=None)
+        return PolicyNetwork(
+            *sizes, chosen.hidden, chosen.activation, initial_action, chosen.initial_std, largest_std=None
+        )
 
     def make_loss(self) -> LossModule:
         """TorchRL's loss of TD3."""

@@ -141,8 +141,7 @@ def train(
     collector = restart()
     meter, began = _Meter(run, algorithm, settings), time.monotonic() - run.seconds
     with stop_requested() as stop, ThreadPoolExecutor(1, "collector", torch.set_num_threads, (1,)) as other:
-        stopping = False
-        while run.steps < settings.steps and not stopping:
+        while run.steps < settings.steps and not run.stopped:
             algorithm.follow()
             practise()
             coming = other.submit(collector.rollout)
@@ -152,10 +151,11 @@ def train(
             rollout = coming.result()
             before, run.steps = run.steps, run.steps + rollout.numel()
             meter.add(rollout)
+            finished = run.steps >= settings.steps
             # asked once: a signal that comes later ends the run after the next rollout
-            stopping = stop.is_set()
-            ending = _passed(before, run.steps, settings.checkpoint_every) or run.steps >= settings.steps or stopping
-            if ending:  # all episodes are cut off here by time
+            run.stopped = stop.is_set() and not finished
+            restarting = finished or run.stopped or _passed(before, run.steps, settings.checkpoint_every)
+            if restarting:  # all episodes are cut off here by time
                 rollout["next", "done"][:, -1] = True
             meter.losses |= algorithm.take(rollout)
 
@@ -166,15 +166,14 @@ def train(
                 say(meter.line(measures))
                 if log is not None:
                     log(measures, run.steps)
-            if _passed(before, run.steps, settings.evaluate_every) or run.steps >= settings.steps:
+            if finished or _passed(before, run.steps, settings.evaluate_every):
                 measures = _evaluate(run, algorithm, evaluate, manifest, folder)
                 say(
                     f"{run.steps:>9,} steps  evaluation  " + "  ".join(f"{k[11:]} {v:.3g}" for k, v in measures.items())
                 )
                 if log is not None:
                     log(measures, run.steps)
-            if ending:
-                run.stopped = run.steps < settings.steps and stopping
+            if restarting:
                 _save(folder / CHECKPOINT, identity, config, run, algorithm)
                 collector.shutdown(close_env=False)
                 collector = restart()

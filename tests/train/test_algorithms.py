@@ -1,7 +1,6 @@
 """Networks, losses, returns and exploration against independent computations."""
 
 import copy
-import dataclasses
 import math
 
 import pytest
@@ -15,7 +14,7 @@ from torchrl.modules import ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import REDQLoss, SACLoss
 from train_pendulum import LIMIT, MANIFEST, Pendulum
 
-from op3.policy import Manifest
+from op3.policy import PolicyBundle
 from op3.train import PPO, SAC, TD3, Algorithm, Mirrored, OffPolicy, SACSettings, evaluate
 from op3.train.networks import Ensemble, Normaliser, PolicyNetwork, QNetwork
 
@@ -33,7 +32,7 @@ def transitions(size: int = 32, seed: int = 5) -> TensorDict:
     content = {
         "observation": torch.randn(size, 3, generator=g),
         "action": torch.rand(size, 2, generator=g) * 2 - 1,
-        "steps_to_next_obs": torch.randint(1, 4, (size, 1), generator=g),
+        "steps_to_next_obs": torch.randint(1, 4, (size,), generator=g),
         "next": {
             "observation": torch.randn(size, 3, generator=g),
             "reward": torch.randn(size, 1, generator=g),
@@ -52,7 +51,9 @@ def rollout(env: Pendulum, algorithm: Algorithm, steps: int) -> TensorDict:
 def test_untrained_policy_is_the_initial_action():
     """Whatever it sees, the untrained policy's mean is within 0.05 of the initial action, with the initial spread."""
     wanted = torch.tensor([0.0, 0.5, -0.9])
-    mean, std = PolicyNetwork(5, 3, (64, 64), wanted, initial_std=0.2)(torch.randn(100, 5, generator=generator(1)))
+    mean, std = PolicyNetwork(5, 3, (64, 64), initial_action=wanted, initial_std=0.2)(
+        torch.randn(100, 5, generator=generator(1))
+    )
     assert float((mean.detach().tanh() - wanted).abs().max()) < 0.05
     torch.testing.assert_close(std, torch.full_like(mean, 0.2), rtol=0.1, atol=0)
 
@@ -105,7 +106,7 @@ def written_out(sac: SAC, batch: TensorDict, noise: torch.Tensor) -> tuple[torch
     with torch.no_grad():
         action, log_prob = sample(following["normalised"], noise[0])
         value = torch.minimum(*sac.target_critics(following["normalised"], action)) - alpha * log_prob
-        discount = sac.settings.discount ** batch["steps_to_next_obs"][:, 0]
+        discount = sac.settings.discount ** batch["steps_to_next_obs"]
         target = following["reward"][:, 0] + discount * (1.0 - following["terminated"][:, 0].float()) * value
     first, second = sac.critics(batch["normalised"], batch["action"])
     critic_loss = 0.5 * ((first - target) ** 2).mean() + 0.5 * ((second - target) ** 2).mean()
@@ -321,25 +322,23 @@ def test_networks_have_the_sizes_that_are_asked_for(kind, options):
     assert shapes == [(24, 3), (12, 24), (outputs, 12)]
     critics = {tuple(value.shape[-2:]) for name, value in algorithm.named_parameters() if "network.mlp" not in name}
     assert {(20, 3), (1, 20)} <= critics
-    assert algorithm.bundle(with_hidden(24, 12)).act(torch.zeros(4, 3)).shape == (4, 2)
-
-
-def with_hidden(*units: int) -> Manifest:
-    return dataclasses.replace(MANIFEST, hidden=units)
+    assert algorithm.bundle(MANIFEST).act(torch.zeros(4, 3)).shape == (4, 2)
 
 
 @pytest.mark.parametrize(("kind", "options"), ALGORITHMS)
-def test_a_bundle_acts_as_the_policy(kind, options):
+def test_a_bundle_acts_as_the_policy(kind, options, tmp_path):
     """The bundle of any algorithm has its deterministic actions, after it has learned."""
     env = Pendulum(16)
-    algorithm = kind(env, **options)
+    algorithm = kind(env, **options, activation="elu")
     for _ in range(3):
         algorithm.take(rollout(env, algorithm, 8))
         algorithm.learn()
         algorithm.follow()
     assert algorithm.updates > 0
     observation = torch.randn(7, 3, generator=generator(3))
-    bundle = algorithm.bundle(with_hidden(16, 16))
+    algorithm.bundle(MANIFEST).save(tmp_path / "policy")
+    bundle = PolicyBundle.load(tmp_path / "policy")
+    assert (bundle.manifest.hidden, bundle.manifest.activation) == ((16, 16), "elu")
     torch.testing.assert_close(bundle.act(observation), algorithm.act(observation), rtol=0, atol=1e-6)
 
 
@@ -347,11 +346,10 @@ def test_an_algorithm_starts_from_a_policy():
     """After `start_from` the bundle of the learner acts as the policy did; another size is refused."""
     first, second = (SAC(Pendulum(16), **SMALL, seed=seed) for seed in (0, 1))
     first.normaliser.update(torch.randn(200, 3, generator=generator(2)) * 3 + 1)
-    manifest = with_hidden(16, 16)
-    policy = first.bundle(manifest)
+    policy = first.bundle(MANIFEST)
     second.start_from(policy)
     observation = torch.randn(7, 3, generator=generator(3))
-    torch.testing.assert_close(second.bundle(manifest).act(observation), policy.act(observation), rtol=0, atol=1e-6)
+    torch.testing.assert_close(second.bundle(MANIFEST).act(observation), policy.act(observation), rtol=0, atol=1e-6)
     other = SAC(Pendulum(16), **{**SMALL, "hidden": (8, 8)})
     with pytest.raises(ValueError, match="hidden layers"):
         other.start_from(policy)
@@ -409,7 +407,7 @@ def test_another_algorithm_is_ten_lines():
     assert algorithm.updates > 10
     assert math.isfinite(float(measures["qvalue_loss"]))
     assert all(not torch.equal(a, b) for a, b in zip(before, algorithm.network.parameters(), strict=True))
-    assert algorithm.bundle(with_hidden(16, 16)).act(torch.zeros(2, 3)).shape == (2, 2)
+    assert algorithm.bundle(MANIFEST).act(torch.zeros(2, 3)).shape == (2, 2)
 
 
 def test_settings_are_checked():
