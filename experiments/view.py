@@ -58,11 +58,16 @@ def of_log(cfg: DictConfig) -> Tracks:
     return Tracks(shown, scene_of(log))
 
 
+def show_card(cfg: DictConfig, path: Path) -> None:
+    """What a policy was found to do, or how that is found."""
+    card = find_card(path)
+    print(card.to_yaml() if card else f"{cfg.what} has no card; op3 evaluate policy={cfg.what} card=true makes one")
+
+
 def of_policy(cfg: DictConfig, path: Path) -> Tracks:
     """An episode of a policy, in the simulation that it was trained in."""
     made = PolicyBundle.load(path).manifest
-    card = find_card(path)
-    print(card.to_yaml() if card else f"{cfg.what} has no card; op3 evaluate policy={cfg.what} card=true makes one")
+    show_card(cfg, path)
     task = find_task(made.task)
     actor = find_actor(str(path), task)
     model = cfg.model or made.training.model

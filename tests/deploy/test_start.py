@@ -160,7 +160,7 @@ def test_the_checks_pass_at_1_ms_and_are_all_told(tmp_path, timer):
             "shutdown",
         ),
         *("servo limits", "hardware errors", "temperature"),
-        *("supply voltage", "joint angles", "IMU"),
+        *("supply voltage", "joint angles", "self-collision", "IMU"),
     ]
 
 

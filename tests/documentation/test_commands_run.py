@@ -30,7 +30,7 @@ SMALL = {
     "design_excitation": "seconds=10 motions=[squat]",
     "diagnose": "windows=12 without=[backlash,compliance,lugre] episodes=2 wandb=disabled",
     "emulate_robot": "duration=0.2",
-    "evaluate": "episodes=1 video=false baseline=null",
+    "evaluate": "episodes=1 video=false baseline=null card=false",
     "identify": f"{SEARCH} refine.rounds=0 refine.polish=0 refine.starts=0",
     "import_log": "",
     "predict": "wandb=disabled",

@@ -9,6 +9,7 @@ import pytest
 from omegaconf import OmegaConf
 from report_logs import squat_log
 
+from op3.policy.card import Card
 from op3.report.frames import RenderError, draw_frames
 from op3.report.tracks import Tracks, scene_of
 from op3.report.video import write_film
@@ -17,6 +18,7 @@ from op3.robot import load_robot, squat
 from op3.rollout import Metadata, Rollout
 from op3.sim import load_model
 from op3.tasks import simulate_motion
+from tests.envs.holding import holding_bundle
 
 
 def arm_tracks(rows: int = 126, late: float = 0.3) -> Tracks:
@@ -136,3 +138,16 @@ def test_a_policy_on_its_feet_has_no_ghost(tmp_path, monkeypatch):
         cfg = OmegaConf.create({"what": str(folder), "robot": None, "number": 0, "model": None})
         told.append(list(import_module("view").of_log(cfg).logs))
     assert told == [["measured", "simulated"], ["measured"]]
+
+
+def test_a_policy_is_shown_with_its_card(tmp_path, monkeypatch, capsys):
+    """What the card says stands above its episode; without one it is said how to make it."""
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[2] / "experiments"))
+    bundle = holding_bundle()
+    folder, view = bundle.save(tmp_path / "bundle"), import_module("view")
+    cfg = OmegaConf.create({"what": str(folder), "model": "paper", "seed": 0})
+    view.show_card(cfg, folder)
+    assert capsys.readouterr().out == f"{folder} has no card; op3 evaluate policy={folder} card=true makes one\n"
+    Card("STANDS", bundle.fingerprint, "balance", "paper", 50, 0.0, 0.0).save(folder)
+    view.show_card(cfg, folder)
+    assert capsys.readouterr().out.startswith("STANDS\n---\n")
