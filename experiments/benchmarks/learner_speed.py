@@ -155,7 +155,8 @@ def main() -> None:
     print(
         f"{facts['processor']}, one thread of {facts['cpu_count']}; {chosen.rounds} rounds of {chosen.updates} updates"
     )
-    print(f"bfloat16=null takes {'bfloat16' if bfloat16_is_faster(torch.device('cpu')) else 'float32'} here")
+    faster = bfloat16_is_faster(torch.device("cpu"))
+    print(f"bfloat16=null takes {'bfloat16' if faster else 'float32'} here")
     for task, recipe in RECIPES.items():
         cases = {
             "TorchRL SACLoss, float32": updates_of(Stock, task),

@@ -118,18 +118,19 @@ def fit_base(
         if len(groups) == 1:
             yield settle(thin, coordinates, coordinates.start, settings, ELSEWHERE)
 
-    first = _ranked(thin, ends(), settings)[0].base
+    first, _ = _ranked(thin, ends(), settings)
     # what sticks has a basin for every form of its law: each begins where this one is, and with friction as at first
     forms = next(group for group in groups if _gear(group[0]) == _gear(first.coordinates.model))
     same = [(replace(first.coordinates, model=form), first.point) for form in forms]
     afresh = [_afresh(first, form) for form in forms]
     begins = [*same, *afresh, *_timings(first, reduction.engine.period), *_near_rest(first)]
     anew = (settle(thin, *begin, settings, ELSEWHERE) for begin in begins)
-    best = _ranked(thin, chain([first], anew), settings)[:FINALISTS]
+    _, best = _ranked(thin, chain([first], anew), settings)
     progress(0.7)
-    ranked = _ranked(reduction, (settle(reduction, e.coordinates, e.point, settings) for e in best), settings)
+    finals = (settle(reduction, end.coordinates, end.point, settings) for end in best[:FINALISTS])
+    first, ranked = _ranked(reduction, finals, settings)
     progress(0.9)
-    first, others = ranked[0].base, tuple((end.point, ranked[0].gain - end.gain) for end in ranked[1:])
+    others = tuple((end.point, ranked[0].gain - end.gain) for end in ranked[1:])
     own, point = with_own_spread(first.coordinates, first.point, first.told, settings)
     return replace(settle(reduction, own, point, settings, state=first.fit.state), others=others)
 
@@ -142,13 +143,11 @@ class End:
         coordinates: its numbers, and the forms of its laws.
         point: where they are.
         gain: on the first start, in minus two log evidence.
-        base: the fit; None where another is better, as one holds 15 MB.
     """
 
     coordinates: Coordinates
     point: np.ndarray
     gain: float
-    base: Base | None
 
 
 def _gear(model: RobotModel) -> list:
@@ -156,18 +155,16 @@ def _gear(model: RobotModel) -> list:
     return [effect for effect in model.effects if effect.stage in GEAR and effect.written]
 
 
-def _ranked(reduction: Reduction, bases: Iterator[Base], settings: Settings) -> list[End]:
-    """Ends of starts, the best first, alone with its fit."""
-    first = next(bases)
-    ends = [End(first.coordinates, first.point, 0.0, first)]
+def _ranked(reduction: Reduction, bases: Iterator[Base], settings: Settings) -> tuple[Base, list[End]]:
+    """The best of bases, and where all ended, the best first; a base holds 15 MB, and the others are let go."""
+    first = best = next(bases)
+    most, ends = 0.0, [End(first.coordinates, first.point, 0.0)]
     for base in bases:
-        end = End(base.coordinates, base.point, gap_of(reduction, first, base, settings), base)
-        if end.gain > ends[0].gain:
-            ends[0] = replace(ends[0], base=None)
-            ends.insert(0, end)
-        else:
-            ends.append(replace(end, base=None))
-    return [ends[0], *sorted(ends[1:], key=lambda end: -end.gain)]
+        gain = gap_of(reduction, first, base, settings)
+        ends.append(End(base.coordinates, base.point, gain))
+        if gain > most:
+            most, best = gain, base
+    return best, sorted(ends, key=lambda end: -end.gain)
 
 
 def _afresh(base: Base, form: RobotModel) -> tuple[Coordinates, np.ndarray]:
@@ -256,7 +253,7 @@ def search(
         whole[:, shared] = np.clip(np.where(positive, np.exp(np.where(positive, x, 0.0)), x), low, high)
         for number, option in enumerate(options):
             if (mine := form == number).any():
-                cost[mine] = _robust(reduction.at(option, whole[mine], stretch))
+                cost[mine] = _robust(reduction.at(option, whole[mine], stretch), reduction.limbs)
         return cost + coordinates.penalties(whole), whole, form
 
     strategy = CatCMA(
@@ -277,9 +274,15 @@ def search(
     return options[best[2]], best[1]
 
 
-def _robust(errors: Sequence[np.ndarray]) -> np.ndarray:
-    """Cost of whitened errors by limb: a window that misses altogether counts once."""
-    return sum(np.log1p(np.square(e.astype(np.float64)).mean(2)).sum(1) for e in errors)  # type: ignore[return-value]
+def _robust(errors: Sequence[np.ndarray], limbs: Sequence[np.ndarray]) -> np.ndarray:
+    """Cost of whitened errors by limb: what a joint misses altogether in a window counts once, so that one bad joint
+    does not decide what all share."""
+    cost = np.zeros(len(errors[0]))
+    for error, limb in zip(errors, limbs, strict=True):
+        sets, windows, _ = error.shape
+        square = np.square(error.reshape(sets, windows, -1, len(limb), 3), dtype=np.float64).mean((2, 4))
+        cost += np.log1p(square).sum((1, 2))
+    return cost
 
 
 def settle(

@@ -28,6 +28,9 @@ RELINEARISED = 60
 ALIKE = 0.7
 """Correlation over runs and joints from which on two gains are gains on the same."""
 
+GIVEN_UP = 10.0
+"""Times the usual noise from which on a baseline leaves a joint's torques to noise."""
+
 BEYOND = (0.2, 0.6)
 """Shares of what is plausible from which a fault is refitted whose size nothing linear shows."""
 
@@ -293,18 +296,21 @@ class Search:
         return [one for _, one in estimates if stage.found[one.number].place in kept]
 
     def _beyond_limits(self, stage: Stage) -> list[Proposal]:
-        """Faults of servos that differ as far from the others as the baseline lets them: windows of such a joint are so
-        far off that nothing linear there shows how far."""
-        base, found = stage.base, []
+        """Faults of servos that differ as far from the others as the baseline lets them, or whose torques it leaves to
+        noise: windows of such a joint are so far off that nothing linear there shows how far."""
+        base, found, judged = stage.base, [], self.reduction.judged.tolist()
+        given_up = stage.fit.state.noise[:, 0] > GIVEN_UP * self.settings.noise
         for entry, value in zip(base.coordinates.entries, base.point, strict=True):
+            if entry.kind != "scale" or entry.joints is None:
+                continue
             reach = AT_BOUND * (entry.high - entry.low)
             low, high = value - entry.low < reach, entry.high - value < reach
-            if entry.kind != "scale" or entry.joints is None or not (low or high):
+            if not (low or high or given_up[judged.index(entry.joints[0])]):
                 continue
             for number, one in enumerate(stage.found):
                 own = {entry.parameter} & {one.effect.name, *(p.name for p in one.effect.parameters)}
                 if one.joints == entry.joints and own:
-                    ends = stage.judge.numbers.high if high else stage.judge.numbers.low
+                    ends = stage.judge.numbers.low if low else stage.judge.numbers.high
                     starts = [share * float(ends[number]) for share in BEYOND]
                     found += [Proposal(number, np.zeros(len(base.point)), start, stage.fit.state) for start in starts]
         return found
@@ -427,10 +433,15 @@ class Search:
             place = stage.found[one.number].place
             best[place] = max(end, best.get(place, end), key=lambda one: one.log_odds)
         # where joints stick the way is long; and what lets a poor base move on has no merit in what that gains
-        leader = max(best.values(), key=lambda one: one.log_odds)
-        end = refit(leader.base.coordinates, leader.base.point, leader.base.fit.state, ELSEWHERE)
+        first, *others = sorted(best.values(), key=lambda one: -one.log_odds)
+        end = refit(first.base.coordinates, first.base.point, first.base.fit.state, ELSEWHERE)
         back = refit(coordinates, end.base.point[: len(point)], end.base.fit.state, ELSEWHERE)
-        best[stage.found[leader.number].place] = compared(leader.number, end, max(without, back.fit.evidence))
+        without = max(without, back.fit.evidence)
+        best[stage.found[first.number].place] = compared(first.number, end, without)
+        for one in others[: MOST - 1]:
+            if one.log_odds > self.settings.alarm:
+                end = refit(one.base.coordinates, one.base.point, one.base.fit.state, ELSEWHERE)
+                best[stage.found[one.number].place] = compared(one.number, end, without)
         return sorted(best.values(), key=lambda one: -one.log_odds), back.base
 
     def _around(self, stage: Stage, base: Base, named: tuple[Named, ...]) -> Stage:

@@ -153,19 +153,23 @@ def log_density(
     group = kinds // 2
     weight = np.ones((len(left), int(group.max()) + 1))
     counts = np.stack([seen[:, group == g].sum(1) for g in range(weight.shape[1])], 1)
-    for turn in range(ROUNDS + 1):
+
+    def solved() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Precisions, the factor of the law's precision, and the measurement seen through it."""
         precision = np.where(seen, weight[:, group] / whole, 0.0).ravel()
-        inner = f.T @ (f * precision[:, None]) + np.eye(f.shape[1]) / law**2
-        factor = np.linalg.cholesky(inner)
+        factor = np.linalg.cholesky(f.T @ (f * precision[:, None]) + np.eye(f.shape[1]) / law**2)
         half = linalg.solve_triangular(factor, f.T @ (precision * y), lower=True, check_finite=False)
-        if turn == ROUNDS:
-            break
+        return precision, factor, half
+
+    for _ in range(ROUNDS):
+        _, factor, half = solved()
         spread = linalg.solve_triangular(factor, f.T, lower=True, check_finite=False)
         square = (np.square(y - spread.T @ half) + np.square(spread).sum(0)).reshape(left.shape)
         distance = np.where(seen, square / whole, 0.0)
         for g in range(weight.shape[1]):
             usual = (tails + counts[:, g] - 2) / (tails + distance[:, group == g].sum(1))
             weight[:, g] = np.clip(usual, LIGHTEST, HEAVIEST)
+    precision, factor, half = solved()
     positive = precision[precision > 0]
     density = np.log(positive).sum() - 2 * np.log(np.diag(factor)).sum() - 2 * f.shape[1] * np.log(law)
     density -= float(y @ (precision * y) - half @ half)

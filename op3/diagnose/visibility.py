@@ -36,7 +36,7 @@ def size_of(stage: Stage, i: int, share: float) -> dict[str, Any] | None:
 def not_shown(stage: Stage, joints: Sequence[str]) -> dict[str, list[str]]:
     """Effects that no plausible size of which would have been proposed, and the joints in which that is so; no joint
     for those of all joints alike."""
-    seen: dict[tuple, bool] = {}
+    seen: dict[tuple[str, tuple[int, ...] | None], bool] = {}
     for one, share in zip(stage.found, smallest_sizes(stage), strict=True):
         seen[one.place] = seen.get(one.place, False) or bool(np.isfinite(share))
     result: dict[str, list[str]] = {}

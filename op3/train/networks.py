@@ -172,8 +172,8 @@ class Ensemble(nn.Module):
 def bfloat16_is_faster(device: torch.device) -> bool:
     """Whether a device multiplies bfloat16 so much faster than float32 that conversions are worth it.
 
-    For processors it is measured: of two makes with the same avx512_bf16, one is twice as fast in bfloat16 and the other
-    half as fast.
+    For processors it is measured: of two makes with the same avx512_bf16, one is twice as fast in bfloat16 and the
+    other half as fast.
     """
     if device.type != "cpu":
         return True

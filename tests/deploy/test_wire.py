@@ -15,9 +15,6 @@ from op3.deploy.state import CONTENTS
 from op3.robot import pose
 from tests.op3_table import IS_LEG, JOINTS, OP3, SERVO_IDS
 
-THROUGH = Limits(overlap_ahead=1.0)
-"""Lets joints be sent to where the legs would be in each other."""
-
 KINDS = {
     (Instruction.FAST_SYNC_READ, 224): "read servos",
     (Instruction.READ, 30): "read board",
@@ -106,6 +103,10 @@ def blocked(rig):
     return rig
 
 
+ANY_POSE = Limits(overlap_ahead=1.0)
+"""Lets a robot be commanded to where its legs would hit each other: here the joints never move."""
+
+
 def far():
     target = pose("stand")
     target[:] = np.where(target > 0, target - 0.9, target + 0.9)
@@ -115,7 +116,7 @@ def far():
 def test_currents_on_the_wire_stay_within_peak_and_continuous(tmp_path):
     """Against a stop: never more than 855 counts in a leg and 430 elsewhere, and after seconds down towards 171."""
     rig = blocked(make_rig(tmp_path))
-    assert rig.run([GainRamp(), Hold(far(), duration=5.0)], limits=THROUGH).code == ExitCode.OK
+    assert rig.run([GainRamp(), Hold(far(), duration=5.0)], limits=ANY_POSE).code == ExitCode.OK
     goals = np.abs([tick["goal"] for tick in ticks_of(rig)])
     assert goals[:, IS_LEG].max() == 855
     assert goals[:, ~IS_LEG].max() == 430
@@ -140,7 +141,7 @@ def test_stiffness_comes_back_slowly_after_a_soft_phase(tmp_path):
 def test_no_current_is_above_the_scale(tmp_path, scale):
     """What is carried for ever is within the share of the peak, too."""
     rig = blocked(make_rig(tmp_path))
-    assert rig.run([GainRamp(), Hold(far(), duration=1.0)], limits=THROUGH, current_scale=scale).code == ExitCode.OK
+    assert rig.run([GainRamp(), Hold(far(), duration=1.0)], current_scale=scale, limits=ANY_POSE).code == ExitCode.OK
     assert np.abs([tick["goal"] for tick in ticks_of(rig)])[:, IS_LEG].max() == int(scale * 855)
 
 
@@ -152,7 +153,7 @@ def test_a_suspended_robot_gets_half(tmp_path):
         found.append(rig.register("current_limit"))
         return len(found) > 100
 
-    assert rig.run([GainRamp(), Hold(far(), until=look)], limits=THROUGH, current_scale=0.5).code == ExitCode.OK
+    assert rig.run([GainRamp(), Hold(far(), until=look)], current_scale=0.5, limits=ANY_POSE).code == ExitCode.OK
     assert found[0] == np.where(IS_LEG, 427, 215).tolist()
     goals = np.abs([tick["goal"] for tick in ticks_of(rig)])
     assert (goals[:, IS_LEG].max(), goals[:, ~IS_LEG].max()) == (427, 215)

@@ -133,7 +133,7 @@ def test_a_task_of_ones_own_trains(package, tmp_path, monkeypatch):
         "curricula:\n  events.wind.force: [[0, 0.0], [100, 2.0]]\n"
     )
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{ROOT}")
-    small = ["train.steps=64", "train.warmup=32", "train.rollout=4", "environments=4", "train.buffer=64"]
+    small = ["train.steps=64", "algorithm.warmup=32", "algorithm.rollout=4", "environments=4", "algorithm.buffer=64"]
     small += ["train.evaluate_every=64", "train.checkpoint_every=64", "evaluation.episodes=1", "evaluation.video=false"]
     out = tmp_path / "out"
     words = [f"--config-dir={folder.parent}", "task=walk_in_wind", *small, "wandb=disabled", f"hydra.run.dir={out}"]

@@ -116,7 +116,7 @@ def test_a_lost_source_stops_for_good_and_so_does_the_end():
     asked = np.array([lost._asked(step)[0] for step in steps])
     assert set(asked[steps * POLICY_PERIOD < 1.0]) == {0.2}
     assert not asked[steps * POLICY_PERIOD >= 1.0].any()
-    walks = FollowPolicy(_Runner(), 10.0, command_source("python:tests.deploy.test_commands.walking"))
+    walks = FollowPolicy(_Runner(), 10.0, command_source("python:tests.deploy.test_command_sources.walking"))
     asked = np.array([walks._asked(step)[0] for step in steps])
     ends = steps * POLICY_PERIOD > 10.0 - STOPPING + POLICY_PERIOD
     assert set(asked[~ends][:-2]) == {0.2}
