@@ -17,8 +17,10 @@ from op3.diagnose.coordinates import (
     CHAIN,
     WIDEST,
     Coordinates,
+    any_spread,
     base_coordinates,
     other_forms,
+    usual_spread,
     with_chain,
     with_own_spread,
     with_setups,
@@ -56,12 +58,12 @@ class Base:
     Attributes:
         linear: the windows around it.
         fit: of the judge, its numbers alone.
-        others: ends of other starts, and by how much worse they are in minus two log evidence.
+        others: ends of other starts, and by how much better they are in minus two log evidence.
     """
 
     linear: Linear
     fit: Posterior
-    others: tuple[tuple[np.ndarray, float], ...] = ()
+    others: tuple["End", ...] = ()
 
     @property
     def coordinates(self) -> Coordinates:
@@ -87,7 +89,12 @@ class Base:
 def base_numbers(coordinates: Coordinates, point: np.ndarray) -> Numbers:
     """Priors of the base's numbers as steps from a point."""
     least, most = coordinates.low - point, coordinates.high - point
-    return Numbers(coordinates.prior - point, coordinates.deviation, least=least, most=most)
+    return Numbers(coordinates.prior - point, coordinates.deviation_at(point), least=least, most=most)
+
+
+def thin_windows(reduction: Reduction) -> int:
+    """How many windows what is tried first is tried on."""
+    return max(FEWEST_WINDOWS, reduction.windows // 3)
 
 
 def fit_base(
@@ -99,14 +106,17 @@ def fit_base(
 ) -> Base:
     """Fit a model's own numbers, its servos' spread and the chain of measurement.
 
-    Starts of every structure (form of the gear's law, form of friction's, commands before or after the next reading)
-    settle on a third of the windows, the best of these on all.
+    One servo may differ from the others as far as it likes while all is fitted. In the result it differs as servos of a
+    sound robot do at most; what it differs by more is for the judge to name. Starts of every structure (form of the
+    gear's law, form of friction's, commands before or after the next reading) settle on a third of the windows, the
+    best of these on all.
     """
     lengths = reduction.engine.lengths
     full = with_chain(with_setups(model, lengths))
     priors = {**CHAIN, **BENCH} if lengths else CHAIN
-    coordinates = base_coordinates(full, reduction.engine.joints, reduction.moving, priors)
-    thin = reduction.thinned(max(FEWEST_WINDOWS, reduction.windows // 3))
+    usual = base_coordinates(full, reduction.engine.joints, reduction.moving, priors)
+    coordinates = any_spread(usual, settings.tails)
+    thin = reduction.thinned(thin_windows(reduction))
     # another law of the gear does best with other numbers everywhere: each gets a start of its own
     gears = [full, *other_forms(full, lambda effect: effect.stage in GEAR)]
     groups = [[gear, *other_forms(gear, lambda effect: effect.stage not in GEAR)] for gear in gears]
@@ -130,9 +140,24 @@ def fit_base(
     finals = (settle(reduction, end.coordinates, end.point, settings) for end in best[:FINALISTS])
     first, ranked = _ranked(reduction, finals, settings)
     progress(0.9)
-    others = tuple((end.point, ranked[0].gain - end.gain) for end in ranked[1:])
+    others = tuple(replace(end, gain=end.gain - ranked[0].gain) for end in ranked[1:])
     own, point = with_own_spread(first.coordinates, first.point, first.told, settings)
-    return replace(settle(reduction, own, point, settings, state=first.fit.state), others=others)
+    free = settle(reduction, own, point, settings, state=first.fit.state)
+    return replace(as_usual(reduction, free, settings), others=others)
+
+
+def as_usual(reduction: Reduction, base: Base, settings: Settings = SETTINGS) -> Base:
+    """A base as near to another as what is expected of a sound robot's servos lets it be.
+
+    Its windows are what the other's are to first order, as near a joint that sticks nothing linear would say how far it
+    is off; and what all servos share stays as it is.
+    """
+    coordinates = usual_spread(base.coordinates)
+    point = np.clip(base.point, coordinates.low, coordinates.high)
+    lacking = base.linear.lacking - np.tensordot(point - base.point, base.linear.base, 1).astype(np.float32)
+    linear = replace(base.linear, coordinates=coordinates, point=point, lacking=lacking)
+    judge = Judge(reduction.rows(linear, ()), base_numbers(coordinates, point), settings)
+    return Base(linear, judge.fit(state=base.fit.state))
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,14 +228,17 @@ def _timings(base: Base, period: float) -> Iterator[tuple[Coordinates, np.ndarra
 def gap_of(reduction: Reduction, one: Base, other: Base, settings: Settings = SETTINGS) -> float:
     """How much worse one base is than another in minus two log evidence, mean over the reductions of both.
 
-    Variances are each one's own: weights that a base gave to windows hide what it cannot explain.
+    Variances are each one's own: weights that a base gave to windows hide what it cannot explain. What numbers do is
+    that of the base whose reduction it is, which decides little where a fit has ended.
     """
     gap = 0.0
     for like in (one, other):
         rows = reduction.rows(like.linear, ())
         for base, sign in ((one, -1.0), (other, 1.0)):
             mine = base is like
-            linear = base.linear if mine else reduction.linearise(base.coordinates, base.point, like.linear)
+            linear = (
+                base.linear if mine else reduction.linearise(base.coordinates, base.point, like.linear, like.linear)
+            )
             judge = Judge(reduction.rows(linear, (), rows), base_numbers(base.coordinates, base.point), settings)
             gap += sign * judge.fit(state=base.fit.state).evidence
     return gap

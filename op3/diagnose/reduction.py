@@ -19,7 +19,7 @@ from scipy import linalg, sparse
 from torch import Tensor
 
 from op3.diagnose.candidates import Candidate
-from op3.diagnose.coordinates import Coordinate, Coordinates
+from op3.diagnose.coordinates import SPREAD_LIMIT, Coordinate, Coordinates
 from op3.diagnose.features import FLOORS, PIECES, random_features
 from op3.diagnose.judge import Rows
 from op3.diagnose.rates import ESTIMATE, RATES, filtered, read, rounding
@@ -165,7 +165,7 @@ class Reduction:
         known = {} if moved_as is None else dict(zip(moved_as.coordinates.entries, moved_as.base, strict=True))
         entries = coordinates.entries
         groups = [group for group in self._together(entries) if entries[group[0]] not in known]
-        span = coordinates.high - coordinates.low
+        span = np.minimum(coordinates.high - coordinates.low, 2 * SPREAD_LIMIT * coordinates.deviation)
         step = np.where(point + 2 * STEP * span > coordinates.high, -STEP, STEP) * span
         here = self.at(coordinates, point[None])
         changes = np.zeros((len(groups), len(self.judged), self.windows, len(self.kinds)), np.float32)
