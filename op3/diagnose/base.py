@@ -35,6 +35,9 @@ GENERATIONS, FINE, SIGMA = 50, 10, 0.2
 """Of the search: generations, the last of them in steps half as long, and the first one's standard deviation as a share
 of every range."""
 
+FACTORS = (0.25, 0.5, 2.0, 4.0)
+"""Of a servo's number on what all share, from which a fit begins where they predict better than 1."""
+
 STEPS, ELSEWHERE = 12, 4
 """Gauss-Newton steps at most of the best start, and of every start before they are compared."""
 
@@ -123,7 +126,8 @@ def fit_base(
 
     def ends() -> Iterator[Base]:
         for number, forms in enumerate(groups):
-            yield settle(thin, *search(thin, coordinates, rng, forms), settings, ELSEWHERE)
+            at, point = search(thin, coordinates, rng, forms)
+            yield settle(thin, at, apart(thin, at, point), settings, ELSEWHERE)
             progress(0.5 * (number + 1) / len(groups))
         if len(groups) == 1:
             yield settle(thin, coordinates, coordinates.start, settings, ELSEWHERE)
@@ -281,7 +285,7 @@ def search(
         whole[:, shared] = np.clip(np.where(positive, np.exp(np.where(positive, x, 0.0)), x), low, high)
         for number, option in enumerate(options):
             if (mine := form == number).any():
-                cost[mine] = _robust(reduction.at(option, whole[mine], stretch), reduction.limbs)
+                cost[mine] = _robust(reduction.at(option, whole[mine], stretch), reduction.limbs).sum(0)
         return cost + coordinates.penalties(whole), whole, form
 
     strategy = CatCMA(
@@ -303,14 +307,39 @@ def search(
 
 
 def _robust(errors: Sequence[np.ndarray], limbs: Sequence[np.ndarray]) -> np.ndarray:
-    """Cost of whitened errors by limb: what a joint misses altogether in a window counts once, so that one bad joint
-    does not decide what all share."""
-    cost = np.zeros(len(errors[0]))
+    """Cost of whitened errors by limb, ``[limb, set]``: what a joint misses altogether in a window counts once, so that
+    one bad joint does not decide what all share."""
+    costs = []
     for error, limb in zip(errors, limbs, strict=True):
         sets, windows, _ = error.shape
         square = np.square(error.reshape(sets, windows, -1, len(limb), 3), dtype=np.float64).mean((2, 4))
-        cost += np.log1p(square).sum((1, 2))
-    return cost
+        costs.append(np.log1p(square).sum((1, 2)))
+    return np.array(costs)
+
+
+def apart(reduction: Reduction, coordinates: Coordinates, point: np.ndarray) -> np.ndarray:
+    """A point with the numbers of one servo after another where its limb is predicted best: as they are, or one of them
+    many times larger or smaller.
+
+    A joint that sticks where it should move has no gradient that says so, and a fit would leave it to noise.
+    """
+    numbers: dict[int, dict[str, int]] = {}
+    for i, entry in enumerate(coordinates.entries):
+        if entry.of_servo:
+            numbers.setdefault(entry.joints[0], {})[entry.parameter] = i  # type: ignore[index]
+    tried = [(name, factor) for name in next(iter(numbers.values()), {}) for factor in FACTORS]
+    for slot in range(max(map(len, reduction.limbs))):
+        joints = [int(limb[slot]) for limb in reduction.limbs if slot < len(limb) and int(limb[slot]) in numbers]
+        points = np.tile(point, (len(tried) + 1, 1))  # the first as it is
+        alone = {joint: points.copy() for joint in joints}
+        for joint in joints:
+            for row, (name, factor) in enumerate(tried, 1):
+                points[row, numbers[joint][name]] = alone[joint][row, numbers[joint][name]] = factor - 1.0
+        costs = _robust(reduction.at(coordinates, points), reduction.limbs)
+        for joint in joints:  # limbs do not feel each other
+            best = int((costs[reduction.limb_of[joint]] + coordinates.penalties(alone[joint])).argmin())
+            point = np.where(alone[joint][best] != alone[joint][0], alone[joint][best], point)
+    return point
 
 
 def settle(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from op3.diagnose.base import Base, End, as_usual, base_numbers, damped, gap_of, search, settle, unfitted
+from op3.diagnose.base import Base, End, apart, as_usual, base_numbers, damped, gap_of, search, settle, unfitted
 from op3.diagnose.coordinates import any_spread, base_coordinates, other_forms, with_chain, with_own_spread
 from op3.diagnose.doubts import doubts, freed, unusual
 from op3.diagnose.findings import Search
@@ -152,7 +152,8 @@ def test_one_bad_servo_does_not_move_what_all_share(truth):
     runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
     reduction = Reduction(WindowResiduals(planned_suite(bad, runs), windows=24))
     usual = base_coordinates(with_chain(load_model("paper")), LEG_JOINTS, reduction.moving)
-    base = settle(reduction, any_spread(usual, 4.0), usual.start)
+    free = any_spread(usual, 4.0)
+    base = settle(reduction, free, apart(reduction, free, usual.start))
     sound = as_usual(reduction, base)
     friction = {"free": base, "sound": sound}
     found = {name: one.coordinates.values(one.point[None])["coulomb_friction"][0] for name, one in friction.items()}
