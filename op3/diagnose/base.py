@@ -212,8 +212,8 @@ def _near_rest(base: Base) -> Iterator[tuple[Coordinates, np.ndarray]]:
 
 
 def _timings(base: Base, period: float) -> Iterator[tuple[Coordinates, np.ndarray]]:
-    """A base with commands before the next reading where they come after it, and the other way round; their currents
-    lag the more or the less.
+    """A base with commands before the next reading where they come after it, and the other way round, whose currents
+    lag the more or the less; and with commands a whole reading earlier or later.
 
     A reading shows the first of a command's current, or nothing of it yet: each has a basin.
     """
@@ -222,11 +222,13 @@ def _timings(base: Base, period: float) -> Iterator[tuple[Coordinates, np.ndarra
     late, lag = at.get("command_latency"), at.get("current_time_constant")
     if late is None or lag is None:
         return
-    point, margin = base.point.copy(), CHAIN["command_latency"].spread
-    other = period - margin if point[late] > period else period + margin
-    point[lag] += point[late] - other
-    point[late] = other
-    yield coordinates, np.clip(point, coordinates.low, coordinates.high)
+    margin = CHAIN["command_latency"].spread
+    across = period - base.point[late] + (-margin if base.point[late] > period else margin)
+    for later, less in ((across, across), (period, 0.0), (-period, 0.0)):
+        point = base.point.copy()
+        point[[late, lag]] += later, -less
+        if coordinates.low[late] <= point[late] <= coordinates.high[late]:
+            yield coordinates, np.clip(point, coordinates.low, coordinates.high)
 
 
 def gap_of(reduction: Reduction, one: Base, other: Base, settings: Settings = SETTINGS) -> float:
@@ -328,7 +330,7 @@ def apart(reduction: Reduction, coordinates: Coordinates, point: np.ndarray) -> 
         if entry.of_servo:
             numbers.setdefault(entry.joints[0], {})[entry.parameter] = i  # type: ignore[index]
     tried = [(name, factor) for name in next(iter(numbers.values()), {}) for factor in FACTORS]
-    for slot in range(max(map(len, reduction.limbs))):
+    for slot in range(max(map(len, reduction.limbs)) if numbers else 0):
         joints = [int(limb[slot]) for limb in reduction.limbs if slot < len(limb) and int(limb[slot]) in numbers]
         points = np.tile(point, (len(tried) + 1, 1))  # the first as it is
         alone = {joint: points.copy() for joint in joints}
