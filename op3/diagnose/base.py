@@ -47,6 +47,9 @@ GEAR = (Stage.GEAR, Stage.LOAD)
 DAMPING = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)
 """Dampings of a step that are tried at once, as shares of each number's curvature."""
 
+HELD_AT_END = 1e-3
+"""Share of a number's standard deviation that is left to it at the end of its range."""
+
 FEWEST_WINDOWS, FINALISTS = 24, 2
 """Windows on which starts settle first, at least, and starts that settle on all."""
 
@@ -75,8 +78,20 @@ class Base:
 
     @property
     def point(self) -> np.ndarray:
-        """Where they are."""
-        return self.linear.point
+        """Where they are: within their ranges, though the windows may be linear about a point outside."""
+        return np.clip(self.linear.point, self.coordinates.low, self.coordinates.high)
+
+    @property
+    def taken_back(self) -> np.ndarray:
+        """Which of them were outside their ranges, ``[coordinate]``."""
+        return self.point != self.linear.point
+
+    @property
+    def numbers(self) -> Numbers:
+        """Priors of steps from there; what was taken back to the end of its range stays there."""
+        numbers, held = base_numbers(self.coordinates, self.point), self.taken_back
+        deviation = np.where(held, HELD_AT_END, 1.0) * numbers.deviation
+        return replace(numbers, mean=np.where(held, 0.0, numbers.mean), deviation=deviation)
 
     @property
     def told(self) -> np.ndarray:
@@ -153,15 +168,18 @@ def fit_base(
 def as_usual(reduction: Reduction, base: Base, settings: Settings = SETTINGS) -> Base:
     """A base as near to another as what is expected of a sound robot's servos lets it be.
 
-    Its windows are what the other's are to first order, as near a joint that sticks nothing linear would say how far it
-    is off; and what all servos share stays as it is.
+    Its windows are what the other's are to first order and stay linear about the other's point, and its variances are
+    the other's: near a joint that sticks nothing linear would say how far it is off, and all that is there would be
+    noise. What all servos share stays as it is.
     """
     coordinates = usual_spread(base.coordinates)
-    point = np.clip(base.point, coordinates.low, coordinates.high)
-    lacking = base.linear.lacking - np.tensordot(point - base.point, base.linear.base, 1).astype(np.float32)
-    linear = replace(base.linear, coordinates=coordinates, point=point, lacking=lacking)
-    judge = Judge(reduction.rows(linear, ()), base_numbers(coordinates, point), settings)
-    return Base(linear, judge.fit(state=base.fit.state))
+    moved = np.clip(base.point, coordinates.low, coordinates.high) - base.point
+    columns = np.moveaxis(base.linear.base, 0, 1)
+    change = np.stack([np.tensordot(moved, reduction.tamed(of_joint), 1) for of_joint in columns])
+    linear = replace(base.linear, coordinates=coordinates, lacking=base.linear.lacking - change.astype(np.float32))
+    numbers = Base(linear, base.fit).numbers
+    judge = Judge(reduction.rows(linear, ()), numbers, settings)
+    return Base(linear, judge.fit(state=base.fit.state, rounds=0 if moved.any() else 4))
 
 
 @dataclass(frozen=True, eq=False)

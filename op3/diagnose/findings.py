@@ -156,7 +156,7 @@ def numbers_of(
     one place share it, and the place's prior. Parts are keys of candidates in one joint or in all, of which the others
     are sums.
     """
-    own, number = base_numbers(base.coordinates, base.point), {key: i for i, key in enumerate(parts)}
+    own, number = base.numbers, {key: i for i, key in enumerate(parts)}
     model = base.model
     low, high, slab = np.array([one.reach(model, settings) for one in found]).reshape(-1, 3).T
     size = _torques(rows, len(base.point), len(parts))
@@ -213,6 +213,8 @@ class Search:
         """The judge around a base with nothing named."""
         found = self._candidates(base)
         columns = self._columns(base, parts_of(found), lambda share: self.progress(0.4 * share))
+        if base.taken_back.any():  # all that a bad joint does would be noise
+            return self._stage(base, (), found, columns, base.fit.state, 0)
         return self._stage(base, (), found, columns, None)
 
     def _candidates(self, base: Base, named: Sequence[Named] = ()) -> tuple[Candidate, ...]:
