@@ -1,6 +1,7 @@
-"""``op3 <command> [overrides]``: the experiments as one command, with errors of one sentence.
+"""``op3 <command> [overrides]``: all commands, with errors of one sentence.
 
-The overrides are Hydra's, as of ``python experiments/<name>.py``; both go through `launch`.
+The overrides are Hydra's, as of ``python experiments/<name>.py``; both go through `launch`. Wrong names are found
+before the libraries of a command are imported.
 """
 
 import difflib
@@ -8,14 +9,13 @@ import importlib.metadata
 import itertools
 import os
 import re
-import runpy
 import shutil
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from op3.command_help import (
     COMMANDS,
@@ -26,7 +26,6 @@ from op3.command_help import (
     files,
     names_in,
     overview,
-    script,
     settings_of,
     usage,
 )
@@ -42,9 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """
     signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `op3 --help | head` ends as other commands do
     given = list(sys.argv[1:] if arguments is None else arguments)
-    available = {name: script(name) for name in COMMANDS if script(name).is_file()}
     if not given or given[0] in ("-h", "--help", "help"):
-        print(overview(available))
+        print(overview())
         return
     if given[0] == "--version":
         print(importlib.metadata.version("op3"))
@@ -52,73 +50,84 @@ def main(arguments: Sequence[str] | None = None) -> None:
     words = 2 if " ".join(given[:2]) in COMMANDS else 1
     command, rest = " ".join(given[:words]), given[words:]
     if command in ("doctor", "completion"):
-        from op3.doctor import report
-
         if rest:
             end(f"{command} takes no settings, got {rest[0]}")
-        print(report() if command == "doctor" else completion(available))
+        from op3.doctor import report
+
+        print(report() if command == "doctor" else completion())
         return
-    if command not in available:
-        end(f"op3 has no command {command!r}{nearest(command, [*available, 'doctor', 'completion'])}")
-    path = available[command]
+    if command not in COMMANDS:
+        end(f"unknown command {command!r}{nearest(command, [*COMMANDS, 'doctor', 'completion'])}")
+    app = COMMANDS[command]
     if rest and not rest[0].startswith(("-", "~")) and (Path(rest[0]).exists() or "=" not in rest[0]):
-        if (asked := asked_for(COMMANDS[command])) is None:
-            longer = [name for name in available if name.startswith(f"{command} ")]
+        if (asked := asked_for(app)) is None:
+            longer = [name for name in COMMANDS if name.startswith(f"{command} ")]
             close = nearest(f"{command} {rest[0]}", longer) if longer else ""
-            end(f"{rest[0]} is no setting: write setting=value{close}")
+            end(f"{rest[0]} is not a setting: write setting=value{close}")
         rest[0] = f"{asked}={rest[0]}"
     if not {"-h", "--help"} & set(rest):
         signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # as Python has it: a closed socket is an error, not the end
-    sys.argv = [str(path), *PRESETS.get(command, ()), *rest]
-    sys.path.insert(0, str(path.parent))
+    sys.argv = ["op3", *PRESETS.get(command, ()), *rest]
+    launch(app)
+
+
+def launch(app: str) -> None:
+    """Run a command with the overrides of the process, as ``python experiments/<app>.py`` does.
+
+    Help that reads well, paths with any character, and wrong names in one sentence before anything heavy is imported.
+
+    Args:
+        app: module in `op3.apps`, whose config has the same name.
+    """
     try:
-        runpy.run_path(str(path), run_name="__main__")
+        _launch(app)
     except KeyboardInterrupt:  # before the work has begun, or between two jobs
         print("\nInterrupted.", file=sys.stderr)
         raise SystemExit(130) from None
 
 
-def launch(run: Callable[[], Any], config: str, documentation: str | None) -> None:
-    """Run an experiment's Hydra main: help that reads well, paths with any character, wrong names in one sentence.
-
-    Args:
-        run: what ``hydra.main`` made.
-        config: name of its config.
-        documentation: docstring of the script.
-    """
+def _launch(app: str) -> None:
+    if {"-h", "--help"} & set(sys.argv[1:]):
+        print(usage(app))
+        return
+    import hydra
     from hydra._internal.utils import get_args_parser
     from hydra.core.hydra_config import HydraConfig
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
 
-    if {"-h", "--help"} & set(sys.argv[1:]):
-        print(usage(config, documentation or ""))
-        return
-    sys.argv[1:] = sorted(sys.argv[1:], key=lambda word: word not in ("-m", "--multirun"))  # Hydra wants them first
+    from op3.apps.job import Job, check_first_job
+    from op3.identify.registration import register
+
+    words = ["confirm=false" if word == "--yes" else source_word(app, word) for word in sys.argv[1:]]
+    sys.argv[1:] = sorted(words, key=lambda word: word not in ("-m", "--multirun"))  # Hydra wants them first
     parser = get_args_parser()
     parser.error = lambda message: end(f"{message}; settings are written setting=value, and --help lists them")
     parser.parse_args(sys.argv[1:])
     if empty := next((word for word in sys.argv[1:] if word.endswith(".dir=")), None):
         end(f"{empty} is empty: give a folder, or leave it out")
     sys.argv[1:] = [hide(quoted(argument)) for argument in sys.argv[1:]]
-    # jobs of a launcher import the modules beside the script
-    beside = str(Path(sys.argv[0]).resolve().parent)
-    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [beside, os.environ.get("PYTHONPATH")]))
     # Hydra's own handler prints a wall of text; with this it lets errors through
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
-    kind = _kind(config, sys.argv[1:])
-    asked = _asked_folder(config, kind, sys.argv[1:])
-    if asked is not None and (other := taken(asked)) not in (None, Path(sys.argv[0]).stem):
-        end(f"hydra.{kind}.dir is the folder of a run of {other}, which would be written over: choose another")
+    kind = _kind(app, sys.argv[1:])
+    asked = _asked_folder(app, kind, sys.argv[1:])
+    if asked is not None and (other := taken(asked)) not in (None, app):
+        end(f"hydra.{kind}.dir is the folder of a run of {other}, which would be overwritten: choose another")
     missing = 0 if asked is None else sum(not place.exists() for place in (asked, *asked.parents))
     folder = None
     try:
-        folder = claim(config, sys.argv[1:])
+        register()
+        if kind == "sweep":
+            check_first_job(app, [word for word in sys.argv[1:] if not word.startswith("-")])
+            if "population" in _text(app):
+                import op3.identify.sweeper  # noqa: F401  registers itself with Hydra
+        folder = claim(app, sys.argv[1:])
         if folder is not None:
             sys.argv.append(os.environ.setdefault(CLAIMED, f"hydra.{kind}.dir={folder}"))
-        run()
+        file = config_file(app)
+        hydra.main(config_path=str(file.parent), config_name=file.stem, version_base="1.3")(Job(app))()
     except (HydraException, OmegaConfBaseException, OSError) as error:
-        end(scrub(explained(error, config)))
+        end(scrub(explained(error, app)))
     except RuntimeError as error:
         if "srun" not in str(error):  # what submitit looks for
             raise
@@ -126,13 +135,21 @@ def launch(run: Callable[[], Any], config: str, documentation: str | None) -> No
     except ValueError as error:
         if HydraConfig.initialized():  # it is ours, and a mistake
             raise
-        end(scrub(explained(error, config)))
+        end(scrub(explained(error, app)))
     finally:
         place = folder or asked
         if kind == "sweep" and place is not None:
             compare(place)
         if place is not None and (folder or missing):
             leave(place, above=2 if folder else missing - 1)
+
+
+def source_word(app: str, argument: str) -> str:
+    """An argument in which `robot=` names a source, as it once did: ``robot=stand_in`` is ``source=stand_in``."""
+    name, _, value = argument.partition("=")
+    if name != "robot" or "\n  - source:" not in _text(app):
+        return argument
+    return f"source={value}" if set(value.split(",")) <= set(names_in("source")) else argument
 
 
 def compare(folder: Path) -> None:
@@ -154,13 +171,11 @@ def claim(config: str, arguments: Sequence[str]) -> Path | None:
     flags = {word for word in arguments if word.startswith("-")} - {"-m", "--multirun"}
     if flags or any(re.match(r"\+*hydra\.(run|sweep)\.dir=", word) for word in arguments):
         return None
-    kind, text = _kind(config, arguments), _text(config)
-    section = re.search(rf"^  {kind}:\n    dir: (outputs/\w+/)\$\{{now:", text, re.MULTILINE)
-    if section is None:
+    if "\n  - run_folder" not in _text(config):
         return None
     now = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
     for number in itertools.count(1):
-        folder = Path(section[1]) / (now if number == 1 else f"{now}_{number}")
+        folder = Path("outputs", config) / (now if number == 1 else f"{now}_{number}")
         try:
             folder.mkdir(parents=True)
         except FileExistsError:
@@ -259,7 +274,7 @@ def explained(error: Exception, config: str) -> str:
         return f"{text.split()[-1]}: {str(error.__cause__).splitlines()[0]}"
     if asked := getattr(error, "override", None):
         return f"{asked}: cannot be read; write setting=value, in quotes where it has blanks"
-    return told(error)
+    return as_sentence(error)
 
 
 def no_such(group: str, name: str) -> str:
@@ -267,7 +282,7 @@ def no_such(group: str, name: str) -> str:
     return f"{group}={name}: there is no {name!r} in the group {group}{nearest(name, names_in(group))}"
 
 
-def told(error: BaseException) -> str:
+def as_sentence(error: BaseException) -> str:
     """An error as one sentence: the system's by what it is about, others in their own words."""
     from omegaconf.errors import OmegaConfBaseException
 

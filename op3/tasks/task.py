@@ -10,12 +10,12 @@ from typing import Annotated, Any
 from omegaconf import DictConfig, OmegaConf
 from pydantic import BeforeValidator, Field
 
+from op3.assets import named_configs
 from op3.policy.actions import ActionMap
 from op3.policy.manifest import Manifest
 from op3.policy.observation import Observer
 from op3.policy.observations import Sensed
 from op3.robot import Robot, load_robot
-from op3.robot.assets import named_configs
 from op3.settings import Named, Number, Positive, Text, Whole, nearest, settings
 from op3.tasks.setups import OP3_CONTROL_PERIOD
 
