@@ -165,12 +165,13 @@ class ActionMap:
 
         Returns:
             position_target in rad, p_gain in A/rad and d_gain in A s/rad, each [..., robot joint] of the kind given;
-            the target alone for servos that close their own loop.
+            for servos that close their own loop position_target and firmware_gain in firmware units.
         """
         position, p_gain = self.targets(action)
         robot = load_robot(self.robot)
         if self.gain_low is None:
-            return {"position_target": self._whole(robot.home, position)}
+            gain = self._whole(robot.firmware_gain, position[..., :0])
+            return {"position_target": self._whole(robot.home, position), "firmware_gain": gain}
         return {
             "position_target": self._whole(robot.home, position),
             "p_gain": self._whole(np.full(len(robot.joints), HELD_GAIN), p_gain),

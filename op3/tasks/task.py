@@ -63,6 +63,7 @@ class Task:
         rewards: terms of `op3.tasks.rewards`, each with a ``weight``; of what is judged.
         shaping: the same, for what helps learning besides.
         terminations: terms of `op3.tasks.terminations`.
+        success: terms of `op3.tasks.successes`; without any an episode succeeds that does not fail.
         events: terms of `op3.tasks.events`.
         commands: terms of `op3.tasks.commands`.
         curricula: by the path of a number, such as ``shaping.speed_bonus.weight``, pairs of steps and value with
@@ -82,6 +83,7 @@ class Task:
     gait: Annotated[Gait | None, BeforeValidator(_gait)] = None
     shaping: Terms = field(default_factory=dict)
     terminations: Terms = field(default_factory=dict)
+    success: Terms = field(default_factory=dict)
     events: Terms = field(default_factory=dict)
     commands: Terms = field(default_factory=dict)
     curricula: Named[Any] = field(default_factory=dict)

@@ -185,3 +185,18 @@ def test_key_points_of_four_legs_are_mujocos():
         angles = torch.from_numpy(position)
         points, _ = chains(robot).key_points(angles, 0 * angles)
         np.testing.assert_allclose(points.numpy(), (np.array(expected) - base.xpos) @ turn, atol=1e-12)
+
+
+@pytest.mark.parametrize("robot", ["arm", "quadruped", "op3"])
+def test_servos_hold_the_pose_that_is_commanded(robot):
+    """A robot whose targets stay at its home pose is still near it after a second: its servos act."""
+    quiet = {"events": {}, "terminations": {}, "commands": {}, "rewards": {"alive": {}}, "success": {}}
+    observations = {"joint_position": {}}
+    task = find_task("reach", robot=robot, scene="stand", observations=observations, **quiet)
+    env = make_env(task, num_envs=2, num_threads=1)
+    state = env.reset()
+    for _ in range(31):
+        state["action"] = torch.from_numpy(env.action_map.stand()).float().expand(2, -1)
+        state = env.step(state)["next"].exclude("reward")
+    home = torch.from_numpy(env.mdp.robot.home)
+    assert (env.mdp.state.joint_position - home).abs().max() < 0.15
