@@ -22,8 +22,8 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from op3.apps.fields import check
+from op3.apps.sentences import as_sentence
 from op3.command_help import COMMANDS, config_file
-from op3.command_line import as_sentence
 from op3.identify.registration import register
 from op3.private import CLAIMED, masked, scrub
 
@@ -124,6 +124,8 @@ def configured(app: str, overrides: Sequence[str], folder: str | Path | None) ->
         cfg = OmegaConf.masked_copy(whole, [str(name) for name in whole if name != "hydra"])
         check(cfg)
         yield cfg
+    except InstantiationException as error:  # what could not be built says enough
+        raise error.__cause__ or error from None
     finally:
         HydraConfig.instance().cfg = outer
 

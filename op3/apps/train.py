@@ -22,9 +22,9 @@ from torchrl.envs import EnvBase
 
 from op3.apps.fields import plain, whole
 from op3.apps.job import CommandResult, configured, overrides_of
+from op3.apps.sentences import no_such
 from op3.apps.support import by_name, model_artifact, output_folder, provenance, reported
 from op3.assets import named_configs
-from op3.command_line import no_such
 from op3.envs import BatchedEnv, make_env
 from op3.policy import ActionMap, Manifest, PolicyBundle, Training
 from op3.policy.mirror import Mirror

@@ -13,7 +13,9 @@ def test_what_a_command_does_by_default_passes_the_checks_of_all(app):
     Common.of(composed(app, []))
 
 
-@pytest.mark.parametrize("value", ["a b", "it's", "[x]", "${y}", 3, 0.5, True, None, [1, "two"], {"mass": 0.3}, "", "7"])
+@pytest.mark.parametrize(
+    "value", ["a b", "it's", "[x]", "${y}", 3, 0.5, True, None, [1, "two"], {"mass": 0.3}, "", "7"]
+)
 def test_values_from_python_arrive_as_they_are(value):
     """Whatever a text holds, Hydra's grammar gives it back."""
     cfg = composed("predict", [override("data", "x"), override("+value", value)])
