@@ -140,7 +140,7 @@ class Stages:
             with (place / OUTPUT).open("a", encoding="utf-8") as file, redirect_stdout(StageOutput(name, file)):
                 result = command(**arguments, **resumed, folder=place)
                 print(result)
-        except ValueError as error:
+        except (ValueError, FileNotFoundError) as error:
             if not any(_is_work(path) for path in place.iterdir()):
                 (place / ASKED).unlink()  # what was wrong may be corrected
             raise ValueError(f"stage {name}: {error}; the same command goes on from here") from error
