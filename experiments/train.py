@@ -149,10 +149,14 @@ def learner(cfg: DictConfig, task: Task, robots: EnvBase) -> Algorithm:
 
 
 def mirror_of(cfg: DictConfig, task: Task, action_map: ActionMap) -> Mirror | None:
-    """The robot's plane of symmetry; none where its file names no mirror partners, or samples are not mirrored."""
+    """The robot's plane of symmetry; none where samples are not mirrored, or something has no image."""
     if not cfg.algorithm.get("mirrored") or not load_robot(action_map.robot).partners:
         return None
-    return Mirror(task.layout, task.history, action_map)
+    try:
+        return task.mirror(action_map)
+    except ValueError as error:
+        print(f"Samples are not mirrored: {error}.")
+        return None
 
 
 def as_begun(cfg: DictConfig) -> tuple[DictConfig, dict[str, str]]:
