@@ -284,10 +284,11 @@ def commands(policy: PolicyBundle, actions: Any) -> dict[str, Any]:
     for index, joint in enumerate(action_map.joints):
         kinds.setdefault(joint[2:].replace("ank", "ankle").replace("_", " "), []).append(index)
     angles = {kind: position[..., i] - middle[i] for kind, i in kinds.items()}
-    return {
-        "P gains over an evaluation.": histogram_figure({k: gain[..., i] for k, i in kinds.items()}, "P gain [A/rad]"),
-        "Target angles over an evaluation.": histogram_figure(angles, "target angle less the stand pose [rad]"),
-    }
+    figures = {"Target angles over an evaluation.": histogram_figure(angles, "target angle less the stand pose [rad]")}
+    if action_map.gain_low is not None:
+        gains = {kind: gain[..., i] for kind, i in kinds.items()}
+        figures["P gains over an evaluation."] = histogram_figure(gains, "P gain [A/rad]")
+    return figures
 
 
 @hydra.main(config_path="../conf", config_name="train", version_base="1.3")
