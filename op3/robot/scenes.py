@@ -178,7 +178,7 @@ def build_scene(
             on it. "bricks_a", "bricks_b", "bricks_c": 5 mm bricks ahead of the robot. "terrain": tiles ahead of the
             robot whose heights `place_tiles` sets. Or a scene of your own: the path of an MJCF file that is laid on
             the floor, or the dotted name of a function of a robot that returns such a `dm_control.mjcf.RootElement`, or
-            a `Scene`.
+            a `Scene`. Bodies in it may have joints, but no free ones.
         tilt_roll: roll of the stand in rad.
         tilt_pitch: pitch of the stand in rad, positive forward.
         joints: on the stand, limbs without any of these are left away: with a fixed base the others do not feel them.
@@ -207,8 +207,7 @@ def build_scene(
 def check_scene(name: str, robot: Robot) -> None:
     """Refuse a scene that there is not, or on which a robot cannot be put down."""
     if name not in SCENES and "." not in name:
-        known = f"the scenes are {', '.join(SCENES)}, or give an MJCF file or package.function of yours"
-        raise ValueError(f"unknown scene {name!r}{nearest(name, SCENES)}; {known}")
+        raise ValueError(f"unknown scene {name!r}{nearest(name, SCENES)}, or give an MJCF file or package.function")
     if name not in ("stand", "bench") and not robot.sole_geoms:
         raise ValueError(
             f"{robot.name} does not walk: the scene {name!r} needs soles, and its file names none, nor colliding feet"
@@ -265,6 +264,8 @@ def _on_floor(name: str, known: Robot, laid: Any = None) -> Scene:
         elif not board:
             add_bricks(laid, name)
     if laid is not None:
+        for number, geom in enumerate(laid.find_all("geom")):
+            geom.name = geom.name or f"geom_{number}"
         # behind the robot, whose joints so stay the first
         root.attach(laid)
         ground += [str(geom.full_identifier) for geom in laid.find_all("geom") if own or _meets_feet(geom)]
