@@ -12,6 +12,8 @@ from torchrl.envs import check_env_specs
 from op3.envs import make_env
 from op3.envs.record import record_episodes
 from op3.policy import PolicyBundle
+from op3.robot.assets import asset_path
+from op3.robot.robot import robot_files
 from op3.tasks import find_task, task_names
 from op3.tasks.baselines import Hold
 
@@ -201,12 +203,17 @@ def test_key_points_of_four_legs_are_mujocos():
         np.testing.assert_allclose(points.numpy(), (np.array(expected) - base.xpos) @ turn, atol=1e-12)
 
 
-@pytest.mark.parametrize("robot", ["arm", "quadruped", "op3"])
-def test_servos_hold_the_pose_that_is_commanded(robot):
-    """A robot whose targets stay at its home pose is still near it after a second: its servos act."""
+@pytest.mark.parametrize("robot", ["arm", "arm of servos that take gains", "quadruped", "op3"])
+def test_servos_hold_the_pose_that_is_commanded(robot, tmp_path):
+    """A robot whose targets stay at its home pose is still near it after a second, though actions command no gains."""
+    if robot not in robot_files():
+        text = robot_files()["arm"].read_text().replace("servo: sts3215", "servo: xm430-w350")
+        text = text.replace("../arm/arm.xml", str(asset_path("arm/arm.xml"))).replace("name: arm", "name: other")
+        robot = tmp_path / "other.yaml"
+        robot.write_text(text)
     quiet = {"events": {}, "terminations": {}, "commands": {}, "rewards": {"alive": {}}, "success": {}}
     observations = {"joint_position": {}}
-    task = find_task("reach", robot=robot, scene="stand", observations=observations, **quiet)
+    task = find_task("reach", robot=str(robot), scene="stand", observations=observations, **quiet)
     env = make_env(task, num_envs=2, num_threads=1)
     state = env.reset()
     for _ in range(31):
