@@ -1,4 +1,8 @@
-"""Commands: what robots are asked for, drawn anew for every episode and known to the policy."""
+"""Commands: what robots are asked for, drawn anew for every episode and known to the policy.
+
+A command is a class with ``at(time)``, ``[env, number]``, and any of ``begin(episodes)``, ``begun(rows, yaw)`` and
+``follow(yaw, commands)``; its attribute ``mirror`` has the signs of its numbers in the robot's plane of symmetry.
+"""
 
 from __future__ import annotations
 
@@ -35,6 +39,8 @@ class Velocity:
         straight_share: probability of moving without turning.
         scale: factor on all ranges, which a curriculum may raise from 0 to 1.
     """
+
+    mirror = (1.0, -1.0, -1.0)
 
     def __init__(
         self,
@@ -108,6 +114,8 @@ class Heading:
         rate: name of the command whose last number is a rate of turning.
     """
 
+    mirror = (-1.0,)
+
     def __init__(self, num_envs: int, policy_period: float, rate: str = "velocity"):
         self.rate, self._period = rate, policy_period
         self._reference = HeadingReference(num_envs)
@@ -136,6 +144,8 @@ class Target:
         least_height: of a place above the base's origin [m].
         interval: how long a place is held [s]; None: for the whole episode.
     """
+
+    mirror = (1.0, -1.0, 1.0)
 
     def __init__(
         self,
