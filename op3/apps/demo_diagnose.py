@@ -1,4 +1,4 @@
-"""Hide an effect in a simulated robot, record the robot, and let the diagnosis name it: a first look, two minutes.
+"""Hide an effect in a simulated robot, record the robot, and let the diagnosis name it: two minutes.
 
 python experiments/demo_diagnose.py [effect=backlash] [severity=clear] [seed=3] [robot=leg|pendulum|op3|arm]
 

@@ -1,4 +1,4 @@
-"""Re-identify a robot from a policy's failed transfer: match what its episodes were worth.
+"""Re-identify a robot from a failed transfer by matching the returns of its episodes.
 
 python experiments/reidentify.py policy=<bundle> model=<model.yaml> data=<squat log> episodes=<folder of logs>
 python experiments/reidentify.py ... diagnose=true diagnosis=<folder of logs from the stand>

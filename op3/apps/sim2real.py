@@ -1,4 +1,4 @@
-"""The whole method against a robot: collect, identify, train, deploy, judge, and learn from failure.
+"""Run the whole method against a robot: collect, identify, train, deploy, judge, learn from failures.
 
 python experiments/sim2real.py source=emulated task=balance world=random seed=0 [budget=demo|laptop|paper]
 python experiments/sim2real.py task=walk world=robot_4 policy=assets/policies/walk    # begin with a policy that exists

@@ -1,4 +1,4 @@
-"""The paper's tables III and IV: how often policies transfer, by what they were trained on.
+"""Measure how often policies transfer, by what they were trained on: the paper's Tables III and IV.
 
 python experiments/transfer_table.py                                    # balancing: all robots, conditions and seeds
 python experiments/transfer_table.py task=walk condition=excitation_only,reidentified,domain_randomisation

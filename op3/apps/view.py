@@ -1,4 +1,4 @@
-"""Look at a log, a policy, a model or a diagnosis: the robot solid, simulations as its ghosts, plots beside them.
+"""Show a log, a policy, a model or a diagnosis: in a viewer, or as a film.
 
 python experiments/view.py what=<log> [model=<model.yaml>]             # measured, and the model's prediction as a ghost
 python experiments/view.py what=<policy bundle, or run of train.py>    # an episode in simulation
