@@ -104,7 +104,7 @@ def build(cfg: DictConfig) -> Reidentification:
     if not episodes:
         raise ValueError(
             f"episodes={plain(cfg.episodes)}: all ended by {ended_by(others)}, as no simulation of the policy does;"
-            " diagnose the robot, mend the cause, and record others"
+            " diagnose the robot, fix the cause, and record others"
         )
     return Reidentification(
         model,
