@@ -44,7 +44,7 @@ class _Tape:
             ("command", "p_gain"): signals.p_gain,
             ("command", "d_gain"): signals.d_gain,
         }
-        if env.commander is not None or env.action_map.gain_low is None:
+        if env.commander is not None or all(servo.loop == "firmware" for servo in env.mdp.robot.servos):
             del row["command", "p_gain"], row["command", "d_gain"]
             row["command", "firmware_gain"] = signals.firmware_gain
         self.ticks.append({key: value.clone() for key, value in row.items()})

@@ -4,9 +4,9 @@ import torch
 
 from op3.envs import make_env
 from op3.envs.record import record_episodes
-from op3.tasks.task import find_task
 from op3.tasks.baselines import Hold
 from op3.tasks.evaluation import succeeded
+from op3.tasks.task import find_task
 
 
 def test_an_arm_succeeds_where_its_tip_is():
