@@ -58,6 +58,6 @@ def relevance(
     load = float((torque / np.maximum(reduction.loads, reduction.unit)).max())
     names = reduction.engine.joints
     felt = {names[reduction.judged[k]]: float(torque[k]) for k in np.flatnonzero(torque > 0.1 * torque.max())}
-    new = bool((torque > repaired).any())
+    new = not relatives or bool((torque > repaired).any())
     mechanical = load >= settings.least_load and floors[0] >= settings.least_floor
     return Relevance(felt, load, max(floors), new and (mechanical or max(floors[1:]) >= settings.least_floor))
