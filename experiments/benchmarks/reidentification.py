@@ -23,9 +23,9 @@ from omegaconf import DictConfig
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from stages import Stages
-from support import one_sentence, plain
 
-from op3.report import Page, finish, read_result, run_provenance, write_result
+from op3.apps.support import one_sentence, plain
+from op3.report import Page, read_result, run_provenance, write_result
 from op3.report.tables import Cell, number
 
 TOLERATED = 1.25
@@ -187,7 +187,7 @@ def report(folder: Path, robots: dict[str, dict[str, dict[str, Any]]], seed: int
         )  # fmt: skip
     page.files({f"{robot}/reidentify/index.html": f"re-identification of {robot}" for robot in robots})
     page.provenance(provenance)
-    finish(page.write(folder / "index.html"), result)
+    print(page.write(folder / "index.html"), result, sep="\n", flush=True)
 
 
 @hydra.main(config_path="../../conf/benchmark", config_name="reidentification", version_base="1.3")

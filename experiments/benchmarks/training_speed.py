@@ -19,9 +19,9 @@ from hydra.utils import instantiate
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from support import plain
 from train import describe, learner, robots
 
+from op3.apps.support import plain
 from op3.report import machine, run_provenance
 from op3.train import Practice, TrainSettings, train
 
