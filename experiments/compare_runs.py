@@ -1,4 +1,4 @@
-"""One page for several runs of identify.py: losses, held-out errors, parameters with their spread over seeds, time.
+"""Compare the runs of a multirun of `op3 identify` on one page: losses, errors, parameters, time.
 
 The work is done by `op3.apps.compare_runs`; `--help` lists the settings.
 """

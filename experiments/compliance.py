@@ -1,4 +1,4 @@
-"""Measure how soft policies are: gains over the gait, joints that are turned, landings, pushes, pulls, heat.
+"""Measure how compliant policies are: gains, back-driven joints, landings, pushes, pulls, heat.
 
 The work is done by `op3.apps.compliance`; `--help` lists the settings.
 """

@@ -1,4 +1,4 @@
-"""Hide an effect in a simulated robot, record the robot, and let the diagnosis name it: a first look, two minutes.
+"""Hide an effect in a simulated robot, record the robot, and let the diagnosis name it: two minutes.
 
 The work is done by `op3.apps.demo_diagnose`; `--help` lists the settings.
 """

@@ -1,4 +1,4 @@
-"""Run a policy on the robot, safe whatever happens; the exit code says how it ended.
+"""Run a policy on a robot, with start checks and limits; the exit code states how it ended.
 
 The work is done by `op3.apps.deploy`; `--help` lists the settings.
 """

@@ -1,4 +1,4 @@
-"""Choose the motions that narrow the intervals of chosen parameters most per second of robot time.
+"""Choose the motions that narrow the intervals of parameters most per second of robot time.
 
 The work is done by `op3.apps.design_excitation`; `--help` lists the settings.
 """

@@ -1,4 +1,4 @@
-"""Name the effects that a model does not include, from logs of a robot on the stand or of a servo on a bench.
+"""Name the effects that a model does not include, from logs of a stand or of a servo bench.
 
 The work is done by `op3.apps.diagnose`; `--help` lists the settings.
 """

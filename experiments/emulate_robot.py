@@ -1,4 +1,4 @@
-"""An emulated robot on a serial port: prints the port, and serves until Ctrl-C or another signal to end.
+"""Serve an emulated robot on a serial port until Ctrl-C; the first line printed is the port.
 
 The work is done by `op3.apps.emulate_robot`; `--help` lists the settings.
 """

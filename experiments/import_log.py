@@ -1,4 +1,4 @@
-"""Look at a log of any format: what is in it, what was guessed and why, and what is wrong with it.
+"""Check a log of any format: its content, what was guessed and why, and what is wrong.
 
 The work is done by `op3.apps.import_log`; `--help` lists the settings.
 """

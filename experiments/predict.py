@@ -1,4 +1,4 @@
-"""How well a model predicts logs that it has not seen: open-loop replays, errors with 90 % intervals.
+"""Measure how well a model predicts logs that it has not seen, with 90 % intervals.
 
 The work is done by `op3.apps.predict`; `--help` lists the settings.
 """

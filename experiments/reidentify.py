@@ -1,4 +1,4 @@
-"""Re-identify a robot from a policy's failed transfer: match what its episodes were worth.
+"""Re-identify a robot from a failed transfer by matching the returns of its episodes.
 
 The work is done by `op3.apps.reidentify`; `--help` lists the settings.
 """

@@ -1,4 +1,4 @@
-"""The whole method against a robot: collect, identify, train, deploy, judge, and learn from failure.
+"""Run the whole method against a robot: collect, identify, train, deploy, judge, learn from failures.
 
 The work is done by `op3.apps.sim2real`; `--help` lists the settings.
 """

@@ -1,4 +1,4 @@
-"""The paper's tables III and IV: how often policies transfer, by what they were trained on.
+"""Measure how often policies transfer, by what they were trained on: the paper's Tables III and IV.
 
 The work is done by `op3.apps.transfer_table`; `--help` lists the settings.
 """

@@ -1,4 +1,4 @@
-"""Look at a log, a policy, a model or a diagnosis: the robot solid, simulations as its ghosts, plots beside them.
+"""Show a log, a policy, a model or a diagnosis: in a viewer, or as a film.
 
 The work is done by `op3.apps.view`; `--help` lists the settings.
 """

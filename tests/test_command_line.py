@@ -67,7 +67,7 @@ def op3() -> Callable[..., tuple[int, str]]:
         (["transfers", "condition=none", "world=robot_4", "seed=0"], "Error executing job with overrides: ['world="),
         (["identify", "data=x", "joints=[]"], "joints must be a list of at least 1, got []"),
         (["identify", "data=x", "refine=null"], "refine must be a mapping of its fields, got None"),
-        (["identify", "data=x", "ablate=[dtee]"], "unknown effect 'dtee'; the nearest is 'dte'"),
+        (["identify", "data=.", "ablate=[dtee]"], "unknown effect 'dtee'; the nearest is 'dte'"),
         (
             ["train", "model=pape"],
             "there is no model file 'pape': give the path of a model.yaml or a name;",

@@ -9,7 +9,6 @@ run's folder; the same command goes on where it stopped. A world in which the ro
 """
 
 import json
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -20,8 +19,9 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from op3.apps.support import library_motion, one_sentence, plain
+from op3.apps.fields import plain
+from op3.apps.job import one_sentence
+from op3.apps.support import library_motion
 from op3.identify.identification import PREFIX, Identification
 from op3.identify.loss import TrajectoryLoss
 from op3.identify.search_space import parse_search_space

@@ -5,7 +5,6 @@ python experiments/benchmarks/samplers.py data=<log> [trials=2000] [seeds=[0,1,2
 Every study is resumable: the same command in the same folder goes on.
 """
 
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -16,8 +15,9 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from op3.apps.support import check_given, focus_joints, one_sentence, plain
+from op3.apps.fields import check_given, plain
+from op3.apps.job import one_sentence
+from op3.apps.support import focus_joints
 from op3.identify.identification import PREFIX, Identification
 from op3.identify.search_space import parse_search_space
 from op3.identify.study import run_study

@@ -9,7 +9,6 @@ actuator knows no battery and no latency. Both are fitted to joint angles and ve
 values, and judged by the mean absolute angle error of open-loop replays.
 """
 
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -22,8 +21,8 @@ from hydra.core.hydra_config import HydraConfig
 from mujoco import sysid
 from omegaconf import DictConfig
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from op3.apps.support import check_given, one_sentence, plain
+from op3.apps.fields import check_given, plain
+from op3.apps.job import one_sentence
 from op3.identify.identification import PREFIX, Identification
 from op3.identify.loss import TrajectoryLoss
 from op3.identify.search_space import parse_search_space

@@ -1,4 +1,4 @@
-"""Measure how soft policies are: gains over the gait, joints that are turned, landings, pushes, pulls, heat.
+"""Measure how compliant policies are: gains, back-driven joints, landings, pushes, pulls, heat.
 
 python experiments/compliance.py policy=<bundle>
 python experiments/compliance.py policy=[<bundle>,<trained with a fixed gain>]

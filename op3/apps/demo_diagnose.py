@@ -1,4 +1,4 @@
-"""Hide an effect in a simulated robot, record the robot, and let the diagnosis name it: a first look, two minutes.
+"""Hide an effect in a simulated robot, record the robot, and let the diagnosis name it: two minutes.
 
 python experiments/demo_diagnose.py [effect=backlash] [severity=clear] [seed=3] [robot=leg|pendulum|op3|arm]
 
@@ -40,12 +40,12 @@ def where(joints: list[str], shared: bool) -> str:
 
 def hidden(answer: Mapping[str, Any]) -> str:
     """What a sealed answer says was hidden."""
-    told = []
-    for one in answer["effects"]:
-        kind = KINDS[one["name"]]
-        told.append(f"{one['name']} in {where(one['joints'], one['shared'])}"
-                    f" ({kind.parameter or kind.meaning} {kind.told(one['size']):.3g})")  # fmt: skip
-    return "; ".join(told)
+    texts = []
+    for effect in answer["effects"]:
+        kind = KINDS[effect["name"]]
+        size = f"{kind.parameter or kind.meaning} {kind.told(effect['size']):.3g}"
+        texts.append(f"{effect['name']} in {where(effect['joints'], effect['shared'])} ({size})")
+    return "; ".join(texts)
 
 
 def named(finding: Mapping[str, Any]) -> str:
@@ -68,7 +68,7 @@ def ending(content: Mapping[str, Any], answer: Mapping[str, Any], folder: Path) 
     lines = {
         "named": "\n          ".join(findings),
         "hidden": hidden(answer),
-        "gap": "; ".join(gaps) + ", on runs that nothing was chosen by",
+        "gap": "; ".join(gaps) + ", on held-out runs",
         "model": f"{folder / 'model.yaml'}" + (f", with {', '.join(added)} added" if added else ""),
         "page": str(folder / "index.html"),
         "next": f"op3 view {folder}",

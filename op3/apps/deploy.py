@@ -1,4 +1,4 @@
-"""Run a policy on the robot, safe whatever happens; the exit code says how it ended.
+"""Run a policy on a robot, with start checks and limits; the exit code states how it ended.
 
 python experiments/deploy.py policy=assets/policies/balance port=/dev/ttyUSB0 [duration=20] [--yes]
 python experiments/deploy.py policy=assets/policies/balance port=emulated [world=eta_070] [model=<model.yaml>]

@@ -1,4 +1,4 @@
-"""Choose the motions that narrow the intervals of chosen parameters most per second of robot time.
+"""Choose the motions that narrow the intervals of parameters most per second of robot time.
 
 python experiments/design_excitation.py groups=[gear,friction] seconds=60 [mounts=[floor]] [model=<model.yaml>]
 python experiments/collect.py plan=<its folder>/plan.yaml source=stand_in

@@ -1,4 +1,4 @@
-"""Name the effects that a model does not include, from logs of a robot on the stand or of a servo on a bench.
+"""Name the effects that a model does not include, from logs of a stand or of a servo bench.
 
 python experiments/diagnose.py data=<folder of logs> model=<model.yaml or name in conf/servo>
 python experiments/diagnose.py data=<folder of logs> model=paper mode=loop      # again from the returned model

@@ -1,4 +1,4 @@
-"""An emulated robot on a serial port: prints the port, and serves until Ctrl-C or another signal to end.
+"""Serve an emulated robot on a serial port until Ctrl-C; the first line printed is the port.
 
 python experiments/emulate_robot.py [world=eta_060] [scene=floor] [faults.lost=0.0026] [record=frames.txt]
 python experiments/emulate_robot.py model=paper scene=floor

@@ -116,7 +116,7 @@ class WithProgress(Watched):
 def play(
     cfg: DictConfig, task: Task, name: str, field: str = "policy"
 ) -> tuple[list[Rollout], Watched, BatchedEnv, GaitValidity]:
-    """The episodes of the seed, which begin alike for every policy; who acted where; and whether a robot could."""
+    """The episodes of the seed, which begin the same for every policy; who acted where; and their validity."""
     known = dict(seed=cfg.seed, hold_gain=cfg.hold_gain, gain_scale=cfg.gain_scale, field=field)
     actor = find_actor(name, task, **known)
     options = dict(num_threads=cfg.threads, randomisation=cfg.randomisation, gain_scale=cfg.gain_scale)

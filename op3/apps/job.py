@@ -178,9 +178,10 @@ def _written(value: Any) -> str:
 
 
 def command_of_run() -> str:
-    """The command that makes this run again: ``op3 <command>`` and its overrides."""
+    """The command that makes this run again, with its overrides."""
     hydra = HydraConfig.get()
-    names = {app: command for command, app in COMMANDS.items() if command != "demo"}
+    names = {app: ["op3", *command.split()] for command, app in COMMANDS.items() if command != "demo"}
     given = [*hydra.overrides.task, *(word for word in hydra.overrides.hydra if "sweeper" in word)]
     words = [word for word in given if word != os.environ.get(CLAIMED)]
-    return scrub(shlex.join(["op3", *names.get(hydra.job.name, hydra.job.name).split(), *words]))
+    start = names.get(hydra.job.name, ["python", f"experiments/{hydra.job.name}.py"])
+    return scrub(shlex.join([*start, *words]))

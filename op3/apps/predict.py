@@ -1,4 +1,4 @@
-"""How well a model predicts logs that it has not seen: open-loop replays, errors with 90 % intervals.
+"""Measure how well a model predicts logs that it has not seen, with 90 % intervals.
 
 python experiments/predict.py model=<model.yaml or name> data=<logs> [where='{firmware_gain: 8}']
 python experiments/predict.py -m model=outputs/identify/<run>,paper data=<logs>

@@ -1,4 +1,4 @@
-"""Re-identify a robot from a policy's failed transfer: match what its episodes were worth.
+"""Re-identify a robot from a failed transfer by matching the returns of its episodes.
 
 python experiments/reidentify.py policy=<bundle> model=<model.yaml> data=<squat log> episodes=<folder of logs>
 python experiments/reidentify.py ... diagnose=true diagnosis=<folder of logs from the stand>
@@ -104,7 +104,7 @@ def build(cfg: DictConfig) -> Reidentification:
     if not episodes:
         raise ValueError(
             f"episodes={plain(cfg.episodes)}: all ended by {ended_by(others)}, as no simulation of the policy does;"
-            " diagnose the robot, mend the cause, and record others"
+            " diagnose the robot, fix the cause, and record others"
         )
     return Reidentification(
         model,

@@ -1,4 +1,4 @@
-"""The whole method against a robot: collect, identify, train, deploy, judge, and learn from failure.
+"""Run the whole method against a robot: collect, identify, train, deploy, judge, learn from failures.
 
 python experiments/sim2real.py source=emulated task=balance world=random seed=0 [budget=demo|laptop|paper]
 python experiments/sim2real.py task=walk world=robot_4 policy=assets/policies/walk    # begin with a policy that exists
@@ -279,7 +279,7 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
 def diagnosed(
     stages: Stages, cfg: DictConfig, number: int, model: str, policy: Path, failed: Transfer, learned: Learned
 ) -> str:
-    """The model with what a diagnosis in the stand names; the failed episodes show what that is worth."""
+    """The model with the effects that a diagnosis on the stand names; the failed episodes show what that improves."""
     stand = stages.on_stand("stand", list(cfg.diagnosis), on_robot(cfg))
     worth = {"policy": policy, "actual": failed.episodes, "task": JUDGED[chosen("task")]}
     found = stages.run(f"{number}_diagnose", diagnose, data=stand, model=model, seed=cfg.seed, **worth)
@@ -351,7 +351,7 @@ def following(folder: Path, last: Transfer) -> list[str]:
     return [
         f"op3 view {episode}  # an episode on the robot",
         f"op3 view {last.policy}  # the same policy in simulation",
-        "op3 demo diagnose  # what a model lacks, named from a robot's logs",
+        "op3 demo diagnose  # hides an effect in a robot and names it from logs",
     ]
 
 

@@ -1,4 +1,4 @@
-"""Look at a log, a policy, a model or a diagnosis: the robot solid, simulations as its ghosts, plots beside them.
+"""Show a log, a policy, a model or a diagnosis: in a viewer, or as a film.
 
 python experiments/view.py what=<log> [model=<model.yaml>]             # measured, and the model's prediction as a ghost
 python experiments/view.py what=<policy bundle, or run of train.py>    # an episode in simulation
@@ -38,20 +38,20 @@ from op3.tasks.task import POLICY_PERIOD, find_task
 
 
 def of_log(cfg: DictConfig) -> Tracks:
-    """A log, and what a model predicts of it where its commands tell the whole run."""
+    """A log, and what a model predicts of it unless its commands depend on what the robot sensed."""
     logs = [one for log in read_logs(cfg.what, cfg.robot) for one in log.episodes()]
     if not cfg.number < len(logs):
         raise ValueError(f"number={cfg.number}: {cfg.what} holds {len(logs)} logs, counted from 0")
     log = logs[cfg.number]
     shown: dict[str, Rollout] = {"measured": log}
     if log.metadata.policy_rate is not None and log.metadata.mount == "floor":
-        print("no ghost: what a policy commands on its feet answers what its robot felt", file=sys.stderr)
+        print("no simulated overlay: closed-loop commands cannot be replayed open-loop", file=sys.stderr)
         return Tracks(shown, scene_of(log))
     try:
         prediction = Replay([log], num_threads=1).run(model_for(log.robot, cfg.model))[0]
         shown["simulated"] = predicted(prediction)
     except ValueError as error:
-        print(f"no ghost: {error}", file=sys.stderr)
+        print(f"no simulated overlay: {error}", file=sys.stderr)
     return Tracks(shown, scene_of(log))
 
 
@@ -82,12 +82,12 @@ def of_policy(cfg: DictConfig, path: Path) -> Tracks:
 
 
 def of_model(cfg: DictConfig) -> Tracks:
-    """A squat on the floor as a model does it, the ghost of what it is told."""
+    """A squat on the floor: the commands, and the model's simulation of them."""
     if cfg.model is not None:
         raise ValueError(f"model={cfg.model}: {cfg.what} is a model itself; leave it out")
     log = simulate_motion(load_model(cfg.what), squat(duration=6.0), mount="floor")
-    told = {key: log.array(key) for key in log.channels} | {("joint", "position"): log.array("command/position")}
-    return Tracks({"commanded": Rollout.from_arrays(told, log.metadata), "simulated": log}, scene_of(log))
+    commanded = {key: log.array(key) for key in log.channels} | {("joint", "position"): log.array("command/position")}
+    return Tracks({"commanded": Rollout.from_arrays(commanded, log.metadata), "simulated": log}, scene_of(log))
 
 
 def tracks_of(cfg: DictConfig) -> Tracks:
