@@ -351,7 +351,7 @@ def test_an_algorithm_starts_from_a_policy():
     second.start_from(policy)
     observation = torch.randn(7, 3, generator=generator(3))
     torch.testing.assert_close(second.bundle(MANIFEST).act(observation), policy.act(observation), rtol=0, atol=1e-6)
-    learned = PolicyBundle(dataclasses.replace(MANIFEST, training=Training(steps=100_000)), policy.weights)
+    learned = PolicyBundle(dataclasses.replace(policy.manifest, training=Training(steps=100_000)), policy.weights)
     third = SAC(Pendulum(16), **SMALL, seed=2)
     third.start_from(learned)
     for algorithm in (second, third):  # of a policy that learned from much, little changes the normalisation
