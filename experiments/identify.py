@@ -94,7 +94,7 @@ def without_effects(cfg: DictConfig, folder: Path) -> Fit | None:
         storage=str(folder / f"study_without_{name}.journal"),
         study_name=f"without_{name}",
     )
-    return identification.finish(settings.run(identification.evaluate), **cfg.refine)
+    return identification.finish(settings.run(identification.evaluate, identity=identification.identity), **cfg.refine)
 
 
 def duration(started: datetime, study: optuna.Study) -> float:
@@ -144,7 +144,7 @@ def main(cfg: DictConfig) -> Any:
                 joints=identification.joints,
             )
 
-        return sweep_or_report(cfg, identification.evaluate, report)
+        return sweep_or_report(cfg, identification.evaluate, report, identity=identification.identity)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from stages import Stages
-from support import ASKED, check_same, goes_on, one_sentence, plain, remember, run_folder
+from support import goes_on, one_sentence, plain, run_folder
 
 from op3.command_line import launch
 from op3.identify.episodes import ended_by, that_count
@@ -97,10 +97,6 @@ def main(cfg: DictConfig) -> Any:
         if cfg.diagnose:
             cfg.model = diagnosed(cfg, folder)
         problem = build(cfg)
-        if cfg.population is None:
-            what = {"objectives": problem.identity, "parameters": ", ".join(problem.names)}
-            check_same(folder / ASKED, what)
-            remember(folder / ASKED, what)
 
         def report(study: optuna.Study) -> dict[str, Any]:
             found = replace(problem.finish(study, cfg.finalists), start_name=cfg.start_name)
@@ -118,7 +114,7 @@ def main(cfg: DictConfig) -> Any:
             bounds = {name: (space[PREFIX + name].low, space[PREFIX + name].high) for name in problem.names}
             return problem.propose(count, bounds, seed=cfg.seed)
 
-        return sweep_or_report(cfg, problem.evaluate, report, propose)
+        return sweep_or_report(cfg, problem.evaluate, report, propose, {"objectives": problem.identity})
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Mapping
 from functools import cached_property, lru_cache
 from math import pi
@@ -56,6 +57,16 @@ class Robot:
     def reference(self) -> str:
         """What a log or a config calls it: its name if it comes with the project, else the path of its file."""
         return self.name if robot_files().get(self.name) == self.path else str(self.path)
+
+    @cached_property
+    def content_hash(self) -> str:
+        """Twelve hex digits of its file, its servos and its compiled model, whatever the files are called."""
+        digest = hashlib.sha256(repr((self.file, self.servos)).encode())
+        arrays = ((name, getattr(self.bare_model, name)) for name in sorted(dir(self.bare_model)))
+        for name, values in arrays:
+            if isinstance(values, np.ndarray):
+                digest.update(name.encode() + values.tobytes())
+        return digest.hexdigest()[:12]
 
     @property
     def controlled(self) -> tuple[str, ...]:
