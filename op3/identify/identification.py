@@ -21,8 +21,8 @@ from op3.identify.surrogate import MOST_POINTS, explore
 from op3.rollout import LogError, Rollout
 from op3.servo import Estimate, RobotModel
 from op3.servo.conditions import split_name
-from op3.sim.model_file import model_hash
 from op3.settings import Count, Whole, settings
+from op3.sim.model_file import model_hash
 from op3.tasks import Prediction, Replay
 from op3.tasks.setups import BENCH_CONTROL_PERIOD
 

@@ -197,7 +197,7 @@ class PopulationSweeper(Sweeper):
         return [o for chunk, job in zip(chunks, returns, strict=True) for o in _job_outcomes(chunk, job)]
 
     def _begin(self, overrides: list[str], folder: Path, settings: StudySettings) -> dict[str, Any]:
-        """Ask the experiment for starts, where there are none yet, and for the study's identity, in a job of its own."""
+        """Ask the experiment, in a job of its own, for the study's identity, and for starts where there are none."""
         wanted = 0 if (folder / STARTS_FILE).exists() else settings.starts
         first, jobs = _write_jobs([{"starts": wanted}], overrides, folder)
         return self._launcher.launch(jobs, initial_job_idx=first)[0].return_value

@@ -131,7 +131,8 @@ def roll_out(recording: Recording, side: Side, path: Path) -> list[Rollout]:
         _mend(chosen, side)
         with located(source=path):
             arrays = _arrays(chosen, metadata, recording.strict, side)
-            unread = [one for one in recording.doubts if one.column not in side.options.columns]
+            known = {*side.options.columns, *(f"field {name}" for name in side.metadata)}
+            unread = [one for one in recording.doubts if one.column not in known]
             unread += _unread(arrays, metadata.joints) + _unshared(time, streams)
             log = Rollout.from_arrays({"time": time[part], **arrays}, metadata, path)
             logs.append(log.with_findings(unread))
