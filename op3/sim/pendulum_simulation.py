@@ -49,7 +49,7 @@ class PendulumSimulation:
                 if edit not in (ROTOR, LINK):
                     raise ValueError(
                         f"effect {effect.name!r} changes {edit.field} of {edit.target}, but a bench has no such thing;"
-                        " leave the effect out, or give a model of one servo, such as model=coulomb_viscous"
+                        " leave the effect out, or give a model of one servo, such as model=rhoban_m1"
                     )
         self.model = model
         self.timestep = timestep

@@ -139,7 +139,7 @@ def counted(folder: Path, unit: str, size: float, ranges: dict[str, tuple[int, i
     for feature, late in (("action", 0.0), ("observation.state", 0.1)):
         columns = []
         for number, (joint, (first, last)) in enumerate(ranges.items()):
-            angle = size * np.sin((1 + 0.2 * number) * (TIME - late) + number)
+            angle = (1.0 if feature == "action" else 0.97) * size * np.sin((1 + 0.2 * number) * (TIME - late) + number)
             counts = np.round((first + last) / 2 + angle * 4096 / (2 * np.pi))
             if "gripper" in joint or joint == "tool":
                 columns.append((counts - first) / (last - first) * 100)
@@ -163,13 +163,13 @@ def test_the_encoder_of_all_joints_says_the_unit_of_a_dataset(tmp_path, unit, si
     ranges = {hand if joint == "left_gripper" else joint: span for joint, span in RANGES.items()}
     log = read_log(counted(tmp_path, unit, size, ranges))
     assert log.joints == tuple(ranges)
-    assert np.ptp(log.array("joint/position"), axis=0) == pytest.approx(2 * size, rel=0.02)
+    assert np.ptp(log.array("joint/position"), axis=0) == pytest.approx(2 * size, rel=0.05)
     assert log.findings == ()
 
 
 def test_normalised_numbers_without_their_ranges_are_refused(tmp_path):
     """Steps of another size in every joint are no degrees."""
-    path = counted(tmp_path, "normalised", 0.3)
+    path = counted(tmp_path, "normalised", 0.08)
     (path / "calibration.json").unlink()
     with pytest.raises(LogError, match="they are normalised to the joints' ranges, which nothing here says; copy"):
         read_log(path)
@@ -193,7 +193,7 @@ def test_a_calibration_of_lists(tmp_path):
     old = {"motor_names": list(RANGES), "calib_mode": modes, "start_pos": ends[0], "end_pos": ends[1]}
     (path / "calibration.json").write_text(json.dumps(old))
     log = read_log(path)
-    assert np.ptp(log.array("joint/position"), axis=0) == pytest.approx(0.6, rel=0.02)
+    assert np.ptp(log.array("joint/position"), axis=0) == pytest.approx(0.6, rel=0.05)
     assert log.findings == ()
 
 

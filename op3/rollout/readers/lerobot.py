@@ -232,8 +232,6 @@ def _body_unit(
     if on:
         unit = min(on, key=apart.__getitem__)
         return unit, f"all joints lie on its grid of encoder counts, {apart[unit]:.2g} steps off", None
-    if "rad" in units:
-        return "rad", "hardly a number is as large as a turn in radians", None
     beyond = [joint for joint, known in ranges.items() if joint in joints and known.counts]
     beyond = [j for j in beyond if np.abs(joints[j]).max() > 1.05 * 180 * ranges[j].counts / _TURN]
     if beyond and "normalised" in units:
@@ -249,6 +247,8 @@ def _body_unit(
         problem += "they are normalised to the joints' ranges, which nothing here says"
         remedy = "copy LeRobot's calibration file there as calibration.json"
         return "deg", "nothing else is known", Finding(ERROR, problem, remedy, check="unit of LeRobot")
+    if "rad" in units:
+        return "rad", "hardly a number is as large as a turn in radians", None
     problem = f"numbers of up to {most.max():.4g} have no unit and are read as degrees, but normalised ones look alike"
     remedy = "say `unit: deg` under `columns:` in a YAML, or their size"
     if not ranges:
