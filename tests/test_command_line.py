@@ -95,7 +95,7 @@ def op3() -> Callable[..., tuple[int, str]]:
         (["predict", "data=x", "joints=r_knee"], "joints must be a list, got 'r_knee'"),
         (["identify", "groups=[motr]"], "groups=motr: there is no 'motr' in the group groups; the nearest is 'motor'"),
         (["import"], "data is missing: add data=<a log, a folder of logs, or a list of them>"),
-        (["import", "runs/8 (2).csv"], "runs/8 (2).csv: there is no such file; name a rollout folder"),
+        (["import", "runs/8 (2).csv"], "runs/8 (2).csv: there is no such file or folder; correct the path"),
         (["predict", "wandb=maybe", "data=x"], "wandb must be one of 'offline', 'online' or 'disabled', got 'maybe'"),
         (["design", "budget=-1"], "budget=-1: there is no '-1' in the group budget; there are demo"),
         (["view", "nothing-here"], "what=nothing-here: there is no such file or folder; give a log, a policy bundle"),

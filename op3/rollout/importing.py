@@ -205,12 +205,13 @@ def _named(stream: Stream, meanings: dict[str, Column], recording: Recording, si
 def _stamped_apart(stream: Stream) -> list[Stream]:
     """A stream for each set of rows in which columns hold numbers: blank cells are of rows that others were stamped in.
 
-    A command holds until the next, also behind its last one.
+    A command holds until the next, also behind its last one. Where positions stand in every row, other blanks are lost.
     """
     there = {name: np.isfinite(values) for name, values in stream.columns.items()}
+    apart = any(name.endswith(".position") and rows.mean() < 1 - _BLANK for name, rows in there.items())
     groups: dict[bytes, list[str]] = {}
     for name, rows in there.items():
-        often = rows.all() or not rows.any() or (not _is_held(name) and rows.mean() > 1 - _BLANK)
+        often = rows.all() or not rows.any() or not (_is_held(name) or (apart and rows.mean() < 1 - _BLANK))
         groups.setdefault(b"" if often else rows.tobytes(), []).append(name)
     if len(groups) < 2 and not any(groups):
         return [stream]
